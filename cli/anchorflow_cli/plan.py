@@ -1,0 +1,116 @@
+"""`anchorflow plan`: anchors between two points of a ROS map, as a table and a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.map_window import map_window
+from anchorflow_cli.options import BundleOption, Vector, command_app, vector_option
+from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
+from anchorflow_client.http import AnchorClient
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_service.engine import Engine
+from anchorflow_service.ros_map import RosMap, load_ros_map
+
+app = command_app()
+
+
+@app.command()
+def plan(
+    *,
+    map_file: Annotated[Path, typer.Option("--map", help="The .yaml file of a ROS map.")],
+    start: Annotated[Vector, vector_option("X,Y", "Start [m], in the map's frame.")],
+    goal: Annotated[Vector, vector_option("X,Y", "Goal [m].")],
+    start_velocity: Annotated[
+        Vector | None, vector_option("VX,VY", "Velocity at the start [m/s]; default 0,0.")
+    ] = None,
+    goal_velocity: Annotated[
+        Vector | None, vector_option("VX,VY", "Velocity at the goal [m/s]; default 0,0.")
+    ] = None,
+    style: Annotated[
+        Vector | None, vector_option("S,E,M", "Weights of safety, energy and smoothness.")
+    ] = None,
+    num_samples: Annotated[int, typer.Option(help="How many anchors.")] = DEFAULT_NUM_SAMPLES,
+    seed: Annotated[int | None, typer.Option(help="Seed of the noise; drawn by default.")] = None,
+    robot_radius: Annotated[
+        float | None, typer.Option(help="Radius [m]; the model's by default.")
+    ] = None,
+    window: Annotated[
+        float | None, typer.Option(help="Side of the map's window [m]; by the way's length.")
+    ] = None,
+    unknown_is_free: Annotated[
+        bool, typer.Option("--unknown-is-free", help="Let the way lead through unknown cells.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Picture to draw, .png or .svg.")] = None,
+    url: Annotated[
+        str | None, typer.Option(help="Ask this server instead of the engine in-process.")
+    ] = None,
+    bundle: BundleOption = DEFAULT_BUNDLE,
+) -> None:
+    """Plan on a ROS map; print a table of the anchors and, with --out, draw them."""
+    ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
+    seen = map_window(ros_map, start, goal, size_m=window)
+    rest = np.zeros(2)
+    request = AnchorRequest.build(
+        cost_map=CostMap.build(seen.occupancy[None], seen.resolution, seen.origin),
+        x_curr=np.concatenate([start, rest if start_velocity is None else start_velocity, rest]),
+        x_goal=np.concatenate([goal, rest if goal_velocity is None else goal_velocity]),
+        w_style=style,
+        num_samples=num_samples,
+        seed=seed,
+        robot_radius=robot_radius,
+    )
+    anchors = ask_server(url, request) if url else ask_engine(bundle, request)
+    Console().print(table(anchors))
+    if out is not None:
+        draw(anchors, seen, start=start, goal=goal, path=out)
+
+
+def ask_server(url: str, request: AnchorRequest) -> AnchorBatch:
+    """Anchors from a server."""
+    with AnchorClient(url) as client:
+        return client.plan_request(request)
+
+
+def ask_engine(bundle: Path, request: AnchorRequest) -> AnchorBatch:
+    """Anchors from an engine in this process."""
+    return Engine(load_bundle(bundle)).plan(request)
+
+
+def table(anchors: AnchorBatch) -> Table:
+    """The figures of the best anchor beside the span of all."""
+    best = anchors.best
+    lengths = np.linalg.norm(np.diff(anchors.trajectories[..., :2], axis=1), axis=-1).sum(axis=-1)
+    rows = {
+        "score": anchors.scores,
+        "clearance (m)": anchors.clearance,
+        "length (m)": lengths,
+    }
+    model, timing = anchors.model, anchors.timing_ms
+    spent = ", ".join(f"{stage} {ms:.0f} ms" for stage, ms in timing.items())
+    grid = Table(
+        title=f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe",
+        caption=f"{model.name} {model.version}, seed {anchors.seed}\n{spent}",
+        title_justify="left",
+        caption_justify="left",
+    )
+    for column in ("", "best", "least", "median", "most"):
+        grid.add_column(column, justify="right" if column else "left")
+    for name, values in rows.items():
+        figures = (values[best], values.min(), np.median(values), values.max())
+        grid.add_row(name, *(f"{figure:.2f}" for figure in figures))
+    return grid
+
+
+def draw(anchors: AnchorBatch, ros_map: RosMap, *, start: Vector, goal: Vector, path: Path) -> None:
+    """Draws the picture; matplotlib is loaded for this alone."""
+    with needs_extra("plot", who="anchorflow plan --out"):
+        from anchorflow_cli.plots import draw_anchors
+    draw_anchors(anchors, ros_map, start=start, goal=goal, path=path)

@@ -1,0 +1,109 @@
+"""Pictures of anchors on their map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+
+from anchorflow_cli.options import Vector
+from anchorflow_client.contract import AnchorBatch
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_service.ros_map import RosMap
+
+FREE, UNKNOWN, OCCUPIED = "white", "#c9ccd1", "#3b4048"
+START, GOAL = "#1b7f3b", "#c62828"
+
+
+class PlotError(AnchorFlowError):
+    """A picture cannot be written."""
+
+
+def draw_anchors(
+    anchors: AnchorBatch, ros_map: RosMap, *, start: Vector, goal: Vector, path: Path
+) -> None:
+    """Writes a picture of a map [H, W] and the anchors [N, T, D] on it, in the format of `path`.
+
+    Colour is the score; anchors that are not safe are dashed, the best one is outlined.
+    Raises `PlotError` where `path` cannot be written or has no picture's suffix.
+    """
+    figure = Figure(figsize=(8.0, 7.0), layout="constrained")
+    axes = figure.add_subplot()
+    draw_map(axes, ros_map)
+    lines = draw_lines(axes, anchors)
+    draw_ends(axes, start, goal)
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.set_title(f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe", loc="left")
+    figure.legend(loc="outside lower center", ncols=4, frameon=False)
+    figure.colorbar(lines, ax=axes, label="score (higher is better)", extend="min", shrink=0.8)
+    try:
+        figure.savefig(path, dpi=150)
+    except (OSError, ValueError) as error:
+        raise PlotError(f"{path}: {error}") from error
+
+
+def draw_map(axes: Axes, ros_map: RosMap) -> None:
+    """Occupancy in grey, unknown cells in a grey of their own, in metres."""
+    height, width = ros_map.occupancy.shape
+    left, bottom = ros_map.origin
+    right, top = ros_map.origin + ros_map.resolution * np.array([width, height])
+    shade = np.where(ros_map.unknown, 1, np.where(ros_map.occupancy >= 0.5, 2, 0))
+    axes.imshow(
+        shade,
+        cmap=ListedColormap([FREE, UNKNOWN, OCCUPIED]),
+        vmin=0,
+        vmax=2,
+        origin="lower",
+        extent=(left, right, bottom, top),
+        interpolation="nearest",
+    )
+
+
+def draw_lines(axes: Axes, anchors: AnchorBatch) -> LineCollection:
+    """The anchors, worst first so that good ones lie on top; returns what the colours stand for."""
+    paths, scores, best = anchors.trajectories[:, :, :2], anchors.scores, anchors.best
+    styles = np.where(anchors.safe, "solid", "dashed")
+    order = np.argsort(scores)
+    lines = LineCollection(
+        list(paths[order]),
+        array=scores[order],
+        cmap="viridis",
+        linewidths=1.2,
+        linestyles=list(styles[order]),
+        alpha=0.8,
+    )
+    # The scores of anchors through walls would leave one colour to all the others.
+    scale = scores[anchors.safe] if anchors.safe.any() else scores
+    lines.set_clim(scale.min(), scale.max())
+    axes.add_collection(lines)
+    axes.plot(
+        *paths[best].T,
+        color=lines.to_rgba(scores[best]),
+        linewidth=2.5,
+        linestyle=styles[best],
+        path_effects=[withStroke(linewidth=5, foreground="black")],
+        label="best",
+    )
+    if not anchors.safe.all():
+        axes.plot([], [], color="grey", linestyle="dashed", label="not safe")
+    return lines
+
+
+def draw_ends(axes: Axes, start: Vector, goal: Vector) -> None:
+    """Start and goal [2]."""
+    for point, color, marker, label in [(start, START, "o", "start"), (goal, GOAL, "*", "goal")]:
+        axes.plot(
+            *point,
+            color=color,
+            marker=marker,
+            markersize=12,
+            markeredgecolor="white",
+            linestyle="none",
+            label=label,
+            zorder=5,
+        )

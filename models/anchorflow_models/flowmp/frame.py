@@ -1,0 +1,75 @@
+"""The scene's own frame: origin halfway between start and goal, x axis towards the goal.
+
+In it every scene asks the same question, from left to right; the window that the network sees is
+a square of half side h = 0.5 L + 1.8 m around the origin, where L is the distance to the goal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+WINDOW_SHARE = 0.5
+WINDOW_MARGIN = 1.8  # m
+
+
+@dataclass(frozen=True)
+class Frame:
+    """rotation: [B, D, D], columns are the axes (a third dimension, heading, is not turned);
+    centre: [B, D], m; half_size: [B] m."""
+
+    rotation: Tensor
+    centre: Tensor
+    half_size: Tensor
+
+    @staticmethod
+    def between(start: Tensor, goal: Tensor) -> Frame:
+        """The frame of starts and goals [B, D]; where they coincide it is not turned."""
+        span = (goal - start)[:, :2]
+        length = span.square().sum(-1).clamp(min=1e-12).sqrt()
+        east = torch.tensor([1.0, 0.0], device=span.device)
+        axis = torch.where((length > 1e-3)[:, None], span / length[:, None], east)
+        rotation = torch.stack([axis, torch.stack([-axis[:, 1], axis[:, 0]], -1)], -1)
+        if start.shape[1] == 3:
+            rotation = F.pad(rotation, (0, 1, 0, 1))
+            rotation = rotation + torch.diag(torch.tensor([0.0, 0.0, 1.0], device=span.device))
+        return Frame(rotation, 0.5 * (start + goal), WINDOW_SHARE * length + WINDOW_MARGIN)
+
+    def pack(self) -> Tensor:
+        """[B, D^2 + D + 1], as a graph carries it."""
+        return torch.cat([self.rotation.flatten(1), self.centre, self.half_size[:, None]], -1)
+
+    @staticmethod
+    def unpack(packed: Tensor, dim: int) -> Frame:
+        rotation, centre, half_size = packed.split([dim * dim, dim, 1], -1)
+        return Frame(rotation.reshape(-1, dim, dim), centre, half_size[:, 0])
+
+    def turn_in(self, vectors: Tensor) -> Tensor:
+        """Map-frame vectors [B, ..., D] in the scene's axes."""
+        return _turn(vectors, self.rotation)
+
+    def turn_out(self, vectors: Tensor) -> Tensor:
+        """Vectors [B, ..., D] in the scene's axes back in the map's."""
+        return _turn(vectors, self.rotation.transpose(1, 2))
+
+    def place(self, points: Tensor) -> Tensor:
+        """Map-frame points [B, P, 2] in m as window coordinates in [-1, 1]."""
+        offset = points - self.centre[:, None, :2]
+        return _turn(offset, self.rotation[:, :2, :2]) / self.half_size[:, None, None]
+
+    def window(self, size: int) -> Tensor:
+        """Map-frame points of the window's cell centres, [B, size, size, 2] in m."""
+        line = (torch.arange(size, device=self.centre.device) + 0.5) * (2.0 / size) - 1.0
+        y, x = torch.meshgrid(line, line, indexing="ij")
+        grid = torch.stack([x, y], -1).reshape(1, -1, 2) * self.half_size[:, None, None]
+        points = _turn(grid, self.rotation[:, :2, :2].transpose(1, 2)) + self.centre[:, None, :2]
+        return points.reshape(-1, size, size, 2)
+
+
+def _turn(vectors: Tensor, rotation: Tensor) -> Tensor:
+    """v R for every vector in [B, ..., D]."""
+    flat = vectors.reshape(vectors.shape[0], -1, vectors.shape[-1])
+    return (flat @ rotation).reshape(vectors.shape)

@@ -1,0 +1,1 @@
+"""Scenes, the expert, datasets, losses and the trainer."""

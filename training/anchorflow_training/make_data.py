@@ -1,0 +1,118 @@
+"""Make a dataset: draw scenes, let the expert solve them, keep what it solved.
+
+Scene i depends on the seed and on i alone, so the bytes do not depend on the number of workers.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from anchorflow_trajectory.cost import CostWeights, Limits
+from anchorflow_trajectory.geodesic import cost_to_go
+from anchorflow_trajectory.spline import spline_basis
+from numpy.typing import NDArray
+
+from anchorflow_training.dataset import create_arrays
+from anchorflow_training.expert import ExpertConfig, solve
+from anchorflow_training.scenes import Scene, SceneError, draw_scene
+
+Row = dict[str, NDArray]
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """What `make_dataset` draws.
+
+    scenes: S; trajectories: M kept a scene; least: fewer good ones than this and the scene is redrawn
+    cells: H = W of the maps
+    """
+
+    scenes: int
+    seed: int = 0
+    trajectories: int = 16
+    least: int = 3
+    cells: int = 96
+    limits: Limits = Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+    expert: ExpertConfig = field(default_factory=ExpertConfig)
+
+
+@dataclass(frozen=True)
+class SceneRecord:
+    """One solved scene, and how many draws and tries it took."""
+
+    row: Row
+    family: str
+    unsolved: tuple[str, ...]
+    good_share: float
+
+
+def make_dataset(
+    path: Path, config: DataConfig, *, workers: int, progress: Callable[[int], None] = lambda _: None
+) -> dict[str, object]:
+    """Write the dataset folder and return its `dataset.json`; `progress` gets 1 a finished scene."""
+    arrays, families, unsolved, shares = None, Counter(), Counter(), []
+    tasks = ((config, i) for i in range(config.scenes))
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        for index, record in enumerate(pool.imap(_solved_scene, tasks, chunksize=8)):
+            if arrays is None:
+                shapes = {n: (config.scenes, *a.shape) for n, a in record.row.items()}
+                arrays = create_arrays(path, shapes)
+            for name, value in record.row.items():
+                arrays[name][index] = value
+            families[record.family] += 1
+            unsolved.update(record.unsolved)
+            shares.append(record.good_share)
+            progress(1)
+    meta = {
+        "format": 1,
+        "scenes": config.scenes,
+        "config": asdict(config) | {"weights": asdict(CostWeights())},
+        "families": dict(sorted(families.items())),
+        "unsolved": dict(sorted(unsolved.items())),
+        "good_share": round(float(np.mean(shares)), 4),
+    }
+    (path / "dataset.json").write_text(json.dumps(meta, indent=1))
+    return meta
+
+
+def _solved_scene(task: tuple[DataConfig, int]) -> SceneRecord:
+    """The first draw for this index that the expert solves often enough."""
+    config, index = task
+    rng = np.random.default_rng([config.seed, index])
+    unsolved: list[str] = []
+    while True:
+        try:
+            scene = draw_scene(rng, cells=config.cells, limits=config.limits)
+        except SceneError:
+            continue
+        solution = solve(scene, config=config.expert, limits=config.limits, rng=rng)
+        good = np.flatnonzero(solution.good)
+        if len(good) >= config.least:
+            break
+        unsolved.append(scene.family)
+    chosen = np.resize(rng.permutation(good), config.trajectories)
+    control = solution.control[:, chosen]
+    row = _row(scene, control, config)
+    return SceneRecord(row, scene.family, tuple(unsolved), len(good) / len(solution.good))
+
+
+def _row(scene: Scene, control: NDArray[np.float32], config: DataConfig) -> Row:
+    basis = spline_basis(config.expert.num_samples, config.limits.horizon_s)
+    ends = scene.x_curr[:2], scene.x_goal[:2]
+    ways = cost_to_go(scene.clearance, scene.resolution, scene.origin, *ends)
+    return {
+        "cost_map": np.uint8(np.rint(scene.cost_map * 255)),
+        "clearance": np.float16(scene.clearance),
+        "cost_to_go": np.float16(ways),
+        "map_geometry": np.float32([*scene.origin, scene.resolution]),
+        "x_curr": scene.x_curr,
+        "x_goal": scene.x_goal,
+        "w_style": scene.style,
+        "states": np.concatenate(basis.states(control), axis=-1),
+    }

@@ -1,0 +1,20 @@
+"""Where a model's weights come from, for the bundle's manifest."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from anchorflow_training.checkpoint import Checkpoint
+
+CURVE_POINTS = 40
+
+
+def provenance(checkpoint: Checkpoint) -> dict[str, Any]:
+    """Steps, configuration, data and a thinned loss curve."""
+    stride = max(1, len(checkpoint.curve) // CURVE_POINTS)
+    return {
+        "steps": checkpoint.step,
+        "config": checkpoint.config,
+        "data": checkpoint.data,
+        "loss": [[row["step"], round(row["loss"], 4)] for row in checkpoint.curve[::stride]],
+    }

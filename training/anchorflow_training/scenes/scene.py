@@ -1,0 +1,154 @@
+"""A scene to plan in: drawn from a layout, with a start and a goal that a robot could connect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.geodesic import grid_graph
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.sparse.csgraph import dijkstra
+
+from anchorflow_training.scenes.layouts import LAYOUTS, BoolArray, Canvas
+
+FloatArray = NDArray[np.float32]
+
+
+class SceneError(Exception):
+    """A layout left no room for a start and a goal; draw another."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One planning problem, metric, in the map's frame.
+
+    cost_map: [3, H, W] in [0, 1]: occupancy, traversability, risk
+    origin: [2] m, outer corner of cell (0, 0); resolution: m/cell
+    x_curr: [6] p, v, a; x_goal: [4] p, v; style: [3] safety, energy, smooth, sums to 1
+    clearance: [H, W] m beyond robot_radius
+    """
+
+    family: str
+    cost_map: FloatArray
+    resolution: float
+    origin: FloatArray
+    robot_radius: float
+    x_curr: FloatArray
+    x_goal: FloatArray
+    style: FloatArray
+    clearance: FloatArray
+
+    @property
+    def occupied(self) -> BoolArray:
+        return self.cost_map[0] >= 0.5
+
+
+def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: Limits) -> Scene:
+    """A random scene on a `cells` x `cells` map; raises `SceneError` where the draw has no room."""
+    families = list(LAYOUTS)
+    shares = np.array([LAYOUTS[f][1] for f in families])
+    family = families[rng.choice(len(families), p=shares / shares.sum())]
+    size = float(rng.choice([rng.uniform(5, 9), rng.uniform(8, 13), rng.uniform(12, 40)], p=[0.25, 0.55, 0.2]))
+    radius = float(np.clip(rng.lognormal(np.log(0.25), 0.35), 0.1, 0.6))
+    resolution = size / cells
+    occupied = _oriented(rng, family, cells, resolution, radius)
+    clearance = clearance_field(occupied, resolution, radius)
+    start, goal = _ends(rng, clearance, resolution, limits)
+    origin = np.full(2, -size / 2)
+    x_curr, x_goal = np.zeros(6, np.float32), np.zeros(4, np.float32)
+    for target, cell in ((x_curr, start), (x_goal, goal)):
+        jitter = rng.uniform(-0.4, 0.4, 2)
+        target[:2] = origin + (np.array(cell)[::-1] + 0.5 + jitter) * resolution
+    span = x_goal[:2] - x_curr[:2]
+    if rng.random() < 0.5:
+        x_curr[2:4] = _velocity(rng, clearance[start], limits, span)
+        x_curr[4:6] = rng.normal(0.0, 0.5, 2) * (rng.random() < 0.5)
+    if rng.random() < 0.3:
+        x_goal[2:4] = _velocity(rng, clearance[goal], limits, span)
+    cost_map = np.stack([occupied.astype(np.float32), *_ground(rng, cells)])
+    style = _style(rng)
+    return Scene(family, cost_map, resolution, origin, radius, x_curr, x_goal, style, clearance)
+
+
+def _oriented(
+    rng: np.random.Generator, family: str, cells: int, resolution: float, radius: float
+) -> BoolArray:
+    """The family's layout, turned by a random angle half of the time; [cells, cells]."""
+    layout = LAYOUTS[family][0]
+    if rng.random() < 0.5:
+        return np.rot90(layout(Canvas(rng, cells, resolution, radius)), rng.integers(4)).copy()
+    larger = int(np.ceil(cells * np.sqrt(2)))
+    drawn, angle = layout(Canvas(rng, larger, resolution, radius)), rng.uniform(0, 2 * np.pi)
+    offset = np.arange(cells) - (cells - 1) / 2
+    x, y = offset[None, :], offset[:, None]
+    column = np.cos(angle) * x - np.sin(angle) * y + (larger - 1) / 2
+    row = np.sin(angle) * x + np.cos(angle) * y + (larger - 1) / 2
+    return drawn[np.rint(row).astype(int), np.rint(column).astype(int)]
+
+
+def _ends(
+    rng: np.random.Generator, clearance: FloatArray, resolution: float, limits: Limits
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Start and goal cells (row, column), connected by a way that the horizon suffices for."""
+    # Some ends are snug against a wall, most are not.
+    room = float(rng.choice([0.02, 0.1, 0.2]))
+    open_cells = np.argwhere(clearance > room)
+    if len(open_cells) < 20:
+        raise SceneError("no open ground")
+    # A trapezoid of speed covers v_max * (horizon - v_max / a_max); keep a reserve for bends.
+    reach = 0.88 * limits.v_max * (limits.horizon_s - limits.v_max / limits.a_max)
+    across = rng.random() < 0.5
+    starts = open_cells
+    if across:  # as in the common benchmarks: from one side of the map to the other
+        near = open_cells[:, 0] < 0.1 * len(clearance)
+        starts = open_cells[near] if near.any() else open_cells
+    start = tuple(starts[rng.integers(len(starts))])
+    graph = grid_graph(np.where(clearance > 0, 1.0, np.inf).astype(np.float32), resolution)
+    graph.data[~np.isfinite(graph.data)] = 0.0
+    graph.eliminate_zeros()
+    source = start[0] * clearance.shape[1] + start[1]
+    length = dijkstra(graph, directed=False, indices=source).reshape(clearance.shape)
+    straight = np.hypot(*(np.indices(clearance.shape) - np.array(start)[:, None, None])) * resolution
+    fit = (clearance > room) & np.isfinite(length) & (length < reach) & (straight > 1.0)
+    if across:
+        fit &= np.indices(clearance.shape)[0] > 0.75 * len(clearance)
+    goals = np.argwhere(fit)
+    if not len(goals):
+        raise SceneError("no goal within reach")
+    distance = straight[fit]
+    detour = length[fit] / distance
+    weight = distance * (1.0 + 4.0 * np.minimum(detour - 1.0, 1.0))
+    goal = goals[rng.choice(len(goals), p=weight / weight.sum())]
+    if rng.random() < 0.5 and across:
+        return tuple(goal), start
+    return start, tuple(goal)
+
+
+def _velocity(
+    rng: np.random.Generator, clearance: float, limits: Limits, span: FloatArray
+) -> FloatArray:
+    """A velocity at an end of the way: mostly along it, slow where there is little room to brake."""
+    braking = np.sqrt(2 * 0.7 * limits.a_max * max(0.05, clearance + 0.15))
+    speed = rng.uniform(0.1, min(limits.v_max, braking))
+    angle = np.arctan2(span[1], span[0]) + rng.normal(0.0, 0.7)
+    return np.float32([speed * np.cos(angle), speed * np.sin(angle)])
+
+
+def _ground(rng: np.random.Generator, cells: int) -> tuple[FloatArray, FloatArray]:
+    """Traversability and risk: neutral in most scenes, smooth patches in some; [H, W] each."""
+    layers = []
+    for neutral in (1.0, 0.0):
+        layer = np.full((cells, cells), neutral, np.float32)
+        if rng.random() < 0.15:
+            noise = gaussian_filter(rng.normal(size=(cells, cells)), rng.uniform(0.04, 0.12) * cells)
+            patches = np.clip(noise / np.abs(noise).max() * 2.5 - 0.6, 0.0, 1.0)
+            layer = np.abs(neutral - patches).astype(np.float32)
+        layers.append(layer)
+    return layers[0], layers[1]
+
+
+def _style(rng: np.random.Generator) -> FloatArray:
+    return rng.dirichlet(np.array([1.3, 1.1, 1.1])).astype(np.float32)

@@ -1,0 +1,38 @@
+"""What the dataset's trajectories look like in the scene's own frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from anchorflow_models.flowmp.config import L2Config
+from anchorflow_models.flowmp.frame import Frame
+from anchorflow_trajectory.spline import spline_basis
+
+from anchorflow_training.dataset import SceneDataset
+
+
+def prior_covariance(dataset: SceneDataset, config: L2Config, *, scenes: int = 4000) -> np.ndarray:
+    """Covariance [R, R] of the residual control points, in (D, F) order and window half sizes.
+
+    Scenes are mirrored too, as in training, so nothing leans to one side.
+    """
+    basis = spline_basis(
+        config.num_steps,
+        config.horizon_s,
+        num_control_points=config.num_control_points,
+        degree=config.degree,
+    )
+    picked = np.linspace(0, len(dataset) - 1, min(scenes, len(dataset))).astype(int)
+    rows = []
+    for scene in picked:
+        x_curr, x_goal = dataset.arrays["x_curr"][scene], dataset.arrays["x_goal"][scene]
+        control = basis.fit(dataset.arrays["states"][scene], x_curr, x_goal)
+        residual = control - basis.rest_curve(x_curr, x_goal)[:, None]
+        ends = (torch.from_numpy(x[None, : config.dim].copy()) for x in (x_curr, x_goal))
+        frame = Frame.between(*ends)
+        turned = np.einsum("dmf,de->mef", residual[..., basis.free], frame.rotation[0].numpy())
+        rows.append(turned / frame.half_size.item())
+    points = np.concatenate(rows)
+    mirrored = points * np.array([1.0, -1.0, -1.0])[: config.dim, None]
+    both = np.concatenate([points, mirrored]).reshape(-1, points.shape[1] * points.shape[2])
+    return both.T.astype(np.float64) @ both / len(both)

@@ -1,0 +1,5 @@
+"""Trajectory mathematics in numpy and scipy: splines, clearance and geodesic fields, cost, descent.
+
+The service refines anchors with it and the training's expert is built on it, so both mean the same
+by "clearance", "cost" and "within the limits".
+"""

@@ -1,0 +1,109 @@
+"""Clearance: how far the robot's edge is from the nearest occupied cell or the edge of the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+
+OCCUPIED = 0.5  # occupancy from which a cell is an obstacle
+
+
+def distance_to_cells(cells: BoolArray, resolution: float) -> FloatArray:
+    """Distance [m] from every cell's centre to the *square* of the nearest set cell; [H, W].
+
+    Measuring to the square and not to its centre matters: a centre distance overstates clearance by
+    half a cell. Where no cell is set the distance is infinite.
+    """
+    if not cells.any():
+        return np.full(cells.shape, np.inf, np.float32)
+    nearest = distance_transform_edt(~cells, return_distances=False, return_indices=True)
+    offset = np.abs(nearest - np.indices(cells.shape))
+    return (np.hypot(*np.maximum(offset - 0.5, 0.0)) * resolution).astype(np.float32)
+
+
+def clearance_field(occupied: BoolArray, resolution: float, robot_radius: float) -> FloatArray:
+    """Clearance [m] at cell centres [H, W]: negative where the robot's disc touches an obstacle.
+
+    The robot's centre must also stay on the map, so the distance to the map's edge is a bound too.
+    Inside obstacles the field goes on falling, so that its gradient leads out.
+    """
+    outside = distance_to_cells(occupied, resolution)
+    inside = distance_to_cells(~occupied, resolution)
+    inside[~np.isfinite(inside)] = max(occupied.shape) * resolution
+    height, width = occupied.shape
+    to_edge = [np.minimum(i, n - 1 - i) + 0.5 for n, i in ((height, np.arange(height)), (width, np.arange(width)))]
+    edge = np.minimum(to_edge[0][:, None], to_edge[1]) * resolution
+    return np.minimum(outside - inside - robot_radius, edge).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class GridField:
+    """A scalar field on cell centres, interpolated bilinearly.
+
+    values: [H, W], row index grows with y; origin: [2] m, outer corner of cell (0, 0).
+    Beyond the outermost centres the field falls by one metre a metre, as a clearance does there.
+    """
+
+    values: FloatArray
+    resolution: float
+    origin: NDArray[np.float64]
+
+    @cached_property
+    def _coefficients(self) -> FloatArray:
+        """[H*W, 4]: value, x slope, y slope and twist of each patch, so a lookup is one gather."""
+        field = np.pad(self.values, ((0, 1), (0, 1)), mode="edge")
+        corner, right, up = field[:-1, :-1], field[:-1, 1:], field[1:, :-1]
+        twist = field[1:, 1:] - right - up + corner
+        return np.stack([corner, right - corner, up - corner, twist], -1).reshape(-1, 4)
+
+    def _patch(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
+        height, width = self.values.shape
+        scale = np.float32(1.0 / self.resolution)
+        u = x * scale - np.float32(self.origin[0] / self.resolution + 0.5)
+        v = y * scale - np.float32(self.origin[1] / self.resolution + 0.5)
+        inside_u = np.clip(u, 0, width - 1)
+        inside_v = np.clip(v, 0, height - 1)
+        column, row = inside_u.astype(np.int32), inside_v.astype(np.int32)
+        patch = np.take(self._coefficients, row * width + column, axis=0)
+        return patch, inside_u - column, inside_v - row, u - inside_u, v - inside_v
+
+    def sample(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Values at points (x, y) in m, any shape."""
+        patch, fu, fv, over_u, over_v = self._patch(x, y)
+        value = patch[..., 0] + patch[..., 1] * fu + (patch[..., 2] + patch[..., 3] * fu) * fv
+        return value - (np.abs(over_u) + np.abs(over_v)) * np.float32(self.resolution)
+
+    def sample_with_gradient(
+        self, x: FloatArray, y: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Values and their derivatives along x and y [1/m] at points (x, y) in m, any shape."""
+        patch, fu, fv, over_u, over_v = self._patch(x, y)
+        scale = np.float32(1.0 / self.resolution)
+        slope_u = patch[..., 1] + patch[..., 3] * fv
+        slope_v = patch[..., 2] + patch[..., 3] * fu
+        value = patch[..., 0] + slope_u * fu + patch[..., 2] * fv
+        value -= (np.abs(over_u) + np.abs(over_v)) * np.float32(self.resolution)
+        return value, slope_u * scale - np.sign(over_u), slope_v * scale - np.sign(over_v)
+
+
+def path_clearance(
+    field: GridField, positions: FloatArray, *, max_step: float
+) -> FloatArray:
+    """Smallest clearance [m] along each polyline; positions [M, T, D >= 2] -> [M].
+
+    Between two samples the polyline is followed at steps of at most `max_step` metres.
+    """
+    start, chord = positions[:, :-1, :2], np.diff(positions[..., :2], axis=1)
+    longest = float(np.sqrt((chord**2).sum(-1).max(initial=0.0)))
+    pieces = max(1, int(np.ceil(longest / max_step)))
+    along = (np.arange(pieces, dtype=np.float32) / pieces)[:, None, None, None]
+    x, y = np.moveaxis(start + along * chord, -1, 0)
+    last = field.sample(positions[:, -1, 0], positions[:, -1, 1])
+    return np.minimum(field.sample(x, y).min(axis=(0, 2)), last)

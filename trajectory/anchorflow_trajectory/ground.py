@@ -1,0 +1,38 @@
+"""The ground of one scene, as the cost looks it up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.clearance import GridField
+
+FloatArray = NDArray[np.float32]
+
+TRAVERSABILITY, RISK = 1, 2  # channels of a cost map; 0 is occupancy
+
+
+@dataclass(frozen=True)
+class Ground:
+    """clearance: m beyond the robot's radius; soft: cost in [0, 1] of free ground, None if neutral."""
+
+    clearance: GridField
+    soft: GridField | None = None
+
+    @staticmethod
+    def of(
+        cost_map: FloatArray, clearance: FloatArray, resolution: float, origin: NDArray[np.float64]
+    ) -> Ground:
+        """The ground of a cost map [C, H, W] in [0, 1] whose clearance [H, W] is known.
+
+        Ground is dear where it is risky or hard to pass, whichever is worse.
+        """
+        field = GridField(clearance, resolution, origin)
+        soft = np.zeros_like(clearance)
+        if len(cost_map) > TRAVERSABILITY:
+            soft = np.maximum(soft, 1.0 - cost_map[TRAVERSABILITY])
+        if len(cost_map) > RISK:
+            soft = np.maximum(soft, cost_map[RISK])
+        return Ground(field, GridField(soft, resolution, origin) if soft.any() else None)
