@@ -8,10 +8,9 @@ from typing import Annotated
 import typer
 
 from anchorflow_cli.options import command_app
-from anchorflow_client.contract import MapSpec, SamplerSpec
-from anchorflow_export import BundleDescription, export_bundle
+from anchorflow_client.contract import MapSpec, SamplerSpec, uniform_schedule
+from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_service.manifest import LimitsEntry, RefineEntry
-from anchorflow_service.schedule import uniform
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.provenance import provenance
 from anchorflow_training.restore import restore_model
@@ -47,7 +46,7 @@ def export(
             robot_radius=ROBOT_RADIUS,
         ),
         map=MapSpec(H=config.map_size, W=config.map_size, channels=config.map_channels),
-        sampler=SamplerSpec("rk4", uniform(8)),
+        sampler=SamplerSpec("rk4", uniform_schedule(8)),
         refine=RefineEntry(
             smooth=True,
             project=True,

@@ -29,10 +29,10 @@ def test_distance_equals_brute_force(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cells = rng.random((12, 10)) < 0.15
     cells[0, 0] = True
-    rows, columns = np.nonzero(cells)
-    i, j = np.indices(cells.shape)
-    gap_i = np.maximum(np.abs(i[..., None] - rows) - 0.5, 0)
-    gap_j = np.maximum(np.abs(j[..., None] - columns) - 0.5, 0)
+    rows, columns = np.argwhere(cells).T
+    i, j = np.indices(cells.shape)[:, :, :, None]
+    gap_i = np.maximum(np.abs(i - rows) - 0.5, 0)
+    gap_j = np.maximum(np.abs(j - columns) - 0.5, 0)
     nearest = np.where(cells, 0.0, np.hypot(gap_i, gap_j).min(-1))
     # The nearest centre and the nearest square can differ by a few hundredths of a cell.
     assert np.abs(distance_to_cells(cells, 1.0) - nearest).max() < 0.2
@@ -46,7 +46,7 @@ def test_clearance_falls_into_obstacles_and_past_the_edge() -> None:
     assert field[10, 10] < field[10, 8] < -0.25 < field[10, 6]
     assert field[0, 0] == pytest.approx(0.05)  # half a cell to the map's edge
     grid = GridField(field, 0.1, np.zeros(2))
-    outside = grid.sample(np.float32([-0.3]), np.float32([1.0]))
+    outside = grid.sample(np.asarray([-0.3], np.float32), np.asarray([1.0], np.float32))
     assert outside[0] == pytest.approx(-0.3, abs=1e-5)
 
 
@@ -67,18 +67,22 @@ def test_interpolation_is_exact_on_a_bilinear_field() -> None:
     field = GridField(values, 0.2, ORIGIN)
     rng = np.random.default_rng(1)
     px, py = rng.uniform(-0.8, 4.0, 50), rng.uniform(-1.8, 1.0, 50)
-    value, along_x, along_y = field.sample_with_gradient(np.float32(px), np.float32(py))
+    value, along_x, along_y = field.sample_with_gradient(
+        np.asarray(px, np.float32), np.asarray(py, np.float32)
+    )
     np.testing.assert_allclose(value, 1 + 2 * px - py + 0.5 * px * py, atol=1e-4)
     np.testing.assert_allclose(along_x, 2 + 0.5 * py, atol=1e-3)
     np.testing.assert_allclose(along_y, -1 + 0.5 * px, atol=1e-3)
-    np.testing.assert_allclose(field.sample(np.float32(px), np.float32(py)), value, atol=1e-6)
+    np.testing.assert_allclose(
+        field.sample(np.asarray(px, np.float32), np.asarray(py, np.float32)), value, atol=1e-6
+    )
 
 
 def test_path_clearance_sees_between_the_samples() -> None:
     occupied = np.zeros((40, 40), bool)
     occupied[20, 20] = True
     field = GridField(clearance_field(occupied, 0.1, 0.2), 0.1, np.zeros(2))
-    straddling = np.float32([[[1.0, 2.05], [3.0, 2.05]], [[1.0, 1.0], [3.0, 1.0]]])
+    straddling = np.asarray([[[1.0, 2.05], [3.0, 2.05]], [[1.0, 1.0], [3.0, 1.0]]], np.float32)
     clearance = path_clearance(field, straddling, max_step=0.02)
     assert clearance[0] == pytest.approx(-0.25, abs=0.03)
     assert clearance[1] == pytest.approx(0.8, abs=0.03)

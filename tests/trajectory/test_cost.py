@@ -10,8 +10,8 @@ from anchorflow_trajectory.ground import Ground
 from anchorflow_trajectory.spline import spline_basis
 
 LIMITS = Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
-X_CURR = np.float32([1.0, 3.2, 0.4, 0.0, 0.0, 0.0])
-X_GOAL = np.float32([5.5, 3.1, 0.0, 0.0])
+X_CURR = np.asarray([1.0, 3.2, 0.4, 0.0, 0.0, 0.0], np.float32)
+X_GOAL = np.asarray([5.5, 3.1, 0.0, 0.0], np.float32)
 BASIS = spline_basis(64, 8.0)
 
 
@@ -26,8 +26,10 @@ def ground(*, risky: bool = False) -> Ground:
     return Ground.of(cost_map, clearance_field(occupied, 0.1, 0.25), 0.1, np.zeros(2))
 
 
-def cost(style: tuple[float, float, float] = (0.4, 0.3, 0.3), *, risky: bool = False) -> TrajectoryCost:
-    return TrajectoryCost(BASIS, ground(risky=risky), LIMITS, np.float32(style))
+def cost(
+    style: tuple[float, float, float] = (0.4, 0.3, 0.3), *, risky: bool = False
+) -> TrajectoryCost:
+    return TrajectoryCost(BASIS, ground(risky=risky), LIMITS, np.asarray(style, np.float32))
 
 
 def disturbed(count: int, spread: float = 0.4) -> np.ndarray:

@@ -7,7 +7,7 @@ from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.geodesic import BLOCKED_COST, cost_to_go, pool
 
 ORIGIN = np.zeros(2)
-START, GOAL = np.float32([1.0, 3.25]), np.float32([5.5, 3.25])
+START, GOAL = np.asarray([1.0, 3.25], np.float32), np.asarray([5.5, 3.25], np.float32)
 
 
 def way_through(occupied: np.ndarray) -> float:

@@ -35,7 +35,9 @@ def test_velocity_and_acceleration_are_the_derivatives(control: np.ndarray) -> N
     fine = spline_basis(4001, 8.0)
     position, velocity, acceleration = fine.states(control.astype(np.float64))
     dt = 8.0 / 4000
-    np.testing.assert_allclose(np.gradient(position, dt, axis=1)[:, 1:-1], velocity[:, 1:-1], atol=5e-3)
+    np.testing.assert_allclose(
+        np.gradient(position, dt, axis=1)[:, 1:-1], velocity[:, 1:-1], atol=5e-3
+    )
     np.testing.assert_allclose(
         np.gradient(velocity, dt, axis=1)[:, 1:-1], acceleration[:, 1:-1], atol=2e-2
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 OCCUPIED = 0.5  # occupancy from which a cell is an obstacle
@@ -24,7 +24,7 @@ def distance_to_cells(cells: BoolArray, resolution: float) -> FloatArray:
     if not cells.any():
         return np.full(cells.shape, np.inf, np.float32)
     nearest = distance_transform_edt(~cells, return_distances=False, return_indices=True)
-    offset = np.abs(nearest - np.indices(cells.shape))
+    offset = np.abs(np.asarray(nearest) - np.indices(cells.shape))
     return (np.hypot(*np.maximum(offset - 0.5, 0.0)) * resolution).astype(np.float32)
 
 
@@ -38,7 +38,10 @@ def clearance_field(occupied: BoolArray, resolution: float, robot_radius: float)
     inside = distance_to_cells(~occupied, resolution)
     inside[~np.isfinite(inside)] = max(occupied.shape) * resolution
     height, width = occupied.shape
-    to_edge = [np.minimum(i, n - 1 - i) + 0.5 for n, i in ((height, np.arange(height)), (width, np.arange(width)))]
+    to_edge = [
+        np.minimum(i, n - 1 - i) + 0.5
+        for n, i in ((height, np.arange(height)), (width, np.arange(width)))
+    ]
     edge = np.minimum(to_edge[0][:, None], to_edge[1]) * resolution
     return np.minimum(outside - inside - robot_radius, edge).astype(np.float32)
 
@@ -53,7 +56,7 @@ class GridField:
 
     values: FloatArray
     resolution: float
-    origin: NDArray[np.float64]
+    origin: FloatArray
 
     @cached_property
     def _coefficients(self) -> FloatArray:
@@ -93,9 +96,7 @@ class GridField:
         return value, slope_u * scale - np.sign(over_u), slope_v * scale - np.sign(over_v)
 
 
-def path_clearance(
-    field: GridField, positions: FloatArray, *, max_step: float
-) -> FloatArray:
+def path_clearance(field: GridField, positions: FloatArray, *, max_step: float) -> FloatArray:
     """Smallest clearance [m] along each polyline; positions [M, T, D >= 2] -> [M].
 
     Between two samples the polyline is followed at steps of at most `max_step` metres.

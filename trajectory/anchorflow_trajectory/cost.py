@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory.ground import Ground
 from anchorflow_trajectory.spline import SplineBasis
 
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory.cost import TrajectoryCost
 from anchorflow_trajectory.spline import SplineBasis
 
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 
 BETAS = (0.8, 0.95)  # short memories: there are tens of steps, not thousands
 

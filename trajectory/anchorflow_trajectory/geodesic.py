@@ -1,4 +1,4 @@
-"""Geodesic distances on the map: how long the way round the obstacles is, from start and to goal."""
+"""Geodesic distances on the map: how long the way round the obstacles is."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 
 MAX_CELLS = 64  # a side; a finer map is pooled to this, the network needs no more
 BLOCKED_COST = 30.0  # a metre through an obstacle costs as much as this many metres of free way
@@ -55,25 +55,31 @@ def _edges(height: int, width: int) -> tuple[NDArray[np.int32], NDArray[np.int32
 
 
 def grid_graph(cost: FloatArray, cell_size: float) -> csr_array:
-    """Undirected graph of the cells; an edge weighs its length [m] times the mean cost of its ends."""
+    """Undirected graph of the cells; an edge weighs its length [m] times its ends' mean cost."""
     tails, heads, steps = _edges(*cost.shape)
     flat = cost.ravel()
     weights = steps * cell_size * 0.5 * (flat[tails] + flat[heads])
     return csr_array((weights, (tails, heads)), shape=(flat.size, flat.size))
 
 
-def cell_index(point: FloatArray, origin: FloatArray, cell_size: float, shape: tuple[int, int]) -> int:
+def cell_index(
+    point: FloatArray, origin: FloatArray, cell_size: float, shape: tuple[int, int]
+) -> int:
     """Flat index of the cell that holds a point [2] in m, clamped to the map."""
     column, row = ((np.asarray(point[:2]) - origin) / cell_size).astype(int)
     return int(np.clip(row, 0, shape[0] - 1) * shape[1] + np.clip(column, 0, shape[1] - 1))
 
 
 def cost_to_go(
-    clearance: FloatArray, resolution: float, origin: FloatArray, start: FloatArray, goal: FloatArray
+    clearance: FloatArray,
+    resolution: float,
+    origin: FloatArray,
+    start: FloatArray,
+    goal: FloatArray,
 ) -> FloatArray:
     """Geodesic cost [m] from the start and to the goal at every cell; [2, H, W].
 
-    The lengths are weighted by `traversal_cost`, so a way through an obstacle is long, never infinite.
+    Lengths are weighted by `traversal_cost`: a way through an obstacle is long, never infinite.
     """
     coarse, cell_size = pool(clearance, resolution)
     graph = grid_graph(traversal_cost(coarse), cell_size)

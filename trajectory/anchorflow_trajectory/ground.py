@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory.clearance import GridField
 
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 
 TRAVERSABILITY, RISK = 1, 2  # channels of a cost map; 0 is occupancy
 
 
 @dataclass(frozen=True)
 class Ground:
-    """clearance: m beyond the robot's radius; soft: cost in [0, 1] of free ground, None if neutral."""
+    """clearance: m beyond the robot's radius; soft: cost in [0, 1] of free ground, if any."""
 
     clearance: GridField
     soft: GridField | None = None
 
     @staticmethod
     def of(
-        cost_map: FloatArray, clearance: FloatArray, resolution: float, origin: NDArray[np.float64]
+        cost_map: FloatArray, clearance: FloatArray, resolution: float, origin: FloatArray
     ) -> Ground:
         """The ground of a cost map [C, H, W] in [0, 1] whose clearance [H, W] is known.
 

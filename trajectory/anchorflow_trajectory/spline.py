@@ -1,9 +1,9 @@
 """Clamped uniform B-splines with fixed ends (de Boor, *A Practical Guide to Splines*, 1978).
 
-A trajectory is `p(t) = sum_k N_k(t) c_k` over the horizon. Its first three control points are set by
-the start's position, velocity and acceleration, its last two by the goal's position and velocity;
-the rest are free. Position, velocity and acceleration samples are linear in the control points, so
-they agree with one another exactly.
+A trajectory is `p(t) = sum_k N_k(t) c_k` over the horizon. Its first three control points are set
+by the start's position, velocity and acceleration, its last two by the goal's position and
+velocity; the rest are free. Position, velocity and acceleration samples are linear in the control
+points, so they agree with one another exactly.
 
 Arrays are component first: control points are [D, M, K], samples [D, M, T] for M trajectories.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 
 START_POINTS = 3  # control points that the start's p, v, a determine
 GOAL_POINTS = 2  # control points that the goal's p, v determine
@@ -129,7 +129,8 @@ def spline_basis(
     spline = BSpline(knots, np.eye(num_control_points), degree)
     times = np.linspace(0.0, 1.0, num_samples)
     orders = [spline.derivative(k)(times) / horizon_s**k for k in range(4)]
-    return SplineBasis(horizon_s, *(np.float32(order) for order in orders), _ends(orders))
+    position, velocity, acceleration, jerk = (order.astype(np.float32) for order in orders)
+    return SplineBasis(horizon_s, position, velocity, acceleration, jerk, _ends(orders))
 
 
 def _ends(orders: list[NDArray[np.float64]]) -> FloatArray:

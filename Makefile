@@ -1,0 +1,58 @@
+# Two commands are all a newcomer needs: `make serve` and `make test`.
+# Each makes .venv if it is missing and installs what it needs; a change of pyproject.toml installs again.
+
+PYTHON ?= python3
+HOST ?= 127.0.0.1
+PORT ?= 8000
+# Installed first and by itself, so that pip's configured index decides on the build (CPU or GPU).
+TORCH ?= torch==2.13.0
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
+
+.DEFAULT_GOAL := help
+.PHONY: help serve test lint format bench clean
+
+help:  ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+serve: $(VENV)/.service  ## Serve the default bundle at HOST and PORT (127.0.0.1, 8000); installs no torch
+	$(BIN)/anchorflow serve --host $(HOST) --port $(PORT)
+
+test: $(VENV)/.dev  ## Run every test
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.dev  ## Check style, import walls and types
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+format: $(VENV)/.dev  ## Format the code and mend what ruff can mend
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+bench: $(VENV)/.dev  ## Run every program in benchmarks/
+ifeq ($(BENCHMARKS),)
+	@echo "There are no benchmarks yet: benchmarks/*.py matches nothing."
+else
+	set -e; for benchmark in $(BENCHMARKS); do $(BIN)/python $$benchmark; done
+endif
+
+clean:  ## Remove .venv, caches and built packages
+	rm -rf $(VENV) dist .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/.created:
+	$(PYTHON) -m venv $(VENV)
+	touch $@
+
+$(VENV)/.service: pyproject.toml $(VENV)/.created
+	$(PIP) install --editable '.[service]'
+	touch $@
+
+$(VENV)/.dev: pyproject.toml $(VENV)/.created
+	$(PIP) install '$(TORCH)'
+	$(PIP) install --editable '.[dev]'
+	touch $@

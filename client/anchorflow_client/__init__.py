@@ -1,0 +1,78 @@
+"""AnchorFlow's contract and client: what a robot installs. numpy and the standard library alone.
+
+from anchorflow_client import AnchorClient
+
+with AnchorClient("http://127.0.0.1:8000") as client:
+    anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
+"""
+
+from anchorflow_client.codec import Codec, Payload
+from anchorflow_client.contract import (
+    AnchorBatch,
+    AnchorRequest,
+    CostMap,
+    MapSpec,
+    ModelCard,
+    ModelId,
+    RefineChoice,
+    RefineSpec,
+    SamplerChoice,
+    SamplerSpec,
+    TensorSpec,
+    WarmStart,
+)
+from anchorflow_client.errors import (
+    AnchorFlowError,
+    ConnectionFailed,
+    DeadlineExceeded,
+    InternalError,
+    InvalidAnswer,
+    InvalidRequest,
+    NotReady,
+    Overloaded,
+    RequestError,
+    Superseded,
+    TimedOut,
+    TooLarge,
+    TransportError,
+    Unauthorized,
+    UnknownModel,
+)
+from anchorflow_client.http import AnchorClient
+from anchorflow_client.json_codec import JsonCodec
+from anchorflow_client.transport import Transport
+
+__all__ = [
+    "AnchorBatch",
+    "AnchorClient",
+    "AnchorFlowError",
+    "AnchorRequest",
+    "Codec",
+    "ConnectionFailed",
+    "CostMap",
+    "DeadlineExceeded",
+    "InternalError",
+    "InvalidAnswer",
+    "InvalidRequest",
+    "JsonCodec",
+    "MapSpec",
+    "ModelCard",
+    "ModelId",
+    "NotReady",
+    "Overloaded",
+    "Payload",
+    "RefineChoice",
+    "RefineSpec",
+    "RequestError",
+    "SamplerChoice",
+    "SamplerSpec",
+    "Superseded",
+    "TensorSpec",
+    "TimedOut",
+    "TooLarge",
+    "Transport",
+    "TransportError",
+    "Unauthorized",
+    "UnknownModel",
+    "WarmStart",
+]

@@ -1,0 +1,124 @@
+"""Arrays of numbers out of untrusted nested lists.
+
+numpy alone will not do: it takes `true` for 1.0, and pads a million numbers beside one long string
+to that string's length. So the lists are flattened level by level, at C speed, and looked at first.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract.checks import describe, expected, is_number_type
+from anchorflow_client.contract.ranges import Interval
+from anchorflow_client.errors import InvalidRequest
+
+MAX_DIMENSIONS = 4
+
+_SEQUENCES = (list, tuple, np.ndarray)
+
+
+def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[np.float64]:
+    """A new float64 array of finite numbers inside `interval`.
+
+    Args:
+        value: nested lists, or anything that numpy takes for an array of numbers.
+        field: JSON path for the message.
+        interval: what each number may be.
+        shape: the shapes that the caller will accept, for the message.
+
+    Raises:
+        InvalidRequest: ragged, too deep, not numbers, not finite or out of range.
+    """
+    array = _from_array(value, field, shape) if hasattr(value, "__array__") else None
+    if array is None:
+        array = _from_lists(value, field, shape)
+    _check_range(array, field, interval)
+    return array
+
+
+def vectors(value: Any, field: str, size: int, interval: Interval) -> NDArray[np.float64]:
+    """One vector [size] or a batch of them [B,size]."""
+    shape = f"[{size}] or [B,{size}]"
+    array = numbers(value, field, interval, shape)
+    if array.ndim not in (1, 2) or array.shape[-1] != size:
+        raise wrong_shape(field, shape, array)
+    return array
+
+
+def wrong_shape(field: str, shape: str, array: NDArray[Any]) -> InvalidRequest:
+    """The refusal of an array by its shape."""
+    return InvalidRequest(f"expected shape {shape}, got {list(array.shape)}", field)
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """A view that cannot be written through; the caller's own array stays as it is."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _from_array(value: Any, field: str, shape: str) -> NDArray[np.float64]:
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf":
+        raise expected(field, f"numbers of shape {shape}", array)
+    return array.astype(np.float64)
+
+
+def _from_lists(value: Any, field: str, shape: str) -> NDArray[np.float64]:
+    if not isinstance(value, list | tuple):
+        raise expected(field, f"a list of numbers of shape {shape}", value)
+    sizes, items = [len(value)], list(value)
+    while items and isinstance(items[0], _SEQUENCES):
+        sizes.append(_common_length(items, sizes, field, shape))
+        items = list(chain.from_iterable(items))
+    _check_leaves(items, sizes, field)
+    try:
+        return np.array(items, dtype=np.float64).reshape(sizes)
+    except OverflowError as error:
+        raise InvalidRequest("expected finite numbers, got one beyond float64", field) from error
+
+
+def _common_length(items: list[Any], sizes: list[int], field: str, shape: str) -> int:
+    """The length that all lists of one level share."""
+    if len(sizes) == MAX_DIMENSIONS:
+        raise InvalidRequest(f"expected shape {shape}, got deeper lists", field)
+    if not all(issubclass(kind, _SEQUENCES) for kind in set(map(type, items))):
+        stranger = next(i for i, item in enumerate(items) if not isinstance(item, _SEQUENCES))
+        raise _item_refused(items, stranger, sizes, field, "a list")
+    lengths = list(map(len, items))
+    if len(set(lengths)) > 1:
+        odd = next(i for i, length in enumerate(lengths) if length != lengths[0])
+        raise _item_refused(items, odd, sizes, field, f"a list of {lengths[0]} like the first")
+    return lengths[0]
+
+
+def _check_leaves(items: list[Any], sizes: list[int], field: str) -> None:
+    strangers = {kind for kind in set(map(type, items)) if not is_number_type(kind)}
+    if strangers:
+        index = next(i for i, item in enumerate(items) if type(item) in strangers)
+        raise _item_refused(items, index, sizes, field, "a number")
+
+
+def _check_range(array: NDArray[np.float64], field: str, interval: Interval) -> None:
+    outside = ~interval.contains(array)
+    if outside.any():
+        index = int(outside.argmax())
+        came = array.flat[index]
+        what = f"numbers {interval}" if np.isfinite(came) else "finite numbers"
+        place = _place(index, array.shape)
+        raise InvalidRequest(f"expected {what}, got {describe(came)} at {field}{place}", field)
+
+
+def _item_refused(
+    items: list[Any], index: int, sizes: list[int], field: str, what: str
+) -> InvalidRequest:
+    place = _place(index, tuple(sizes))
+    return InvalidRequest(f"expected {what} at {field}{place}, got {describe(items[index])}", field)
+
+
+def _place(flat_index: int, sizes: tuple[int, ...]) -> str:
+    return "".join(f"[{i}]" for i in np.unravel_index(flat_index, sizes))

@@ -1,0 +1,101 @@
+"""The cost map: what the robot knows of the space around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import ranges
+from anchorflow_client.contract.arrays import numbers, read_only, wrong_shape
+from anchorflow_client.contract.checks import fields_of, number
+from anchorflow_client.errors import InvalidRequest
+
+MAP_SHAPE = "[C,H,W] or [B,C,H,W]"
+
+
+@dataclass(frozen=True, eq=False)
+class CostMap:
+    """A grid of costs; row index grows with y, column index with x (ROS OccupancyGrid order).
+
+    Channel 0 is obstacle occupancy, 1 traversability, 2 risk, 3 and further semantics.
+    """
+
+    data: NDArray[np.float32]
+    """[B,C,H,W] in [0, 1]; [C,H,W] where it stands alone, outside a request."""
+    resolution: float
+    """m/cell."""
+    origin: NDArray[np.float64]
+    """[2] m, outer corner of cell (0, 0)."""
+
+    @classmethod
+    def build(cls, data: Any, resolution: Any, origin: Any = None) -> CostMap:
+        """Check and convert the fields of the JSON contract.
+
+        Args:
+            data: [C,H,W] or [B,C,H,W] in [0, 1]; a numpy array of bool is an occupancy grid.
+            resolution: m/cell, above 0.
+            origin: [2] m; None centres the map on (0, 0).
+
+        Raises:
+            InvalidRequest: names cost_map.data, cost_map.resolution or cost_map.origin.
+        """
+        grid = _grid(data)
+        cell = number(resolution, "cost_map.resolution", ranges.RESOLUTION)
+        return cls(read_only(grid), cell, read_only(_corner(origin, grid.shape, cell)))
+
+    @classmethod
+    def from_fields(cls, value: Any) -> CostMap:
+        """The same out of the JSON object, or out of another CostMap, which is checked again."""
+        if isinstance(value, CostMap):
+            return cls.build(value.data, value.resolution, value.origin)
+        known, required = ("data", "resolution", "origin"), ("data", "resolution")
+        return cls.build(**fields_of(value, "cost_map", known, required))
+
+    @property
+    def occupancy(self) -> NDArray[np.float32]:
+        """[B,H,W] (or [H,W]), channel 0."""
+        return self.data[..., 0, :, :]
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """[2,2] m: the lower and the upper corner (x, y) of the map."""
+        height, width = self.data.shape[-2:]
+        return np.stack([self.origin, self.origin + self.resolution * np.array([width, height])])
+
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether points [...,2] in m lie on the map, its border included."""
+        low, high = self.extent
+        return ((points >= low) & (points <= high)).all(axis=-1)
+
+    def cells_of(self, points: NDArray[np.float64]) -> NDArray[np.intp]:
+        """(row, column) [...,2] of the cells that hold points [...,2] in m; the nearest outside."""
+        column_row = np.floor((points - self.origin) / self.resolution).astype(np.intp)
+        return np.clip(column_row[..., ::-1], 0, np.array(self.data.shape[-2:]) - 1)
+
+
+def _grid(data: Any) -> NDArray[np.float32]:
+    field = "cost_map.data"
+    if isinstance(data, np.ndarray) and data.dtype == np.bool_:
+        data = data.astype(np.float32)
+    grid = numbers(data, field, ranges.UNIT, MAP_SHAPE)
+    if grid.ndim not in (3, 4):
+        raise wrong_shape(field, MAP_SHAPE, grid)
+    channels, *sides = grid.shape[-3:]
+    if not 1 <= channels <= ranges.MAX_CHANNELS:
+        raise InvalidRequest(f"expected C from 1 to {ranges.MAX_CHANNELS}, got {channels}", field)
+    if not all(ranges.MIN_MAP_CELLS <= side <= ranges.MAX_MAP_CELLS for side in sides):
+        limits = f"from {ranges.MIN_MAP_CELLS} to {ranges.MAX_MAP_CELLS}"
+        raise InvalidRequest(f"expected H and W {limits}, got {sides[0]} and {sides[1]}", field)
+    return grid.astype(np.float32)
+
+
+def _corner(origin: Any, shape: tuple[int, ...], resolution: float) -> NDArray[np.float64]:
+    if origin is None:
+        return -0.5 * resolution * np.array([shape[-1], shape[-2]], dtype=np.float64)
+    corner = numbers(origin, "cost_map.origin", ranges.COORDINATE, "[2]")
+    if corner.shape != (2,):
+        raise wrong_shape("cost_map.origin", "[2]", corner)
+    return corner

@@ -1,0 +1,73 @@
+"""The numbers that the contract fixes: defaults, and what each field may hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Numbers from `low` to `high` in `unit`, both ends included unless open; it prints itself."""
+
+    low: float
+    high: float
+    unit: str = ""
+    open_low: bool = False
+    open_high: bool = False
+
+    def contains(self, values: ArrayLike) -> NDArray[np.bool_]:
+        """Element by element, whether it lies inside; a NaN lies in no interval."""
+        values = np.asarray(values)
+        above = values > self.low if self.open_low else values >= self.low
+        below = values < self.high if self.open_high else values <= self.high
+        return above & below
+
+    def __str__(self) -> str:
+        left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"
+        return f"in {left}{self.low:g}, {self.high:g}{right} {self.unit}".rstrip()
+
+
+NUM_STATE = 6
+"""Numbers of `x_curr`: position, velocity, acceleration in the plane."""
+NUM_GOAL = 4
+"""Numbers of `x_goal`: position and velocity."""
+NUM_STYLE = 3
+"""Weights of `w_style`: safety, energy, smooth."""
+
+DEFAULT_NUM_SAMPLES = 64
+DEFAULT_STYLE = (0.4, 0.3, 0.3)
+DEFAULT_TAU = 0.8
+
+EIGHT_STEP_SCHEDULE = (0.0, 0.8, 0.85, 0.9, 0.92, 0.94, 0.96, 0.98, 1.0)
+"""Flow times of the schedule that a request may call "8step"."""
+METHODS = ("rk4", "heun", "midpoint", "euler")
+
+OCCUPIED = 0.5
+"""Occupancy from which on a cell is an obstacle."""
+
+MAX_SCENES = 64
+MAX_CHANNELS = 8
+MIN_MAP_CELLS, MAX_MAP_CELLS = 16, 512
+"""Least and most cells along a side of the map."""
+MAX_SCHEDULE_STEPS = 100
+MAX_WARM_START_STEPS = 1024
+MAX_TEXT_LENGTH = 128
+
+UNIT = Interval(0.0, 1.0)
+INSIDE_UNIT = Interval(0.0, 1.0, open_low=True, open_high=True)
+COORDINATE = Interval(-1e7, 1e7, "m")
+STATE = Interval(-1e7, 1e7)
+STYLE_WEIGHT = Interval(0.0, 1e6)
+RESOLUTION = Interval(0.0, 100.0, "m/cell", open_low=True)
+ROBOT_RADIUS = Interval(0.0, 5.0, "m")
+V_MAX = Interval(0.0, 100.0, "m/s", open_low=True)
+A_MAX = Interval(0.0, 1000.0, "m/s^2", open_low=True)
+HORIZON = Interval(0.0, 600.0, "s", open_low=True)
+SAFETY_MARGIN = Interval(0.0, 5.0, "m")
+GUIDANCE = Interval(0.0, 100.0)
+BUDGET = Interval(0.0, 1e7, "ms", open_low=True)
+NUM_SAMPLES = Interval(1, 512)
+SEED = Interval(0, 2**63 - 1)

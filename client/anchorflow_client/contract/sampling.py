@@ -1,0 +1,179 @@
+"""How anchors are drawn and finished: sampler, refinement, warm start.
+
+A *choice* is what a request asks, where None leaves the card's own; a *spec* is complete.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import ranges
+from anchorflow_client.contract.arrays import numbers, read_only, wrong_shape
+from anchorflow_client.contract.checks import (
+    boolean,
+    choice,
+    describe,
+    expected,
+    fields_of,
+    integer,
+    number,
+)
+from anchorflow_client.contract.ranges import Interval
+from anchorflow_client.errors import InvalidRequest
+
+
+@dataclass(frozen=True)
+class SamplerChoice:
+    """The solver of the flow and the times it visits."""
+
+    method: str | None = None
+    """"rk4", "heun", "midpoint" or "euler"."""
+    schedule: tuple[float, ...] | None = None
+    """Flow times t0 … 1, strictly increasing; t0 is 0 unless the request brings a warm start."""
+
+    @classmethod
+    def from_fields(cls, value: Any) -> SamplerChoice:
+        """Check the JSON object; its schedule is "8step", {"uniform": n} or a list of times."""
+        if isinstance(value, SamplerChoice):
+            value = given(value)
+        fields = fields_of(value, "sampler", ("method", "schedule"))
+        method, schedule = fields.get("method"), fields.get("schedule")
+        return cls(
+            method=None if method is None else choice(method, "sampler.method", ranges.METHODS),
+            schedule=None if schedule is None else _schedule(schedule),
+        )
+
+    def over(self, card: SamplerSpec) -> SamplerSpec:
+        """This choice, completed by the card's."""
+        return SamplerSpec(**(asdict(card) | given(self)))
+
+
+@dataclass(frozen=True)
+class SamplerSpec(SamplerChoice):
+    """A complete sampler: Butcher tableau by name, and schedule."""
+
+    method: str = field()
+    schedule: tuple[float, ...] = field()
+
+
+@dataclass(frozen=True)
+class RefineChoice:
+    """What is done to the samples before they are answered."""
+
+    smooth: bool | None = None
+    """Fit the spline with fixed ends."""
+    project: bool | None = None
+    """Push anchors out of obstacles and inside the limits."""
+    safety_margin: float | None = None
+    """m beyond robot_radius that the projection aims at."""
+    guidance: float | None = None
+    """Scale of the cost gradient inside the flow; 0 is off."""
+
+    @classmethod
+    def from_fields(cls, value: Any) -> RefineChoice:
+        """Check the JSON object."""
+        if isinstance(value, RefineChoice):
+            value = given(value)
+        names = ("smooth", "project", "safety_margin", "guidance")
+        fields = {k: v for k, v in fields_of(value, "refine", names).items() if v is not None}
+        checked: dict[str, Any] = {
+            name: boolean(fields[name], f"refine.{name}")
+            for name in ("smooth", "project")
+            if name in fields
+        } | {
+            name: number(fields[name], f"refine.{name}", interval)
+            for name, interval in _REFINE_INTERVALS.items()
+            if name in fields
+        }
+        return cls(**checked)
+
+    def over(self, card: RefineSpec) -> RefineSpec:
+        """This choice, completed by the card's."""
+        return RefineSpec(**(asdict(card) | given(self)))
+
+
+@dataclass(frozen=True)
+class RefineSpec(RefineChoice):
+    """A complete refinement."""
+
+    smooth: bool = field()
+    project: bool = field()
+    safety_margin: float = field()
+    guidance: float = field()
+
+
+@dataclass(frozen=True, eq=False)
+class WarmStart:
+    """A trajectory to start from, at flow time `tau`, in place of noise."""
+
+    trajectory: NDArray[np.float64]
+    """[T,2] to [T,6]: p in m, then v in m/s, then a in m/s^2."""
+    tau: float
+    """Flow time in (0, 1); near 1 the answer stays near the trajectory."""
+
+    @classmethod
+    def from_fields(cls, value: Any) -> WarmStart:
+        """Check the JSON object."""
+        if isinstance(value, WarmStart):
+            value = {"trajectory": value.trajectory, "tau": value.tau}
+        fields = fields_of(value, "warm_start", ("trajectory", "tau"), ("trajectory",))
+        tau = fields.get("tau")
+        tau = ranges.DEFAULT_TAU if tau is None else tau
+        return cls(
+            read_only(_warm_trajectory(fields["trajectory"])),
+            number(tau, "warm_start.tau", ranges.INSIDE_UNIT),
+        )
+
+
+_REFINE_INTERVALS = {"safety_margin": ranges.SAFETY_MARGIN, "guidance": ranges.GUIDANCE}
+
+
+def given(choice: SamplerChoice | RefineChoice) -> dict[str, Any]:
+    """The fields of a choice that are not left to the card."""
+    return {name: value for name, value in asdict(choice).items() if value is not None}
+
+
+def _schedule(value: Any) -> tuple[float, ...]:
+    field = "sampler.schedule"
+    match value:
+        case "8step":
+            return ranges.EIGHT_STEP_SCHEDULE
+        case dict():
+            steps = fields_of(value, field, ("uniform",), ("uniform",))["uniform"]
+            return uniform_schedule(integer(steps, f"{field}.uniform", _STEPS))
+        case list() | tuple() | np.ndarray():
+            return _increasing(numbers(value, field, ranges.UNIT, "[K]"))
+        case _:
+            raise expected(field, '"8step", {"uniform": n} or a list of flow times', value)
+
+
+_STEPS = Interval(1, ranges.MAX_SCHEDULE_STEPS)
+
+
+def uniform_schedule(steps: int) -> tuple[float, ...]:
+    """`steps` equal strides from 0 to 1."""
+    return tuple(k / steps for k in range(steps + 1))
+
+
+def _increasing(times: NDArray[np.float64]) -> tuple[float, ...]:
+    field = "sampler.schedule"
+    if times.ndim != 1 or not 2 <= times.size <= ranges.MAX_SCHEDULE_STEPS + 1:
+        raise wrong_shape(field, f"[K], K from 2 to {ranges.MAX_SCHEDULE_STEPS + 1}", times)
+    if not (np.diff(times) > 0).all():
+        raise InvalidRequest(f"expected strictly increasing times, got {times.tolist()}", field)
+    if times[-1] != 1.0:
+        raise InvalidRequest(f"expected a last time of 1, got {describe(times[-1])}", field)
+    return tuple(times.tolist())
+
+
+def _warm_trajectory(value: Any) -> NDArray[np.float64]:
+    field, shape = "warm_start.trajectory", "[T,2] to [T,6]"
+    trajectory = numbers(value, field, ranges.STATE, shape)
+    steps, size = trajectory.shape if trajectory.ndim == 2 else (0, 0)
+    if not (2 <= steps <= ranges.MAX_WARM_START_STEPS and 2 <= size <= ranges.NUM_STATE):
+        raise wrong_shape(field, shape, trajectory)
+    return trajectory

@@ -1,0 +1,190 @@
+"""Every error of AnchorFlow, in one tree.
+
+    AnchorFlowError
+    ├─ RequestError               the service refused; `code`, `field` and `http_status` say why
+    │    ├─ InvalidRequest        invalid_request    422
+    │    ├─ UnknownModel          unknown_model      404
+    │    ├─ TooLarge              too_large          413
+    │    ├─ Unauthorized          unauthorized       401
+    │    ├─ Overloaded            overloaded         429, with `retry_after_s`
+    │    ├─ Superseded            superseded         409
+    │    ├─ DeadlineExceeded      deadline_exceeded  504
+    │    ├─ NotReady              not_ready          503
+    │    └─ InternalError         internal           500
+    ├─ TransportError             no answer that the contract knows
+    │    ├─ ConnectionFailed      nobody listens there, or the connection broke
+    │    ├─ TimedOut              the service did not answer in time
+    │    └─ InvalidAnswer         what came is not the contract's
+    └─ BundleError                a bundle on disk is broken (defined by the service's reader)
+
+A `RequestError` reads the same on both ends of the wire: the service raises it, `to_dict` writes
+it, and the client raises what `from_dict` reads.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+
+class AnchorFlowError(Exception):
+    """Base of all that AnchorFlow raises on purpose."""
+
+
+class RequestError(AnchorFlowError):
+    """A request that was refused; `field` is the JSON path of the culprit, where there is one.
+
+    The message always names the field, so that it can be read alone.
+    """
+
+    code: str = "internal"
+    http_status: int = 500
+
+    def __init__(
+        self, message: str, field: str | None = None, *, http_status: int | None = None
+    ) -> None:
+        self.message = message if _names(message, field) else f"{field}: {message}"
+        self.field = field
+        if http_status is not None:
+            self.http_status = http_status
+        super().__init__(self.message)
+
+    def to_dict(self) -> dict[str, dict[str, str | None]]:
+        """The contract's error JSON."""
+        return {"error": {"code": self.code, "message": self.message, "field": self.field}}
+
+    @classmethod
+    def from_dict(
+        cls,
+        answer: Any,
+        *,
+        http_status: int | None = None,
+        retry_after_s: float | None = None,
+    ) -> RequestError:
+        """Read the contract's error JSON back into the class that its code names.
+
+        A code that this version does not know gives a plain `RequestError` that carries it.
+
+        Raises:
+            InvalidAnswer: `answer` is not the contract's error JSON.
+        """
+        error = answer.get("error") if isinstance(answer, Mapping) else None
+        if not isinstance(error, Mapping):
+            raise InvalidAnswer('expected {"error": {"code", "message", "field"}}')
+        code, message, field = (error.get(key) for key in ("code", "message", "field"))
+        if not (isinstance(code, str) and isinstance(message, str)):
+            raise InvalidAnswer("expected strings for error.code and error.message")
+        refusal = _CLASS_OF_CODE.get(code, RequestError)(
+            message, field if isinstance(field, str) else None, http_status=http_status
+        )
+        refusal.code = code
+        if isinstance(refusal, Overloaded):
+            refusal.retry_after_s = retry_after_s
+        return refusal
+
+
+class InvalidRequest(RequestError):
+    """A field is missing, unknown, of a wrong type, shape or range, or cannot be honoured."""
+
+    code = "invalid_request"
+    http_status = 422
+
+
+class UnknownModel(RequestError):
+    """No bundle of that name is served here."""
+
+    code = "unknown_model"
+    http_status = 404
+
+
+class TooLarge(RequestError):
+    """The body exceeds the service's limit."""
+
+    code = "too_large"
+    http_status = 413
+
+
+class Unauthorized(RequestError):
+    """The token is missing or wrong."""
+
+    code = "unauthorized"
+    http_status = 401
+
+
+class Overloaded(RequestError):
+    """Too many requests wait already; try again after `retry_after_s` seconds, where known."""
+
+    code = "overloaded"
+    http_status = 429
+
+    def __init__(
+        self,
+        message: str,
+        field: str | None = None,
+        *,
+        http_status: int | None = None,
+        retry_after_s: float | None = None,
+    ) -> None:
+        super().__init__(message, field, http_status=http_status)
+        self.retry_after_s = retry_after_s
+
+
+class Superseded(RequestError):
+    """A newer request of the same caller took this one's place."""
+
+    code = "superseded"
+    http_status = 409
+
+
+class DeadlineExceeded(RequestError):
+    """`budget_ms` ran out before there was an answer."""
+
+    code = "deadline_exceeded"
+    http_status = 504
+
+
+class NotReady(RequestError):
+    """The service is starting or stopping."""
+
+    code = "not_ready"
+    http_status = 503
+
+
+class InternalError(RequestError):
+    """The service failed; its log tells more under the request id."""
+
+
+class TransportError(AnchorFlowError):
+    """No answer came that the contract knows."""
+
+
+class ConnectionFailed(TransportError):
+    """Nobody listens there, or the connection broke before the answer was complete."""
+
+
+class TimedOut(TransportError):
+    """The service could not be reached, or did not answer, in the time allowed."""
+
+
+class InvalidAnswer(TransportError):
+    """What came is not the contract's: another program answers there, or another version."""
+
+
+def _names(message: str, field: str | None) -> bool:
+    """Whether the field stands in the message as a whole word; no field is always named."""
+    return field is None or bool(re.search(rf"(?<![\w.]){re.escape(field)}(?!\.?\w)", message))
+
+
+_REFUSALS: tuple[type[RequestError], ...] = (
+    InvalidRequest,
+    UnknownModel,
+    TooLarge,
+    Unauthorized,
+    Overloaded,
+    Superseded,
+    DeadlineExceeded,
+    NotReady,
+    InternalError,
+)
+_CLASS_OF_CODE: dict[str, type[RequestError]] = {refusal.code: refusal for refusal in _REFUSALS}

@@ -1,0 +1,109 @@
+"""A flow model, graph by graph: what torch.onnx traces for each role of the bundle."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any, ClassVar, Protocol
+
+from torch import Tensor, nn
+
+from anchorflow_client.contract import TensorSpec
+
+Context = dict[str, Tensor]
+
+
+class FlowModel(Protocol):
+    """A planner of sampler kind "ode", as `anchorflow_models` writes them: an nn.Module.
+
+    context_for_modulate, context_for_field: names of the encode outputs that each of them takes
+    """
+
+    context_for_modulate: ClassVar[Any]  # tuple[str, ...], which a tuple of one does not match
+    context_for_field: ClassVar[Any]
+
+    @property
+    def encode(self) -> Callable[..., Context]:
+        """Some of ENCODE_INPUTS by name -> prior_mean [B,T,S], prior_basis [B,R,T*S], context."""
+        ...
+
+    def modulate(self, times: Tensor, context: Context) -> Tensor:
+        """Flow times [K] -> modulation [B,K,M]."""
+        ...
+
+    def field(self, x_t: Tensor, modulation: Tensor, context: Context) -> Tensor:
+        """States [B,N,T,S] and the modulation of one time [B,M] -> dx/dt [B,N,T,S]."""
+        ...
+
+
+PRIOR_MEAN, PRIOR_BASIS = "prior_mean", "prior_basis"
+
+F32 = "float32"
+ENCODE_INPUTS = {
+    spec.name: spec
+    for spec in (
+        TensorSpec("cost_map", F32, ("B", "C", "H", "W"), "", (0.0, 1.0)),
+        TensorSpec("map_geometry", F32, ("B", 3), "m, m, m/cell"),
+        TensorSpec("clearance_field", F32, ("B", "H", "W"), "m"),
+        TensorSpec("cost_to_go", F32, ("B", 2, "H", "W"), "m", (0.0, None)),
+        TensorSpec("x_curr", F32, ("B", 6), "m, m/s, m/s^2"),
+        TensorSpec("x_goal", F32, ("B", 4), "m, m/s"),
+        TensorSpec("w_style", F32, ("B", 3), "", (0.0, 1.0)),
+    )
+}
+TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
+
+
+def encode_inputs(model: FlowModel, *, channels: int) -> tuple[TensorSpec, ...]:
+    """What a model's `encode` takes, by the names of its parameters."""
+    specs = (ENCODE_INPUTS[name] for name in inspect.signature(model.encode).parameters)
+    return tuple(_with_channels(spec, channels) for spec in specs)
+
+
+def encode_outputs(model: FlowModel) -> tuple[str, ...]:
+    """The prior, and what the other two graphs take of the context; each once."""
+    names = (PRIOR_MEAN, PRIOR_BASIS, *model.context_for_modulate, *model.context_for_field)
+    return tuple(dict.fromkeys(names))
+
+
+def _with_channels(spec: TensorSpec, channels: int) -> TensorSpec:
+    shape = tuple(channels if axis == "C" else axis for axis in spec.shape)
+    return TensorSpec(spec.name, spec.dtype, shape, spec.unit, spec.range)
+
+
+class Encode(nn.Module):
+    """Named inputs -> the encode outputs, in their order."""
+
+    def __init__(self, model: FlowModel, inputs: tuple[str, ...]) -> None:
+        super().__init__()
+        self.model, self.inputs, self.outputs = model, inputs, encode_outputs(model)
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        context = self.model.encode(**dict(zip(self.inputs, inputs, strict=True)))
+        return tuple(context[name] for name in self.outputs)
+
+
+class Modulate(nn.Module):
+    """times [K] and the context -> modulation [B,K,M]."""
+
+    def __init__(self, model: FlowModel) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        times, *context = inputs
+        names = self.model.context_for_modulate
+        return self.model.modulate(times, dict(zip(names, context, strict=True)))
+
+
+class Field(nn.Module):
+    """x_t [B,N,T,S], modulation [B,M] and the context -> dx_t [B,N,T,S]."""
+
+    def __init__(self, model: FlowModel) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, *inputs: Tensor) -> Tensor:
+        x_t, modulation, *context = inputs
+        names = self.model.context_for_field
+        return self.model.field(x_t, modulation, dict(zip(names, context, strict=True)))

@@ -1,0 +1,54 @@
+"""Random scenes for the proof: inputs as the service makes them, of any size."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from anchorflow_client.contract import AnchorRequest, ModelCard, resolve_for_card
+from anchorflow_service.conditioning import scenes_of
+
+CELLS_A_BLOB = 40  # one square obstacle for so many cells of the map
+
+
+def random_scenes(
+    card: ModelCard, *, scenes: int, height: int, width: int, seed: int
+) -> dict[str, Tensor]:
+    """The encode inputs of cluttered maps, by name and with a B axis of `scenes`."""
+    generator = np.random.default_rng(seed)
+    request = resolve_for_card(_random_request(card, scenes, (height, width), generator), card)
+    inputs = [scene.inputs(card.inputs) for scene in scenes_of(request, card)]
+    return {
+        name: torch.from_numpy(np.concatenate([one[name] for one in inputs])) for name in inputs[0]
+    }
+
+
+def _random_request(
+    card: ModelCard, scenes: int, shape: tuple[int, int], generator: np.random.Generator
+) -> AnchorRequest:
+    resolution = 10.0 / max(shape)  # m/cell: maps of 10 m, whatever their cells
+    extent = resolution * np.array(shape[::-1])
+    origin = generator.uniform(-20.0, 20.0, 2)
+    maps = generator.random((scenes, card.map.channels, *shape), dtype=np.float32)
+    maps[:, 0] = [_clutter(shape, generator) for _ in range(scenes)]
+    ends = origin + generator.uniform(0.1, 0.9, (scenes, 2, 2)) * extent
+    motion = generator.uniform(-1.0, 1.0, (scenes, 6))
+    columns, rows = np.moveaxis(((ends - origin) / resolution).astype(int), -1, 0)
+    maps[np.arange(scenes)[:, None], 0, rows, columns] = 0.0
+    return AnchorRequest.build(
+        cost_map={"data": maps, "resolution": resolution, "origin": origin},
+        x_curr=np.concatenate([ends[:, 0], motion[:, :4]], axis=1),
+        x_goal=np.concatenate([ends[:, 1], motion[:, 4:]], axis=1),
+        w_style=generator.dirichlet(np.ones(3), scenes),
+    )
+
+
+def _clutter(shape: tuple[int, int], generator: np.random.Generator) -> np.ndarray:
+    """Occupancy [H,W] with square obstacles of two to five cells."""
+    occupancy = np.zeros(shape, np.float32)
+    for _ in range(shape[0] * shape[1] // CELLS_A_BLOB):
+        row, column = generator.integers(0, shape)
+        size = generator.integers(2, 6)
+        occupancy[row : row + size, column : column + size] = generator.uniform(0.5, 1.0)
+    return occupancy

@@ -1,0 +1,1 @@
+"""The bundle reader, the engine and the endpoints. Never torch."""

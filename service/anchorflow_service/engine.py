@@ -1,0 +1,135 @@
+"""The engine: a request in, anchors out. It knows roles of graphs, not planners."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from anchorflow_client.contract import (
+    AnchorBatch,
+    AnchorRequest,
+    ModelCard,
+    ResolvedRequest,
+    resolve_for_card,
+)
+from anchorflow_client.errors import InvalidRequest, UnknownModel
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.conditioning import Scene, scenes_of
+from anchorflow_service.flow import Array, Context, FlowSampler
+from anchorflow_service.refine import Refined, Refiner
+from anchorflow_service.schedule import remaining
+from anchorflow_service.timing import StageClock
+from anchorflow_service.warm_start import renoised, warm_state
+from anchorflow_trajectory.cost import Limits
+
+
+class Engine:
+    """A bundle, ready to plan; blocking, and safe to call from several threads.
+
+    threads: that one request may keep busy; None: the cores that this process may use
+
+    Raises:
+        BundleError: a graph of the bundle cannot be opened or is not what the manifest says.
+    """
+
+    def __init__(self, bundle: Bundle, *, threads: int | None = None) -> None:
+        self.card: ModelCard = bundle.card
+        self._manifest = bundle.manifest
+        self._flow = FlowSampler(bundle, threads=threads or usable_cores())
+
+    def plan(self, request: AnchorRequest) -> AnchorBatch:
+        """Draw and finish anchors for every scene of a request.
+
+        Scenes are planned one after the other from the same noise, so that an answer is the same
+        to the last bit, alone or in a batch.
+
+        Raises:
+            InvalidRequest: the request asks what this bundle or this version cannot do.
+            UnknownModel: it asks for another model.
+        """
+        clock = StageClock()
+        with clock.stage("total"):
+            resolved = resolve_for_card(request, self.card)
+            self._check_supported(resolved)
+            scenes = scenes_of(resolved, self.card)
+            finished = [self._plan_scene(scene, clock) for scene in scenes]
+        return AnchorBatch(
+            **_stacked(finished, batched=resolved.batched),
+            dt=resolved.horizon_s / (self.card.T - 1),
+            seed=resolved.seed,
+            model=self.card.id,
+            timing_ms=clock.elapsed_ms,
+            request_id=resolved.request_id,
+        )
+
+    def _check_supported(self, request: ResolvedRequest) -> None:
+        if request.model != self.card.name:
+            raise UnknownModel(f"expected {self.card.name}, got {request.model}", "model")
+        if request.refine.guidance > 0.0:
+            raise InvalidRequest(
+                f"expected 0, got {request.refine.guidance:g}: "
+                "guidance is not supported by this version",
+                "refine.guidance",
+            )
+
+    def _plan_scene(self, scene: Scene, clock: StageClock) -> Refined:
+        with clock.stage("encode"):
+            context = self._flow.encode(scene.inputs(self._manifest.inputs))
+        with clock.stage("sample"):
+            state = self._sample(scene.request, context)
+        with clock.stage("refine"):
+            return self._refine(scene, state)
+
+    def _sample(self, request: ResolvedRequest, context: Context) -> Array:
+        """States at t = 1: [N,T,S]."""
+        flow, sampler = self._flow, request.sampler
+        noise = flow.draw_noise(context, num_samples=request.num_samples, seed=request.seed)
+        x = flow.initial_state(context, noise)
+        if warm := request.warm_start:
+            x_1 = warm_state(warm, card=self.card, horizon_s=request.horizon_s)
+            x = renoised(x_1, x, warm.tau)
+            sampler = replace(sampler, schedule=remaining(sampler.schedule, warm.tau))
+        return flow.integrate(context, x, sampler)
+
+    def _refine(self, scene: Scene, state: Array) -> Refined:
+        """Anchors that meet both ends, and what they are worth."""
+        request, refine = scene.request, self._manifest.refine
+        limits = Limits(v_max=request.v_max, a_max=request.a_max, horizon_s=request.horizon_s)
+        refiner = Refiner.of(
+            limits,
+            num_steps=self.card.T,
+            num_control_points=refine.num_control_points,
+            degree=refine.degree,
+            steps=refine.steps,
+        )
+        return refiner.refine(
+            state,
+            scene.ground,
+            x_curr=scene.x_curr,
+            x_goal=scene.x_goal,
+            w_style=scene.w_style,
+            spec=request.refine,
+        )
+
+
+def usable_cores() -> int:
+    """Cores that this process may run on."""
+    if hasattr(os, "sched_getaffinity"):  # Linux alone has it
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _stacked(scenes: Sequence[Refined], *, batched: bool) -> dict[str, np.ndarray]:
+    """The arrays of an answer: those of the scenes on a B axis, or of the only one without."""
+    columns = {
+        "trajectories": [scene.positions for scene in scenes],
+        "velocities": [scene.velocities for scene in scenes],
+        "accelerations": [scene.accelerations for scene in scenes],
+        "scores": [scene.scores for scene in scenes],
+        "clearance": [scene.clearance for scene in scenes],
+        "safe": [scene.safe for scene in scenes],
+    }
+    return {name: np.stack(arrays) if batched else arrays[0] for name, arrays in columns.items()}

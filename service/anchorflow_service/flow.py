@@ -1,0 +1,108 @@
+"""The flow sampler: anchors drawn by carrying noise along the exported vector field.
+
+    encode    once a scene                           -> context
+    modulate  once a scene, for all its flow times   -> modulation [K,M]
+    field     at each stage of each step             -> dx/dt [N,T,S]
+
+What a graph needs of the others it takes by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import SamplerSpec
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.graph import BoundGraph, open_graph
+from anchorflow_service.schedule import stage_times
+from anchorflow_service.solver import integrate
+from anchorflow_service.tableau import tableau_named
+
+Array = NDArray[np.float32]
+Context = Mapping[str, Array]
+
+MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it brings
+
+
+class FlowSampler:
+    """The graphs of an "ode" bundle, opened; several threads may sample at once.
+
+    The anchors do not look at each other, so they are cut into a slice a thread and each slice is
+    integrated to the end on its own. One call on several threads would wait for the slowest of
+    them at every node of every evaluation instead.
+
+    Raises:
+        BundleError: a graph cannot be opened or its signature is not the manifest's.
+    """
+
+    def __init__(self, bundle: Bundle, *, threads: int) -> None:
+        self._manifest = bundle.manifest
+        self._encode = open_graph(bundle, "encode", threads=threads)
+        self._modulate = open_graph(bundle, "modulate")
+        self._field = open_graph(bundle, "field")
+        self._threads = threads
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="anchorflow-field")
+
+    def encode(self, inputs: Mapping[str, Array]) -> Context:
+        """What the other graphs need to know of a scene."""
+        return self._encode(**inputs)
+
+    def draw_noise(self, context: Context, *, num_samples: int, seed: int) -> Array:
+        """Standard normal noise: [N,R] for the bundle's prior, [N,T,S] where it has none.
+
+        A seed's first n anchors are the same whatever N is.
+        """
+        prior = self._manifest.sampler.prior
+        size = context[prior.basis].shape[1:2] if prior else self._state_shape
+        generator = np.random.Generator(np.random.PCG64(seed))
+        return generator.standard_normal((num_samples, *size), dtype=np.float32)
+
+    def initial_state(self, context: Context, noise: Array) -> Array:
+        """x_0 [N,T,S] = prior mean + noise · prior basis; the noise itself without a prior."""
+        prior = self._manifest.sampler.prior
+        if prior is None:
+            return noise
+        spread = (noise @ context[prior.basis][0]).reshape(-1, *self._state_shape)
+        return context[prior.mean] + spread
+
+    def integrate(self, context: Context, x: Array, sampler: SamplerSpec) -> Array:
+        """The state at t = 1 [N,T,S] from x at the schedule's first time."""
+        schedule, tableau = sampler.schedule, tableau_named(sampler.method)
+        times = stage_times(tableau, schedule).times
+        modulate_inputs = self._modulate.select({**context, "times": times})
+        modulation = self._modulate(**modulate_inputs)["modulation"]
+        field_inputs = self._field.select(context)
+
+        def integrate_slice(part: Array) -> Array:
+            vector_field = _ModulatedField(self._field.bind(**field_inputs), modulation)
+            return integrate(vector_field, part, schedule=schedule, tableau=tableau)
+
+        slices = np.array_split(x, min(self._threads, -(-len(x) // MIN_SLICE)))
+        if len(slices) == 1:
+            return integrate_slice(slices[0])
+        return np.concatenate(list(self._pool.map(integrate_slice, slices)))
+
+    @property
+    def _state_shape(self) -> tuple[int, int]:
+        return self._manifest.T, self._manifest.state_size
+
+
+class _ModulatedField:
+    """The bound field graph as the solver's vector field.
+
+    modulation: [1,K,M], one row for each distinct stage time
+    """
+
+    def __init__(self, field: BoundGraph, modulation: Array) -> None:
+        self._field = field
+        self._modulation = modulation
+
+    def __call__(self, x: Array, time_index: int, out: Array) -> None:
+        self._field(
+            {"x_t": x[None], "modulation": self._modulation[:, time_index]},
+            outputs={"dx_t": out[None]},
+        )

@@ -1,0 +1,127 @@
+"""One ONNX graph, opened: arrays in by name, arrays out by name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import TensorSpec
+from anchorflow_service.bundle import Bundle, BundleError
+
+Array = NDArray[np.float32]
+
+PROVIDERS = ("CPUExecutionProvider",)
+ONNX_TYPES = {"float32": "tensor(float)", "int64": "tensor(int64)", "bool": "tensor(bool)"}
+ONLY_ERRORS = 3  # onnxruntime's severity; its warnings are of no use to a caller
+
+
+class Graph:
+    """An inference session whose signature is the manifest's; safe to call from several threads.
+
+    threads: onnxruntime's own, within one call; the calling thread is one of them
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        inputs: Sequence[TensorSpec],
+        outputs: Sequence[TensorSpec],
+        threads: int = 1,
+    ) -> None:
+        self.session = _open(path, threads)
+        self.input_names = tuple(spec.name for spec in inputs)
+        self.output_names = tuple(spec.name for spec in outputs)
+        for wrong in _signature_faults("input", self.session.get_inputs(), inputs):
+            raise BundleError(path, wrong)
+        for wrong in _signature_faults("output", self.session.get_outputs(), outputs):
+            raise BundleError(path, wrong)
+
+    def __call__(self, **inputs: Array) -> dict[str, Array]:
+        """Outputs by name, in new arrays."""
+        outputs: Sequence[Any] = self.session.run(self.output_names, inputs)
+        return dict(zip(self.output_names, outputs, strict=True))
+
+    def select(self, arrays: Mapping[str, Array]) -> dict[str, Array]:
+        """Those of the arrays that the graph takes by name."""
+        return {name: arrays[name] for name in self.input_names if name in arrays}
+
+    def bind(self, **inputs: Array) -> BoundGraph:
+        """The graph with some inputs fixed, for a loop that writes where it is told."""
+        return BoundGraph(self, inputs)
+
+
+class BoundGraph:
+    """A graph with some of its inputs fixed; one for each loop, it is not shared by threads."""
+
+    def __init__(self, graph: Graph, inputs: Mapping[str, Array]) -> None:
+        self._session = graph.session
+        self._binding = graph.session.io_binding()
+        # The binding borrows the arrays' memory, so they live as long as it does.
+        self._fixed = dict(inputs)
+        for name, array in self._fixed.items():
+            self._binding.bind_cpu_input(name, array)
+
+    def __call__(self, inputs: Mapping[str, Array], *, outputs: Mapping[str, Array]) -> None:
+        """Run on the fixed inputs and these; the outputs are written into the arrays given."""
+        for name, array in inputs.items():
+            self._binding.bind_cpu_input(name, array)
+        for name, array in outputs.items():
+            self._binding.bind_output(
+                name, "cpu", 0, array.dtype.type, array.shape, array.ctypes.data
+            )
+        self._session.run_with_iobinding(self._binding)
+
+
+def open_graph(bundle: Bundle, role: str, *, threads: int = 1) -> Graph:
+    """The graph of a bundle's role.
+
+    Raises:
+        BundleError: onnxruntime cannot open it, or its signature is not the manifest's.
+    """
+    entry = bundle.manifest.graphs[role]
+    path = bundle.graph_path(role)
+    return Graph(path, inputs=entry.inputs, outputs=entry.outputs, threads=threads)
+
+
+def _open(path: Path, threads: int) -> ort.InferenceSession:
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = ONLY_ERRORS
+    # Idle threads that spin take the cores from the other graphs and from refinement.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return ort.InferenceSession(path, options, providers=PROVIDERS)
+    except Exception as error:  # onnxruntime's exceptions share no public base
+        raise BundleError(path, f"onnxruntime cannot open it: {error}") from error
+
+
+def _signature_faults(
+    kind: str, nodes: Iterable[Any], specs: Sequence[TensorSpec]
+) -> Iterator[str]:
+    """Where a graph's inputs or outputs are not those of the manifest."""
+    found = {node.name: node for node in nodes}
+    if set(found) != {spec.name for spec in specs}:
+        names = ", ".join(spec.name for spec in specs)
+        yield f"its {kind}s are {', '.join(found)}, the manifest says {names}"
+        return
+    for spec in specs:
+        node = found[spec.name]
+        if node.type != ONNX_TYPES.get(spec.dtype):
+            yield f"{kind} {spec.name} is {node.type}, the manifest says {spec.dtype}"
+        if not _shapes_agree(node.shape, spec.shape):
+            yield f"{kind} {spec.name} has shape {node.shape}, the manifest says {[*spec.shape]}"
+
+
+def _shapes_agree(onnx_shape: Sequence[Any], shape: Sequence[str | int]) -> bool:
+    """Numbers stand where numbers stand; a letter is an axis that the graph leaves open."""
+    return len(onnx_shape) == len(shape) and all(
+        got == axis if isinstance(axis, int) else not isinstance(got, int)
+        for got, axis in zip(onnx_shape, shape, strict=True)
+    )

@@ -1,0 +1,197 @@
+"""The JSON contract as documentation: what /openapi.json shows, with units and ranges.
+
+Requests are not checked here: a map of 512 x 512 cells is checked by numpy, and every other field
+beside it by the contract itself, so that each transport refuses in the same words. The ranges are
+the contract's own.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from anchorflow_client.contract import ranges
+from anchorflow_client.contract.ranges import Interval
+
+Vector = list[float]
+Matrix = list[list[float]]
+Tensor3 = list[list[list[float]]]
+Tensor4 = list[list[list[list[float]]]]
+
+Method = Literal["rk4", "heun", "midpoint", "euler"]
+
+
+def _within(interval: Interval, description: str, **options: Any) -> Any:
+    """A field with the contract's range."""
+    low = "gt" if interval.open_low else "ge"
+    high = "lt" if interval.open_high else "le"
+    bounds: dict[str, Any] = {low: interval.low, high: interval.high}
+    unit = f" [{interval.unit}]" if interval.unit else ""
+    return Field(description=f"{description}{unit}.", **bounds, **options)
+
+
+class _Body(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class CostMapBody(_Body):
+    """What the robot knows of the space around it; row grows with y, column with x."""
+
+    data: Tensor3 | Tensor4 = Field(
+        description="[C,H,W] or [B,C,H,W] in [0, 1]; C from 1 to 8, H and W from 16 to 512. "
+        "Channel 0 is obstacle occupancy (0.5 and above), 1 traversability, 2 risk."
+    )
+    resolution: float = _within(ranges.RESOLUTION, "Size of a cell")
+    origin: Vector | None = Field(
+        None, description="[2] m, outer corner of cell (0, 0); by default the map is centred on 0."
+    )
+
+
+class UniformSchedule(_Body):
+    """Steps of equal length."""
+
+    uniform: int = Field(ge=1, le=ranges.MAX_SCHEDULE_STEPS, description="Number of steps.")
+
+
+class SamplerBody(_Body):
+    """The solver of the flow; what is left out is the card's."""
+
+    method: Method | None = Field(None, description="Butcher tableau.")
+    schedule: Literal["8step"] | UniformSchedule | Vector | None = Field(
+        None, description="Flow times from 0 (noise) to 1 (data), strictly increasing."
+    )
+
+
+class RefineBody(_Body):
+    """What is done to the samples; what is left out is the card's."""
+
+    smooth: bool | None = Field(None, description="Fit the spline with fixed ends.")
+    project: bool | None = Field(None, description="Push anchors out of obstacles.")
+    safety_margin: float | None = _within(
+        ranges.SAFETY_MARGIN, "Distance beyond robot_radius to aim at", default=None
+    )
+    guidance: float | None = _within(
+        ranges.GUIDANCE, "Scale of the cost gradient inside the flow", default=None
+    )
+
+
+class WarmStartBody(_Body):
+    """A trajectory to start from in place of noise."""
+
+    trajectory: Matrix = Field(description="[T,2] to [T,6]: p [m], v [m/s], a [m/s^2].")
+    tau: float = _within(ranges.INSIDE_UNIT, "Flow time to start at", default=ranges.DEFAULT_TAU)
+
+
+class AnchorRequestBody(_Body):
+    """A map, a state and a goal; everything else has a default. SI units, the map's frame.
+
+    A leading B on cost_map.data, x_curr, x_goal or w_style makes it a batch of scenes; a field
+    without it is shared by all of them.
+    """
+
+    cost_map: CostMapBody
+    x_curr: Vector | Matrix = Field(description="[6] or [B,6]: p [m], v [m/s], a [m/s^2].")
+    x_goal: Vector | Matrix = Field(description="[4] or [B,4]: p [m], v [m/s].")
+    w_style: Vector | Matrix = Field(
+        list(ranges.DEFAULT_STYLE),
+        description="[3] or [B,3] at least 0: safety, energy, smooth; made to sum to 1.",
+    )
+    num_samples: int = _within(
+        ranges.NUM_SAMPLES, "N, anchors a scene", default=ranges.DEFAULT_NUM_SAMPLES
+    )
+    robot_radius: float | None = _within(ranges.ROBOT_RADIUS, "The card's", default=None)
+    v_max: float | None = _within(ranges.V_MAX, "The card's", default=None)
+    a_max: float | None = _within(ranges.A_MAX, "The card's", default=None)
+    horizon_s: float | None = _within(ranges.HORIZON, "The card's", default=None)
+    model: str | None = Field(None, description="Name of a model; the default one.")
+    seed: int | None = _within(ranges.SEED, "Drawn and echoed", default=None)
+    sampler: SamplerBody | None = Field(None, description="The card's.")
+    refine: RefineBody | None = Field(None, description="The card's.")
+    warm_start: WarmStartBody | None = Field(None, description="None: start from noise.")
+    budget_ms: float | None = _within(
+        ranges.BUDGET, "Time left to the caller, from arrival", default=None
+    )
+    request_id: str | None = Field(
+        None, description="Echoed; by default the X-Request-Id header, or drawn."
+    )
+
+
+class ModelIdBody(BaseModel):
+    """Which weights answered."""
+
+    name: str
+    version: str
+    sha256: str = Field(description="Of the bundle's manifest.")
+
+
+class TimingBody(BaseModel):
+    """Where the time went, in ms."""
+
+    model_config = ConfigDict(extra="allow")
+
+    queue: float = Field(description="Waiting for a worker.")
+    encode: float | None = Field(None, description="Encoding the scenes.")
+    sample: float | None = Field(None, description="Integrating the flow.")
+    refine: float | None = Field(None, description="Smoothing, projecting, scoring.")
+    total: float = Field(description="From arrival to the answer, its writing excluded.")
+
+
+class AnchorAnswerBody(BaseModel):
+    """N anchors a scene; a B axis leads every array where the request was batched."""
+
+    trajectories: Tensor3 | Tensor4 = Field(description="[N,T,D] m.")
+    velocities: Tensor3 | Tensor4 = Field(description="[N,T,D] m/s.")
+    accelerations: Tensor3 | Tensor4 = Field(description="[N,T,D] m/s^2.")
+    scores: Vector | Matrix = Field(description="[N], higher is better.")
+    clearance: Vector | Matrix = Field(
+        description="[N] m beyond robot_radius, smallest along the path."
+    )
+    safe: list[bool] | list[list[bool]] = Field(
+        description="[N], whether the path keeps robot_radius from every obstacle."
+    )
+    dt: float = Field(description="s between two time steps.")
+    seed: int = Field(description="Give it again for the same anchors.")
+    model: ModelIdBody
+    timing_ms: TimingBody
+    request_id: str
+
+
+class ErrorDetail(BaseModel):
+    """What was refused, and why."""
+
+    code: Literal[
+        "invalid_request",
+        "unknown_model",
+        "too_large",
+        "unauthorized",
+        "overloaded",
+        "superseded",
+        "deadline_exceeded",
+        "not_ready",
+        "internal",
+    ]
+    message: str = Field(description="What was expected and what came.")
+    field: str | None = Field(description="JSON path of the culprit.")
+
+
+class ErrorBody(BaseModel):
+    """Every answer that is not 200."""
+
+    error: ErrorDetail
+
+
+class ModelCardBody(BaseModel):
+    """A model's card."""
+
+    model_config = ConfigDict(extra="allow")
+
+    name: str
+    version: str
+    ready: bool
+
+
+class ModelsBody(BaseModel):
+    """The cards of all models."""
+
+    models: list[ModelCardBody]

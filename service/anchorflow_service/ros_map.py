@@ -1,0 +1,194 @@
+"""ROS occupancy maps: a map_server YAML file and its picture as a grid in the contract's frame.
+
+The picture's top row is the largest y; a `RosMap` is flipped so that its row index grows with y,
+as in a ROS OccupancyGrid. The modes follow nav2's map_server
+(https://github.com/ros-navigation/navigation2/tree/main/nav2_map_server), but for one thing: a
+pixel that is not opaque is unknown in every mode.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeGuard
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from anchorflow_client.errors import AnchorFlowError
+
+
+class RosMapError(AnchorFlowError):
+    """A map cannot be read; the message names the file, the field, what was expected and came."""
+
+
+@dataclass(frozen=True)
+class RosMap:
+    """An occupancy grid in the map frame."""
+
+    occupancy: NDArray[np.float32]  # [H, W] in [0, 1]; row 0 has the smallest y
+    unknown: NDArray[np.bool_]  # [H, W]; their occupancy is unknown_occupancy
+    resolution: float  # m/cell
+    origin: NDArray[np.float64]  # [2] m, the outer corner of cell (0, 0)
+    unknown_occupancy: float  # 1 where unknown space counts as occupied, 0 where it counts as free
+
+    def crop(self, center: NDArray[np.float64], size_m: float) -> RosMap:
+        """A square window round `center` [2] (m), `size_m` wide, rounded up to whole cells.
+
+        What lies beyond the map is unknown.
+        """
+        cells = math.ceil(size_m / self.resolution - 1e-9)  # 6.4 / 0.05 is 128, not a hair more
+        corner = (np.asarray(center) - self.origin) / self.resolution - cells / 2
+        column, row = (int(index) for index in np.rint(corner))
+        return RosMap(
+            occupancy=_window(self.occupancy, row, column, cells, fill=self.unknown_occupancy),
+            unknown=_window(self.unknown, row, column, cells, fill=True),
+            resolution=self.resolution,
+            origin=self.origin + self.resolution * np.array([column, row]),
+            unknown_occupancy=self.unknown_occupancy,
+        )
+
+
+def load_ros_map(path: Path | str, *, unknown_is_free: bool = False) -> RosMap:
+    """Reads a map_server YAML file and the .pgm or .png picture that it names.
+
+    Raises `RosMapError` where a file is missing or no map, or a field is missing or out of range.
+    """
+    path = Path(path)
+    fields = _Fields(path, _read_yaml(path))
+    image = path.parent / fields.text("image")
+    mode = fields.choice("mode", tuple(_OCCUPANCY_OF_MODE), default="trinary")
+    thresholds = _Thresholds(
+        free=fields.number("free_thresh", low=0, high=1),
+        occupied=fields.number("occupied_thresh", low=0, high=1),
+    )
+    if thresholds.free >= thresholds.occupied:
+        raise fields.error("free_thresh", "less than occupied_thresh", thresholds.free)
+    negate = fields.choice("negate", (0, 1), default=0)
+
+    shade, opaque = _read_shade(image)
+    if mode != "raw" and not negate:
+        shade = 1 - shade  # dark is occupied
+    occupancy = np.where(opaque, _OCCUPANCY_OF_MODE[mode](shade, thresholds), np.nan)[::-1]
+    unknown = np.isnan(occupancy)
+    unknown_occupancy = 0.0 if unknown_is_free else 1.0
+    return RosMap(
+        occupancy=np.where(unknown, unknown_occupancy, occupancy).astype(np.float32),
+        unknown=unknown,
+        resolution=fields.number("resolution", low=1e-6),
+        origin=_origin(fields),
+        unknown_occupancy=unknown_occupancy,
+    )
+
+
+@dataclass(frozen=True)
+class _Thresholds:
+    free: float
+    occupied: float
+
+
+def _trinary(darkness: NDArray[np.float64], thresholds: _Thresholds) -> NDArray[np.float64]:
+    """Free, occupied, or unknown (NaN) between the thresholds."""
+    between = np.where(darkness < thresholds.free, 0.0, np.nan)
+    return np.where(darkness > thresholds.occupied, 1.0, between)
+
+
+def _scale(darkness: NDArray[np.float64], thresholds: _Thresholds) -> NDArray[np.float64]:
+    """Linear between the thresholds."""
+    span = thresholds.occupied - thresholds.free
+    return np.clip((darkness - thresholds.free) / span, 0.0, 1.0)
+
+
+def _raw(shade: NDArray[np.float64], _: _Thresholds) -> NDArray[np.float64]:
+    """The pixel value is the occupancy in percent; above 100 it is unknown (NaN)."""
+    percent = np.rint(255 * shade)
+    return np.where(percent <= 100, percent / 100, np.nan)
+
+
+_OCCUPANCY_OF_MODE: dict[str, Callable[[NDArray[np.float64], _Thresholds], NDArray[np.float64]]] = {
+    "trinary": _trinary,
+    "scale": _scale,
+    "raw": _raw,
+}
+
+
+@dataclass(frozen=True)
+class _Fields:
+    """The YAML's fields, each read with its check."""
+
+    path: Path
+    values: dict[str, Any]
+
+    def error(self, name: str, expected: str, came: object) -> RosMapError:
+        return RosMapError(f"{self.path}: {name}: expected {expected}, got {came!r}")
+
+    def text(self, name: str) -> str:
+        value = self.values.get(name)
+        if not isinstance(value, str):
+            raise self.error(name, "a file name", value)
+        return value
+
+    def number(self, name: str, *, low: float, high: float = math.inf) -> float:
+        value = self.values.get(name)
+        if not _is_number(value) or not low <= value <= high:
+            limits = f"of at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
+            raise self.error(name, f"a number {limits}", value)
+        return float(value)
+
+    def choice(self, name: str, choices: tuple[Any, ...], *, default: Any) -> Any:
+        value = self.values.get(name, default)
+        if value not in choices:
+            raise self.error(name, f"one of {', '.join(map(str, choices))}", value)
+        return value
+
+
+def _is_number(value: object) -> TypeGuard[float]:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return math.isfinite(value)
+
+
+def _origin(fields: _Fields) -> NDArray[np.float64]:
+    origin = fields.values.get("origin")
+    if not isinstance(origin, list) or len(origin) != 3 or not all(map(_is_number, origin)):
+        raise fields.error("origin", "three numbers x, y, yaw", origin)
+    if origin[2] != 0:
+        raise fields.error("origin", "a yaw of 0 (turned maps are not supported)", origin[2])
+    return np.array(origin[:2], dtype=np.float64)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise RosMapError(f"{path}: expected a map_server YAML file: {error}") from error
+    if not isinstance(values, dict):
+        raise RosMapError(f"{path}: expected a map_server YAML file with named fields")
+    return values
+
+
+def _read_shade(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The mean of the colours [H, W] in [0, 1], top row first, and where the picture is opaque."""
+    try:
+        with Image.open(path) as image:
+            if image.mode.startswith("I"):  # 16 bits a pixel
+                shade = np.asarray(image, dtype=np.float64) / 65535
+                return shade, np.ones(shade.shape, dtype=np.bool_)
+            channels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255
+    except (OSError, UnidentifiedImageError) as error:
+        raise RosMapError(f"{path}: image: expected a .pgm or .png picture: {error}") from error
+    return channels[..., :3].mean(axis=-1), channels[..., 3] == 1
+
+
+def _window(grid: NDArray[Any], row: int, column: int, cells: int, *, fill: Any) -> NDArray[Any]:
+    """`cells` × `cells` of `grid` from (row, column) on, `fill` where that is off the grid."""
+    window = np.full((cells, cells), fill, dtype=grid.dtype)
+    height, width = grid.shape
+    bottom, top = np.clip([row, row + cells], 0, height)
+    left, right = np.clip([column, column + cells], 0, width)
+    window[bottom - row : top - row, left - column : right - column] = grid[bottom:top, left:right]
+    return window

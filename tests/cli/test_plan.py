@@ -1,0 +1,142 @@
+"""`anchorflow plan`: from the command line to the request, the table and the picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from anchorflow_cli import plan
+from anchorflow_cli.main import main
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelId
+
+
+@pytest.fixture
+def map_file(tmp_path: Path) -> Path:
+    """A free map of 20 × 20 m in a wall, its corner at (-10, -10)."""
+    pixels = np.full((200, 200), 254, dtype=np.uint8)
+    pixels[[0, -1]] = pixels[:, [0, -1]] = 0
+    Image.fromarray(pixels).save(tmp_path / "room.png")
+    path = tmp_path / "room.yaml"
+    fields = {"image": "room.png", "resolution": 0.1, "origin": [-10, -10, 0], "negate": 0}
+    path.write_text(yaml.safe_dump(fields | {"occupied_thresh": 0.65, "free_thresh": 0.25}))
+    return path
+
+
+@pytest.fixture
+def requests(monkeypatch: pytest.MonkeyPatch) -> list[AnchorRequest]:
+    """The requests that reach the engine, which answers with straight lines, the last unsafe."""
+    received: list[AnchorRequest] = []
+
+    def answer(_: Path, request: AnchorRequest) -> AnchorBatch:
+        received.append(request)
+        return straight_lines(request)
+
+    monkeypatch.setattr(plan, "ask_engine", answer)
+    return received
+
+
+def straight_lines(request: AnchorRequest) -> AnchorBatch:
+    N = request.num_samples
+    times = np.linspace(0, 1, 64)[:, None]
+    start, goal = request.x_curr[0, :2], request.x_goal[0, :2]
+    bend = np.linspace(-1, 1, N)[:, None, None] * np.sin(np.pi * times)
+    lines = (start + times * (goal - start) + bend).astype(np.float32)
+    return AnchorBatch(
+        trajectories=lines,
+        velocities=np.zeros_like(lines),
+        accelerations=np.zeros_like(lines),
+        scores=np.linspace(-3, -1, N, dtype=np.float32),
+        clearance=np.full(N, 0.5, dtype=np.float32),
+        safe=np.arange(N) < N - 1,
+        dt=8 / 63,
+        seed=7,
+        model=ModelId("straight", "1.0.0", "0" * 64),
+        timing_ms={"total": 12.0},
+    )
+
+
+def run(*arguments: object) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", *map(str, arguments)])
+    assert caught.value.code == 0
+
+
+def test_the_options_become_the_request(map_file: Path, requests: list[AnchorRequest]) -> None:
+    ends = ("--start", "-2,1.5", "--start-velocity", "0.5,0", "--goal", "3,-1")
+    choices = ("--style", "2,1,1", "--num-samples", 5, "--seed", 7, "--robot-radius", 0.3)
+    run("--map", map_file, *ends, *choices, "--window", 10)
+
+    (request,) = requests
+    np.testing.assert_array_equal(request.x_curr, [[-2, 1.5, 0.5, 0, 0, 0]])
+    np.testing.assert_array_equal(request.x_goal, [[3, -1, 0, 0]])
+    np.testing.assert_allclose(request.w_style, [[0.5, 0.25, 0.25]])
+    assert (request.num_samples, request.seed, request.robot_radius) == (5, 7, 0.3)
+    assert request.cost_map.data.shape == (1, 1, 100, 100)
+    assert not request.batched
+
+
+def test_what_is_not_said_is_left_to_the_model(
+    map_file: Path, requests: list[AnchorRequest]
+) -> None:
+    run("--map", map_file, "--start", "0,0", "--goal", "3,0")
+
+    (request,) = requests
+    assert request.num_samples == 64
+    assert request.seed is None
+    assert request.robot_radius is None
+
+
+@pytest.mark.usefixtures("requests")
+def test_the_table_and_the_picture(
+    map_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "plot.png"
+    run("--map", map_file, "--start", "0,0", "--goal", "3,0", "--num-samples", 9, "--out", picture)
+
+    printed = capsys.readouterr().out
+    assert "8 of 9 anchors are safe" in printed
+    assert "straight 1.0.0, seed 7" in printed
+    with Image.open(picture) as image:
+        assert image.size == (1200, 1050)
+        assert len(set(image.convert("RGB").get_flattened_data())) > 100
+
+
+@pytest.mark.usefixtures("requests")
+@pytest.mark.parametrize("name", ["absent/plot.png", "plot.xyz"])
+def test_a_picture_that_cannot_be_written_is_one_line(
+    map_file: Path, tmp_path: Path, name: str
+) -> None:
+    ends, picture = ["--start", "0,0", "--goal", "3,0"], str(tmp_path / name)
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", "--map", str(map_file), *ends, "--out", picture])
+
+    assert str(caught.value.code).startswith(f"anchorflow plan: {picture}: ")
+
+
+def test_a_point_that_is_none_is_a_usage_error(
+    map_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", "--map", str(map_file), "--start", "1;2", "--goal", "3,0"])
+
+    assert caught.value.code == 2
+    assert "expected 2 numbers X,Y, got '1;2'" in capsys.readouterr().err
+
+
+def test_a_start_in_the_wall_is_one_line(map_file: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", "--map", str(map_file), "--start=-9.95,0", "--goal", "-5,0"])
+
+    assert str(caught.value.code).startswith("anchorflow plan: x_curr: expected a cell")
+
+
+def test_a_server_that_is_not_there_is_one_line(map_file: Path) -> None:
+    ends = ["--start", "0,0", "--goal", "3,0"]
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", "--map", str(map_file), *ends, "--url", "http://127.0.0.1:1"])
+
+    assert "127.0.0.1:1" in str(caught.value.code)

@@ -1,0 +1,91 @@
+"""`anchorflow serve`: the real server in a process of its own, and one line where it cannot run."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from anchorflow_cli.main import main
+from anchorflow_cli.serve import AddressError, listen, url_of
+from anchorflow_client.http import AnchorClient
+
+# The command as it is, but for a card in place of a bundle: nothing plans here.
+PROGRAM = """
+from types import SimpleNamespace
+from anchorflow_cli import main, serve
+
+card = SimpleNamespace(name="named", version="1.2.3")
+serve.load_bundle = lambda path: path
+serve.Engine = lambda bundle: SimpleNamespace(card=card)
+main.main(["serve", "--port", "0", "--bundle", "some/bundle"])
+"""
+
+
+@pytest.fixture
+def server() -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-c", PROGRAM],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        yield process
+        process.kill()
+
+
+def first_line(process: subprocess.Popen[str]) -> str:
+    assert process.stdout is not None
+    return process.stdout.readline().rstrip("\n")
+
+
+def test_it_says_where_it_answers_and_stops_quietly(server: subprocess.Popen[str]) -> None:
+    line = first_line(server)
+    model, _, rest = line.partition(" at ")
+    url, _, bundle = rest.partition(" ")
+
+    assert (model, bundle) == ("named 1.2.3", "(bundle some/bundle)")
+    with AnchorClient(url) as client:
+        assert client.ready()
+
+    server.send_signal(signal.SIGINT)
+    output, errors = server.communicate(timeout=20)
+    assert (server.returncode, output, errors) == (0, "", "")
+
+
+def test_a_port_in_use_is_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(SystemExit) as caught:
+            main(["serve", "--port", str(port)])
+
+    assert caught.value.code == (
+        f"anchorflow serve: cannot listen on 127.0.0.1:{port}: Address already in use"
+    )
+
+
+def test_a_bundle_that_is_none_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["serve", "--port", "0", "--bundle", str(tmp_path)])
+
+    message = str(caught.value.code)
+    assert message.startswith(f"anchorflow serve: {tmp_path / 'manifest.json'}: ")
+    assert "\n" not in message
+
+
+def test_an_address_of_another_machine_is_refused() -> None:
+    with pytest.raises(AddressError, match=r"cannot listen on 192\.0\.2\.1:0"):
+        listen("192.0.2.1", 0)
+
+
+def test_an_ipv6_address_has_brackets() -> None:
+    if not socket.has_ipv6:
+        pytest.skip("this machine has no IPv6")
+    with listen("::1", 0) as listener:
+        assert url_of(listener).startswith("http://[::1]:")

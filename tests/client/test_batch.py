@@ -1,0 +1,70 @@
+"""The answer: frozen, of one shape, and able to name its best anchor."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client import AnchorBatch, ModelId
+
+
+def batch(**fields: Any) -> AnchorBatch:
+    paths = np.zeros((3, 4, 2))
+    defaults: dict[str, Any] = {
+        "trajectories": paths,
+        "velocities": paths,
+        "accelerations": paths,
+        "scores": np.array([1.0, 3.0, 2.0]),
+        "clearance": np.array([0.1, -0.2, 0.3]),
+        "safe": np.array([True, False, True]),
+        "dt": 0.1,
+        "seed": 7,
+        "model": ModelId("lines", "1", "ab"),
+        "timing_ms": {"total": 1.0},
+    }
+    return AnchorBatch(**defaults | fields)
+
+
+def test_the_best_is_the_best_of_the_safe() -> None:
+    assert batch().best == 2
+
+
+def test_where_none_is_safe_the_best_is_the_best_of_all() -> None:
+    assert batch(safe=np.zeros(3, bool)).best == 1
+
+
+def test_each_scene_has_its_best() -> None:
+    paths = np.zeros((2, 3, 4, 2))
+    scores = np.array([[1.0, 3.0, 2.0]] * 2)
+    anchors = batch(
+        trajectories=paths,
+        velocities=paths,
+        accelerations=paths,
+        scores=scores,
+        clearance=scores,
+        safe=np.array([[True, False, True], [False] * 3]),
+    )
+
+    assert anchors.batched
+    np.testing.assert_array_equal(anchors.best, [2, 1])
+
+
+def test_its_arrays_cannot_be_written() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        batch().trajectories[0, 0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("field", "shape"), [("velocities", (3, 4, 3)), ("scores", (2,)), ("trajectories", (3, 4))]
+)
+def test_shapes_must_belong_together(field: str, shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"expected (shape )?\["):
+        batch(**{field: np.zeros(shape)})
+
+
+@pytest.mark.parametrize("fields", [{"clearance": [0, np.inf, 0]}, {"dt": np.nan}])
+def test_a_number_that_is_not_finite_is_seen(fields: dict[str, Any]) -> None:
+    assert batch().is_finite
+    assert not batch(**fields).is_finite

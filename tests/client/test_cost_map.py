@@ -1,0 +1,49 @@
+"""The cost map's geometry: cells, extent, frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anchorflow_client import CostMap
+
+SHAPE = (16, 20)
+
+
+def cost_map(resolution: float = 0.5, origin: tuple[float, float] | None = None) -> CostMap:
+    return CostMap.build(np.zeros((1, *SHAPE)), resolution, origin)
+
+
+def test_a_map_without_an_origin_is_centred() -> None:
+    np.testing.assert_array_equal(cost_map().extent, [[-5.0, -4.0], [5.0, 4.0]])
+
+
+def test_the_row_grows_with_y_and_the_column_with_x() -> None:
+    cells = cost_map(origin=(0.0, 0.0)).cells_of(np.array([[0.1, 0.1], [0.1, 7.9], [9.9, 0.1]]))
+
+    np.testing.assert_array_equal(cells, [[0, 0], [15, 0], [0, 19]])
+
+
+@given(
+    row=st.integers(0, SHAPE[0] - 1),
+    column=st.integers(0, SHAPE[1] - 1),
+    resolution=st.floats(0.01, 10),
+    origin=st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3)),
+)
+def test_the_centre_of_a_cell_lies_in_it(
+    row: int, column: int, resolution: float, origin: tuple[float, float]
+) -> None:
+    grid = cost_map(resolution, origin)
+    centre = grid.origin + resolution * np.array([column + 0.5, row + 0.5])
+
+    assert grid.cells_of(centre).tolist() == [row, column]
+    assert grid.contains(centre)
+
+
+def test_channel_0_is_the_occupancy() -> None:
+    data = np.random.default_rng(0).random((2, 3, *SHAPE))
+
+    occupancy = CostMap.build(data, 0.1).occupancy
+
+    np.testing.assert_array_equal(occupancy, data[:, 0].astype(np.float32))

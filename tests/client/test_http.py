@@ -1,0 +1,174 @@
+"""The client over a transport that answers from a list."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client import (
+    AnchorClient,
+    ConnectionFailed,
+    CostMap,
+    InternalError,
+    InvalidAnswer,
+    InvalidRequest,
+    ModelCard,
+    Overloaded,
+)
+from anchorflow_client.transport import HttpAnswer
+
+ANSWER = {
+    "trajectories": [[[0.0, 0.0], [1.0, 0.0]]],
+    "velocities": [[[0.0, 0.0], [0.0, 0.0]]],
+    "accelerations": [[[0.0, 0.0], [0.0, 0.0]]],
+    "scores": [1.0],
+    "clearance": [0.5],
+    "safe": [True],
+    "dt": 1.0,
+    "seed": 3,
+    "model": {"name": "lines", "version": "1", "sha256": "ab"},
+    "timing_ms": {"total": 1.0},
+    "request_id": "r1",
+}
+
+
+class Canned:
+    """A transport that keeps what is sent and gives one answer."""
+
+    def __init__(
+        self, value: Any = ANSWER, status: int = 200, headers: Mapping[str, str] | None = None
+    ) -> None:
+        body = value if isinstance(value, bytes) else json.dumps(value).encode()
+        self.answer: HttpAnswer = (status, headers or {}, body)
+        self.sent: list[tuple[str, str, Mapping[str, str], bytes | None, float]] = []
+        self.closed = False
+
+    def send(
+        self,
+        method: str,
+        path: str,
+        headers: Mapping[str, str],
+        body: bytes | None,
+        timeout_s: float,
+    ) -> HttpAnswer:
+        self.sent.append((method, path, headers, body, timeout_s))
+        return self.answer
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Broken(Canned):
+    """A transport that reaches nobody."""
+
+    def send(self, *_: Any, **__: Any) -> HttpAnswer:
+        raise ConnectionFailed("nobody listens")
+
+
+def client(transport: Canned, **options: Any) -> AnchorClient:
+    return AnchorClient("http://robot:8000/base/", transport=transport, **options)
+
+
+def test_a_plan_is_one_post(fields: dict[str, Any]) -> None:
+    transport = Canned()
+
+    anchors = client(transport, token="secret", timeout_s=2.0).plan(**fields, num_samples=1)
+
+    method, path, headers, body, timeout_s = transport.sent[0]
+    assert (method, path, timeout_s) == ("POST", "/base/anchors", 2.0)
+    assert headers["Authorization"] == "Bearer secret"
+    assert headers["Content-Type"] == "application/json"
+    assert json.loads(body or b"")["num_samples"] == 1
+    assert anchors.trajectories.shape == (1, 2, 2)
+    assert (anchors.seed, anchors.request_id, anchors.model.name) == (3, "r1", "lines")
+
+
+@pytest.mark.parametrize("shape", [(16, 20), (1, 16, 20), (2, 1, 16, 20)])
+def test_a_map_may_be_an_array(fields: dict[str, Any], shape: tuple[int, ...]) -> None:
+    transport = Canned()
+    fields["cost_map"] = np.zeros(shape, bool)
+
+    client(transport).plan(**fields, resolution=0.5, origin=(-5, -4))
+
+    sent = json.loads(transport.sent[0][3] or b"")["cost_map"]
+    assert np.shape(sent["data"]) == ((1, 16, 20) if len(shape) == 2 else shape)
+    assert (sent["resolution"], sent["origin"]) == (0.5, [-5.0, -4.0])
+
+
+def test_a_map_that_knows_its_place_takes_no_other(fields: dict[str, Any]) -> None:
+    fields["cost_map"] = CostMap.build(np.zeros((1, 16, 20)), 0.5)
+
+    with pytest.raises(InvalidRequest, match="cost_map"):
+        client(Canned()).plan(**fields, resolution=0.1)
+
+
+def test_a_bad_field_is_refused_before_anything_is_sent(fields: dict[str, Any]) -> None:
+    transport = Canned()
+
+    fields["x_goal"] = [0, 0]
+    with pytest.raises(InvalidRequest, match="x_goal"):
+        client(transport).plan(**fields)
+    assert transport.sent == []
+
+
+def test_a_refusal_is_raised_with_its_field(fields: dict[str, Any]) -> None:
+    refusal = {"error": {"code": "overloaded", "message": "full", "field": None}}
+
+    with pytest.raises(Overloaded, match="full") as caught:
+        client(Canned(refusal, 429, {"retry-after": "7"})).plan(**fields)
+    assert caught.value.retry_after_s == 7
+
+
+@pytest.mark.parametrize("body", [b"<html>Bad gateway</html>", b"[]", b""])
+def test_an_error_of_another_program_is_an_invalid_answer(
+    fields: dict[str, Any], body: bytes
+) -> None:
+    with pytest.raises(InvalidAnswer, match="502"):
+        client(Canned(body, 502)).plan(**fields)
+
+
+def test_cards_are_read(card: ModelCard) -> None:
+    transport = Canned({"models": [card.to_dict() | {"ready": True}]})
+
+    assert client(transport).models() == (card,)
+    assert transport.sent[0][:2] == ("GET", "/base/v2/models")
+
+
+@pytest.mark.parametrize("value", [{}, [], {"models": [{}]}, {"models": 3}, b"no"])
+def test_what_is_no_list_of_cards_is_an_invalid_answer(value: Any) -> None:
+    with pytest.raises(InvalidAnswer):
+        client(Canned(value)).models()
+
+
+def test_health_is_a_yes_or_a_no() -> None:
+    not_ready = Canned({"error": {"code": "not_ready", "message": "", "field": None}}, 503)
+
+    assert client(Canned({"ready": True})).ready()
+    assert client(Canned({"live": True})).live()
+    assert not client(not_ready).ready()
+    assert not client(Broken()).live()
+
+
+def test_health_does_not_swallow_other_errors() -> None:
+    failed = Canned({"error": {"code": "internal", "message": "", "field": None}}, 500)
+
+    with pytest.raises(InternalError):
+        client(failed).ready()
+
+
+def test_leaving_the_block_closes_the_transport() -> None:
+    transport = Canned()
+
+    with client(transport):
+        assert not transport.closed
+    assert transport.closed
+
+
+@pytest.mark.parametrize("url", ["robot:8000", "ftp://robot", "http://", "http://robot:port"])
+def test_a_strange_url_is_refused(url: str) -> None:
+    with pytest.raises(ValueError, match=r"http://|[Pp]ort"):
+        AnchorClient(url)

@@ -1,0 +1,258 @@
+"""`AnchorRequest.build`: what it makes of good fields, and how it refuses bad ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client import AnchorRequest, CostMap, InvalidRequest
+from anchorflow_client.contract import DEFAULT_STYLE
+
+NAN, INF = float("nan"), float("inf")
+
+
+def refusal(fields: dict[str, Any]) -> InvalidRequest:
+    with pytest.raises(InvalidRequest) as caught:
+        AnchorRequest.from_fields(fields)
+    return caught.value
+
+
+def occupied_at(row: int, column: int) -> list[Any]:
+    grid = np.zeros((1, 16, 20))
+    grid[0, row, column] = 0.5
+    return grid.tolist()
+
+
+def test_the_defaults_are_the_contracts(fields: dict[str, Any]) -> None:
+    request = AnchorRequest.from_fields(fields)
+
+    assert request.num_samples == 64
+    assert not request.batched
+    np.testing.assert_array_equal(request.w_style, [DEFAULT_STYLE])
+    np.testing.assert_array_equal(request.cost_map.origin, [-5.0, -4.0])
+    assert request.seed is None
+    assert request.robot_radius is None
+
+
+def test_null_leaves_an_optional_field_out(fields: dict[str, Any]) -> None:
+    request = AnchorRequest.from_fields(fields | {"seed": None, "w_style": None, "sampler": None})
+
+    assert request.seed is None
+    assert request.sampler is None
+
+
+def test_one_batched_field_makes_a_batch_that_shares_the_others(fields: dict[str, Any]) -> None:
+    request = AnchorRequest.from_fields(fields | {"x_goal": [fields["x_goal"]] * 3})
+
+    assert request.batched
+    assert request.num_scenes == 3
+    assert request.cost_map.data.shape == (3, 1, 16, 20)
+    assert request.x_curr.shape == (3, 6)
+    assert request.w_style.shape == (3, 3)
+
+
+def test_style_is_made_to_sum_to_one(fields: dict[str, Any]) -> None:
+    request = AnchorRequest.from_fields(fields | {"w_style": [[2, 1, 1], [0, 0, 5]]})
+
+    np.testing.assert_allclose(request.w_style, [[0.5, 0.25, 0.25], [0, 0, 1]])
+
+
+def test_arrays_cannot_be_written_and_the_callers_own_can(fields: dict[str, Any]) -> None:
+    mine = np.array(fields["x_curr"])
+    request = AnchorRequest.from_fields(fields | {"x_curr": mine})
+
+    with pytest.raises(ValueError, match="read-only"):
+        request.x_curr[0, 0] = 1.0
+    mine[0] = 9.0
+    assert request.x_curr[0, 0] == -3.0
+
+
+def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
+    occupancy = np.zeros((1, 16, 20), dtype=bool)
+    request = AnchorRequest.build(
+        cost_map=CostMap.build(occupancy, np.float32(0.5)),
+        x_curr=np.array(fields["x_curr"], np.float32),
+        x_goal=tuple(fields["x_goal"]),
+        num_samples=np.int64(3),
+        seed=np.int32(4),
+    )
+
+    assert (request.num_samples, request.seed) == (3, 4)
+    assert request.cost_map.data.dtype == np.float32
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("x_curr", [0, 0, 0], ["[6] or [B,6]", "[3]"]),
+        ("x_curr", [[[0] * 6]], ["[6] or [B,6]", "[1, 1, 6]"]),
+        ("x_curr", [0, 0, 0, 0, 0, "abc"], ["a number", "the string 'abc'", "x_curr[5]"]),
+        ("x_curr", "abc", ["a list of numbers", "the string 'abc'"]),
+        ("x_curr", [0, 0, True, 0, 0, 0], ["the boolean true", "x_curr[2]"]),
+        ("x_curr", [0, 0, None, 0, 0, 0], ["null", "x_curr[2]"]),
+        ("x_curr", [0, 0, {}, 0, 0, 0], ["an object", "x_curr[2]"]),
+        ("x_curr", [0, 0, [0], 0, 0, 0], ["a list of 1", "x_curr[2]"]),
+        ("x_curr", [[0] * 6, 7], ["a list", "x_curr[1]", "7"]),
+        ("x_curr", [[0] * 6, [0] * 5], ["x_curr[1]", "a list of 5"]),
+        ("x_curr", [], ["[6] or [B,6]", "[0]"]),
+        ("x_curr", [NAN, 0, 0, 0, 0, 0], ["finite", "nan", "x_curr[0]"]),
+        ("x_curr", [0, 0, 0, 0, 0, -INF], ["finite", "-inf", "x_curr[5]"]),
+        ("x_curr", [10**400, 0, 0, 0, 0, 0], ["finite"]),
+        ("x_curr", [0, 0, 1e30, 0, 0, 0], ["1e+07", "1e+30"]),
+        ("x_curr", np.array(["a"] * 6), ["numbers", "<U1"]),
+        ("x_curr", [6, 0, 0, 0, 0, 0], ["on the map", "x from -5 to 5", "(6, 0)"]),
+        ("x_goal", [0, -4.1, 0, 0], ["on the map", "y from -4 to 4", "(0, -4.1)"]),
+        ("x_goal", [0] * 6, ["[4] or [B,4]", "[6]"]),
+        ("w_style", [0.5, -0.1, 0.6], ["-0.1", "w_style[1]"]),
+        ("w_style", [0, 0, 0], ["above 0", "zeros"]),
+        ("w_style", [1, 1], ["[3] or [B,3]", "[2]"]),
+        ("num_samples", 0, ["1 to 512", "0"]),
+        ("num_samples", 513, ["1 to 512", "513"]),
+        ("num_samples", 64.0, ["integer", "64.0"]),
+        ("num_samples", "64", ["integer", "the string '64'"]),
+        ("num_samples", True, ["integer", "the boolean true"]),
+        ("robot_radius", -0.1, ["[0, 5] m", "-0.1"]),
+        ("robot_radius", "wide", ["a number", "'wide'"]),
+        ("robot_radius", NAN, ["nan"]),
+        ("v_max", 0, ["(0, 100] m/s"]),
+        ("a_max", False, ["the boolean false"]),
+        ("horizon_s", 10**400, ["an integer of 1329 bits"]),
+        ("model", 3, ["a string", "3"]),
+        ("model", "", ["1 to 128"]),
+        ("request_id", "a\nb", ["printable"]),
+        ("seed", -1, ["from 0", "-1"]),
+        ("seed", 2**63, ["9223372036854775807", "9223372036854775808"]),
+        ("budget_ms", 0, ["ms", "0"]),
+        ("sampler", "rk4", ["an object", "'rk4'"]),
+        ("sampler.method", "rk5", ["rk4, heun, midpoint, euler", "'rk5'"]),
+        ("sampler.schedule", "9step", ["8step", "9step"]),
+        ("sampler.schedule", [0, 0.5, 0.5, 1], ["strictly increasing"]),
+        ("sampler.schedule", [0, 0.5], ["last time of 1", "0.5"]),
+        ("sampler.schedule", [0.2, 1], ["first time of 0", "0.2"]),
+        ("sampler.schedule", [1], ["[K]", "[1]"]),
+        ("sampler.schedule", {"steps": 4}, ["unknown field"]),
+        ("sampler.schedule.uniform", 0, ["1 to 100", "0"]),
+        ("refine.smooth", 1, ["true or false", "1"]),
+        ("refine.safety_margin", -1, ["[0, 5] m"]),
+        ("refine.guidance", "x", ["a number"]),
+        ("warm_start.tau", 1, ["(0, 1)", "1"]),
+        ("warm_start.trajectory", [[0, 0, 0, 0, 0, 0, 0]] * 4, ["[T,2] to [T,6]", "[4, 7]"]),
+        ("warm_start.trajectory", None, ["required"]),
+        ("cost_map", [[0]], ["an object", "a list of 1"]),
+        ("cost_map.data", np.zeros((16, 20)).tolist(), ["[C,H,W] or [B,C,H,W]", "[16, 20]"]),
+        ("cost_map.data", np.zeros((1, 8, 20)).tolist(), ["16 to 512", "8 and 20"]),
+        ("cost_map.data", np.zeros((9, 16, 16)).tolist(), ["C from 1 to 8", "9"]),
+        ("cost_map.data", np.zeros((65, 1, 16, 16)).tolist(), ["B from 1 to 64", "65"]),
+        ("cost_map.data", np.full((1, 16, 20), 1.5).tolist(), ["[0, 1]", "1.5"]),
+        ("cost_map.data", np.zeros((1, 1, 1, 16, 20)).tolist(), ["deeper"]),
+        ("cost_map.resolution", 0, ["(0, 100] m/cell", "0"]),
+        ("cost_map.resolution", None, ["required"]),
+        ("cost_map.origin", [0, 0, 0], ["[2]", "[3]"]),
+        ("cost_map.origin", [0, INF], ["finite"]),
+    ],
+)
+def test_a_bad_field_is_named_with_what_was_expected_and_what_came(
+    fields: dict[str, Any], field: str, value: Any, words: list[str]
+) -> None:
+    *path, last = field.split(".")
+    if path[:1] == ["warm_start"]:
+        fields["warm_start"] = {"trajectory": [[0, 0], [1, 1]]}
+    parent = fields
+    for name in path:
+        parent = parent.setdefault(name, {})
+    parent[last] = value
+
+    error = refusal(fields)
+
+    named = error.field or ""
+    assert named == field or named.startswith(f"{field}.")
+    assert named in error.message
+    assert [word for word in words if word not in error.message] == []
+
+
+@pytest.mark.parametrize("field", ["cost_map", "x_curr", "x_goal"])
+def test_a_missing_field_is_named(fields: dict[str, Any], field: str) -> None:
+    del fields[field]
+
+    error = refusal(fields)
+
+    assert error.field == field
+    assert "required" in error.message
+
+
+@pytest.mark.parametrize(
+    ("path", "near"),
+    [("x_cur", "x_curr"), ("cost_map.resolutoin", "resolution"), ("refine.smoth", "smooth")],
+)
+def test_an_unknown_field_is_named_with_the_nearest_known(
+    fields: dict[str, Any], path: str, near: str
+) -> None:
+    *parents, name = path.split(".")
+    parent = fields
+    for key in parents:
+        parent = parent.setdefault(key, {})
+    parent[name] = 1
+
+    error = refusal(fields)
+
+    assert error.field == path
+    assert f"did you mean {near!r}?" in error.message
+
+
+def test_an_unknown_option_is_refused_in_python_too(fields: dict[str, Any]) -> None:
+    with pytest.raises(InvalidRequest, match="num_sample: unknown field"):
+        AnchorRequest.build(**fields, num_sample=3)
+
+
+def test_one_long_string_costs_no_memory(fields: dict[str, Any]) -> None:
+    """numpy alone would pad every number to the string's length: 40 GB here."""
+    grid: list[Any] = np.zeros((1, 100, 100)).tolist()
+    grid[0][99][99] = "x" * 1_000_000
+    fields["cost_map"]["data"] = grid
+
+    assert "cost_map.data[0][99][99]" in refusal(fields).message
+
+
+def test_batches_must_agree(fields: dict[str, Any]) -> None:
+    fields |= {"x_curr": [fields["x_curr"]] * 2, "x_goal": [fields["x_goal"]] * 3}
+
+    error = refusal(fields)
+
+    assert error.field == "x_goal"
+    assert "B = 2 as in x_curr, got 3" in error.message
+
+
+@pytest.mark.parametrize(("field", "column"), [("x_curr", 4), ("x_goal", 16)])
+def test_an_occupied_cell_is_named(fields: dict[str, Any], field: str, column: int) -> None:
+    fields["cost_map"]["data"] = occupied_at(9, column)
+
+    error = refusal(fields)
+
+    assert error.field == field
+    assert f"[row 9, column {column}] of occupancy 0.5" in error.message
+
+
+def test_each_scene_is_checked_on_its_own_map(fields: dict[str, Any]) -> None:
+    fields["cost_map"]["data"] = [occupied_at(0, 0), occupied_at(9, 16)]
+
+    assert "of scene 1" in refusal(fields).message
+
+
+def test_the_border_of_the_map_belongs_to_it(fields: dict[str, Any]) -> None:
+    fields |= {"x_curr": [-5, -4, 0, 0, 0, 0], "x_goal": [5, 4, 0, 0]}
+
+    assert AnchorRequest.from_fields(fields).num_scenes == 1
+
+
+def test_a_warm_start_may_begin_later(fields: dict[str, Any]) -> None:
+    fields |= {
+        "sampler": {"schedule": [0.8, 1]},
+        "warm_start": {"trajectory": [[0, 0], [1, 1]]},
+    }
+
+    request = AnchorRequest.from_fields(fields)
+
+    assert request.warm_start is not None
+    assert request.warm_start.tau == 0.8

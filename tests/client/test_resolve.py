@@ -1,0 +1,69 @@
+"""A request meets a card."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from anchorflow_client import AnchorRequest, InvalidRequest, ModelCard, RefineSpec, SamplerSpec
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, resolve_for_card
+
+
+def test_what_is_left_open_is_the_cards(fields: dict[str, Any], card: ModelCard) -> None:
+    resolved = resolve_for_card(AnchorRequest.from_fields(fields), card)
+
+    assert (resolved.robot_radius, resolved.v_max, resolved.a_max) == (0.25, 2.0, 3.0)
+    assert (resolved.horizon_s, resolved.model) == (8.0, "lines")
+    assert (resolved.sampler, resolved.refine) == (card.sampler, card.refine)
+    assert 0 <= resolved.seed < 2**53
+
+
+def test_a_partial_choice_keeps_the_rest_of_the_cards(
+    fields: dict[str, Any], card: ModelCard
+) -> None:
+    fields |= {"sampler": {"schedule": "8step"}, "refine": {"smooth": False}}
+
+    resolved = resolve_for_card(AnchorRequest.from_fields(fields), card)
+
+    assert resolved.sampler == SamplerSpec("rk4", EIGHT_STEP_SCHEDULE)
+    assert resolved.refine == RefineSpec(False, True, 0.05, 0.0)
+
+
+def test_uniform_steps_become_times(fields: dict[str, Any], card: ModelCard) -> None:
+    fields["sampler"] = {"method": "euler", "schedule": {"uniform": 4}}
+
+    resolved = resolve_for_card(AnchorRequest.from_fields(fields), card)
+
+    assert resolved.sampler == SamplerSpec("euler", (0.0, 0.25, 0.5, 0.75, 1.0))
+
+
+def test_resolving_twice_changes_nothing(fields: dict[str, Any], card: ModelCard) -> None:
+    once = resolve_for_card(AnchorRequest.from_fields(fields), card)
+
+    assert resolve_for_card(once, card).field_values() == once.field_values()
+
+
+def test_an_adjustable_limit_is_the_requests(fields: dict[str, Any], card: ModelCard) -> None:
+    resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"robot_radius": 0.4}), card)
+
+    assert resolved.robot_radius == 0.4
+
+
+@pytest.mark.parametrize(("field", "value"), [("v_max", 3.0), ("a_max", 1.0), ("horizon_s", 4)])
+def test_a_fixed_limit_is_refused_by_name(
+    fields: dict[str, Any], card: ModelCard, field: str, value: float
+) -> None:
+    with pytest.raises(
+        InvalidRequest, match=f"{field}: expected .*lines 1.2.3.*got {value:g}"
+    ) as e:
+        resolve_for_card(AnchorRequest.from_fields(fields | {field: value}), card)
+    assert e.value.field == field
+
+
+def test_a_limit_that_went_through_float32_is_the_same(
+    fields: dict[str, Any], card: ModelCard
+) -> None:
+    resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"v_max": 2.0 + 1e-7}), card)
+
+    assert resolved.v_max == 2.0

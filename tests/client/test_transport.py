@@ -1,0 +1,146 @@
+"""The socket transport against servers that misbehave in one way each."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut
+from anchorflow_client.transport import SocketTransport
+
+OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nX-Kind: test\r\n\r\nok"
+Script = Callable[[socket.socket], None]
+Serve = Callable[..., SocketTransport]
+
+
+def read_head(connection: socket.socket) -> bytes:
+    head = b""
+    while b"\r\n\r\n" not in head:
+        head += connection.recv(65536)
+    return head
+
+
+def answer(connection: socket.socket) -> None:
+    """One answer, then the connection stays open until the client leaves."""
+    read_head(connection)
+    connection.sendall(OK)
+
+
+def answer_twice(connection: socket.socket) -> None:
+    answer(connection)
+    answer(connection)
+
+
+@pytest.fixture
+def serve() -> Iterator[Serve]:
+    """Accepts one connection for each script, lets it run and closes the connection."""
+    transports: list[SocketTransport] = []
+    threads: list[threading.Thread] = []
+
+    def start(*scripts: Script) -> SocketTransport:
+        listener = socket.create_server(("127.0.0.1", 0))
+
+        def run() -> None:
+            with listener:
+                for script in scripts:
+                    connection, _ = listener.accept()
+                    with connection:
+                        script(connection)
+
+        threads.append(threading.Thread(target=run))
+        threads[-1].start()
+        port = listener.getsockname()[1]
+        transports.append(SocketTransport(f"http://127.0.0.1:{port}", connect_timeout_s=5))
+        return transports[-1]
+
+    yield start
+    for transport in transports:
+        transport.close()
+    for thread in threads:
+        thread.join(10)
+        assert not thread.is_alive()
+
+
+def get(transport: SocketTransport, timeout_s: float = 10) -> bytes:
+    return transport.send("GET", "/", {}, None, timeout_s)[2]
+
+
+def test_headers_come_in_lower_case(serve: Serve) -> None:
+    status, headers, body = serve(answer).send("POST", "/x", {}, b"body", 10)
+
+    assert (status, headers["x-kind"], body) == (200, "test", b"ok")
+
+
+def test_the_connection_is_kept(serve: Serve) -> None:
+    transport = serve(answer_twice)
+
+    assert [get(transport), get(transport)] == [b"ok", b"ok"]
+
+
+def test_an_idle_connection_that_was_closed_is_opened_again(serve: Serve) -> None:
+    transport = serve(answer, answer)
+
+    assert [get(transport), get(transport)] == [b"ok", b"ok"]
+
+
+def test_it_is_opened_again_only_once(serve: Serve) -> None:
+    transport = serve(answer, lambda _: None)
+
+    assert get(transport) == b"ok"
+    with pytest.raises(ConnectionFailed):
+        get(transport)
+
+
+def test_a_server_that_hangs_times_out(serve: Serve) -> None:
+    done = threading.Event()
+    transport = serve(lambda _: done.wait(10) and None)
+
+    with pytest.raises(TimedOut, match=r"within 0\.05 s"):
+        get(transport, timeout_s=0.05)
+    done.set()
+
+
+def test_nobody_listening_is_a_failed_connection() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+
+    with pytest.raises(ConnectionFailed, match=str(port)):
+        get(SocketTransport(f"http://127.0.0.1:{port}", connect_timeout_s=5))
+
+
+def test_an_answer_that_breaks_off_is_a_failed_connection(serve: Serve) -> None:
+    def half(connection: socket.socket) -> None:
+        read_head(connection)
+        connection.sendall(OK[:-1])
+
+    with pytest.raises(ConnectionFailed):
+        get(serve(half))
+
+
+def test_another_protocol_is_an_invalid_answer(serve: Serve) -> None:
+    def greet(connection: socket.socket) -> None:
+        read_head(connection)
+        connection.sendall(b"SSH-2.0-OpenSSH_9.6\r\n\r\n")
+
+    with pytest.raises(InvalidAnswer, match="does not speak HTTP"):
+        get(serve(greet))
+
+
+def test_a_refusal_is_heard_while_the_body_is_still_on_its_way(serve: Serve) -> None:
+    """The service answers after the head and reads no further than the answer takes to arrive."""
+
+    def refuse(connection: socket.socket) -> None:
+        read_head(connection)
+        connection.sendall(b"HTTP/1.1 413 Too Large\r\nContent-Length: 2\r\n\r\nno")
+        connection.shutdown(socket.SHUT_WR)
+        while connection.recv(65536):
+            pass
+
+    transport = serve(refuse)
+    status, _, body = transport.send("POST", "/", {}, bytes(4 * 2**20), 10)
+    transport.close()
+
+    assert (status, body) == (413, b"no")

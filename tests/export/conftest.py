@@ -1,0 +1,113 @@
+"""A flow model that is traced in a second: a convolution, an attention layer, a map lookup."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from anchorflow_client.contract import MapSpec, SamplerSpec
+from anchorflow_export.bundle import BundleDescription
+from anchorflow_service.manifest import LimitsEntry, RefineEntry
+
+T, D, S, R, WIDTH = 8, 2, 6, 5, 16
+
+
+class SmallFlow(nn.Module):
+    """The interface of the planners, with every kind of operation that traces badly."""
+
+    basis: Tensor
+    context_for_modulate: ClassVar = ("condition",)
+    context_for_field: ClassVar = ("features", "map_geometry_seen")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(5, 4, 3, stride=2, padding=1)
+        self.condition = nn.Linear(6 + 4 + 3 + 4, WIDTH)
+        self.modulation = nn.Linear(WIDTH + 1, 2 * WIDTH)
+        self.project_in = nn.Linear(S + 4, WIDTH)
+        self.head = nn.Linear(WIDTH, S)
+        self.register_buffer("basis", 0.3 * torch.randn(R, T * S))
+
+    def encode(
+        self,
+        cost_map: Tensor,
+        map_geometry: Tensor,
+        clearance_field: Tensor,
+        cost_to_go: Tensor,
+        x_curr: Tensor,
+        x_goal: Tensor,
+        w_style: Tensor,
+    ) -> dict[str, Tensor]:
+        maps = torch.cat([cost_map[:, :2], clearance_field[:, None], cost_to_go.tanh()], 1)
+        features = F.interpolate(self.conv(maps), size=(12, 12), mode="bilinear")
+        parts = [x_curr - x_curr.mean(-1, keepdim=True), x_goal[:, 2:], w_style]
+        parts += [features.mean((2, 3)), map_geometry[:, 2:] * 0, x_goal[:, :1] * 0]
+        return {
+            "prior_mean": x_curr[:, None].expand(-1, T, -1),
+            "prior_basis": self.basis.expand(cost_map.shape[0], -1, -1),
+            "condition": self.condition(torch.cat(parts, -1)),
+            "features": features,
+            "map_geometry_seen": map_geometry,
+            "unused": w_style,
+        }
+
+    def modulate(self, times: Tensor, context: dict[str, Tensor]) -> Tensor:
+        condition = context["condition"][:, None].expand(-1, times.shape[0], -1)
+        at = times[None, :, None].expand(condition.shape[0], -1, -1)
+        return self.modulation(torch.cat([condition, at], -1))
+
+    def field(self, x_t: Tensor, modulation: Tensor, context: dict[str, Tensor]) -> Tensor:
+        batch, count = x_t.shape[:2]
+        geometry = context["map_geometry_seen"][:, None, None]
+        points = ((x_t[..., :2] - geometry[..., :2]) / 10.0) * 2 - 1
+        seen = F.grid_sample(
+            context["features"], points, padding_mode="border", align_corners=False
+        ).permute(0, 2, 3, 1)
+        scale, shift = modulation[:, None, None].chunk(2, -1)
+        x = self.project_in(torch.cat([0.1 * x_t, seen], -1))
+        x = F.layer_norm(x, (WIDTH,)) * (1 + scale) + shift
+        heads = x.reshape(batch * count, T, 2, WIDTH // 2).transpose(1, 2)
+        mixed = F.scaled_dot_product_attention(heads, heads, heads)
+        return self.head(F.gelu(mixed.transpose(1, 2).reshape(batch, count, T, WIDTH)))
+
+
+@pytest.fixture(scope="session")
+def small_flow() -> Callable[[], SmallFlow]:
+    """Makes small flows, always of the same weights."""
+
+    def make() -> SmallFlow:
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            return SmallFlow()
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def description() -> BundleDescription:
+    """What the small flow's manifest says beside its graphs."""
+    return BundleDescription(
+        name="small-flow",
+        version="0.0.1",
+        planner="stand-in",
+        T=T,
+        D=D,
+        limits=LimitsEntry(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25),
+        map=MapSpec(H=32, W=32, channels=3),
+        sampler=SamplerSpec("rk4", (0.0, 0.8, 0.9, 1.0)),
+        refine=RefineEntry(
+            smooth=True,
+            project=False,
+            safety_margin=0.05,
+            guidance=0.0,
+            steps=4,
+            num_control_points=12,
+            degree=4,
+        ),
+        training={"checkpoint": "none"},
+    )

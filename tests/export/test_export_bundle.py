@@ -1,0 +1,141 @@
+"""What is exported is what torch computes, at sizes that it was not traced at; or nothing is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from torch import Tensor, nn
+
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, AnchorRequest, MapSpec, SamplerSpec
+from anchorflow_export.bundle import BundleDescription, export_bundle, record_quality
+from anchorflow_export.errors import ExportError
+from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.engine import Engine
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory, small_flow: Any, description: Any) -> Path:
+    """The small flow's bundle, exported once."""
+    out = tmp_path_factory.mktemp("exported") / "bundle"
+    differences = export_bundle(small_flow(), description, out=out)
+    assert max(part.error for part in differences) <= 1e-5
+    kinds = {part.what.split()[0] for part in differences}
+    assert kinds == {"encode", "modulate", "field", "sample"}
+    return out
+
+
+def test_the_folder_holds_three_graphs_and_a_manifest(bundle: Path) -> None:
+    names = sorted(path.name for path in bundle.iterdir())
+    assert names == ["encode.onnx", "field.onnx", "manifest.json", "modulate.onnx"]
+    assert [path.name for path in bundle.parent.iterdir()] == ["bundle"]
+    manifest = load_bundle(bundle).manifest
+    field = {spec.name: spec.shape for spec in manifest.graphs["field"].inputs}
+    assert field["x_t"] == ("B", "N", 8, 6)
+    assert field["modulation"] == ("B", 32)
+    assert field["features"] == ("B", 4, 12, 12)
+    assert "unused" not in manifest.graphs["encode"].output_names
+    assert manifest.training == {"checkpoint": "none"}
+
+
+def test_graphs_tell_nothing_of_the_machine_they_were_made_on(bundle: Path) -> None:
+    for file in bundle.glob("*.onnx"):
+        model = onnx.load(file)
+        assert model.opset_import[0].version == 20
+        assert b".py" not in model.SerializeToString()
+
+
+def test_the_engine_plans_with_it(bundle: Path) -> None:
+    batch = Engine(load_bundle(bundle), threads=2).plan(
+        AnchorRequest.build(
+            cost_map={"data": np.zeros((2, 1, 40, 40)), "resolution": 0.25},
+            x_curr=[-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            x_goal=[3.0, 0.0, 0.0, 0.0],
+            num_samples=9,
+            seed=1,
+        )
+    )
+    assert batch.trajectories.shape == (2, 9, 8, 2)
+    assert batch.is_finite
+    assert batch.trajectories[0].tobytes() == batch.trajectories[1].tobytes()
+
+
+def test_quality_is_recorded_afterwards(bundle: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "bundle"
+    copy.mkdir()
+    for file in bundle.iterdir():
+        (copy / file.name).write_bytes(file.read_bytes())
+    record_quality(copy, {"any": 0.9})
+    card = load_bundle(copy).card
+    assert card.quality == {"any": 0.9}
+    assert card.sha256 != load_bundle(bundle).card.sha256
+
+
+def test_graphs_that_differ_from_torch_are_not_written(
+    small_flow: Any, description: BundleDescription, tmp_path: Path
+) -> None:
+    model = small_flow()
+    exact = model.field
+
+    def drifting(x_t: Tensor, modulation: Tensor, context: dict[str, Tensor]) -> Tensor:
+        drift = 0.01 if torch.compiler.is_exporting() else 0.0
+        return exact(x_t, modulation, context) + drift
+
+    model.field = drifting
+    with pytest.raises(ExportError, match=r"field at .*, dx_t: 1\.00e-02") as caught:
+        export_bundle(model, description, out=tmp_path / "bundle")
+    assert "sample of scene 0" in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_graph_that_holds_for_one_size_only_is_not_written(
+    small_flow: Any, description: BundleDescription, tmp_path: Path
+) -> None:
+    model = small_flow()
+    exact = model.modulate
+    model.modulate = lambda times, context: exact(times.reshape(5), context)
+    with pytest.raises(ExportError, match=r"times came out as \[5\], expected \['K'\]"):
+        export_bundle(model, description, out=tmp_path / "bundle")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bundle_is_replaced_and_anything_else_is_not(
+    bundle: Path, small_flow: Any, description: BundleDescription, tmp_path: Path
+) -> None:
+    out = tmp_path / "bundle"
+    out.mkdir()
+    (out / "thesis.txt").write_text("years of work")
+    with pytest.raises(ExportError, match="is there already and is not a bundle"):
+        export_bundle(small_flow(), description, out=out)
+    (out / "thesis.txt").rename(out / "manifest.json")
+    export_bundle(small_flow(), replace(description, version="0.0.2"), out=out)
+    assert load_bundle(out).card.version == "0.0.2"
+    assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
+    for file in bundle.glob("*.onnx"):  # the same weights give the same bytes
+        assert (out / file.name).read_bytes() == file.read_bytes()
+
+
+def test_the_planner_of_this_repository_exports(
+    description: BundleDescription, tmp_path: Path
+) -> None:
+    config = L2Config()
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        model = create_l2_safety_cfm(config)
+        for parameter in model.parameters():  # branches start at zero, which would prove little
+            if not parameter.any():
+                nn.init.normal_(parameter, std=0.02)
+    real = replace(
+        description,
+        T=config.num_steps,
+        map=MapSpec(config.map_size, config.map_size, config.map_channels),
+        sampler=SamplerSpec("rk4", EIGHT_STEP_SCHEDULE),
+    )
+    differences = export_bundle(model, real, out=tmp_path / "bundle")
+    assert max(part.error for part in differences) <= 1e-4

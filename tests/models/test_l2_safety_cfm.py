@@ -1,0 +1,178 @@
+"""The planner's parts: shapes, units, frames and independence of the samples."""
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from anchorflow_models import L2Config, L2SafetyCFM, create_flowmp_transformer, create_l2_safety_cfm
+from anchorflow_models.flowmp.frame import Frame
+from anchorflow_models.layers.embedding import GaussianFourierTime, sinusoidal_positions
+from anchorflow_models.layers.lookup import lookup
+
+BATCH, COUNT, SIZE = 2, 5, 40
+
+
+@pytest.fixture(scope="module")
+def model() -> L2SafetyCFM:
+    torch.manual_seed(0)
+    model = create_l2_safety_cfm()
+    with torch.no_grad():  # a fresh model's gates are zero and would hide everything behind them
+        for parameter in model.transformer.to_modulation.parameters():
+            parameter.normal_(0.0, 0.05)
+        model.transformer.heads.weight.normal_(0.0, 0.05)
+    return model.eval()
+
+
+@pytest.fixture
+def scene() -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(1)
+
+    def rand(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=generator)
+
+    ends = torch.tensor([[-3.0, -2.0, 2.5, 3.0], [-2.0, 1.0, 3.0, -3.0]])
+    return {
+        "cost_map": rand(BATCH, 3, SIZE, SIZE),
+        "map_geometry": torch.tensor([[-4.0, -4.0, 8.0 / SIZE]]).repeat(BATCH, 1),
+        "clearance_field": rand(BATCH, SIZE, SIZE),
+        "cost_to_go": 5 * rand(BATCH, 2, SIZE, SIZE),
+        "x_curr": torch.cat([ends[:, :2], rand(BATCH, 4)], -1),
+        "x_goal": torch.cat([ends[:, 2:], rand(BATCH, 2)], -1),
+        "w_style": torch.tensor([[0.4, 0.3, 0.3], [0.1, 0.8, 0.1]]),
+    }
+
+
+@torch.no_grad()
+def field_of(model: L2SafetyCFM, scene: dict[str, Tensor], noise: Tensor) -> Tensor:
+    context = model.encode(**scene)
+    modulation = model.modulate(torch.tensor([0.3]), context)[:, 0]
+    return model.field(model.draw(noise, context), modulation, context)
+
+
+@pytest.mark.parametrize(
+    ("variant", "blocks", "total"),
+    [
+        ("small", 791_040, 1_779_120),
+        ("base", 4_732_416, 7_399_216),
+        ("large", 25_202_688, 32_016_432),
+    ],
+)
+def test_variants_have_the_documented_size(variant: str, blocks: int, total: int) -> None:
+    transformer = create_flowmp_transformer(variant)
+    assert sum(p.numel() for p in transformer.blocks.parameters()) == blocks
+    assert sum(p.numel() for p in transformer.parameters()) == total
+
+
+def test_an_unknown_variant_is_named() -> None:
+    with pytest.raises(ValueError, match="'tiny'"):
+        create_flowmp_transformer("tiny")
+
+
+def test_noise_already_meets_both_ends(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+    context = model.encode(**scene)
+    x_0 = model.draw(torch.randn(1, COUNT, model.prior.rank), context)
+    torch.testing.assert_close(
+        x_0[:, :, 0], scene["x_curr"][:, None].repeat(1, COUNT, 1), atol=1e-3, rtol=0
+    )
+    torch.testing.assert_close(
+        x_0[:, :, -1, :4], scene["x_goal"][:, None].repeat(1, COUNT, 1), atol=1e-3, rtol=0
+    )
+
+
+def test_si_and_normalised_units_are_inverse(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+    context = model.encode(**scene)
+    frame = Frame.unpack(context["frame"], 2)
+    x = model.draw(torch.randn(1, COUNT, model.prior.rank), context)
+    state = model.prior.normalise(x, context["prior_mean"], frame)
+    back = context["prior_mean"][:, None] + model.prior.to_si(state, frame)
+    torch.testing.assert_close(back, x, atol=1e-4, rtol=1e-4)
+    assert 0.5 < state.std().item() < 2.0
+
+
+def test_samples_and_scenes_do_not_touch_each_other(
+    model: L2SafetyCFM, scene: dict[str, Tensor]
+) -> None:
+    noise = torch.randn(1, COUNT, model.prior.rank)
+    together = field_of(model, scene, noise)
+    alone = field_of(model, {k: v[1:] for k, v in scene.items()}, noise[:, 2:3])
+    torch.testing.assert_close(together[1:, 2:3], alone, atol=1e-3, rtol=1e-3)
+    assert together.abs().max() > 0.01
+
+
+def test_each_input_is_heard(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+    noise = torch.randn(1, COUNT, model.prior.rank)
+    base = field_of(model, scene, noise)
+    for name, value in scene.items():
+        if name == "map_geometry":
+            changed = value + torch.tensor([0.3, 0.0, 0.0])
+        elif name == "w_style":
+            changed = value.flip(-1)
+        else:
+            changed = value + 0.2 * torch.rand_like(value)
+        assert not torch.allclose(
+            field_of(model, scene | {name: changed}, noise), base, atol=1e-5
+        ), name
+
+
+def test_the_field_turns_with_the_scene(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+    """A quarter turn of map, start and goal turns the field and changes nothing else."""
+    quarter = torch.tensor([[0.0, 1.0], [-1.0, 0.0]])  # row vectors: x to y, y to -x
+
+    def turned(vectors: Tensor) -> Tensor:
+        return (vectors.unflatten(-1, (-1, 2)) @ quarter).flatten(-2)
+
+    images = ("cost_map", "clearance_field", "cost_to_go")
+    other = {k: torch.rot90(v, -1, (-2, -1)) if k in images else v for k, v in scene.items()}
+    other |= {k: turned(scene[k]) for k in ("x_curr", "x_goal")}
+    noise = torch.randn(1, COUNT, model.prior.rank)
+    expected = turned(field_of(model, scene, noise))
+    torch.testing.assert_close(field_of(model, other, noise), expected, atol=2e-3, rtol=2e-3)
+
+
+def test_modulation_depends_on_time_and_scene(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+    context = model.encode(**scene)
+    times = torch.tensor([0.1, 0.9])
+    together = model.modulate(times, context)
+    torch.testing.assert_close(model.modulate(times[1:], context), together[:, 1:])
+    assert not torch.allclose(together[:, 0], together[:, 1])
+    assert not torch.allclose(together[0], together[1])
+
+
+def test_lookup_equals_grid_sample() -> None:
+    features = torch.randn(2, 12, 9, 4)
+    points = torch.rand(2, 30, 2) * 2.6 - 1.3
+    expected = F.grid_sample(
+        features.permute(0, 3, 1, 2), points[:, :, None], padding_mode="border", align_corners=False
+    )
+    torch.testing.assert_close(lookup(features, points), expected[..., 0].transpose(1, 2))
+
+
+def test_a_goal_at_the_start_is_no_special_case(
+    model: L2SafetyCFM, scene: dict[str, Tensor]
+) -> None:
+    scene = scene | {"x_goal": torch.cat([scene["x_curr"][:, :2], torch.zeros(BATCH, 2)], -1)}
+    assert field_of(model, scene, torch.randn(1, COUNT, model.prior.rank)).isfinite().all()
+
+
+def test_three_dimensions() -> None:
+    model = create_l2_safety_cfm(L2Config(dim=3))
+    scene = {
+        "cost_map": torch.rand(1, 3, 20, 20),
+        "map_geometry": torch.tensor([[0.0, 0.0, 0.2]]),
+        "clearance_field": torch.rand(1, 20, 20),
+        "cost_to_go": torch.rand(1, 2, 20, 20),
+        "x_curr": torch.rand(1, 9),
+        "x_goal": torch.rand(1, 6) + 2,
+        "w_style": torch.full((1, 3), 1 / 3),
+    }
+    field = field_of(model, scene, torch.randn(1, COUNT, model.prior.rank))
+    assert field.shape == (1, COUNT, 64, 9)
+
+
+def test_embeddings() -> None:
+    positions = sinusoidal_positions(8, 16)
+    assert positions.shape == (8, 16)
+    torch.testing.assert_close(positions[0, 1::2], torch.ones(8))
+    time = GaussianFourierTime(32)
+    assert time(torch.rand(4, 7)).shape == (4, 7, 32)

@@ -1,0 +1,183 @@
+"""A bundle small enough to be worked out by hand.
+
+Its prior stands still at the start, and its field carries every anchor by the same amount:
+
+    x_0 = x_curr + noise · basis        R = 2: one number moves all of p, the other all of v
+    dx/dt = 4 t³ · channel means        so x_1 = x_0 + channel means, exactly, by Simpson's rule
+
+The means of occupancy, traversability and risk move (p_x, p_y, v_x) and once more (v_y, a_x, a_y).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from onnx import numpy_helper
+
+from anchorflow_client.contract import AnchorRequest
+
+T, S, R = 8, 6, 2
+
+ENCODE = """
+<ir_version: 10, opset_import: ["": 20]>
+encode (float[B,3,H,W] cost_map, float[B,6] x_curr)
+    => (float[B,8,6] prior_mean, float[B,2,48] prior_basis, float[B,3] means)
+<int64[2] sides = {2, 3}, int64[1] steps = {1}, int64[1] batch = {0}>
+{
+    total = ReduceMean <keepdims = 0> (cost_map, sides)
+    means = Identity (total)
+    start = Unsqueeze (x_curr, steps)
+    tall = Constant <value_ints = [1, 8, 1]> ()
+    prior_mean = Expand (start, tall)
+    size = Shape <start = 0, end = 1> (x_curr)
+    rest = Constant <value_ints = [1, 1]> ()
+    wide = Concat <axis = 0> (size, rest)
+    one = Unsqueeze (basis, batch)
+    prior_basis = Expand (one, wide)
+}
+"""
+
+MODULATE = """
+<ir_version: 10, opset_import: ["": 20]>
+modulate (float[K] times, float[B,3] means) => (float[B,K,3] modulation)
+<int64[2] around = {0, 2}, int64[1] times_axis = {1}, float four = {4.0}, float three = {3.0}>
+{
+    cubed = Pow (times, three)
+    speed = Mul (cubed, four)
+    rows = Unsqueeze (speed, around)
+    columns = Unsqueeze (means, times_axis)
+    modulation = Mul (rows, columns)
+}
+"""
+
+FIELD = """
+<ir_version: 10, opset_import: ["": 20]>
+field (float[B,N,8,6] x_t, float[B,3] modulation) => (float[B,N,8,6] dx_t)
+<int64[2] inner = {1, 2}>
+{
+    twice = Concat <axis = 1> (modulation, modulation)
+    speed = Unsqueeze (twice, inner)
+    shape = Shape (x_t)
+    dx_t = Expand (speed, shape)
+}
+"""
+
+
+def _graphs() -> dict[str, onnx.ModelProto]:
+    graphs = {
+        role: onnx.parser.parse_model(text)
+        for role, text in (("encode", ENCODE), ("modulate", MODULATE), ("field", FIELD))
+    }
+    basis = np.zeros((R, T, S), np.float32)
+    basis[0, :, 0:2] = basis[1, :, 2:4] = 0.1
+    graphs["encode"].graph.initializer.append(
+        numpy_helper.from_array(basis.reshape(R, T * S), "basis")
+    )
+    return graphs
+
+
+def _spec(value: onnx.ValueInfoProto) -> dict[str, Any]:
+    axes = value.type.tensor_type.shape.dim
+    shape = [axis.dim_param or axis.dim_value for axis in axes]
+    return {"name": value.name, "dtype": "float32", "shape": shape}
+
+
+def _write_bundle(folder: Path) -> None:
+    entries = {}
+    for role, model in _graphs().items():
+        data = model.SerializeToString()
+        (folder / f"{role}.onnx").write_bytes(data)
+        entries[role] = {
+            "file": f"{role}.onnx",
+            "sha256": hashlib.sha256(data).hexdigest(),
+            "opset": 20,
+            "inputs": [_spec(value) for value in model.graph.input],
+            "outputs": [_spec(value) for value in model.graph.output],
+        }
+    manifest = {
+        "format": 1,
+        "name": "tiny",
+        "version": "1.2.3",
+        "planner": "by-hand",
+        "inputs": entries["encode"]["inputs"],
+        "outputs": [{"name": "positions", "dtype": "float32", "shape": ["B", "N", 8, 2]}],
+        "graphs": entries,
+        "sampler": {
+            "kind": "ode",
+            "method": "rk4",
+            "schedule": [0.0, 0.5, 1.0],
+            "prior": {"mean": "prior_mean", "basis": "prior_basis"},
+        },
+        "refine": {
+            "smooth": True,
+            "project": False,
+            "safety_margin": 0.05,
+            "guidance": 0.0,
+            "steps": 2,
+            "num_control_points": 12,
+            "degree": 4,
+        },
+        "T": T,
+        "D": 2,
+        "dt": 7.0 / (T - 1),
+        "limits": {"horizon_s": 7.0, "v_max": 2.0, "a_max": 3.0, "robot_radius": 0.25},
+        "adjustable": ["robot_radius"],
+        "map": {"H": 16, "W": 16, "channels": 3},
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
+
+
+@pytest.fixture(scope="session")
+def _tiny_bundle_built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tiny-bundle")
+    _write_bundle(folder)
+    return folder
+
+
+@pytest.fixture
+def tiny_bundle(_tiny_bundle_built: Path, tmp_path: Path) -> Path:
+    """A bundle's folder of one's own, to break."""
+    return Path(shutil.copytree(_tiny_bundle_built, tmp_path / "bundle"))
+
+
+@pytest.fixture
+def edit_manifest(tiny_bundle: Path) -> Callable[..., None]:
+    """Sets what lies at a path of keys in the tiny bundle's manifest."""
+
+    def edit(*path: str | int, to: Any) -> None:
+        file = tiny_bundle / "manifest.json"
+        manifest = json.loads(file.read_text())
+        place = manifest
+        for key in path[:-1]:
+            place = place[key]
+        place[path[-1]] = to
+        file.write_text(json.dumps(manifest))
+
+    return edit
+
+
+@pytest.fixture
+def small_request() -> Callable[..., AnchorRequest]:
+    """A request on a 16×16 map of 8 m with an obstacle in its middle; any field can be changed."""
+
+    def build(**changes: Any) -> AnchorRequest:
+        occupancy = np.zeros((1, 16, 16), np.float32)
+        occupancy[0, 7:9, 7:9] = 1.0
+        fields = {
+            "cost_map": {"data": occupancy, "resolution": 0.5},
+            "x_curr": [-3.0, 0.1, 0.5, 0.0, 0.0, 0.0],
+            "x_goal": [3.0, 0.2, 0.0, 0.0],
+            "num_samples": 20,
+            "seed": 7,
+        }
+        return AnchorRequest.build(**(fields | changes))
+
+    return build

@@ -1,0 +1,86 @@
+"""A body over the limit is refused before it is in memory."""
+
+from __future__ import annotations
+
+import http.client
+from collections.abc import AsyncIterator, Callable, Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from fastapi import FastAPI
+
+from anchorflow_service.http import Limits, create_app
+
+MEBIBYTE = 2**20
+
+
+def assert_too_large(status: int, body: bytes) -> None:
+    assert status == 413
+    assert b'"too_large"' in body
+    assert b'"field":"body"' in body
+    assert b"at most 16777216 bytes" in body
+
+
+class Megabytes:
+    """A body of 20 MiB in pieces, that counts what was taken from it."""
+
+    def __init__(self) -> None:
+        self.taken = 0
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        for _ in range(20):
+            self.taken += 1
+            yield bytes(MEBIBYTE)
+
+
+def test_a_declared_length_is_refused_unread(service: Any) -> None:
+    body = Megabytes()
+    headers = {"Content-Length": str(20 * MEBIBYTE)}
+
+    answer = service.request("POST", "/anchors", headers=headers, content=body)
+
+    assert_too_large(answer.status_code, answer.content)
+    assert body.taken == 0
+
+
+def test_a_stream_is_refused_as_soon_as_it_is_over(service: Any) -> None:
+    body = Megabytes()
+
+    answer = service.request("POST", "/anchors", content=body)
+
+    assert_too_large(answer.status_code, answer.content)
+    assert body.taken == 17
+
+
+def test_the_limit_is_the_apps(run: Any, engine: Any, fields: dict[str, Any]) -> None:
+    service = run(create_app({"a": engine}, default="a", limits=Limits(max_body_bytes=100)))
+
+    error = service.post(fields).json()["error"]
+
+    assert error["code"] == "too_large"
+    assert "at most 100 bytes" in error["message"]
+
+
+def declared(length: int) -> dict[str, Any]:
+    return {"body": bytes(length)}
+
+
+def chunked(length: int) -> dict[str, Any]:
+    def pieces() -> Iterator[bytes]:
+        yield from [bytes(MEBIBYTE)] * (length // MEBIBYTE)
+
+    return {"body": pieces(), "encode_chunked": True, "headers": {"Transfer-Encoding": "chunked"}}
+
+
+@pytest.mark.parametrize("form", [declared, chunked])
+def test_over_a_socket_the_refusal_arrives(
+    app: FastAPI, listen: Callable[[FastAPI], str], form: Callable[[int], dict[str, Any]]
+) -> None:
+    address = urlsplit(listen(app))
+    connection = http.client.HTTPConnection(address.hostname or "", address.port, timeout=20)
+    connection.request("POST", "/anchors", **form(20 * MEBIBYTE))
+    answer = connection.getresponse()
+
+    assert_too_large(answer.status, answer.read())
+    connection.close()

@@ -1,0 +1,83 @@
+"""Health, metadata, cards and documentation."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import httpx
+import pytest
+from fastapi import FastAPI
+
+from anchorflow_client import AnchorClient
+from anchorflow_client.contract.request import FIELDS
+from anchorflow_service.http import create_app
+
+
+def test_health(service: Any) -> None:
+    assert service.request("GET", "/v2/health/live").json() == {"live": True}
+    assert service.request("GET", "/v2/health/ready").json() == {"ready": True}
+
+
+def test_outside_its_lifespan_it_lives_but_is_not_ready(app: FastAPI) -> None:
+    async def ask() -> list[httpx.Response]:
+        transport = httpx.ASGITransport(app=app)
+        async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
+            return [await client.get(f"/v2/health/{kind}") for kind in ("live", "ready")]
+
+    live, ready = asyncio.run(ask())
+
+    assert live.status_code == 200
+    assert ready.status_code == 503
+    assert ready.json()["error"]["code"] == "not_ready"
+
+
+def test_it_says_what_it_is(service: Any) -> None:
+    answer = service.request("GET", "/v2").json()
+
+    assert answer["name"] == "anchorflow"
+    assert isinstance(answer["version"], str)
+    assert answer["extensions"] == []
+
+
+def test_cards_come_with_the_default_first(service: Any, engine: Any) -> None:
+    client = AnchorClient("http://test", transport=service)
+
+    cards = client.models()
+
+    assert [card.name for card in cards] == ["lines", "bows"]
+    assert cards[0] == engine.card
+    ready = [model["ready"] for model in service.request("GET", "/v2/models").json()["models"]]
+    assert ready == [True, True]
+
+
+def test_the_default_must_be_served(engine: Any) -> None:
+    with pytest.raises(ValueError, match="'b' is none of"):
+        create_app({"a": engine}, default="b")
+
+
+def test_the_documentation_knows_every_field(service: Any) -> None:
+    schema = service.request("GET", "/openapi.json").json()
+    models = schema["components"]["schemas"]
+    request = models["AnchorRequestBody"]
+
+    assert set(request["properties"]) == set(FIELDS)
+    assert set(request["required"]) == {"cost_map", "x_curr", "x_goal"}
+    assert "m/cell" in models["CostMapBody"]["properties"]["resolution"]["description"]
+    body = schema["paths"]["/anchors"]["post"]["requestBody"]["content"]["application/json"]
+    assert body["schema"]["$ref"].endswith("/AnchorRequestBody")
+    assert {"200", "404", "413", "422", "429", "500", "503", "504"} == set(
+        schema["paths"]["/anchors"]["post"]["responses"]
+    )
+
+
+def test_the_documentation_refers_to_nothing_that_is_missing(service: Any) -> None:
+    schema = service.request("GET", "/openapi.json").json()
+
+    def references(node: Any) -> set[str]:
+        if isinstance(node, dict):
+            own = {node["$ref"].rpartition("/")[2]} if "$ref" in node else set()
+            return own.union(*map(references, node.values()))
+        return set().union(*map(references, node)) if isinstance(node, list) else set()
+
+    assert references(schema) <= set(schema["components"]["schemas"])

@@ -1,0 +1,151 @@
+"""A broken bundle is refused before it serves, and the error names the file and the fault."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import onnx
+import pytest
+
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_service.bundle import BundleError, load_bundle
+from anchorflow_service.graph import open_graph
+
+Edit = Callable[..., None]
+
+
+def test_a_sound_bundle_gives_its_card(tiny_bundle: Path) -> None:
+    bundle = load_bundle(tiny_bundle)
+    card = bundle.card
+    assert (card.name, card.version, card.planner) == ("tiny", "1.2.3", "by-hand")
+    assert card.sha256 == hashlib.sha256((tiny_bundle / "manifest.json").read_bytes()).hexdigest()
+    assert card.sampler.schedule == (0.0, 0.5, 1.0)
+    assert [spec.name for spec in card.inputs] == ["cost_map", "x_curr"]
+    assert card.inputs[0].shape == ("B", 3, "H", "W")
+    assert (card.T, card.D, card.dt, card.robot_radius) == (8, 2, 1.0, 0.25)
+
+
+def test_the_written_manifest_reads_back(tiny_bundle: Path) -> None:
+    manifest = load_bundle(tiny_bundle).manifest
+    (tiny_bundle / "manifest.json").write_bytes(manifest.to_json())
+    assert load_bundle(tiny_bundle).manifest == manifest
+
+
+def test_a_changed_graph_is_refused_by_its_hash(tiny_bundle: Path) -> None:
+    with (tiny_bundle / "field.onnx").open("ab") as file:
+        file.write(b"\0")
+    with pytest.raises(BundleError, match=r"field\.onnx: its sha256 is \w+, the manifest says"):
+        load_bundle(tiny_bundle)
+
+
+@pytest.mark.parametrize("name", ["field.onnx", "manifest.json"])
+def test_a_missing_file_is_named(tiny_bundle: Path, name: str) -> None:
+    (tiny_bundle / name).unlink()
+    with pytest.raises(BundleError, match="No such file") as caught:
+        load_bundle(tiny_bundle)
+    assert caught.value.file == tiny_bundle / name
+
+
+def test_no_folder_at_all(tmp_path: Path) -> None:
+    with pytest.raises(BundleError, match=r"manifest\.json: cannot be read: No such file"):
+        load_bundle(tmp_path / "nowhere")
+
+
+def test_a_truncated_manifest(tiny_bundle: Path) -> None:
+    file = tiny_bundle / "manifest.json"
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(BundleError, match=r"manifest\.json: Invalid JSON"):
+        load_bundle(tiny_bundle)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("format",), 2, "format: Input should be 1"),
+        (("T",), "8", "T: Input should be a valid integer"),
+        (("dt",), 0.5, r"expected horizon_s / \(T - 1\) = 1\.0"),
+        (("limits", "v_max"), -1.0, r"limits\.v_max: Input should be greater than 0"),
+        (("surprise",), 1, "surprise: Extra inputs are not permitted"),
+        (("graphs", "field", "file"), "../field.onnx", r"graphs\.field\.file"),
+        (("sampler", "method"), "rk45", "unknown method 'rk45'"),
+        (("sampler", "schedule"), [0.0, 0.9], "strictly rising to 1"),
+        (("sampler", "kind"), "ddim", "sampler.kind 'ddim' is not supported by this version"),
+        (("sampler", "prior", "basis"), "bases", "sampler.prior: 'bases' is not one of"),
+        (("graphs",), {}, "needs the role encode, field, modulate"),
+        (("graphs", "field", "inputs", 1, "name"), "mean", "graphs.field.inputs: 'mean' is not"),
+        (("graphs", "field", "outputs", 0, "name"), "dx", "outputs: expected dx_t, got dx"),
+        (("inputs", 0, "shape"), ["B", 1, "H", "W"], "inputs: they differ from"),
+    ],
+)
+def test_a_wrong_manifest_names_the_field(
+    tiny_bundle: Path, edit_manifest: Edit, path: tuple, value: object, message: str
+) -> None:
+    edit_manifest(*path, to=value)
+    with pytest.raises(BundleError, match=message) as caught:
+        load_bundle(tiny_bundle)
+    assert caught.value.file.name == "manifest.json"
+
+
+def test_inputs_that_no_request_can_fill_are_refused(
+    tiny_bundle: Path, edit_manifest: Edit
+) -> None:
+    camera = {"name": "camera", "dtype": "float32", "shape": ["B", 3, "H", "W"]}
+    edit_manifest("inputs", to=[camera])
+    edit_manifest("graphs", "encode", "inputs", to=[camera])
+    with pytest.raises(BundleError, match=r"graphs\.encode\.inputs: 'camera' is not one of"):
+        load_bundle(tiny_bundle)
+
+
+def test_a_missing_role_is_named(tiny_bundle: Path, edit_manifest: Edit) -> None:
+    graphs = load_bundle(tiny_bundle).manifest.model_dump(mode="json")["graphs"]
+    del graphs["modulate"]
+    edit_manifest("graphs", to=graphs)
+    with pytest.raises(BundleError, match="needs the role modulate"):
+        load_bundle(tiny_bundle)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("inputs", 0, "shape"), ["B", "N", 9, 6], r"x_t has shape \['B', 'N', 8, 6\]"),
+        (("inputs", 0, "shape"), ["B", "N", "T", 6], "x_t has shape"),
+        (("inputs", 0, "shape"), [1, "N", 8, 6], "x_t has shape"),
+        (("inputs", 0, "dtype"), "int64", r"x_t is tensor\(float\), the manifest says int64"),
+        (("outputs", 0, "shape"), ["B", "N", 48], "output dx_t has shape"),
+    ],
+)
+def test_a_graph_that_is_not_what_the_manifest_says(
+    tiny_bundle: Path, edit_manifest: Edit, path: tuple, value: object, message: str
+) -> None:
+    edit_manifest("graphs", "field", *path, to=value)
+    with pytest.raises(BundleError, match=message) as caught:
+        open_graph(load_bundle(tiny_bundle), "field")
+    assert caught.value.file.name == "field.onnx"
+
+
+def test_a_graph_of_other_inputs_is_refused(tiny_bundle: Path, edit_manifest: Edit) -> None:
+    shutil.copy(tiny_bundle / "modulate.onnx", tiny_bundle / "field.onnx")
+    digest = hashlib.sha256((tiny_bundle / "field.onnx").read_bytes()).hexdigest()
+    edit_manifest("graphs", "field", "sha256", to=digest)
+    with pytest.raises(BundleError, match="its inputs are times, means, the manifest says x_t"):
+        open_graph(load_bundle(tiny_bundle), "field")
+
+
+def test_bytes_that_are_no_graph_are_refused(tiny_bundle: Path, edit_manifest: Edit) -> None:
+    (tiny_bundle / "field.onnx").write_bytes(b"not a graph")
+    digest = hashlib.sha256(b"not a graph").hexdigest()
+    edit_manifest("graphs", "field", "sha256", to=digest)
+    with pytest.raises(BundleError, match=r"field\.onnx: onnxruntime cannot open it"):
+        open_graph(load_bundle(tiny_bundle), "field")
+
+
+def test_a_bundle_error_belongs_to_the_tree() -> None:
+    assert issubclass(BundleError, AnchorFlowError)
+
+
+def test_the_tiny_graphs_are_valid_onnx(tiny_bundle: Path) -> None:
+    for file in tiny_bundle.glob("*.onnx"):
+        onnx.checker.check_model(onnx.load(file), full_check=True)

@@ -1,0 +1,91 @@
+"""What a request says of a scene, as the inputs of an encode graph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anchorflow_client.contract import AnchorRequest, ModelCard, TensorSpec, resolve_for_card
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.conditioning import SCENE_INPUTS, Scene, scenes_of
+
+Build = Callable[..., AnchorRequest]
+
+
+@pytest.fixture
+def card(tiny_bundle: Path) -> ModelCard:
+    return load_bundle(tiny_bundle).card
+
+
+def scenes(request: AnchorRequest, card: ModelCard) -> list[Scene]:
+    return scenes_of(resolve_for_card(request, card), card)
+
+
+def test_every_input_has_the_shape_that_its_name_stands_for(
+    card: ModelCard, small_request: Build
+) -> None:
+    (scene,) = scenes(small_request(), card)
+    specs = [TensorSpec(name, "float32", ()) for name in SCENE_INPUTS]
+    inputs = scene.inputs(specs)
+    assert {name: array.shape for name, array in inputs.items()} == {
+        "cost_map": (1, 3, 16, 16),
+        "map_geometry": (1, 3),
+        "clearance_field": (1, 16, 16),
+        "cost_to_go": (1, 2, 16, 16),
+        "x_curr": (1, 6),
+        "x_goal": (1, 4),
+        "w_style": (1, 3),
+    }
+    assert all(array.dtype == np.float32 for array in inputs.values())
+    np.testing.assert_array_equal(inputs["map_geometry"], [[-4.0, -4.0, 0.5]])
+    np.testing.assert_allclose(inputs["w_style"], [[0.4, 0.3, 0.3]])
+
+
+def test_only_what_the_manifest_lists_is_made(card: ModelCard, small_request: Build) -> None:
+    (scene,) = scenes(small_request(), card)
+    assert list(scene.inputs(card.inputs)) == ["cost_map", "x_curr"]
+    assert "clearance_field" not in scene.__dict__
+
+
+def test_missing_channels_are_neutral(card: ModelCard, small_request: Build) -> None:
+    (scene,) = scenes(small_request(), card)
+    occupancy, traversability, risk = scene.cost_map
+    assert occupancy.sum() == 4.0
+    assert (traversability == 1.0).all()
+    assert (risk == 0.0).all()
+
+
+def test_given_channels_are_kept(card: ModelCard, small_request: Build) -> None:
+    data = np.random.default_rng(0).random((3, 16, 16)) * 0.4
+    (scene,) = scenes(small_request(cost_map={"data": data, "resolution": 0.5}), card)
+    np.testing.assert_array_equal(scene.cost_map, data.astype(np.float32))
+
+
+def test_more_channels_than_the_cards_are_refused(card: ModelCard, small_request: Build) -> None:
+    request = small_request(cost_map={"data": np.zeros((4, 16, 16)), "resolution": 0.5})
+    with pytest.raises(InvalidRequest, match=r"expected C from 1 to 3, .* got 4") as caught:
+        scenes(request, card)
+    assert caught.value.field == "cost_map.data"
+
+
+def test_clearance_is_measured_from_the_robots_edge(card: ModelCard, small_request: Build) -> None:
+    """Cell (7, 4) is 2 cells of 0.5 m beside the obstacle, edge to centre 1.25 m."""
+    (scene,) = scenes(small_request(robot_radius=0.4), card)
+    assert scene.clearance_field[7, 4] == pytest.approx(1.25 - 0.4)
+    assert scene.clearance_field[7, 7] < 0.0
+
+
+def test_each_scene_of_a_batch_sees_its_own_map_and_state(
+    card: ModelCard, small_request: Build
+) -> None:
+    maps = np.zeros((2, 1, 16, 16))
+    maps[1, 0, 3, 3] = 1.0
+    x_curr = [[-3.0, 0.1, 0.0, 0.0, 0.0, 0.0], [-2.0, 0.1, 0.0, 0.0, 0.0, 0.0]]
+    request = small_request(cost_map={"data": maps, "resolution": 0.5}, x_curr=x_curr)
+    first, second = scenes(request, card)
+    assert (first.cost_map[0].sum(), second.cost_map[0].sum()) == (0.0, 1.0)
+    assert (first.x_curr[0], second.x_curr[0]) == (-3.0, -2.0)

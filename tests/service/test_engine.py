@@ -1,0 +1,164 @@
+"""The engine: the same answer to the last bit, whatever stands beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client.contract import AnchorBatch, AnchorRequest
+from anchorflow_client.errors import InvalidRequest, UnknownModel
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.engine import Engine
+
+Build = Callable[..., AnchorRequest]
+AS_SAMPLED = {"smooth": False, "project": False}
+ARRAYS = ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")
+
+
+@pytest.fixture
+def engine(tiny_bundle: Path) -> Engine:
+    return Engine(load_bundle(tiny_bundle), threads=2)
+
+
+def assert_same_bytes(batch: AnchorBatch, other: AnchorBatch, *, scene: int | None = None) -> None:
+    for name in ARRAYS:
+        array = getattr(other, name)
+        array = array if scene is None else array[scene]
+        assert getattr(batch, name).tobytes() == array.tobytes(), name
+
+
+def test_shapes_and_provenance(engine: Engine, small_request: Build) -> None:
+    batch = engine.plan(small_request(num_samples=5, request_id="r-1"))
+    assert batch.trajectories.shape == batch.accelerations.shape == (5, 8, 2)
+    assert batch.scores.shape == batch.safe.shape == (5,)
+    assert batch.is_finite
+    assert (batch.dt, batch.seed, batch.request_id) == (1.0, 7, "r-1")
+    assert batch.model == engine.card.id
+
+
+def test_both_ends_are_met_after_smoothing(engine: Engine, small_request: Build) -> None:
+    batch = engine.plan(small_request(refine={"smooth": True}))
+    np.testing.assert_allclose(batch.trajectories[:, 0], [[-3.0, 0.1]] * 20, atol=1e-5)
+    np.testing.assert_allclose(batch.trajectories[:, -1], [[3.0, 0.2]] * 20, atol=1e-5)
+
+
+def test_states_come_as_sampled_where_refinement_is_off(
+    engine: Engine, small_request: Build
+) -> None:
+    """The tiny flow adds the channel means: 4 of 256 cells occupied, all passable, no risk."""
+    noise = np.random.Generator(np.random.PCG64(7)).standard_normal((20, 2), dtype=np.float32)
+    batch = engine.plan(small_request(refine=AS_SAMPLED))
+    start = np.array([-3.0 + 4 / 256, 0.1 + 1.0]) + 0.1 * noise[:, :1]
+    np.testing.assert_allclose(batch.trajectories[:, 3], start, atol=2e-6)
+    np.testing.assert_allclose(
+        batch.velocities[:, 3], np.array([0.5, 4 / 256]) + 0.1 * noise[:, 1:], atol=2e-6
+    )
+
+
+def test_same_seed_same_bytes_and_another_seed_differs(
+    engine: Engine, small_request: Build
+) -> None:
+    batch = engine.plan(small_request())
+    assert_same_bytes(batch, engine.plan(small_request()))
+    other = engine.plan(small_request(seed=8))
+    assert (batch.trajectories != other.trajectories).any()
+
+
+def test_a_drawn_seed_is_echoed_and_repeats_the_answer(
+    engine: Engine, small_request: Build
+) -> None:
+    drawn = engine.plan(small_request(seed=None))
+    assert_same_bytes(drawn, engine.plan(small_request(seed=drawn.seed)))
+    assert engine.plan(small_request(seed=None)).seed != drawn.seed
+
+
+def scene_fields(index: int) -> dict[str, Any]:
+    occupancy = np.zeros((1, 16, 16), np.float32)
+    occupancy[0, 4 + index : 6 + index, 6:9] = 1.0
+    return {
+        "data": occupancy,
+        "x_curr": np.array([-3.0, 0.3 * index, 0.2, 0.1, 0.0, 0.0]),
+        "x_goal": np.array([3.0, -0.2 * index, 0.1, 0.0]),
+        "w_style": np.array([0.5, 0.1 + 0.1 * index, 0.2]),
+    }
+
+
+def test_a_scene_answers_the_same_alone_and_in_a_batch(
+    engine: Engine, small_request: Build
+) -> None:
+    scenes = [scene_fields(index) for index in range(3)]
+    stacked = {name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]}
+    refine = {"smooth": True, "project": True}
+
+    def ask(fields: dict[str, Any]) -> AnchorBatch:
+        cost_map = {"data": fields["data"], "resolution": 0.5}
+        rest = {name: fields[name] for name in ("x_curr", "x_goal", "w_style")}
+        return engine.plan(small_request(cost_map=cost_map, refine=refine, **rest))
+
+    together = ask(stacked)
+    assert together.trajectories.shape == (3, 20, 8, 2)
+    for index, scene in enumerate(scenes):
+        assert_same_bytes(ask(scene), together, scene=index)
+
+
+def test_plans_at_once_do_not_touch_each_other(engine: Engine, small_request: Build) -> None:
+    requests = [small_request(seed=seed, num_samples=40) for seed in range(6)]
+    alone = [engine.plan(request) for request in requests]
+    with ThreadPoolExecutor(6) as pool:
+        for one, other in zip(alone, pool.map(engine.plan, requests), strict=True):
+            assert_same_bytes(one, other)
+
+
+def test_the_requests_own_sampler_overrides_the_cards(engine: Engine, small_request: Build) -> None:
+    """Euler in one step sees 4 t³ at t = 0 only: nothing moves."""
+    sampler = {"method": "euler", "schedule": {"uniform": 1}}
+    x_curr = [-3.0, 0.1, 0.5, 0.0, 0.25, 0.0]
+    batch = engine.plan(small_request(sampler=sampler, refine=AS_SAMPLED, x_curr=x_curr))
+    np.testing.assert_array_equal(batch.accelerations, np.full((20, 8, 2), [0.25, 0.0]))
+
+
+def test_stages_make_up_the_total(engine: Engine, small_request: Build) -> None:
+    timing = engine.plan(small_request()).timing_ms
+    assert list(timing) == ["queue", "encode", "sample", "refine", "total"]
+    assert timing["queue"] == 0.0
+    assert all(timing[stage] > 0.0 for stage in ("encode", "sample", "refine"))
+    assert timing["encode"] + timing["sample"] + timing["refine"] <= timing["total"]
+
+
+def test_a_wider_robot_has_less_clearance(engine: Engine, small_request: Build) -> None:
+    """The radius is adjustable on this card; it moves the clearance and nothing of the sample."""
+    thin, wide = (
+        engine.plan(small_request(robot_radius=radius, refine=AS_SAMPLED)) for radius in (0.1, 0.4)
+    )
+    np.testing.assert_array_equal(thin.trajectories, wide.trajectories)
+    assert (thin.clearance >= wide.clearance).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"refine": {"guidance": 1.0}}, "refine.guidance"),
+        ({"v_max": 1.0}, "v_max"),
+        ({"cost_map": {"data": np.zeros((4, 16, 16)), "resolution": 0.5}}, "cost_map.data"),
+        (
+            {"warm_start": {"trajectory": np.zeros((8, 5)), "tau": 0.5}},
+            "warm_start.trajectory",
+        ),
+    ],
+)
+def test_what_cannot_be_honoured_is_refused_by_name(
+    engine: Engine, small_request: Build, changes: dict[str, Any], field: str
+) -> None:
+    with pytest.raises(InvalidRequest) as caught:
+        engine.plan(small_request(**changes))
+    assert caught.value.field == field
+
+
+def test_another_model_is_unknown(engine: Engine, small_request: Build) -> None:
+    with pytest.raises(UnknownModel, match="expected tiny, got huge"):
+        engine.plan(small_request(model="huge"))

@@ -1,0 +1,179 @@
+"""ROS maps: modes, thresholds, frames and errors, on small maps that the tests write themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
+
+from anchorflow_service.ros_map import RosMap, RosMapError, load_ros_map
+
+# Top row first, as a picture is: an occupied, an unknown, a free pixel over three free ones.
+PIXELS = np.array([[0, 205, 254], [254, 254, 254]], dtype=np.uint8)
+FIELDS = {
+    "image": "map.pgm",
+    "resolution": 0.5,
+    "origin": [-1.0, 2.0, 0.0],
+    "negate": 0,
+    "occupied_thresh": 0.65,
+    "free_thresh": 0.196,
+}
+
+
+@pytest.fixture
+def write_map(tmp_path: Path) -> Callable[..., Path]:
+    """Writes map.yaml and its picture. A field given as None is left out."""
+
+    def write(pixels: np.ndarray[Any, Any] = PIXELS, **fields: Any) -> Path:
+        fields = {k: v for k, v in (FIELDS | fields).items() if v is not None}
+        Image.fromarray(pixels).save(tmp_path / str(fields.get("image", "map.pgm")))
+        path = tmp_path / "map.yaml"
+        path.write_text(yaml.safe_dump(fields))
+        return path
+
+    return write
+
+
+def test_row_zero_is_the_bottom_and_unknown_is_occupied(write_map: Callable[..., Path]) -> None:
+    ros_map = load_ros_map(write_map())
+
+    assert_array_equal(ros_map.occupancy, [[0, 0, 0], [1, 1, 0]])
+    assert_array_equal(ros_map.unknown, [[False] * 3, [False, True, False]])
+    assert ros_map.occupancy.dtype == np.float32
+    assert ros_map.resolution == 0.5
+    assert_array_equal(ros_map.origin, [-1.0, 2.0])
+
+
+def test_unknown_counts_as_free_on_request(write_map: Callable[..., Path]) -> None:
+    ros_map = load_ros_map(write_map(), unknown_is_free=True)
+
+    assert_array_equal(ros_map.occupancy, [[0, 0, 0], [1, 0, 0]])
+    assert ros_map.unknown.sum() == 1
+
+
+def test_negate_makes_bright_occupied(write_map: Callable[..., Path]) -> None:
+    pixels = np.array([[0, 255]], dtype=np.uint8)
+
+    assert_array_equal(load_ros_map(write_map(pixels, negate=1)).occupancy, [[0, 1]])
+
+
+def test_scale_is_linear_between_the_thresholds(write_map: Callable[..., Path]) -> None:
+    pixels = np.array([[255, 204, 153, 102, 0]], dtype=np.uint8)  # darkness 0, .2, .4, .6, 1
+    path = write_map(pixels, mode="scale", free_thresh=0.2, occupied_thresh=0.6)
+
+    assert_allclose(load_ros_map(path).occupancy, [[0, 0, 0.5, 1, 1]], atol=1e-6)
+
+
+def test_raw_is_percent_and_unknown_above_100(write_map: Callable[..., Path]) -> None:
+    pixels = np.array([[0, 25, 100, 101, 255]], dtype=np.uint8)
+    ros_map = load_ros_map(write_map(pixels, mode="raw", negate=1))
+
+    assert_allclose(ros_map.occupancy, [[0, 0.25, 1, 1, 1]], atol=1e-6)
+    assert_array_equal(ros_map.unknown, [[False, False, False, True, True]])
+
+
+@pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
+def test_transparent_png_pixels_are_unknown(write_map: Callable[..., Path], mode: str) -> None:
+    pixels = np.array([[[0, 0, 0, 255], [0, 0, 0, 0]]], dtype=np.uint8)
+    ros_map = load_ros_map(write_map(pixels, image="map.png", mode=mode))
+
+    assert_array_equal(ros_map.unknown, [[False, True]])
+
+
+def test_a_plain_text_pgm_and_a_16_bit_png_read_the_same(write_map: Callable[..., Path]) -> None:
+    expected = load_ros_map(write_map()).occupancy
+
+    path = write_map(PIXELS.astype(np.uint16) * 257, image="map.png")
+    assert_array_equal(load_ros_map(path).occupancy, expected)
+
+    path = write_map()
+    rows = "\n".join(" ".join(map(str, row)) for row in PIXELS)
+    (path.parent / "map.pgm").write_text(f"P2\n# by hand\n3 2\n255\n{rows}\n")
+    assert_array_equal(load_ros_map(path).occupancy, expected)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("image", None, "image: expected a file name, got None"),
+        ("mode", "fuzzy", "mode: expected one of trinary, scale, raw, got 'fuzzy'"),
+        ("resolution", 0, "resolution: expected a number of at least"),
+        ("resolution", "0.05 m", "resolution: expected a number of at least"),
+        ("resolution", float("nan"), "resolution: expected a number of at least"),
+        ("negate", 2, "negate: expected one of 0, 1, got 2"),
+        ("free_thresh", 1.5, "free_thresh: expected a number from 0 to 1, got 1.5"),
+        ("free_thresh", 0.7, "free_thresh: expected less than occupied_thresh, got 0.7"),
+        ("occupied_thresh", None, "occupied_thresh: expected a number from 0 to 1, got None"),
+        ("origin", [0, 0], "origin: expected three numbers x, y, yaw"),
+        ("origin", [0, 0, 0.1], "origin: expected a yaw of 0"),
+    ],
+)
+def test_an_error_names_file_and_field(
+    write_map: Callable[..., Path], field: str, value: object, message: str
+) -> None:
+    path = write_map(**{field: value})
+
+    with pytest.raises(RosMapError) as caught:
+        load_ros_map(path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+
+
+def test_what_is_no_map_is_named(tmp_path: Path, write_map: Callable[..., Path]) -> None:
+    with pytest.raises(RosMapError, match=r"absent\.yaml"):
+        load_ros_map(tmp_path / "absent.yaml")
+
+    path = write_map()
+    (tmp_path / "map.pgm").write_text("not a picture")
+    with pytest.raises(RosMapError, match=r"map\.pgm: image: expected a \.pgm or \.png picture"):
+        load_ros_map(path)
+
+    path.write_text("- a list")
+    with pytest.raises(RosMapError, match=r"map\.yaml: expected .* named fields"):
+        load_ros_map(path)
+
+
+def checkerboard() -> RosMap:
+    """6 × 8 cells of 0.5 m, its corner at (-1, 2)."""
+    occupancy = (np.indices((6, 8)).sum(axis=0) % 2).astype(np.float32)
+    return RosMap(
+        occupancy=occupancy,
+        unknown=np.zeros((6, 8), dtype=np.bool_),
+        resolution=0.5,
+        origin=np.array([-1.0, 2.0]),
+        unknown_occupancy=1.0,
+    )
+
+
+def test_a_window_inside_keeps_every_cell_in_its_place() -> None:
+    window = checkerboard().crop(np.array([1.0, 3.5]), 2.0)
+
+    assert_array_equal(window.occupancy, checkerboard().occupancy[1:5, 2:6])
+    assert_allclose(window.origin, [0.0, 2.5])
+    assert not window.unknown.any()
+
+
+def test_a_window_reaches_into_the_unknown_beyond_the_map() -> None:
+    window = checkerboard().crop(np.array([-1.0, 2.0]), 2.0)
+
+    assert_allclose(window.origin, [-2.0, 1.0])
+    assert_array_equal(window.unknown, [[True] * 4] * 2 + [[True, True, False, False]] * 2)
+    assert_array_equal(window.occupancy[2:, 2:], checkerboard().occupancy[:2, :2])
+    assert (window.occupancy[window.unknown] == 1).all()
+
+
+def test_a_window_off_the_map_is_all_unknown() -> None:
+    assert checkerboard().crop(np.array([40.0, -40.0]), 2.0).unknown.all()
+
+
+def test_depot(shared_data: Callable[[str], Path]) -> None:
+    ros_map = load_ros_map(shared_data("maps/depot.yaml"))
+
+    assert ros_map.occupancy.shape == (307, 604)
+    assert ros_map.resolution == 0.05
+    assert 0.5 < (ros_map.occupancy == 0).mean() < 1

@@ -1,0 +1,166 @@
+"""The import walls: what each package may import, in its text and when it is loaded."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+# What each package may import besides the standard library and itself.
+WALLS: dict[str, set[str]] = {
+    "anchorflow_client": {"numpy"},
+    "anchorflow_trajectory": {"numpy", "scipy"},
+    "anchorflow_service": {
+        "anchorflow_client",
+        "anchorflow_trajectory",
+        "numpy",
+        "scipy",
+        "onnxruntime",
+        "fastapi",
+        "starlette",  # what fastapi's requests and responses are made of
+        "uvicorn",
+        "pydantic",
+        "orjson",
+        "yaml",  # ROS maps
+        "PIL",
+    },
+    "anchorflow_models": {"anchorflow_trajectory", "numpy", "torch"},
+    "anchorflow_training": {
+        "anchorflow_models",
+        "anchorflow_trajectory",
+        "numpy",
+        "scipy",
+        "torch",
+        "rich",  # progress bars
+    },
+    "anchorflow_export": {
+        "anchorflow_client",
+        "anchorflow_models",
+        "anchorflow_service",
+        "anchorflow_trajectory",
+        "numpy",
+        "onnx",
+        "onnxruntime",
+        "onnxscript",
+        "torch",
+    },
+}
+# Wider for one module each: the optional transport lives behind one name.
+EXCEPTIONS = {"anchorflow_client.zenoh": {"zenoh"}, "anchorflow_service.zenoh": {"zenoh"}}
+
+# What a light process must not carry unless its package's wall lets it in.
+HEAVY = {"fastapi", "matplotlib", "onnx", "onnxruntime", "pydantic", "scipy", "torch", "typer"}
+
+
+def source_folder(package: str) -> Path:
+    return ROOT / package.removeprefix("anchorflow_") / package
+
+
+def module_name(path: Path, package: str) -> str:
+    parts = path.relative_to(source_folder(package)).with_suffix("").parts
+    return ".".join([package, *(part for part in parts if part != "__init__")])
+
+
+def imported_packages(source: str) -> Iterator[str]:
+    """The top-level package of every import in the text, in functions and TYPE_CHECKING too."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.partition(".")[0]
+
+
+def forbidden_imports(source: str, package: str, *, module: str = "") -> set[str]:
+    allowed = WALLS[package] | EXCEPTIONS.get(module, set()) | {package}
+    return set(imported_packages(source)) - allowed - sys.stdlib_module_names
+
+
+def reachable(package: str) -> set[str]:
+    """What the package may load: its own wall, and the walls of what it may import."""
+    own = WALLS.get(package, set())
+    return own.union(*(reachable(name) for name in own))
+
+
+@cache
+def loaded_packages(package: str) -> set[str]:
+    """Top-level packages in a fresh interpreter that has imported every module of the package."""
+    modules = [
+        name
+        for path in sorted(source_folder(package).rglob("*.py"))
+        if (name := module_name(path, package)) not in EXCEPTIONS
+    ]
+    program = f"""
+import importlib, json, sys
+for name in {modules!r}:
+    importlib.import_module(name)
+print(json.dumps(sorted({{name.partition(".")[0] for name in sys.modules}})))
+"""
+    answer = subprocess.run(
+        [sys.executable, "-c", program], check=False, capture_output=True, text=True
+    )
+    assert answer.returncode == 0, answer.stderr
+    return set(json.loads(answer.stdout))
+
+
+@pytest.mark.parametrize("package", WALLS)
+def test_the_text_imports_only_what_the_wall_allows(package: str) -> None:
+    paths = sorted(source_folder(package).rglob("*.py"))
+
+    assert paths
+    for path in paths:
+        module = module_name(path, package)
+        assert forbidden_imports(path.read_text(), package, module=module) == set(), module
+
+
+@pytest.mark.parametrize(
+    ("package", "source", "forbidden"),
+    [
+        ("anchorflow_client", "import numpy, json\nfrom . import codec", set()),
+        ("anchorflow_client", "import scipy.ndimage", {"scipy"}),
+        ("anchorflow_client", "import zenoh", {"zenoh"}),
+        ("anchorflow_service", "def late():\n    from torch import nn", {"torch"}),
+        ("anchorflow_service", "import anchorflow_models.flowmp", {"anchorflow_models"}),
+        ("anchorflow_models", "import onnxruntime as ort", {"onnxruntime"}),
+        (
+            "anchorflow_trajectory",
+            "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import torch",
+            {"torch"},
+        ),
+    ],
+)
+def test_a_forbidden_import_is_found(package: str, source: str, forbidden: set[str]) -> None:
+    assert forbidden_imports(source, package) == forbidden
+
+
+def test_only_the_named_module_has_its_exception() -> None:
+    source, package = "import zenoh", "anchorflow_client"
+
+    assert forbidden_imports(source, package, module="anchorflow_client.zenoh") == set()
+    assert forbidden_imports(source, package, module="anchorflow_client.codec") == {"zenoh"}
+
+
+@pytest.mark.parametrize(
+    "package", ["anchorflow_client", "anchorflow_trajectory", "anchorflow_service"]
+)
+def test_loading_the_package_loads_nothing_heavy_beyond_its_wall(package: str) -> None:
+    loaded = loaded_packages(package)
+
+    assert package in loaded
+    assert loaded & (HEAVY - reachable(package)) == set()
+
+
+def test_the_networks_load_no_server() -> None:
+    assert loaded_packages("anchorflow_models") & {"fastapi", "onnxruntime", "pydantic"} == set()
+
+
+def test_loading_is_seen() -> None:
+    """The probe above finds what a package does load."""
+    assert {"numpy", "scipy"} <= loaded_packages("anchorflow_trajectory")
