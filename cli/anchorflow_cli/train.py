@@ -2,52 +2,113 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import torch
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from anchorflow_cli.config_options import with_options
 from anchorflow_cli.options import command_app
-from anchorflow_models.flowmp.config import VARIANTS, L2Config
-from anchorflow_training.batches import BatchConfig
-from anchorflow_training.dataset import open_dataset
-from anchorflow_training.trainer import CFMTrainer, TrainerConfig
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_training.checkpoint import CheckpointError
+from anchorflow_training.config_file import config_text, layered_config
+from anchorflow_training.dataset import DatasetError, open_dataset
+from anchorflow_training.settings import ConfigError
+from anchorflow_training.trainer import CFMTrainer, Report, TrainerConfig
 
 app = command_app()
 
+SHORT = {
+    "model.variant": "--variant",
+    "batch.scenes": "--scenes",
+    "batch.samples": "--samples",
+    "batch.seed": "--seed",
+    "evaluation.held_out": "--held-out",
+    "evaluation.patience": "--patience",
+}
+SHOWN = ("loss", "success", "any", "free", "feasible", "samples_per_s", "seconds")
+
 
 @app.command()
+@with_options(TrainerConfig, SHORT)
 def train(
-    dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data make` wrote.")],
+    dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data` wrote.")],
     *,
-    out: Annotated[Path, typer.Option(help="Folder of the run; one that is there is resumed.")],
-    steps: Annotated[int, typer.Option(min=1, help="Optimiser steps in all.")] = 12_000,
-    variant: Annotated[str, typer.Option(help=f"Size: {', '.join(VARIANTS)}.")] = "small",
-    scenes: Annotated[int, typer.Option(min=1, help="Scenes a batch.")] = 16,
-    samples: Annotated[int, typer.Option(min=1, help="Samples a scene.")] = 32,
-    learning_rate: Annotated[float, typer.Option(help="Peak learning rate.")] = 1e-3,
-    seed: Annotated[int, typer.Option(min=0, help="Of weights, batches and noise.")] = 0,
-    threads: Annotated[int, typer.Option(min=0, help="CPU threads; 0: all.")] = 0,
-    bfloat16: Annotated[
-        bool, typer.Option("--bfloat16", help="Mixed precision, for CPUs with AVX512-BF16.")
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run; one that is there is resumed.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML file of settings; options go over it.")
+    ] = None,
+    print_config: Annotated[
+        bool, typer.Option("--print-config", help="Print the whole configuration and stop.")
     ] = False,
+    bfloat16: Annotated[
+        bool, typer.Option("--bfloat16", help="Short for --precision bfloat16.")
+    ] = False,
+    **given: Any,
 ) -> None:
     """Train the planner; stop it any time and start it again with the same words."""
-    if threads:
-        torch.set_num_threads(threads)
-    torch.manual_seed(seed)
-    config = TrainerConfig(
-        steps=steps,
-        learning_rate=learning_rate,
-        bfloat16=bfloat16,
-        batch=BatchConfig(scenes, samples, seed),
-        model=L2Config(variant=variant),
-    )
-    trainer = CFMTrainer(config, open_dataset(dataset), out)
-    columns = "step {task.completed}/{task.total}", "loss {task.fields[loss]:.4f}"
+    if bfloat16:
+        given.setdefault("precision", "bfloat16")
+    with _one_line_errors():
+        data = open_dataset(dataset)
+        settings = layered_config(data, config, given)
+        if print_config:
+            typer.echo(config_text(settings), nl=False)
+            return
+        if out is None:
+            raise ConfigError("--out: expected the folder of the run, got nothing")
+        trainer = CFMTrainer(settings, data, out)
+        if trainer.leads:
+            out.mkdir(parents=True, exist_ok=True)
+            (out / "config.yaml").write_text(config_text(settings))
+            if trainer.evaluator is None:
+                typer.echo("no scenes are held out (--held-out): nothing is evaluated", err=True)
+        with _report(trainer, settings.steps) as report:
+            trainer.fit(report)
+    if trainer.leads:
+        why = ": no progress, stopped early" if trainer.stopped else ""
+        typer.echo(f"{trainer.checkpoint_path}: step {trainer.step}{why}")
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    try:
+        yield
+    except (CheckpointError, ConfigError, DatasetError) as error:
+        raise AnchorFlowError(str(error)) from error
+
+
+@contextmanager
+def _report(trainer: CFMTrainer, steps: int) -> Iterator[Report]:
+    """A progress bar on a terminal, a plain line a report elsewhere."""
+    if not (trainer.leads and sys.stdout.isatty()):
+        yield _plain_line
+        return
+    columns = "step {task.completed}/{task.total}", "{task.fields[shown]}"
     with Progress(*map(TextColumn, columns), BarColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task("train", total=steps, completed=trainer.step, loss=float("nan"))
-        trainer.fit(lambda step, terms: bar.update(task, completed=step, loss=terms["loss"]))
-    typer.echo(f"{trainer.checkpoint_path}: step {trainer.step}")
+        task = bar.add_task("train", total=steps, completed=trainer.step, shown="")
+
+        def report(step: int, row: dict[str, float]) -> None:
+            if "loss" in row:
+                bar.update(task, completed=step, shown=f"loss {row['loss']:.4f}")
+            else:
+                bar.console.print(_line(step, row))
+
+        yield report
+
+
+def _plain_line(step: int, row: dict[str, float]) -> None:
+    typer.echo(_line(step, row))
+    sys.stdout.flush()
+
+
+def _line(step: int, row: dict[str, float]) -> str:
+    """step 500 loss 0.4213 samples_per_s 840 seconds 312"""
+    shown = (f"{name} {row[name]:.4g}" for name in SHOWN if name in row)
+    return " ".join([f"step {step}", *shown])

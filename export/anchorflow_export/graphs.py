@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from typing import Any, ClassVar, Protocol
+from typing import Protocol
 
 from torch import Tensor, nn
 
@@ -16,11 +16,9 @@ Context = dict[str, Tensor]
 class FlowModel(Protocol):
     """A planner of sampler kind "ode", as `anchorflow_models` writes them: an nn.Module.
 
-    context_for_modulate, context_for_field: names of the encode outputs that each of them takes
+    Its context_for_modulate and context_for_field name the encode outputs that each of them takes;
+    see `context_names`.
     """
-
-    context_for_modulate: ClassVar[Any]  # tuple[str, ...], which a tuple of one does not match
-    context_for_field: ClassVar[Any]
 
     @property
     def encode(self) -> Callable[..., Context]:
@@ -62,8 +60,14 @@ def encode_inputs(model: FlowModel, *, channels: int) -> tuple[TensorSpec, ...]:
 
 def encode_outputs(model: FlowModel) -> tuple[str, ...]:
     """The prior, and what the other two graphs take of the context; each once."""
-    names = (PRIOR_MEAN, PRIOR_BASIS, *model.context_for_modulate, *model.context_for_field)
-    return tuple(dict.fromkeys(names))
+    context = (*context_names(model, "modulate"), *context_names(model, "field"))
+    return tuple(dict.fromkeys((PRIOR_MEAN, PRIOR_BASIS, *context)))
+
+
+def context_names(model: FlowModel, role: str) -> tuple[str, ...]:
+    """The encode outputs that "modulate" or "field" takes."""
+    # Looked up by name: class attribute or property, the planners are free to choose.
+    return getattr(model, f"context_for_{role}")
 
 
 def _with_channels(spec: TensorSpec, channels: int) -> TensorSpec:
@@ -92,7 +96,7 @@ class Modulate(nn.Module):
 
     def forward(self, *inputs: Tensor) -> Tensor:
         times, *context = inputs
-        names = self.model.context_for_modulate
+        names = context_names(self.model, "modulate")
         return self.model.modulate(times, dict(zip(names, context, strict=True)))
 
 
@@ -105,5 +109,5 @@ class Field(nn.Module):
 
     def forward(self, *inputs: Tensor) -> Tensor:
         x_t, modulation, *context = inputs
-        names = self.model.context_for_field
+        names = context_names(self.model, "field")
         return self.model.field(x_t, modulation, dict(zip(names, context, strict=True)))

@@ -18,6 +18,7 @@ from anchorflow_export.graphs import (
     Field,
     FlowModel,
     Modulate,
+    context_names,
     encode_inputs,
     encode_outputs,
 )
@@ -46,13 +47,13 @@ def trace_roles(model: FlowModel, *, T: int, D: int, channels: int) -> dict[str,
     encode = _trace(Encode(model, names), inputs, encode_outputs(model))
     context = {spec.name: spec for spec in encode.outputs}
 
-    modulate_inputs = (TIMES, *_select(context, model.context_for_modulate))
+    modulate_inputs = (TIMES, *_select(context, context_names(model, "modulate")))
     modulate = _trace(Modulate(model), modulate_inputs, ("modulation",))
 
     x_t = TensorSpec("x_t", F32, ("B", "N", T, 3 * D))
     size = modulate.outputs[0].shape[-1]
     one_time = TensorSpec("modulation", F32, ("B", size))
-    field_inputs = (x_t, one_time, *_select(context, model.context_for_field))
+    field_inputs = (x_t, one_time, *_select(context, context_names(model, "field")))
     field = _trace(Field(model), field_inputs, ("dx_t",))
     return {"encode": encode, "modulate": modulate, "field": field}
 

@@ -3,17 +3,21 @@
 from anchorflow_models.flowmp import (
     CostMapEncoder,
     FlowMPTransformer,
+    FlowMPUNet1D,
     L2Config,
     L2SafetyCFM,
     create_flowmp_transformer,
+    create_flowmp_unet1d,
     create_l2_safety_cfm,
 )
 
 __all__ = [
     "CostMapEncoder",
     "FlowMPTransformer",
+    "FlowMPUNet1D",
     "L2Config",
     "L2SafetyCFM",
     "create_flowmp_transformer",
+    "create_flowmp_unet1d",
     "create_l2_safety_cfm",
 ]

@@ -1,75 +1,34 @@
 """The planner's parts: shapes, units, frames and independence of the samples."""
 
+from collections.abc import Callable
+
 import pytest
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from anchorflow_models import L2Config, L2SafetyCFM, create_flowmp_transformer, create_l2_safety_cfm
+from anchorflow_models import L2SafetyCFM
 from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.layers.embedding import GaussianFourierTime, sinusoidal_positions
 from anchorflow_models.layers.lookup import lookup
 
-BATCH, COUNT, SIZE = 2, 5, 40
+BATCH, COUNT = 2, 5
+
+Scene = dict[str, Tensor]
+FieldOf = Callable[[L2SafetyCFM, Scene, Tensor], Tensor]
 
 
 @pytest.fixture(scope="module")
-def model() -> L2SafetyCFM:
-    torch.manual_seed(0)
-    model = create_l2_safety_cfm()
-    with torch.no_grad():  # a fresh model's gates are zero and would hide everything behind them
-        for parameter in model.transformer.to_modulation.parameters():
-            parameter.normal_(0.0, 0.05)
-        model.transformer.heads.weight.normal_(0.0, 0.05)
-    return model.eval()
+def model(make_model: Callable[..., L2SafetyCFM]) -> L2SafetyCFM:
+    return make_model()
 
 
 @pytest.fixture
-def scene() -> dict[str, Tensor]:
-    generator = torch.Generator().manual_seed(1)
-
-    def rand(*shape: int) -> Tensor:
-        return torch.rand(*shape, generator=generator)
-
-    ends = torch.tensor([[-3.0, -2.0, 2.5, 3.0], [-2.0, 1.0, 3.0, -3.0]])
-    return {
-        "cost_map": rand(BATCH, 3, SIZE, SIZE),
-        "map_geometry": torch.tensor([[-4.0, -4.0, 8.0 / SIZE]]).repeat(BATCH, 1),
-        "clearance_field": rand(BATCH, SIZE, SIZE),
-        "cost_to_go": 5 * rand(BATCH, 2, SIZE, SIZE),
-        "x_curr": torch.cat([ends[:, :2], rand(BATCH, 4)], -1),
-        "x_goal": torch.cat([ends[:, 2:], rand(BATCH, 2)], -1),
-        "w_style": torch.tensor([[0.4, 0.3, 0.3], [0.1, 0.8, 0.1]]),
-    }
+def scene(make_scene: Callable[..., Scene]) -> Scene:
+    return make_scene()
 
 
-@torch.no_grad()
-def field_of(model: L2SafetyCFM, scene: dict[str, Tensor], noise: Tensor) -> Tensor:
-    context = model.encode(**scene)
-    modulation = model.modulate(torch.tensor([0.3]), context)[:, 0]
-    return model.field(model.draw(noise, context), modulation, context)
-
-
-@pytest.mark.parametrize(
-    ("variant", "blocks", "total"),
-    [
-        ("small", 791_040, 1_779_120),
-        ("base", 4_732_416, 7_399_216),
-        ("large", 25_202_688, 32_016_432),
-    ],
-)
-def test_variants_have_the_documented_size(variant: str, blocks: int, total: int) -> None:
-    transformer = create_flowmp_transformer(variant)
-    assert sum(p.numel() for p in transformer.blocks.parameters()) == blocks
-    assert sum(p.numel() for p in transformer.parameters()) == total
-
-
-def test_an_unknown_variant_is_named() -> None:
-    with pytest.raises(ValueError, match="'tiny'"):
-        create_flowmp_transformer("tiny")
-
-
-def test_noise_already_meets_both_ends(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+def test_noise_already_meets_both_ends(model: L2SafetyCFM, scene: Scene) -> None:
     context = model.encode(**scene)
     x_0 = model.draw(torch.randn(1, COUNT, model.prior.rank), context)
     torch.testing.assert_close(
@@ -80,7 +39,7 @@ def test_noise_already_meets_both_ends(model: L2SafetyCFM, scene: dict[str, Tens
     )
 
 
-def test_si_and_normalised_units_are_inverse(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+def test_si_and_normalised_units_are_inverse(model: L2SafetyCFM, scene: Scene) -> None:
     context = model.encode(**scene)
     frame = Frame.unpack(context["frame"], 2)
     x = model.draw(torch.randn(1, COUNT, model.prior.rank), context)
@@ -91,7 +50,7 @@ def test_si_and_normalised_units_are_inverse(model: L2SafetyCFM, scene: dict[str
 
 
 def test_samples_and_scenes_do_not_touch_each_other(
-    model: L2SafetyCFM, scene: dict[str, Tensor]
+    model: L2SafetyCFM, scene: Scene, field_of: FieldOf
 ) -> None:
     noise = torch.randn(1, COUNT, model.prior.rank)
     together = field_of(model, scene, noise)
@@ -100,7 +59,7 @@ def test_samples_and_scenes_do_not_touch_each_other(
     assert together.abs().max() > 0.01
 
 
-def test_each_input_is_heard(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+def test_each_input_is_heard(model: L2SafetyCFM, scene: Scene, field_of: FieldOf) -> None:
     noise = torch.randn(1, COUNT, model.prior.rank)
     base = field_of(model, scene, noise)
     for name, value in scene.items():
@@ -115,7 +74,9 @@ def test_each_input_is_heard(model: L2SafetyCFM, scene: dict[str, Tensor]) -> No
         ), name
 
 
-def test_the_field_turns_with_the_scene(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+def test_the_field_turns_with_the_scene(
+    model: L2SafetyCFM, scene: Scene, field_of: FieldOf
+) -> None:
     """A quarter turn of map, start and goal turns the field and changes nothing else."""
     quarter = torch.tensor([[0.0, 1.0], [-1.0, 0.0]])  # row vectors: x to y, y to -x
 
@@ -130,7 +91,7 @@ def test_the_field_turns_with_the_scene(model: L2SafetyCFM, scene: dict[str, Ten
     torch.testing.assert_close(field_of(model, other, noise), expected, atol=2e-3, rtol=2e-3)
 
 
-def test_modulation_depends_on_time_and_scene(model: L2SafetyCFM, scene: dict[str, Tensor]) -> None:
+def test_modulation_depends_on_time_and_scene(model: L2SafetyCFM, scene: Scene) -> None:
     context = model.encode(**scene)
     times = torch.tensor([0.1, 0.9])
     together = model.modulate(times, context)
@@ -149,25 +110,10 @@ def test_lookup_equals_grid_sample() -> None:
 
 
 def test_a_goal_at_the_start_is_no_special_case(
-    model: L2SafetyCFM, scene: dict[str, Tensor]
+    model: L2SafetyCFM, scene: Scene, field_of: FieldOf
 ) -> None:
     scene = scene | {"x_goal": torch.cat([scene["x_curr"][:, :2], torch.zeros(BATCH, 2)], -1)}
     assert field_of(model, scene, torch.randn(1, COUNT, model.prior.rank)).isfinite().all()
-
-
-def test_three_dimensions() -> None:
-    model = create_l2_safety_cfm(L2Config(dim=3))
-    scene = {
-        "cost_map": torch.rand(1, 3, 20, 20),
-        "map_geometry": torch.tensor([[0.0, 0.0, 0.2]]),
-        "clearance_field": torch.rand(1, 20, 20),
-        "cost_to_go": torch.rand(1, 2, 20, 20),
-        "x_curr": torch.rand(1, 9),
-        "x_goal": torch.rand(1, 6) + 2,
-        "w_style": torch.full((1, 3), 1 / 3),
-    }
-    field = field_of(model, scene, torch.randn(1, COUNT, model.prior.rank))
-    assert field.shape == (1, COUNT, 64, 9)
 
 
 def test_embeddings() -> None:

@@ -5,7 +5,7 @@ Batch i depends on the seed and on i alone; a run that resumes sees what it woul
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -13,36 +13,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.settings import setting
 
 Batch = dict[str, NDArray[np.float32]]
+
+# What a model's encode takes, by its own names.
+INPUTS = (
+    "cost_map",
+    "map_geometry",
+    "clearance_field",
+    "cost_to_go",
+    "x_curr",
+    "x_goal",
+    "w_style",
+)
 
 
 @dataclass(frozen=True)
 class BatchConfig:
     """scenes: B; samples: N a scene (each trajectory is used samples / M times)."""
 
-    scenes: int = 16
-    samples: int = 32
-    seed: int = 0
+    scenes: int = setting(16, "Scenes a batch.", least=1)
+    samples: int = setting(32, "Samples a scene.", least=1)
+    seed: int = setting(0, "Of weights, batches and noise.", least=0)
+    mirror: bool = setting(True, "Reflect half of the batches; false where left is not right.")
 
 
-def draw_batch(dataset: SceneDataset, config: BatchConfig, step: int) -> Batch:
-    """The encode inputs [B, ...], states [B, N, T, S] and the seed that the noise is drawn with."""
-    epoch, position = divmod(step * config.scenes, len(dataset) - config.scenes + 1)
+def draw_batch(dataset: SceneDataset, config: BatchConfig, index: int) -> Batch:
+    """Batch number `index`: the inputs of encode [B, ...] and states [B, N, T, S]."""
+    epoch, position = divmod(index * config.scenes, len(dataset) - config.scenes + 1)
     order = np.random.default_rng([config.seed, epoch]).permutation(len(dataset))
     batch = dataset.batch(np.sort(order[position : position + config.scenes]))
-    rng = np.random.default_rng([config.seed, step, 1])
-    if rng.random() < 0.5:
+    rng = np.random.default_rng([config.seed, index, 1])
+    if rng.random() < 0.5 and config.mirror:
         mirror(batch)
     states = batch["states"]
-    chosen = [rng.permutation(np.resize(np.arange(states.shape[1]), config.samples)) for _ in states]
-    batch["states"] = np.take_along_axis(states, np.stack(chosen)[..., None, None], 1)
-    batch["clearance_field"] = batch.pop("clearance")
-    return batch
+    chosen = [
+        rng.permutation(np.resize(np.arange(states.shape[1]), config.samples)) for _ in states
+    ]
+    states = np.take_along_axis(states, np.stack(chosen)[..., None, None], 1)
+    return encode_inputs(batch) | {"states": states}
+
+
+def encode_inputs(batch: Batch) -> Batch:
+    """What a model's encode takes, of the arrays of a dataset."""
+    batch = {**batch, "clearance_field": batch["clearance"]}
+    return {name: batch[name] for name in INPUTS}
 
 
 def mirror(batch: Batch) -> None:
-    """Reflect scenes and trajectories in the x axis, in place; a third dimension turns its sign too."""
+    """Reflect scenes and trajectories in the x axis, in place; a heading changes its sign too."""
     height = batch["cost_map"].shape[-2]
     for name in ("cost_map", "clearance", "cost_to_go"):
         batch[name] = np.ascontiguousarray(np.flip(batch[name], -2))
@@ -53,11 +73,15 @@ def mirror(batch: Batch) -> None:
         batch[name] *= np.tile(np.float32([1.0, -1.0, -1.0])[:dim], fields)
 
 
-def batches(dataset: SceneDataset, config: BatchConfig, steps: range) -> Iterator[Batch]:
-    """The batches of these steps, the next one prepared while the last is used."""
+def batches(
+    dataset: SceneDataset, config: BatchConfig, indices: Iterable[int]
+) -> Iterator[Batch]:
+    """The batches of these numbers, the next one prepared while the last is used."""
     with ThreadPoolExecutor(1) as pool:
         ahead = None
-        for step in steps:
-            ready = ahead or pool.submit(draw_batch, dataset, config, step)
-            ahead = pool.submit(draw_batch, dataset, config, step + 1)
-            yield ready.result()
+        for index in indices:
+            ready, ahead = ahead, pool.submit(draw_batch, dataset, config, index)
+            if ready:
+                yield ready.result()
+        if ahead:
+            yield ahead.result()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,15 @@ class CheckpointError(Exception):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """average: the exponential moving average of the weights; curve: the loss as it was reported."""
+    """A run as it stood at a step.
+
+    config: the whole `TrainerConfig`; data: the dataset's own description
+    average: exponential moving average of the weights; curve: the loss as it was reported
+    evaluations: the validation judge's rows; pending: means since the last report
+    scaler: the state of float16's loss scaling
+
+    The first seven are the whole of a checkpoint of the first format, which is still read.
+    """
 
     step: int
     config: dict[str, Any]
@@ -26,6 +33,9 @@ class Checkpoint:
     average: dict[str, Tensor]
     optimiser: dict[str, Any]
     curve: list[dict[str, float]]
+    evaluations: list[dict[str, float]] = field(default_factory=list)
+    pending: dict[str, Any] = field(default_factory=dict)
+    scaler: dict[str, Any] = field(default_factory=dict)
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
@@ -33,7 +43,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_suffix(".tmp")
     torch.save(vars(checkpoint), draft)
-    os.replace(draft, path)
+    draft.replace(path)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

@@ -18,7 +18,9 @@ def couple(start: FloatArray, end: FloatArray) -> NDArray[np.int64]:
 
     start, end: [B, N, Q], points to be compared by squared distance.
     """
-    return np.stack([linear_sum_assignment(_distance(a, b))[1] for a, b in zip(start, end, strict=True)])
+    return np.stack(
+        [linear_sum_assignment(_distance(a, b))[1] for a, b in zip(start, end, strict=True)]
+    )
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:

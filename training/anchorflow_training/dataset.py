@@ -18,9 +18,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from anchorflow_trajectory.cost import Limits
 
 DTYPES = {
     "cost_map": np.uint8,
@@ -44,10 +47,38 @@ class SceneDataset:
 
     path: Path
     arrays: Mapping[str, NDArray]
-    meta: Mapping[str, object]
+    meta: Mapping[str, Any]
 
     def __len__(self) -> int:
         return len(self.arrays["states"])
+
+    @property
+    def num_steps(self) -> int:
+        """T."""
+        return self.arrays["states"].shape[2]
+
+    @property
+    def dim(self) -> int:
+        """D: 2, or 3 with a heading in rad."""
+        return self.arrays["states"].shape[3] // 3
+
+    @property
+    def map_channels(self) -> int:
+        """C."""
+        return self.arrays["cost_map"].shape[1]
+
+    @property
+    def limits(self) -> Limits:
+        """What the trajectories keep, and how long they take; raises `DatasetError` if unsaid."""
+        # Folders of before 0.1 say it in the expert's configuration alone.
+        found = self.meta.get("limits") or self.meta.get("config", {}).get("limits")
+        try:
+            return Limits(**found)
+        except TypeError as error:
+            raise DatasetError(
+                f"{self.path / 'dataset.json'}: limits: expected v_max, a_max and horizon_s, "
+                f"found {found}"
+            ) from error
 
     def batch(self, scenes: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
         """The named arrays of some scenes in float32 and SI units; cost_map in [0, 1]."""
@@ -71,7 +102,9 @@ def open_dataset(path: Path) -> SceneDataset:
             raise DatasetError(f"{file}: {error}") from error
         if arrays[name].dtype != dtype or len(arrays[name]) != meta["scenes"]:
             found = f"{arrays[name].dtype} {arrays[name].shape}"
-            raise DatasetError(f"{file}: expected {np.dtype(dtype)} [{meta['scenes']}, ...], found {found}")
+            raise DatasetError(
+                f"{file}: expected {np.dtype(dtype)} [{meta['scenes']}, ...], found {found}"
+            )
     return SceneDataset(path, arrays, meta)
 
 
@@ -82,3 +115,17 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
         name: np.lib.format.open_memmap(path / f"{name}.npy", "w+", dtype, shapes[name])
         for name, dtype in DTYPES.items()
     }
+
+
+def shrink_arrays(path: Path, scenes: int) -> None:
+    """Cut the files that `create_arrays` made to their first `scenes` rows, in place."""
+    for name in DTYPES:
+        file = path / f"{name}.npy"
+        array = np.load(file, mmap_mode="r")
+        header = {"descr": array.dtype.str, "fortran_order": False}
+        rows, row_bytes = array.shape[1:], array[:1].nbytes
+        del array
+        with file.open("r+b") as stream:
+            # numpy leaves room in the header for the first axis to change, so the data stay put.
+            np.lib.format.write_array_header_1_0(stream, header | {"shape": (scenes, *rows)})
+            stream.truncate(stream.tell() + scenes * row_bytes)

@@ -13,14 +13,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
-from anchorflow_trajectory.cost import CostWeights, Limits
-from anchorflow_trajectory.geodesic import cost_to_go
-from anchorflow_trajectory.spline import spline_basis
 from numpy.typing import NDArray
 
 from anchorflow_training.dataset import create_arrays
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.scenes import Scene, SceneError, draw_scene
+from anchorflow_trajectory.cost import CostWeights, Limits
+from anchorflow_trajectory.geodesic import cost_to_go
+from anchorflow_trajectory.spline import spline_basis
 
 Row = dict[str, NDArray]
 
@@ -29,8 +29,8 @@ Row = dict[str, NDArray]
 class DataConfig:
     """What `make_dataset` draws.
 
-    scenes: S; trajectories: M kept a scene; least: fewer good ones than this and the scene is redrawn
-    cells: H = W of the maps
+    scenes: S; trajectories: M kept a scene; cells: H = W of the maps
+    least: a scene with fewer good trajectories is redrawn
     """
 
     scenes: int
@@ -38,7 +38,7 @@ class DataConfig:
     trajectories: int = 16
     least: int = 3
     cells: int = 96
-    limits: Limits = Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+    limits: Limits = field(default_factory=lambda: Limits(v_max=2.0, a_max=3.0, horizon_s=8.0))
     expert: ExpertConfig = field(default_factory=ExpertConfig)
 
 
@@ -53,9 +53,13 @@ class SceneRecord:
 
 
 def make_dataset(
-    path: Path, config: DataConfig, *, workers: int, progress: Callable[[int], None] = lambda _: None
+    path: Path,
+    config: DataConfig,
+    *,
+    workers: int,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> dict[str, object]:
-    """Write the dataset folder and return its `dataset.json`; `progress` gets 1 a finished scene."""
+    """Write the dataset folder, return its `dataset.json`; `progress` gets 1 a finished scene."""
     arrays, families, unsolved, shares = None, Counter(), Counter(), []
     tasks = ((config, i) for i in range(config.scenes))
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
@@ -72,6 +76,11 @@ def make_dataset(
     meta = {
         "format": 1,
         "scenes": config.scenes,
+        "trajectories": config.trajectories,
+        "num_steps": config.expert.num_samples,
+        "dim": 2,
+        "limits": asdict(config.limits),
+        "map": {"H": config.cells, "W": config.cells, "channels": 3},
         "config": asdict(config) | {"weights": asdict(CostWeights())},
         "families": dict(sorted(families.items())),
         "unsolved": dict(sorted(unsolved.items())),

@@ -1,14 +1,45 @@
-"""A model back from a checkpoint."""
+"""What a checkpoint brings back: a model to use, a run to go on with."""
 
 from __future__ import annotations
 
-from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
 
-from anchorflow_training.checkpoint import Checkpoint
+from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_training.checkpoint import Checkpoint, CheckpointError, load_checkpoint
+from anchorflow_training.settings import ConfigError, build
 
 
 def restore_model(checkpoint: Checkpoint) -> L2SafetyCFM:
-    """The trained model with its averaged weights, ready to use."""
-    model = create_l2_safety_cfm(L2Config(**checkpoint.config["model"]))
-    model.load_state_dict(checkpoint.average)
+    """The trained model with its averaged weights, ready to use; raises `CheckpointError`."""
+    model = create_l2_safety_cfm(saved_model_config(checkpoint.config))
+    try:
+        model.load_state_dict(checkpoint.average)
+    except RuntimeError as error:
+        raise CheckpointError(f"the weights do not fit the model ({error})") from error
     return model.eval()
+
+
+def saved_model_config(config: dict[str, Any]) -> L2Config:
+    """The model's part of a checkpoint's configuration; what it does not name has its default."""
+    try:
+        return build(L2Config, config["model"], source="checkpoint")
+    except ConfigError as error:
+        raise CheckpointError(str(error)) from error
+
+
+def resumable(path: Path, model: L2Config) -> Checkpoint | None:
+    """The checkpoint at `path`, if one is there; raises `CheckpointError` if of another model."""
+    if not path.exists():
+        return None
+    saved = load_checkpoint(path)
+    then = saved_model_config(saved.config)
+    for name in (part.name for part in fields(model)):
+        old, new = getattr(then, name), getattr(model, name)
+        if old != new:
+            raise CheckpointError(
+                f"{path}: expected model.{name} {old!r}, as it was trained, got {new!r}; "
+                "another folder begins a new run"
+            )
+    return saved

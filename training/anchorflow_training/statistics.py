@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.flowmp.frame import Frame
+from anchorflow_training.dataset import SceneDataset
 from anchorflow_trajectory.spline import spline_basis
 
-from anchorflow_training.dataset import SceneDataset
 
-
-def prior_covariance(dataset: SceneDataset, config: L2Config, *, scenes: int = 4000) -> np.ndarray:
+def prior_covariance(
+    dataset: SceneDataset, config: L2Config, *, scenes: int = 4000, mirrored: bool = True
+) -> np.ndarray:
     """Covariance [R, R] of the residual control points, in (D, F) order and window half sizes.
 
-    Scenes are mirrored too, as in training, so nothing leans to one side.
+    mirrored: count every scene's reflection too, as in training, so nothing leans to one side
     """
     basis = spline_basis(
         config.num_steps,
@@ -33,6 +35,8 @@ def prior_covariance(dataset: SceneDataset, config: L2Config, *, scenes: int = 4
         turned = np.einsum("dmf,de->mef", residual[..., basis.free], frame.rotation[0].numpy())
         rows.append(turned / frame.half_size.item())
     points = np.concatenate(rows)
-    mirrored = points * np.array([1.0, -1.0, -1.0])[: config.dim, None]
-    both = np.concatenate([points, mirrored]).reshape(-1, points.shape[1] * points.shape[2])
-    return both.T.astype(np.float64) @ both / len(both)
+    if mirrored:
+        reflected = points * np.array([1.0, -1.0, -1.0])[: config.dim, None]
+        points = np.concatenate([points, reflected])
+    flat = points.reshape(len(points), -1)
+    return flat.T.astype(np.float64) @ flat / len(flat)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
 
 
 @dataclass(frozen=True)
@@ -17,15 +18,40 @@ VARIANTS = {
     "base": TransformerSize(width=256, layers=6, heads=8),
     "large": TransformerSize(width=512, layers=8, heads=16),
 }
+UNET_WIDTHS = {"small": 32, "base": 64, "large": 128}  # channels at the full number of steps
+BACKBONES = ("transformer", "unet")
+
+CHOICES = {
+    "variant": tuple(VARIANTS),
+    "backbone": BACKBONES,
+    "dim": (2, 3),
+    "steps_per_token": (1, 2, 4, 8),
+    "map_scales": (1, 2),
+    "map_lookup": (True, False),
+    "map_attention": (True, False),
+}
+LEAST = {"map_channels": 1, "map_size": 8, "feature_channels": 0, "degree": 3}
+POSITIVE = ("horizon_s", "v_max", "a_max")
+MAP_STRIDE = 8  # the map encoder halves its window three times
+ENDS_FIX = 5  # control points that p_0, v_0, a_0, p_T, v_T determine
 
 
 @dataclass(frozen=True)
 class L2Config:
     """Everything that fixes the network's shape and its units.
 
-    num_steps: T; dim: D; horizon_s in s, v_max in m/s, a_max in m/s^2
+    num_steps: T; dim: D, where a third dimension is heading
+    horizon_s in s, v_max in m/s, a_max in m/s^2
     map_channels: C; map_size: cells a side of the window that the network looks at
-    steps_per_token: time steps that one transformer token covers
+    feature_channels: learned features to look up beside the window's own channels; 0: those alone
+    steps_per_token: time steps that one transformer token covers; T need be no multiple of it
+    backbone: "transformer" or "unet", the network that is the vector field
+    map_scales: 2 looks at a second window besides, twice as wide and half as fine
+    map_lookup: every time step reads the map's features at its own place
+    map_attention: the trajectory's tokens attend to a coarse grid of map tokens
+
+    Raises:
+        ValueError: a field is out of its range; the message names it, what was expected and got.
     """
 
     variant: str = "small"
@@ -40,6 +66,28 @@ class L2Config:
     steps_per_token: int = 8
     num_control_points: int = 18
     degree: int = 4
+    backbone: str = "transformer"
+    map_scales: int = 1
+    map_lookup: bool = True
+    map_attention: bool = False
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            _check_type(field.name, getattr(self, field.name), type(field.default))
+        for name, choices in CHOICES.items():
+            check_choice(name, getattr(self, name), choices)
+        for name, least in LEAST.items():
+            _check(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")
+        for name in POSITIVE:
+            value = getattr(self, name)
+            _check(name, value, math.isfinite(value) and value > 0, "a finite number above 0")
+        multiple = self.map_size % MAP_STRIDE == 0
+        _check("map_size", self.map_size, multiple, f"a multiple of {MAP_STRIDE}")
+        # The ends fix five control points, and a spline has more points than its degree.
+        points, least = self.num_control_points, max(self.degree, ENDS_FIX) + 1
+        _check("num_control_points", points, points >= least, f"at least {least}")
+        enough = self.num_steps >= points
+        _check("num_steps", self.num_steps, enough, f"at least num_control_points, {points}")
 
     @property
     def size(self) -> TransformerSize:
@@ -49,3 +97,20 @@ class L2Config:
     def state_dim(self) -> int:
         """S: position, velocity and acceleration."""
         return 3 * self.dim
+
+
+def check_choice(name: str, value: object, choices: tuple[object, ...]) -> None:
+    """Raise ValueError, naming the field, where a value is none of the choices."""
+    _check(name, value, value in choices, f"one of {', '.join(map(repr, choices))}")
+
+
+def _check_type(name: str, value: object, kind: type) -> None:
+    # A whole number is a number; True is no number of steps.
+    allowed = (int, float) if kind is float else kind
+    fits = isinstance(value, allowed) and (kind is bool) == isinstance(value, bool)
+    _check(name, value, fits, f"a value of type {kind.__name__}")
+
+
+def _check(name: str, value: object, holds: bool, expected: str) -> None:
+    if not holds:
+        raise ValueError(f"{name}: expected {expected}, got {value!r}")

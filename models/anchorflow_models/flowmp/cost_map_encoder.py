@@ -1,6 +1,8 @@
-"""The map's encoder: a residual CNN over the scene's window, with a way back up to full size."""
+"""The map's encoder: a residual CNN over a window, with a way back up to full size."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -11,16 +13,30 @@ from anchorflow_models.layers.residual import ResidualBlock
 WIDTHS = (48, 64, 96)  # channels at a half, a quarter and an eighth of the window's size
 
 
+class MapEncoding(NamedTuple):
+    """One window, told three ways.
+
+    features: [B, H, W, F] to look up along trajectories; None where F = 0
+    coarse: [B, E, H / 8, W / 8], what is where
+    summary: [B, G], what there is
+    """
+
+    features: Tensor | None
+    coarse: Tensor
+    summary: Tensor
+
+
 class CostMapEncoder(nn.Module):
-    """[B, C, H, W] -> features [B, H, W, F] to look up along trajectories, and a summary [B, G].
+    """Maps [B, C, H, W] of any number of channels -> `MapEncoding`.
 
     H and W are multiples of 8. The way down gathers what is where on the whole window; the way back
-    up lets each place know of it.
+    up lets each place know of it, and is left out where no features are asked for.
     """
 
     def __init__(self, channels: int, features: int, *, widths: tuple[int, ...] = WIDTHS) -> None:
         super().__init__()
         high, middle, low = widths
+        self.coarse_channels, self.summary_size = low, 2 * low
         self.fold = nn.PixelUnshuffle(2)
         self.stem = nn.Conv2d(4 * channels, high, 3, padding=1)
         self.high = ResidualBlock(high)
@@ -28,24 +44,28 @@ class CostMapEncoder(nn.Module):
         self.middle = ResidualBlock(middle)
         self.to_low = nn.Conv2d(middle, low, 3, stride=2, padding=1)
         self.low = nn.Sequential(ResidualBlock(low), ResidualBlock(low))
-        self.back_to_middle = nn.Conv2d(low, middle, 1)
-        self.middle_again = ResidualBlock(middle)
-        self.back_to_high = nn.Conv2d(middle, high, 1)
-        self.high_again = ResidualBlock(high)
-        self.out = nn.Sequential(nn.SiLU(), nn.Conv2d(high, 4 * features, 1), nn.PixelShuffle(2))
+        self.has_features = features > 0
+        if self.has_features:
+            self.back_to_middle = nn.Conv2d(low, middle, 1)
+            self.middle_again = ResidualBlock(middle)
+            self.back_to_high = nn.Conv2d(middle, high, 1)
+            self.high_again = ResidualBlock(high)
+            self.out = nn.Sequential(
+                nn.SiLU(), nn.Conv2d(high, 4 * features, 1), nn.PixelShuffle(2)
+            )
 
-    @property
-    def summary_size(self) -> int:
-        return 2 * self.low[0].body[0].num_channels
-
-    def forward(self, maps: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, maps: Tensor) -> MapEncoding:
         high = self.high(self.stem(self.fold(maps)))
         middle = self.middle(self.to_middle(high))
         low = self.low(self.to_low(middle))
+        summary = torch.cat([low.mean((2, 3)), low.amax((2, 3))], -1)
+        features = self._features(high, middle, low) if self.has_features else None
+        return MapEncoding(features, low, summary)
+
+    def _features(self, high: Tensor, middle: Tensor, low: Tensor) -> Tensor:
         middle = self.middle_again(middle + _double(self.back_to_middle(low)))
         high = self.high_again(high + _double(self.back_to_high(middle)))
-        summary = torch.cat([low.mean((2, 3)), low.amax((2, 3))], -1)
-        return self.out(high).permute(0, 2, 3, 1), summary
+        return self.out(high).permute(0, 2, 3, 1)
 
 
 def _double(x: Tensor) -> Tensor:

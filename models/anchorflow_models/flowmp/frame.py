@@ -47,6 +47,10 @@ class Frame:
         rotation, centre, half_size = packed.split([dim * dim, dim, 1], -1)
         return Frame(rotation.reshape(-1, dim, dim), centre, half_size[:, 0])
 
+    def widened(self, factor: float) -> Frame:
+        """The same axes around a window that is `factor` times as wide."""
+        return Frame(self.rotation, self.centre, factor * self.half_size)
+
     def turn_in(self, vectors: Tensor) -> Tensor:
         """Map-frame vectors [B, ..., D] in the scene's axes."""
         return _turn(vectors, self.rotation)

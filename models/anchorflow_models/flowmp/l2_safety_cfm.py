@@ -9,48 +9,90 @@ Three parts, which export as three graphs, because they depend on less and less:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
 from anchorflow_models.flowmp.condition_encoder import ConditionEncoder
-from anchorflow_models.flowmp.config import L2Config
-from anchorflow_models.flowmp.cost_map_encoder import CostMapEncoder
+from anchorflow_models.flowmp.config import MAP_STRIDE, L2Config
+from anchorflow_models.flowmp.cost_map_encoder import CostMapEncoder, MapEncoding
 from anchorflow_models.flowmp.frame import Frame
+from anchorflow_models.flowmp.map_tokens import MapTokens
 from anchorflow_models.flowmp.prior import TrajectoryPrior
-from anchorflow_models.flowmp.transformer import create_flowmp_transformer
+from anchorflow_models.flowmp.transformer import FlowMPTransformer, create_flowmp_transformer
+from anchorflow_models.flowmp.unet1d import FlowMPUNet1D, create_flowmp_unet1d
 from anchorflow_models.flowmp.window import MapWindow
+from anchorflow_models.layers.embedding import PLACE_OCTAVES, fourier_places
 from anchorflow_models.layers.lookup import lookup
 
 Context = dict[str, Tensor]
 
 CONDITION_WIDTH = 256
 RAW_CHANNELS = 5  # of the window, looked up beside the learned features
+WINDOWS = {"features": 1.0, "wide_features": 2.0}  # context tensor: width of its window
 
 
 class L2SafetyCFM(nn.Module):
     """The whole planner. Everything that goes in or out is metric and in the cost map's frame."""
 
     context_for_modulate: ClassVar = ("condition",)
-    context_for_field: ClassVar = ("prior_mean", "frame", "features")
 
     def __init__(self, config: L2Config) -> None:
         super().__init__()
         self.config = config
+        self.windows = dict(list(WINDOWS.items())[: config.map_scales])
+        # Without lookup, and to ask the map, the field is told where in the window a step lies.
+        self.tells_places = config.map_attention or not config.map_lookup
+        features = config.feature_channels if config.map_lookup else 0
         self.prior = TrajectoryPrior(config)
         self.window = MapWindow(config.map_channels, config.map_size)
-        self.cost_map_encoder = CostMapEncoder(self.window.channels, config.feature_channels)
-        self.condition_encoder = ConditionEncoder(config, CONDITION_WIDTH)
-        self.map_summary = nn.Linear(self.cost_map_encoder.summary_size, CONDITION_WIDTH)
-        self.transformer = create_flowmp_transformer(
-            config.variant,
-            state_dim=config.state_dim,
-            num_steps=config.num_steps,
-            feature_channels=config.feature_channels + RAW_CHANNELS,
-            condition_width=CONDITION_WIDTH,
-            steps_per_token=config.steps_per_token,
+        self.cost_map_encoder = CostMapEncoder(self.window.channels, features)
+        self.wider_map_encoders = nn.ModuleList(
+            CostMapEncoder(self.window.channels, features) for _ in range(config.map_scales - 1)
         )
+        self.condition_encoder = ConditionEncoder(config, CONDITION_WIDTH)
+        self.map_summary = nn.Linear(
+            config.map_scales * self.cost_map_encoder.summary_size, CONDITION_WIDTH
+        )
+        if config.backbone == "unet":
+            self.unet = create_flowmp_unet1d(
+                config.variant,
+                state_dim=config.state_dim,
+                num_steps=config.num_steps,
+                feature_channels=self._seen_channels(),
+                condition_width=CONDITION_WIDTH,
+                map_attention=config.map_attention,
+            )
+        else:
+            self.transformer = create_flowmp_transformer(
+                config.variant,
+                state_dim=config.state_dim,
+                num_steps=config.num_steps,
+                feature_channels=self._seen_channels(),
+                condition_width=CONDITION_WIDTH,
+                steps_per_token=config.steps_per_token,
+                map_attention=config.map_attention,
+            )
+        if config.map_attention:
+            self.map_tokens = MapTokens(
+                self.cost_map_encoder.coarse_channels,
+                cells=config.map_size // MAP_STRIDE,
+                widths=tuple(self.windows.values()),
+            )
+
+    @property
+    def vector_field(self) -> FlowMPTransformer | FlowMPUNet1D:
+        """The backbone, whichever it is."""
+        return self.unet if self.config.backbone == "unet" else self.transformer
+
+    @property
+    def context_for_field(self) -> tuple[str, ...]:
+        """Names of the context tensors that `field` reads."""
+        looked_up = tuple(self.windows) if self.config.map_lookup else ()
+        asked = ("map_keys_values",) if self.config.map_attention else ()
+        return ("prior_mean", "frame", *looked_up, *asked)
 
     def encode(
         self,
@@ -64,28 +106,46 @@ class L2SafetyCFM(nn.Module):
     ) -> Context:
         """The scene as context tensors.
 
-        cost_map: [B, C, H, W] in [0, 1]; map_geometry: [B, 3] origin x, y in m, resolution in m/cell
+        cost_map: [B, C, H, W] in [0, 1]
+        map_geometry: [B, 3] origin x, origin y in m, resolution in m/cell
         clearance_field: [B, H, W] m beyond the robot's radius
         cost_to_go: [B, 2, H, W] m, from the start and to the goal
         x_curr: [B, 3D]; x_goal: [B, 2D]; w_style: [B, 3], sums to 1
         """
         dim = self.config.dim
         frame = Frame.between(x_curr[:, :dim], x_goal[:, :dim])
-        maps = self.window(cost_map, map_geometry, clearance_field, cost_to_go, frame)
-        features, summary = self.cost_map_encoder(maps)
-        raw = maps[:, :RAW_CHANNELS].permute(0, 2, 3, 1)
+        maps = [
+            self.window(cost_map, map_geometry, clearance_field, cost_to_go, frame.widened(width))
+            for width in self.windows.values()
+        ]
+        encoders = (self.cost_map_encoder, *self.wider_map_encoders)
+        encodings = [encoder(one) for encoder, one in zip(encoders, maps, strict=True)]
+        summary = torch.cat([encoding.summary for encoding in encodings], -1)
         condition = self.condition_encoder(frame, x_curr, x_goal, w_style)
         return {
             "prior_mean": self.prior.mean(x_curr, x_goal),
             "prior_basis": self.prior.basis(frame),
             "frame": frame.pack(),
-            "features": torch.cat([features, raw], -1),
             "condition": condition + self.map_summary(summary),
+            **self._map_context(maps, encodings),
         }
 
+    def _map_context(self, maps: Sequence[Tensor], encodings: Sequence[MapEncoding]) -> Context:
+        """What the field reads of the map: tables to look up, keys and values to attend to."""
+        context = {}
+        if self.config.map_lookup:
+            for name, one, encoding in zip(self.windows, maps, encodings, strict=True):
+                raw = one[:, :RAW_CHANNELS].permute(0, 2, 3, 1)
+                learned = [encoding.features] if encoding.features is not None else []
+                context[name] = torch.cat([*learned, raw], -1)
+        if self.config.map_attention:
+            tokens = self.map_tokens([encoding.coarse for encoding in encodings])
+            context["map_keys_values"] = self.vector_field.keys_values(tokens)
+        return context
+
     def modulate(self, times: Tensor, context: Context) -> Tensor:
-        """AdaLN parameters [B, K, M] at flow times [K] or [B, K]."""
-        return self.transformer.modulate(context["condition"], times)
+        """The vector field's shifts and scales [B, K, M] at flow times [K] or [B, K]."""
+        return self.vector_field.modulate(context["condition"], times)
 
     def field(self, x_t: Tensor, modulation: Tensor, context: Context) -> Tensor:
         """dx/dt [B, N, T, S] in SI at x_t [B, N, T, S].
@@ -104,9 +164,21 @@ class L2SafetyCFM(nn.Module):
         batch, count, steps, _ = x_t.shape
         frame = Frame.unpack(context["frame"], self.config.dim)
         points = frame.place(x_t[..., :2].reshape(batch, count * steps, 2))
-        seen = lookup(context["features"], points).reshape(batch, count, steps, -1)
+        seen = self._seen(points, context).reshape(batch, count, steps, -1)
         per_sample = modulation if modulation.ndim == 3 else modulation[:, None]
-        return self.transformer(state, seen, per_sample)
+        return self.vector_field(state, seen, per_sample, context.get("map_keys_values"))
+
+    def _seen(self, points: Tensor, context: Context) -> Tensor:
+        """What the field is told at window coordinates [B, P, 2]: [B, P, F]."""
+        parts = [fourier_places(points)] if self.tells_places else []
+        if self.config.map_lookup:
+            parts += [lookup(context[name], points / width) for name, width in self.windows.items()]
+        return torch.cat(parts, -1)
+
+    def _seen_channels(self) -> int:
+        looked_up = len(self.windows) * (self.config.feature_channels + RAW_CHANNELS)
+        places = 4 * PLACE_OCTAVES if self.tells_places else 0
+        return places + (looked_up if self.config.map_lookup else 0)
 
     def draw(self, noise: Tensor, context: Context) -> Tensor:
         """x_0 [B, N, T, S] from standard normal noise [B or 1, N, R]."""

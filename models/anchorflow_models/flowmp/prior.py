@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
 from torch import Tensor, nn
 
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.flowmp.frame import Frame
+from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
 FIELDS = 3  # position, velocity, acceleration
 ENDS = 5  # p_0, v_0, a_0, p_T, v_T

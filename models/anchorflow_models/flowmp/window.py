@@ -24,7 +24,12 @@ class MapWindow(nn.Module):
         self.channels = 5 + map_channels
 
     def forward(
-        self, cost_map: Tensor, map_geometry: Tensor, clearance: Tensor, cost_to_go: Tensor, frame: Frame
+        self,
+        cost_map: Tensor,
+        map_geometry: Tensor,
+        clearance: Tensor,
+        cost_to_go: Tensor,
+        frame: Frame,
     ) -> Tensor:
         """[B, 5 + C, size, size]."""
         maps = torch.cat([clearance[:, None], cost_to_go, cost_map], 1)
@@ -40,5 +45,10 @@ class MapWindow(nn.Module):
         around = from_start + to_goal
         detour = (around - around.amin((1, 2), keepdim=True)).clamp(max=DETOUR_LIMIT)
         ways = [from_start.clamp(max=2 * DETOUR_LIMIT), to_goal.clamp(max=2 * DETOUR_LIMIT)]
-        scaled = [torch.tanh(metres / NEAR), torch.tanh(metres / FAR), detour, *(0.5 * w for w in ways)]
+        scaled = [
+            torch.tanh(metres / NEAR),
+            torch.tanh(metres / FAR),
+            detour,
+            *(0.5 * w for w in ways),
+        ]
         return torch.cat([torch.stack(scaled, 1), seen[:, 3:]], 1)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+from anchorflow_models.layers.map_attention import MapAttention
 
 CHUNKS = 6  # shift, scale and gate, for attention and for the feed-forward
 
@@ -34,33 +35,30 @@ class FeedForward(nn.Sequential):
     """Two layers, `ratio` times wider inside."""
 
     def __init__(self, width: int, ratio: int = 4) -> None:
-        super().__init__(nn.Linear(width, ratio * width), nn.GELU(), nn.Linear(ratio * width, width))
+        super().__init__(
+            nn.Linear(width, ratio * width), nn.GELU(), nn.Linear(ratio * width, width)
+        )
 
 
 class AdaLNBlock(nn.Module):
     """Attention and feed-forward, each normalised, shifted, scaled and gated by the condition.
 
     The modulation comes from outside: it depends on scene and time only, never on the sample.
+    With `map_attention` the tokens ask the map between the two.
     """
 
-    def __init__(self, width: int, heads: int) -> None:
+    def __init__(self, width: int, heads: int, *, map_attention: bool = False) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width, elementwise_affine=False)
         self.attention = SelfAttention(width, heads)
         self.feed_forward = FeedForward(width)
+        self.map_attention = MapAttention(width, heads) if map_attention else None
 
-    def forward(self, x: Tensor, modulation: Tensor) -> Tensor:
-        """x: [B, N, P, W]; modulation: [B, 1 or N, 1, 6 W]."""
+    def forward(self, x: Tensor, modulation: Tensor, keys_values: Tensor | None = None) -> Tensor:
+        """x: [B, N, P, W]; modulation: [B, 1 or N, 1, 6 W]; keys_values: [B, 2, heads, P', E]."""
         shift_a, scale_a, gate_a, shift_f, scale_f, gate_f = modulation.chunk(CHUNKS, -1)
         x = x + gate_a * self.attention(modulate(self.norm(x), shift_a, scale_a))
+        if self.map_attention is not None:
+            assert keys_values is not None, "map attention needs the scene's keys and values"
+            x = x + self.map_attention(x, keys_values)
         return x + gate_f * self.feed_forward(modulate(self.norm(x), shift_f, scale_f))
-
-
-def zero_linear(inputs: int, outputs: int) -> nn.Linear:
-    """A linear layer that starts at zero, so that its branch starts as the identity."""
-    layer = nn.Linear(inputs, outputs)
-    nn.init.zeros_(layer.weight)
-    nn.init.zeros_(layer.bias)
-    return layer
-
-

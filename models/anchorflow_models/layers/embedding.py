@@ -7,6 +7,8 @@ import math
 import torch
 from torch import Tensor, nn
 
+PLACE_OCTAVES = 4
+
 
 def sinusoidal_positions(count: int, width: int) -> Tensor:
     """[count, width] sines and cosines at geometric wavelengths (Vaswani et al., 2017)."""
@@ -15,8 +17,19 @@ def sinusoidal_positions(count: int, width: int) -> Tensor:
     return torch.stack([angles.sin(), angles.cos()], -1).flatten(1)
 
 
+def fourier_places(points: Tensor, *, octaves: int = PLACE_OCTAVES) -> Tensor:
+    """Places [..., 2] -> [..., 4 * octaves]: sines and cosines at wavelengths 4, 2, 1, 1/2, ...
+
+    In units of the window's half side; the products of two embeddings tell how far apart their
+    places are, which is what attention needs (Mildenhall et al., 2020; Tancik et al., 2020).
+    """
+    rates = 0.5 * math.pi * 2.0 ** torch.arange(octaves, device=points.device)
+    angles = (points[..., None] * rates).flatten(-2)
+    return torch.cat([angles.sin(), angles.cos()], -1)
+
+
 class GaussianFourierTime(nn.Module):
-    """Flow time t in [0, 1] -> [..., width]: random Fourier features (Tancik et al., 2020), an MLP."""
+    """Flow time t in [0, 1] -> [..., width]: random Fourier features (Tancik et al., 2020)."""
 
     rates: Tensor
 

@@ -1,4 +1,4 @@
-"""The expert: grid paths on several sides of the obstacles, polished by the service's own descent."""
+"""The expert: grid paths on several sides of the obstacles, polished by the service's descent."""
 
 from anchorflow_training.expert.solve import ExpertConfig, Solution, solve
 

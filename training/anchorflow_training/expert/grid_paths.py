@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from anchorflow_trajectory.geodesic import cell_index, grid_graph, traversal_cost
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.sparse.csgraph import dijkstra
 
-FloatArray = NDArray[np.float32]
+from anchorflow_trajectory.geodesic import cell_index, grid_graph, traversal_cost
+
+FloatArray = NDArray[np.floating]
 
 PENALTY = 2.5  # extra cost a metre on ground that an earlier path has used
 SPREAD = 0.045  # width of that ground, in shares of the map's side

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Canvas:
-    """A square to draw on: `cells` a side of `resolution` metres, for a robot of `radius` metres."""
+    """A square of `cells` a side of `resolution` metres, for a robot of `radius` metres."""
 
     rng: np.random.Generator
     cells: int
@@ -31,7 +32,7 @@ class Canvas:
     def blank(self) -> BoolArray:
         return np.zeros((self.cells, self.cells), bool)
 
-    def points(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def points(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
         """x and y of the cell centres in m, broadcastable."""
         centres = (np.arange(self.cells) + 0.5) * self.resolution
         return centres[None, :], centres[:, None]
@@ -44,7 +45,7 @@ class Canvas:
         # Rasterising moves each edge by up to half a cell.
         return 2 * self.radius + self.rng.uniform(spare_low, spare_high) + self.resolution
 
-    def spots(self, count: int) -> NDArray[np.float64]:
+    def spots(self, count: int) -> NDArray[np.floating]:
         return self.rng.uniform(0.0, self.size, (count, 2))
 
 
@@ -77,7 +78,7 @@ def boxes(canvas: Canvas) -> BoolArray:
 
 
 def posts(canvas: Canvas) -> BoolArray:
-    """Clutter of equal posts, clumped by a cellular automaton (after Perille et al., BARN, 2020)."""
+    """Equal posts, clumped by a cellular automaton (after Perille et al., BARN, 2020)."""
     rng = canvas.rng
     radius = rng.choice([0.075, 0.15, 0.15, 0.2])
     count = max(8, int(canvas.size / (2 * radius)))
@@ -167,7 +168,7 @@ def maze(canvas: Canvas) -> BoolArray:
     while stack:
         row, column = stack[-1]
         near = [(row + i, column + j) for i, j in ((0, 1), (1, 0), (0, -1), (-1, 0))]
-        fresh = [n for n in near if 0 <= min(n) and max(n) < count and n not in seen]
+        fresh = [n for n in near if min(n) >= 0 and max(n) < count and n not in seen]
         if not fresh:
             stack.pop()
             continue
@@ -191,11 +192,11 @@ def corridors(canvas: Canvas) -> BoolArray:
     """Solid ground in which crooked passages are cut."""
     rng, (x, y) = canvas.rng, canvas.points()
     free = canvas.blank()
-    knots = canvas.spots(rng.integers(4, 9))
+    knots = canvas.spots(int(rng.integers(4, 9)))
     for _ in range(rng.integers(2, 5)):
         way = knots[rng.permutation(len(knots))[: rng.integers(2, 5)]]
         half = canvas.passage(0.15, 1.5) / 2
-        for a, b in zip(way[:-1], way[1:], strict=True):
+        for a, b in pairwise(way):
             span = b - a
             along = ((x - a[0]) * span[0] + (y - a[1]) * span[1]) / (span @ span + 1e-9)
             along = np.clip(along, 0.0, 1.0)

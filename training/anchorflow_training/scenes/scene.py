@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.cost import Limits
-from anchorflow_trajectory.geodesic import grid_graph
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.sparse.csgraph import dijkstra
 
 from anchorflow_training.scenes.layouts import LAYOUTS, BoolArray, Canvas
+from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.geodesic import grid_graph
 
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 
 
 class SceneError(Exception):
@@ -51,7 +51,11 @@ def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: Limits) -> 
     families = list(LAYOUTS)
     shares = np.array([LAYOUTS[f][1] for f in families])
     family = families[rng.choice(len(families), p=shares / shares.sum())]
-    size = float(rng.choice([rng.uniform(5, 9), rng.uniform(8, 13), rng.uniform(12, 40)], p=[0.25, 0.55, 0.2]))
+    size = float(
+        rng.choice(
+            [rng.uniform(5, 9), rng.uniform(8, 13), rng.uniform(12, 40)], p=[0.25, 0.55, 0.2]
+        )
+    )
     radius = float(np.clip(rng.lognormal(np.log(0.25), 0.35), 0.1, 0.6))
     resolution = size / cells
     occupied = _oriented(rng, family, cells, resolution, radius)
@@ -79,7 +83,7 @@ def _oriented(
     """The family's layout, turned by a random angle half of the time; [cells, cells]."""
     layout = LAYOUTS[family][0]
     if rng.random() < 0.5:
-        return np.rot90(layout(Canvas(rng, cells, resolution, radius)), rng.integers(4)).copy()
+        return np.rot90(layout(Canvas(rng, cells, resolution, radius)), int(rng.integers(4))).copy()
     larger = int(np.ceil(cells * np.sqrt(2)))
     drawn, angle = layout(Canvas(rng, larger, resolution, radius)), rng.uniform(0, 2 * np.pi)
     offset = np.arange(cells) - (cells - 1) / 2
@@ -111,7 +115,9 @@ def _ends(
     graph.eliminate_zeros()
     source = start[0] * clearance.shape[1] + start[1]
     length = dijkstra(graph, directed=False, indices=source).reshape(clearance.shape)
-    straight = np.hypot(*(np.indices(clearance.shape) - np.array(start)[:, None, None])) * resolution
+    straight = (
+        np.hypot(*(np.indices(clearance.shape) - np.array(start)[:, None, None])) * resolution
+    )
     fit = (clearance > room) & np.isfinite(length) & (length < reach) & (straight > 1.0)
     if across:
         fit &= np.indices(clearance.shape)[0] > 0.75 * len(clearance)
@@ -130,11 +136,11 @@ def _ends(
 def _velocity(
     rng: np.random.Generator, clearance: float, limits: Limits, span: FloatArray
 ) -> FloatArray:
-    """A velocity at an end of the way: mostly along it, slow where there is little room to brake."""
+    """A velocity at an end of the way: mostly along it, slow where there is little room."""
     braking = np.sqrt(2 * 0.7 * limits.a_max * max(0.05, clearance + 0.15))
     speed = rng.uniform(0.1, min(limits.v_max, braking))
     angle = np.arctan2(span[1], span[0]) + rng.normal(0.0, 0.7)
-    return np.float32([speed * np.cos(angle), speed * np.sin(angle)])
+    return speed * np.array([np.cos(angle), np.sin(angle)], np.float32)
 
 
 def _ground(rng: np.random.Generator, cells: int) -> tuple[FloatArray, FloatArray]:
@@ -143,7 +149,9 @@ def _ground(rng: np.random.Generator, cells: int) -> tuple[FloatArray, FloatArra
     for neutral in (1.0, 0.0):
         layer = np.full((cells, cells), neutral, np.float32)
         if rng.random() < 0.15:
-            noise = gaussian_filter(rng.normal(size=(cells, cells)), rng.uniform(0.04, 0.12) * cells)
+            noise = gaussian_filter(
+                rng.normal(size=(cells, cells)), rng.uniform(0.04, 0.12) * cells
+            )
             patches = np.clip(noise / np.abs(noise).max() * 2.5 - 0.6, 0.0, 1.0)
             layer = np.abs(neutral - patches).astype(np.float32)
         layers.append(layer)

@@ -1,0 +1,134 @@
+"""The two vector fields: their sizes, steps that nothing divides, what reaches what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models import (
+    FlowMPTransformer,
+    FlowMPUNet1D,
+    L2Config,
+    create_flowmp_transformer,
+    create_flowmp_unet1d,
+    create_l2_safety_cfm,
+)
+
+Backbone = FlowMPTransformer | FlowMPUNet1D
+CREATE = {"transformer": create_flowmp_transformer, "unet": create_flowmp_unet1d}
+
+
+def size(module: nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+@pytest.mark.parametrize(
+    ("backbone", "variant", "expected"),
+    [
+        ("transformer", "small", 1_779_120),
+        ("transformer", "base", 7_399_216),
+        ("transformer", "large", 32_016_432),
+        ("unet", "small", 2_386_150),
+        ("unet", "base", 7_978_950),
+        ("unet", "large", 29_080_966),
+    ],
+)
+def test_variants_have_the_documented_size(backbone: str, variant: str, expected: int) -> None:
+    model = create_l2_safety_cfm(L2Config(backbone=backbone, variant=variant))
+    assert size(model.vector_field) == expected
+    assert size(model) == expected + 792_384  # the encoders, whichever the backbone
+
+
+def test_the_transformer_s_blocks_have_the_documented_size() -> None:
+    sizes = [size(create_flowmp_transformer(v).blocks) for v in ("small", "base", "large")]
+    assert sizes == [791_040, 4_732_416, 25_202_688]
+
+
+@pytest.fixture
+def make_backbone(open_branches: Callable[[nn.Module], None]) -> Callable[..., Backbone]:
+    def make(kind: str, num_steps: int = 45, **options: int) -> Backbone:
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            backbone = CREATE[kind](num_steps=num_steps, feature_channels=3, **options)
+            open_branches(backbone)
+        return backbone.eval()
+
+    return make
+
+
+@torch.no_grad()
+def fields(backbone: Backbone, x_t: Tensor, features: Tensor, t: float = 0.4) -> Tensor:
+    generator = torch.Generator().manual_seed(3)
+    condition = torch.randn(x_t.shape[0], 256, generator=generator)
+    return backbone(x_t, features, backbone.modulate(condition, torch.tensor([t])))
+
+
+def inputs(steps: int = 45) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(2)
+    shape = (2, 3, steps)
+    return torch.randn(*shape, 6, generator=generator), torch.randn(*shape, 3, generator=generator)
+
+
+@pytest.mark.parametrize("steps_per_token", [1, 2, 4, 8])
+def test_a_token_covers_its_steps(
+    make_backbone: Callable[..., Backbone], steps_per_token: int
+) -> None:
+    backbone = make_backbone("transformer", steps_per_token=steps_per_token)
+    tokens = -(-45 // steps_per_token)
+    assert backbone.positions.shape == (tokens, 128)
+    assert fields(backbone, *inputs()).shape == (2, 3, 45, 6)
+
+
+@pytest.mark.parametrize("kind", CREATE)
+def test_the_last_step_is_repeated_inside(
+    make_backbone: Callable[..., Backbone], kind: str
+) -> None:
+    short, whole = make_backbone(kind, 45), make_backbone(kind, 48)
+    weights = {k: v for k, v in short.state_dict().items() if k != "positions"}
+    whole.load_state_dict(weights, strict=False)
+    if kind == "unet":  # it repeats its inputs together with their positions
+        whole.positions[45:] = whole.positions[44]
+    x_t, features = inputs()
+    padded = [torch.cat([x, x[:, :, -1:].repeat(1, 1, 3, 1)], 2) for x in (x_t, features)]
+    expected = fields(whole, *padded)[:, :, :45]
+    torch.testing.assert_close(fields(short, x_t, features), expected)
+
+
+@pytest.mark.parametrize("kind", CREATE)
+def test_first_and_last_step_hear_each_other(
+    make_backbone: Callable[..., Backbone], kind: str
+) -> None:
+    backbone, (x_t, features) = make_backbone(kind), inputs()
+    base = fields(backbone, x_t, features)
+    for changed, heard in ((0, -1), (-1, 0)):
+        other = x_t.clone()
+        other[:, :, changed] += 1.0
+        assert not torch.allclose(fields(backbone, other, features)[:, :, heard], base[:, :, heard])
+
+
+@pytest.mark.parametrize("kind", CREATE)
+def test_every_shift_and_scale_is_used(make_backbone: Callable[..., Backbone], kind: str) -> None:
+    backbone, (x_t, features) = make_backbone(kind), inputs()
+    modulation = backbone.modulate(torch.randn(2, 256), torch.tensor([0.4])).detach()
+    modulation.requires_grad_()
+    backbone(x_t, features, modulation).square().sum().backward()
+    assert modulation.grad is not None
+    # A shift just before a group's norm may cancel; nothing else may be without effect.
+    assert (modulation.grad != 0).float().mean() > 0.999
+
+
+@pytest.mark.parametrize("kind", CREATE)
+def test_a_fresh_field_is_zero(kind: str) -> None:
+    assert not fields(CREATE[kind](num_steps=45, feature_channels=3), *inputs()).any()
+
+
+def test_the_unet_halves_three_times(make_backbone: Callable[..., Backbone]) -> None:
+    backbone, seen = make_backbone("unet"), []
+    assert isinstance(backbone, FlowMPUNet1D)
+    for block in (*backbone.down, *backbone.middle):
+        block.register_forward_hook(lambda *args: seen.append(tuple(args[-1].shape[1:])))
+    fields(backbone, *inputs())
+    assert seen == [(32, 48), (64, 24), (128, 12), (256, 6), (256, 6), (256, 6)]

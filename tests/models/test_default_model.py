@@ -1,0 +1,43 @@
+"""The default planner stays what checkpoints hold; a change here makes all of them useless."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import asdict
+
+from anchorflow_models import L2Config, create_l2_safety_cfm
+
+# What the first checkpoints keep of their configuration.
+SAVED = {
+    "variant": "small",
+    "num_steps": 64,
+    "dim": 2,
+    "horizon_s": 8.0,
+    "v_max": 2.0,
+    "a_max": 3.0,
+    "map_channels": 3,
+    "map_size": 64,
+    "feature_channels": 16,
+    "steps_per_token": 8,
+    "num_control_points": 18,
+    "degree": 4,
+}
+
+
+def test_names_and_shapes_of_the_weights_are_pinned() -> None:
+    state = create_l2_safety_cfm().state_dict()
+    lines = "\n".join(f"{name} {tuple(v.shape)} {v.dtype}" for name, v in state.items())
+    assert len(state) == 114
+    assert hashlib.sha256(lines.encode()).hexdigest()[:16] == "e8ff29e1ab7134bb", lines
+
+
+def test_a_saved_configuration_is_today_s_default() -> None:
+    config = L2Config(**SAVED)
+    assert config == L2Config()
+    assert SAVED.items() <= asdict(config).items()
+
+
+def test_the_default_context_is_pinned() -> None:
+    model = create_l2_safety_cfm()
+    assert model.context_for_modulate == ("condition",)
+    assert model.context_for_field == ("prior_mean", "frame", "features")

@@ -1,0 +1,68 @@
+"""The configuration of a training run: one nested value, which the checkpoint carries whole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from anchorflow_models import L2Config
+from anchorflow_models.flow_matching import LossWeights
+from anchorflow_training.batches import BatchConfig
+from anchorflow_training.settings import setting
+
+
+@dataclass(frozen=True)
+class FlowMatchingConfig:
+    """The objective: weights of the fields, which noise goes to which data, which flow times."""
+
+    weights: LossWeights = field(default_factory=LossWeights)
+    optimal_transport: bool = setting(True, "Pair noise with the nearest data of its scene.")
+    flow_time: Literal["uniform", "logit_normal", "late"] = setting(
+        "uniform", "How flow times are drawn."
+    )
+    logit_mean: float = setting(0.0, "Of logit_normal; above 0 is later than half.")
+    logit_std: float = setting(1.0, "Of logit_normal.", above=0)
+    late_power: float = setting(2.0, "Of late: density proportional to t^(power - 1).", above=0)
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """The validation judge: on what, how often, and when it ends the training."""
+
+    every: int = setting(1000, "Steps from one evaluation to the next.", least=1)
+    held_out: int = setting(0, "Last scenes of the dataset, kept from training.", least=0)
+    dataset: str | None = setting(None, "Dataset folder to evaluate on, instead of held_out.")
+    scenes: int = setting(64, "Scenes an evaluation.", least=1)
+    samples: int = setting(16, "Anchors a scene.", least=1)
+    steps: int = setting(2, "Midpoint steps of the sampler.", least=1)
+    pictures: int = setting(4, "Scenes on the sample picture; 0: no picture.", least=0)
+    patience: int = setting(
+        0, "Stop after so many evaluations without a better success; 0: never.", least=0
+    )
+
+
+@dataclass(frozen=True)
+class TrainerConfig:
+    """How long, how fast and on what; the rate climbs over `warmup` steps, then falls as a cosine."""
+
+    steps: int = setting(12_000, "Optimiser steps in all.", least=1)
+    learning_rate: float = setting(1e-3, "Peak learning rate.", above=0)
+    warmup: int = setting(500, "Steps over which the rate climbs.", least=0)
+    weight_decay: float = setting(0.01, "Of AdamW.", least=0)
+    gradient_clip: float = setting(1.0, "Largest norm of the gradient.", above=0)
+    accumulate: int = setting(1, "Batches an optimiser step.", least=1)
+    ema_decay: float = setting(0.999, "Of the averaged weights.", least=0, below=1)
+    precision: Literal["auto", "float32", "bfloat16", "float16"] = setting(
+        "auto", "Of matrix products; auto: mixed on a GPU, float32 on a CPU."
+    )
+    compile: bool = setting(False, "Compile the networks with torch.compile.")
+    accelerator: Literal["auto", "cpu", "cuda"] = setting("auto", "Where to train.")
+    devices: int = setting(1, "GPUs, or processes on a CPU; each draws its own batches.", least=1)
+    threads: int = setting(0, "CPU threads a process; 0: as torch chooses.", least=0)
+    checkpoint_every: int = setting(500, "Steps from one checkpoint to the next.", least=1)
+    report_every: int = setting(50, "Steps a line of the curve.", least=1)
+    tensorboard: bool = setting(True, "Write scalars and pictures for TensorBoard.")
+    batch: BatchConfig = field(default_factory=BatchConfig)
+    flow: FlowMatchingConfig = field(default_factory=FlowMatchingConfig)
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    model: L2Config = field(default_factory=L2Config)

@@ -1,0 +1,69 @@
+"""A run's configuration from its layers: defaults, the dataset, a YAML file, options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from anchorflow_training.config import TrainerConfig
+from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.settings import ConfigError, build, checked, merged, nested
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """The settings of a YAML file; raises `ConfigError` naming the file and the key."""
+    try:
+        values = yaml.safe_load(path.read_text()) or {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{path}: expected keys and values, got {type(values).__name__}")
+    return checked(TrainerConfig, values, source=str(path))
+
+
+def layered_config(
+    dataset: SceneDataset, file: Path | None = None, options: Mapping[str, Any] | None = None
+) -> TrainerConfig:
+    """What the defaults, the dataset, the file and the options say, the later over the earlier.
+
+    options: by dotted path, `{"batch.scenes": 8}`
+    """
+    values: dict[str, Any] = {"model": model_settings(dataset)}
+    if file:
+        values = merged(values, read_config(file))
+    for path, value in (options or {}).items():
+        name = "--" + path.replace("_", "-")
+        values = merged(values, checked(TrainerConfig, nested(path, value), source=name))
+    return build(TrainerConfig, values, source="configuration")
+
+
+def model_settings(dataset: SceneDataset) -> dict[str, Any]:
+    """What of the model's configuration a dataset fixes: shapes and limits."""
+    _, _, num_steps, state_dim = dataset.arrays["states"].shape
+    meta = dataset.meta
+    made = meta.get("config", {})
+    limits = meta.get("limits") or (made.get("limits", {}) if isinstance(made, Mapping) else {})
+    names = ("horizon_s", "v_max", "a_max")
+    known = {n: float(limits[n]) for n in names if n in limits} if isinstance(limits, Mapping) else {}
+    return {
+        "num_steps": num_steps,
+        "dim": state_dim // 3,
+        "map_channels": dataset.arrays["cost_map"].shape[1],
+        **known,
+    }
+
+
+def config_text(config: TrainerConfig) -> str:
+    """The whole configuration as the YAML that `read_config` reads."""
+    return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists: YAML has no other sequence."""
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

@@ -1,0 +1,127 @@
+"""What the arrays of a trajectory file are called, and the shapes that they must have.
+
+N samples, T steps, D dimensions (x, y in m, and where D = 3 a heading in rad):
+
+    positions       [N, T, D]  m
+    velocities      [N, T, D]  m/s         optional: differences of the positions
+    accelerations   [N, T, D]  m/s^2       optional: differences of the velocities
+    cost_maps       [N, C, H, W]           optional: in [0, 1], or 8 bits with 255 for 1
+    start_states    [N, 3D]    p, v, a     optional
+    goal_states     [N, 2D]    p, v        optional
+    style_weights   [N, 3]     safety, energy, smooth; at least 0, not all 0; optional
+    safety_margins  [N]        m beyond robot_radius that the trajectory keeps; optional
+    quality         [N]        in [0, 1]; optional
+    resolution      [] or [N]  m/cell of the cost maps
+    origin          [2] or [N, 2]  m, outer corner of cell (0, 0); default centres the map on (0, 0)
+    dt, horizon_s   []         s; horizon_s = dt (T - 1)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_training.data.array_source import ArraySource
+from anchorflow_training.dataset import DatasetError
+
+SAMPLE_ARRAYS = (
+    "positions",
+    "velocities",
+    "accelerations",
+    "cost_maps",
+    "start_states",
+    "goal_states",
+    "style_weights",
+    "safety_margins",
+    "quality",
+)
+GEOMETRY_ARRAYS = ("resolution", "origin")  # one for all samples, or one each
+SCALARS = ("dt", "horizon_s")
+
+LEAST_STEPS = 3  # a second difference needs three points
+LEAST_CELLS, MOST_CELLS = 16, 512  # a side of a map, as the service takes it
+MOST_CHANNELS = 8
+
+
+def check_layout(path: Path, arrays: Mapping[str, ArraySource]) -> None:
+    """Raises `DatasetError` naming the first array that is missing or has another shape."""
+    if "positions" not in arrays:
+        raise DatasetError(
+            f"{path}: positions: expected an array [N, T, D], found only "
+            f"{', '.join(sorted(arrays)) or 'nothing'}"
+        )
+    found = arrays["positions"].shape
+    if len(found) != 3 or found[0] < 1 or found[1] < LEAST_STEPS or found[2] not in (2, 3):
+        raise _wrong_shape(
+            path, "positions", f"[N, T, D] with N >= 1, T >= {LEAST_STEPS}, D 2 or 3", found
+        )
+    count, _, dim = found
+    expected = {
+        "velocities": [found],
+        "accelerations": [found],
+        "start_states": [(count, 3 * dim)],
+        "goal_states": [(count, 2 * dim)],
+        "style_weights": [(count, 3)],
+        "safety_margins": [(count,)],
+        "quality": [(count,)],
+        "resolution": [(), (count,)],
+        "origin": [(2,), (count, 2)],
+        "dt": [()],
+        "horizon_s": [()],
+    }
+    for name, shapes in expected.items():
+        if name in arrays and arrays[name].shape not in shapes:
+            choice = " or ".join(str(list(shape)) for shape in shapes)
+            raise _wrong_shape(
+                path, name, f"{choice} beside positions {list(found)}", arrays[name].shape
+            )
+    _check_maps(path, arrays, count)
+    for name in (*SAMPLE_ARRAYS, *GEOMETRY_ARRAYS, *SCALARS):
+        if name in arrays and arrays[name].dtype.kind not in "fiub":
+            raise DatasetError(f"{path}: {name}: expected numbers, found {arrays[name].dtype}")
+
+
+def _check_maps(path: Path, arrays: Mapping[str, ArraySource], count: int) -> None:
+    if "cost_maps" not in arrays:
+        return
+    shape = arrays["cost_maps"].shape
+    sides = all(LEAST_CELLS <= side <= MOST_CELLS for side in shape[-2:])
+    if len(shape) != 4 or shape[0] != count or not 1 <= shape[1] <= MOST_CHANNELS or not sides:
+        expected = (
+            f"[{count}, C, H, W] with C 1..{MOST_CHANNELS}, H and W {LEAST_CELLS}..{MOST_CELLS}"
+        )
+        raise _wrong_shape(path, "cost_maps", expected, shape)
+
+
+def _wrong_shape(path: Path, name: str, expected: str, found: tuple[int, ...]) -> DatasetError:
+    return DatasetError(f"{path}: {name}: expected {expected}, found {list(found)}")
+
+
+def check_values(path: Path, name: str, block: NDArray[Any], first_row: int) -> None:
+    """Raises `DatasetError` naming the first row of a block that is out of range.
+
+    block: rows from `first_row` on; those that are not finite are another matter and pass.
+    """
+    rows = block.reshape(len(block), -1)
+    if name == "cost_maps" and block.dtype.kind == "f":
+        wrong, expected = ((rows < 0) | (rows > 1)).any(1), "in [0, 1]"
+    elif name == "quality":
+        wrong, expected = ((rows < 0) | (rows > 1)).any(1), "in [0, 1]"
+    elif name in ("safety_margins", "style_weights"):
+        wrong, expected = (rows < 0).any(1), "at least 0"
+        if name == "style_weights":
+            wrong, expected = wrong | (rows.sum(1) == 0), "at least 0 and not all 0"
+    elif name == "resolution":
+        wrong, expected = (rows <= 0).any(1), "more than 0"
+    else:
+        return
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        found = f"{rows[row].min():g} to {rows[row].max():g}"
+        raise DatasetError(
+            f"{path}: {name}: expected values {expected}, found {found} in row {first_row + row}"
+        )

@@ -1,0 +1,143 @@
+"""Files of named arrays: `.npy`, `.npz`, `.h5`, and `.pkl` for who asks for it.
+
+Nothing is read but the headers (a pickle apart, which has none); see `array_source`.
+"""
+
+from __future__ import annotations
+
+import pickle
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from anchorflow_training.data.array_source import (
+    ArraySource,
+    H5Array,
+    HeldArray,
+    MappedArray,
+    TemporaryArrayFile,
+)
+from anchorflow_training.dataset import DatasetError
+
+Arrays = dict[str, ArraySource]
+
+LOCAL_HEADER = struct.Struct("<26xHH")  # of a zip member, up to the lengths of its name and extra
+
+
+def open_arrays(path: Path, *, allow_pickle: bool = False) -> Arrays:
+    """The arrays of a file by name; a `.npy` holds "positions".
+
+    Raises:
+        DatasetError: the file is missing, broken or of another kind, or a pickle that was not
+            explicitly allowed; the message names the file.
+    """
+    openers: dict[str, Callable[[Path], Arrays]] = {
+        ".npy": _open_npy,
+        ".npz": _open_npz,
+        ".h5": _open_h5,
+        ".hdf5": _open_h5,
+    }
+    suffix = path.suffix.lower()
+    if suffix in (".pkl", ".pickle"):
+        if not allow_pickle:
+            raise DatasetError(
+                f"{path}: a pickle runs whatever code its author put into it, so it is opened only "
+                "with --allow-pickle (allow_pickle=True in Python), for a file of your own; "
+                "numpy.savez writes the same arrays as a file that is safe to open"
+            )
+        openers[suffix] = _open_pickle
+    if suffix not in openers:
+        raise DatasetError(
+            f"{path}: expected .npz, .npy, .h5 or .pkl, found {suffix or 'no'} suffix"
+        )
+    try:
+        return openers[suffix](path)
+    except OSError as error:
+        raise DatasetError(f"{path}: {error}") from error
+
+
+def _open_npy(path: Path) -> Arrays:
+    with path.open("rb") as stream:
+        return {"positions": _mapped(path, stream, f"{path}")}
+
+
+def _open_npz(path: Path) -> Arrays:
+    arrays: Arrays = {}
+    try:
+        with zipfile.ZipFile(path) as archive, path.open("rb") as stream:
+            for member in archive.infolist():
+                name, where = member.filename.removesuffix(".npy"), f"{path}: {member.filename}"
+                if member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1:
+                    # Compressed bytes have no rows to map: unpack them, in pieces, into a file.
+                    with archive.open(member) as packed:
+                        unpacked = TemporaryArrayFile(packed)
+                    with unpacked.path.open("rb") as plain:
+                        arrays[name] = _mapped(unpacked.path, plain, where, keeps=unpacked)
+                else:
+                    stream.seek(member.header_offset)
+                    lengths = LOCAL_HEADER.unpack(stream.read(LOCAL_HEADER.size))
+                    stream.seek(sum(lengths), 1)
+                    arrays[name] = _mapped(path, stream, where)
+    except (zipfile.BadZipFile, RuntimeError, struct.error) as error:
+        raise DatasetError(f"{path}: not an .npz file ({error})") from error
+    return arrays
+
+
+def _mapped(file: Path, stream: IO[bytes], where: str, keeps: object = None) -> MappedArray:
+    """The array whose .npy header begins where the stream stands."""
+    try:
+        version = np.lib.format.read_magic(stream)
+        if version == (1, 0):
+            shape, fortran_order, dtype = np.lib.format.read_array_header_1_0(stream)
+        else:
+            shape, fortran_order, dtype = np.lib.format.read_array_header_2_0(stream)
+    except ValueError as error:
+        raise DatasetError(f"{where}: not an array that numpy wrote ({error})") from error
+    if dtype.hasobject:
+        raise DatasetError(
+            f"{where}: expected numbers, found Python objects, which are a pickle; "
+            "trajectories of one length make one array [N, T, D]"
+        )
+    array = MappedArray(file, stream.tell(), dtype, shape, fortran_order, keeps)
+    size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    if file.stat().st_size < array.offset + size:
+        raise DatasetError(f"{where}: cut off, {dtype} {list(shape)} needs {size} bytes")
+    return array
+
+
+def _open_h5(path: Path) -> Arrays:
+    try:
+        import h5py
+    except ModuleNotFoundError as error:
+        raise DatasetError(
+            f"{path}: needs h5py, which is not installed: pip install 'anchorflow[train]'"
+        ) from error
+    with h5py.File(path, "r") as opened:
+        arrays: Arrays = {
+            name: HeldArray(np.asarray(value)) for name, value in opened.attrs.items()
+        }
+        for name, found in opened.items():
+            if isinstance(found, h5py.Dataset) and found.shape is not None:
+                arrays[name] = H5Array(path, name, found.dtype, found.shape)
+    return arrays
+
+
+def _open_pickle(path: Path) -> Arrays:
+    try:
+        with path.open("rb") as stream:
+            found: Any = pickle.load(stream)
+    except Exception as error:  # noqa: BLE001  whatever the file's code raises
+        raise DatasetError(f"{path}: cannot be unpickled ({error!r})") from error
+    if not isinstance(found, dict):
+        found = {"positions": found}
+    arrays: Arrays = {}
+    for name, value in found.items():
+        try:
+            arrays[str(name)] = HeldArray(np.asarray(value))
+        except ValueError as error:
+            raise DatasetError(f"{path}: {name}: not one array ({error})") from error
+    return arrays

@@ -1,0 +1,133 @@
+"""What a trajectory file or a scene dataset holds, in numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_training.data.homology import homology_classes, obstacle_points
+from anchorflow_training.data.statistics import FIELDS
+from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
+from anchorflow_training.dataset import SceneDataset
+
+ROWS_AT_ONCE = 256
+LISTED_ROWS = 20
+
+
+@dataclass(frozen=True)
+class ArraySummary:
+    """One array: its shape, its kind, its least and greatest finite value, and what to know of it."""
+
+    name: str
+    shape: tuple[int, ...]
+    dtype: str
+    least: float | None = None
+    most: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """facts: further lines of text; classes: scenes by their number of homology classes."""
+
+    arrays: tuple[ArraySummary, ...]
+    facts: tuple[str, ...]
+    families: Mapping[str, int] = field(default_factory=dict)
+    classes: Mapping[int, int] = field(default_factory=dict)
+
+
+def inspect_trajectories(dataset: TrajectoryDataset) -> Summary:
+    """Shapes and ranges of a trajectory file, and which rows are not finite."""
+    arrays = []
+    for name, array in dataset.arrays.items():
+        least, most = _extent(array.read(rows) for rows in _slices(len(dataset.peak_speed)))
+        bad = dataset.not_finite.get(name)
+        notes = [] if array.on_disk else ["in memory"]
+        if bad is not None:
+            notes.append(f"not finite in {len(bad)} rows: {_listed(bad)}")
+        arrays.append(
+            ArraySummary(name, array.shape, str(array.dtype), least, most, "; ".join(notes))
+        )
+    dt = "unknown" if dataset.dt is None else f"{dataset.dt:g} s"
+    horizon = "" if dataset.horizon_s is None else f", horizon {dataset.horizon_s:g} s"
+    facts = [
+        f"{len(dataset)} of {dataset.count} samples, T {dataset.num_steps}, D {dataset.dim}, "
+        f"dt {dt}{horizon}"
+    ]
+    if len(dataset.left_out):
+        facts.append(
+            f"left out, not finite: {len(dataset.left_out)} rows: {_listed(dataset.left_out)}"
+        )
+    for name in FIELDS:
+        found = getattr(dataset.statistics, name)
+        columns = ", ".join(
+            f"{mean:.3g} ± {std:.3g}" for mean, std in zip(found.mean, found.std, strict=True)
+        )
+        facts.append(f"{name}: {columns}")
+    for name, peaks in (
+        ("speed", dataset.peak_speed),
+        ("acceleration", dataset.peak_acceleration),
+    ):
+        half, nearly, most = np.quantile(peaks[dataset.rows], [0.5, 0.995, 1.0])
+        facts.append(f"peak {name}: median {half:.3g}, 99.5 % {nearly:.3g}, greatest {most:.3g}")
+    if dataset.ignored:
+        facts.append(f"arrays that nothing reads: {', '.join(dataset.ignored)}")
+    return Summary(tuple(arrays), tuple(facts))
+
+
+def inspect_scenes(dataset: SceneDataset, *, scenes: int) -> Summary:
+    """Shapes and ranges of a scene dataset; homology classes of `scenes` scenes, evenly spread."""
+    arrays = []
+    for name, array in dataset.arrays.items():
+        least, most = _extent(array[rows] for rows in _slices(len(array)))
+        bad = np.concatenate([_not_finite(array[rows], rows.start) for rows in _slices(len(array))])
+        note = f"not finite in {len(bad)} rows: {_listed(bad)}" if len(bad) else ""
+        arrays.append(ArraySummary(name, array.shape, str(array.dtype), least, most, note))
+    limits = dataset.limits
+    facts = [
+        f"{len(dataset)} scenes, M {dataset.arrays['states'].shape[1]}, T {dataset.num_steps}, "
+        f"D {dataset.dim}",
+        f"v_max {limits.v_max:g} m/s, a_max {limits.a_max:g} m/s^2, horizon {limits.horizon_s:g} s",
+    ]
+    facts += [f"{key}: {dataset.meta[key]}" for key in ("left_out",) if key in dataset.meta]
+    picked = np.unique(np.linspace(0, len(dataset) - 1, min(scenes, len(dataset))).astype(int))
+    classes = Counter(count_classes(dataset, int(scene)) for scene in picked)
+    families = dict(dataset.meta.get("families", {}))
+    return Summary(tuple(arrays), tuple(facts), families, dict(sorted(classes.items())))
+
+
+def count_classes(dataset: SceneDataset, scene: int) -> int:
+    """How many homology classes a scene's trajectories are in."""
+    *origin, resolution = dataset.arrays["map_geometry"][scene].tolist()
+    clearance = np.asarray(dataset.arrays["clearance"][scene], np.float32)
+    points = obstacle_points(clearance, resolution, np.array(origin))
+    positions = dataset.arrays["states"][scene][..., : dataset.dim]
+    return len(np.unique(homology_classes(positions, points)))
+
+
+def _slices(count: int) -> list[slice]:
+    return [slice(i, min(i + ROWS_AT_ONCE, count)) for i in range(0, count, ROWS_AT_ONCE)]
+
+
+def _extent(blocks: Any) -> tuple[float | None, float | None]:
+    """Least and greatest finite value of blocks."""
+    least, most = np.inf, -np.inf
+    for block in blocks:
+        finite = block[np.isfinite(block)]
+        if finite.size:
+            least, most = min(least, float(finite.min())), max(most, float(finite.max()))
+    return (None, None) if least > most else (least, most)
+
+
+def _not_finite(block: NDArray[Any], first_row: int) -> NDArray[np.int64]:
+    return first_row + np.flatnonzero(~np.isfinite(block.reshape(len(block), -1)).all(1))
+
+
+def _listed(rows: NDArray[np.int64]) -> str:
+    shown = ", ".join(map(str, rows[:LISTED_ROWS]))
+    return shown + (", ..." if len(rows) > LISTED_ROWS else "")

@@ -1,0 +1,185 @@
+"""Recorded poses of a vehicle: KITTI odometry files and DAIR-V2X `novatel_to_world` folders.
+
+KITTI: a text file a sequence, a line a pose: twelve numbers, the camera's 3x4 matrix [R | t] in the
+first camera's frame, row by row; camera axes are x right, y down, z forward.
+
+DAIR-V2X: a JSON file a pose, {"rotation": 3x3, "translation": 3x1}, the vehicle in a world whose z
+axis points up. `data_info.json` two folders up, if there is one, tells the drives (batch_id or
+sequence_id) and the times (microseconds); without it the numbers in the files' names do.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_training.dataset import DatasetError
+
+NOVATEL = "novatel_to_world"
+SEQUENCE_KEYS = ("batch_id", "sequence_id")
+TIME_KEYS = ("pointcloud_timestamp", "image_timestamp")
+SECONDS = 1e-6  # of a timestamp's unit
+MOVING = 0.05  # m between two poses, from which their direction means something
+
+
+@dataclass(frozen=True)
+class PoseTrack:
+    """One drive: times [P] s, rising; poses [P, 3] x, y in m and heading in rad, z axis up."""
+
+    name: str
+    times: NDArray[np.float64]
+    poses: NDArray[np.float64]
+
+
+def read_poses(path: Path, *, pose_rate_hz: float = 10.0) -> list[PoseTrack]:
+    """The drives under a folder, or in one KITTI file; `pose_rate_hz` where no times are recorded.
+
+    Raises:
+        DatasetError: naming the file and the line, or saying that there are no poses.
+    """
+    if path.is_file():
+        return [read_kitti(path, pose_rate_hz)]
+    folders = sorted(path.rglob(NOVATEL)) if path.is_dir() else []
+    if not folders and any(path.glob("*.json")):
+        folders = [path]
+    if folders:
+        return [track for folder in folders for track in read_novatel(folder, pose_rate_hz)]
+    files = sorted(path.glob("*.txt"))
+    if not files:
+        raise DatasetError(
+            f"{path}: expected KITTI pose files *.txt, a folder {NOVATEL} or its *.json, found none"
+        )
+    return [read_kitti(file, pose_rate_hz) for file in files]
+
+
+def read_kitti(file: Path, pose_rate_hz: float) -> PoseTrack:
+    """One sequence in its first camera's frame: x forward, y left."""
+    rows = []
+    try:
+        text = file.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{file}: {error}") from error
+    for number, line in enumerate(text.splitlines(), 1):
+        values = line.split()
+        try:
+            rows.append([float(value) for value in values])
+        except ValueError as error:
+            raise DatasetError(f"{file}, line {number}: {error}") from error
+        if len(values) != 12:
+            raise DatasetError(
+                f"{file}, line {number}: expected 12 numbers, the rows of a 3x4 pose, "
+                f"found {len(values)}"
+            )
+    if not rows:
+        raise DatasetError(f"{file}: expected poses, found an empty file")
+    matrix = np.array(rows).reshape(-1, 3, 4)
+    right, _, forward = np.moveaxis(matrix[:, :, 3], -1, 0)
+    heading = np.arctan2(-matrix[:, 0, 2], matrix[:, 2, 2])
+    times = np.arange(len(rows)) / pose_rate_hz
+    return PoseTrack(file.stem, times, np.stack([forward, -right, np.unwrap(heading)], -1))
+
+
+def read_novatel(folder: Path, pose_rate_hz: float) -> list[PoseTrack]:
+    """The drives of a folder of JSON files, in the world's frame."""
+    files = {file.stem: file for file in sorted(folder.glob("*.json"))}
+    if not files:
+        raise DatasetError(f"{folder}: expected poses *.json, found none")
+    drives = _drives(folder, files, pose_rate_hz)
+    matrices = [np.stack([_novatel_pose(files[f]) for f, _ in drive]) for drive in drives.values()]
+    axis = _forward_axis(matrices)
+    tracks = []
+    for (name, drive), matrix in zip(drives.items(), matrices, strict=True):
+        ahead = matrix[:, :2, :3] @ axis
+        heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+        poses = np.concatenate([matrix[:, :2, 3], heading[:, None]], 1)
+        tracks.append(PoseTrack(name, np.array([time for _, time in drive]), poses))
+    return tracks
+
+
+Drive = list[tuple[str, float]]
+"""Frames of one drive: a file's stem and its time [s], in order."""
+
+
+def _drives(folder: Path, files: dict[str, Path], pose_rate_hz: float) -> dict[str, Drive]:
+    info = folder.parent.parent / "data_info.json"
+    frames: list[tuple[str, str, float]] = []
+    if info.exists():
+        for entry in _json(info):
+            stem = Path(str(entry.get(f"calib_{NOVATEL}_path") or entry.get("image_path"))).stem
+            if stem in files:
+                sequence = _first(info, entry, SEQUENCE_KEYS)
+                frames.append((sequence, stem, float(_first(info, entry, TIME_KEYS)) * SECONDS))
+    else:
+        for stem in files:
+            number = re.search(r"\d+$", stem)
+            if number is None:
+                raise DatasetError(
+                    f"{files[stem]}: expected a name that ends in its frame's number"
+                )
+            frames.append((folder.name, stem, int(number[0]) / pose_rate_hz))
+    drives: dict[str, Drive] = {}
+    for sequence, stem, time in sorted(frames, key=lambda frame: (frame[0], frame[2])):
+        drive = drives.setdefault(sequence, [])
+        if not drive or time > drive[-1][1]:  # the same instant twice says nothing new
+            drive.append((stem, time))
+    if not drives:
+        raise DatasetError(f"{info}: names no file of {folder}")
+    return drives
+
+
+def _first(info: Path, entry: dict[str, Any], keys: Sequence[str]) -> str:
+    for key in keys:
+        if key in entry:
+            return str(entry[key])
+    raise DatasetError(f"{info}: expected {' or '.join(keys)} in each entry, found {sorted(entry)}")
+
+
+def _novatel_pose(file: Path) -> NDArray[np.float64]:
+    """[3, 4]: rotation and translation."""
+    found = _json(file)
+    parts = []
+    for key, shape in (("rotation", (3, 3)), ("translation", (3, 1))):
+        try:
+            values = np.asarray(found[key], float)
+        except (KeyError, TypeError, ValueError) as error:
+            raise DatasetError(
+                f"{file}: {key}: expected numbers {list(shape)} ({error!r})"
+            ) from error
+        if values.size != np.prod(shape):
+            raise DatasetError(f"{file}: {key}: expected {list(shape)}, found {list(values.shape)}")
+        parts.append(values.reshape(shape))
+    return np.concatenate(parts, 1)
+
+
+def _forward_axis(drives: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """The vehicle's axis [3] along which it drives: x or y, by the unit's mounting."""
+    # Published copies do not agree on which it is, but vehicles drive forward nearly always.
+    forward = np.zeros(3)
+    for matrix in drives:
+        step = np.diff(matrix[:, :2, 3], axis=0)
+        length = np.linalg.norm(step, axis=1)
+        moving = length > MOVING
+        forward += np.einsum(
+            "pi,pij->j", step[moving] / length[moving, None], matrix[:-1, :2, :3][moving]
+        )
+    forward[2] = 0.0
+    if not np.any(np.isfinite(forward) & (forward != 0.0)):
+        return np.array([1.0, 0.0, 0.0])
+    axis = np.zeros(3)
+    strongest = int(np.argmax(np.abs(forward)))
+    axis[strongest] = np.sign(forward[strongest])
+    return axis
+
+
+def _json(file: Path) -> Any:
+    try:
+        return json.loads(file.read_text())
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{file}: {error}") from error

@@ -1,0 +1,187 @@
+"""A trajectory file as a scene dataset: each sample becomes a scene with one trajectory."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anchorflow_training.data.imported_scene import SceneOptions, SceneSource, imported_scene
+from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
+from anchorflow_training.dataset import DatasetError, create_arrays, shrink_arrays
+from anchorflow_trajectory.cost import Limits
+
+LIMIT_QUANTILE = 0.995  # of the samples' peaks; a single glitch must not set the limit
+LIMIT_RESERVE = 1.02
+LISTED_ROWS = 100
+BLOCK = 64  # samples that are read together, for each worker
+
+
+@dataclass(frozen=True)
+class ImportConfig:
+    """What the file does not say.
+
+    v_max, a_max: m/s and m/s^2; by default what nearly all samples keep, rounded up
+    least_quality: samples with less are left out
+    scene: how a sample becomes a scene
+    """
+
+    v_max: float | None = None
+    a_max: float | None = None
+    least_quality: float = 0.0
+    scene: SceneOptions = SceneOptions()
+
+
+def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> Limits:
+    """Speed and acceleration that the samples keep, and their horizon.
+
+    Raises:
+        DatasetError: neither the file nor the caller says how long a trajectory takes.
+    """
+    if dataset.horizon_s is None:
+        raise DatasetError(
+            f"{dataset.path}: horizon_s: expected how long a trajectory takes, or dt, in s "
+            "(--horizon-s, --dt), found neither"
+        )
+    v_max, a_max = (
+        rounded_up(float(np.quantile(peaks[dataset.rows], LIMIT_QUANTILE)))
+        if given is None
+        else given
+        for given, peaks in (
+            (config.v_max, dataset.peak_speed),
+            (config.a_max, dataset.peak_acceleration),
+        )
+    )
+    return Limits(v_max=v_max, a_max=a_max, horizon_s=dataset.horizon_s)
+
+
+def rounded_up(value: float) -> float:
+    """A little more than `value`, in two digits."""
+    value = max(LIMIT_RESERVE * value, 1e-3)
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
+
+
+def import_scenes(
+    dataset: TrajectoryDataset,
+    out: Path,
+    config: ImportConfig | None = None,
+    *,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Write the folder that the trainer reads, return its `dataset.json`.
+
+    Samples that are off their map, that touch an obstacle of it or that come nearer than their
+    safety margin are left out and counted; `progress` gets 1 a sample.
+
+    Raises:
+        DatasetError: the file says too little, or nothing is left of it.
+    """
+    config = config or ImportConfig()
+    limits = limits_of(dataset, config)
+    left_out: Counter[str] = Counter(not_finite=len(dataset.left_out))
+    left_out.update(off_map=0, collision=0, low_quality=0)
+    arrays, written = None, 0
+    with _mapper(workers) as mapped:
+        for sources in _sources(dataset, config, left_out, BLOCK * workers, progress):
+            for scene in mapped(imported_scene, sources):
+                if isinstance(scene, str):
+                    left_out[scene] += 1
+                    continue
+                if arrays is None:
+                    shapes = {name: (len(dataset), *row.shape) for name, row in scene.items()}
+                    arrays = create_arrays(out, shapes)
+                for name, row in scene.items():
+                    arrays[name][written] = row
+                written += 1
+    if arrays is None:
+        raise DatasetError(f"{dataset.path}: no sample is left to train on: {dict(left_out)}")
+    shapes = {name: array.shape[1:] for name, array in arrays.items()}
+    del arrays
+    shrink_arrays(out, written)
+    meta = {
+        "format": 1,
+        "scenes": written,
+        "trajectories": 1,
+        "num_steps": dataset.num_steps,
+        "dim": dataset.dim,
+        "limits": asdict(limits),
+        "robot_radius": config.scene.robot_radius,
+        "map": dict(zip(("channels", "H", "W"), shapes["cost_map"], strict=True)),
+        "families": {dataset.path.stem: written},
+        "source": _source_file(dataset.path),
+        "left_out": dict(left_out),
+        "not_finite_rows": dataset.left_out[:LISTED_ROWS].tolist(),
+        "over_limits": int(_over(dataset, limits).sum()),
+        "statistics": dataset.statistics.to_dict(),
+    }
+    (out / "dataset.json").write_text(json.dumps(meta, indent=1))
+    return meta
+
+
+def _sources(
+    dataset: TrajectoryDataset,
+    config: ImportConfig,
+    left_out: Counter[str],
+    size: int,
+    progress: Callable[[int], None],
+) -> Iterator[list[SceneSource]]:
+    """Blocks of at most `size` samples of sufficient quality."""
+    for start in range(0, len(dataset), size):
+        samples = np.arange(start, min(start + size, len(dataset)))
+        block = dataset.read(samples, np.float64)
+        geometry = dataset.map_geometry(samples)
+        if "cost_maps" in block and geometry is None:
+            raise DatasetError(
+                f"{dataset.path}: resolution: expected m/cell of the cost maps, [] or [N] "
+                "(--resolution), found none"
+            )
+        good = block.get("quality", np.ones(len(samples))) >= config.least_quality
+        left_out["low_quality"] += int((~good).sum())
+        yield [
+            SceneSource(
+                arrays={name: values[i] for name, values in block.items()},
+                geometry=None if geometry is None else geometry[i],
+                options=config.scene,
+            )
+            for i in np.flatnonzero(good)
+        ]
+        progress(len(samples))
+
+
+@contextmanager
+def _mapper(workers: int) -> Iterator[Callable[..., Any]]:
+    if workers == 1:
+        yield map
+        return
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        yield pool.map
+
+
+def _over(dataset: TrajectoryDataset, limits: Limits) -> np.ndarray:
+    """[n] bool: samples that do not keep the limits."""
+    speed, acceleration = dataset.peak_speed, dataset.peak_acceleration
+    return ((speed > limits.v_max) | (acceleration > limits.a_max))[dataset.rows]
+
+
+def _source_file(path: Path) -> dict[str, str]:
+    if not path.exists():  # a synthetic dataset has no file
+        return {"file": path.name}
+    with path.open("rb") as stream:
+        return {"file": path.name, "sha256": _sha256(stream)}
+
+
+def _sha256(stream: Any) -> str:
+    digest = hashlib.sha256()
+    while block := stream.read(1 << 20):
+        digest.update(block)
+    return digest.hexdigest()

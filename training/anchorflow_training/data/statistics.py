@@ -1,0 +1,144 @@
+"""One pass over a trajectory file: its statistics, and the rows that are not numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FIELDS = ("positions", "velocities", "accelerations")
+SMALLEST_STD = 1e-6  # a dimension that never changes is shifted, not scaled
+
+
+@dataclass(frozen=True)
+class FieldStatistics:
+    """[D] each, over all samples and steps of one field, in its SI unit."""
+
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    min: tuple[float, ...]
+    max: tuple[float, ...]
+
+    def normalise(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """(x - mean) / std of values [..., D]."""
+        return np.float32((values - np.asarray(self.mean)) / self._scale)
+
+    def restore(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
+        """The inverse of `normalise`."""
+        return np.float32(values * self._scale + np.asarray(self.mean))
+
+    @property
+    def _scale(self) -> NDArray[np.float64]:
+        return np.maximum(np.asarray(self.std), SMALLEST_STD)
+
+
+@dataclass(frozen=True)
+class TrajectoryStatistics:
+    """What normalises a dataset; those of the training data serve its validation data too."""
+
+    count: int
+    positions: FieldStatistics
+    velocities: FieldStatistics
+    accelerations: FieldStatistics
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, as `dataset.json` keeps them."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(saved: Mapping[str, Any]) -> TrajectoryStatistics:
+        fields = {
+            name: FieldStatistics(**{key: tuple(values) for key, values in saved[name].items()})
+            for name in FIELDS
+        }
+        return TrajectoryStatistics(count=saved["count"], **fields)
+
+
+@dataclass
+class Moments:
+    """Running sums of one field; `shift` keeps a far-away origin from eating the digits."""
+
+    count: int = 0
+    shift: Any = 0.0
+    sums: Any = 0.0
+    squares: Any = 0.0
+    least: Any = np.inf
+    most: Any = -np.inf
+
+    def add(self, values: NDArray[np.floating]) -> None:
+        """Take samples [n, T, D] into account."""
+        points = values.reshape(-1, values.shape[-1]).astype(np.float64)
+        if not len(points):
+            return
+        if not self.count:
+            self.shift = points.mean(0)
+        self.count += len(points)
+        self.sums = self.sums + (points - self.shift).sum(0)
+        self.squares = self.squares + ((points - self.shift) ** 2).sum(0)
+        self.least = np.minimum(self.least, points.min(0))
+        self.most = np.maximum(self.most, points.max(0))
+
+    def result(self) -> FieldStatistics:
+        mean = self.sums / self.count
+        variance = np.maximum(self.squares / self.count - mean**2, 0.0)
+        parts = mean + self.shift, np.sqrt(variance), self.least, self.most
+        return FieldStatistics(*(tuple(np.asarray(part).tolist()) for part in parts))
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What one pass found.
+
+    finite: [N] bool; not_finite: the rows [n] of each array that has any
+    peak_speed, peak_acceleration: [N], greatest planar length along each sample, m/s and m/s^2
+    """
+
+    finite: NDArray[np.bool_]
+    not_finite: Mapping[str, NDArray[np.int64]]
+    peak_speed: NDArray[np.float32]
+    peak_acceleration: NDArray[np.float32]
+    statistics: TrajectoryStatistics | None
+
+
+@dataclass
+class Surveyor:
+    """Collects a `Survey` block by block."""
+
+    finite: list[NDArray[np.bool_]] = field(default_factory=list)
+    not_finite: dict[str, list[NDArray[np.int64]]] = field(default_factory=dict)
+    peaks: list[NDArray[np.float32]] = field(default_factory=list)
+    moments: tuple[Moments, ...] = field(default_factory=lambda: tuple(Moments() for _ in FIELDS))
+
+    def add(
+        self, first_row: int, arrays: Mapping[str, NDArray[Any]], states: Iterable[NDArray[Any]]
+    ) -> None:
+        """arrays: blocks as they stand in the file; states: p, v, a [n, T, D] made of them."""
+        count = len(next(iter(arrays.values())))
+        finite = np.ones(count, bool)
+        for name, block in arrays.items():
+            good = np.isfinite(block.reshape(count, -1)).all(1)
+            finite &= good
+            if not good.all():
+                self.not_finite.setdefault(name, []).append(first_row + np.flatnonzero(~good))
+        self.finite.append(finite)
+        position, velocity, acceleration = (values[finite] for values in states)
+        for moments, values in zip(self.moments, (position, velocity, acceleration), strict=True):
+            moments.add(values)
+        peaks = np.zeros((2, count), np.float32)
+        if finite.any():
+            for row, values in zip(peaks, (velocity, acceleration), strict=True):
+                row[finite] = np.linalg.norm(values[..., :2], axis=-1).max(1)
+        self.peaks.append(peaks)
+
+    def result(self) -> Survey:
+        finite = np.concatenate(self.finite)
+        speed, acceleration = np.concatenate(self.peaks, 1)
+        rows = {name: np.concatenate(parts) for name, parts in self.not_finite.items()}
+        statistics = None
+        if finite.any():
+            fields = dict(zip(FIELDS, (m.result() for m in self.moments), strict=True))
+            statistics = TrajectoryStatistics(count=int(finite.sum()), **fields)
+        return Survey(finite, rows, speed, acceleration, statistics)

@@ -1,0 +1,51 @@
+"""Which scenes a run trains on and which it is judged on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from anchorflow_training.config import TrainerConfig
+from anchorflow_training.dataset import SceneDataset, open_dataset
+from anchorflow_training.settings import ConfigError
+
+
+def split(
+    dataset: SceneDataset, config: TrainerConfig
+) -> tuple[SceneDataset, SceneDataset | None]:
+    """The scenes to train on and those held out, if any; raises `ConfigError`."""
+    held_out, path = config.evaluation.held_out, config.evaluation.dataset
+    if held_out and path:
+        raise ConfigError("evaluation: expected held_out or dataset, got both")
+    if len(dataset) - held_out < config.batch.scenes:
+        raise ConfigError(
+            f"batch.scenes: expected at most {max(0, len(dataset) - held_out)}, the scenes of "
+            f"{dataset.path} less evaluation.held_out, got {config.batch.scenes}"
+        )
+    training, judged = dataset, open_dataset(Path(path)) if path else None
+    if held_out:
+        training = _part(dataset, slice(None, -held_out))
+        judged = _part(dataset, slice(-held_out, None))
+    for part in (training, judged):
+        if part:
+            _check_shapes(part, config)
+    return training, judged
+
+
+def _part(dataset: SceneDataset, scenes: slice) -> SceneDataset:
+    arrays = {name: array[scenes] for name, array in dataset.arrays.items()}
+    return replace(dataset, arrays=arrays)
+
+
+def _check_shapes(dataset: SceneDataset, config: TrainerConfig) -> None:
+    """The model must be of the dataset's shape: T, D and C."""
+    _, _, num_steps, state_dim = dataset.arrays["states"].shape
+    found = {
+        "num_steps": num_steps,
+        "dim": state_dim // 3,
+        "map_channels": dataset.arrays["cost_map"].shape[1],
+    }
+    for name, value in found.items():
+        asked = getattr(config.model, name)
+        if asked != value:
+            raise ConfigError(f"model.{name}: expected {value}, as in {dataset.path}, got {asked}")

@@ -1,0 +1,60 @@
+"""The flow-matching loss of a planner, as one module that a trainer can wrap and spread."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models import L2SafetyCFM
+from anchorflow_models.flow_matching import flow_matching_loss, interpolate
+from anchorflow_models.flowmp.frame import Frame
+from anchorflow_training.config import FlowMatchingConfig
+from anchorflow_training.coupling import couple
+from anchorflow_training.flow_time import draw_flow_times
+
+METRIC = ("prior_mean", "prior_basis", "frame")  # context in SI units, kept in float32
+
+
+class FlowObjective(nn.Module):
+    """Loss and its terms on a batch, in the model's normalised units."""
+
+    def __init__(self, model: L2SafetyCFM, config: FlowMatchingConfig) -> None:
+        super().__init__()
+        self.model, self.config = model, config
+
+    def draw(
+        self, scenes: int, samples: int, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Noise [B, N, R] and flow times [B, N]; on the CPU, so alike on every device."""
+        noise = torch.randn(scenes, samples, self.model.prior.rank, generator=generator)
+        return noise, draw_flow_times(self.config, (scenes, samples), generator)
+
+    def forward(
+        self, batch: Mapping[str, Tensor], noise: Tensor, t: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """batch: the inputs of encode [B, ...] and states [B, N, T, S]."""
+        model, inputs = self.model, dict(batch)
+        data = inputs.pop("states")
+        context = model.encode(**inputs)
+        frame = Frame.unpack(context["frame"].float(), model.config.dim)
+        with torch.autocast(data.device.type, enabled=False), torch.no_grad():
+            context |= {name: context[name].float() for name in METRIC}
+            x_0 = model.draw(noise, context)
+            if self.config.optimal_transport:
+                x_0 = _paired(x_0, data, model.config.dim)
+            x_t, target = interpolate(x_0, data, t)
+            state = model.prior.normalise(x_t, context["prior_mean"], frame)
+            # The prior's mean cancels in a difference.
+            target = model.prior.normalise(target, torch.zeros_like(context["prior_mean"]), frame)
+        modulation = model.modulate(t, context)
+        predicted = model.normalised_field(x_t, state, modulation, context)
+        return flow_matching_loss(predicted.float(), target, self.config.weights)
+
+
+def _paired(x_0: Tensor, data: Tensor, dim: int) -> Tensor:
+    """x_0 reordered within each scene to lie near the data."""
+    points = (x[:, :, ::4, :dim].flatten(2).cpu().numpy() for x in (data, x_0))
+    order = torch.from_numpy(couple(*points)).to(x_0.device)
+    return torch.take_along_dim(x_0, order[..., None, None], 1)
