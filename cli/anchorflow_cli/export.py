@@ -50,7 +50,7 @@ def export(
         refine=RefineEntry(
             smooth=True,
             project=True,
-            safety_margin=0.05,
+            safety_margin=0.1,
             guidance=0.0,
             steps=refine_steps,
             num_control_points=config.num_control_points,

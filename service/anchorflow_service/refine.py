@@ -8,20 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import RefineSpec
-from anchorflow_trajectory.clearance import path_clearance
 from anchorflow_trajectory.cost import Limits, TrajectoryCost
 from anchorflow_trajectory.descent import descend
 from anchorflow_trajectory.ground import Ground
+from anchorflow_trajectory.retreat import retreat
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.verify import verify
 
-FloatArray = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 DESCENT_RATE = 0.3  # m, a first step on the control points
-CHECK_STEP = 0.04  # m between the points at which an anchor's clearance is looked up
-# A bilinear field and another reader's rounding to cells differ by less than this share of a cell.
-SAFE_SHARE_OF_CELL = 0.3
-SPEED_TOLERANCE, ACCELERATION_TOLERANCE = 1.02, 1.05
 
 
 @dataclass(frozen=True)
@@ -82,18 +79,13 @@ class Refiner:
         control = self.basis.fit(state, x_curr, x_goal)
         if spec.project:
             control = descend(cost, control, steps=self.steps, rate=DESCENT_RATE)
+            control = retreat(control, self.basis, ground.clearance, self.limits)
         if spec.project or spec.smooth:
             states = self.basis.states(control)
         else:
-            states = tuple(np.split(state, 3, axis=-1))
+            position, velocity, acceleration = np.split(state, 3, axis=-1)
+            states = position, velocity, acceleration
         position, velocity, acceleration = (np.ascontiguousarray(s, np.float32) for s in states)
-        clearance = path_clearance(ground.clearance, position, max_step=CHECK_STEP)
-        safe = clearance >= SAFE_SHARE_OF_CELL * ground.clearance.resolution
-        safe &= _largest(velocity) <= SPEED_TOLERANCE * self.limits.v_max
-        safe &= _largest(acceleration) <= ACCELERATION_TOLERANCE * self.limits.a_max
-        return Refined(position, velocity, acceleration, -cost.value(control), clearance, safe)
-
-
-def _largest(vectors: FloatArray) -> FloatArray:
-    """Greatest planar length along each anchor: [N, T, D] -> [N]."""
-    return np.sqrt((vectors[..., :2] ** 2).sum(-1)).max(1)
+        verdict = verify((position, velocity, acceleration), ground.clearance, self.limits)
+        scores = -cost.value(control)
+        return Refined(position, velocity, acceleration, scores, verdict.clearance, verdict.safe)

@@ -1,0 +1,49 @@
+"""Bring trajectories that are still not safe back towards the nearest one that is.
+
+Every mixture of two trajectories meets both ends, and keeps a speed and an acceleration that both
+keep, so only obstacles stand between them: the mixture that goes furthest and is safe is found by
+bisection. It costs no alternative, because only trajectories that had failed are moved.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.spline import SplineBasis
+from anchorflow_trajectory.verify import verify
+
+FloatArray = NDArray[np.floating]
+
+ROUNDS = 5
+STRIDE = 4  # samples between the points by which trajectories are compared
+
+
+def retreat(
+    control: FloatArray, basis: SplineBasis, field: GridField, limits: Limits
+) -> FloatArray:
+    """Control points [D, M, K], the unsafe ones moved; as they were where none is safe."""
+    states = basis.states(control)
+    safe = verify(states, field, limits).safe
+    if safe.all() or not safe.any():
+        return control
+    failed, sound = np.flatnonzero(~safe), np.flatnonzero(safe)
+    nearest = control[:, sound[_nearest(states[0][failed], states[0][sound])]]
+    away = control[:, failed] - nearest
+    reached, beyond = np.zeros(len(failed), np.float32), np.ones(len(failed), np.float32)
+    for _ in range(ROUNDS):
+        tried = 0.5 * (reached + beyond)
+        mixture = nearest + tried[:, None] * away
+        good = verify(basis.states(mixture), field, limits).safe
+        reached, beyond = np.where(good, tried, reached), np.where(good, beyond, tried)
+    moved = control.copy()
+    moved[:, failed] = nearest + reached[:, None] * away
+    return moved
+
+
+def _nearest(points: FloatArray, others: FloatArray) -> NDArray[np.intp]:
+    """Index into `others` [Q, T, D] of the least mean squared distance from each of [P, T, D]."""
+    a, b = (x[:, ::STRIDE].reshape(len(x), -1) for x in (points, others))
+    return ((b**2).sum(-1) - 2 * a @ b.T).argmin(1)
