@@ -19,11 +19,11 @@ from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.conditioning import Scene, scenes_of
 from anchorflow_service.flow import Array, Context, FlowSampler
-from anchorflow_service.refine import Refined, Refiner
-from anchorflow_service.schedule import remaining
 from anchorflow_service.timing import StageClock
 from anchorflow_service.warm_start import renoised, warm_state
 from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.ode.schedule import remaining
+from anchorflow_trajectory.refine import Refined, Refiner
 
 
 class Engine:

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import SamplerSpec
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.graph import BoundGraph, open_graph
-from anchorflow_service.schedule import stage_times
 from anchorflow_service.solver import integrate
-from anchorflow_service.tableau import tableau_named
+from anchorflow_trajectory.ode.schedule import stage_times
+from anchorflow_trajectory.ode.tableau import tableau_named
 
 Array = NDArray[np.float32]
 Context = Mapping[str, Array]

@@ -21,8 +21,8 @@ from pydantic import (
 )
 
 from anchorflow_client.contract import MapSpec, ModelCard, RefineSpec, SamplerSpec, TensorSpec
-from anchorflow_service.schedule import check_schedule
-from anchorflow_service.tableau import tableau_named
+from anchorflow_trajectory.ode.schedule import check_schedule
+from anchorflow_trajectory.ode.tableau import tableau_named
 
 FORMAT = 1
 FILE_NAME = "manifest.json"

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_service.schedule import Schedule, stage_times
-from anchorflow_service.tableau import ButcherTableau
+from anchorflow_trajectory.ode.schedule import Schedule, stage_times
+from anchorflow_trajectory.ode.tableau import ButcherTableau
 
 Array = NDArray[np.floating[Any]]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from anchorflow_client.contract import ModelCard, WarmStart
 from anchorflow_client.errors import InvalidRequest
+from anchorflow_trajectory.resample import resampled_states, whole_fields
 
 Array = NDArray[np.float32]
 
@@ -19,20 +19,15 @@ def warm_state(warm_start: WarmStart, *, card: ModelCard, horizon_s: float) -> A
         InvalidRequest: its columns are not whole positions, velocities and accelerations.
     """
     trajectory = warm_start.trajectory
-    steps, columns = trajectory.shape
-    if columns % card.D or columns > 3 * card.D:
+    columns = trajectory.shape[1]
+    if not whole_fields(columns, card.D):
         widths = ", ".join(str(card.D * blocks) for blocks in (1, 2, 3))
         raise InvalidRequest(
             f"expected [T,{card.D}] of positions, with velocities or with accelerations too "
             f"({widths} columns), got {columns} columns",
             "warm_start.trajectory",
         )
-    spline = CubicSpline(np.linspace(0.0, horizon_s, steps), trajectory)
-    times = np.linspace(0.0, horizon_s, card.T)
-    given = spline(times)
-    missing = 3 - columns // card.D
-    derived = [spline(times, order)[:, -card.D :] for order in range(1, missing + 1)]
-    return np.concatenate([given, *derived], axis=1).astype(np.float32)
+    return resampled_states(trajectory, dim=card.D, num_steps=card.T, horizon_s=horizon_s)
 
 
 def renoised(x_1: Array, x_0: Array, tau: float) -> Array:

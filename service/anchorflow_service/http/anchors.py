@@ -33,8 +33,8 @@ def anchors_router(engines: Engines, queue: PlanningQueue, limits: Limits) -> AP
     async def plan_anchors(request: Request) -> Response:
         """Trajectories from a state to a goal over a cost map: N a scene, scored and checked."""
         arrival = Arrival()
-        codec = _codec_of(request)
         body = await read_body(request, limits.max_body_bytes)
+        codec = _codec_of(request)
         # Megabytes of numbers take a while to check: off the event loop with them.
         asked = await asyncio.to_thread(codec.decode_request, Payload(body))
         engine = engines.choose(asked.model)

@@ -1,28 +1,55 @@
-"""A request's body, read no further than the limit."""
+"""A request's body, kept no further than the limit."""
 
 from __future__ import annotations
 
-from starlette.requests import Request
+import asyncio
+from contextlib import suppress
+
+from starlette.requests import ClientDisconnect, Request
 
 from anchorflow_client.errors import TooLarge
+
+# An ordinary client sends its whole body before it looks for the answer; one that is refused in
+# mid-send sees a reset connection instead of the reason. So the rest is taken and thrown away.
+MAX_DISCARDED_BYTES = 256 * 2**20
+MAX_DISCARDING_S = 10.0
 
 
 async def read_body(request: Request, max_bytes: int) -> bytes:
     """The whole body.
 
     Raises:
-        TooLarge: by its Content-Length before a byte is read, or as soon as more has come.
+        TooLarge: by its Content-Length, or as soon as more has come; what still comes is discarded.
     """
     declared = request.headers.get("content-length", "")
     if declared.isdecimal() and int(declared) > max_bytes:
+        await _discard(request)
         raise _too_large(max_bytes, f"{int(declared)}")
     chunks, size = [], 0
     async for chunk in request.stream():
         size += len(chunk)
         if size > max_bytes:
+            chunks.clear()
+            await _discard(request)
             raise _too_large(max_bytes, "more")
         chunks.append(chunk)
     return b"".join(chunks)
+
+
+async def _discard(request: Request) -> None:
+    """Take the rest of a body without keeping it, within bounds of size and time."""
+    if request.headers.get("expect", "").lower() == "100-continue":
+        return  # this client waits for leave to send
+
+    async def take() -> None:
+        size = 0
+        async for chunk in request.stream():
+            size += len(chunk)
+            if size > MAX_DISCARDED_BYTES:
+                return
+
+    with suppress(asyncio.TimeoutError, ClientDisconnect):
+        await asyncio.wait_for(take(), MAX_DISCARDING_S)
 
 
 def _too_large(max_bytes: int, came: str) -> TooLarge:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import http.client
+import urllib.error
+import urllib.request
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
@@ -11,6 +13,7 @@ import pytest
 from fastapi import FastAPI
 
 from anchorflow_service.http import Limits, create_app
+from anchorflow_service.http import body as body_module
 
 MEBIBYTE = 2**20
 
@@ -34,9 +37,24 @@ class Megabytes:
             yield bytes(MEBIBYTE)
 
 
-def test_a_declared_length_is_refused_unread(service: Any) -> None:
+DECLARED = {"Content-Length": str(20 * MEBIBYTE)}
+
+
+@pytest.mark.parametrize("headers", [DECLARED, {}])
+def test_what_is_refused_is_taken_so_that_the_client_hears_why(
+    service: Any, headers: dict[str, str]
+) -> None:
     body = Megabytes()
-    headers = {"Content-Length": str(20 * MEBIBYTE)}
+
+    answer = service.request("POST", "/anchors", headers=headers, content=body)
+
+    assert_too_large(answer.status_code, answer.content)
+    assert body.taken == 20
+
+
+def test_a_client_that_waits_for_leave_is_refused_unread(service: Any) -> None:
+    body = Megabytes()
+    headers = DECLARED | {"Expect": "100-continue"}
 
     answer = service.request("POST", "/anchors", headers=headers, content=body)
 
@@ -44,13 +62,16 @@ def test_a_declared_length_is_refused_unread(service: Any) -> None:
     assert body.taken == 0
 
 
-def test_a_stream_is_refused_as_soon_as_it_is_over(service: Any) -> None:
+def test_what_is_refused_is_taken_within_bounds(
+    service: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(body_module, "MAX_DISCARDED_BYTES", 2 * MEBIBYTE)
     body = Megabytes()
 
-    answer = service.request("POST", "/anchors", content=body)
+    answer = service.request("POST", "/anchors", headers=DECLARED, content=body)
 
     assert_too_large(answer.status_code, answer.content)
-    assert body.taken == 17
+    assert body.taken == 3
 
 
 def test_the_limit_is_the_apps(run: Any, engine: Any, fields: dict[str, Any]) -> None:
@@ -84,3 +105,13 @@ def test_over_a_socket_the_refusal_arrives(
 
     assert_too_large(answer.status, answer.read())
     connection.close()
+
+
+def test_urllib_hears_the_refusal_too(app: FastAPI, listen: Callable[[FastAPI], str]) -> None:
+    request = urllib.request.Request(f"{listen(app)}/anchors", bytes(20 * MEBIBYTE))
+
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        urllib.request.urlopen(request, timeout=20)
+
+    with refused.value as answer:
+        assert_too_large(answer.code, answer.read())
