@@ -10,7 +10,6 @@ TORCH ?= torch==2.13.0
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
-BENCHMARKS := $(sort $(wildcard benchmarks/*.py))
 
 .DEFAULT_GOAL := help
 .PHONY: help serve test lint format bench clean
@@ -33,12 +32,10 @@ format: $(VENV)/.dev  ## Format the code and mend what ruff can mend
 	$(BIN)/ruff check --fix
 	$(BIN)/ruff format
 
-bench: $(VENV)/.dev  ## Run every program in benchmarks/
-ifeq ($(BENCHMARKS),)
-	@echo "There are no benchmarks yet: benchmarks/*.py matches nothing."
-else
-	set -e; for benchmark in $(BENCHMARKS); do $(BIN)/python $$benchmark; done
-endif
+bench: $(VENV)/.dev  ## Measure quality, latency and load into benchmarks/results/ (minutes)
+	$(BIN)/anchorflow bench quality
+	$(BIN)/anchorflow bench latency
+	$(BIN)/anchorflow bench load
 
 clean:  ## Remove .venv, caches and built packages
 	rm -rf $(VENV) dist .pytest_cache .ruff_cache .hypothesis

@@ -32,14 +32,17 @@ WALLS: dict[str, set[str]] = {
         "yaml",  # ROS maps
         "PIL",
     },
-    "anchorflow_models": {"anchorflow_trajectory", "numpy", "torch"},
+    "anchorflow_models": {"anchorflow_trajectory", "numpy", "torch", "torchdiffeq"},
     "anchorflow_training": {
         "anchorflow_models",
         "anchorflow_trajectory",
         "numpy",
         "scipy",
         "torch",
-        "rich",  # progress bars
+        "h5py",  # trajectory files
+        "yaml",  # configurations
+        "lightning_fabric",
+        "matplotlib",  # pictures, imported where one is drawn
     },
     "anchorflow_export": {
         "anchorflow_client",
@@ -50,6 +53,21 @@ WALLS: dict[str, set[str]] = {
         "onnx",
         "onnxruntime",
         "onnxscript",
+        "torch",
+    },
+    "anchorflow_benchmarks": {
+        "anchorflow_client",
+        "anchorflow_service",
+        "anchorflow_training",
+        "anchorflow_trajectory",
+        "matplotlib",
+        "numpy",
+        "ompl",
+        "onnx",
+        "onnxruntime",
+        "rich",  # tables
+        "scipy",
+        "threadpoolctl",
         "torch",
     },
 }

@@ -32,6 +32,7 @@ COMMANDS = {
     "data": Command("anchorflow_cli.data", "Make a dataset to train on.", extra="train"),
     "train": Command("anchorflow_cli.train", "Train a planner on a dataset.", extra="train"),
     "export": Command("anchorflow_cli.export", "Make a bundle of a checkpoint.", extra="train"),
+    "bench": Command("anchorflow_cli.bench", "Measure quality, latency and load.", extra="bench"),
 }
 
 

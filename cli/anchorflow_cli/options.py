@@ -23,16 +23,20 @@ def command_app() -> typer.Typer:
 
 
 def vector_option(metavar: str, help_text: str) -> Any:
-    """An option of numbers, `--start 1.5,-2`: as many as the metavar (`X,Y`) has parts."""
-    count = len(metavar.split(","))
+    """An option of numbers, `--start 1.5,-2`: as many as the metavar (`X,Y[,HEADING]`) has parts.
+
+    Parts in brackets may be left out, all of them.
+    """
+    most, least = (len(part.split(",")) for part in (metavar, metavar.partition("[")[0]))
+    counts = f"{least}" if least == most else f"{least} or {most}"
 
     def vector(text: str) -> Vector:
         try:
             values = np.array([float(part) for part in text.split(",")])
         except ValueError:
             values = np.empty(0)
-        if values.shape != (count,) or not np.isfinite(values).all():
-            raise typer.BadParameter(f"expected {count} numbers {metavar}, got {text!r}")
+        if values.size not in (least, most) or not np.isfinite(values).all():
+            raise typer.BadParameter(f"expected {counts} numbers {metavar}, got {text!r}")
         return values
 
     return typer.Option(parser=vector, metavar=metavar, help=help_text)

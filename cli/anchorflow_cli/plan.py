@@ -21,18 +21,25 @@ from anchorflow_service.ros_map import RosMap, load_ros_map
 
 app = command_app()
 
+VELOCITY = "VX,VY[,RATE]"
+
 
 @app.command()
 def plan(
     *,
     map_file: Annotated[Path, typer.Option("--map", help="The .yaml file of a ROS map.")],
-    start: Annotated[Vector, vector_option("X,Y", "Start [m], in the map's frame.")],
-    goal: Annotated[Vector, vector_option("X,Y", "Goal [m].")],
+    start: Annotated[
+        Vector,
+        vector_option(
+            "X,Y[,HEADING]", "Start [m], in the map's frame; heading [rad] where the model has one."
+        ),
+    ],
+    goal: Annotated[Vector, vector_option("X,Y[,HEADING]", "Goal [m], likewise.")],
     start_velocity: Annotated[
-        Vector | None, vector_option("VX,VY", "Velocity at the start [m/s]; default 0,0.")
+        Vector | None, vector_option(VELOCITY, "Velocity at the start [m/s, rad/s]; default 0.")
     ] = None,
     goal_velocity: Annotated[
-        Vector | None, vector_option("VX,VY", "Velocity at the goal [m/s]; default 0,0.")
+        Vector | None, vector_option(VELOCITY, "Velocity at the goal [m/s, rad/s]; default 0.")
     ] = None,
     style: Annotated[
         Vector | None, vector_option("S,E,M", "Weights of safety, energy and smoothness.")
@@ -56,8 +63,8 @@ def plan(
 ) -> None:
     """Plan on a ROS map; print a table of the anchors and, with --out, draw them."""
     ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
-    seen = map_window(ros_map, start, goal, size_m=window)
-    rest = np.zeros(2)
+    seen = map_window(ros_map, start[:2], goal[:2], size_m=window)
+    rest = np.zeros_like(start)
     request = AnchorRequest.build(
         cost_map=CostMap.build(seen.occupancy[None], seen.resolution, seen.origin),
         x_curr=np.concatenate([start, rest if start_velocity is None else start_velocity, rest]),
@@ -70,7 +77,7 @@ def plan(
     anchors = ask_server(url, request) if url else ask_engine(bundle, request)
     Console().print(table(anchors))
     if out is not None:
-        draw(anchors, seen, start=start, goal=goal, path=out)
+        draw(anchors, seen, start=start[:2], goal=goal[:2], path=out)
 
 
 def ask_server(url: str, request: AnchorRequest) -> AnchorBatch:

@@ -66,7 +66,7 @@ def scene_panel(dataset: SceneDataset, index: int) -> Panel:
     positions = np.asarray(dataset.arrays["states"][index][..., :2])
     classes = homology_classes(positions, obstacle_points(clearance, resolution, np.array(origin)))
     occupancy = dataset.arrays["cost_map"][index, 0] / 255
-    title = f"{index}: {len(np.unique(classes))} classes"
+    title = f"{index}, classes: {len(np.unique(classes))}"
     return Panel(title, positions, classes, occupancy, _extent(occupancy, origin, resolution))
 
 

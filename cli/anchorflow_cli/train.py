@@ -13,10 +13,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from anchorflow_cli.config_options import with_options
 from anchorflow_cli.options import command_app
-from anchorflow_client.errors import AnchorFlowError
-from anchorflow_training.checkpoint import CheckpointError
+from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_training.config_file import config_text, layered_config
-from anchorflow_training.dataset import DatasetError, open_dataset
+from anchorflow_training.dataset import open_dataset
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer, Report, TrainerConfig
 
@@ -55,7 +54,7 @@ def train(
     """Train the planner; stop it any time and start it again with the same words."""
     if bfloat16:
         given.setdefault("precision", "bfloat16")
-    with _one_line_errors():
+    with one_line_errors():
         data = open_dataset(dataset)
         settings = layered_config(data, config, given)
         if print_config:
@@ -74,14 +73,6 @@ def train(
     if trainer.leads:
         why = ": no progress, stopped early" if trainer.stopped else ""
         typer.echo(f"{trainer.checkpoint_path}: step {trainer.step}{why}")
-
-
-@contextmanager
-def _one_line_errors() -> Iterator[None]:
-    try:
-        yield
-    except (CheckpointError, ConfigError, DatasetError) as error:
-        raise AnchorFlowError(str(error)) from error
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from typing import Any
 
 from anchorflow_client.contract import MapSpec, SamplerSpec, TensorSpec
 from anchorflow_export.errors import ExportError
-from anchorflow_export.graphs import PRIOR_BASIS, PRIOR_MEAN, FlowModel
+from anchorflow_export.graphs import F32, PRIOR_BASIS, PRIOR_MEAN, FlowModel, unit_of
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
 from anchorflow_export.roles import TracedGraph, trace_roles
 from anchorflow_export.tracing import OPSET
@@ -129,11 +129,17 @@ def _manifest(description: BundleDescription, graphs: dict[str, GraphEntry]) -> 
 
 def _anchor_specs(description: BundleDescription) -> tuple[TensorSpec, ...]:
     """What the engine answers."""
-    limits, shape = description.limits, ("B", "N", description.T, description.D)
-    return (
-        TensorSpec("positions", "float32", shape, "m"),
-        TensorSpec("velocities", "float32", shape, "m/s", (-limits.v_max, limits.v_max)),
-        TensorSpec("accelerations", "float32", shape, "m/s^2", (-limits.a_max, limits.a_max)),
+    limits, D = description.limits, description.D
+    fields = {
+        "positions": ("m", None),
+        "velocities": ("m/s", (-limits.v_max, limits.v_max)),
+        "accelerations": ("m/s^2", (-limits.a_max, limits.a_max)),
+    }
+    shape = ("B", "N", description.T, D)
+    return tuple(
+        # The limits are planar: of a heading's rate they say nothing.
+        TensorSpec(name, F32, shape, unit_of(unit, D), limit if D == 2 else None)
+        for name, (unit, limit) in fields.items()
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from torch import Tensor, nn
@@ -44,18 +44,19 @@ ENCODE_INPUTS = {
         TensorSpec("map_geometry", F32, ("B", 3), "m, m, m/cell"),
         TensorSpec("clearance_field", F32, ("B", "H", "W"), "m"),
         TensorSpec("cost_to_go", F32, ("B", 2, "H", "W"), "m", (0.0, None)),
-        TensorSpec("x_curr", F32, ("B", 6), "m, m/s, m/s^2"),
-        TensorSpec("x_goal", F32, ("B", 4), "m, m/s"),
+        TensorSpec("x_curr", F32, ("B", "3D"), "m, m/s, m/s^2"),
+        TensorSpec("x_goal", F32, ("B", "2D"), "m, m/s"),
         TensorSpec("w_style", F32, ("B", 3), "", (0.0, 1.0)),
     )
 }
 TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
 
 
-def encode_inputs(model: FlowModel, *, channels: int) -> tuple[TensorSpec, ...]:
+def encode_inputs(model: FlowModel, *, D: int, channels: int) -> tuple[TensorSpec, ...]:
     """What a model's `encode` takes, by the names of its parameters."""
+    sizes: dict[str | int, int] = {"C": channels, "3D": 3 * D, "2D": 2 * D}
     specs = (ENCODE_INPUTS[name] for name in inspect.signature(model.encode).parameters)
-    return tuple(_with_channels(spec, channels) for spec in specs)
+    return tuple(_sized(spec, sizes, D) for spec in specs)
 
 
 def encode_outputs(model: FlowModel) -> tuple[str, ...]:
@@ -70,9 +71,15 @@ def context_names(model: FlowModel, role: str) -> tuple[str, ...]:
     return getattr(model, f"context_for_{role}")
 
 
-def _with_channels(spec: TensorSpec, channels: int) -> TensorSpec:
-    shape = tuple(channels if axis == "C" else axis for axis in spec.shape)
-    return TensorSpec(spec.name, spec.dtype, shape, spec.unit, spec.range)
+def unit_of(unit: str, D: int) -> str:
+    """The unit of vectors of D: "m/s", or "m/s (heading: rad/s)"."""
+    return unit if D == 2 else f"{unit} (heading: {unit.replace('m', 'rad')})"
+
+
+def _sized(spec: TensorSpec, sizes: Mapping[str | int, int], D: int) -> TensorSpec:
+    shape = tuple(sizes.get(axis, axis) for axis in spec.shape)
+    unit = unit_of(spec.unit, D) if {"3D", "2D"} & {*spec.shape} else spec.unit
+    return TensorSpec(spec.name, spec.dtype, shape, unit, spec.range)
 
 
 class Encode(nn.Module):

@@ -17,7 +17,7 @@ from anchorflow_export.scenes import random_scenes
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.flow import FlowSampler
 from anchorflow_service.graph import Graph, open_graph
-from anchorflow_service.tableau import ButcherTableau, tableau_named
+from anchorflow_trajectory.ode.tableau import ButcherTableau, tableau_named
 
 TOLERANCE = 1e-4  # m, m/s, m/s² of a sample; of max(1, largest magnitude) for a graph's outputs
 

@@ -42,7 +42,7 @@ def trace_roles(model: FlowModel, *, T: int, D: int, channels: int) -> dict[str,
     Raises:
         ExportError: a graph cannot be traced, or holds only for the examples' sizes.
     """
-    inputs = encode_inputs(model, channels=channels)
+    inputs = encode_inputs(model, D=D, channels=channels)
     names = tuple(spec.name for spec in inputs)
     encode = _trace(Encode(model, names), inputs, encode_outputs(model))
     context = {spec.name: spec for spec in encode.outputs}

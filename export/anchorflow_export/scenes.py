@@ -33,13 +33,16 @@ def _random_request(
     maps = generator.random((scenes, card.map.channels, *shape), dtype=np.float32)
     maps[:, 0] = [_clutter(shape, generator) for _ in range(scenes)]
     ends = origin + generator.uniform(0.1, 0.9, (scenes, 2, 2)) * extent
-    motion = generator.uniform(-1.0, 1.0, (scenes, 6))
+    motion = generator.uniform(-1.0, 1.0, (scenes, 3 * card.D))
+    headings = generator.uniform(-np.pi, np.pi, (scenes, 2, card.D - 2))
     columns, rows = np.moveaxis(((ends - origin) / resolution).astype(int), -1, 0)
     maps[np.arange(scenes)[:, None], 0, rows, columns] = 0.0
+    start, goal = np.concatenate([ends, headings], axis=-1).swapaxes(0, 1)
+    at_start, at_goal = np.split(motion, [2 * card.D], axis=1)
     return AnchorRequest.build(
         cost_map={"data": maps, "resolution": resolution, "origin": origin},
-        x_curr=np.concatenate([ends[:, 0], motion[:, :4]], axis=1),
-        x_goal=np.concatenate([ends[:, 1], motion[:, 4:]], axis=1),
+        x_curr=np.concatenate([start, at_start], axis=1),
+        x_goal=np.concatenate([goal, at_goal], axis=1),
         w_style=generator.dirichlet(np.ones(3), scenes),
     )
 

@@ -60,18 +60,18 @@ class Scene:
 
     @cached_property
     def cost_to_go(self) -> FloatArray:
-        """[2,H,W] m, geodesic cost from the start and to the goal."""
+        """[2,H,W] m, geodesic cost from the start and to the goal, whatever their headings."""
         start, goal = self.request.x_curr[self.index, :2], self.request.x_goal[self.index, :2]
         return geodesic.cost_to_go(self.clearance_field, self.resolution, self.origin, start, goal)
 
     @property
     def x_curr(self) -> FloatArray:
-        """[6] p, v, a in m, m/s, m/s²."""
+        """[3D] p, v, a in m, m/s, m/s²; a heading in rad, rad/s, rad/s²."""
         return self.request.x_curr[self.index].astype(np.float32)
 
     @property
     def x_goal(self) -> FloatArray:
-        """[4] p, v in m, m/s."""
+        """[2D] p, v."""
         return self.request.x_goal[self.index].astype(np.float32)
 
     @property

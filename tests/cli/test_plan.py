@@ -90,6 +90,16 @@ def test_what_is_not_said_is_left_to_the_model(
     assert request.robot_radius is None
 
 
+def test_a_heading_goes_into_the_request(map_file: Path, requests: list[AnchorRequest]) -> None:
+    ends = ("--start", "-2,1,0.5", "--goal", "3,-1,0.2", "--goal-velocity", "1,0,0.1")
+    run("--map", map_file, *ends, "--num-samples", 2)
+
+    (request,) = requests
+    np.testing.assert_array_equal(request.x_curr, [[-2, 1, 0.5, 0, 0, 0, 0, 0, 0]])
+    np.testing.assert_array_equal(request.x_goal, [[3, -1, 0.2, 1, 0, 0.1]])
+    assert request.cost_map.data.shape[-1] > 100  # the window is laid round x and y
+
+
 @pytest.mark.usefixtures("requests")
 def test_the_table_and_the_picture(
     map_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -124,7 +134,7 @@ def test_a_point_that_is_none_is_a_usage_error(
         main(["plan", "--map", str(map_file), "--start", "1;2", "--goal", "3,0"])
 
     assert caught.value.code == 2
-    assert "expected 2 numbers X,Y, got '1;2'" in capsys.readouterr().err
+    assert "expected 2 or 3 numbers X,Y[,HEADING], got '1;2'" in capsys.readouterr().err
 
 
 def test_a_start_in_the_wall_is_one_line(map_file: Path) -> None:

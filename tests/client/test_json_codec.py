@@ -44,7 +44,7 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
     """Any request over a map of a few cells, batched or not."""
     batch = draw(st.sampled_from([(), (1,), (3,)]))
     shared = draw(st.booleans())
-    cells = draw(st.integers(1, 3))
+    cells, dim = draw(st.integers(1, 3)), draw(st.sampled_from([2, 3]))
     free = hnp.arrays(
         np.float32,
         (*(() if shared else batch), cells, 16, 17),
@@ -63,15 +63,15 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
         "refine": st.fixed_dictionaries(
             {}, optional={"smooth": st.booleans(), "safety_margin": st.floats(0, 5)}
         ),
-        "warm_start": st.just({"trajectory": [[0.1, 0.2], [0.3, 0.4]], "tau": 0.7}),
+        "warm_start": st.just({"trajectory": [[0.1] * dim, [0.3] * dim], "tau": 0.7}),
         "budget_ms": st.floats(1, 1e6),
         "request_id": st.text("abc-123", min_size=1, max_size=9),
     }
     positions = st.floats(-0.7, 0.7)
     return AnchorRequest.build(
         cost_map={"data": draw(free), "resolution": 0.1, "origin": [-0.8, -0.8]},
-        x_curr=draw(hnp.arrays(float, (*batch, 6), elements=positions)),
-        x_goal=draw(hnp.arrays(float, (*batch, 4), elements=positions)),
+        x_curr=draw(hnp.arrays(float, (*batch, 3 * dim), elements=positions)),
+        x_goal=draw(hnp.arrays(float, (*batch, 2 * dim), elements=positions)),
         **draw(st.fixed_dictionaries({}, optional=options)),
     )
 

@@ -86,7 +86,7 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [
-        ("x_curr", [0, 0, 0], ["[6] or [B,6]", "[3]"]),
+        ("x_curr", [0, 0, 0], ["[6] or [B,6]", "[9] or [B,9]", "[3]"]),
         ("x_curr", [[[0] * 6]], ["[6] or [B,6]", "[1, 1, 6]"]),
         ("x_curr", [0, 0, 0, 0, 0, "abc"], ["a number", "the string 'abc'", "x_curr[5]"]),
         ("x_curr", "abc", ["a list of numbers", "the string 'abc'"]),
@@ -105,6 +105,7 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
         ("x_curr", [6, 0, 0, 0, 0, 0], ["on the map", "x from -5 to 5", "(6, 0)"]),
         ("x_goal", [0, -4.1, 0, 0], ["on the map", "y from -4 to 4", "(0, -4.1)"]),
         ("x_goal", [0] * 6, ["[4] or [B,4]", "[6]"]),
+        ("x_curr", [0] * 8, ["[6] or [B,6]", "[9] or [B,9]", "[8]"]),
         ("w_style", [0.5, -0.1, 0.6], ["-0.1", "w_style[1]"]),
         ("w_style", [0, 0, 0], ["above 0", "zeros"]),
         ("w_style", [1, 1], ["[3] or [B,3]", "[2]"]),
@@ -169,6 +170,53 @@ def test_a_bad_field_is_named_with_what_was_expected_and_what_came(
     named = error.field or ""
     assert named == field or named.startswith(f"{field}.")
     assert named in error.message
+    assert [word for word in words if word not in error.message] == []
+
+
+@pytest.fixture
+def heading_fields(fields: dict[str, Any]) -> dict[str, Any]:
+    """The same request with a heading: (x, y, heading; their rates; their second rates)."""
+    return fields | {
+        "x_curr": [-3.0, 0.5, 0.8, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6],
+        "x_goal": [3.0, 0.5, -0.8, 0.1, 0.2, 0.3],
+    }
+
+
+def test_the_length_of_the_state_tells_the_dimensions(
+    fields: dict[str, Any], heading_fields: dict[str, Any]
+) -> None:
+    planar = AnchorRequest.from_fields(fields)
+    states = [heading_fields["x_curr"]] * 2
+    turning = AnchorRequest.from_fields(heading_fields | {"x_curr": states})
+
+    assert (planar.dim, turning.dim) == (2, 3)
+    np.testing.assert_array_equal(turning.x_curr, states)
+    np.testing.assert_array_equal(turning.x_goal, [heading_fields["x_goal"]] * 2)
+
+
+def test_a_heading_is_no_place_on_the_map(heading_fields: dict[str, Any]) -> None:
+    """The map reaches 5 m; a heading of 6 rad is as good as any."""
+    heading_fields["x_curr"][2] = 6.0
+
+    assert AnchorRequest.from_fields(heading_fields).x_curr[0, 2] == 6.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("x_goal", [3, 0.5, 0, 0], ["[6] or [B,6]", "got [4]"]),
+        ("x_goal", [[3, 0.5, 0, 0]] * 2, ["[6] or [B,6]", "got [2, 4]"]),
+        ("x_curr", [-3, 9, 0, 0, 0, 0, 0, 0, 0], ["on the map", "(-3, 9)"]),
+        ("warm_start", {"trajectory": [[0] * 2] * 4}, ["[T,3] to [T,9]", "[4, 2]"]),
+        ("warm_start", {"trajectory": [[0] * 10] * 4}, ["[T,3] to [T,9]", "[4, 10]"]),
+    ],
+)
+def test_with_heading_a_bad_field_is_named_too(
+    heading_fields: dict[str, Any], field: str, value: Any, words: list[str]
+) -> None:
+    error = refusal(heading_fields | {field: value})
+
+    assert (error.field or "").startswith(field)
     assert [word for word in words if word not in error.message] == []
 
 

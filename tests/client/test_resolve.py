@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -59,6 +60,34 @@ def test_a_fixed_limit_is_refused_by_name(
     ) as e:
         resolve_for_card(AnchorRequest.from_fields(fields | {field: value}), card)
     assert e.value.field == field
+
+
+PLANAR = {"x_curr": [-3.0, 0.5, *[0.0] * 4], "x_goal": [3.0, 0.5, *[0.0] * 2]}
+TURNING = {"x_curr": [-3.0, 0.5, *[0.0] * 7], "x_goal": [3.0, 0.5, *[0.0] * 4]}
+
+
+@pytest.mark.parametrize(
+    ("dim", "states", "words"),
+    [
+        (2, TURNING, r"\[6\] or \[B,6\], as lines 1.2.3 has D = 2, got \[9\]"),
+        (3, PLANAR, r"\[9\] or \[B,9\], as lines 1.2.3 has D = 3, got \[6\]"),
+        (3, {**PLANAR, "x_curr": [PLANAR["x_curr"]] * 5}, r"\[9\] or \[B,9\], .* got \[5,6\]"),
+    ],
+)
+def test_another_number_of_dimensions_is_refused(
+    fields: dict[str, Any], card: ModelCard, dim: int, states: dict[str, Any], words: str
+) -> None:
+    request = AnchorRequest.from_fields(fields | states)
+
+    with pytest.raises(InvalidRequest, match=words) as caught:
+        resolve_for_card(request, replace(card, D=dim))
+    assert caught.value.field == "x_curr"
+
+
+def test_a_heading_meets_a_card_that_has_one(fields: dict[str, Any], card: ModelCard) -> None:
+    request = AnchorRequest.from_fields(fields | TURNING)
+
+    assert resolve_for_card(request, replace(card, D=3)).dim == 3
 
 
 def test_a_limit_that_went_through_float32_is_the_same(

@@ -15,9 +15,14 @@ from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_models import L2Config, create_l2_safety_cfm
 
 OPTION_SETS: dict[str, dict[str, Any]] = {
-    "unet": {"backbone": "unet", "num_steps": 45, "map_attention": True},
-    "attention": {"map_attention": True, "map_scales": 2, "map_lookup": False},
-    "tokens": {"num_steps": 45, "steps_per_token": 4, "map_scales": 2, "feature_channels": 0},
+    "unet": {"backbone": "unet", "num_steps": 45, "map_attention": True, "map_lookup": False},
+    "transformer": {
+        "num_steps": 45,
+        "steps_per_token": 4,
+        "map_attention": True,
+        "map_scales": 2,
+        "feature_channels": 0,
+    },
 }
 
 

@@ -1,4 +1,4 @@
-"""The two vector fields: their sizes, steps that nothing divides, what reaches what."""
+"""The two vector fields: steps that nothing divides, what reaches what."""
 
 from __future__ import annotations
 
@@ -11,40 +11,12 @@ from torch import Tensor, nn
 from anchorflow_models import (
     FlowMPTransformer,
     FlowMPUNet1D,
-    L2Config,
     create_flowmp_transformer,
     create_flowmp_unet1d,
-    create_l2_safety_cfm,
 )
 
 Backbone = FlowMPTransformer | FlowMPUNet1D
 CREATE = {"transformer": create_flowmp_transformer, "unet": create_flowmp_unet1d}
-
-
-def size(module: nn.Module) -> int:
-    return sum(parameter.numel() for parameter in module.parameters())
-
-
-@pytest.mark.parametrize(
-    ("backbone", "variant", "expected"),
-    [
-        ("transformer", "small", 1_779_120),
-        ("transformer", "base", 7_399_216),
-        ("transformer", "large", 32_016_432),
-        ("unet", "small", 2_386_150),
-        ("unet", "base", 7_978_950),
-        ("unet", "large", 29_080_966),
-    ],
-)
-def test_variants_have_the_documented_size(backbone: str, variant: str, expected: int) -> None:
-    model = create_l2_safety_cfm(L2Config(backbone=backbone, variant=variant))
-    assert size(model.vector_field) == expected
-    assert size(model) == expected + 792_384  # the encoders, whichever the backbone
-
-
-def test_the_transformer_s_blocks_have_the_documented_size() -> None:
-    sizes = [size(create_flowmp_transformer(v).blocks) for v in ("small", "base", "large")]
-    assert sizes == [791_040, 4_732_416, 25_202_688]
 
 
 @pytest.fixture
@@ -60,10 +32,10 @@ def make_backbone(open_branches: Callable[[nn.Module], None]) -> Callable[..., B
 
 
 @torch.no_grad()
-def fields(backbone: Backbone, x_t: Tensor, features: Tensor, t: float = 0.4) -> Tensor:
+def fields(backbone: Backbone, x_t: Tensor, features: Tensor) -> Tensor:
     generator = torch.Generator().manual_seed(3)
     condition = torch.randn(x_t.shape[0], 256, generator=generator)
-    return backbone(x_t, features, backbone.modulate(condition, torch.tensor([t])))
+    return backbone(x_t, features, backbone.modulate(condition, torch.tensor([0.4])))
 
 
 def inputs(steps: int = 45) -> tuple[Tensor, Tensor]:

@@ -11,6 +11,7 @@ from torch import Tensor
 from anchorflow_models import CostMapEncoder, L2SafetyCFM
 from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.flowmp.window import MapWindow
+from anchorflow_models.layers.map_attention import MapAttention
 
 Scene = dict[str, Tensor]
 MakeModel = Callable[..., L2SafetyCFM]
@@ -83,7 +84,7 @@ def test_map_tokens_know_their_places(make_model: MakeModel) -> None:
     again = mirrored.unflatten(1, (4, 4)).flip(2).flatten(1, 2)
     assert not torch.allclose(tokens, again, atol=1e-2)
     x, order = torch.randn(1, 3, 8, 128), torch.randperm(16)
-    attention = model.transformer.blocks[0].map_attention
+    attention = next(m for m in model.transformer.modules() if isinstance(m, MapAttention))
     answers = [attention(x, attention.keys_values(t)) for t in (tokens, tokens[:, order], again)]
     torch.testing.assert_close(answers[0], answers[1])
     assert not torch.allclose(answers[0], answers[2], atol=1e-3)
@@ -123,6 +124,18 @@ def test_the_second_window_sees_twice_as_far(
             field_of(model, scene | {"cost_map": m}, noise) for m in (scene["cost_map"], far)
         )
         assert torch.equal(base, other) != sees
+
+
+def test_each_window_is_looked_up_where_the_trajectory_is(
+    make_model: MakeModel, make_scene: MakeScene
+) -> None:
+    """Tables that hold the metric place of each cell give back the places asked for."""
+    model, scene = make_model(map_scales=2, feature_channels=0), make_scene()
+    frame = Frame.between(scene["x_curr"][:, :2], scene["x_goal"][:, :2])
+    tables = {name: frame.widened(width).window(64) for name, width in model.windows.items()}
+    places = frame.centre[:, None] + torch.tensor([[0.5, -1.0], [-1.5, 0.7]])
+    seen = model._seen(frame.place(places), tables)
+    torch.testing.assert_close(seen, torch.cat([places, places], -1), atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("channels", [1, 5])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,18 @@ def test_every_input_has_the_shape_that_its_name_stands_for(
     assert all(array.dtype == np.float32 for array in inputs.values())
     np.testing.assert_array_equal(inputs["map_geometry"], [[-4.0, -4.0, 0.5]])
     np.testing.assert_allclose(inputs["w_style"], [[0.4, 0.3, 0.3]])
+
+
+def test_with_heading_the_map_sees_x_and_y_alone(card: ModelCard, small_request: Build) -> None:
+    states = {"x_curr": [-3.0, 0.1, 1.5] + [0.1] * 6, "x_goal": [3.0, 0.2, -9.0] + [0.0] * 3}
+    (turning,) = scenes(small_request(**states), replace(card, D=3))
+    (planar,) = scenes(small_request(), card)
+    inputs = turning.inputs([TensorSpec(name, "float32", ()) for name in ("x_curr", "x_goal")])
+    assert {name: array.shape for name, array in inputs.items()} == {
+        "x_curr": (1, 9),
+        "x_goal": (1, 6),
+    }
+    np.testing.assert_array_equal(turning.cost_to_go, planar.cost_to_go)
 
 
 def test_only_what_the_manifest_lists_is_made(card: ModelCard, small_request: Build) -> None:

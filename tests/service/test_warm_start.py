@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from anchorflow_client.contract import AnchorRequest, ModelCard, WarmStart
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.warm_start import warm_state
@@ -39,6 +41,32 @@ def test_missing_derivatives_and_steps_are_filled(
     got = warm_state(warm, card=card, horizon_s=HORIZON)
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, parabola(8), atol=1e-5)
+
+
+def turning(steps: int) -> np.ndarray:
+    """States [steps,9] with a heading that splines represent exactly too."""
+    t = np.linspace(0.0, HORIZON, steps)
+    heading = [0.05 * t**2 + 0.3, 0.1 * t, np.full_like(t, 0.1)]
+    planar = parabola(steps)
+    columns = [(planar[:, 2 * k : 2 * k + 2], heading[k][:, None]) for k in range(3)]
+    return np.concatenate([part for pair in columns for part in pair], axis=1)
+
+
+@pytest.mark.parametrize("columns", [3, 6, 9])
+def test_six_columns_are_velocities_too_where_the_card_has_a_heading(
+    card: ModelCard, columns: int
+) -> None:
+    warm = WarmStart(turning(31)[:, :columns], tau=0.8)
+    got = warm_state(warm, card=replace(card, D=3), horizon_s=HORIZON)
+    np.testing.assert_allclose(got, turning(8), atol=1e-5)
+
+
+@pytest.mark.parametrize("columns", [4, 5, 7, 8])
+def test_a_part_of_a_vector_is_refused(card: ModelCard, columns: int) -> None:
+    warm = WarmStart(np.zeros((8, columns)), tau=0.8)
+    with pytest.raises(InvalidRequest, match=rf"3, 6, 9 columns\), got {columns}") as caught:
+        warm_state(warm, card=replace(card, D=3), horizon_s=HORIZON)
+    assert caught.value.field == "warm_start.trajectory"
 
 
 def test_the_flow_goes_on_from_tau(

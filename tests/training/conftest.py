@@ -37,8 +37,8 @@ def _scene(rng: np.random.Generator) -> dict[str, np.ndarray]:
     cost_map = np.zeros((3, CELLS, CELLS), np.uint8)
     cost_map[0, row : row + 4, column : column + 4] = 255
     cost_map[1] = 255
-    x_curr = np.float32([-3.0, *rng.uniform(-1, 1, 1), 0.5, 0.0, 0.0, 0.0])
-    x_goal = np.float32([3.0, *rng.uniform(-1, 1, 1), 0.0, 0.0])
+    x_curr = np.array([-3.0, *rng.uniform(-1, 1, 1), 0.5, 0.0, 0.0, 0.0], np.float32)
+    x_goal = np.array([3.0, *rng.uniform(-1, 1, 1), 0.0, 0.0], np.float32)
     basis = spline_basis(STEPS, HORIZON_S)
     control = np.repeat(basis.rest_curve(x_curr, x_goal)[:, None], TRAJECTORIES, axis=1)
     control[..., basis.free] += rng.normal(0, 0.3, control[..., basis.free].shape)
@@ -46,12 +46,14 @@ def _scene(rng: np.random.Generator) -> dict[str, np.ndarray]:
     ends = x_curr[:2], x_goal[:2]
     return {
         "cost_map": cost_map,
-        "clearance": np.float16(clearance_field(cost_map[0] > 127, RESOLUTION, 0.25)),
-        "cost_to_go": np.float16([np.hypot(line - x, line[:, None] - y) for x, y in ends]),
-        "map_geometry": np.float32([-half, -half, RESOLUTION]),
+        "clearance": clearance_field(cost_map[0] > 127, RESOLUTION, 0.25).astype(np.float16),
+        "cost_to_go": np.array(
+            [np.hypot(line - x, line[:, None] - y) for x, y in ends], np.float16
+        ),
+        "map_geometry": np.array([-half, -half, RESOLUTION], np.float32),
         "x_curr": x_curr,
         "x_goal": x_goal,
-        "w_style": np.float32([0.4, 0.3, 0.3]),
+        "w_style": np.array([0.4, 0.3, 0.3], np.float32),
         "states": np.concatenate(basis.states(control), axis=-1),
     }
 

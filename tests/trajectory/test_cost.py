@@ -66,6 +66,15 @@ def test_descent_frees_anchors_and_keeps_the_ends_and_the_limits() -> None:
     np.testing.assert_allclose(position[:, -1], np.tile(X_GOAL[:2], (32, 1)), atol=1e-4)
 
 
+def test_descent_leaves_a_heading_where_it_was() -> None:
+    planar = disturbed(8).astype(np.float32)
+    heading = np.random.default_rng(4).normal(0.0, 0.3, planar[:1].shape).astype(np.float32)
+    control = descend(cost(), np.concatenate([planar, heading]), steps=20, rate=0.3)
+    np.testing.assert_array_equal(control[2:], heading)
+    # All three dimensions share a product, so sums may be rounded differently.
+    np.testing.assert_allclose(control[:2], descend(cost(), planar, steps=20, rate=0.3), atol=1e-3)
+
+
 def test_one_trajectory_never_touches_another() -> None:
     start = disturbed(8).astype(np.float32)
     together = descend(cost(), start, steps=20, rate=0.3)

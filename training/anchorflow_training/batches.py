@@ -5,7 +5,7 @@ Batch i depends on the seed and on i alone; a run that resumes sees what it woul
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -70,12 +70,10 @@ def mirror(batch: Batch) -> None:
     geometry[:, 1] = -(geometry[:, 1] + height * geometry[:, 2])
     for name, fields in (("x_curr", 3), ("x_goal", 2), ("states", 3)):
         dim = batch[name].shape[-1] // fields
-        batch[name] *= np.tile(np.float32([1.0, -1.0, -1.0])[:dim], fields)
+        batch[name] *= np.tile(np.array([1.0, -1.0, -1.0], np.float32)[:dim], fields)
 
 
-def batches(
-    dataset: SceneDataset, config: BatchConfig, indices: Iterable[int]
-) -> Iterator[Batch]:
+def batches(dataset: SceneDataset, config: BatchConfig, indices: Iterable[int]) -> Generator[Batch]:
     """The batches of these numbers, the next one prepared while the last is used."""
     with ThreadPoolExecutor(1) as pool:
         ahead = None

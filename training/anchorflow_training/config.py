@@ -43,7 +43,7 @@ class EvaluationConfig:
 
 @dataclass(frozen=True)
 class TrainerConfig:
-    """How long, how fast and on what; the rate climbs over `warmup` steps, then falls as a cosine."""
+    """How long, how fast and on what; the rate climbs over `warmup`, then falls as a cosine."""
 
     steps: int = setting(12_000, "Optimiser steps in all.", least=1)
     learning_rate: float = setting(1e-3, "Peak learning rate.", above=0)

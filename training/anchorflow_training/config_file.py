@@ -11,6 +11,7 @@ import yaml
 
 from anchorflow_training.config import TrainerConfig
 from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.held_out import SHAPES
 from anchorflow_training.settings import ConfigError, build, checked, merged, nested
 
 
@@ -36,25 +37,15 @@ def layered_config(
     if file:
         values = merged(values, read_config(file))
     for path, value in (options or {}).items():
-        name = "--" + path.replace("_", "-")
-        values = merged(values, checked(TrainerConfig, nested(path, value), source=name))
+        given = checked(TrainerConfig, nested(path, value), source="command line")
+        values = merged(values, given)
     return build(TrainerConfig, values, source="configuration")
 
 
 def model_settings(dataset: SceneDataset) -> dict[str, Any]:
     """What of the model's configuration a dataset fixes: shapes and limits."""
-    _, _, num_steps, state_dim = dataset.arrays["states"].shape
-    meta = dataset.meta
-    made = meta.get("config", {})
-    limits = meta.get("limits") or (made.get("limits", {}) if isinstance(made, Mapping) else {})
-    names = ("horizon_s", "v_max", "a_max")
-    known = {n: float(limits[n]) for n in names if n in limits} if isinstance(limits, Mapping) else {}
-    return {
-        "num_steps": num_steps,
-        "dim": state_dim // 3,
-        "map_channels": dataset.arrays["cost_map"].shape[1],
-        **known,
-    }
+    shapes = {name: getattr(dataset, name) for name in SHAPES}
+    return {**shapes, **asdict(dataset.limits)}
 
 
 def config_text(config: TrainerConfig) -> str:

@@ -82,7 +82,7 @@ class SceneDataset:
 
     def batch(self, scenes: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
         """The named arrays of some scenes in float32 and SI units; cost_map in [0, 1]."""
-        rows = {name: np.float32(array[scenes]) for name, array in self.arrays.items()}
+        rows = {name: array[scenes].astype(np.float32) for name, array in self.arrays.items()}
         rows["cost_map"] /= 255.0
         return rows
 
@@ -123,9 +123,11 @@ def shrink_arrays(path: Path, scenes: int) -> None:
         file = path / f"{name}.npy"
         array = np.load(file, mmap_mode="r")
         header = {"descr": array.dtype.str, "fortran_order": False}
-        rows, row_bytes = array.shape[1:], array[:1].nbytes
+        rows, row_bytes, offset = array.shape[1:], array[:1].nbytes, array.offset
         del array
         with file.open("r+b") as stream:
             # numpy leaves room in the header for the first axis to change, so the data stay put.
             np.lib.format.write_array_header_1_0(stream, header | {"shape": (scenes, *rows)})
-            stream.truncate(stream.tell() + scenes * row_bytes)
+            if stream.tell() != offset:
+                raise DatasetError(f"{file}: expected a header of {offset} bytes")
+            stream.truncate(offset + scenes * row_bytes)

@@ -33,8 +33,8 @@ def make_fabric(config: TrainerConfig) -> Fabric:
         "bfloat16": "bf16-mixed",
         "float16": "16-mixed",
     }
-    plugins = [MixedProducts(names[precision], accelerator)] if precision in names else []
-    return Fabric(accelerator=accelerator, devices=config.devices, plugins=plugins)
+    plugin = MixedProducts(names[precision], accelerator) if precision in names else None
+    return Fabric(accelerator=accelerator, devices=config.devices, plugins=plugin)
 
 
 def _accelerator(config: TrainerConfig) -> Literal["cpu", "cuda"]:

@@ -9,10 +9,10 @@ from anchorflow_training.config import TrainerConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
 from anchorflow_training.settings import ConfigError
 
+SHAPES = ("num_steps", "dim", "map_channels")  # T, D and C: the model's must be the dataset's
 
-def split(
-    dataset: SceneDataset, config: TrainerConfig
-) -> tuple[SceneDataset, SceneDataset | None]:
+
+def split(dataset: SceneDataset, config: TrainerConfig) -> tuple[SceneDataset, SceneDataset | None]:
     """The scenes to train on and those held out, if any; raises `ConfigError`."""
     held_out, path = config.evaluation.held_out, config.evaluation.dataset
     if held_out and path:
@@ -38,14 +38,7 @@ def _part(dataset: SceneDataset, scenes: slice) -> SceneDataset:
 
 
 def _check_shapes(dataset: SceneDataset, config: TrainerConfig) -> None:
-    """The model must be of the dataset's shape: T, D and C."""
-    _, _, num_steps, state_dim = dataset.arrays["states"].shape
-    found = {
-        "num_steps": num_steps,
-        "dim": state_dim // 3,
-        "map_channels": dataset.arrays["cost_map"].shape[1],
-    }
-    for name, value in found.items():
-        asked = getattr(config.model, name)
-        if asked != value:
-            raise ConfigError(f"model.{name}: expected {value}, as in {dataset.path}, got {asked}")
+    for name in SHAPES:
+        asked, found = getattr(config.model, name), getattr(dataset, name)
+        if asked != found:
+            raise ConfigError(f"model.{name}: expected {found}, as in {dataset.path}, got {asked}")

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +59,7 @@ def make_dataset(
     *,
     workers: int,
     progress: Callable[[int], None] = lambda _: None,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Write the dataset folder, return its `dataset.json`; `progress` gets 1 a finished scene."""
     arrays, families, unsolved, shares = None, Counter(), Counter(), []
     tasks = ((config, i) for i in range(config.scenes))
@@ -116,10 +117,10 @@ def _row(scene: Scene, control: NDArray[np.float32], config: DataConfig) -> Row:
     ends = scene.x_curr[:2], scene.x_goal[:2]
     ways = cost_to_go(scene.clearance, scene.resolution, scene.origin, *ends)
     return {
-        "cost_map": np.uint8(np.rint(scene.cost_map * 255)),
-        "clearance": np.float16(scene.clearance),
-        "cost_to_go": np.float16(ways),
-        "map_geometry": np.float32([*scene.origin, scene.resolution]),
+        "cost_map": np.rint(scene.cost_map * 255).astype(np.uint8),
+        "clearance": scene.clearance.astype(np.float16),
+        "cost_to_go": ways.astype(np.float16),
+        "map_geometry": np.array([*scene.origin, scene.resolution], np.float32),
         "x_curr": scene.x_curr,
         "x_goal": scene.x_goal,
         "w_style": scene.style,

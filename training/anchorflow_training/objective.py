@@ -24,9 +24,7 @@ class FlowObjective(nn.Module):
         super().__init__()
         self.model, self.config = model, config
 
-    def draw(
-        self, scenes: int, samples: int, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
+    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Noise [B, N, R] and flow times [B, N]; on the CPU, so alike on every device."""
         noise = torch.randn(scenes, samples, self.model.prior.rank, generator=generator)
         return noise, draw_flow_times(self.config, (scenes, samples), generator)

@@ -58,9 +58,7 @@ class CFMTrainer:
         saved = resumable(self.checkpoint_path, config.model)
         self.model = self._new_model()
         if saved is None:
-            covariance = prior_covariance(
-                self.dataset, config.model, mirrored=config.batch.mirror
-            )
+            covariance = prior_covariance(self.dataset, config.model, mirrored=config.batch.mirror)
             self.model.prior.set_covariance(covariance)
         else:
             self.model.load_state_dict(saved.model)
@@ -195,8 +193,10 @@ class CFMTrainer:
         return range(self._index(first), self._index(end), self.fabric.world_size)
 
     def _report(self, record: RunRecord | None, report: Report, *, seconds: float) -> None:
-        row = self.fabric.all_reduce(self.pending.means(), reduce_op="mean")
-        row = {name: float(value) for name, value in row.items()}
+        means = self.pending.means()
+        values = torch.tensor([*means.values()], dtype=torch.float64, device=self.fabric.device)
+        shared = self.fabric.all_reduce(values, reduce_op="mean")
+        row = dict(zip(means, torch.as_tensor(shared).tolist(), strict=True))
         config, processes = self.config, self.fabric.world_size
         samples = config.batch.scenes * config.batch.samples * config.accumulate * processes
         row["samples_per_s"] = samples / row.pop("step_seconds")

@@ -17,6 +17,7 @@ from anchorflow_trajectory.spline import SplineBasis
 FloatArray = NDArray[np.floating]
 
 BETAS = (0.8, 0.95)  # short memories: there are tens of steps, not thousands
+PLANE = slice(2)  # x and y
 
 
 @lru_cache(maxsize=32)
@@ -34,18 +35,20 @@ def descend(
 ) -> FloatArray:
     """Control points [D, M, K] after `steps` steps of about `rate` metres, decaying to a tenth.
 
-    The ends stay where they are; every trajectory descends by itself.
+    The ends stay where they are, and so does a heading: no obstacle and no limit pulls at it, and
+    Adam would scale what is left up to steps of `rate` radians. Trajectories descend on their own.
     """
     free, root = cost.basis.free, _whitening(cost.basis, ridge)
     control = control.copy()
-    mean = np.zeros_like(control[..., free])
+    moved = control[PLANE, :, free]
+    mean = np.zeros_like(moved)
     spread = np.zeros_like(mean)
     for step in range(1, steps + 1):
         _, gradient = cost.value_and_gradient(control)
-        slope = gradient[..., free] @ root
+        slope = gradient[PLANE, :, free] @ root
         mean += (1 - BETAS[0]) * (slope - mean)
         spread += (1 - BETAS[1]) * (slope**2 - spread)
         size = np.sqrt(spread / (1 - BETAS[1] ** step)) + 1e-6
         decay = rate * 0.1 ** (step / steps) / (1 - BETAS[0] ** step)
-        control[..., free] -= (decay * mean / size) @ root.T
+        moved -= (decay * mean / size) @ root.T
     return control

@@ -40,13 +40,18 @@ def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[n
     return array
 
 
-def vectors(value: Any, field: str, size: int, interval: Interval) -> NDArray[np.float64]:
-    """One vector [size] or a batch of them [B,size]."""
-    shape = f"[{size}] or [B,{size}]"
+def vectors(value: Any, field: str, interval: Interval, *sizes: int) -> NDArray[np.float64]:
+    """One vector [size] or a batch of them [B,size], of one of the sizes."""
+    shape = ", ".join(map(vector_shape, sizes))
     array = numbers(value, field, interval, shape)
-    if array.ndim not in (1, 2) or array.shape[-1] != size:
+    if array.ndim not in (1, 2) or array.shape[-1] not in sizes:
         raise wrong_shape(field, shape, array)
     return array
+
+
+def vector_shape(size: int) -> str:
+    """The shapes that a field of vectors may have, for a message."""
+    return f"[{size}] or [B,{size}]"
 
 
 def wrong_shape(field: str, shape: str, array: NDArray[Any]) -> InvalidRequest:

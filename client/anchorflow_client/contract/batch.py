@@ -27,7 +27,7 @@ class AnchorBatch:
     """Anchors in the map's frame. Where the request was batched, a B axis leads every array."""
 
     trajectories: NDArray[np.float32]
-    """[N,T,D] m."""
+    """[N,T,D] m; the third of D = 3 is a heading in rad, its derivatives in rad/s and rad/s^2."""
     velocities: NDArray[np.float32]
     """[N,T,D] m/s."""
     accelerations: NDArray[np.float32]

@@ -66,14 +66,14 @@ class ModelCard:
     T: int
     """Time steps of an anchor."""
     D: int
-    """Dimensions of a position."""
+    """Dimensions of a position: 2 (x, y), or 3 (x, y, heading in rad)."""
     horizon_s: float
     dt: float
     """s between two time steps: horizon_s / (T - 1)."""
     v_max: float
-    """m/s; answers keep it."""
+    """m/s in the plane; answers keep it."""
     a_max: float
-    """m/s^2; answers keep it."""
+    """m/s^2 in the plane; answers keep it."""
     robot_radius: float
     """m."""
     map: MapSpec

@@ -30,10 +30,12 @@ class Interval:
         return f"in {left}{self.low:g}, {self.high:g}{right} {self.unit}".rstrip()
 
 
-NUM_STATE = 6
-"""Numbers of `x_curr`: position, velocity, acceleration in the plane."""
-NUM_GOAL = 4
-"""Numbers of `x_goal`: position and velocity."""
+DIMENSIONS = (2, 3)
+"""D: x and y, or x, y and heading."""
+STATE_FIELDS = 3
+"""D-vectors of `x_curr`: position, velocity, acceleration."""
+GOAL_FIELDS = 2
+"""D-vectors of `x_goal`: position and velocity."""
 NUM_STYLE = 3
 """Weights of `w_style`: safety, energy, smooth."""
 

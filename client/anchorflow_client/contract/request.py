@@ -51,9 +51,9 @@ class AnchorRequest:
 
     cost_map: CostMap
     x_curr: NDArray[np.float64]
-    """[B,6] position in m, velocity in m/s, acceleration in m/s^2."""
+    """[B,3D] position in m, velocity in m/s, acceleration in m/s^2; D = 2, or 3 with heading."""
     x_goal: NDArray[np.float64]
-    """[B,4] position in m, velocity in m/s."""
+    """[B,2D] position in m, velocity in m/s."""
     w_style: NDArray[np.float64]
     """[B,3] safety, energy, smooth; sums to 1."""
     num_samples: int = ranges.DEFAULT_NUM_SAMPLES
@@ -89,8 +89,8 @@ class AnchorRequest:
 
         Args:
             cost_map: a CostMap, or {"data", "resolution", "origin"}.
-            x_curr: [6] or [B,6].
-            x_goal: [4] or [B,4].
+            x_curr: [3D] or [B,3D]; its length says whether D is 2 or 3.
+            x_goal: [2D] or [B,2D].
             **optional: the further fields of this class; None stands for one that is left out.
 
         Raises:
@@ -98,7 +98,7 @@ class AnchorRequest:
         """
         options = fields_of(optional, "", OPTIONAL_FIELDS)
         scenes = _scenes(cost_map, x_curr, x_goal, options.get("w_style"))
-        request = cls(**scenes._asdict(), **_options(options))
+        request = cls(**scenes._asdict(), **_options(options, _dim_of(scenes.x_curr)))
         _check_first_time(request)
         return request
 
@@ -111,6 +111,11 @@ class AnchorRequest:
     def num_scenes(self) -> int:
         """B."""
         return len(self.x_curr)
+
+    @property
+    def dim(self) -> int:
+        """D, dimensions of a position: 2, or 3 with heading."""
+        return _dim_of(self.x_curr)
 
     def field_values(self) -> dict[str, Any]:
         """All fields by name, not copied."""
@@ -127,12 +132,19 @@ class _Scenes(NamedTuple):
     batched: bool
 
 
+def _dim_of(x_curr: NDArray[np.float64]) -> int:
+    """D of states [...,3D]."""
+    return x_curr.shape[-1] // ranges.STATE_FIELDS
+
+
 def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> _Scenes:
     cost_map = CostMap.from_fields(cost_map)
+    state_sizes = (ranges.STATE_FIELDS * dim for dim in ranges.DIMENSIONS)
+    x_curr = vectors(x_curr, "x_curr", ranges.STATE, *state_sizes)
     arrays = {
         "cost_map.data": cost_map.data,
-        "x_curr": vectors(x_curr, "x_curr", ranges.NUM_STATE, ranges.STATE),
-        "x_goal": vectors(x_goal, "x_goal", ranges.NUM_GOAL, ranges.STATE),
+        "x_curr": x_curr,
+        "x_goal": vectors(x_goal, "x_goal", ranges.STATE, ranges.GOAL_FIELDS * _dim_of(x_curr)),
         "w_style": _style(ranges.DEFAULT_STYLE if w_style is None else w_style),
     }
     batches = {name: len(array) for name, array in arrays.items() if array.ndim in (2, 4)}
@@ -160,7 +172,7 @@ def _common_num_scenes(batches: Mapping[str, int]) -> int:
 
 def _style(value: Any) -> NDArray[np.float64]:
     """Weights made to sum to 1."""
-    weights = vectors(value, "w_style", ranges.NUM_STYLE, ranges.STYLE_WEIGHT)
+    weights = vectors(value, "w_style", ranges.STYLE_WEIGHT, ranges.NUM_STYLE)
     total = weights.sum(axis=-1, keepdims=True)
     if not (total > 0).all():
         raise InvalidRequest("expected a weight above 0, got only zeros", "w_style")
@@ -194,11 +206,12 @@ def _position(point: NDArray[np.float64], scene: int) -> str:
     return f"({point[0]:g}, {point[1]:g}) m of scene {scene}"
 
 
-def _options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Check the optional fields that stand on their own."""
+def _options(options: Mapping[str, Any], dim: int) -> dict[str, Any]:
+    """Check the optional fields that need no scene beside D = `dim`."""
+    checks = _CHECK_OF_OPTION | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
     return {
         name: check(options[name])
-        for name, check in _CHECK_OF_OPTION.items()
+        for name, check in checks.items()
         if options.get(name) is not None
     }
 
@@ -213,7 +226,6 @@ _CHECK_OF_OPTION: dict[str, Callable[[Any], Any]] = {
     "seed": partial(integer, field="seed", interval=ranges.SEED),
     "sampler": SamplerChoice.from_fields,
     "refine": RefineChoice.from_fields,
-    "warm_start": WarmStart.from_fields,
     "budget_ms": partial(number, field="budget_ms", interval=ranges.BUDGET),
     "request_id": partial(text, field="request_id"),
 }

@@ -7,6 +7,8 @@ import secrets
 from dataclasses import dataclass, field
 from typing import Any
 
+from anchorflow_client.contract import ranges
+from anchorflow_client.contract.arrays import vector_shape
 from anchorflow_client.contract.card import ModelCard
 from anchorflow_client.contract.request import LIMIT_INTERVALS, AnchorRequest
 from anchorflow_client.contract.sampling import (
@@ -41,9 +43,10 @@ def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest
     A seed is drawn where none is given.
 
     Raises:
-        InvalidRequest: robot_radius, v_max, a_max or horizon_s differs from the card's, and the
-            card does not list it as adjustable.
+        InvalidRequest: x_curr has another D than the card; robot_radius, v_max, a_max or horizon_s
+            differs from the card's, and the card does not list it as adjustable.
     """
+    _check_dim(request, card)
     filled: dict[str, Any] = {name: _limit(name, request, card) for name in LIMIT_INTERVALS} | {
         "model": request.model or card.name,
         "seed": secrets.randbits(DRAWN_SEED_BITS) if request.seed is None else request.seed,
@@ -51,6 +54,16 @@ def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest
         "refine": (request.refine or RefineChoice()).over(card.refine),
     }
     return ResolvedRequest(**(request.field_values() | filled))
+
+
+def _check_dim(request: AnchorRequest, card: ModelCard) -> None:
+    if request.dim == card.D:
+        return
+    size = request.x_curr.shape[1]
+    got = f"[{request.num_scenes},{size}]" if request.batched else f"[{size}]"
+    shape = vector_shape(ranges.STATE_FIELDS * card.D)
+    expected = f"expected shape {shape}, as {card.name} {card.version} has D = {card.D}"
+    raise InvalidRequest(f"{expected}, got {got}", "x_curr")
 
 
 def _limit(name: str, request: AnchorRequest, card: ModelCard) -> float:

@@ -111,20 +111,20 @@ class WarmStart:
     """A trajectory to start from, at flow time `tau`, in place of noise."""
 
     trajectory: NDArray[np.float64]
-    """[T,2] to [T,6]: p in m, then v in m/s, then a in m/s^2."""
+    """[T,D], [T,2D] or [T,3D]: p in m, then v in m/s, then a in m/s^2."""
     tau: float
     """Flow time in (0, 1); near 1 the answer stays near the trajectory."""
 
     @classmethod
-    def from_fields(cls, value: Any) -> WarmStart:
-        """Check the JSON object."""
+    def from_fields(cls, value: Any, *, dim: int) -> WarmStart:
+        """Check the JSON object beside states of D = `dim`."""
         if isinstance(value, WarmStart):
             value = {"trajectory": value.trajectory, "tau": value.tau}
         fields = fields_of(value, "warm_start", ("trajectory", "tau"), ("trajectory",))
         tau = fields.get("tau")
         tau = ranges.DEFAULT_TAU if tau is None else tau
         return cls(
-            read_only(_warm_trajectory(fields["trajectory"])),
+            read_only(_warm_trajectory(fields["trajectory"], dim)),
             number(tau, "warm_start.tau", ranges.INSIDE_UNIT),
         )
 
@@ -170,10 +170,11 @@ def _increasing(times: NDArray[np.float64]) -> tuple[float, ...]:
     return tuple(times.tolist())
 
 
-def _warm_trajectory(value: Any) -> NDArray[np.float64]:
-    field, shape = "warm_start.trajectory", "[T,2] to [T,6]"
+def _warm_trajectory(value: Any, dim: int) -> NDArray[np.float64]:
+    most = ranges.STATE_FIELDS * dim
+    field, shape = "warm_start.trajectory", f"[T,{dim}] to [T,{most}]"
     trajectory = numbers(value, field, ranges.STATE, shape)
     steps, size = trajectory.shape if trajectory.ndim == 2 else (0, 0)
-    if not (2 <= steps <= ranges.MAX_WARM_START_STEPS and 2 <= size <= ranges.NUM_STATE):
+    if not (2 <= steps <= ranges.MAX_WARM_START_STEPS and dim <= size <= most):
         raise wrong_shape(field, shape, trajectory)
     return trajectory

@@ -56,6 +56,10 @@ class TrajectoryPrior(nn.Module):
         states = torch.einsum("rdf,ftk->rtkd", self.factor, self.free)
         self.spread.copy_(states.square().sum(0).mean(0).sqrt())
 
+    def widen(self, scale: float) -> None:
+        """Draw noise `scale` times as wide; above 1 more alternatives, each less typical."""
+        self.factor.mul_(scale)
+
     def mean(self, x_curr: Tensor, x_goal: Tensor) -> Tensor:
         """The rest curves' states, [B, T, S] in SI and the map's frame."""
         ends = torch.cat([x_curr, x_goal], -1).reshape(-1, ENDS, self.dim)

@@ -79,7 +79,9 @@ class RefineBody(_Body):
 class WarmStartBody(_Body):
     """A trajectory to start from in place of noise."""
 
-    trajectory: Matrix = Field(description="[T,2] to [T,6]: p [m], v [m/s], a [m/s^2].")
+    trajectory: Matrix = Field(
+        description="[T,D], [T,2D] or [T,3D]: p [m], v [m/s], a [m/s^2]; D is the model's, 2 or 3."
+    )
     tau: float = _within(ranges.INSIDE_UNIT, "Flow time to start at", default=ranges.DEFAULT_TAU)
 
 
@@ -91,8 +93,14 @@ class AnchorRequestBody(_Body):
     """
 
     cost_map: CostMapBody
-    x_curr: Vector | Matrix = Field(description="[6] or [B,6]: p [m], v [m/s], a [m/s^2].")
-    x_goal: Vector | Matrix = Field(description="[4] or [B,4]: p [m], v [m/s].")
+    x_curr: Vector | Matrix = Field(
+        description="[6] or [B,6]: p [m], v [m/s], a [m/s^2], each x and y; [9] or [B,9] for a "
+        "model with D = 3: x, y and heading [rad], which runs on beyond pi; map and limits see "
+        "x and y alone."
+    )
+    x_goal: Vector | Matrix = Field(
+        description="[4] or [B,4]: p [m], v [m/s]; [6] or [B,6] with heading."
+    )
     w_style: Vector | Matrix = Field(
         list(ranges.DEFAULT_STYLE),
         description="[3] or [B,3] at least 0: safety, energy, smooth; made to sum to 1.",
@@ -140,7 +148,9 @@ class TimingBody(BaseModel):
 class AnchorAnswerBody(BaseModel):
     """N anchors a scene; a B axis leads every array where the request was batched."""
 
-    trajectories: Tensor3 | Tensor4 = Field(description="[N,T,D] m.")
+    trajectories: Tensor3 | Tensor4 = Field(
+        description="[N,T,D] m; the third of D = 3 is a heading [rad]."
+    )
     velocities: Tensor3 | Tensor4 = Field(description="[N,T,D] m/s.")
     accelerations: Tensor3 | Tensor4 = Field(description="[N,T,D] m/s^2.")
     scores: Vector | Matrix = Field(description="[N], higher is better.")

@@ -46,7 +46,7 @@ def occupied_at(row: int, column: int) -> list[Any]:
 
 
 BAD_VALUES: dict[str, tuple[str, Any, str]] = {
-    "state of five": ("x_curr", [0] * 5, "expected shape [6] or [B,6], got [5]"),
+    "state of five": ("x_curr", [0] * 5, "expected shape [6] or [B,6], [9] or [B,9], got [5]"),
     "goal of six": ("x_goal", [0] * 6, "expected shape [4] or [B,4], got [6]"),
     "flat map": ("cost_map.data", [0.0] * 64, "expected shape [C,H,W] or [B,C,H,W], got [64]"),
     "small map": ("cost_map.data", np.zeros((1, 8, 8)).tolist(), "H and W from 16 to 512"),

@@ -107,9 +107,7 @@ def check_values(path: Path, name: str, block: NDArray[Any], first_row: int) -> 
     block: rows from `first_row` on; those that are not finite are another matter and pass.
     """
     rows = block.reshape(len(block), -1)
-    if name == "cost_maps" and block.dtype.kind == "f":
-        wrong, expected = ((rows < 0) | (rows > 1)).any(1), "in [0, 1]"
-    elif name == "quality":
+    if name == "quality" or (name == "cost_maps" and block.dtype != np.uint8):
         wrong, expected = ((rows < 0) | (rows > 1)).any(1), "in [0, 1]"
     elif name in ("safety_margins", "style_weights"):
         wrong, expected = (rows < 0).any(1), "at least 0"

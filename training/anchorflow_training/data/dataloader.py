@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import torch
 from torch.utils.data import DataLoader
@@ -38,8 +39,8 @@ def create_dataloader(
     )
 
 
-def _collate(statistics: TrajectoryStatistics | None, batch: Sample) -> Sample:
-    # The dataset reads a whole batch at once, so there is nothing left to stack.
+def _collate(statistics: TrajectoryStatistics | None, batch: Any) -> Sample:
+    # A batch comes stacked already, where torch's types say a list of samples.
     if statistics is None:
         return batch
     scaled = {

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anchorflow_training.data.array_source import (
     ArraySource,
@@ -130,14 +131,15 @@ def _open_pickle(path: Path) -> Arrays:
     try:
         with path.open("rb") as stream:
             found: Any = pickle.load(stream)
-    except Exception as error:  # noqa: BLE001  whatever the file's code raises
+    except Exception as error:
         raise DatasetError(f"{path}: cannot be unpickled ({error!r})") from error
     if not isinstance(found, dict):
         found = {"positions": found}
-    arrays: Arrays = {}
-    for name, value in found.items():
-        try:
-            arrays[str(name)] = HeldArray(np.asarray(value))
-        except ValueError as error:
-            raise DatasetError(f"{path}: {name}: not one array ({error})") from error
-    return arrays
+    return {str(name): HeldArray(_one_array(path, name, value)) for name, value in found.items()}
+
+
+def _one_array(path: Path, name: str, value: Any) -> NDArray[Any]:
+    try:
+        return np.asarray(value)
+    except ValueError as error:
+        raise DatasetError(f"{path}: {name}: not one array ({error})") from error

@@ -24,6 +24,7 @@ ROOM_SHARE, ROOM_M = 0.75, 3.0
 
 The network looks at a square around start and goal, and beyond a map's edge the robot may not be.
 """
+MOST_FLOAT16 = float(np.finfo(np.float16).max)
 CHECK_STEP = 0.05  # m along the path between two checks of its clearance
 
 
@@ -69,20 +70,20 @@ def imported_scene(source: SceneSource) -> Row | str:
     if not options.keep_collisions:
         margin = float(arrays.get("safety_margins", np.zeros(())))
         field = GridField(clearance, resolution, origin)
-        positions = np.float32(fields[0])[None]
+        positions = fields[0].astype(np.float32)[None]
         if path_clearance(field, positions, max_step=CHECK_STEP)[0] < margin:
             return "collision"
     ways = cost_to_go(clearance, resolution, origin, x_curr[:2], x_goal[:2])
     style = np.asarray(arrays.get("style_weights", STYLE))
     return {
-        "cost_map": np.uint8(np.rint(cost_map * 255)),
-        "clearance": np.float16(clearance),
-        "cost_to_go": np.float16(np.minimum(ways, np.finfo(np.float16).max)),
-        "map_geometry": np.float32([*origin, resolution]),
-        "x_curr": np.float32(x_curr),
-        "x_goal": np.float32(x_goal),
-        "w_style": np.float32(style / style.sum()),
-        "states": np.float32(np.concatenate(fields, -1))[None],
+        "cost_map": np.rint(cost_map * 255).astype(np.uint8),
+        "clearance": clearance.astype(np.float16),
+        "cost_to_go": np.minimum(ways, MOST_FLOAT16).astype(np.float16),
+        "map_geometry": np.array([*origin, resolution], np.float32),
+        "x_curr": x_curr.astype(np.float32),
+        "x_goal": x_goal.astype(np.float32),
+        "w_style": (style / style.sum()).astype(np.float32),
+        "states": np.concatenate(fields, -1).astype(np.float32)[None],
     }
 
 

@@ -21,7 +21,7 @@ LISTED_ROWS = 20
 
 @dataclass(frozen=True)
 class ArraySummary:
-    """One array: its shape, its kind, its least and greatest finite value, and what to know of it."""
+    """One array: its shape and type, its least and greatest finite value, what to know of it."""
 
     name: str
     shape: tuple[int, ...]

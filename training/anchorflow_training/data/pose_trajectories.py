@@ -15,7 +15,7 @@ from anchorflow_training.data.derivatives import central_differences
 from anchorflow_training.data.pose_files import PoseTrack
 from anchorflow_training.dataset import DatasetError
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 
 LONGEST_GAP_S = 0.5
 """A longer silence parts a drive in two: nobody knows what the vehicle did in it."""
@@ -55,7 +55,7 @@ class CutTrajectories:
         if path.suffix != ".npz":
             raise DatasetError(f"{path}: expected a name that ends in .npz")
         arrays = {
-            name: np.float32(getattr(self, name))
+            name: getattr(self, name).astype(np.float32)
             for name in ("positions", "velocities", "accelerations")
         }
         try:
@@ -74,7 +74,7 @@ class CutTrajectories:
 def cut_trajectories(
     tracks: Sequence[PoseTrack], config: CutConfig | None = None
 ) -> CutTrajectories:
-    """Windows of `config.steps` steps from every drive; raises `DatasetError` where none is long enough.
+    """Windows of `config.steps` steps from every drive; raises `DatasetError` where none fits.
 
     Velocities and accelerations are differences along the whole drive, so those at a window's ends
     know what lies beyond it.
@@ -126,12 +126,15 @@ def steady_pieces(track: PoseTrack, rate_hz: float) -> Iterator[tuple[float, Flo
         steps = int(np.floor(own[-1] * rate_hz + 1e-6)) + 1
         wanted = np.minimum(np.arange(steps) / rate_hz, own[-1])
         on_grid = steps == len(rows) and np.allclose(wanted, own, atol=1e-6)
-        yield times[rows[0]], poses[rows] if on_grid else CubicSpline(own, poses[rows])(wanted)
+        yield (
+            float(times[rows[0]]),
+            poses[rows] if on_grid else CubicSpline(own, poses[rows])(wanted),
+        )
 
 
 def ego_centred(orders: FloatArray) -> FloatArray:
     """A window [3, T, 3] of p, v, a of (x, y, heading) in the frame of its first pose."""
-    x, y, heading = orders[0, 0]
+    heading = orders[0, 0, 2]
     cos, sin = np.cos(heading), np.sin(heading)
     # Rows are vectors, so this turns by minus the heading.
     turned = orders @ np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])

@@ -8,7 +8,7 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ class ImportConfig:
     v_max: float | None = None
     a_max: float | None = None
     least_quality: float = 0.0
-    scene: SceneOptions = SceneOptions()
+    scene: SceneOptions = field(default_factory=SceneOptions)
 
 
 def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> Limits:

@@ -12,7 +12,7 @@ from anchorflow_training.data.array_source import HeldArray
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
 from anchorflow_training.dataset import DatasetError
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 Orders = list[FloatArray]
 """Values, first and second derivatives by s, [N, T, 2] each."""
 
@@ -47,7 +47,7 @@ class SyntheticTrajectoryDataset(TrajectoryDataset):
             orders = _with_heading(orders)
         names = "positions", "velocities", "accelerations"
         arrays = {
-            name: HeldArray(np.float32(values / horizon_s**order))
+            name: HeldArray((values / horizon_s**order).astype(np.float32))
             for order, (name, values) in enumerate(zip(names, orders, strict=True))
         }
         self._open(Path(f"synthetic-{kind}"), arrays, None, horizon_s)
@@ -77,7 +77,7 @@ def _bezier(rng: np.random.Generator, count: int, s: FloatArray) -> Orders:
         for share in (1 / 3, 2 / 3)
     ]
     points = np.stack([start, *inner, goal], 1)
-    to_powers = np.array([[1, 0, 0, 0], [-3, 3, 0, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], float)
+    to_powers = np.array([[1, 0, 0, 0], [-3, 3, 0, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float64)
     return _from_coefficients(to_powers @ points, s)
 
 

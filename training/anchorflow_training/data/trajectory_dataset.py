@@ -27,11 +27,11 @@ from anchorflow_training.dataset import DatasetError
 
 Sample = dict[str, Tensor]
 
-BLOCK_BYTES = 1 << 25  # of a file that are looked at together; bounds the memory of a pass
+BLOCK_BYTES = 1 << 23  # of a file that are looked at together; bounds the memory of a pass
 
 
 class TimeStepUnknown(DatasetError):
-    """Derivatives are to be taken, and neither the file nor the caller says how far steps lie apart."""
+    """Derivatives are to be taken, and nobody says how far in time two steps lie apart."""
 
 
 class TrajectoryDataset(Dataset[Sample]):
@@ -173,7 +173,7 @@ class TrajectoryDataset(Dataset[Sample]):
         return {name: np.asarray(values, dtype) for name, values in block.items()}
 
     def map_geometry(self, samples: Rows) -> NDArray[np.float64] | None:
-        """Origin x, origin y [m] and resolution [m/cell] of samples' maps, [B, 3]; None if unsaid."""
+        """[B, 3]: origin x, origin y [m], resolution [m/cell] of the maps; None if unsaid."""
         if "resolution" not in self.geometry or "cost_maps" not in self.arrays:
             return None
         rows = self.rows[samples]

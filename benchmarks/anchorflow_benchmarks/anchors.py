@@ -1,0 +1,40 @@
+"""Anchors of one scene, whoever proposed them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.spline import SplineBasis
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """positions, velocities, accelerations: [N, T, D] in m, m/s, m/s^2; dt: s between samples.
+
+    safe: [N] what the planner promises, None where it promises nothing
+    """
+
+    positions: Array
+    velocities: Array
+    accelerations: Array
+    dt: float
+    safe: NDArray[np.bool_] | None = None
+
+    @staticmethod
+    def of_spline(
+        basis: SplineBasis,
+        control: NDArray[np.floating],
+        *,
+        safe: NDArray[np.bool_] | None = None,
+    ) -> Anchors:
+        """The samples of control points [D, N, K]."""
+        position, velocity, acceleration = (
+            state.astype(np.float64) for state in basis.states(control)
+        )
+        dt = basis.horizon_s / (basis.num_samples - 1)
+        return Anchors(position, velocity, acceleration, dt, safe)

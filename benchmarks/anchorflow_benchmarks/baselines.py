@@ -1,0 +1,157 @@
+"""What a bundle has to beat without a network: the expert by itself, and lines with noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.planners import Planner, limits_of
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.manifest import RefineEntry
+from anchorflow_training.expert import ExpertConfig, solve
+from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.ground import Ground
+from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.spline import spline_basis
+
+NUM_SAMPLES = 64  # T
+EXPERT_STEPS = (60, 200)
+
+
+@dataclass(frozen=True)
+class ExpertPlanner:
+    """The expert's optimiser with `num` tries, all of which are answered, good or not."""
+
+    limits: Limits
+    steps: int
+    evaluations: None = None
+
+    @property
+    def name(self) -> str:
+        return f"expert, {self.steps} steps"
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        config = ExpertConfig(num_samples=NUM_SAMPLES, tries=num, steps=self.steps)
+        config = replace(config, paths=min(config.paths, num))
+        scene, rng = with_own_clearance(scene), np.random.default_rng(seed)
+        solution = solve(scene, config=config, limits=self.limits, rng=rng)
+        basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
+        return Anchors.of_spline(basis, solution.control, safe=solution.good)
+
+
+@dataclass(frozen=True)
+class LinesPlanner:
+    """Straight lines under a minimum-jerk time law, bent sideways by smooth noise.
+
+    spread: m, standard deviation of the first and widest of the bends
+    """
+
+    limits: Limits
+    spread: float = 1.0
+    bends: int = 4
+    name: str = "lines with noise"
+    evaluations: None = None
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
+        start, span = scene.x_curr[:2], scene.x_goal[:2] - scene.x_curr[:2]
+        along = minimum_jerk(NUM_SAMPLES)
+        across = np.array([-span[1], span[0]]) / max(1e-6, float(np.linalg.norm(span)))
+        offset = self._bends(along, num, np.random.default_rng(seed))
+        positions = start + along[:, None] * span + offset[..., None] * across
+        control = basis.fit_positions(positions.astype(np.float32), scene.x_curr, scene.x_goal)
+        return Anchors.of_spline(basis, control)
+
+    def _bends(
+        self, along: NDArray[np.float64], num: int, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Sideways offsets [num, T] in m that vanish at both ends."""
+        order = np.arange(1, self.bends + 1)
+        size = rng.normal(0.0, self.spread / order**2, (num, self.bends))
+        return size @ np.sin(np.pi * order[:, None] * along)
+
+
+@dataclass(frozen=True)
+class RefinedLinesPlanner:
+    """The same lines, finished as a bundle's anchors are: what its network has to earn."""
+
+    lines: LinesPlanner
+    refine: RefineEntry
+    name: str = "lines with noise, refined"
+    evaluations: None = None
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        raw = self.lines.plan(scene, num=num, seed=seed)
+        parts = (raw.positions, raw.velocities, raw.accelerations)
+        scene = with_own_clearance(scene)
+        refiner = Refiner.of(
+            self.lines.limits,
+            num_steps=NUM_SAMPLES,
+            num_control_points=self.refine.num_control_points,
+            degree=self.refine.degree,
+            steps=self.refine.steps,
+        )
+        refined = refiner.refine(
+            np.concatenate(parts, axis=-1, dtype=np.float32),
+            Ground.of(scene.cost_map, scene.clearance, scene.resolution, scene.origin),
+            x_curr=scene.x_curr,
+            x_goal=scene.x_goal,
+            w_style=scene.style,
+            spec=self.refine,
+        )
+        states = (refined.positions, refined.velocities, refined.accelerations)
+        position, velocity, acceleration = (state.astype(np.float64) for state in states)
+        return Anchors(position, velocity, acceleration, raw.dt, refined.safe)
+
+
+def with_own_clearance(scene: Scene) -> Scene:
+    """The scene with its clearance worked out anew, as every request has to."""
+    clearance = clearance_field(scene.occupied, scene.resolution, scene.robot_radius)
+    return replace(scene, clearance=clearance)
+
+
+def minimum_jerk(num_samples: int) -> NDArray[np.float64]:
+    """Share of the way covered at equal times, at rest at both ends (Flash & Hogan, 1985): [T]."""
+    tau = np.linspace(0.0, 1.0, num_samples)
+    return tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
+
+
+def _expert(bundle: Bundle) -> list[Planner]:
+    return [ExpertPlanner(limits_of(bundle), steps) for steps in EXPERT_STEPS]
+
+
+def _lines(bundle: Bundle) -> list[Planner]:
+    lines = LinesPlanner(limits_of(bundle))
+    return [lines, RefinedLinesPlanner(lines, bundle.manifest.refine)]
+
+
+def _rrt(bundle: Bundle) -> list[Planner]:
+    from anchorflow_benchmarks.rrt_connect import RrtConnectPlanner  # OMPL is not everywhere
+
+    return [RrtConnectPlanner(limits_of(bundle))]
+
+
+BASELINES: dict[str, Callable[[Bundle], list[Planner]]] = {
+    "expert": _expert,
+    "lines": _lines,
+    "rrt": _rrt,
+}
+
+
+def named_baselines(names: Sequence[str], bundle: Bundle) -> list[Planner]:
+    """The baselines of these names, to the limits and with the refinement of a bundle.
+
+    Raises:
+        BenchmarkError: there is none of that name.
+        ModuleNotFoundError: rrt is asked for and OMPL is not installed.
+    """
+    if unknown := [name for name in names if name not in BASELINES]:
+        raise BenchmarkError(f"expected baselines of {', '.join(BASELINES)}, got {unknown[0]!r}")
+    return [planner for name in names for planner in BASELINES[name](bundle)]

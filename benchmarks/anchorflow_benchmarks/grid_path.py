@@ -1,0 +1,47 @@
+"""The shortest path on a grid, to which lengths are compared."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+Cell = tuple[int, int]
+
+REACH = 2  # cells a move may go along each axis: 24 neighbours, so that lengths are nearly Euclid's
+MOVES = [(0, 1), (0, 2)] + [
+    (rows, columns) for rows in (1, 2) for columns in range(-REACH, REACH + 1)
+]
+
+
+def shortest_grid_path(passable: NDArray[np.bool_], start: Cell, goal: Cell) -> float:
+    """Length [cells] of the shortest path over passable cells [H, W]; NaN where there is none.
+
+    The start's own cell need not be passable, and a move of two cells looks at its end alone.
+    """
+    passable = passable.copy()
+    passable[start] = True
+    numbers = np.arange(passable.size, dtype=np.int32).reshape(passable.shape)
+    tails, heads, steps = [], [], []
+    for move in MOVES:
+        here, there = (_shifted(numbers, move, sign) for sign in (1, -1))
+        open_move = _shifted(passable, move, 1) & _shifted(passable, move, -1)
+        tails.append(here[open_move])
+        heads.append(there[open_move])
+        steps.append(np.full(len(tails[-1]), np.hypot(*move)))
+    edges = (np.concatenate(tails), np.concatenate(heads))
+    graph = csr_array((np.concatenate(steps), edges), shape=(passable.size,) * 2)
+    lengths = dijkstra(graph, directed=False, indices=numbers[start])
+    length = float(lengths[numbers[goal]])
+    return length if np.isfinite(length) else np.nan
+
+
+def _shifted(grid: NDArray, move: Cell, sign: int) -> NDArray:
+    """The cells from which (sign 1) or to which (sign -1) a move stays on the grid."""
+    height, width = grid.shape
+    rows, columns = move if sign > 0 else (-move[0], -move[1])
+    return grid[
+        max(0, -rows) : min(height, height - rows),
+        max(0, -columns) : min(width, width - columns),
+    ]

@@ -1,0 +1,109 @@
+"""Pictures of what was measured: worst and typical scenes, quality against time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.quality import Plan
+from anchorflow_benchmarks.report import Row
+
+PANEL_INCHES = 2.9
+COLUMNS = 4
+GOOD, BAD = "#1f6fb4", "#d1495b"
+START, GOAL = "#1b7f3b", "#c62828"
+
+
+def draw_scene_sheet(plans: Sequence[Plan], path: Path, *, title: str) -> None:
+    """The worst and the typical scene of each family, by the share of anchors that succeed.
+
+    Successes are blue, the others red. Raises `BenchmarkError` where `path` cannot be written.
+    """
+    panels = [panel for family in _families(plans) for panel in _telling(plans, family)]
+    columns = min(COLUMNS, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure((PANEL_INCHES * columns, PANEL_INCHES * rows + 0.4), layout="constrained")
+    axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
+    for place in axes[len(panels) :]:
+        place.set_axis_off()
+    for place, (label, plan) in zip(axes, panels, strict=False):
+        _draw_plan(place, plan, label)
+    figure.suptitle(title, fontsize=9)
+    _save(figure, path)
+
+
+def draw_quality_over_time(rows: Sequence[Row], path: Path) -> None:
+    """Success and `any` of each row against its median time in ms.
+
+    Raises `BenchmarkError` where `path` cannot be written.
+    """
+    figure = Figure((9.0, 5.0), layout="constrained")
+    axes = figure.add_subplot()
+    for index, row in enumerate(rows):
+        ms, success, solved = (float(row[key] or 0.0) for key in ("ms", "success", "any"))
+        color = f"C{index % 10}"
+        axes.plot([ms, ms], [success, solved], color=color, linewidth=0.8)
+        axes.plot(ms, success, "o", color=color, label=str(row["planner"]))
+        axes.plot(ms, solved, "^", color=color)
+    axes.set(xscale="log", xlabel="median time of a request [ms]", ylim=(-0.02, 1.02))
+    axes.set_ylabel("success (dot) and any (triangle)")
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside right upper", fontsize=8, frameon=False)
+    _save(figure, path)
+
+
+def _families(plans: Sequence[Plan]) -> list[str]:
+    return sorted({plan.scene.family for plan in plans})
+
+
+def _telling(plans: Sequence[Plan], family: str) -> list[tuple[str, Plan]]:
+    """The worst scene of a family and the one in the middle, with what to call them."""
+    numbered = [(i, plan) for i, plan in enumerate(plans) if plan.scene.family == family]
+    ranked = sorted(numbered, key=lambda one: one[1].verdict.measures["success"])
+    chosen = {"worst": ranked[0]}
+    if len(ranked) > 1:
+        chosen["typical"] = ranked[len(ranked) // 2]
+    return [
+        (f"{family}, {kind}: scene {i}, {plan.verdict.measures['success']:.0%}", plan)
+        for kind, (i, plan) in chosen.items()
+    ]
+
+
+def _draw_plan(axes: Axes, plan: Plan, label: str) -> None:
+    scene, good = plan.scene, plan.verdict.success
+    left, bottom = scene.origin
+    height, width = scene.occupied.shape
+    right, top = left + width * scene.resolution, bottom + height * scene.resolution
+    axes.imshow(
+        scene.occupied,
+        cmap="Greys",
+        vmin=0,
+        vmax=1.4,
+        origin="lower",
+        extent=(left, right, bottom, top),
+        interpolation="nearest",
+    )
+    for paths, color in (
+        (plan.anchors.positions[~good], BAD),
+        (plan.anchors.positions[good], GOOD),
+    ):
+        lines = list(paths[..., :2])
+        axes.add_collection(LineCollection(lines, colors=color, linewidths=0.7, alpha=0.7))
+    ends = ((scene.x_curr, START, "o"), (scene.x_goal, GOAL, "*"))
+    for (x, y, *_), color, marker in ends:
+        axes.plot(x, y, color=color, marker=marker, markersize=6, zorder=5)
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
+    axes.set_title(label, fontsize=7)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    try:
+        figure.savefig(path, dpi=130)
+    except (OSError, ValueError) as error:
+        raise BenchmarkError(f"{path}: {error}") from error

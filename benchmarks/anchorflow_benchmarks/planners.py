@@ -1,0 +1,101 @@
+"""What is compared: planners that propose anchors for a scene, under one interface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.samplers import evaluations, parse_sampler, sampler_name
+from anchorflow_client.contract import AnchorRequest, CostMap, SamplerChoice, SamplerSpec
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.engine import Engine
+from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.cost import Limits
+
+
+class Planner(Protocol):
+    """Proposes `num` anchors for a scene and its style; the same seed brings the same noise."""
+
+    @property
+    def name(self) -> str:
+        """As the tables call it."""
+        ...
+
+    @property
+    def evaluations(self) -> int | None:
+        """Of a vector field for a plan; None where there is no field."""
+        ...
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        """All that a request costs happens in here: it is what is timed."""
+        ...
+
+
+@dataclass(frozen=True)
+class EnginePlanner:
+    """A bundle in this process, with one sampler."""
+
+    name: str
+    engine: Engine
+    sampler: SamplerSpec
+
+    @property
+    def evaluations(self) -> int:
+        return evaluations(self.sampler)
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        answer = self.engine.plan(request_of(scene, num=num, seed=seed, sampler=self.sampler))
+        states = (answer.trajectories, answer.velocities, answer.accelerations)
+        position, velocity, acceleration = (state.astype(np.float64) for state in states)
+        return Anchors(position, velocity, acceleration, answer.dt, answer.safe)
+
+
+def request_of(scene: Scene, *, num: int, seed: int, sampler: SamplerSpec) -> AnchorRequest:
+    """A scene as a caller asks for it."""
+    return AnchorRequest.build(
+        cost_map=CostMap.build(scene.cost_map, scene.resolution, scene.origin),
+        x_curr=scene.x_curr,
+        x_goal=scene.x_goal,
+        w_style=scene.style,
+        num_samples=num,
+        robot_radius=scene.robot_radius,
+        seed=seed,
+        sampler=SamplerChoice(sampler.method, sampler.schedule),
+    )
+
+
+def engine_planners(
+    bundles: Sequence[Bundle], samplers: Sequence[str], *, threads: int | None = None
+) -> list[EnginePlanner]:
+    """Each bundle with each sampler; the names say the folder where two models share a name.
+
+    Raises:
+        BundleError: a graph of a bundle cannot be opened.
+        BenchmarkError: a sampler is unknown.
+    """
+    names = bundle_names(bundles)
+    return [
+        EnginePlanner(f"{name} {sampler_name(sampler)}", engine, sampler)
+        for name, bundle in zip(names, bundles, strict=True)
+        for engine in [Engine(bundle, threads=threads)]
+        # The card's own may be named beside it.
+        for sampler in dict.fromkeys(parse_sampler(text, bundle.card) for text in samplers)
+    ]
+
+
+def bundle_names(bundles: Sequence[Bundle]) -> list[str]:
+    """What tells bundles apart: the model's name, or with it the folder's."""
+    names = [bundle.card.name for bundle in bundles]
+    if len(set(names)) == len(names):
+        return names
+    return [f"{b.card.name} ({b.path.resolve().name})" for b in bundles]
+
+
+def limits_of(bundle: Bundle) -> Limits:
+    """What a bundle's anchors keep."""
+    card = bundle.card
+    return Limits(v_max=card.v_max, a_max=card.a_max, horizon_s=card.horizon_s)

@@ -1,0 +1,160 @@
+"""Quality: planners on the same scenes with the same seed, judged, with the time they took."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.judge import MEASURES, SceneJudge, Verdict
+from anchorflow_benchmarks.planners import Planner
+from anchorflow_benchmarks.report import ResultTable, Row
+from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.cost import Limits
+
+SEED = 1
+ALL = "all"
+COUNTS = ("unsafe_called_safe",)  # added up over the scenes; all else is averaged
+
+STYLES = {
+    "safe": (0.7, 0.1, 0.2),
+    "fast": (0.2, 0.5, 0.3),
+    "smooth": (0.3, 0.2, 0.5),
+}
+# (measure, from style, to style): what a caller who changes the style expects to see fall.
+STYLE_CHANGES = (("clear", "safe", "fast"), ("length", "safe", "fast"), ("jerk", "fast", "smooth"))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a planner answered for a scene: [N] anchors, their verdict, and the time in ms."""
+
+    scene: Scene
+    anchors: Anchors
+    verdict: Verdict
+    ms: float
+
+
+Plans = dict[str, list[Plan]]
+
+
+def judge_planners(
+    planners: Sequence[Planner],
+    scenes: Sequence[Scene],
+    *,
+    limits: Limits,
+    num: int,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Plans:
+    """Every planner's plans by its name, scene by scene; `progress` gets 1 a finished scene.
+
+    The planners take turns on each scene, so that a busy spell of the machine meets all of them.
+
+    Raises:
+        BenchmarkError: a planner's answer holds numbers that are not finite.
+    """
+    plans: Plans = {planner.name: [] for planner in planners}
+    for planner in planners:
+        planner.plan(scenes[0], num=num, seed=SEED)  # what is slow for once only
+    for scene in scenes:
+        judge = SceneJudge(scene, limits)
+        for planner in planners:
+            start = perf_counter()
+            anchors = planner.plan(scene, num=num, seed=SEED)
+            ms = (perf_counter() - start) * 1e3
+            _check_finite(planner.name, anchors)
+            plans[planner.name].append(Plan(scene, anchors, judge.judge(anchors), ms))
+        progress(1)
+    return plans
+
+
+def quality_tables(planners: Sequence[Planner], plans: Plans) -> list[ResultTable]:
+    """A table over all scenes and one for each family, a row a planner."""
+    families = sorted({plan.scene.family for plan in next(iter(plans.values()))})
+    tables = []
+    for family in (ALL, *(families if len(families) > 1 else ())):
+        rows = [quality_row(planner, plans[planner.name], family) for planner in planners]
+        count = len(_of_family(plans[planners[0].name], family))
+        title = "All scenes" if family == ALL else f"Family {family}"
+        tables.append(ResultTable(f"{title} ({count})", rows))
+    return tables
+
+
+def quality_row(planner: Planner, plans: Sequence[Plan], family: str = ALL) -> Row:
+    """The measures of a planner's plans, averaged over the scenes that have one."""
+    chosen = _of_family(plans, family)
+    measures = [plan.verdict.measures for plan in chosen]
+    row: dict[str, str | float | int | None] = {"planner": planner.name}
+    for name in MEASURES:
+        values = np.array([measure[name] for measure in measures])
+        row[name] = _total(values) if name in COUNTS else _mean(values)
+    row["evaluations"] = planner.evaluations
+    return row | {"ms": float(np.median([plan.ms for plan in chosen]))}
+
+
+def style_table(
+    planners: Sequence[Planner],
+    scenes: Sequence[Scene],
+    *,
+    limits: Limits,
+    num: int,
+    progress: Callable[[int], None] = lambda _: None,
+) -> ResultTable:
+    """What a change of style changes in %, with the same noise: a row a planner.
+
+    Means over the scenes in which all three styles have a success.
+    """
+    found = {planner.name: {style: [] for style in STYLES} for planner in planners}
+    for scene in scenes:
+        judge = SceneJudge(scene, limits)
+        for planner in planners:
+            for name, style in STYLES.items():
+                styled = replace(scene, style=np.array(style, np.float32))
+                verdict = judge.judge(planner.plan(styled, num=num, seed=SEED))
+                found[planner.name][name].append(verdict.measures)
+        progress(1)
+    rows = [{"planner": name, **_style_changes(styles)} for name, styles in found.items()]
+    triples = "; ".join(f"{name} = {style}" for name, style in STYLES.items())
+    return ResultTable("Style, with the same noise: change in %", rows, triples)
+
+
+def _style_changes(styles: dict[str, list[dict[str, float]]]) -> dict[str, float | int]:
+    solved = [
+        i
+        for i, measures in enumerate(zip(*styles.values(), strict=True))
+        if all(measure["any"] for measure in measures)
+    ]
+    row: dict[str, float | int] = {}
+    for measure, before, after in STYLE_CHANGES:
+        old, new = (
+            _mean(np.array([styles[style][i][measure] for i in solved]))
+            for style in (before, after)
+        )
+        row[f"{measure}, {before} to {after}"] = 100.0 * (new / old - 1.0)
+    return row | {"scenes": len(solved)}
+
+
+def _of_family(plans: Sequence[Plan], family: str) -> list[Plan]:
+    return [plan for plan in plans if family in (ALL, plan.scene.family)]
+
+
+def _mean(values: np.ndarray) -> float:
+    """Over the scenes that have a value; NaN where none has."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # numpy's, of an empty mean
+        return float(np.nanmean(values)) if len(values) else float("nan")
+
+
+def _total(values: np.ndarray) -> int | None:
+    return None if np.isnan(values).all() else int(np.nansum(values))
+
+
+def _check_finite(name: str, anchors: Anchors) -> None:
+    arrays = (anchors.positions, anchors.velocities, anchors.accelerations)
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise BenchmarkError(f"{name}: the answer holds numbers that are not finite")

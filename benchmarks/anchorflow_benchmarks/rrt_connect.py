@@ -1,0 +1,128 @@
+"""RRT-Connect (Kuffner & LaValle, 2000) from OMPL, its paths smoothed to the same limits.
+
+Each path is simplified by OMPL, given a smooth time law and fitted by the spline that anchors are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]  # not everywhere
+
+from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.baselines import NUM_SAMPLES, with_own_clearance
+from anchorflow_training.expert.grid_paths import time_along
+from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.spline import spline_basis
+
+FloatArray = NDArray[np.float32]
+State = Any  # two numbers; OMPL's stubs do not say that they can be indexed
+
+CHECK_STEP = 0.04  # m between the points of a motion that are checked
+LOOKUP = 0.02  # m, side of the cells of the lookup that stands for the clearance field
+TIMEOUT_S = 0.1  # for one path
+PATIENCE = 3  # paths that may fail in a row before the rest are given up
+
+
+@dataclass(frozen=True)
+class RrtConnectPlanner:
+    """`num` runs of RRT-Connect; a run that finds no path answers the straight line.
+
+    margin: m of clearance asked of the path, because the spline cuts its corners; less where
+        start or goal has less
+    """
+
+    limits: Limits
+    margin: float = 0.05
+    name: str = "RRT-Connect (OMPL)"
+    evaluations: None = None
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        seed_generators(seed)
+        straight = np.stack([scene.x_curr[:2], scene.x_goal[:2]])
+        space = _space(with_own_clearance(scene), self.margin)
+        paths, failures = [], 0
+        for _ in range(num):
+            path = _solved(space, straight) if failures < PATIENCE else None
+            failures = 0 if path is not None else failures + 1
+            paths.append(straight if path is None else path)
+        basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
+        timed = np.stack([time_along(path, NUM_SAMPLES) for path in paths])
+        return Anchors.of_spline(basis, basis.fit_positions(timed, scene.x_curr, scene.x_goal))
+
+
+_seeded: list[int] = []
+
+
+def seed_generators(seed: int) -> None:
+    """Seed OMPL's generators, which it lets a process do once; later calls do nothing."""
+    if not _seeded:
+        util.setLogLevel(util.LogLevel.LOG_ERROR)
+        util.RNG.setSeed(seed + 1)  # it takes no 0
+        _seeded.append(seed)
+
+
+def _space(scene: Scene, margin: float) -> base.SpaceInformation:
+    """The map as OMPL sees it: the square around it, in which points are valid or not."""
+    size = np.array(scene.clearance.shape[::-1]) * scene.resolution
+    bounds = base.RealVectorBounds(2)  # its bindings set both axes at once
+    bounds.setLow(float(scene.origin.min()))
+    bounds.setHigh(float((scene.origin + size).max()))
+    space = base.RealVectorStateSpace(2)
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+    information.setStateValidityChecker(validity(scene, margin))
+    information.setStateValidityCheckingResolution(CHECK_STEP / float(np.hypot(*size)))
+    information.setup()
+    return information
+
+
+def validity(scene: Scene, margin: float) -> Callable[[State], bool]:
+    """Whether a state keeps the margin, looked up in a fine grid: OMPL asks thousands of times."""
+    field = GridField(scene.clearance, scene.resolution, scene.origin)
+    ends = np.stack([scene.x_curr[:2], scene.x_goal[:2]])
+    margin = min(margin, float(field.sample(*ends.T).min()) - 1e-3)
+    columns, rows = (
+        int(np.ceil(cells * scene.resolution / LOOKUP)) for cells in scene.clearance.shape[::-1]
+    )
+    x, y = (
+        (low + (np.arange(count) + 0.5) * LOOKUP).astype(np.float32)
+        for low, count in zip(scene.origin, (columns, rows), strict=True)
+    )
+    free = (field.sample(x[None], y[:, None]) >= margin).tolist()
+    left, bottom = scene.origin.tolist()
+
+    def valid(state: State) -> bool:
+        column, row = int((state[0] - left) / LOOKUP), int((state[1] - bottom) / LOOKUP)
+        return 0 <= column < columns and 0 <= row < rows and free[row][column]
+
+    return valid
+
+
+def _solved(space: base.SpaceInformation, ends: FloatArray) -> FloatArray | None:
+    """A simplified path [P, 2] between two points [2, 2], if one is found in time."""
+    problem = base.ProblemDefinition(space)
+    problem.setStartAndGoalStates(_state(space, ends[0]), _state(space, ends[1]))
+    planner = geometric.RRTConnect(space)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    planner.solve(base.timedPlannerTerminationCondition(TIMEOUT_S))
+    if not problem.hasExactSolution():
+        return None
+    path: Any = problem.getSolutionPath()  # geometric, which its type does not say
+    simplifier = geometric.PathSimplifier(space)
+    simplifier.reduceVertices(path)
+    simplifier.partialShortcutPath(path)
+    return np.array([[state[0], state[1]] for state in path.getStates()], np.float32)
+
+
+def _state(space: base.SpaceInformation, point: FloatArray) -> State:
+    state: State = space.allocState()
+    state[0], state[1] = float(point[0]), float(point[1])
+    return state

@@ -1,0 +1,110 @@
+"""The scenes that a benchmark runs on: of a file, or drawn by the generator that training uses."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_client.contract import DEFAULT_STYLE
+from anchorflow_training.scenes import Scene, SceneError, draw_scene
+from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.cost import Limits
+
+DRAWN = "drawn"
+WITHOUT_FILE = f"{DRAWN}:60:0"
+HELD_OUT = 0x5EED  # keeps drawn scenes apart from those of a dataset of the same seed
+STYLE = np.array(DEFAULT_STYLE, np.float32)
+
+
+def default_source() -> str:
+    """scenes_public.npz of the data folder, or drawn scenes where it is missing.
+
+    The folder is ANCHORFLOW_SHARED_DATA, or ../shared/data beside the checkout.
+    """
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
+    path = Path(os.environ.get("ANCHORFLOW_SHARED_DATA", beside)) / "scenes_public.npz"
+    return str(path) if path.exists() else WITHOUT_FILE
+
+
+def load_scenes(source: str, *, limits: Limits, limit: int | None = None) -> list[Scene]:
+    """Scenes of a file, or `drawn:COUNT:SEED`; at most `limit` of them, evenly spread.
+
+    Raises:
+        BenchmarkError: the file is none of scenes, or the text is not of that form.
+    """
+    kind, _, rest = source.partition(":")
+    scenes = _drawn(rest, limits) if kind == DRAWN else read_scenes(Path(source))
+    if limit is not None and limit < len(scenes):
+        scenes = [scenes[i] for i in np.linspace(0, len(scenes) - 1, limit).astype(int)]
+    return scenes
+
+
+def read_scenes(path: Path) -> list[Scene]:
+    """The scenes of a .npz file, each map centred on (0, 0).
+
+    Its keys: occupancy uint8 [S, H, W/8], packed along its last axis, row 0 at the bottom;
+    resolution m/cell; x_curr [S, 6]; x_goal [S, 4]; robot_radius m; family [S]. What follows a
+    slash in a family is left out.
+
+    Raises:
+        BenchmarkError: the file cannot be read or lacks a key.
+    """
+    try:
+        with np.load(path) as file:
+            arrays = {name: file[name] for name in file.files}
+        occupied = np.unpackbits(arrays["occupancy"], axis=-1).astype(bool)
+        resolution, radius = float(arrays["resolution"]), float(arrays["robot_radius"])
+        rows = zip(arrays["family"], arrays["x_curr"], arrays["x_goal"], occupied, strict=True)
+        return [
+            _scene(str(family).partition("/")[0], cells, resolution, radius, x_curr, x_goal)
+            for family, x_curr, x_goal, cells in rows
+        ]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise BenchmarkError(f"{path}: not a file of scenes ({error})") from error
+
+
+def draw_scenes(count: int, seed: int, *, limits: Limits, cells: int = 96) -> list[Scene]:
+    """Scenes of every family that training knows, none of which is in a dataset."""
+    scenes = []
+    for index in range(count):
+        rng = np.random.default_rng([HELD_OUT, seed, index])
+        while True:
+            try:
+                scene = draw_scene(rng, cells=cells, limits=limits)
+            except SceneError:
+                continue
+            break
+        scenes.append(replace(scene, style=STYLE))
+    return scenes
+
+
+def _drawn(text: str, limits: Limits) -> list[Scene]:
+    try:
+        count, seed = (int(number) for number in text.split(":"))
+    except ValueError:
+        raise BenchmarkError(f"expected {DRAWN}:COUNT:SEED, got {DRAWN}:{text}") from None
+    if count < 1 or seed < 0:
+        raise BenchmarkError(f"expected a COUNT from 1 and a SEED from 0, got {DRAWN}:{text}")
+    return draw_scenes(count, seed, limits=limits)
+
+
+def _scene(
+    family: str,
+    occupied: NDArray[np.bool_],
+    resolution: float,
+    radius: float,
+    x_curr: NDArray[np.float32],
+    x_goal: NDArray[np.float32],
+) -> Scene:
+    """A scene whose ground is neutral but for its obstacles."""
+    occupancy = occupied.astype(np.float32)
+    cost_map = np.stack([occupancy, np.ones_like(occupancy), np.zeros_like(occupancy)])
+    origin = -0.5 * resolution * np.array(occupied.shape[::-1], np.float64)
+    clearance = clearance_field(occupied, resolution, radius)
+    return Scene(family, cost_map, resolution, origin, radius, x_curr, x_goal, STYLE, clearance)

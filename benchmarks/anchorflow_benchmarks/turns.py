@@ -1,0 +1,40 @@
+"""Timing by turns: contenders alternate, so that a noisy machine is noisy for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from time import perf_counter
+
+import numpy as np
+
+LEAST = 3  # timed calls of each contender, however slow it is
+
+
+def take_turns(
+    calls: Mapping[str, Callable[[], object]], *, rounds: int, budget_s: float
+) -> dict[str, list[float]]:
+    """Times [ms] of each call by its name, after one that is not counted.
+
+    A call that has used up `budget_s` leaves the round, but not before its third turn.
+    """
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call()
+    for _ in range(rounds):
+        for name, call in calls.items():
+            spent = times[name]
+            if len(spent) >= LEAST and sum(spent) > budget_s * 1e3:
+                continue
+            start = perf_counter()
+            call()
+            spent.append((perf_counter() - start) * 1e3)
+    return times
+
+
+def p50(values: list[float]) -> float:
+    return float(np.median(values))
+
+
+def p99(values: list[float]) -> float:
+    """The 99th percentile; of fewer than a hundred values, nearly the largest."""
+    return float(np.percentile(values, 99))

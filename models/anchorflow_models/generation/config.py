@@ -1,0 +1,86 @@
+"""How a `TrajectoryGenerator` draws and finishes anchors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from anchorflow_models.generation.checks import check
+from anchorflow_trajectory.ode.schedule import (
+    EIGHT_STEP_SCHEDULE,
+    Schedule,
+    check_schedule,
+    uniform_schedule,
+)
+from anchorflow_trajectory.ode.tableau import TABLEAUS
+
+ADAPTIVE = "rk45"
+METHODS = (*TABLEAUS, ADAPTIVE)
+SCHEDULES = ("uniform", "8step")
+
+
+@dataclass(frozen=True)
+class GeneratorConfig:
+    """One value for many scenes; what belongs to a scene goes to the generator's methods.
+
+    method: "euler", "midpoint", "heun", "rk4", or "rk45": Dormand and Prince's pair of orders 5
+        and 4 with steps of its own choice, which takes no more of a schedule than its first time
+    schedule: "uniform", "8step", or flow times that rise strictly from 0 to 1
+    steps: of the uniform schedule
+    rtol, atol: of rk45 for each anchor; atol in the state's units, m, m/s and m/s^2
+    num_samples: N
+    smooth: fit the B-spline that meets both ends
+    project: push anchors out of obstacles and inside the limits; what remains unsafe goes back
+        towards the nearest anchor that is safe
+    safety_margin: m of clearance that projection and barrier aim at
+    refine_steps: descents of the projection
+    barrier_rate: of a control barrier that steers anchors clear while they are drawn: a shortfall
+        of clearance falls as exp(-rate t); about 5 where it is wanted, None: off
+
+    Raises:
+        ValueError: a field is out of its range; the message names it.
+    """
+
+    method: str = "rk4"
+    schedule: str | Schedule = "uniform"
+    steps: int = 8
+    rtol: float = 1e-4
+    atol: float = 1e-4
+    num_samples: int = 64
+    smooth: bool = True
+    project: bool = True
+    safety_margin: float = 0.1
+    refine_steps: int = 20
+    barrier_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        check("method", self.method in METHODS, f"one of {', '.join(METHODS)}", repr(self.method))
+        for name in ("steps", "num_samples", "refine_steps"):
+            value = getattr(self, name)
+            check(name, isinstance(value, int) and value >= 1, "a whole number of 1 or more", value)
+        for name in ("rtol", "atol"):
+            check(name, getattr(self, name) > 0, "a number above 0", getattr(self, name))
+        margin = self.safety_margin
+        check("safety_margin", 0 <= margin < float("inf"), "0 m or more", margin)
+        rate = self.barrier_rate
+        check("barrier_rate", rate is None or 0 < rate < float("inf"), "a number above 0", rate)
+        self._check_schedule()
+
+    @property
+    def flow_times(self) -> Schedule:
+        """The schedule as flow times from 0 to 1."""
+        if self.schedule == "uniform":
+            return uniform_schedule(self.steps)
+        if self.schedule == "8step":
+            return EIGHT_STEP_SCHEDULE
+        return tuple(float(t) for t in self.schedule)
+
+    def _check_schedule(self) -> None:
+        named = not isinstance(self.schedule, str) or self.schedule in SCHEDULES
+        known = f"one of {', '.join(SCHEDULES)}, or flow times"
+        check("schedule", named, known, repr(self.schedule))
+        try:
+            times = check_schedule(self.flow_times)
+        except ValueError as error:
+            raise ValueError(f"schedule: {error}") from error
+        # A later start is a warm start's to ask for: x_0 is a state of t = 0.
+        check("schedule", times[0] == 0.0, "a first flow time of 0", times[0])

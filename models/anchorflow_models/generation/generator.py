@@ -1,0 +1,225 @@
+"""Anchors from a model in torch, for one scene or several."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor, nn
+
+from anchorflow_models.generation.anchors import Anchors
+from anchorflow_models.generation.barrier import Barrier
+from anchorflow_models.generation.checks import check
+from anchorflow_models.generation.clearance_map import ClearanceMap
+from anchorflow_models.generation.config import GeneratorConfig
+from anchorflow_models.generation.flow import Context, FlowPlanner, SceneFlow
+from anchorflow_models.generation.guidance import Cost, Guidance
+from anchorflow_models.generation.scenes import (
+    DEFAULT_RESOLUTION,
+    DEFAULT_ROBOT_RADIUS,
+    Numbers,
+    Scenes,
+)
+from anchorflow_models.generation.warm_start import WarmStart
+from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.ode.schedule import remaining
+from anchorflow_trajectory.refine import Refined, Refiner
+
+Seed = int | torch.Generator | None
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryGenerator:
+    """Draws anchors from a planner and finishes them, as the service does with a bundle.
+
+    The model is used as it is: put it into evaluation mode, and on the device where it shall run.
+    """
+
+    model: FlowPlanner
+    config: GeneratorConfig = field(default_factory=GeneratorConfig)
+
+    def generate(
+        self,
+        cost_map: Numbers,
+        x_curr: Numbers,
+        x_goal: Numbers,
+        w_style: Numbers | None = None,
+        *,
+        resolution: float = DEFAULT_RESOLUTION,
+        origin: ArrayLike | None = None,
+        robot_radius: float = DEFAULT_ROBOT_RADIUS,
+        seed: Seed = None,
+        warm_start: WarmStart | None = None,
+        guidance: Guidance | None = None,
+    ) -> Anchors:
+        """Anchors [N, T, D] of one scene; SI units, in the cost map's frame.
+
+        cost_map: [C, H, W] in [0, 1], occupancy first; channels left out are neutral
+        x_curr: [3D] p, v, a; x_goal: [2D] p, v
+        w_style: [3] safety, energy, smooth; scaled to sum to 1, (0.4, 0.3, 0.3) by default
+        resolution: m/cell; origin: [2] m, outer corner of cell (0, 0), by default such that the
+            map's centre is (0, 0); robot_radius: m
+        seed: an int draws the noise that the service draws from it, a torch.Generator its own
+        warm_start: a plan to start from instead of noise alone
+        guidance: a cost that the anchors shall keep low
+
+        Raises:
+            ValueError: a field is not that; the message names it, what was expected and what came.
+        """
+        scenes = Scenes.of(
+            cost_map,
+            x_curr,
+            x_goal,
+            w_style,
+            config=self.model.config,
+            resolution=resolution,
+            origin=origin,
+            robot_radius=robot_radius,
+        )
+        check("B", len(scenes) == 1, "one scene (generate_batch takes several)", len(scenes))
+        return self.sample(scenes, seed=seed, warm_start=warm_start, guidance=guidance).scene(0)
+
+    def generate_batch(
+        self,
+        cost_map: Numbers,
+        x_curr: Numbers,
+        x_goal: Numbers,
+        w_style: Numbers | None = None,
+        *,
+        resolution: float = DEFAULT_RESOLUTION,
+        origin: ArrayLike | None = None,
+        robot_radius: float = DEFAULT_ROBOT_RADIUS,
+        seed: Seed = None,
+        warm_start: WarmStart | None = None,
+        guidance: Guidance | None = None,
+    ) -> Anchors:
+        """Anchors [B, N, T, D] of several scenes: `generate` with a B axis before each array.
+
+        An array without one is the same in every scene, and so is the noise. Maps of different
+        resolutions are batches of their own.
+        """
+        scenes = Scenes.of(
+            cost_map,
+            x_curr,
+            x_goal,
+            w_style,
+            config=self.model.config,
+            resolution=resolution,
+            origin=origin,
+            robot_radius=robot_radius,
+        )
+        return self.sample(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
+
+    def generate_with_guidance(
+        self,
+        cost_map: Numbers,
+        x_curr: Numbers,
+        x_goal: Numbers,
+        w_style: Numbers | None = None,
+        *,
+        cost_fn: Cost,
+        scale: float,
+        **options: Any,
+    ) -> Anchors:
+        """Anchors [N, T, D] of one scene, drawn as if exp(-scale cost) times as likely.
+
+        cost_fn: states [1, N, T, 3D] -> costs [1, N], differentiable; options: of `generate`
+        """
+        guidance = Guidance(cost_fn, scale)
+        return self.generate(cost_map, x_curr, x_goal, w_style, guidance=guidance, **options)
+
+    @torch.no_grad()
+    def sample(
+        self,
+        scenes: Scenes,
+        *,
+        seed: Seed = None,
+        warm_start: WarmStart | None = None,
+        guidance: Guidance | None = None,
+    ) -> Anchors:
+        """Anchors [B, N, T, D] of scenes that are known whole."""
+        states = self.sample_states(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
+        per_scene = states.cpu().numpy()
+        finished = [self._finish(state, scenes, b) for b, state in enumerate(per_scene)]
+        return _stacked(finished, states.device)
+
+    @torch.no_grad()
+    def sample_states(
+        self,
+        scenes: Scenes,
+        *,
+        seed: Seed = None,
+        warm_start: WarmStart | None = None,
+        guidance: Guidance | None = None,
+    ) -> Tensor:
+        """States [B, N, T, 3D] as the flow leaves them: neither smoothed nor projected."""
+        inputs = scenes.encode_inputs(_device(self.model))
+        context = self.model.encode(**inputs)
+        schedule = self.config.flow_times
+        x = self.model.draw(self._noise(context, seed), context)
+        if warm_start is not None:
+            x = warm_start.noised(x, self.model.config)
+            schedule = remaining(schedule, warm_start.tau)
+        flow = SceneFlow(self.model, context, guidance, self._barrier(inputs))
+        return flow.solve(x, self.config, schedule)
+
+    def _noise(self, context: Context, seed: Seed) -> Tensor:
+        """[1, N, R], the same for all scenes."""
+        basis = context["prior_basis"]
+        size = self.config.num_samples, basis.shape[1]
+        if isinstance(seed, torch.Generator):
+            return torch.randn(1, *size, generator=seed, device=seed.device).to(basis)
+        drawn = np.random.Generator(np.random.PCG64(seed)).standard_normal(size, dtype=np.float32)
+        return torch.from_numpy(drawn)[None].to(basis)
+
+    def _barrier(self, inputs: Mapping[str, Tensor]) -> Barrier | None:
+        rate, margin = self.config.barrier_rate, self.config.safety_margin
+        if rate is None:
+            return None
+        clearance = ClearanceMap(inputs["clearance_field"], inputs["map_geometry"])
+        ends = torch.stack([inputs["x_curr"][:, :2], inputs["x_goal"][:, :2]], 1)
+        return Barrier.of(clearance, margin=margin, rate=rate, ends=ends)
+
+    def _finish(self, state: np.ndarray, scenes: Scenes, b: int) -> Refined:
+        config = self.model.config
+        limits = Limits(v_max=config.v_max, a_max=config.a_max, horizon_s=config.horizon_s)
+        refiner = Refiner.of(
+            limits,
+            num_steps=config.num_steps,
+            num_control_points=config.num_control_points,
+            degree=config.degree,
+            steps=self.config.refine_steps,
+        )
+        return refiner.refine(
+            state,
+            scenes.ground(b),
+            x_curr=scenes.x_curr[b],
+            x_goal=scenes.x_goal[b],
+            w_style=scenes.w_style[b],
+            spec=self.config,
+        )
+
+
+def _device(model: FlowPlanner) -> torch.device:
+    tensors = model.state_dict().values() if isinstance(model, nn.Module) else ()
+    return next((tensor.device for tensor in tensors), torch.device("cpu"))
+
+
+def _stacked(scenes: Sequence[Refined], device: torch.device) -> Anchors:
+    def column(name: str) -> Tensor:
+        arrays = np.stack([getattr(scene, name) for scene in scenes])
+        kind = torch.bool if arrays.dtype == np.bool_ else torch.float32
+        return torch.from_numpy(arrays).to(device, kind)
+
+    return Anchors(
+        trajectories=column("positions"),
+        velocities=column("velocities"),
+        accelerations=column("accelerations"),
+        scores=column("scores"),
+        clearance=column("clearance"),
+        safe=column("safe"),
+    )

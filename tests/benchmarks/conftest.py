@@ -1,0 +1,57 @@
+"""Scenes small enough to judge by eye, and the judge that stands outside the project."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from anchorflow_benchmarks.scene_files import STYLE
+from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.cost import Limits
+
+
+@pytest.fixture(scope="session")
+def limits() -> Limits:
+    return Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+
+
+@pytest.fixture
+def scene() -> Callable[..., Scene]:
+    """Makes a scene of 6.4 m from its occupied cells [H, W]: from (-2, 0) to (2, 0), at rest."""
+
+    def make(occupied: np.ndarray, *, family: str = "blocks") -> Scene:
+        resolution = 6.4 / len(occupied)
+        occupancy = occupied.astype(np.float32)
+        return Scene(
+            family=family,
+            cost_map=np.stack([occupancy, np.ones_like(occupancy), np.zeros_like(occupancy)]),
+            resolution=resolution,
+            origin=np.full(2, -3.2),
+            robot_radius=0.25,
+            x_curr=np.array([-2, 0, 0, 0, 0, 0], np.float32),
+            x_goal=np.array([2, 0, 0, 0], np.float32),
+            style=STYLE,
+            clearance=clearance_field(occupied, resolution, 0.25),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def shared_judge(request: pytest.FixtureRequest) -> ModuleType:
+    """The judge beside the checkout; skips, naming it, where it is missing."""
+    folder = request.config.rootpath.parent / "shared" / "tools"
+    path = folder / "score_anchors.py"
+    if not path.exists():
+        pytest.skip(f"the shared judge {path.name} is not in {folder}")
+    spec = importlib.util.spec_from_file_location("shared_judge", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,73 @@
+"""`anchorflow bench` from end to end, on as little as it takes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from anchorflow_cli.main import main
+
+
+def run(*arguments: str) -> None:
+    """The command, which ends with status 0."""
+    with pytest.raises(SystemExit) as caught:
+        main(["bench", *arguments])
+    assert caught.value.code in (0, None), caught.value.code
+
+
+def tables(path: Path) -> dict[str, list[dict]]:
+    return {table["title"]: table["rows"] for table in json.loads(path.read_text())["tables"]}
+
+
+def test_quality(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ("--scenes", "drawn:2:1", "--num", "4", "--samplers", "euler:uniform1")
+    run("quality", *options, "--baselines", "lines", "--out", str(tmp_path))
+
+    assert "euler:uniform1" in capsys.readouterr().out
+    found = tables(tmp_path / "quality.json")
+    planners = [row["planner"] for row in found["All scenes (2)"]]
+    assert planners[0].endswith("euler:uniform1")
+    assert planners[1:] == ["lines with noise", "lines with noise, refined"]
+    assert found["All scenes (2)"][0]["unsafe_called_safe"] == 0
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "quality.json",
+        "quality.md",
+        "quality_scenes.png",
+        "quality_time.png",
+    }
+
+
+def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
+    options = ("--scenes", "drawn:1:1", "--num", "2", "--sampler", "euler:uniform1")
+    run("load", *options, "--clients", "1", "--requests", "5", "--out", str(tmp_path))
+
+    rows = tables(tmp_path / "load.json")["Load"]
+    assert [(row["way"], row["requests"], row["errors"]) for row in rows] == [
+        ("in-process", 5, 0),
+        ("HTTP JSON", 5, 0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("load", "--url", "http://192.0.2.1"), "expected a URL of this machine"),
+        (("load", "--clients", "0,x"), "--clients: expected whole numbers"),
+        (("quality", "--baselines", "luck"), "'luck'"),
+        (("quality", "--samplers", "rk4"), "'rk4'"),
+        (("latency", "--checkpoint", "a.pt", "--checkpoint", "b.pt"), "at most one --checkpoint"),
+        (("quality", "--scenes", "nowhere.npz"), "nowhere.npz: not a file of scenes"),
+    ],
+)
+def test_what_cannot_be_measured_is_one_line(
+    arguments: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["bench", *arguments, "--out", str(tmp_path)])
+
+    line = str(caught.value.code)
+    assert line.startswith("anchorflow bench: ")
+    assert message in line
+    assert "\n" not in line

@@ -1,0 +1,186 @@
+"""The judge against closed forms, and against the one that stands outside the project."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.grid_path import shortest_grid_path
+from anchorflow_benchmarks.judge import (
+    SceneJudge,
+    count_classes,
+    duplicate_share,
+    points_along,
+    swept_angles,
+)
+from anchorflow_benchmarks.scene_files import load_scenes
+from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.spline import spline_basis
+
+SceneMaker = Callable[..., Scene]
+
+
+def random_anchors(scene: Scene, *, count: int, seed: int, size: float) -> Anchors:
+    """Splines from the scene's start to its goal, bent by about `size` m in each direction."""
+    basis, rng = spline_basis(64, 8.0), np.random.default_rng(seed)
+    rest = basis.rest_curve(scene.x_curr, scene.x_goal)
+    control = np.repeat(rest[:, None], count, axis=1)
+    free = control[..., basis.free]
+    free += rng.normal(0.0, size, (2, count, 1)) * np.sin(np.linspace(0.0, np.pi, free.shape[-1]))
+    free += rng.normal(0.0, 0.05 * size, free.shape)
+    return Anchors.of_spline(basis, control.astype(np.float32))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_it_agrees_with_the_judge_outside_the_project(
+    seed: int, scene: SceneMaker, limits: Limits, shared_judge: ModuleType
+) -> None:
+    rng = np.random.default_rng(seed)
+    occupied = rng.random((40, 40)) < [0.004, 0.008, 0.014][seed % 3]
+    occupied[18:22, 5:12] = occupied[18:22, 28:36] = False
+    case = scene(occupied)
+    plan = random_anchors(case, count=48, seed=seed, size=[0.4, 1.2][seed % 2])
+    # Some that break each rule by itself.
+    position, velocity, acceleration = (
+        a.copy() for a in (plan.positions, plan.velocities, plan.accelerations)
+    )
+    position[0] += 0.08
+    velocity[1] *= 1.1
+    acceleration[2] += 0.5
+    acceleration[3, 30] = 4.0
+    position[4] *= 1.7
+    plan = replace(plan, positions=position, velocities=velocity, accelerations=acceleration)
+
+    verdict = SceneJudge(case, limits).judge(plan)
+    expected = shared_judge.score_scene(
+        position,
+        velocity,
+        acceleration,
+        plan.dt,
+        occupied,
+        case.resolution,
+        case.x_curr,
+        case.x_goal,
+        case.robot_radius,
+    )
+
+    assert verdict.success.any()
+    for name, value in expected.items():
+        np.testing.assert_allclose(verdict.measures[name], value, rtol=0, atol=1e-9, err_msg=name)
+
+
+def test_it_agrees_on_public_scenes(
+    limits: Limits, shared_judge: ModuleType, shared_data: Callable[[str], Path]
+) -> None:
+    for case in load_scenes(str(shared_data("scenes_public.npz")), limits=limits, limit=4):
+        plan = random_anchors(case, count=32, seed=3, size=1.0)
+        expected = shared_judge.score_scene(
+            plan.positions,
+            plan.velocities,
+            plan.accelerations,
+            plan.dt,
+            case.occupied,
+            case.resolution,
+            case.x_curr,
+            case.x_goal,
+            case.robot_radius,
+        )
+        measures = SceneJudge(case, limits).judge(plan).measures
+        got = {name: measures[name] for name in expected}
+        np.testing.assert_allclose(
+            list(got.values()), list(expected.values()), rtol=0, atol=1e-9, equal_nan=True
+        )
+
+
+def straight(scene: Scene, offset: float = 0.0) -> Anchors:
+    """One anchor from start to goal, bent sideways by `offset` m."""
+    basis = spline_basis(64, 8.0)
+    control = basis.rest_curve(scene.x_curr, scene.x_goal)
+    control[1, basis.free] += offset
+    return Anchors.of_spline(basis, control[:, None])
+
+
+def test_a_straight_way_past_nothing_succeeds(scene: SceneMaker, limits: Limits) -> None:
+    verdict = SceneJudge(scene(np.zeros((32, 32), bool)), limits).judge(
+        straight(scene(np.zeros((32, 32), bool)))
+    )
+
+    assert verdict.success.all()
+    assert verdict.measures["classes"] == 1.0
+    assert verdict.measures["length"] == pytest.approx(1.0, abs=0.02)
+    assert np.isnan(verdict.measures["unsafe_called_safe"])
+
+
+def test_clearance_is_measured_to_the_square_of_a_cell(scene: SceneMaker, limits: Limits) -> None:
+    occupied = np.zeros((64, 64), bool)  # cells of 0.1 m
+    occupied[37, 32] = True  # 0.5 m above the straight way
+
+    clearance = SceneJudge(scene(occupied), limits).clearance(np.array([[[-2.0, 0], [2.0, 0]]]))
+
+    # The field knows a distance to half a subcell.
+    assert clearance[0] == pytest.approx(0.5 - 0.25, abs=0.5 * 0.1 / 4 + 1e-9)
+
+
+def test_a_promise_that_does_not_hold_is_counted(scene: SceneMaker, limits: Limits) -> None:
+    occupied = np.zeros((64, 64), bool)
+    occupied[30:34, 30:34] = True
+    case = scene(occupied)
+    one = straight(case)
+
+    for safe, count in ((True, 1.0), (False, 0.0)):
+        measures = SceneJudge(case, limits).judge(replace(one, safe=np.array([safe]))).measures
+        assert measures["unsafe_called_safe"] == count
+        assert measures["free"] == 0.0
+
+
+def test_a_path_off_the_map_is_not_free(scene: SceneMaker, limits: Limits) -> None:
+    judge = SceneJudge(scene(np.zeros((32, 32), bool)), limits)
+
+    assert judge.clearance(np.array([[[-2.0, 0], [0, 3.3], [2.0, 0]]])) < 0
+    assert judge.clearance(np.array([[[-2.0, 0], [0, 3.2], [2.0, 0]]])) > 0
+
+
+def test_ways_on_both_sides_are_two_classes() -> None:
+    left, right = ([[-2.0, 0], [0, y], [2.0, 0]] for y in (1.0, -1.0))
+    paths = np.array([left, right, left])
+
+    np.testing.assert_allclose(swept_angles(paths, np.zeros((1, 2)))[:, 0], [-np.pi, np.pi, -np.pi])
+    assert count_classes(paths, np.zeros((1, 2))) == 2
+    assert count_classes(paths, np.empty((0, 2))) == 1
+
+
+def test_points_along_follow_the_path_and_keep_both_ends() -> None:
+    paths = np.array([[[0.0, 0], [1.0, 0], [1.0, 1.0]], [[5.0, 5], [5.0, 5], [5.0, 5]]])
+    points, first = points_along(paths, 0.3)
+
+    assert first.tolist() == [0, 8]
+    np.testing.assert_allclose(points[[0, 7]], paths[0, [0, 2]])
+    on_path = (points[:8, 1] == 0) | (np.abs(points[:8, 0] - 1) < 1e-12)
+    assert on_path.all()
+    np.testing.assert_array_equal(points[8:], 5.0)
+
+
+def test_duplicates_are_two_centimetres_apart() -> None:
+    path = np.zeros((4, 64, 2))
+    path[1] += 0.0139  # 1.97 cm
+    path[2] += 1.0
+    path[3] += 1.0145  # 2.05 cm from the one before
+
+    assert duplicate_share(path) == 0.5
+    assert duplicate_share(path[:1]) == 0.0
+
+
+def test_the_shortest_way_goes_round() -> None:
+    passable = np.ones((9, 9), bool)
+    assert shortest_grid_path(passable, (4, 0), (4, 8)) == 8.0
+    passable[:, 4:6] = False  # two cells thick: a move of two cells does not cross it
+    assert np.isnan(shortest_grid_path(passable, (4, 0), (4, 8)))
+    passable[8, 4:6] = True
+    assert 8.0 < shortest_grid_path(passable, (4, 0), (4, 8)) < 8.0 + 2 * 4

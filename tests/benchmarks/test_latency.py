@@ -1,0 +1,93 @@
+"""The plain loops do the engine's work, and turns are fair."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.latency import Contest, LatencyConfig, latency_tables, onnx_loop
+from anchorflow_benchmarks.plain_loop import integrate_plainly, repeated
+from anchorflow_benchmarks.samplers import parse_sampler
+from anchorflow_benchmarks.scene_files import draw_scenes
+from anchorflow_benchmarks.turns import LEAST, p50, p99, take_turns
+from anchorflow_client.contract import SamplerSpec
+from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
+from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.cost import Limits
+
+ONCE = LatencyConfig(counts=(3,), rounds=LEAST, budget_s=0.0, threads=1)
+
+
+@pytest.fixture(scope="module")
+def bundle() -> Bundle:
+    return load_bundle(DEFAULT_BUNDLE)
+
+
+@pytest.fixture(scope="module")
+def scenes(limits: Limits) -> list[Scene]:
+    return draw_scenes(1, 0, limits=limits, cells=32)
+
+
+def test_the_plain_loop_is_classical_rk4() -> None:
+    """On x' = x one step multiplies by the exponential's series up to h^4."""
+    x = integrate_plainly(lambda x, _: x, np.ones(2), SamplerSpec("rk4", (0.0, 0.5, 1.0)))
+    step = sum(0.5**k / math.factorial(k) for k in range(5))
+
+    np.testing.assert_allclose(x, step**2)
+
+
+def test_the_plain_loop_asks_for_the_stages_times() -> None:
+    times: list[float] = []
+    integrate_plainly(
+        lambda x, t: times.append(t) or x, np.ones(1), SamplerSpec("rk4", (0.0, 0.8, 1.0))
+    )
+    assert times == pytest.approx([0.0, 0.4, 0.4, 0.8, 0.8, 0.9, 0.9, 1.0])
+
+
+def test_what_is_repeated_is_copied() -> None:
+    out = repeated({"a": np.arange(3.0, dtype=np.float32)[None]}, 4)["a"]
+    assert out.shape == (4, 3)
+    assert out.strides[0] > 0
+
+
+def test_the_engine_and_its_loops_are_measured(bundle: Bundle, scenes: list[Scene]) -> None:
+    loops = {
+        "ONNX loop": onnx_loop(bundle, threads=1),
+        "inputs repeated": onnx_loop(bundle, threads=1, repeat_inputs=True),
+    }
+    contest = Contest("small", bundle, parse_sampler("midpoint:uniform2", bundle.card), loops)
+    stages, ratios = latency_tables([contest], scenes, ONCE)
+
+    (row,), (ratio,) = stages.rows, ratios.rows
+    assert (row["model"], row["sampler"], row["N"]) == ("small", "midpoint:uniform2", 3)
+    assert row["requests"] == LEAST
+    assert float(row["total p50"] or 0) >= float(row["sample p50"] or 0) > 0
+    assert ratio["evaluations"] == 4
+    assert float(ratio["floor ms"] or 0) > 0
+    assert {"total / ONNX loop", "total / inputs repeated"} <= set(ratio)
+
+
+def test_a_loop_that_does_other_work_is_found(bundle: Bundle, scenes: list[Scene]) -> None:
+    loops = {"lazy loop": lambda _inputs, x, _sampler: x}
+    contest = Contest("small", bundle, parse_sampler("euler:uniform1", bundle.card), loops)
+
+    with pytest.raises(BenchmarkError, match="lazy loop and the engine differ"):
+        latency_tables([contest], scenes, ONCE)
+
+
+def test_calls_alternate_and_a_slow_one_leaves() -> None:
+    log: list[str] = []
+    calls = {"a": lambda: log.append("a"), "b": lambda: log.append("b")}
+    times = take_turns(calls, rounds=5, budget_s=100.0)
+
+    assert log == ["a", "b"] * 6  # the first of each is not counted
+    assert [len(t) for t in times.values()] == [5, 5]
+    assert [len(t) for t in take_turns(calls, rounds=50, budget_s=0.0).values()] == [LEAST] * 2
+
+
+def test_percentiles() -> None:
+    assert p50([1.0, 2.0, 10.0]) == 2.0
+    assert p99([float(k) for k in range(101)]) == 99.0

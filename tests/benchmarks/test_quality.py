@@ -1,0 +1,123 @@
+"""How verdicts become tables, and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
+from anchorflow_benchmarks.planners import engine_planners
+from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_table
+from anchorflow_benchmarks.samplers import sampler_name
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.spline import spline_basis
+
+SceneMaker = Callable[..., Scene]
+
+
+@dataclass
+class Bows:
+    """Bows to one side, as wide [m] as the style asks for safety; it promises all are safe."""
+
+    name: str = "bows"
+    evaluations: int | None = 3
+    asked: list[tuple[str, int, int]] = field(default_factory=list)
+    log: list[str] = field(default_factory=list)
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        self.asked.append((scene.family, num, seed))
+        self.log.append(self.name)
+        basis = spline_basis(64, 8.0)
+        control = np.repeat(basis.rest_curve(scene.x_curr, scene.x_goal)[:, None], num, axis=1)
+        bow = np.sin(np.linspace(0.0, np.pi, control[1, :, basis.free].shape[1]))
+        control[1, :, basis.free] += float(scene.style[0]) * bow
+        return Anchors.of_spline(basis, control, safe=np.ones(num, bool))
+
+
+@pytest.fixture
+def scenes(scene: SceneMaker) -> list[Scene]:
+    blocked = np.zeros((32, 32), bool)
+    blocked[:, 16] = True
+    aside = np.zeros((32, 32), bool)
+    aside[4, 16] = True
+    return [scene(aside, family="open"), scene(blocked, family="wall")]
+
+
+def test_planners_take_turns_with_the_same_seed(scenes: list[Scene], limits: Limits) -> None:
+    log: list[str] = []
+    one, other = Bows("one", log=log), Bows("other", log=log)
+    judge_planners([one, other], scenes, limits=limits, num=4)
+
+    assert log == ["one", "other"] + 2 * ["one", "other"]  # the first round is not counted
+    assert one.asked == other.asked
+    assert len({seed for *_, seed in one.asked}) == 1
+
+
+def test_a_sampler_that_is_named_twice_is_one_planner() -> None:
+    bundle = load_bundle(DEFAULT_BUNDLE)
+    own = sampler_name(bundle.card.sampler)
+    planners = engine_planners([bundle], ["card", own, "euler:uniform1"], threads=1)
+
+    assert [planner.name.split()[-1] for planner in planners] == [own, "euler:uniform1"]
+
+
+def test_a_table_over_all_and_one_for_each_family(scenes: list[Scene], limits: Limits) -> None:
+    planner = Bows()
+    plans = judge_planners([planner], scenes, limits=limits, num=4)
+    every, free, wall = quality_tables([planner], plans)
+
+    assert [t.title for t in (every, free, wall)] == [
+        "All scenes (2)",
+        "Family open (1)",
+        "Family wall (1)",
+    ]
+    assert every.rows[0]["success"] == 0.5
+    assert every.rows[0]["any"] == 0.5
+    assert free.rows[0]["success"] == 1.0
+    assert every.rows[0]["length"] == free.rows[0]["length"]  # of the scenes that have a success
+    assert every.rows[0]["unsafe_called_safe"] == 4  # a count, not a mean
+    assert every.rows[0]["duplicates"] == 1.0
+    assert every.rows[0]["evaluations"] == 3
+    assert wall.rows[0]["length"] != wall.rows[0]["length"]  # NaN
+
+
+def test_style_changes_are_seen_in_percent(scenes: list[Scene], limits: Limits) -> None:
+    table = style_table([Bows()], scenes, limits=limits, num=4)
+    row = table.rows[0]
+
+    assert row["scenes"] == 1  # the wall is never passed
+    assert isinstance(row["clear, safe to fast"], float)
+    assert row["clear, safe to fast"] < -10.0  # the post is below, the safe bow keeps off it
+    assert -15.0 < float(row["length, safe to fast"] or 0.0) < 0.0
+    assert float(row["jerk, fast to smooth"] or 0.0) > 0.0
+
+
+def test_numbers_that_are_not_finite_are_refused(scenes: list[Scene], limits: Limits) -> None:
+    class Broken(Bows):
+        def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+            anchors = super().plan(scene, num=num, seed=seed)
+            return replace(anchors, velocities=anchors.velocities * np.nan)
+
+    with pytest.raises(BenchmarkError, match=r"bows: .* not finite"):
+        judge_planners([Broken()], scenes, limits=limits, num=2)
+
+
+def test_pictures_are_drawn(scenes: list[Scene], limits: Limits, tmp_path: Path) -> None:
+    planner = Bows()
+    plans = judge_planners([planner], scenes, limits=limits, num=4)
+    tables = quality_tables([planner], plans)
+    draw_scene_sheet(plans["bows"], tmp_path / "sheet.png", title="bows")
+    draw_quality_over_time(tables[0].rows, tmp_path / "time.png")
+
+    assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "time.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(BenchmarkError, match="nowhere"):
+        draw_quality_over_time(tables[0].rows, tmp_path / "nowhere" / "time.png")

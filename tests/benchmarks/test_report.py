@@ -1,0 +1,71 @@
+"""Tables in three forms."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.machine import circumstances
+from anchorflow_benchmarks.report import Cell, Report, ResultTable, formatted
+
+TABLE = ResultTable(
+    "Speed", [{"who": "a", "ms": 1.23456, "N": 3}, {"who": "b", "ms": float("nan"), "N": None}]
+)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.97349, "0.973"), (12.34, "12.3"), (4321.9, "4322"), (-0.5, "-0.500"), (7, "7"), ("x", "x")],
+)
+def test_numbers_are_short(value: Cell, text: str) -> None:
+    assert formatted(value) == text
+
+
+def test_what_is_not_there_is_a_dash() -> None:
+    assert formatted(None) == formatted(float("nan")) == "–"
+
+
+def test_markdown_has_a_row_a_row() -> None:
+    assert TABLE.to_markdown().splitlines()[2:] == [
+        "| who | ms | N |",
+        "| --- | ---: | ---: |",
+        "| a | 1.235 | 3 |",
+        "| b | – | – |",
+    ]
+
+
+def test_a_column_that_a_row_lacks_is_empty_there() -> None:
+    table = ResultTable("Uneven", [{"who": "a"}, {"who": "b", "torch": 1.0}])
+    assert table.cells == [["a", "–"], ["b", "1.000"]]
+
+
+def test_both_files_are_written(tmp_path: Path) -> None:
+    report = Report("speed", "Speed", {"commit": "abc"}, [TABLE])
+    paths = report.write(tmp_path / "results")
+
+    assert [path.name for path in paths] == ["speed.json", "speed.md"]
+    read = json.loads(paths[0].read_text())
+    assert read["about"] == {"commit": "abc"}
+    assert read["tables"][0]["rows"][1] == {"who": "b", "ms": None, "N": None}
+    assert "- commit: abc" in paths[1].read_text()
+
+
+def test_a_wide_table_is_not_squeezed(capsys: pytest.CaptureFixture[str]) -> None:
+    wide = ResultTable("Wide", [{f"a long name {k}": 1.0 for k in range(20)}])
+    Report("wide", "Wide", {}, [wide]).show()
+
+    heading = capsys.readouterr().out.splitlines()[2]
+    assert all(f"a long name {k}" in heading for k in range(20))
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BenchmarkError, match="file"):
+        Report("speed", "Speed", {}, [TABLE]).write(tmp_path / "file")
+
+
+def test_the_circumstances_say_when_and_on_what() -> None:
+    assert {"date", "commit", "machine", "load", "versions"} == set(circumstances())

@@ -1,0 +1,104 @@
+"""`anchorflow data`: import, inspect, from-poses, as a person runs them."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anchorflow_cli import main as cli
+from anchorflow_training.data import SyntheticTrajectoryDataset
+from anchorflow_training.data.scene_import import import_scenes
+from anchorflow_training.dataset import open_dataset
+
+
+def data(*arguments: object) -> int | str | None:
+    """Runs the command; its exit status, or the line that it ends with."""
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["data", *map(str, arguments)])
+    return caught.value.code
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """8 trajectories; row 3 is not finite."""
+    positions = SyntheticTrajectoryDataset("bezier", 8).read(slice(None))["positions"]
+    positions[3, 5] = np.nan
+    np.savez(tmp_path / "my.npz", positions=positions)
+    return tmp_path / "my.npz"
+
+
+def test_import_and_inspect(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    out = tmp_path / "d"
+    assert data("import", file, out, "--horizon-s", 8, "--a-max", 3, "--robot-radius", 0.4) == 0
+    said = capsys.readouterr().out
+    assert "7 scenes, T 64, D 2" in said
+    assert "a_max 3 m/s^2, horizon 8 s" in said
+    assert "left out: not finite 1" in said
+    assert "rows that are not finite: 3" in said
+    scenes = open_dataset(out)
+    assert scenes.limits.a_max == 3
+    assert scenes.meta["robot_radius"] == 0.4
+
+    assert data("inspect", out, "--out", tmp_path / "sheet.png") == 0
+    said = capsys.readouterr().out
+    assert "7 scenes, M 1, T 64, D 2" in said
+    assert "7 x 1 x 64 x 6" in said
+    assert "family my: 7" in said
+    assert "homology classes 1: 7 scenes" in said
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000
+
+
+def test_inspect_a_file(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert data("inspect", file, "--out", tmp_path / "sheet.svg") == 0
+    said = capsys.readouterr().out
+    assert "derivatives are per step" in said
+    assert "7 of 8 samples, T 64, D 2" in said
+    assert "left out, not finite: 1 rows: 3" in said
+    assert (tmp_path / "sheet.svg").read_text().count("row ") == 7
+
+
+def test_errors_are_one_line(file: Path, tmp_path: Path) -> None:
+    assert "my.npz: dt: expected" in str(data("import", file, tmp_path / "d"))
+    assert "dataset.json" in str(data("inspect", tmp_path))
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(np.zeros((2, 9, 2))))
+    assert "--allow-pickle" in str(data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1))
+    assert data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1, "--allow-pickle") == 0
+    assert "sheet.txt" in str(data("inspect", tmp_path / "d", "--out", tmp_path / "sheet.txt"))
+    assert "expected KITTI" in str(data("from-poses", tmp_path / "none", tmp_path / "p.npz"))
+
+
+def test_drawing_names_its_extra(tmp_path: Path) -> None:
+    import_scenes(SyntheticTrajectoryDataset("sine", 1, num_steps=16), tmp_path / "d")
+    words = ["data", "inspect", str(tmp_path / "d"), "--out", "sheet.png"]
+    program = (
+        "import sys; sys.modules['matplotlib.axes'] = None; "
+        f"from anchorflow_cli.main import main; main({words!r})"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", program], check=False, capture_output=True, text=True
+    )
+    assert answer.returncode == 1
+    assert answer.stderr == (
+        "anchorflow data inspect --out needs matplotlib.axes, which is not installed: "
+        "pip install 'anchorflow[plot]'\n"
+    )
+
+
+def test_from_poses(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    lines = [f"1 0 0 0 0 1 0 0 0 0 1 {0.5 * i}" for i in range(40)]
+    (tmp_path / "00.txt").write_text("\n".join(lines))
+    out = tmp_path / "p.npz"
+    assert data("from-poses", tmp_path, out, "--steps", 16, "--stride", 8, "--heading") == 0
+    assert "4 trajectories, T 16, D 3, dt 0.1 s, of 1 drives with 40 poses" in (
+        capsys.readouterr().out
+    )
+    with np.load(out) as saved:
+        np.testing.assert_allclose(saved["positions"][2, :, 0], 0.5 * np.arange(16), atol=1e-6)
+        np.testing.assert_allclose(saved["velocities"][..., 0], 5.0, atol=1e-4)
+    assert data("import", out, tmp_path / "d") == 0
+    assert "T 16, D 3" in capsys.readouterr().out

@@ -1,0 +1,163 @@
+"""Drawing: methods, schedules, seeds, batches, on a flow that is known in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from anchorflow_models import L2SafetyCFM
+from anchorflow_models.generation import Anchors, GeneratorConfig, Scenes, TrajectoryGenerator
+from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times
+from anchorflow_trajectory.ode.tableau import RK4, TABLEAUS
+
+SHIFT = torch.tensor([0.0, 0.5, 0.1, 0.0, 0.0, 0.2])
+
+
+def states(anchors: Anchors) -> Tensor:
+    return torch.cat([anchors.trajectories, anchors.velocities, anchors.accelerations], -1)
+
+
+@pytest.fixture
+def draw(gaussian_flow: Callable, free_room: Any, plain: dict) -> Callable[..., Tensor]:
+    """States [N, T, S] as a configuration draws them from seed 3."""
+
+    def drawn(**settings: Any) -> Tensor:
+        config = GeneratorConfig(num_samples=5, **plain, **settings)
+        generator = TrajectoryGenerator(gaussian_flow(shift=SHIFT), config)
+        return states(generator.generate(*free_room.ends, seed=3))
+
+    return drawn
+
+
+@pytest.fixture
+def expected(gaussian_flow: Callable, free_room: Any) -> Tensor:
+    """x_1 = x_0 + shift: the flow's own end, from the service's noise for seed 3."""
+    flow = gaussian_flow(shift=SHIFT)
+    scenes = Scenes.of(*free_room.ends, config=flow.config)
+    context = flow.encode(**scenes.encode_inputs(torch.device("cpu")))
+    size = 5, context["prior_basis"].shape[1]
+    noise = np.random.Generator(np.random.PCG64(3)).standard_normal(size, dtype=np.float32)
+    return flow.draw(torch.from_numpy(noise)[None], context)[0] + SHIFT
+
+
+@pytest.mark.parametrize(
+    ("settings", "tolerance"),
+    [
+        ({"method": "euler", "steps": 400}, 0.02),
+        ({"method": "midpoint", "steps": 20}, 0.02),
+        ({"method": "heun", "steps": 20}, 0.02),
+        ({"method": "rk4", "steps": 8}, 1e-3),
+        ({"method": "rk45", "rtol": 1e-5, "atol": 1e-5}, 5e-4),
+    ],
+)
+def test_every_method_reaches_the_closed_form(
+    draw: Callable[..., Tensor], expected: Tensor, settings: dict, tolerance: float
+) -> None:
+    assert float((draw(**settings) - expected).abs().max()) < tolerance
+
+
+def test_the_methods_are_not_one_another(draw: Callable[..., Tensor]) -> None:
+    coarse = [draw(method=name, steps=2) for name in TABLEAUS] + [draw(method="rk45")]
+    for i, one in enumerate(coarse):
+        for other in coarse[:i]:
+            assert float((one - other).abs().max()) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("settings", "schedule"),
+    [
+        ({"schedule": "8step"}, EIGHT_STEP_SCHEDULE),
+        ({"schedule": "uniform", "steps": 3}, (0.0, 1 / 3, 2 / 3, 1.0)),
+        ({"schedule": (0.0, 0.3, 1.0)}, (0.0, 0.3, 1.0)),
+    ],
+)
+def test_the_schedule_says_when_the_field_is_asked(
+    gaussian_flow: Callable, free_room: Any, settings: dict, schedule: tuple[float, ...]
+) -> None:
+    flow = gaussian_flow()
+    config = GeneratorConfig(num_samples=2, **settings)
+    TrajectoryGenerator(flow, config).generate(*free_room.ends)
+    assert flow.asked == [stage_times(RK4, schedule).times.tolist()]
+
+
+@pytest.mark.parametrize("name", ["rtol", "atol"])
+def test_a_looser_tolerance_asks_less_often(
+    gaussian_flow: Callable, free_room: Any, name: str
+) -> None:
+    counts = []
+    for tolerance in (1e-2, 1e-5):
+        flow = gaussian_flow(shift=SHIFT)
+        tolerances = {"rtol": 1e-5, "atol": 1e-5, name: tolerance}
+        config = GeneratorConfig(method="rk45", num_samples=4, **tolerances)
+        TrajectoryGenerator(flow, config).generate(*free_room.ends, seed=0)
+        counts.append(len(flow.asked))
+    assert counts[0] < counts[1]
+
+
+def test_num_samples_and_seed(gaussian_flow: Callable, free_room: Any) -> None:
+    flow = gaussian_flow()
+    # The projection compares anchors, so with it the first three of seven need not be the three.
+    few = TrajectoryGenerator(flow, GeneratorConfig(num_samples=3, steps=2, project=False))
+    many = TrajectoryGenerator(flow, GeneratorConfig(num_samples=7, steps=2, project=False))
+
+    def drawn(generator: TrajectoryGenerator, seed: int | torch.Generator | None) -> Tensor:
+        return generator.generate(*free_room.ends, seed=seed).trajectories
+
+    assert drawn(many, 1).shape == (7, 32, 2)
+    torch.testing.assert_close(drawn(few, 1), drawn(many, 1)[:3])
+    assert not torch.equal(drawn(few, 1), drawn(few, 2))
+    assert not torch.equal(drawn(few, None), drawn(few, None))
+    torches = [torch.Generator().manual_seed(5) for _ in range(2)]
+    one, other = (drawn(few, torches[0]) for _ in range(2))
+    assert torch.equal(one, drawn(few, torches[1]))
+    assert not torch.equal(one, other)
+
+
+def test_a_scene_is_the_same_alone_and_in_a_batch(make_model: Callable[..., L2SafetyCFM]) -> None:
+    """Neither what is drawn nor what is finished in one scene looks at another."""
+    model = make_model(num_steps=32, num_control_points=12)
+    generator = TrajectoryGenerator(model, GeneratorConfig(num_samples=3, steps=2, refine_steps=4))
+    maps = np.zeros((2, 1, 64, 64), np.float32)
+    maps[0, :, 30:34, 30:34] = 1.0
+    x_curr = np.array([[-2.0, 0, 0.5, 0, 0, 0], [1.0, 2.0, 0, 0, 0, 0]])
+    x_goal = np.array([[2.0, 0.5, 0, 0], [-1.0, -2.0, 0, 0]])
+    style = np.array([[1.0, 0, 0], [0, 0, 1.0]])
+    together = generator.generate_batch(maps, x_curr, x_goal, style, seed=4)
+    assert together.trajectories.shape == (2, 3, 32, 2)
+    assert together.safe.shape == together.scores.shape == together.clearance.shape == (2, 3)
+    for b in range(2):
+        alone = generator.generate(maps[b], x_curr[b], x_goal[b], style[b], seed=4)
+        for name in ("trajectories", "velocities", "accelerations", "scores", "clearance"):
+            one, other = getattr(alone, name), getattr(together.scene(b), name)
+            torch.testing.assert_close(one, other, atol=2e-4, rtol=2e-4)
+
+
+def test_one_scene_is_no_batch(gaussian_flow: Callable, free_room: Any) -> None:
+    cost_map, x_curr, x_goal = free_room.ends
+    with pytest.raises(ValueError, match="B: expected one scene"):
+        TrajectoryGenerator(gaussian_flow()).generate(cost_map, [x_curr, x_curr], x_goal)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"method": "rk5"}, "method: expected one of euler, midpoint, heun, rk4, rk45, got 'rk5'"),
+        ({"schedule": "9step"}, "schedule: expected one of uniform, 8step, or flow times"),
+        ({"schedule": (0.0, 0.5)}, "schedule: .* strictly rising to 1"),
+        ({"schedule": (0.2, 1.0)}, "schedule: expected a first flow time of 0, got 0.2"),
+        ({"steps": 0}, "steps: expected a whole number of 1 or more, got 0"),
+        ({"num_samples": 2.5}, "num_samples: expected a whole number"),
+        ({"refine_steps": 0}, "refine_steps: expected a whole number"),
+        ({"rtol": 0.0}, "rtol: expected a number above 0"),
+        ({"atol": -1.0}, "atol: expected a number above 0"),
+        ({"safety_margin": -0.1}, "safety_margin: expected 0 m or more"),
+    ],
+)
+def test_a_setting_out_of_range_is_named(settings: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        GeneratorConfig(**settings)

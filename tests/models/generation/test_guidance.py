@@ -1,0 +1,131 @@
+"""Guidance: the scale means what it says, and the cost is asked where the anchor is going."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from anchorflow_models import L2SafetyCFM
+from anchorflow_models.generation import (
+    Anchors,
+    GeneratorConfig,
+    Guidance,
+    Scenes,
+    TrajectoryGenerator,
+)
+
+VIA = torch.tensor([0.0, 1.5])
+
+
+def miss_of_via(states: Tensor) -> Tensor:
+    """[B, N] m^2: how far an anchor's middle is from a point that it should pass."""
+    return (states[:, :, states.shape[2] // 2, :2] - VIA).square().sum(-1)
+
+
+def states(anchors: Anchors) -> Tensor:
+    return torch.cat([anchors.trajectories, anchors.velocities, anchors.accelerations], -1)[None]
+
+
+@pytest.mark.parametrize("method", ["rk4", "rk45"])
+def test_a_linear_cost_tilts_a_gaussian_as_in_closed_form(
+    gaussian_flow: Callable, free_room: Any, plain: dict, method: str
+) -> None:
+    """N(m, Σ) exp(-scale w·x) is N(m - scale Σ w, Σ): every anchor moves by -scale Σ w."""
+    flow = gaussian_flow(shift=torch.tensor([0.2, 0.0, 0.0, 0.1, 0.0, 0.0]))
+    settings = {"method": method, "steps": 16, "rtol": 1e-5, "atol": 1e-5}
+    generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=3, **plain, **settings))
+    weight = torch.randn(32, 6, generator=torch.Generator().manual_seed(1))
+    free = generator.generate(*free_room.ends, seed=2)
+    guided = generator.generate_with_guidance(
+        *free_room.ends, seed=2, cost_fn=lambda x: (x * weight).sum((-2, -1)), scale=0.3
+    )
+    context = flow.encode(
+        **Scenes.of(*free_room.ends, config=flow.config).encode_inputs(torch.device("cpu"))
+    )
+    basis = context["prior_basis"][0]
+    moved = -0.3 * (basis.T @ (basis @ weight.flatten())).reshape(1, 1, 32, 6)
+    torch.testing.assert_close(
+        states(guided) - states(free), moved.expand(1, 3, -1, -1), atol=5e-3, rtol=5e-3
+    )
+
+
+def test_a_larger_scale_lowers_the_cost_further(
+    gaussian_flow: Callable, free_room: Any, plain: dict
+) -> None:
+    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(**plain))
+    costs = [
+        miss_of_via(
+            states(
+                generator.generate_with_guidance(
+                    *free_room.ends, seed=0, cost_fn=miss_of_via, scale=scale
+                )
+            )
+        )
+        for scale in (0.0, 1.0, 4.0)
+    ]
+    assert costs[0].mean() > 1.3 * costs[1].mean() > 1.3**2 * costs[2].mean()
+    unguided = generator.generate(*free_room.ends, seed=0)
+    torch.testing.assert_close(costs[0], miss_of_via(states(unguided)))
+
+
+def test_a_network_is_guided_and_its_ends_stay(
+    make_model: Callable[..., L2SafetyCFM], free_room: Any, plain: dict
+) -> None:
+    model = make_model(num_steps=32, num_control_points=12)
+    generator = TrajectoryGenerator(model, GeneratorConfig(num_samples=8, **plain))
+    free = states(generator.generate(*free_room.ends, seed=0))
+    guided = states(
+        generator.generate_with_guidance(*free_room.ends, seed=0, cost_fn=miss_of_via, scale=5.0)
+    )
+    assert float(miss_of_via(guided).mean()) < 0.8 * float(miss_of_via(free).mean())
+    # Not the network's doing, whose ends are free: the difference starts and ends at rest.
+    ends = (guided - free)[0][:, [0, -1], :2]
+    assert float(ends.abs().max()) < 0.05 * float((guided - free)[..., :2].abs().max())
+
+
+def test_the_cost_is_asked_about_the_end_of_the_flow(free_room: Any) -> None:
+    asked = []
+
+    def cost(x: Tensor) -> Tensor:
+        asked.append(x.detach())
+        return x.sum((-2, -1))
+
+    x_t, field = torch.randn(2, 1, 3, 4, 6)
+    basis = torch.zeros(1, 2, 24)
+    guided = Guidance(cost, 1.0).guided(field, x_t, 0.25, basis)
+    torch.testing.assert_close(asked[0], x_t + 0.75 * field)
+    torch.testing.assert_close(guided, field)  # a prior that cannot move lets nothing be moved
+    assert Guidance(cost, 1.0).guided(field, x_t, 1.0, basis) is field
+
+
+def test_one_anchors_cost_does_not_move_another(
+    gaussian_flow: Callable, free_room: Any, plain: dict
+) -> None:
+    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=4, **plain))
+    only_first = torch.tensor([[1.0, 0, 0, 0]])
+    free, guided = (
+        states(
+            generator.generate_with_guidance(
+                *free_room.ends,
+                seed=0,
+                cost_fn=lambda x, gain=gain: gain * only_first * miss_of_via(x),
+                scale=2.0,
+            )
+        )
+        for gain in (0.0, 1.0)
+    )
+    moved = (guided - free)[0].abs().amax((-2, -1))
+    assert float(moved[0]) > 0.1
+    assert float(moved[1:].max()) == 0.0
+
+
+def test_what_is_no_cost_is_named(gaussian_flow: Callable, free_room: Any) -> None:
+    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=4))
+    with pytest.raises(ValueError, match=r"cost: expected \[B, N\] of the states, got \[\]"):
+        generator.generate_with_guidance(*free_room.ends, cost_fn=Tensor.sum, scale=1.0)
+    with pytest.raises(ValueError, match="scale: expected a number of 0 or more, got -1"):
+        Guidance(miss_of_via, -1.0)

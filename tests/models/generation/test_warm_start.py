@@ -1,0 +1,110 @@
+"""Warm starts: the anchors stay near a plan, the nearer the later the flow starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from anchorflow_models import L2SafetyCFM
+from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator, WarmStart
+from anchorflow_trajectory.ode.schedule import remaining, stage_times, uniform_schedule
+from anchorflow_trajectory.ode.tableau import RK4
+
+
+@pytest.fixture
+def detour() -> np.ndarray:
+    """A plan [50, 2] from start to goal by a wide bend."""
+    s = np.linspace(0, 1, 50)
+    return np.stack([-3 + 6 * s, 0.05 + 1.5 * np.sin(np.pi * s) ** 2], 1)
+
+
+@pytest.mark.parametrize("method", ["rk4", "rk45"])
+def test_anchors_stay_near_the_plan(
+    make_model: Callable[..., L2SafetyCFM],
+    free_room: Any,
+    plain: dict,
+    detour: np.ndarray,
+    method: str,
+) -> None:
+    model = make_model(num_steps=50, num_control_points=12)
+    config = GeneratorConfig(method=method, num_samples=8, rtol=1e-3, atol=1e-3, **plain)
+    generator = TrajectoryGenerator(model, config)
+
+    def distance(warm_start: WarmStart | None) -> float:
+        anchors = generator.generate(*free_room.ends, seed=0, warm_start=warm_start)
+        away = anchors.trajectories - torch.from_numpy(detour).float()
+        return float(away.norm(dim=-1).mean())
+
+    near, between, far = distance(WarmStart(detour, 0.98)), distance(WarmStart(detour, 0.6)), None
+    far = distance(None)
+    assert near < 0.1
+    assert near < between < far
+
+
+def test_the_flow_starts_at_tau_from_plan_and_noise(
+    gaussian_flow: Callable, free_room: Any, plain: dict, detour: np.ndarray
+) -> None:
+    """x_1 = m + (x_tau - m_tau) / r(tau) on the Gaussian flow, x_tau = tau plan + (1 - tau) x_0."""
+    tau, flow = 0.8, gaussian_flow()
+    generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=3, **plain))
+    cold = generator.generate(*free_room.ends, seed=1).trajectories
+    flow.asked.clear()
+    warm = generator.generate(*free_room.ends, seed=1, warm_start=WarmStart(detour, tau))
+    times = stage_times(RK4, remaining(uniform_schedule(8), tau)).times
+    assert flow.asked == [times.tolist()]
+    times = np.linspace(0, 1, 32)
+    plan = np.stack([-3 + 6 * times, 0.05 + 1.5 * np.sin(np.pi * times) ** 2], 1)
+    flow.prior.set_covariance(1e-12 * np.eye(flow.prior.rank))
+    mean = generator.generate(*free_room.ends, seed=1).trajectories[0]
+    x_tau = tau * torch.from_numpy(plan).float() + (1 - tau) * cold  # of this flow x_1 is x_0
+    expected = mean + (x_tau - mean) / np.hypot(tau, 1 - tau)
+    torch.testing.assert_close(warm.trajectories, expected, atol=5e-3, rtol=0)
+
+
+def test_each_scene_may_have_its_own_plan(
+    gaussian_flow: Callable, free_room: Any, detour: np.ndarray
+) -> None:
+    cost_map, x_curr, x_goal = free_room.ends
+    config = GeneratorConfig(num_samples=2, project=False)
+    generator = TrajectoryGenerator(gaussian_flow(), config)
+    plans = np.stack([detour, detour * (1, -1)])
+    ends = cost_map, np.stack([x_curr, x_curr]), x_goal
+
+    def batch(trajectory: np.ndarray) -> Tensor:
+        warm_start = WarmStart(trajectory, 0.9)
+        return generator.generate_batch(*ends, seed=0, warm_start=warm_start).trajectories
+
+    both, shared = batch(plans), batch(detour)
+    torch.testing.assert_close(both[0], shared[0])
+    torch.testing.assert_close(shared[1], shared[0])
+    middles = both[:, :, 16, 1].mean(-1)
+    assert float(middles[0]) > 1.0
+    assert float(middles[1]) < -1.0
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "message"),
+    [
+        (np.zeros((5, 5)), "columns of 2 a field, got 5"),
+        (np.zeros((1, 2)), "2 time steps or more, got 1"),
+        (np.zeros((3, 5, 2)), "B of 1 or 1, got 3"),
+        (np.full((5, 2), np.nan), "finite numbers"),
+        (np.zeros(5), r"\[T', 2 to 6\] or \[B, T', 2 to 6\], got \[5\]"),
+    ],
+)
+def test_what_is_no_plan_is_named(
+    gaussian_flow: Callable, free_room: Any, trajectory: np.ndarray, message: str
+) -> None:
+    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=2))
+    with pytest.raises(ValueError, match=f"warm_start.trajectory: expected {message}"):
+        generator.generate(*free_room.ends, warm_start=WarmStart(trajectory))
+
+
+def test_tau_is_inside_the_flow() -> None:
+    with pytest.raises(ValueError, match="warm_start.tau: expected a flow time in"):
+        WarmStart(np.zeros((5, 2)), tau=1.0)

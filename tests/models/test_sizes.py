@@ -1,0 +1,91 @@
+"""docs/models.md tells the sizes of the networks as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.nn.attention import SDPBackend, sdpa_kernel
+from torch.utils.flop_counter import FlopCounterMode
+
+from anchorflow_models import (
+    L2Config,
+    L2SafetyCFM,
+    create_flowmp_transformer,
+    create_flowmp_unet1d,
+    create_l2_safety_cfm,
+)
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "models.md"
+VARIANTS = ("small", "base", "large")
+
+# (backbone, variant): parameters of the backbone and of the planner, MFLOP an evaluation
+SIZES = {
+    ("transformer", "small"): (1_779_120, 2_571_504, 13),
+    ("transformer", "base"): (7_399_216, 8_191_600, 77),
+    ("transformer", "large"): (32_016_432, 32_808_816, 406),
+    ("unet", "small"): (2_386_150, 3_178_534, 40),
+    ("unet", "base"): (7_978_950, 8_771_334, 158),
+    ("unet", "large"): (29_080_966, 29_873_350, 633),
+}
+OPTIONS = [
+    ({"map_attention": True}, 2_866_800, 17),
+    ({"map_attention": True, "map_lookup": False}, 2_716_960, 16),
+    ({"map_lookup": False}, 2_438_048, 13),
+    ({"map_scales": 2}, 3_316_272, 14),
+    ({"steps_per_token": 4}, 2_554_584, 26),
+    ({"steps_per_token": 2}, 2_546_124, 53),
+    ({"steps_per_token": 1}, 2_541_894, 110),
+    ({"dim": 3}, 2_578_440, 13),
+]
+
+MakeScene = Callable[..., dict[str, Tensor]]
+
+
+def size(module: nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+@torch.no_grad()
+def megaflops(model: L2SafetyCFM, scene: dict[str, Tensor]) -> tuple[int, int]:
+    """Of `encode` for a scene and of `field` for a trajectory, rounded."""
+    one = {name: value[:1] for name, value in scene.items()}
+    # Only the plain kernel's products are counted on every machine.
+    with sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as encode:
+        context = model.encode(**one)
+    modulation = model.modulate(torch.tensor([0.5]), context)[:, 0]
+    x_t = model.draw(torch.randn(1, 4, model.prior.rank), context)
+    with sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as field:
+        model.field(x_t, modulation, context)
+    return round(encode.get_total_flops() / 1e6), round(field.get_total_flops() / 4e6)
+
+
+@pytest.mark.parametrize(("backbone", "variant"), SIZES)
+def test_variants(make_scene: MakeScene, backbone: str, variant: str) -> None:
+    alone, planner, cost = SIZES[backbone, variant]
+    model = create_l2_safety_cfm(L2Config(backbone=backbone, variant=variant))
+    assert size(model.vector_field) == alone
+    assert size(model) == planner
+    assert megaflops(model, make_scene()) == (347, cost)
+    rows = [line for line in PAGE.read_text().splitlines() if f"| {backbone} | {variant} |" in line]
+    assert [row.split(" | ", 3)[3] for row in rows] == [f"{alone:,} | {planner:,} | {cost} |"]
+
+
+@pytest.mark.parametrize(("options", "planner", "cost"), OPTIONS)
+def test_options(make_scene: MakeScene, options: dict[str, Any], planner: int, cost: int) -> None:
+    model = create_l2_safety_cfm(L2Config(**options))
+    assert size(model) == planner
+    assert megaflops(model, make_scene(model.config.dim))[1] == cost
+    words = ", ".join(f"{name}={value}" for name, value in options.items())
+    assert f"| `{words}` | {planner:,} | {cost} |" in PAGE.read_text()
+
+
+def test_the_backbones_alone_have_the_planner_s_sizes() -> None:
+    assert size(create_flowmp_transformer()) == SIZES["transformer", "small"][0]
+    assert size(create_flowmp_unet1d()) == SIZES["unet", "small"][0]
+    blocks = [size(create_flowmp_transformer(variant).blocks) for variant in VARIANTS]
+    assert blocks == [791_040, 4_732_416, 25_202_688]

@@ -1,0 +1,177 @@
+"""Trajectory files as scenes for the trainer."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_training.batches import BatchConfig, draw_batch
+from anchorflow_training.data import DatasetError, SyntheticTrajectoryDataset, TrajectoryDataset
+from anchorflow_training.data.imported_scene import SceneOptions
+from anchorflow_training.data.scene_import import ImportConfig, import_scenes, rounded_up
+from anchorflow_training.dataset import DTYPES, SceneDataset, open_dataset
+from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.geodesic import cost_to_go
+
+STEPS = 21
+RADIUS = 0.2
+
+
+def straight_lines(y: list[float], *, dim: int = 2) -> np.ndarray:
+    """From (1, y) to (5, y) at 2 m/s, [N, T, D]."""
+    lines = np.zeros((len(y), STEPS, dim))
+    lines[..., 0] = np.linspace(1.0, 5.0, STEPS)
+    lines[..., 1] = np.array(y)[:, None]
+    return lines
+
+
+def l2_file(path: Path, y: list[float], **more: Any) -> Path:
+    """6 x 4 m with a wall of cells at 2.8 <= x <= 3.2, y <= 1."""
+    maps = np.zeros((len(y), 1, 40, 60), np.float32)
+    maps[:, 0, :10, 28:32] = 1.0
+    arrays: dict[str, Any] = {"positions": straight_lines(y), "horizon_s": 2.0, "cost_maps": maps}
+    arrays |= {"resolution": 0.1, "origin": np.zeros(2)}
+    np.savez(path, **(arrays | more))
+    return path
+
+
+def imported(path: Path, out: Path, **options: Any) -> SceneDataset:
+    config = ImportConfig(scene=SceneOptions(robot_radius=RADIUS, cells=32), **options)
+    import_scenes(TrajectoryDataset(path), out, config)
+    return open_dataset(out)
+
+
+def test_a_sample_becomes_a_scene(tmp_path: Path) -> None:
+    styles = np.array([[2.0, 1.0, 1.0], [0.0, 0.0, 5.0]])
+    path = l2_file(tmp_path / "l2.npz", [3.0, 2.0], style_weights=styles)
+    scenes = imported(path, tmp_path / "out")
+    rows = scenes.batch(np.arange(2))
+    assert {name: array.dtype for name, array in scenes.arrays.items()} == DTYPES
+    np.testing.assert_allclose(rows["x_curr"][0], [1, 3, 2, 0, 0, 0], atol=1e-5)
+    np.testing.assert_allclose(rows["x_goal"][1], [5, 2, 2, 0], atol=1e-5)
+    np.testing.assert_allclose(rows["w_style"], [[0.5, 0.25, 0.25], [0, 0, 1]])
+    np.testing.assert_allclose(rows["map_geometry"], [[0, 0, 0.1]] * 2, rtol=1e-6)
+    occupied, traversability, risk = rows["cost_map"][0]
+    np.testing.assert_array_equal(traversability, 1)
+    np.testing.assert_array_equal(risk, 0)
+    clearance = clearance_field(occupied >= 0.5, 0.1, RADIUS)
+    np.testing.assert_allclose(rows["clearance"][0], clearance, atol=2e-3)
+    ends = np.array([1.0, 3.0]), np.array([5.0, 3.0])
+    ways = cost_to_go(clearance, 0.1, np.zeros(2), *ends)
+    np.testing.assert_allclose(rows["cost_to_go"][0], ways, rtol=1e-3)
+    assert rows["states"].shape == (2, 1, STEPS, 6)
+    np.testing.assert_allclose(rows["states"][0, 0, :, 2], 2.0, atol=1e-4)
+
+
+def test_the_folder_tells_the_trainer_what_it_needs(tmp_path: Path) -> None:
+    scenes = imported(l2_file(tmp_path / "l2.npz", [3.0, 2.0]), tmp_path / "out")
+    assert (scenes.num_steps, scenes.dim, scenes.map_channels) == (STEPS, 2, 3)
+    assert scenes.limits.horizon_s == pytest.approx(2.0)
+    assert scenes.limits.v_max == pytest.approx(2.1)
+    assert scenes.meta["statistics"]["positions"]["mean"] == pytest.approx([3.0, 2.5])
+    assert scenes.meta["families"] == {"l2": 2}
+    batch = draw_batch(scenes, BatchConfig(scenes=2, samples=4), 0)
+    assert batch["states"].shape == (2, 4, STEPS, 6)
+
+
+def test_limits_are_the_data_s_or_the_caller_s(tmp_path: Path) -> None:
+    path = l2_file(tmp_path / "l2.npz", [3.0, 2.0])
+    scenes = imported(path, tmp_path / "out", v_max=1.5, a_max=4.0)
+    assert (scenes.limits.v_max, scenes.limits.a_max) == (1.5, 4.0)
+    assert scenes.meta["over_limits"] == 2
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(2.0, 2.1), (13.37, 14.0), (0.5, 0.51), (99.0, 110.0), (0.0, 0.001)]
+)
+def test_rounding_up(value: float, expected: float) -> None:
+    assert rounded_up(value) == pytest.approx(expected)
+
+
+def test_samples_that_do_not_fit_their_map_are_left_out(tmp_path: Path) -> None:
+    heights = [3.0, 0.5, 1.1, 9.0, 2.0, 2.5]
+    positions = straight_lines(heights)
+    positions[4, 7] = np.nan
+    path = l2_file(
+        tmp_path / "l2.npz",
+        heights,
+        positions=positions,
+        quality=np.array([1, 1, 1, 1, 1, 0.2]),
+    )
+    scenes = imported(path, tmp_path / "out", least_quality=0.5)
+    assert scenes.meta["left_out"] == {
+        "not_finite": 1,
+        "off_map": 1,
+        "collision": 2,
+        "low_quality": 1,
+    }
+    assert scenes.meta["not_finite_rows"] == [4]
+    assert len(scenes) == 1
+    np.testing.assert_allclose(scenes.arrays["x_curr"][0, 1], 3.0, rtol=1e-6)
+    kept = ImportConfig(scene=SceneOptions(RADIUS, keep_collisions=True))
+    meta = import_scenes(TrajectoryDataset(path), tmp_path / "kept", kept)
+    assert (meta["scenes"], meta["left_out"]["collision"]) == (4, 0)
+
+
+def test_a_margin_must_be_kept(tmp_path: Path) -> None:
+    """The line at y = 1.5 passes 0.5 m from the wall, 0.3 m beyond the robot's radius."""
+    path = l2_file(tmp_path / "l2.npz", [1.5, 1.5], safety_margins=np.array([0.2, 0.4]))
+    scenes = imported(path, tmp_path / "out")
+    assert scenes.meta["left_out"]["collision"] == 1
+    assert len(scenes) == 1
+
+
+def test_given_ends_are_taken(tmp_path: Path) -> None:
+    start, goal = np.array([[1, 3, 1, 0.5, 0, 0.1]]), np.array([[5, 3, 0, 0]])
+    path = l2_file(tmp_path / "l2.npz", [3.0], start_states=start, goal_states=goal)
+    scenes = imported(path, tmp_path / "out")
+    np.testing.assert_allclose(scenes.arrays["x_curr"], start, rtol=1e-6)
+    np.testing.assert_allclose(scenes.arrays["x_goal"], goal)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_samples_without_a_map_get_an_empty_one(dim: int, tmp_path: Path) -> None:
+    positions = straight_lines([0.0, 1.0], dim=dim)
+    positions[..., :2] += [4.5e5, 5.3e6]  # a map projection's metres
+    np.savez(tmp_path / "p.npz", positions=positions, dt=0.1)
+    scenes = imported(tmp_path / "p.npz", tmp_path / "out")
+    assert scenes.dim == dim
+    rows = scenes.batch(np.arange(2))
+    *origin, resolution = rows["map_geometry"][0]
+    np.testing.assert_allclose(origin, -16 * resolution, rtol=1e-6)
+    np.testing.assert_array_equal(rows["cost_map"][:, 0], 0)
+    path = rows["states"][0, 0, :, :2]
+    np.testing.assert_allclose(path[[0, -1]], [[-2, 0], [2, 0]], atol=1e-3)
+    assert (np.abs(path) < 16 * resolution - 2).all()
+    np.testing.assert_allclose(np.diff(path[:, 0]), 0.2, atol=1e-4)
+    assert rows["x_curr"].shape == (2, 3 * dim)
+    assert rows["x_goal"].shape == (2, 2 * dim)
+
+
+def test_workers_write_the_same_bytes(tmp_path: Path) -> None:
+    path = l2_file(tmp_path / "l2.npz", [3.0, 0.5, 2.0, 2.5])
+    for workers in (1, 2):
+        import_scenes(TrajectoryDataset(path), tmp_path / str(workers), workers=workers)
+    for file in (tmp_path / "1").iterdir():
+        assert file.read_bytes() == (tmp_path / "2" / file.name).read_bytes()
+
+
+def test_what_the_file_does_not_say_is_asked_for(tmp_path: Path) -> None:
+    lines = straight_lines([3.0])
+    np.savez(tmp_path / "a.npz", positions=lines, velocities=lines, accelerations=lines)
+    with pytest.raises(DatasetError, match=r"a\.npz: horizon_s: .*--horizon-s"):
+        import_scenes(TrajectoryDataset(tmp_path / "a.npz"), tmp_path / "out")
+    maps = np.zeros((1, 1, 40, 60))
+    np.savez(tmp_path / "b.npz", positions=lines, dt=0.1, cost_maps=maps)
+    with pytest.raises(DatasetError, match=r"b\.npz: resolution: .*--resolution"):
+        import_scenes(TrajectoryDataset(tmp_path / "b.npz"), tmp_path / "out")
+    dataset = TrajectoryDataset(tmp_path / "b.npz", resolution=0.02)
+    with pytest.raises(DatasetError, match=r"b\.npz: no sample is left.*'off_map': 1"):
+        import_scenes(dataset, tmp_path / "out")
+
+
+def test_a_synthetic_dataset_can_be_trained_on(tmp_path: Path) -> None:
+    meta = import_scenes(SyntheticTrajectoryDataset("bezier", 4), tmp_path / "out")
+    assert meta["source"] == {"file": "synthetic-bezier"}
+    assert len(open_dataset(tmp_path / "out")) == 4

@@ -1,0 +1,202 @@
+"""One configuration from defaults, dataset, file and options; what is wrong is named."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from typer.testing import CliRunner
+
+from anchorflow_cli.main import main
+from anchorflow_cli.train import SHORT
+from anchorflow_cli.train import app as train_app
+from anchorflow_training.config import TrainerConfig
+from anchorflow_training.config_file import config_text, layered_config, read_config
+from anchorflow_training.dataset import SceneDataset, open_dataset
+from anchorflow_training.settings import ConfigError, build, setting, settings
+
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "training.md"
+
+
+@dataclass(frozen=True)
+class Inner:
+    kind: Literal["a", "b"] = "a"
+    sizes: tuple[int, ...] = (1, 2)
+    pair: tuple[int, float] = (1, 2.0)
+    place: str | None = None
+
+
+@dataclass(frozen=True)
+class Outer:
+    count: int = setting(1, "", least=1)
+    rate: float = setting(0.5, "", above=0, below=1)
+    on: bool = False
+    inner: Inner = field(default_factory=Inner)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ({}, Outer()),
+        ({"rate": "1e-3", "count": "7", "on": "true"}, Outer(count=7, rate=1e-3, on=True)),
+        ({"inner": {"sizes": [3], "pair": "4,5"}}, Outer(inner=Inner(sizes=(3,), pair=(4, 5.0)))),
+        ({"inner": {"kind": "b", "place": "here"}}, Outer(inner=Inner(kind="b", place="here"))),
+        ({"inner": {"place": "none"}}, Outer()),
+    ],
+)
+def test_values_are_converted_to_the_fields_types(values: dict[str, Any], expected: Outer) -> None:
+    built = build(Outer, values, source="file.yaml")
+    assert built == expected
+    assert [type(v) for v in asdict(built).values()] == [type(v) for v in asdict(expected).values()]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"coutn": 1}, "unknown key 'coutn'; did you mean 'count'"),
+        ({"inner": {"zzz": 1}}, "unknown key 'inner.zzz'; known: kind, sizes, pair, place"),
+        ({"count": 0}, "count: expected at least 1, got 0"),
+        ({"count": 1.5}, "count: expected a whole number, got 1.5"),
+        ({"count": True}, "count: expected a whole number, got True"),
+        ({"rate": "fast"}, "rate: expected a number, got 'fast'"),
+        ({"rate": 1.0}, "rate: expected less than 1, got 1.0"),
+        ({"rate": 0}, "rate: expected more than 0, got 0"),
+        ({"on": "maybe"}, "on: expected true or false, got 'maybe'"),
+        ({"inner": {"kind": "c"}}, "inner.kind: expected one of a, b, got 'c'"),
+        ({"inner": {"pair": [1]}}, "inner.pair: expected 2 values, got [1]"),
+        ({"inner": 3}, "inner: expected keys and values, got 3"),
+    ],
+)
+def test_what_is_wrong_is_named_with_its_file(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(f"file.yaml: {message}")):
+        build(Outer, values, source="file.yaml")
+
+
+def test_each_layer_goes_over_the_one_before(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
+    file = tmp_path / "train.yaml"
+    file.write_text("learning_rate: 1e-4\nbatch:\n  scenes: 4\n  samples: 2\n")
+    config = layered_config(tiny_dataset, file, {"batch.scenes": "3", "compile": True})
+    assert config.learning_rate == 1e-4
+    assert (config.batch.scenes, config.batch.samples) == (3, 2)
+    assert config.compile
+    assert config.warmup == TrainerConfig().warmup
+
+
+def test_the_model_has_the_datasets_shape_and_limits(
+    write_dataset: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    path = write_dataset(tmp_path / "data")
+    meta = json.loads((path / "dataset.json").read_text())
+    limits = {"v_max": 1, "a_max": 1.5, "horizon_s": 4.0}
+    (path / "dataset.json").write_text(json.dumps(meta | {"limits": limits}))
+    dataset = open_dataset(path)
+    model = layered_config(dataset).model
+    assert (model.v_max, model.a_max, model.horizon_s) == (1.0, 1.5, 4.0)
+    assert (model.num_steps, model.dim, model.map_channels) == (64, 2, 3)
+    assert layered_config(dataset, options={"model.v_max": "2"}).model.v_max == 2.0
+
+
+def test_the_printed_configuration_reads_back_as_itself(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    config = layered_config(tiny_dataset, options={"evaluation.held_out": "2", "ema_decay": "0.5"})
+    file = tmp_path / "train.yaml"
+    file.write_text(config_text(config))
+    assert layered_config(tiny_dataset, file) == config
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("batch:\n  scnes: 3", "unknown key 'batch.scnes'; did you mean 'scenes'"),
+        ("- 1", "expected keys and values, got list"),
+        ("a: [", "while parsing"),
+        ("model:\n  variant: huge", "variant"),
+    ],
+)
+def test_a_wrong_file_is_named(
+    text: str, message: str, tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    file = tmp_path / "train.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        layered_config(tiny_dataset, file)
+    with pytest.raises(ConfigError, match=r"absent\.yaml"):
+        read_config(tmp_path / "absent.yaml")
+
+
+def test_every_setting_is_an_option_and_stands_in_the_docs() -> None:
+    text, leaves = DOCS.read_text(), list(settings(TrainerConfig))
+    help_text = CliRunner().invoke(train_app, ["--help"], env={"COLUMNS": "300"}).output
+    assert len(leaves) > 30
+    for leaf in leaves:
+        option = "--" + leaf.path.replace("_", "-")
+        assert re.search(rf"{re.escape(option)}\b", help_text), option
+        row = re.search(rf"^\| `{re.escape(leaf.path)}` \| ([^|]*) \|", text, re.MULTILINE)
+        assert row, f"docs/training.md has no row `{leaf.path}`"
+        default = "none" if leaf.default is None else str(leaf.default).lower()
+        assert row[1].strip() == f"`{default}`", leaf.path
+    assert set(SHORT) <= {leaf.path for leaf in leaves}
+
+
+def command(*words: str) -> str:
+    """What `anchorflow train` says, its error included."""
+    try:
+        main(["train", *words])
+    except SystemExit as error:
+        return str(error)
+    return ""
+
+
+def test_print_config_prints_and_trains_nothing(
+    tiny_dataset_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--scenes", "3", "--flow.weights.lambda-vel", "0.7", "--no-tensorboard"]
+    command(str(tiny_dataset_path), "--print-config", "--out", str(tmp_path / "run"), *words)
+    text = capsys.readouterr().out
+    file = tmp_path / "train.yaml"
+    file.write_text(text)
+    config = build(TrainerConfig, read_config(file), source="")
+    assert (config.batch.scenes, config.flow.weights.lambda_vel) == (3, 0.7)
+    assert not config.tensorboard
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--print-config", "--batch.scenes", "many"], "batch.scenes: expected a whole number"),
+        ([], "--out: expected the folder of the run"),
+        (["--config", "absent.yaml"], "absent.yaml"),
+    ],
+)
+def test_a_wrong_command_is_one_line(
+    words: list[str], message: str, tiny_dataset_path: Path
+) -> None:
+    said = command(str(tiny_dataset_path), *words)
+    assert message in said
+    assert said.startswith("anchorflow train: ")
+    assert "\n" not in said
+
+
+def test_without_a_terminal_each_report_is_a_plain_line(
+    tiny_dataset_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "train.yaml"
+    file.write_text(
+        "steps: 2\nreport_every: 1\nbatch: {scenes: 2, samples: 2}\ntensorboard: false\n"
+        "evaluation: {held_out: 2, samples: 2, steps: 1, pictures: 0, every: 2}\n"
+        "model: {map_size: 16, feature_channels: 4}\n"
+    )
+    out = tmp_path / "run"
+    assert command(str(tiny_dataset_path), "--out", str(out), "--config", str(file)) in ("", "0")
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:3] for line in lines[:2]] == [["step", str(n), "loss"] for n in (1, 2)]
+    assert lines[2].startswith("step 2 success ")
+    assert lines[-1].endswith("checkpoint.pt: step 2")
+    assert read_config(out / "config.yaml")["steps"] == 2

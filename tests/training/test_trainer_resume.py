@@ -1,0 +1,198 @@
+"""A run that was cut off goes on as if it had not been, whatever cut it off."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from anchorflow_models import L2Config
+from anchorflow_training.batches import BatchConfig
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.config import EvaluationConfig
+from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.provenance import provenance
+from anchorflow_training.restore import restore_model
+from anchorflow_training.trainer import CFMTrainer, TrainerConfig
+
+INTERVAL = 4
+CONFIG = TrainerConfig(
+    steps=2000,
+    warmup=10,
+    report_every=1,
+    checkpoint_every=INTERVAL,
+    tensorboard=False,
+    batch=BatchConfig(scenes=2, samples=4),
+    model=L2Config(map_size=16, feature_channels=4),
+)
+PATIENCE_S = 180.0  # for a subprocess on a busy machine
+
+# What the first checkpoints of this project knew of a model.
+FIRST_MODEL_FIELDS = (
+    "variant",
+    "num_steps",
+    "dim",
+    "horizon_s",
+    "v_max",
+    "a_max",
+    "map_channels",
+    "map_size",
+    "feature_channels",
+    "steps_per_token",
+    "num_control_points",
+    "degree",
+)
+FIRST_KEYS = ("step", "config", "data", "model", "average", "optimiser", "curve")
+
+
+class Cut(Exception):
+    """Ends a run from its own report."""
+
+
+def fit_until(run: CFMTrainer, last: int) -> None:
+    def report(step: int, _: dict[str, float]) -> None:
+        if step == last:
+            raise Cut
+
+    with pytest.raises(Cut):
+        run.fit(report)
+
+
+def rows(out: Path) -> list[dict[str, float]]:
+    return [json.loads(line) for line in (out / "curve.jsonl").read_text().splitlines()]
+
+
+def test_a_killed_run_loses_at_most_an_interval_and_its_curve_joins(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    settings = {
+        "warmup": CONFIG.warmup,
+        "report-every": 1,
+        "checkpoint-every": INTERVAL,
+        "steps": CONFIG.steps,
+        "scenes": CONFIG.batch.scenes,
+        "samples": CONFIG.batch.samples,
+        "model.map-size": CONFIG.model.map_size,
+        "model.feature-channels": CONFIG.model.feature_channels,
+    }
+    words = [f"--{name}={value}" for name, value in settings.items()]
+    program = "from anchorflow_cli.main import main; main()"
+    out = tmp_path / "cut"
+    words += ["--out", str(out), "--no-tensorboard"]
+    run = subprocess.Popen(
+        [sys.executable, "-c", program, "train", str(tiny_dataset.path), *words],
+        stdout=subprocess.DEVNULL,
+    )
+    try:
+        curve, end = out / "curve.jsonl", time.monotonic() + PATIENCE_S
+        # In mid-interval, after the first checkpoint.
+        while not curve.exists() or curve.read_text().count("\n") < INTERVAL + 2:
+            assert run.poll() is None
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        os.kill(run.pid, signal.SIGKILL)
+    finally:
+        run.kill()
+        run.wait()
+    reached = curve.read_text().count("\n")
+
+    resumed = CFMTrainer(CONFIG, tiny_dataset, out)
+    assert reached - INTERVAL <= resumed.step <= reached
+    assert resumed.step % INTERVAL == 0
+    last = resumed.step + INTERVAL + 1
+    fit_until(resumed, last)
+    whole = CFMTrainer(CONFIG, tiny_dataset, tmp_path / "whole")
+    fit_until(whole, last)
+
+    assert [row["step"] for row in rows(out)] == list(range(1, last + 1))
+    for name in ("loss", "jerk", "learning_rate"):
+        values = [[row[name] for row in rows(run.out)] for run in (resumed, whole)]
+        np.testing.assert_allclose(*values, rtol=1e-3)
+
+
+def test_a_mean_that_spans_the_cut_is_that_of_an_uninterrupted_run(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    config = replace(CONFIG, steps=6, report_every=3, checkpoint_every=2)
+    whole = CFMTrainer(config, tiny_dataset, tmp_path / "whole")
+    whole.fit()
+    cut = CFMTrainer(config, tiny_dataset, tmp_path / "cut")
+    fit_until(cut, 3)
+    resumed = CFMTrainer(config, tiny_dataset, tmp_path / "cut")
+    assert resumed.step == 2
+    resumed.fit()
+
+    assert [row["step"] for row in resumed.curve] == [3, 6]
+    for name in ("loss", "gradient_norm"):
+        values = [[row[name] for row in run.curve] for run in (whole, resumed)]
+        np.testing.assert_allclose(*values, rtol=1e-4)
+    torch.testing.assert_close(whole.average, resumed.average, rtol=1e-3, atol=1e-5)
+
+
+def test_a_finished_run_changes_nothing(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
+    config = replace(CONFIG, steps=2)
+    CFMTrainer(config, tiny_dataset, tmp_path).fit()
+    before = (tmp_path / "checkpoint.pt").read_bytes(), (tmp_path / "curve.jsonl").read_bytes()
+    CFMTrainer(config, tiny_dataset, tmp_path).fit()
+    after = (tmp_path / "checkpoint.pt").read_bytes(), (tmp_path / "curve.jsonl").read_bytes()
+    assert before == after
+
+
+def test_another_model_is_refused_by_name(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
+    CFMTrainer(replace(CONFIG, steps=1), tiny_dataset, tmp_path).fit()
+    other = replace(CONFIG, model=replace(CONFIG.model, steps_per_token=4))
+    with pytest.raises(CheckpointError, match=r"checkpoint\.pt.*model\.steps_per_token 8.*got 4"):
+        CFMTrainer(other, tiny_dataset, tmp_path)
+
+
+def test_a_checkpoint_of_the_first_format_is_restored_and_resumed(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    run = CFMTrainer(replace(CONFIG, steps=2), tiny_dataset, tmp_path)
+    run.fit()
+    saved = vars(load_checkpoint(run.checkpoint_path))
+    first = {name: saved[name] for name in FIRST_KEYS}
+    model = {name: saved["config"]["model"][name] for name in FIRST_MODEL_FIELDS}
+    first["config"] = {"steps": 2, "bfloat16": True, "model": model}
+    torch.save(first, run.checkpoint_path)
+
+    checkpoint = load_checkpoint(run.checkpoint_path)
+    assert restore_model(checkpoint).config == CONFIG.model
+    assert provenance(checkpoint)["steps"] == 2
+    resumed = CFMTrainer(replace(CONFIG, steps=3), tiny_dataset, tmp_path)
+    resumed.fit()
+    assert [row["step"] for row in resumed.curve] == [1, 2, 3]
+
+
+def test_the_checkpoint_holds_the_whole_configuration(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    config = replace(CONFIG, steps=1, evaluation=EvaluationConfig(held_out=1, samples=3))
+    run = CFMTrainer(config, tiny_dataset, tmp_path)
+    run.fit()
+    saved = load_checkpoint(run.checkpoint_path)
+    assert saved.config == asdict(config)
+    assert [row["step"] for row in saved.evaluations] == [1]
+
+
+def test_tensorboard_shows_each_step_of_a_resumed_run_once(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    config = replace(CONFIG, steps=5, checkpoint_every=2, tensorboard=True)
+    fit_until(CFMTrainer(config, tiny_dataset, tmp_path), 4)
+    # The next file's name holds the second in which it was opened.
+    time.sleep(1.1)
+    CFMTrainer(config, tiny_dataset, tmp_path).fit()
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [event.step for event in events.Scalars("train/loss")] == [1, 2, 3, 4, 5]

@@ -1,0 +1,1 @@
+"""What a flow's solvers share, in numpy or in torch: the methods as data, and flow time."""
