@@ -31,6 +31,9 @@ COMMANDS = {
     "plan": Command("anchorflow_cli.plan", "Plan on a ROS map and draw it.", extra="service"),
     "data": Command("anchorflow_cli.data", "Make a dataset to train on.", extra="train"),
     "train": Command("anchorflow_cli.train", "Train a planner on a dataset.", extra="train"),
+    "generate": Command(
+        "anchorflow_cli.generate", "Draw anchors from a checkpoint.", extra="train"
+    ),
     "export": Command("anchorflow_cli.export", "Make a bundle of a checkpoint.", extra="train"),
     "bench": Command("anchorflow_cli.bench", "Measure quality, latency and load.", extra="bench"),
 }

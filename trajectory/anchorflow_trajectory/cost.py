@@ -13,7 +13,7 @@ trajectories of 64 samples.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,15 @@ class CostWeights:
     comfort: float = 0.6  # m of clearance from which more is worth nothing
     jerk_scale: float = 3.0  # m/s^3
     limit_share: float = 0.97  # the hinges start at this share of v_max and a_max
+
+    def stiffer(self, factor: float) -> CostWeights:
+        """The same styles, with obstacles and limits that weigh `factor` times as much."""
+        return replace(
+            self,
+            collision=factor * self.collision,
+            speed=factor * self.speed,
+            acceleration=factor * self.acceleration,
+        )
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ def test_smoothing_meets_both_ends_and_keeps_derivatives_true(finish: Callable, 
     basis = spline_basis(32, 8.0, num_control_points=12)
     control = basis.fit(
         torch.cat([smooth.trajectories, smooth.velocities, smooth.accelerations], -1).numpy(),
-        np.float32(x_curr),
-        np.float32(x_goal),
+        np.array(x_curr, np.float32),
+        np.array(x_goal, np.float32),
     )
     np.testing.assert_allclose(basis.states(control)[2], smooth.accelerations, atol=1e-3)
 
@@ -57,7 +57,7 @@ def test_the_margin_is_in_metres(gaussian_flow: Callable, room: Any) -> None:
     for margin in (0.0, 0.5):
         config = GeneratorConfig(safety_margin=margin, refine_steps=60)
         generator = TrajectoryGenerator(gaussian_flow(), config)
-        anchors = generator.generate(*room.ends, (0.0, 1.0, 0.0), seed=0)
+        anchors = generator.generate(*room.ends, w_style=(0.0, 1.0, 0.0), seed=0)
         tenths.append(float(anchors.clearance.quantile(0.1)))
     assert tenths == pytest.approx([0.0, 0.5], abs=0.1)
 
@@ -75,8 +75,8 @@ def test_safe_is_what_was_checked_between_the_steps_too(gaussian_flow: Callable)
         flow, GeneratorConfig(num_samples=2, smooth=False, project=False)
     )
     free = np.zeros((1, 80, 80), np.float32)
-    ends = [-3.0, 0.05, 0, 0, 0, 0], [3.0, 0.05, 0, 0]
-    samples = generator.generate(free, *ends, robot_radius=0.0).trajectories[0, :, 0]
+    x_curr, x_goal = [-3.0, 0.05, 0, 0, 0, 0], [3.0, 0.05, 0, 0]
+    samples = generator.generate(free, x_curr, x_goal, robot_radius=0.0).trajectories[0, :, 0]
     jumped = float(samples[15] + samples[16]) / 2
     walled = free.copy()
     walled[0, :, int((jumped + 4.0) / 0.1)] = 1.0
@@ -84,8 +84,8 @@ def test_safe_is_what_was_checked_between_the_steps_too(gaussian_flow: Callable)
     columns = ((leapt + 4.0) / 0.1).astype(int)
     assert not walled[0, 40, columns].any()  # every sample is in a free cell
 
-    assert generator.generate(free, *ends, robot_radius=0.0).safe.all()
-    over_the_wall = generator.generate(walled, *ends, robot_radius=0.0)
+    assert generator.generate(free, x_curr, x_goal, robot_radius=0.0).safe.all()
+    over_the_wall = generator.generate(walled, x_curr, x_goal, robot_radius=0.0)
     assert not over_the_wall.safe.any()
     assert float(over_the_wall.clearance.max()) < 0
 

@@ -92,7 +92,7 @@ def test_a_looser_tolerance_asks_less_often(
     counts = []
     for tolerance in (1e-2, 1e-5):
         flow = gaussian_flow(shift=SHIFT)
-        tolerances = {"rtol": 1e-5, "atol": 1e-5, name: tolerance}
+        tolerances: Any = {"rtol": 1e-5, "atol": 1e-5, name: tolerance}
         config = GeneratorConfig(method="rk45", num_samples=4, **tolerances)
         TrajectoryGenerator(flow, config).generate(*free_room.ends, seed=0)
         counts.append(len(flow.asked))

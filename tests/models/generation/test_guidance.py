@@ -87,7 +87,7 @@ def test_a_network_is_guided_and_its_ends_stay(
     assert float(ends.abs().max()) < 0.05 * float((guided - free)[..., :2].abs().max())
 
 
-def test_the_cost_is_asked_about_the_end_of_the_flow(free_room: Any) -> None:
+def test_the_cost_is_asked_about_the_end_of_the_flow() -> None:
     asked = []
 
     def cost(x: Tensor) -> Tensor:

@@ -40,7 +40,7 @@ def test_anchors_stay_near_the_plan(
         away = anchors.trajectories - torch.from_numpy(detour).float()
         return float(away.norm(dim=-1).mean())
 
-    near, between, far = distance(WarmStart(detour, 0.98)), distance(WarmStart(detour, 0.6)), None
+    near, between = (distance(WarmStart(detour, tau)) for tau in (0.98, 0.6))
     far = distance(None)
     assert near < 0.1
     assert near < between < far
@@ -101,10 +101,10 @@ def test_what_is_no_plan_is_named(
     gaussian_flow: Callable, free_room: Any, trajectory: np.ndarray, message: str
 ) -> None:
     generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=2))
-    with pytest.raises(ValueError, match=f"warm_start.trajectory: expected {message}"):
+    with pytest.raises(ValueError, match=rf"warm_start\.trajectory: expected {message}"):
         generator.generate(*free_room.ends, warm_start=WarmStart(trajectory))
 
 
 def test_tau_is_inside_the_flow() -> None:
-    with pytest.raises(ValueError, match="warm_start.tau: expected a flow time in"):
+    with pytest.raises(ValueError, match=r"warm_start\.tau: expected a flow time in"):
         WarmStart(np.zeros((5, 2)), tau=1.0)

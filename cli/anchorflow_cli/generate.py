@@ -1,0 +1,200 @@
+"""`anchorflow generate`: anchors of a checkpoint, in torch, without a bundle or a server."""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.map_window import MARGIN_M, map_window
+from anchorflow_cli.options import Vector, command_app, vector_option
+from anchorflow_cli.plan import VELOCITY, table
+from anchorflow_client.contract import AnchorBatch, ModelId
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_models.generation import Anchors, GeneratorConfig, TrajectoryGenerator
+from anchorflow_models.generation.scenes import DEFAULT_ROBOT_RADIUS
+from anchorflow_service.ros_map import RosMap, load_ros_map
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.restore import restore_model
+
+app = command_app()
+
+EMPTY_MAP_CELLS = 96
+"""A side of the empty map: as many as the maps that `anchorflow data make` draws."""
+
+DEFAULTS = GeneratorConfig()
+
+
+class GenerateError(AnchorFlowError):
+    """What was asked cannot be generated; the message names the field."""
+
+
+@app.command()
+def generate(
+    *,
+    checkpoint: Annotated[Path, typer.Option(help="checkpoint.pt or best.pt of a training run.")],
+    start: Annotated[
+        Vector,
+        vector_option(
+            "X,Y[,HEADING]", "Start [m], in the map's frame; heading [rad] where the model has one."
+        ),
+    ],
+    goal: Annotated[Vector, vector_option("X,Y[,HEADING]", "Goal [m], likewise.")],
+    start_velocity: Annotated[
+        Vector | None, vector_option(VELOCITY, "Velocity at the start [m/s, rad/s]; default 0.")
+    ] = None,
+    goal_velocity: Annotated[
+        Vector | None, vector_option(VELOCITY, "Velocity at the goal [m/s, rad/s]; default 0.")
+    ] = None,
+    style: Annotated[
+        Vector | None, vector_option("S,E,M", "Weights of safety, energy and smoothness.")
+    ] = None,
+    map_file: Annotated[
+        Path | None, typer.Option("--map", help="The .yaml file of a ROS map; by default no walls.")
+    ] = None,
+    size: Annotated[
+        float | None, typer.Option(help="Side of the square to plan in [m]; by the way's length.")
+    ] = None,
+    unknown_is_free: Annotated[
+        bool, typer.Option("--unknown-is-free", help="Let the way lead through unknown cells.")
+    ] = False,
+    robot_radius: Annotated[float, typer.Option(help="Radius [m].")] = DEFAULT_ROBOT_RADIUS,
+    num_samples: Annotated[int, typer.Option(help="How many anchors.")] = DEFAULTS.num_samples,
+    seed: Annotated[int | None, typer.Option(help="Seed of the noise; drawn by default.")] = None,
+    method: Annotated[
+        str, typer.Option(help="euler, midpoint, heun, rk4 or the adaptive rk45.")
+    ] = DEFAULTS.method,
+    schedule: Annotated[
+        str, typer.Option(metavar="NAME|T,T,...", help="uniform, 8step or flow times from 0 to 1.")
+    ] = str(DEFAULTS.schedule),
+    steps: Annotated[int, typer.Option(help="Of the uniform schedule.")] = DEFAULTS.steps,
+    smooth: Annotated[bool, typer.Option(help="Fit splines that meet both ends.")] = True,
+    project: Annotated[bool, typer.Option(help="Push anchors out of obstacles.")] = True,
+    safety_margin: Annotated[
+        float, typer.Option(help="Clearance [m] to aim at.")
+    ] = DEFAULTS.safety_margin,
+    barrier_rate: Annotated[
+        float | None, typer.Option(help="Steer clear while drawing, at this rate; about 5.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Arrays to write, .npz.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture to draw, .png or .svg.")] = None,
+) -> None:
+    """Draw anchors between two points; print a table, write them, draw them."""
+    seen = _seen(map_file, start, goal, size_m=size, unknown_is_free=unknown_is_free)
+    rest, seed = np.zeros_like(start), secrets.randbelow(2**63) if seed is None else seed
+    with _one_line_errors():
+        config = GeneratorConfig(
+            method=method,
+            schedule=_schedule(schedule),
+            steps=steps,
+            num_samples=num_samples,
+            smooth=smooth,
+            project=project,
+            safety_margin=safety_margin,
+            barrier_rate=barrier_rate,
+        )
+        saved = load_checkpoint(checkpoint)
+        model = restore_model(saved)
+        began = time.perf_counter()
+        anchors = TrajectoryGenerator(model, config).generate(
+            seen.occupancy[None],
+            np.concatenate([start, rest if start_velocity is None else start_velocity, rest]),
+            np.concatenate([goal, rest if goal_velocity is None else goal_velocity]),
+            style,
+            resolution=seen.resolution,
+            origin=seen.origin,
+            robot_radius=robot_radius,
+            seed=seed,
+        )
+    answer = _answer(
+        anchors,
+        dt=model.config.horizon_s / (model.config.num_steps - 1),
+        seed=seed,
+        model=_model_id(checkpoint, saved.step),
+        milliseconds=1e3 * (time.perf_counter() - began),
+    )
+    Console().print(table(answer))
+    if out is not None:
+        _write(out, answer)
+    if plot is not None:
+        with needs_extra("plot", who="anchorflow generate --plot"):
+            from anchorflow_cli.plots import draw_anchors
+        draw_anchors(answer, seen, start=start[:2], goal=goal[:2], path=plot)
+
+
+def empty_map(start: Vector, goal: Vector, *, size_m: float | None) -> RosMap:
+    """A free square of EMPTY_MAP_CELLS a side with its centre between both ends."""
+    size_m = float(np.linalg.norm(goal - start)) + 2 * MARGIN_M if size_m is None else size_m
+    free = np.zeros((EMPTY_MAP_CELLS, EMPTY_MAP_CELLS), np.float32)
+    return RosMap(
+        occupancy=free,
+        unknown=free > 0,
+        resolution=size_m / EMPTY_MAP_CELLS,
+        origin=(start + goal) / 2 - size_m / 2,
+        unknown_occupancy=0.0,
+    )
+
+
+def _seen(
+    map_file: Path | None,
+    start: Vector,
+    goal: Vector,
+    *,
+    size_m: float | None,
+    unknown_is_free: bool,
+) -> RosMap:
+    start, goal = start[:2], goal[:2]
+    if map_file is None:
+        return empty_map(start, goal, size_m=size_m)
+    ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
+    return map_window(ros_map, start, goal, size_m=size_m)
+
+
+def _schedule(text: str) -> str | tuple[float, ...]:
+    """A name as it is, numbers as flow times."""
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        return text
+
+
+def _answer(
+    anchors: Anchors, *, dt: float, seed: int, model: ModelId, milliseconds: float
+) -> AnchorBatch:
+    arrays = {name: tensor.numpy() for name, tensor in vars(anchors).items()}
+    return AnchorBatch(**arrays, dt=dt, seed=seed, model=model, timing_ms={"total": milliseconds})
+
+
+def _model_id(checkpoint: Path, step: int) -> ModelId:
+    digest = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
+    return ModelId(f"{checkpoint.absolute().parent.name}/{checkpoint.name}", f"of step {step}", digest)
+
+
+def _write(path: Path, answer: AnchorBatch) -> None:
+    """The answer's arrays with dt, the seed and the checkpoint's hash."""
+    arrays = {
+        name: getattr(answer, name)
+        for name in ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")
+    }
+    try:
+        with path.open("wb") as file:
+            np.savez(file, **arrays, dt=answer.dt, seed=answer.seed, checkpoint=answer.model.sha256)
+    except OSError as error:
+        raise GenerateError(f"--out: {error}") from error
+
+
+@contextmanager
+def _one_line_errors() -> Iterator[None]:
+    try:
+        yield
+    except (CheckpointError, ValueError) as error:
+        raise GenerateError(str(error)) from error

@@ -1,0 +1,149 @@
+"""From nothing to anchors: make data, train a small planner, draw anchors, look at them.
+
+    python examples/quickstart.py --out runs/quickstart
+
+takes about two minutes on two cores. It leaves a dataset, a checkpoint and `quickstart.png`, whose
+rows show four new scenes: anchors of the untrained planner, anchors of the trained one, both as the
+flow draws them, and the latter finished as every answer is. So short a training leaves much to the
+finish; look at the loss and at the middle row for what it taught.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from anchorflow_models import L2Config, L2SafetyCFM
+from anchorflow_models.generation import Anchors, GeneratorConfig, TrajectoryGenerator
+from anchorflow_training.batches import BatchConfig
+from anchorflow_training.dataset import SceneDataset, open_dataset
+from anchorflow_training.make_data import DataConfig, make_dataset
+from anchorflow_training.scenes import Scene, SceneError, draw_scene
+from anchorflow_training.trainer import CFMTrainer, TrainerConfig
+from anchorflow_trajectory.cost import Limits
+
+DRAWN = GeneratorConfig(num_samples=24, project=False)
+FINISHED = GeneratorConfig(num_samples=24)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("runs/quickstart"))
+    parser.add_argument("--scenes", type=int, default=160, help="to train on")
+    parser.add_argument("--steps", type=int, default=400, help="of the optimiser")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+
+    with timed(f"{options.scenes} scenes, each solved by the expert many ways"):
+        data = make_data(options.out / "data", options.scenes, options.seed)
+    trainer = CFMTrainer(training(options.steps, options.seed), data, options.out / "run")
+    scenes = new_scenes(4, limits=data.limits, seed=options.seed + 1)
+    rows = {"untrained": anchors_in(scenes, trainer.averaged_model(), DRAWN)}
+    with timed(f"{options.steps} steps of training"):
+        trainer.fit(report)
+    with timed("anchors in new scenes"):
+        model = trainer.averaged_model()
+        rows["trained"] = anchors_in(scenes, model, DRAWN)
+        rows["finished"] = anchors_in(scenes, model, FINISHED)
+    for name, row in rows.items():
+        safe = np.mean([float(anchors.safe.float().mean()) for anchors in row])
+        print(f"{name}: {safe:.0%} of the anchors are safe")
+    picture = options.out / "quickstart.png"
+    draw(scenes, rows, picture)
+    print(f"{trainer.checkpoint_path}, {picture}")
+
+
+def make_data(path: Path, scenes: int, seed: int) -> SceneDataset:
+    """Random scenes with the expert's trajectories; `anchorflow data make` does the same."""
+    make_dataset(path, DataConfig(scenes=scenes, seed=seed), workers=os.cpu_count() or 1)
+    return open_dataset(path)
+
+
+def training(steps: int, seed: int) -> TrainerConfig:
+    """A short course: small batches, an average of the weights that keeps up with them."""
+    return TrainerConfig(
+        steps=steps,
+        warmup=min(50, steps),
+        ema_decay=0.98,
+        report_every=max(1, steps // 8),
+        tensorboard=False,
+        batch=BatchConfig(scenes=8, samples=16, seed=seed),
+        model=L2Config(variant="small"),
+    )
+
+
+def report(step: int, row: dict[str, float]) -> None:
+    print(f"  step {step}: loss {row['loss']:.3f}", flush=True)
+
+
+def new_scenes(count: int, *, limits: Limits, seed: int) -> list[Scene]:
+    """Scenes that the training has not seen."""
+    rng, scenes = np.random.default_rng(seed), []
+    while len(scenes) < count:
+        with suppress(SceneError):  # no room for a start and a goal: another is drawn
+            scenes.append(draw_scene(rng, limits=limits))
+    return scenes
+
+
+def anchors_in(
+    scenes: Sequence[Scene], model: L2SafetyCFM, config: GeneratorConfig
+) -> list[Anchors]:
+    generator = TrajectoryGenerator(model, config)
+    return [
+        generator.generate(
+            scene.cost_map,
+            scene.x_curr,
+            scene.x_goal,
+            scene.style,
+            resolution=scene.resolution,
+            origin=scene.origin,
+            robot_radius=scene.robot_radius,
+            seed=0,
+        )
+        for scene in scenes
+    ]
+
+
+def draw(scenes: Sequence[Scene], rows: dict[str, list[Anchors]], path: Path) -> None:
+    """A row a planner, a column a scene; green anchors are safe."""
+    size = 3.0 * len(scenes), 3.1 * len(rows)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(rows), len(scenes), squeeze=False)
+    for axes, (name, row) in zip(grid, rows.items(), strict=True):
+        axes[0].set_ylabel(name)
+        for panel, scene, anchors in zip(axes, scenes, row, strict=True):
+            draw_scene_with(panel, scene, anchors)
+    figure.savefig(path, dpi=100)
+
+
+def draw_scene_with(axes: Axes, scene: Scene, anchors: Anchors) -> None:
+    x, y = scene.origin
+    height, width = (n * scene.resolution for n in scene.cost_map.shape[1:])
+    extent = (x, x + width, y, y + height)
+    axes.imshow(scene.cost_map[0], cmap="Greys", origin="lower", extent=extent, vmin=0, vmax=1.4)
+    for positions, safe in zip(anchors.trajectories.cpu(), anchors.safe.cpu(), strict=True):
+        color = "tab:green" if safe else "tab:red"
+        axes.plot(positions[:, 0], positions[:, 1], color=color, linewidth=0.8)
+    axes.plot(*scene.x_curr[:2], "ko", markersize=4)
+    axes.plot(*scene.x_goal[:2], "k*", markersize=7)
+    axes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
+
+
+@contextmanager
+def timed(what: str) -> Iterator[None]:
+    print(what, flush=True)
+    began = perf_counter()
+    yield
+    print(f"  {perf_counter() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

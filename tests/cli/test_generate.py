@@ -1,0 +1,185 @@
+"""`anchorflow generate`: from a checkpoint to arrays, a table and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from PIL import Image
+from torch import nn
+
+from anchorflow_cli.generate import EMPTY_MAP_CELLS, empty_map
+from anchorflow_cli.main import main
+from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator
+from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
+from anchorflow_training.trainer import TrainerConfig
+
+ENDS = ("--start", "-1,0.5", "--goal", "2,-0.25")
+QUICK = ("--num-samples", "3", "--steps", "2", "--seed", "5")
+
+
+def make_model(config: L2Config) -> L2SafetyCFM:
+    """Always the same weights; what starts at zero is filled, or the field would be zero."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        model = create_l2_safety_cfm(config)
+        for parameter in model.parameters():
+            if not parameter.any():
+                nn.init.normal_(parameter, std=0.05)
+    return model.eval()
+
+
+@pytest.fixture(scope="module")
+def make_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
+    """Writes the checkpoint of an untrained model of D dimensions."""
+
+    def make(dim: int) -> Path:
+        config = L2Config(num_steps=24, num_control_points=12, dim=dim)
+        weights = make_model(config).state_dict()
+        path = tmp_path_factory.mktemp("run") / "checkpoint.pt"
+        settings = asdict(TrainerConfig(model=config))
+        save_checkpoint(path, Checkpoint(7, settings, {}, weights, weights, {}, []))
+        return path
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def checkpoint(make_checkpoint: Callable[[int], Path]) -> Path:
+    return make_checkpoint(2)
+
+
+@pytest.fixture
+def room(tmp_path: Path) -> Path:
+    """A map of 8 x 8 m round (0, 0): a block between the ends, unknown cells along the top."""
+    pixels = np.full((80, 80), 254, np.uint8)
+    pixels[30:50, 38:42] = 0
+    pixels[:10] = 205
+    Image.fromarray(pixels).save(tmp_path / "room.png")
+    fields = {"image": "room.png", "resolution": 0.1, "origin": [-4, -4, 0], "negate": 0}
+    path = tmp_path / "room.yaml"
+    path.write_text(yaml.safe_dump(fields | {"occupied_thresh": 0.65, "free_thresh": 0.15}))
+    return path
+
+
+def run(checkpoint: Path, *arguments: object) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["generate", "--checkpoint", str(checkpoint), *ENDS, *QUICK, *map(str, arguments)])
+    assert caught.value.code == 0
+
+
+def failure(*arguments: object) -> str:
+    with pytest.raises(SystemExit) as caught:
+        main(["generate", *map(str, arguments)])
+    return str(caught.value.code)
+
+
+def drawn(checkpoint: Path, tmp_path: Path, *arguments: object) -> dict[str, np.ndarray]:
+    run(checkpoint, "--out", tmp_path / "anchors.npz", *arguments)
+    with np.load(tmp_path / "anchors.npz") as arrays:
+        return dict(arrays)
+
+
+def test_the_arrays_the_table_and_the_picture(
+    checkpoint: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arrays = drawn(checkpoint, tmp_path, "--plot", tmp_path / "anchors.png")
+    printed = capsys.readouterr().out
+    assert "of 3 anchors are safe" in printed
+    assert "of step 7, seed 5" in printed
+    assert arrays["trajectories"].shape == arrays["accelerations"].shape == (3, 24, 2)
+    assert arrays["safe"].shape == arrays["clearance"].shape == (3,)
+    assert float(arrays["dt"]) == pytest.approx(8.0 / 23)
+    np.testing.assert_allclose(arrays["trajectories"][:, 0], [[-1, 0.5]] * 3, atol=1e-5)
+    np.testing.assert_allclose(arrays["trajectories"][:, -1], [[2, -0.25]] * 3, atol=1e-5)
+    with Image.open(tmp_path / "anchors.png") as image:
+        assert image.size == (1200, 1050)
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ("--start-velocity", "0.5,0"),
+        ("--goal-velocity", "0.5,0"),
+        ("--style", "0,1,0"),
+        ("--size", "5"),
+        ("--robot-radius", "0.9"),
+        ("--num-samples", "4"),
+        ("--seed", "6"),
+        ("--method", "euler"),
+        ("--schedule", "8step"),
+        ("--schedule", "0,0.9,1"),
+        ("--steps", "3"),
+        ("--no-project",),
+        ("--safety-margin", "1.5"),
+        ("--barrier-rate", "5", "--no-project"),
+    ],
+)
+def test_every_option_is_heeded(
+    checkpoint: Path, room: Path, tmp_path: Path, option: tuple[str, ...]
+) -> None:
+    further = option[2:]
+    plain = drawn(checkpoint, tmp_path, "--map", room, *further)
+    other = drawn(checkpoint, tmp_path, "--map", room, *option)
+    assert any(not np.array_equal(plain[n], other[n]) for n in ("trajectories", "clearance"))
+
+
+def test_a_map_and_its_unknown_cells(checkpoint: Path, room: Path, tmp_path: Path) -> None:
+    free = drawn(checkpoint, tmp_path, "--size", 8, "--no-project")
+    walled = drawn(checkpoint, tmp_path, "--map", room, "--size", 8, "--no-project")
+    assert walled["clearance"].max() < free["clearance"].min()
+    run(checkpoint, "--map", room, "--size", 8, "--goal", "3,3.5", "--unknown-is-free")
+    ends = ("--checkpoint", checkpoint, "--start", "-1,0.5", "--goal", "3,3.5")
+    assert "x_goal: expected a cell that is not occupied" in failure(*ends, "--map", room)
+
+
+def test_the_command_draws_what_the_generator_draws(checkpoint: Path, tmp_path: Path) -> None:
+    arrays = drawn(checkpoint, tmp_path)
+    model = make_model(L2Config(num_steps=24, num_control_points=12))
+    seen = empty_map(np.array([-1, 0.5]), np.array([2, -0.25]), size_m=None)
+    assert seen.occupancy.shape == (EMPTY_MAP_CELLS, EMPTY_MAP_CELLS)
+    anchors = TrajectoryGenerator(model, GeneratorConfig(num_samples=3, steps=2)).generate(
+        seen.occupancy[None],
+        [-1, 0.5, 0, 0, 0, 0],
+        [2, -0.25, 0, 0],
+        resolution=seen.resolution,
+        origin=seen.origin,
+        seed=5,
+    )
+    np.testing.assert_allclose(arrays["trajectories"], anchors.trajectories, atol=1e-4)
+
+
+def test_a_model_with_heading(make_checkpoint: Callable[[int], Path], tmp_path: Path) -> None:
+    out, picture = tmp_path / "anchors.npz", tmp_path / "anchors.svg"
+    ends = ["--start", "-1,0,0.5", "--goal", "2,0,-0.5", "--out", str(out), "--plot", str(picture)]
+    with pytest.raises(SystemExit) as caught:
+        main(["generate", "--checkpoint", str(make_checkpoint(3)), *ends, *QUICK])
+    assert caught.value.code == 0
+    with np.load(out) as arrays:
+        np.testing.assert_allclose(arrays["trajectories"][:, 0], [[-1, 0, 0.5]] * 3, atol=1e-5)
+    assert picture.exists()
+
+
+def test_what_cannot_be_is_one_line(checkpoint: Path, tmp_path: Path) -> None:
+    asked = ("--checkpoint", checkpoint, *ENDS, *QUICK)
+    assert failure(*asked, "--method", "rk5").startswith("anchorflow generate: method: expected")
+    assert "x_curr: expected [6]" in failure(
+        "--checkpoint", checkpoint, "--start", "0,0,1", "--goal", "1,0,0"
+    )
+    assert "x_curr: expected a point on the map" in failure(*asked, "--size", "1")
+    assert "absent" in failure(*asked, "--out", tmp_path / "absent" / "anchors.npz")
+    assert "absent.pt: not a checkpoint" in failure("--checkpoint", tmp_path / "absent.pt", *ENDS)
+
+
+def test_smoothing_may_be_left_out(checkpoint: Path, tmp_path: Path) -> None:
+    """The untrained field leaves the ends; only a fitted spline meets them."""
+    smooth = drawn(checkpoint, tmp_path, "--no-project")
+    rough = drawn(checkpoint, tmp_path, "--no-project", "--no-smooth")
+    assert np.abs(smooth["trajectories"][:, 0] - [-1, 0.5]).max() < 1e-5
+    assert np.abs(rough["trajectories"][:, 0] - [-1, 0.5]).max() > 1e-3
