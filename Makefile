@@ -12,13 +12,15 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help serve test lint format bench clean
+.PHONY: help serve toolkit test lint format bench clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 serve: $(VENV)/.service  ## Serve the default bundle at HOST and PORT (127.0.0.1, 8000); installs no torch
 	$(BIN)/anchorflow serve --host $(HOST) --port $(PORT)
+
+toolkit: $(VENV)/.toolkit  ## Add what training and export need (torch, onnx) to .venv
 
 test: $(VENV)/.dev  ## Run every test
 	$(BIN)/python -m pytest
@@ -47,6 +49,11 @@ $(VENV)/.created:
 
 $(VENV)/.service: pyproject.toml $(VENV)/.created
 	$(PIP) install --editable '.[service]'
+	touch $@
+
+$(VENV)/.toolkit: pyproject.toml $(VENV)/.created
+	$(PIP) install '$(TORCH)'
+	$(PIP) install --editable '.[service,train,plot]'
 	touch $@
 
 $(VENV)/.dev: pyproject.toml $(VENV)/.created

@@ -25,6 +25,7 @@ from anchorflow_models import L2Config, L2SafetyCFM
 from anchorflow_models.generation import Anchors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_training.batches import BatchConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
+from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.scenes import Scene, SceneError, draw_scene
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
@@ -85,11 +86,13 @@ def report(step: int, row: dict[str, float]) -> None:
 
 
 def new_scenes(count: int, *, limits: Limits, seed: int) -> list[Scene]:
-    """Scenes that the training has not seen."""
+    """Scenes that the training has not seen, and that the expert finds ways through."""
     rng, scenes = np.random.default_rng(seed), []
     while len(scenes) < count:
         with suppress(SceneError):  # no room for a start and a goal: another is drawn
-            scenes.append(draw_scene(rng, limits=limits))
+            scene = draw_scene(rng, limits=limits)
+            if solve(scene, config=ExpertConfig(), limits=limits, rng=rng).good.any():
+                scenes.append(scene)
     return scenes
 
 

@@ -1,0 +1,36 @@
+"""The example runs from end to end, at a size that teaches nothing."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from PIL import Image
+
+from anchorflow_training.checkpoint import load_checkpoint
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "quickstart.py"
+
+
+@pytest.fixture
+def quickstart() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("quickstart", EXAMPLE)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_it_trains_generates_and_draws(
+    quickstart: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    quickstart.main(["--out", str(tmp_path), "--scenes", "8", "--steps", "2"])
+    assert load_checkpoint(tmp_path / "run" / "checkpoint.pt").step == 2
+    printed = capsys.readouterr().out
+    for row in ("untrained", "trained", "finished"):
+        assert f"{row}: " in printed
+    with Image.open(tmp_path / "quickstart.png") as image:
+        assert image.size == (1200, 930)
