@@ -176,7 +176,8 @@ def _answer(
 
 def _model_id(checkpoint: Path, step: int) -> ModelId:
     digest = hashlib.sha256(checkpoint.read_bytes()).hexdigest()
-    return ModelId(f"{checkpoint.absolute().parent.name}/{checkpoint.name}", f"of step {step}", digest)
+    name = f"{checkpoint.absolute().parent.name}/{checkpoint.name}"
+    return ModelId(name, f"of step {step}", digest)
 
 
 def _write(path: Path, answer: AnchorBatch) -> None:
