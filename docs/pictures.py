@@ -1,4 +1,4 @@
-"""Draw the pictures of the documentation: `python docs/pictures.py` in a development environment."""
+"""Draw the pictures of the documentation: `python docs/pictures.py` after `make test`."""
 
 from __future__ import annotations
 

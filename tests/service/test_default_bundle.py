@@ -1,5 +1,7 @@
 """The bundle that ships: what it is, and that its anchors are worth having."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -27,8 +29,8 @@ def cluttered() -> np.ndarray:
     return occupancy
 
 
-def plan(engine: Engine, **changes: object) -> AnchorBatch:
-    request = {
+def plan(engine: Engine, **changes: Any) -> AnchorBatch:
+    request: dict[str, Any] = {
         "cost_map": CostMap.build(cluttered()[None], RESOLUTION, None),
         "x_curr": [-4.0, 0.2, 0.5, 0.0, 0.0, 0.0],
         "x_goal": [4.0, -0.2, 0.0, 0.0],

@@ -58,9 +58,9 @@ def test_the_expert_passes_a_post_on_both_sides() -> None:
         resolution=0.1,
         origin=np.zeros(2),
         robot_radius=0.25,
-        x_curr=np.float32([1.0, 4.8, 0, 0, 0, 0]),
-        x_goal=np.float32([8.6, 4.8, 0, 0]),
-        style=np.float32([0.4, 0.3, 0.3]),
+        x_curr=np.asarray([1.0, 4.8, 0, 0, 0, 0], np.float32),
+        x_goal=np.asarray([8.6, 4.8, 0, 0], np.float32),
+        style=np.asarray([0.4, 0.3, 0.3], np.float32),
         clearance=clearance_field(occupied, 0.1, 0.25),
     )
     solution = solve(scene, config=ExpertConfig(), limits=LIMITS, rng=np.random.default_rng(0))
