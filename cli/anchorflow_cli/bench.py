@@ -106,7 +106,7 @@ def quality(
         styled = [*ours, *([ExpertPlanner(limits, 60)] if "expert" in names else [])]
         with progress("styles", len(found)) as advance:
             tables.append(style_table(styled, found, limits=limits, num=num, progress=advance))
-    about = {"scenes": f"{source}, {len(found)} judged", "anchors a scene": str(num)}
+    about = {"scenes": f"{Path(source).name}, {len(found)} judged", "anchors a scene": str(num)}
     show_and_write(Report("quality", "Quality", about | circumstances(), tables), out)
     draw_scene_sheet(plans[ours[0].name], out / "quality_scenes.png", title=ours[0].name)
     draw_quality_over_time(tables[0].rows, out / "quality_time.png")
