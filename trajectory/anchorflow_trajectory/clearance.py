@@ -67,14 +67,16 @@ class GridField:
         return np.stack([corner, right - corner, up - corner, twist], -1).reshape(-1, 4)
 
     def _patch(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, ...]:
+        """Coefficients [..., 4], the place inside the patch and the overshoot, all in cells."""
         height, width = self.values.shape
         scale = np.float32(1.0 / self.resolution)
         u = x * scale - np.float32(self.origin[0] / self.resolution + 0.5)
         v = y * scale - np.float32(self.origin[1] / self.resolution + 0.5)
         inside_u = np.clip(u, 0, width - 1)
         inside_v = np.clip(v, 0, height - 1)
-        column, row = inside_u.astype(np.int32), inside_v.astype(np.int32)
-        patch = np.take(self._coefficients, row * width + column, axis=0)
+        column, row = np.floor(inside_u), np.floor(inside_v)
+        # A float32 counts cells exactly up to 2^24 of them, and stays half as wide as an index.
+        patch = np.take(self._coefficients, (row * width + column).astype(np.intp), axis=0)
         return patch, inside_u - column, inside_v - row, u - inside_u, v - inside_v
 
     def sample(self, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -93,7 +95,9 @@ class GridField:
         slope_v = patch[..., 2] + patch[..., 3] * fu
         value = patch[..., 0] + slope_u * fu + patch[..., 2] * fv
         value -= (np.abs(over_u) + np.abs(over_v)) * np.float32(self.resolution)
-        return value, slope_u * scale - np.sign(over_u), slope_v * scale - np.sign(over_v)
+        along_x = np.where(over_u == 0, slope_u * scale, -np.sign(over_u))
+        along_y = np.where(over_v == 0, slope_v * scale, -np.sign(over_v))
+        return value, along_x, along_y
 
 
 def path_clearance(field: GridField, positions: FloatArray, *, max_step: float) -> FloatArray:

@@ -18,11 +18,15 @@ FloatArray = NDArray[np.floating]
 
 BETAS = (0.8, 0.95)  # short memories: there are tens of steps, not thousands
 PLANE = slice(2)  # x and y
+RIDGE = 1e-3  # keeps the whitening finite for slow, long bends
 
 
 @lru_cache(maxsize=32)
-def _whitening(basis: SplineBasis, ridge: float) -> FloatArray:
-    """[F, F]: free control points from coordinates in which mean squared acceleration is round."""
+def whitening(basis: SplineBasis, ridge: float = RIDGE) -> FloatArray:
+    """[F, F]: free control points from coordinates in which mean squared acceleration is round.
+
+    Standard normal coordinates make a smooth disturbance, of at most 1 m standard deviation.
+    """
     free = basis.acceleration[:, basis.free].astype(np.float64) * basis.horizon_s**2
     hessian = free.T @ free / len(free)
     hessian += ridge * np.trace(hessian) / len(hessian) * np.eye(len(hessian))
@@ -30,15 +34,13 @@ def _whitening(basis: SplineBasis, ridge: float) -> FloatArray:
     return (root / np.abs(root @ root.T).diagonal().max() ** 0.5).astype(np.float32)
 
 
-def descend(
-    cost: TrajectoryCost, control: FloatArray, *, steps: int, rate: float, ridge: float = 1e-3
-) -> FloatArray:
+def descend(cost: TrajectoryCost, control: FloatArray, *, steps: int, rate: float) -> FloatArray:
     """Control points [D, M, K] after `steps` steps of about `rate` metres, decaying to a tenth.
 
     The ends stay where they are, and so does a heading: no obstacle and no limit pulls at it, and
     Adam would scale what is left up to steps of `rate` radians. Trajectories descend on their own.
     """
-    free, root = cost.basis.free, _whitening(cost.basis, ridge)
+    free, root = cost.basis.free, whitening(cost.basis)
     control = control.copy()
     moved = control[PLANE, :, free]
     mean = np.zeros_like(moved)

@@ -11,7 +11,7 @@ from anchorflow_training.expert.grid_paths import alternative_paths, time_along
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.clearance import path_clearance
 from anchorflow_trajectory.cost import Limits, TrajectoryCost
-from anchorflow_trajectory.descent import descend
+from anchorflow_trajectory.descent import descend, whitening
 from anchorflow_trajectory.ground import Ground
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
@@ -23,7 +23,8 @@ class ExpertConfig:
     """How hard the expert tries.
 
     tries: descents a scene, spread over `paths` grid paths; steps: of each descent
-    spread: standard deviation [m] of the disturbance that tells tries on one path apart
+    spread: standard deviation [m], at its widest, of the disturbance that tells tries on one path
+        apart
     """
 
     num_samples: int = 64
@@ -31,7 +32,7 @@ class ExpertConfig:
     paths: int = 6
     steps: int = 100
     rate: float = 0.3
-    spread: float = 0.15
+    spread: float = 0.25
     margin: float = 0.06
 
 
@@ -81,7 +82,8 @@ def _guesses(
     which = np.sort(rng.choice(len(paths), config.tries, p=shares / shares.sum()))
     which[: len(paths)] = np.arange(len(paths))
     control = seeds[:, which]
-    noise = rng.normal(0.0, config.spread, control[..., basis.free].shape)
+    # Smooth, and small at both ends: a kink there takes the descent longest to iron out.
+    noise = rng.normal(0.0, config.spread, control[..., basis.free].shape) @ whitening(basis).T
     noise[:, : len(paths)] = 0.0
     control[..., basis.free] += noise
     return control
