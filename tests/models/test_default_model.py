@@ -27,8 +27,8 @@ SAVED = {
 def test_names_and_shapes_of_the_weights_are_pinned() -> None:
     state = create_l2_safety_cfm().state_dict()
     lines = "\n".join(f"{name} {tuple(v.shape)} {v.dtype}" for name, v in state.items())
-    assert len(state) == 114
-    assert hashlib.sha256(lines.encode()).hexdigest()[:16] == "e8ff29e1ab7134bb", lines
+    assert len(state) == 98
+    assert hashlib.sha256(lines.encode()).hexdigest()[:16] == "7c8a1c759ebc51a4", lines
 
 
 def test_a_saved_configuration_is_today_s_default() -> None:
@@ -40,4 +40,4 @@ def test_a_saved_configuration_is_today_s_default() -> None:
 def test_the_default_context_is_pinned() -> None:
     model = create_l2_safety_cfm()
     assert model.context_for_modulate == ("condition",)
-    assert model.context_for_field == ("prior_mean", "frame", "features")
+    assert model.context_for_field == ("prior_mean", "frame", "units", "si_units", "features")

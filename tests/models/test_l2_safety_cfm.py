@@ -8,7 +8,6 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.layers.embedding import GaussianFourierTime, sinusoidal_positions
 from anchorflow_models.layers.lookup import lookup
 
@@ -41,10 +40,9 @@ def test_noise_already_meets_both_ends(model: L2SafetyCFM, scene: Scene) -> None
 
 def test_si_and_normalised_units_are_inverse(model: L2SafetyCFM, scene: Scene) -> None:
     context = model.encode(**scene)
-    frame = Frame.unpack(context["frame"], 2)
     x = model.draw(torch.randn(1, COUNT, model.prior.rank), context)
-    state = model.prior.normalise(x, context["prior_mean"], frame)
-    back = context["prior_mean"][:, None] + model.prior.to_si(state, frame)
+    state = model.prior.normalise(x, context["prior_mean"], context["units"])
+    back = context["prior_mean"][:, None] + model.prior.to_si(state, context["si_units"])
     torch.testing.assert_close(back, x, atol=1e-4, rtol=1e-4)
     assert 0.5 < state.std().item() < 2.0
 

@@ -62,7 +62,7 @@ def test_the_graphs_carry_what_the_options_ask_for(make_model: MakeModel) -> Non
     for (lookup, attention, scales), expected in names.items():
         options = {"map_lookup": lookup, "map_attention": attention, "map_scales": scales}
         model = make_model(map_size=16, **options)
-        assert model.context_for_field == ("prior_mean", "frame", *expected)
+        assert model.context_for_field == ("prior_mean", "frame", "units", "si_units", *expected)
 
 
 def test_keys_and_values_are_one_set_a_layer(make_model: MakeModel, make_scene: MakeScene) -> None:

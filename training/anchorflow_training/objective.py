@@ -9,12 +9,11 @@ from torch import Tensor, nn
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.flow_matching import flow_matching_loss, interpolate
-from anchorflow_models.flowmp.frame import Frame
 from anchorflow_training.config import FlowMatchingConfig
 from anchorflow_training.coupling import couple
 from anchorflow_training.flow_time import draw_flow_times
 
-METRIC = ("prior_mean", "prior_basis", "frame")  # context in SI units, kept in float32
+METRIC = ("prior_mean", "prior_basis", "frame", "units")  # context in SI units, kept in float32
 
 
 class FlowObjective(nn.Module):
@@ -36,16 +35,16 @@ class FlowObjective(nn.Module):
         model, inputs = self.model, dict(batch)
         data = inputs.pop("states")
         context = model.encode(**inputs)
-        frame = Frame.unpack(context["frame"].float(), model.config.dim)
         with torch.autocast(data.device.type, enabled=False), torch.no_grad():
             context |= {name: context[name].float() for name in METRIC}
             x_0 = model.draw(noise, context)
             if self.config.optimal_transport:
                 x_0 = _paired(x_0, data, model.config.dim)
             x_t, target = interpolate(x_0, data, t)
-            state = model.prior.normalise(x_t, context["prior_mean"], frame)
+            mean, units = context["prior_mean"], context["units"]
+            state = model.prior.normalise(x_t, mean, units)
             # The prior's mean cancels in a difference.
-            target = model.prior.normalise(target, torch.zeros_like(context["prior_mean"]), frame)
+            target = model.prior.normalise(target, torch.zeros_like(mean), units)
         modulation = model.modulate(t, context)
         predicted = model.normalised_field(x_t, state, modulation, context)
         return flow_matching_loss(predicted.float(), target, self.config.weights)

@@ -97,7 +97,7 @@ class L2SafetyCFM(nn.Module):
         """Names of the context tensors that `field` reads."""
         looked_up = tuple(self.windows) if self.config.map_lookup else ()
         asked = ("map_keys_values",) if self.config.map_attention else ()
-        return ("prior_mean", "frame", *looked_up, *asked)
+        return ("prior_mean", "frame", "units", "si_units", *looked_up, *asked)
 
     def encode(
         self,
@@ -131,6 +131,8 @@ class L2SafetyCFM(nn.Module):
             "prior_mean": self.prior.mean(x_curr, x_goal),
             "prior_basis": self.prior.basis(frame),
             "frame": frame.pack(),
+            "units": self.prior.units(frame),
+            "si_units": self.prior.si_units(frame),
             "condition": condition + self.map_summary(summary),
             **self._map_context(maps, encodings),
         }
@@ -157,10 +159,9 @@ class L2SafetyCFM(nn.Module):
 
         modulation: [B, M] where all samples share the flow time, [B, N, M] where each has its own.
         """
-        frame = Frame.unpack(context["frame"], self.config.dim)
-        state = self.prior.normalise(x_t, context["prior_mean"], frame)
+        state = self.prior.normalise(x_t, context["prior_mean"], context["units"])
         field = self.normalised_field(x_t, state, modulation, context)
-        return self.prior.to_si(field, frame)
+        return self.prior.to_si(field, context["si_units"])
 
     def normalised_field(
         self, x_t: Tensor, state: Tensor, modulation: Tensor, context: Context

@@ -71,16 +71,27 @@ class TrajectoryPrior(nn.Module):
         states = states * frame.half_size[:, None, None, None, None]
         return frame.turn_out(states).flatten(2)
 
-    def normalise(self, x: Tensor, mean: Tensor, frame: Frame) -> Tensor:
-        """States [B, N, T, S] in SI as residuals of unit spread in the scene's axes."""
-        residual = (x - mean[:, None]).unflatten(-1, (FIELDS, self.dim))
-        scale = self.spread * frame.half_size[:, None, None, None, None]
-        return (frame.turn_in(residual) / scale).flatten(-2)
+    def units(self, frame: Frame) -> Tensor:
+        """[B, S, S]: what turns SI residuals (rows) into the scene's axes, at unit spread."""
+        turn = frame.rotation / frame.half_size[:, None, None]
+        return (self._diagonal(turn) / self.spread).flatten(3).flatten(1, 2)
 
-    def to_si(self, field: Tensor, frame: Frame) -> Tensor:
+    def si_units(self, frame: Frame) -> Tensor:
+        """[B, S, S]: the inverse of `units`."""
+        turn = frame.rotation.transpose(1, 2) * frame.half_size[:, None, None]
+        return (self._diagonal(turn) * self.spread[:, :, None, None]).flatten(3).flatten(1, 2)
+
+    def normalise(self, x: Tensor, mean: Tensor, units: Tensor) -> Tensor:
+        """States [B, N, T, S] in SI as residuals of unit spread in the scene's axes."""
+        return ((x - mean[:, None]).flatten(1, 2) @ units).reshape(x.shape)
+
+    def to_si(self, field: Tensor, si_units: Tensor) -> Tensor:
         """A field [B, N, T, S] of the normalised states as one of the SI states."""
-        scale = self.spread * frame.half_size[:, None, None, None, None]
-        return frame.turn_out(field.unflatten(-1, (FIELDS, self.dim)) * scale).flatten(-2)
+        return (field.flatten(1, 2) @ si_units).reshape(field.shape)
+
+    def _diagonal(self, turn: Tensor) -> Tensor:
+        """[B, D, D] -> [B, FIELDS, D, FIELDS, D], the same for position, velocity, acceleration."""
+        return torch.eye(FIELDS, device=turn.device)[:, None, :, None] * turn[:, None, :, None, :]
 
 
 def _rest_states(basis: SplineBasis) -> Tensor:

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from anchorflow_models.flowmp.config import VARIANTS, TransformerSize, check_choice
 from anchorflow_models.flowmp.vector_field import VectorField, repeat_last_step
-from anchorflow_models.layers.adaln import CHUNKS, AdaLNBlock, modulate
+from anchorflow_models.layers.adaln import CHUNKS, AdaLNBlock, modulate, neutral_modulation
 from anchorflow_models.layers.embedding import sinusoidal_positions
 from anchorflow_models.layers.zero_linear import zero_linear
 
@@ -34,7 +34,7 @@ class FlowMPTransformer(VectorField):
     ) -> None:
         super().__init__(
             condition_width=condition_width,
-            modulation_size=(CHUNKS * size.layers + 2) * size.width,
+            neutral_modulation=neutral_modulation(size.width, blocks=size.layers),
         )
         self.num_steps, self.extra_steps = num_steps, -num_steps % steps_per_token
         self.steps_per_token = steps_per_token

@@ -46,7 +46,7 @@ class FlowMPUNet1D(VectorField):
         blocks = (*down, *middle, *up)
         super().__init__(
             condition_width=condition_width,
-            modulation_size=sum(block.modulation_size for block in blocks),
+            neutral_modulation=torch.cat([block.neutral_modulation() for block in blocks]),
         )
         self.num_steps, self.extra_steps = num_steps, -num_steps % STRIDE
         self.project_in = nn.Linear(state_dim + feature_channels, width)

@@ -18,10 +18,14 @@ class VectorField(nn.Module):
     reaches it through the modulation alone, which no sample changes.
     """
 
-    def __init__(self, *, condition_width: int, modulation_size: int) -> None:
+    def __init__(self, *, condition_width: int, neutral_modulation: Tensor) -> None:
+        """neutral_modulation: [M], with which every block starts, whatever the condition."""
         super().__init__()
         self.time = GaussianFourierTime(condition_width)
-        self.to_modulation = nn.Sequential(nn.SiLU(), zero_linear(condition_width, modulation_size))
+        to_modulation = zero_linear(condition_width, len(neutral_modulation))
+        with torch.no_grad():
+            to_modulation.bias.copy_(neutral_modulation)
+        self.to_modulation = nn.Sequential(nn.SiLU(), to_modulation)
 
     def modulate(self, condition: Tensor, t: Tensor) -> Tensor:
         """Every block's shifts, scales and gates.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -11,7 +12,13 @@ CHUNKS = 6  # shift, scale and gate, for attention and for the feed-forward
 
 
 def modulate(x: Tensor, shift: Tensor, scale: Tensor) -> Tensor:
-    return x * (1 + scale) + shift
+    return x * scale + shift
+
+
+def neutral_modulation(width: int, *, blocks: int) -> Tensor:
+    """[M]: shifts of 0, scales of 1 and gates of 0 for the blocks, then a last shift and scale."""
+    shift, scale, gate = torch.zeros(width), torch.ones(width), torch.zeros(width)
+    return torch.cat([*[shift, scale, gate] * (2 * blocks), shift, scale])
 
 
 class SelfAttention(nn.Module):
@@ -20,15 +27,24 @@ class SelfAttention(nn.Module):
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.to_qkv = nn.Linear(width, 3 * width)
-        self.out = nn.Linear(width, width)
+        self.to_qkv = nn.Linear(width, 3 * width, bias=False)
+        self.out = nn.Linear(width, width, bias=False)
 
     def forward(self, x: Tensor) -> Tensor:
         *lead, tokens, width = x.shape
         qkv = self.to_qkv(x).reshape(-1, tokens, 3, self.heads, width // self.heads)
         q, k, v = qkv.permute(2, 0, 3, 1, 4).unbind(0)
-        mixed = F.scaled_dot_product_attention(q, k, v)
+        # Written out: eight tokens need no flash attention, and its export is twice as many nodes.
+        mixed = ((q * q.shape[-1] ** -0.5) @ k.transpose(-1, -2)).softmax(-1) @ v
         return self.out(mixed.transpose(1, 2).reshape(*lead, tokens, width))
+
+
+class SquaredReLU(nn.Module):
+    """max(x, 0)^2 (Primer; So et al., 2021): as good as GELU, at a quarter of its time on a CPU."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        positive = F.relu(x)
+        return positive * positive
 
 
 class FeedForward(nn.Sequential):
@@ -36,14 +52,17 @@ class FeedForward(nn.Sequential):
 
     def __init__(self, width: int, ratio: int = 4) -> None:
         super().__init__(
-            nn.Linear(width, ratio * width), nn.GELU(), nn.Linear(ratio * width, width)
+            nn.Linear(width, ratio * width, bias=False),
+            SquaredReLU(),
+            nn.Linear(ratio * width, width, bias=False),
         )
 
 
 class AdaLNBlock(nn.Module):
     """Attention and feed-forward, each normalised, shifted, scaled and gated by the condition.
 
-    The modulation comes from outside: it depends on scene and time only, never on the sample.
+    The modulation comes from outside: it depends on scene and time only, never on the sample. Its
+    shifts make biases of the layers needless.
     With `map_attention` the tokens ask the map between the two.
     """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -24,10 +25,16 @@ class FiLMBlock(nn.Module):
         self.shortcut = nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
         self.modulation_size = 2 * outputs
 
+    def neutral_modulation(self) -> Tensor:
+        """[2 C']: shifts of 0 and scales of 1."""
+        return torch.cat(
+            [torch.zeros(self.modulation_size // 2), torch.ones(self.modulation_size // 2)]
+        )
+
     def forward(self, x: Tensor, modulation: Tensor) -> Tensor:
         """x: [B * N, C, T]; modulation: [B, 1 or N, 2 C'] -> [B * N, C', T]."""
         h = self.norm_out(self.conv_in(F.silu(self.norm_in(x))))
         by_scene = h.reshape(modulation.shape[0], -1, *h.shape[1:])
         shift, scale = modulation[..., None].chunk(2, -2)
-        h = (by_scene * (1 + scale) + shift).reshape(h.shape)
+        h = (by_scene * scale + shift).reshape(h.shape)
         return self.shortcut(x) + self.conv_out(F.silu(h))

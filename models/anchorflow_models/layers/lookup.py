@@ -13,17 +13,19 @@ def lookup(features: Tensor, points: Tensor) -> Tensor:
     whole rows run several times faster in onnxruntime than its GridSample, which goes by channel.
     """
     batch, height, width, channels = features.shape
-    x = ((points[..., 0] + 1) * (width / 2) - 0.5).clamp(0, width - 1)
-    y = ((points[..., 1] + 1) * (height / 2) - 0.5).clamp(0, height - 1)
+    x = (points[..., :1] * (width / 2) + (width - 1) / 2).clamp(0, width - 1)
+    y = (points[..., 1:] * (height / 2) + (height - 1) / 2).clamp(0, height - 1)
     column, row = x.floor().clamp(max=width - 2), y.floor().clamp(max=height - 2)
-    right, up = (x - column)[..., None], (y - row)[..., None]
-    scene = torch.arange(batch, device=features.device)[:, None] * (height * width)
+    right, up = x - column, y - row
+    scene = torch.arange(batch, device=features.device)[:, None, None] * (height * width)
     corner = ((row * width + column).long() + scene).reshape(-1)
     table = features.reshape(batch * height * width, channels)
 
     def take(offset: int) -> Tensor:
         return table.index_select(0, corner + offset).reshape(batch, -1, channels)
 
-    low = torch.lerp(take(0), take(1), right)
-    high = torch.lerp(take(width), take(width + 1), right)
-    return torch.lerp(low, high, up)
+    # Weights of the four corners, [B, P, 1]: fewer passes over the features than nested mixtures,
+    # and torch.lerp exports as twice as many nodes.
+    both = right * up
+    low = take(0) * (1 - right - up + both) + take(1) * (right - both)
+    return low + take(width) * (up - both) + take(width + 1) * both
