@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import SamplerSpec
 from anchorflow_service.bundle import Bundle
-from anchorflow_trajectory.ode.tableau import tableau_named
+from anchorflow_trajectory.ode.method import method_named
 
 Array = NDArray[np.float32]
 Arrays = Mapping[str, Array]
@@ -25,13 +25,15 @@ Field = Callable[[Any, float], Any]
 
 def integrate_plainly(field: Field, x: Any, sampler: SamplerSpec) -> Any:
     """x at t = 1 from x at t = 0 [N,T,S]; numpy arrays or torch tensors."""
-    tableau = tableau_named(sampler.method)
-    for start, end in pairwise(sampler.schedule):
+    method, before = method_named(sampler.method), []
+    for step, (start, end) in enumerate(pairwise(sampler.schedule)):
         h, slopes = end - start, []
-        for row, c in zip(tableau.a_lower, tableau.c, strict=True):
+        for row, c in zip(method.a_lower, method.c, strict=True):
             moves = [h * a * k for a, k in zip(row, slopes, strict=True)]
             slopes.append(field(x + sum(moves) if moves else x, start + c * h))
-        x = x + sum(h * b * k for b, k in zip(tableau.b, slopes, strict=True))
+        before = [*slopes, *before]
+        weights = method.weights(sampler.schedule, step)
+        x = x + sum(h * b * k for b, k in zip(weights, before, strict=False))
     return x
 
 

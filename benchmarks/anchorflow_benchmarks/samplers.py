@@ -13,7 +13,7 @@ from anchorflow_client.contract import (
     uniform_schedule,
 )
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_trajectory.ode.tableau import tableau_named
+from anchorflow_trajectory.ode.method import method_named
 
 CARD = "card"
 FORM = re.compile(r"(?P<method>\w+):(?:uniform(?P<steps>\d+)|(?P<name>\w+))")
@@ -49,4 +49,4 @@ def sampler_name(sampler: SamplerSpec) -> str:
 
 def evaluations(sampler: SamplerSpec) -> int:
     """How often the field is evaluated for a sample."""
-    return tableau_named(sampler.method).stages * (len(sampler.schedule) - 1)
+    return method_named(sampler.method).stages * (len(sampler.schedule) - 1)

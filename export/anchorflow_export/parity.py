@@ -17,7 +17,7 @@ from anchorflow_export.scenes import random_scenes
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.flow import FlowSampler
 from anchorflow_service.graph import Graph, open_graph
-from anchorflow_trajectory.ode.tableau import ButcherTableau, tableau_named
+from anchorflow_trajectory.ode.method import Method, method_named
 
 TOLERANCE = 1e-4  # m, m/s, m/s² of a sample; of max(1, largest magnitude) for a graph's outputs
 
@@ -74,16 +74,18 @@ def torch_sample(
     x: Tensor,
     *,
     schedule: tuple[float, ...],
-    tableau: ButcherTableau,
+    method: Method,
 ) -> Tensor:
     """The sampler written the plain way, one modulation an evaluation: x_0 -> x_1 [B,N,T,S]."""
-    for start, end in pairwise(schedule):
+    before: list[Tensor] = []
+    for step, (start, end) in enumerate(pairwise(schedule)):
         h, slopes = end - start, []
-        for row, c in zip(tableau.a_lower, tableau.c, strict=True):
+        for row, c in zip(method.a_lower, method.c, strict=True):
             point = x + sum((h * a * k for a, k in zip(row, slopes, strict=True)), 0.0)
             modulation = model.modulate(torch.tensor([start + c * h]), context)[:, 0]
             slopes.append(model.field(point, modulation, context))
-        x = x + sum(h * b * k for b, k in zip(tableau.b, slopes, strict=True))
+        before = [*slopes, *before]
+        x = x + sum(h * b * k for b, k in zip(method.weights(schedule, step), before, strict=False))
     return x
 
 
@@ -124,7 +126,7 @@ def _samples(model: FlowModel, bundle: Bundle, trial: Trial) -> Iterator[Differe
             {name: tensor[b : b + 1] for name, tensor in context.items()},
             _initial_state(context, torch.from_numpy(noise))[b : b + 1],
             schedule=sampler.schedule,
-            tableau=tableau_named(sampler.method),
+            method=method_named(sampler.method),
         )
         yield _difference(f"sample of scene {b} at {trial}", state, expected[0].numpy())
 

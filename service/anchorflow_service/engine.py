@@ -13,12 +13,13 @@ from anchorflow_client.contract import (
     AnchorRequest,
     ModelCard,
     ResolvedRequest,
+    SamplerSpec,
     resolve_for_card,
 )
 from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.conditioning import Scene, scenes_of
-from anchorflow_service.flow import Array, Context, FlowSampler
+from anchorflow_service.flow import Array, Context, FlowSampler, FlowStates
 from anchorflow_service.timing import StageClock
 from anchorflow_service.warm_start import renoised, warm_state
 from anchorflow_trajectory.cost import Limits
@@ -65,6 +66,22 @@ class Engine:
             request_id=resolved.request_id,
         )
 
+    def flow_states(self, request: AnchorRequest) -> FlowStates:
+        """The states that `plan` passes through on its way to the first scene's anchors.
+
+        The last of them is what refinement starts from.
+
+        Raises:
+            InvalidRequest, UnknownModel: as `plan`.
+        """
+        resolved = resolve_for_card(request, self.card)
+        self._check_supported(resolved)
+        scene = scenes_of(resolved, self.card)[0]
+        context = self._flow.encode(scene.inputs(self._manifest.inputs))
+        x, sampler = self._begin(scene.request, context)
+        states = self._flow.states(context, x, sampler)
+        return FlowStates(np.array(sampler.schedule), states[..., : self.card.D])
+
     def _check_supported(self, request: ResolvedRequest) -> None:
         if request.model != self.card.name:
             raise UnknownModel(f"expected {self.card.name}, got {request.model}", "model")
@@ -85,6 +102,11 @@ class Engine:
 
     def _sample(self, request: ResolvedRequest, context: Context) -> Array:
         """States at t = 1: [N,T,S]."""
+        x, sampler = self._begin(request, context)
+        return self._flow.integrate(context, x, sampler)
+
+    def _begin(self, request: ResolvedRequest, context: Context) -> tuple[Array, SamplerSpec]:
+        """States [N,T,S] at the first time of the sampler that is left to run."""
         flow, sampler = self._flow, request.sampler
         noise = flow.draw_noise(context, num_samples=request.num_samples, seed=request.seed)
         x = flow.initial_state(context, noise)
@@ -92,7 +114,7 @@ class Engine:
             x_1 = warm_state(warm, card=self.card, horizon_s=request.horizon_s)
             x = renoised(x_1, x, warm.tau)
             sampler = replace(sampler, schedule=remaining(sampler.schedule, warm.tau))
-        return flow.integrate(context, x, sampler)
+        return x, sampler
 
     def _refine(self, scene: Scene, state: Array) -> Refined:
         """Anchors that meet both ends, and what they are worth."""

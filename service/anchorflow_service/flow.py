@@ -9,8 +9,9 @@ What a graph needs of the others it takes by name.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,25 @@ from anchorflow_client.contract import SamplerSpec
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.graph import BoundGraph, open_graph
 from anchorflow_service.solver import integrate
+from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import stage_times
-from anchorflow_trajectory.ode.tableau import tableau_named
 
 Array = NDArray[np.float32]
 Context = Mapping[str, Array]
 
 MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it brings
+
+
+@dataclass(frozen=True)
+class FlowStates:
+    """Anchors on their way through the flow, before they are finished.
+
+    times: [K] flow times of the schedule, from noise to 1
+    positions: [K,N,T,D] m
+    """
+
+    times: NDArray[np.float64]
+    positions: Array
 
 
 class FlowSampler:
@@ -71,20 +84,36 @@ class FlowSampler:
 
     def integrate(self, context: Context, x: Array, sampler: SamplerSpec) -> Array:
         """The state at t = 1 [N,T,S] from x at the schedule's first time."""
-        schedule, tableau = sampler.schedule, tableau_named(sampler.method)
-        times = stage_times(tableau, schedule).times
-        modulate_inputs = self._modulate.select({**context, "times": times})
-        modulation = self._modulate(**modulate_inputs)["modulation"]
-        field_inputs = self._field.select(context)
+        schedule, method = sampler.schedule, method_named(sampler.method)
+        new_field = self._field_over(context, sampler)
 
         def integrate_slice(part: Array) -> Array:
-            vector_field = _ModulatedField(self._field.bind(**field_inputs), modulation)
-            return integrate(vector_field, part, schedule=schedule, tableau=tableau)
+            return integrate(new_field(), part, schedule=schedule, method=method)
 
         slices = np.array_split(x, min(self._threads, -(-len(x) // MIN_SLICE)))
         if len(slices) == 1:
             return integrate_slice(slices[0])
         return np.concatenate(list(self._pool.map(integrate_slice, slices)))
+
+    def states(self, context: Context, x: Array, sampler: SamplerSpec) -> Array:
+        """The states at every time of the schedule [K,N,T,S]; x is the first of them."""
+        visited = [x]
+        integrate(
+            self._field_over(context, sampler)(),
+            x,
+            schedule=sampler.schedule,
+            method=method_named(sampler.method),
+            on_step=lambda state: visited.append(state.copy()),
+        )
+        return np.stack(visited)
+
+    def _field_over(self, context: Context, sampler: SamplerSpec) -> Callable[[], _ModulatedField]:
+        """Makes the vector field of a scene at the sampler's times, one for each thread."""
+        times = stage_times(method_named(sampler.method), sampler.schedule).times
+        modulate_inputs = self._modulate.select({**context, "times": times})
+        modulation = self._modulate(**modulate_inputs)["modulation"]
+        field_inputs = self._field.select(context)
+        return lambda: _ModulatedField(self._field.bind(**field_inputs), modulation)
 
     @property
     def _state_shape(self) -> tuple[int, int]:

@@ -21,8 +21,8 @@ from pydantic import (
 )
 
 from anchorflow_client.contract import MapSpec, ModelCard, RefineSpec, SamplerSpec, TensorSpec
+from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import check_schedule
-from anchorflow_trajectory.ode.tableau import tableau_named
 
 FORMAT = 1
 FILE_NAME = "manifest.json"
@@ -71,7 +71,7 @@ class SamplerEntry(Part):
     """How anchors are drawn; `kind` says by which loop, the rest is the card's default."""
 
     kind: str
-    method: Annotated[str, AfterValidator(lambda name: tableau_named(name).name)]
+    method: Annotated[str, AfterValidator(lambda name: method_named(name).name)]
     schedule: Annotated[tuple[float, ...], AfterValidator(check_schedule)]
     prior: PriorEntry | None = None
 

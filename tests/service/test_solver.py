@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from anchorflow_service.solver import Array, VectorField, integrate
+from anchorflow_trajectory.ode.method import METHODS, Method
 from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times, uniform_schedule
-from anchorflow_trajectory.ode.tableau import TABLEAUS, ButcherTableau
+from anchorflow_trajectory.ode.tableau import ButcherTableau
 
-METHODS = pytest.mark.parametrize("tableau", TABLEAUS.values(), ids=TABLEAUS)
+EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+ONE_STEP = [method for method in METHODS.values() if isinstance(method, ButcherTableau)]
 
 
-def logistic(tableau: ButcherTableau, schedule: tuple[float, ...]) -> VectorField:
+def logistic(method: Method, schedule: tuple[float, ...]) -> VectorField:
     """dx/dt = 3 (1 + t) x (1 - x): nonlinear, time-dependent, and solved in closed form."""
-    times = stage_times(tableau, schedule).times
+    times = stage_times(method, schedule).times
 
     def vector_field(x: Array, time_index: int, out: Array) -> None:
         np.multiply(x, 1.0 - x, out=out)
@@ -23,25 +25,25 @@ def logistic(tableau: ButcherTableau, schedule: tuple[float, ...]) -> VectorFiel
     return vector_field
 
 
-@METHODS
-def test_order_of_convergence(tableau: ButcherTableau) -> None:
+@EACH_METHOD
+def test_order_of_convergence(method: Method) -> None:
     x0 = np.array([0.1, 0.3, 0.5])
     exact = 1.0 / (1.0 + (1.0 / x0 - 1.0) * np.exp(-4.5))  # the integral of 3 (1 + t) is 4.5
     steps = np.array([8, 16, 32, 64])
     errors = []
     for schedule in map(uniform_schedule, steps):
-        x1 = integrate(logistic(tableau, schedule), x0, schedule=schedule, tableau=tableau)
+        x1 = integrate(logistic(method, schedule), x0, schedule=schedule, method=method)
         errors.append(np.abs(x1 - exact).max())
     order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert order == pytest.approx(tableau.order, abs=0.25)
+    assert order == pytest.approx(method.order, abs=0.25)
 
 
-@METHODS
-def test_linear_field_has_the_methods_own_closed_form(tableau: ButcherTableau) -> None:
+@pytest.mark.parametrize("method", ONE_STEP, ids=lambda method: method.name)
+def test_linear_field_has_the_methods_own_closed_form(method: Method) -> None:
     """On dx/dt = λx a step multiplies x by the Taylor series of exp(λh) up to the order."""
     rate = -1.7
     x0 = np.array([[1.0, -2.0]])
-    series = [1.0, 1.0, 1 / 2, 1 / 6, 1 / 24][: tableau.order + 1]
+    series = [1.0, 1.0, 1 / 2, 1 / 6, 1 / 24][: method.order + 1]
     growth = [
         sum(a * (rate * (end - start)) ** k for k, a in enumerate(series))
         for start, end in pairwise(EIGHT_STEP_SCHEDULE)
@@ -50,13 +52,13 @@ def test_linear_field_has_the_methods_own_closed_form(tableau: ButcherTableau) -
         lambda x, time_index, out: np.multiply(x, rate, out=out),  # noqa: ARG005
         x0,
         schedule=EIGHT_STEP_SCHEDULE,
-        tableau=tableau,
+        method=method,
     )
     np.testing.assert_allclose(got, x0 * np.prod(growth), rtol=1e-13)
 
 
-@METHODS
-def test_constant_field_is_exact_in_float32(tableau: ButcherTableau) -> None:
+@EACH_METHOD
+def test_constant_field_is_exact_in_float32(method: Method) -> None:
     """The straight flow x1 - x0 of a point target is followed without error on any schedule."""
     rng = np.random.default_rng(0)
     x0, x1 = rng.standard_normal((2, 3, 5)).astype(np.float32)
@@ -65,7 +67,7 @@ def test_constant_field_is_exact_in_float32(tableau: ButcherTableau) -> None:
         lambda x, time_index, out: np.subtract(x1, x0, out=out),  # noqa: ARG005
         x0,
         schedule=EIGHT_STEP_SCHEDULE,
-        tableau=tableau,
+        method=method,
     )
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, x1, atol=1e-6)

@@ -54,10 +54,14 @@ def test_the_verdict_holds_against_a_finer_look() -> None:
     assert 0.2 < verdict.safe.mean() < 0.9
 
 
+def safe_of(control: np.ndarray) -> np.ndarray:
+    return verify(BASIS.states(control), post(), LIMITS).safe
+
+
 def test_retreat_moves_failures_to_the_safe_side_that_is_near() -> None:
     control = bows([1.4, -1.4, 0.5, -0.3])
-    moved = retreat(control, BASIS, post(), LIMITS)
-    assert verify(BASIS.states(moved), post(), LIMITS).safe.all()
+    moved = retreat(control, safe_of(control), BASIS, post(), LIMITS)
+    assert safe_of(moved).all()
     np.testing.assert_array_equal(moved[:, :2], control[:, :2])
     heights = moved[1, :, 9] - 3.2
     assert 0.5 < heights[2] < 1.4
@@ -67,4 +71,4 @@ def test_retreat_moves_failures_to_the_safe_side_that_is_near() -> None:
 @pytest.mark.parametrize("heights", [[0.0, 0.1], [1.3, -1.3]])
 def test_retreat_leaves_all_as_it_is_where_none_or_all_are_safe(heights: list[float]) -> None:
     control = bows(heights)
-    np.testing.assert_array_equal(retreat(control, BASIS, post(), LIMITS), control)
+    np.testing.assert_array_equal(retreat(control, safe_of(control), BASIS, post(), LIMITS), control)

@@ -116,7 +116,8 @@ class Refiner:
         field = cost.ground.clearance
         for rate in (DESCENT_RATE, *FURTHER_RATES):
             control = descend(cost, control, steps=self.steps, rate=rate)
-            if verify(self.basis.states(control), field, self.limits).safe.any():
-                return retreat(control, self.basis, field, self.limits)
+            safe = verify(self.basis.states(control), field, self.limits).safe
+            if safe.any():
+                return retreat(control, safe, self.basis, field, self.limits)
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
         return control

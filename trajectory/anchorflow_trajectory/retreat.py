@@ -16,21 +16,21 @@ from anchorflow_trajectory.spline import SplineBasis
 from anchorflow_trajectory.verify import verify
 
 FloatArray = NDArray[np.floating]
+BoolArray = NDArray[np.bool_]
 
 ROUNDS = 5
 STRIDE = 4  # samples between the points by which trajectories are compared
 
 
 def retreat(
-    control: FloatArray, basis: SplineBasis, field: GridField, limits: Limits
+    control: FloatArray, safe: BoolArray, basis: SplineBasis, field: GridField, limits: Limits
 ) -> FloatArray:
-    """Control points [D, M, K], the unsafe ones moved; as they were where none is safe."""
-    states = basis.states(control)
-    safe = verify(states, field, limits).safe
+    """Control points [D, M, K], those that are not `safe` [M] moved; unmoved where none is."""
     if safe.all() or not safe.any():
         return control
+    positions = basis.states(control)[0]
     failed, sound = np.flatnonzero(~safe), np.flatnonzero(safe)
-    nearest = control[:, sound[_nearest(states[0][failed], states[0][sound])]]
+    nearest = control[:, sound[_nearest(positions[failed], positions[sound])]]
     away = control[:, failed] - nearest
     reached, beyond = np.zeros(len(failed), np.float32), np.ones(len(failed), np.float32)
     for _ in range(ROUNDS):

@@ -45,7 +45,7 @@ DEFAULT_TAU = 0.8
 
 EIGHT_STEP_SCHEDULE = (0.0, 0.8, 0.85, 0.9, 0.92, 0.94, 0.96, 0.98, 1.0)
 """Flow times of the schedule that a request may call "8step"."""
-METHODS = ("rk4", "heun", "midpoint", "euler")
+METHODS = ("rk4", "heun", "midpoint", "euler", "ab2")
 
 OCCUPIED = 0.5
 """Occupancy from which on a cell is an obstacle."""

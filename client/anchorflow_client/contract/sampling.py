@@ -31,7 +31,7 @@ class SamplerChoice:
     """The solver of the flow and the times it visits."""
 
     method: str | None = None
-    """"rk4", "heun", "midpoint" or "euler"."""
+    """"rk4", "heun", "midpoint", "euler" or "ab2" (Adams and Bashforth's of order 2)."""
     schedule: tuple[float, ...] | None = None
     """Flow times t0 … 1, strictly increasing; t0 is 0 unless the request brings a warm start."""
 
@@ -140,13 +140,13 @@ def given(choice: SamplerChoice | RefineChoice) -> dict[str, Any]:
 def _schedule(value: Any) -> tuple[float, ...]:
     field = "sampler.schedule"
     match value:
+        case list() | tuple() | np.ndarray():  # before "8step", to which numpy compares by element
+            return _increasing(numbers(value, field, ranges.UNIT, "[K]"))
         case "8step":
             return ranges.EIGHT_STEP_SCHEDULE
         case dict():
             steps = fields_of(value, field, ("uniform",), ("uniform",))["uniform"]
             return uniform_schedule(integer(steps, f"{field}.uniform", _STEPS))
-        case list() | tuple() | np.ndarray():
-            return _increasing(numbers(value, field, ranges.UNIT, "[K]"))
         case _:
             raise expected(field, '"8step", {"uniform": n} or a list of flow times', value)
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from anchorflow_models.generation.checks import check
+from anchorflow_trajectory.ode.method import METHODS as SOLVERS
 from anchorflow_trajectory.ode.schedule import (
     EIGHT_STEP_SCHEDULE,
     Schedule,
     check_schedule,
     uniform_schedule,
 )
-from anchorflow_trajectory.ode.tableau import TABLEAUS
 
 ADAPTIVE = "rk45"
-METHODS = (*TABLEAUS, ADAPTIVE)
+METHODS = (*SOLVERS, ADAPTIVE)
 SCHEDULES = ("uniform", "8step")
 
 
@@ -22,8 +22,9 @@ SCHEDULES = ("uniform", "8step")
 class GeneratorConfig:
     """One value for many scenes; what belongs to a scene goes to the generator's methods.
 
-    method: "euler", "midpoint", "heun", "rk4", or "rk45": Dormand and Prince's pair of orders 5
-        and 4 with steps of its own choice, which takes no more of a schedule than its first time
+    method: "euler", "midpoint", "heun", "rk4", "ab2", or "rk45": Dormand and Prince's pair of
+        orders 5 and 4 with steps of its own choice, which takes no more of a schedule than its
+        first time
     schedule: "uniform", "8step", or flow times that rise strictly from 0 to 1
     steps: of the uniform schedule
     rtol, atol: of rk45 for each anchor; atol in the state's units, m, m/s and m/s^2

@@ -13,8 +13,8 @@ from anchorflow_models.generation.barrier import Barrier
 from anchorflow_models.generation.config import ADAPTIVE, GeneratorConfig
 from anchorflow_models.generation.guidance import Guidance
 from anchorflow_models.generation.solver import Stage, integrate, integrate_adaptive
+from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
-from anchorflow_trajectory.ode.tableau import tableau_named
 
 Context = dict[str, Tensor]
 
@@ -57,15 +57,15 @@ class SceneFlow:
         """The states at t = 1 from x [B, N, T, S] at the schedule's first time."""
         if config.method == ADAPTIVE:
             return self._solve_adaptive(x, config, schedule[0])
-        tableau = tableau_named(config.method)
-        times = stage_times(tableau, schedule).times
+        method = method_named(config.method)
+        times = stage_times(method, schedule).times
         modulation = self.model.modulate(torch.tensor(times).to(x), self.context)
 
         def field(x_t: Tensor, stage: Stage) -> Tensor:
             k = stage.time_index
             return self.velocity(x_t, float(times[k]), modulation[:, k], stride=stage.stride)
 
-        return integrate(field, x, schedule=schedule, tableau=tableau)
+        return integrate(field, x, schedule=schedule, method=method)
 
     def velocity(
         self, x_t: Tensor, t: float, modulation: Tensor, *, stride: float | None

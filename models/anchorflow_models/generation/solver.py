@@ -1,4 +1,4 @@
-"""Solvers in torch: one Runge-Kutta loop for the shared tableaux, and an adaptive method."""
+"""Solvers in torch: one loop for the shared methods, and an adaptive method."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from torch import Tensor
 from torchdiffeq import odeint
 
 from anchorflow_models.generation.checks import check
+from anchorflow_trajectory.ode.method import Method
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
-from anchorflow_trajectory.ode.tableau import ButcherTableau
 
 RESOLVED = 10  # units of the dtype's rounding below which no tolerance can be met
 
@@ -20,7 +20,7 @@ RESOLVED = 10  # units of the dtype's rounding below which no tolerance can be m
 class Stage(NamedTuple):
     """An evaluation of the field.
 
-    time_index: counts the times of `stage_times(tableau, schedule)`, so that what depends on the
+    time_index: counts the times of `stage_times(method, schedule)`, so that what depends on the
         time alone is worked out once for all of them
     stride: of the step that it belongs to
     """
@@ -34,17 +34,19 @@ def integrate(
     x_0: Tensor,
     *,
     schedule: Schedule,
-    tableau: ButcherTableau,
+    method: Method,
 ) -> Tensor:
     """x at the schedule's end by an explicit method; dx/dt = vector_field(x, stage)."""
     x = x_0
-    steps = zip(pairwise(schedule), stage_times(tableau, schedule).index, strict=True)
-    for (start, end), indices in steps:
+    before: list[Tensor] = []  # of earlier steps, for a method that looks back
+    stages = stage_times(method, schedule).index
+    for step, ((start, end), indices) in enumerate(zip(pairwise(schedule), stages, strict=True)):
         h = end - start
         slopes: list[Tensor] = []
-        for row, index in zip(tableau.a_lower, indices, strict=True):
+        for row, index in zip(method.a_lower, indices, strict=True):
             slopes.append(vector_field(_advanced(x, slopes, row, h), Stage(index, h)))
-        x = _advanced(x, slopes, tableau.b, h)
+        before = [*slopes, *before][: method.slopes]
+        x = _advanced(x, before, method.weights(schedule, step), h)
     return x
 
 

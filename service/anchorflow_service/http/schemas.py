@@ -19,7 +19,7 @@ Matrix = list[list[float]]
 Tensor3 = list[list[list[float]]]
 Tensor4 = list[list[list[list[float]]]]
 
-Method = Literal["rk4", "heun", "midpoint", "euler"]
+Method = Literal["rk4", "heun", "midpoint", "euler", "ab2"]
 
 
 def _within(interval: Interval, description: str, **options: Any) -> Any:
@@ -57,7 +57,7 @@ class UniformSchedule(_Body):
 class SamplerBody(_Body):
     """The solver of the flow; what is left out is the card's."""
 
-    method: Method | None = Field(None, description="Butcher tableau.")
+    method: Method | None = Field(None, description="Method of integration.")
     schedule: Literal["8step"] | UniformSchedule | Vector | None = Field(
         None, description="Flow times from 0 (noise) to 1 (data), strictly increasing."
     )

@@ -12,8 +12,9 @@ from torch import Tensor
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import Anchors, GeneratorConfig, Scenes, TrajectoryGenerator
+from anchorflow_trajectory.ode.method import METHODS
 from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times
-from anchorflow_trajectory.ode.tableau import RK4, TABLEAUS
+from anchorflow_trajectory.ode.tableau import RK4
 
 SHIFT = torch.tensor([0.0, 0.5, 0.1, 0.0, 0.0, 0.2])
 
@@ -62,7 +63,7 @@ def test_every_method_reaches_the_closed_form(
 
 
 def test_the_methods_are_not_one_another(draw: Callable[..., Tensor]) -> None:
-    coarse = [draw(method=name, steps=2) for name in TABLEAUS] + [draw(method="rk45")]
+    coarse = [draw(method=name, steps=2) for name in METHODS] + [draw(method="rk45")]
     for i, one in enumerate(coarse):
         for other in coarse[:i]:
             assert float((one - other).abs().max()) > 1e-3
@@ -146,7 +147,7 @@ def test_one_scene_is_no_batch(gaussian_flow: Callable, free_room: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"method": "rk5"}, "method: expected one of euler, midpoint, heun, rk4, rk45, got 'rk5'"),
+        ({"method": "rk5"}, "method: expected one of euler, midpoint, heun, rk4, ab2, rk45, got 'rk5'"),
         ({"schedule": "9step"}, "schedule: expected one of uniform, 8step, or flow times"),
         ({"schedule": (0.0, 0.5)}, "schedule: .* strictly rising to 1"),
         ({"schedule": (0.2, 1.0)}, "schedule: expected a first flow time of 0, got 0.2"),

@@ -12,15 +12,17 @@ import torch
 from torch import Tensor
 
 from anchorflow_models.generation.solver import Stage, integrate, integrate_adaptive
+from anchorflow_trajectory.ode.method import METHODS, Method
 from anchorflow_trajectory.ode.schedule import (
     EIGHT_STEP_SCHEDULE,
     Schedule,
     stage_times,
     uniform_schedule,
 )
-from anchorflow_trajectory.ode.tableau import TABLEAUS, ButcherTableau
+from anchorflow_trajectory.ode.tableau import ButcherTableau
 
-METHODS = pytest.mark.parametrize("tableau", TABLEAUS.values(), ids=TABLEAUS)
+EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+ONE_STEP = [method for method in METHODS.values() if isinstance(method, ButcherTableau)]
 X_0 = torch.tensor([[[0.1, 0.3], [0.5, 0.7]]], dtype=torch.float64)
 
 
@@ -34,45 +36,45 @@ def exact(x_0: Tensor, start: float = 0.0) -> Tensor:
     return 1 / (1 + (1 / x_0 - 1) * math.exp(-growth))
 
 
-def on_schedule(tableau: ButcherTableau, schedule: Schedule) -> Callable[[Tensor, Stage], Tensor]:
-    times = stage_times(tableau, schedule).times
+def on_schedule(method: Method, schedule: Schedule) -> Callable[[Tensor, Stage], Tensor]:
+    times = stage_times(method, schedule).times
     return lambda x, stage: slope(float(times[stage.time_index]), x)
 
 
-@METHODS
-def test_order_of_convergence(tableau: ButcherTableau) -> None:
+@EACH_METHOD
+def test_order_of_convergence(method: Method) -> None:
     steps = np.array([8, 16, 32, 64])
     errors = []
     for schedule in map(uniform_schedule, steps):
-        x_1 = integrate(on_schedule(tableau, schedule), X_0, schedule=schedule, tableau=tableau)
+        x_1 = integrate(on_schedule(method, schedule), X_0, schedule=schedule, method=method)
         errors.append(float((x_1 - exact(X_0)).abs().max()))
     order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert order == pytest.approx(tableau.order, abs=0.25)
+    assert order == pytest.approx(method.order, abs=0.25)
 
 
-@METHODS
-def test_linear_field_has_the_methods_own_closed_form(tableau: ButcherTableau) -> None:
+@pytest.mark.parametrize("method", ONE_STEP, ids=lambda method: method.name)
+def test_linear_field_has_the_methods_own_closed_form(method: Method) -> None:
     """On dx/dt = λx a step multiplies x by the Taylor series of exp(λh) up to the order."""
     rate = -1.7
-    series = [1.0, 1.0, 1 / 2, 1 / 6, 1 / 24][: tableau.order + 1]
+    series = [1.0, 1.0, 1 / 2, 1 / 6, 1 / 24][: method.order + 1]
     growth = [
         sum(a * (rate * (end - start)) ** k for k, a in enumerate(series))
         for start, end in pairwise(EIGHT_STEP_SCHEDULE)
     ]
-    got = integrate(lambda x, _: rate * x, X_0, schedule=EIGHT_STEP_SCHEDULE, tableau=tableau)
+    got = integrate(lambda x, _: rate * x, X_0, schedule=EIGHT_STEP_SCHEDULE, method=method)
     torch.testing.assert_close(got, X_0 * math.prod(growth), rtol=1e-13, atol=0)
 
 
-@METHODS
-def test_each_stage_knows_its_stride(tableau: ButcherTableau) -> None:
+@EACH_METHOD
+def test_each_stage_knows_its_stride(method: Method) -> None:
     seen: list[float] = []
 
     def field(x: Tensor, stage: Stage) -> Tensor:
         seen.append(stage.stride)
         return x
 
-    integrate(field, X_0, schedule=(0.0, 0.75, 1.0), tableau=tableau)
-    assert seen == [0.75] * tableau.stages + [0.25] * tableau.stages
+    integrate(field, X_0, schedule=(0.0, 0.75, 1.0), method=method)
+    assert seen == [0.75] * method.stages + [0.25] * method.stages
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from anchorflow_client import contract
+from anchorflow_trajectory.ode.method import METHODS, Method
 from anchorflow_trajectory.ode.schedule import (
     EIGHT_STEP_SCHEDULE,
     check_schedule,
@@ -13,9 +14,9 @@ from anchorflow_trajectory.ode.schedule import (
     stage_times,
     uniform_schedule,
 )
-from anchorflow_trajectory.ode.tableau import EULER, RK4, TABLEAUS, ButcherTableau
+from anchorflow_trajectory.ode.tableau import EULER, RK4
 
-METHODS = pytest.mark.parametrize("tableau", TABLEAUS.values(), ids=TABLEAUS)
+EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 
 
 def test_the_schedules_are_the_contracts() -> None:
@@ -33,15 +34,13 @@ def test_rk4_on_eight_steps_has_seventeen_distinct_times() -> None:
     assert plan.index[-1] == (14, 15, 15, 16)
 
 
-@METHODS
+@EACH_METHOD
 @pytest.mark.parametrize(
     "schedule", [EIGHT_STEP_SCHEDULE, uniform_schedule(7)], ids=["8step", "uniform"]
 )
-def test_stage_times_are_where_the_method_says(
-    tableau: ButcherTableau, schedule: tuple[float, ...]
-) -> None:
-    plan = stage_times(tableau, schedule)
-    expected = [[t + c * (e - t) for c in tableau.c] for t, e in pairwise(schedule)]
+def test_stage_times_are_where_the_method_says(method: Method, schedule: tuple[float, ...]) -> None:
+    plan = stage_times(method, schedule)
+    expected = [[t + c * (e - t) for c in method.c] for t, e in pairwise(schedule)]
     np.testing.assert_allclose(plan.times[np.array(plan.index)], expected, atol=1e-7)
 
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.ode.tableau import ButcherTableau
+from anchorflow_trajectory.ode.method import Method
 
 Schedule = tuple[float, ...]
 
@@ -53,11 +53,11 @@ def remaining(schedule: Schedule, tau: float) -> Schedule:
 
 
 @lru_cache(maxsize=64)
-def stage_times(tableau: ButcherTableau, schedule: Schedule) -> StageTimes:
+def stage_times(method: Method, schedule: Schedule) -> StageTimes:
     """The distinct stage times of a method on a schedule; 17 for rk4 on the 8-step one."""
     # Weighing both ends makes c = 0 and c = 1 land on them exactly, so that steps share their ends.
     stages = [
-        [start * (1.0 - c) + end * c for c in tableau.c]
+        [start * (1.0 - c) + end * c for c in method.c]
         for start, end in pairwise(check_schedule(schedule))
     ]
     distinct = sorted({time for step in stages for time in step})

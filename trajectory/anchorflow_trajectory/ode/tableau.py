@@ -64,6 +64,15 @@ class ButcherTableau:
         return len(self.b)
 
     @property
+    def slopes(self) -> int:
+        """How many slopes a step weighs: those of its stages."""
+        return self.stages
+
+    def weights(self, schedule: tuple[float, ...], step: int) -> tuple[float, ...]:  # noqa: ARG002
+        """b, whatever the step."""
+        return self.b
+
+    @property
     def matrix(self) -> Array:
         """a as a strictly lower triangular matrix [stages, stages]."""
         A = np.zeros((self.stages, self.stages))
@@ -100,14 +109,3 @@ RK4 = ButcherTableau(
     c=(0.0, 0.5, 0.5, 1.0),
     order=4,
 )
-
-TABLEAUS = {tableau.name: tableau for tableau in (EULER, MIDPOINT, HEUN, RK4)}
-
-
-def tableau_named(name: str) -> ButcherTableau:
-    """The method of that name; ValueError lists the known ones."""
-    try:
-        return TABLEAUS[name]
-    except KeyError:
-        known = ", ".join(TABLEAUS)
-        raise ValueError(f"unknown method {name!r}, expected one of {known}") from None
