@@ -20,6 +20,7 @@ from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.conditioning import Scene, scenes_of
 from anchorflow_service.flow import Array, Context, FlowSampler, FlowStates
+from anchorflow_service.providers import DEFAULT_PROVIDER
 from anchorflow_service.timing import StageClock
 from anchorflow_service.warm_start import renoised, warm_state
 from anchorflow_trajectory.cost import Limits
@@ -31,15 +32,19 @@ class Engine:
     """A bundle, ready to plan; blocking, and safe to call from several threads.
 
     threads: that one request may keep busy; None: the cores that this process may use
+    provider: where the graphs run: "cpu", "cuda", "tensorrt" or "openvino"
 
     Raises:
         BundleError: a graph of the bundle cannot be opened or is not what the manifest says.
+        ProviderError: the provider is not to be had; nothing falls back in silence.
     """
 
-    def __init__(self, bundle: Bundle, *, threads: int | None = None) -> None:
+    def __init__(
+        self, bundle: Bundle, *, threads: int | None = None, provider: str = DEFAULT_PROVIDER
+    ) -> None:
         self.card: ModelCard = bundle.card
         self._manifest = bundle.manifest
-        self._flow = FlowSampler(bundle, threads=threads or usable_cores())
+        self._flow = FlowSampler(bundle, threads=threads or usable_cores(), provider=provider)
 
     def plan(self, request: AnchorRequest) -> AnchorBatch:
         """Draw and finish anchors for every scene of a request.

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import SamplerSpec
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.graph import BoundGraph, open_graph
+from anchorflow_service.providers import DEFAULT_PROVIDER
 from anchorflow_service.solver import integrate
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import stage_times
@@ -50,13 +51,14 @@ class FlowSampler:
 
     Raises:
         BundleError: a graph cannot be opened or its signature is not the manifest's.
+        ProviderError: the provider is not to be had.
     """
 
-    def __init__(self, bundle: Bundle, *, threads: int) -> None:
+    def __init__(self, bundle: Bundle, *, threads: int, provider: str = DEFAULT_PROVIDER) -> None:
         self._manifest = bundle.manifest
-        self._encode = open_graph(bundle, "encode", threads=threads)
-        self._modulate = open_graph(bundle, "modulate")
-        self._field = open_graph(bundle, "field")
+        self._encode = open_graph(bundle, "encode", threads=threads, provider=provider)
+        self._modulate = open_graph(bundle, "modulate", provider=provider)
+        self._field = open_graph(bundle, "field", provider=provider)
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="anchorflow-field")
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import TensorSpec
 from anchorflow_service.bundle import Bundle, BundleError
+from anchorflow_service.providers import DEFAULT_PROVIDER, check_obtained, provider_named
 
 Array = NDArray[np.float32]
 
-PROVIDERS = ("CPUExecutionProvider",)
 ONNX_TYPES = {"float32": "tensor(float)", "int64": "tensor(int64)", "bool": "tensor(bool)"}
 ONLY_ERRORS = 3  # onnxruntime's severity; its warnings are of no use to a caller
 
@@ -24,6 +24,7 @@ class Graph:
     """An inference session whose signature is the manifest's; safe to call from several threads.
 
     threads: onnxruntime's own, within one call; the calling thread is one of them
+    provider: "cpu", "cuda", "tensorrt" or "openvino"
     """
 
     def __init__(
@@ -33,8 +34,9 @@ class Graph:
         inputs: Sequence[TensorSpec],
         outputs: Sequence[TensorSpec],
         threads: int = 1,
+        provider: str = DEFAULT_PROVIDER,
     ) -> None:
-        self.session = _open(path, threads)
+        self.session = _open(path, threads, provider)
         self.input_names = tuple(spec.name for spec in inputs)
         self.output_names = tuple(spec.name for spec in outputs)
         for wrong in _signature_faults("input", self.session.get_inputs(), inputs):
@@ -78,18 +80,23 @@ class BoundGraph:
         self._session.run_with_iobinding(self._binding)
 
 
-def open_graph(bundle: Bundle, role: str, *, threads: int = 1) -> Graph:
+def open_graph(
+    bundle: Bundle, role: str, *, threads: int = 1, provider: str = DEFAULT_PROVIDER
+) -> Graph:
     """The graph of a bundle's role.
 
     Raises:
         BundleError: onnxruntime cannot open it, or its signature is not the manifest's.
+        ProviderError: the provider is not to be had.
     """
-    entry = bundle.manifest.graphs[role]
-    path = bundle.graph_path(role)
-    return Graph(path, inputs=entry.inputs, outputs=entry.outputs, threads=threads)
+    entry, path = bundle.manifest.graphs[role], bundle.graph_path(role)
+    return Graph(
+        path, inputs=entry.inputs, outputs=entry.outputs, threads=threads, provider=provider
+    )
 
 
-def _open(path: Path, threads: int) -> ort.InferenceSession:
+def _open(path: Path, threads: int, provider: str) -> ort.InferenceSession:
+    wanted = provider_named(provider)
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -97,9 +104,11 @@ def _open(path: Path, threads: int) -> ort.InferenceSession:
     # Idle threads that spin take the cores from the other graphs and from refinement.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
-        return ort.InferenceSession(path, options, providers=PROVIDERS)
+        session = ort.InferenceSession(path, options, providers=[wanted])
     except Exception as error:  # onnxruntime's exceptions share no public base
         raise BundleError(path, f"onnxruntime cannot open it: {error}") from error
+    check_obtained(session, wanted, path)
+    return session
 
 
 def _signature_faults(

@@ -71,4 +71,6 @@ def test_retreat_moves_failures_to_the_safe_side_that_is_near() -> None:
 @pytest.mark.parametrize("heights", [[0.0, 0.1], [1.3, -1.3]])
 def test_retreat_leaves_all_as_it_is_where_none_or_all_are_safe(heights: list[float]) -> None:
     control = bows(heights)
-    np.testing.assert_array_equal(retreat(control, safe_of(control), BASIS, post(), LIMITS), control)
+    np.testing.assert_array_equal(
+        retreat(control, safe_of(control), BASIS, post(), LIMITS), control
+    )

@@ -1,0 +1,51 @@
+"""Execution providers: where onnxruntime runs the graphs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import onnxruntime as ort
+
+from anchorflow_client.errors import AnchorFlowError
+
+PROVIDERS = {
+    "cpu": "CPUExecutionProvider",
+    "cuda": "CUDAExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+    "openvino": "OpenVINOExecutionProvider",
+}
+DEFAULT_PROVIDER = "cpu"
+
+
+class ProviderError(AnchorFlowError):
+    """The execution provider that was asked for is not to be had here."""
+
+
+def provider_named(name: str) -> str:
+    """onnxruntime's own name of a provider of this installation.
+
+    Raises:
+        ProviderError: no such provider, or one that this build of onnxruntime lacks.
+    """
+    if name not in PROVIDERS:
+        raise ProviderError(f"provider: expected one of {', '.join(PROVIDERS)}, got {name!r}")
+    offered = ort.get_available_providers()
+    if PROVIDERS[name] not in offered:
+        known = ", ".join(short for short, full in PROVIDERS.items() if full in offered)
+        raise ProviderError(
+            f"provider: {name} is not in this build of onnxruntime, which offers {known}"
+        )
+    return PROVIDERS[name]
+
+
+def check_obtained(session: ort.InferenceSession, wanted: str, path: Path) -> None:
+    """Raise `ProviderError` where onnxruntime fell back to another provider, as it may in silence.
+
+    A build that has a provider still loses it where the driver or a library is missing.
+    """
+    obtained = session.get_providers()[0]
+    if obtained != wanted:
+        raise ProviderError(
+            f"provider: asked for {wanted}, onnxruntime took {obtained} for {path.name}: "
+            "are its driver and libraries installed?"
+        )

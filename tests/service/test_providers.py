@@ -1,0 +1,39 @@
+"""A provider that is asked for and not obtained is an error, not a quiet run on the CPU."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import onnxruntime as ort
+import pytest
+
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.engine import Engine
+from anchorflow_service.providers import ProviderError, check_obtained, provider_named
+
+WITHOUT_CUDA = pytest.mark.skipif(
+    "CUDAExecutionProvider" in ort.get_available_providers(), reason="this onnxruntime has CUDA"
+)
+
+
+def test_the_cpu_is_everywhere() -> None:
+    assert provider_named("cpu") == "CPUExecutionProvider"
+
+
+def test_an_unknown_provider_is_named() -> None:
+    with pytest.raises(ProviderError, match=r"expected one of cpu, cuda.*got 'gpu'"):
+        provider_named("gpu")
+
+
+@WITHOUT_CUDA
+def test_an_engine_does_not_start_on_a_provider_that_is_missing(tiny_bundle: Path) -> None:
+    with pytest.raises(ProviderError, match=r"cuda is not in this build.*offers cpu"):
+        Engine(load_bundle(tiny_bundle), provider="cuda")
+
+
+def test_a_fallback_is_noticed() -> None:
+    """As onnxruntime does where CUDA's libraries are missing: the session opens on the CPU."""
+    session = SimpleNamespace(get_providers=lambda: ["CPUExecutionProvider"])
+    with pytest.raises(ProviderError, match=r"asked for CUDA.*took CPU.*field.onnx"):
+        check_obtained(session, "CUDAExecutionProvider", Path("field.onnx"))  # pyright: ignore[reportArgumentType]
