@@ -16,14 +16,27 @@ from rich.console import Console
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.map_window import MARGIN_M, map_window
-from anchorflow_cli.options import Vector, command_app, vector_option
-from anchorflow_cli.plan import VELOCITY, table
+from anchorflow_cli.options import (
+    GoalOption,
+    GoalVelocityOption,
+    NumSamplesOption,
+    SeedOption,
+    StartOption,
+    StartVelocityOption,
+    StyleOption,
+    UnknownIsFreeOption,
+    Vector,
+    command_app,
+    end_states,
+)
+from anchorflow_cli.plan import table
+from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.generation import Anchors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_models.generation.scenes import DEFAULT_ROBOT_RADIUS
 from anchorflow_service.ros_map import RosMap, load_ros_map
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.restore import restore_model
 
 app = command_app()
@@ -42,36 +55,23 @@ class GenerateError(AnchorFlowError):
 def generate(
     *,
     checkpoint: Annotated[Path, typer.Option(help="checkpoint.pt or best.pt of a training run.")],
-    start: Annotated[
-        Vector,
-        vector_option(
-            "X,Y[,HEADING]", "Start [m], in the map's frame; heading [rad] where the model has one."
-        ),
-    ],
-    goal: Annotated[Vector, vector_option("X,Y[,HEADING]", "Goal [m], likewise.")],
-    start_velocity: Annotated[
-        Vector | None, vector_option(VELOCITY, "Velocity at the start [m/s, rad/s]; default 0.")
-    ] = None,
-    goal_velocity: Annotated[
-        Vector | None, vector_option(VELOCITY, "Velocity at the goal [m/s, rad/s]; default 0.")
-    ] = None,
-    style: Annotated[
-        Vector | None, vector_option("S,E,M", "Weights of safety, energy and smoothness.")
-    ] = None,
+    start: StartOption,
+    goal: GoalOption,
+    start_velocity: StartVelocityOption = None,
+    goal_velocity: GoalVelocityOption = None,
+    style: StyleOption = None,
     map_file: Annotated[
         Path | None, typer.Option("--map", help="The .yaml file of a ROS map; by default no walls.")
     ] = None,
     size: Annotated[
         float | None, typer.Option(help="Side of the square to plan in [m]; by the way's length.")
     ] = None,
-    unknown_is_free: Annotated[
-        bool, typer.Option("--unknown-is-free", help="Let the way lead through unknown cells.")
-    ] = False,
+    unknown_is_free: UnknownIsFreeOption = False,
     robot_radius: Annotated[float, typer.Option(help="Radius [m].")] = DEFAULT_ROBOT_RADIUS,
-    num_samples: Annotated[int, typer.Option(help="How many anchors.")] = DEFAULTS.num_samples,
-    seed: Annotated[int | None, typer.Option(help="Seed of the noise; drawn by default.")] = None,
+    num_samples: NumSamplesOption = DEFAULTS.num_samples,
+    seed: SeedOption = None,
     method: Annotated[
-        str, typer.Option(help="euler, midpoint, heun, rk4 or the adaptive rk45.")
+        str, typer.Option(help="euler, midpoint, heun, rk4, ab2 or the adaptive rk45.")
     ] = DEFAULTS.method,
     schedule: Annotated[
         str, typer.Option(metavar="NAME|T,T,...", help="uniform, 8step or flow times from 0 to 1.")
@@ -90,8 +90,9 @@ def generate(
 ) -> None:
     """Draw anchors between two points; print a table, write them, draw them."""
     seen = _seen(map_file, start, goal, size_m=size, unknown_is_free=unknown_is_free)
-    rest, seed = np.zeros_like(start), secrets.randbelow(2**63) if seed is None else seed
-    with _one_line_errors():
+    x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
+    seed = secrets.randbelow(2**63) if seed is None else seed
+    with one_line_errors(), _value_errors():
         config = GeneratorConfig(
             method=method,
             schedule=_schedule(schedule),
@@ -107,8 +108,8 @@ def generate(
         began = time.perf_counter()
         anchors = TrajectoryGenerator(model, config).generate(
             seen.occupancy[None],
-            np.concatenate([start, rest if start_velocity is None else start_velocity, rest]),
-            np.concatenate([goal, rest if goal_velocity is None else goal_velocity]),
+            x_curr,
+            x_goal,
             style,
             resolution=seen.resolution,
             origin=seen.origin,
@@ -194,8 +195,9 @@ def _write(path: Path, answer: AnchorBatch) -> None:
 
 
 @contextmanager
-def _one_line_errors() -> Iterator[None]:
+def _value_errors() -> Iterator[None]:
+    """What the generator says of a setting or an end state."""
     try:
         yield
-    except (CheckpointError, ValueError) as error:
+    except ValueError as error:
         raise GenerateError(str(error)) from error

@@ -40,3 +40,35 @@ def vector_option(metavar: str, help_text: str) -> Any:
         return values
 
     return typer.Option(parser=vector, metavar=metavar, help=help_text)
+
+
+PLACE, VELOCITY = "X,Y[,HEADING]", "VX,VY[,RATE]"
+
+StartOption = Annotated[
+    Vector,
+    vector_option(PLACE, "Start [m], in the map's frame; heading [rad] where the model has one."),
+]
+GoalOption = Annotated[Vector, vector_option(PLACE, "Goal [m], likewise.")]
+StartVelocityOption = Annotated[
+    Vector | None, vector_option(VELOCITY, "Velocity at the start [m/s, rad/s]; default 0.")
+]
+GoalVelocityOption = Annotated[
+    Vector | None, vector_option(VELOCITY, "Velocity at the goal [m/s, rad/s]; default 0.")
+]
+StyleOption = Annotated[
+    Vector | None, vector_option("S,E,M", "Weights of safety, energy and smoothness.")
+]
+NumSamplesOption = Annotated[int, typer.Option(help="How many anchors.")]
+SeedOption = Annotated[int | None, typer.Option(help="Seed of the noise; drawn by default.")]
+UnknownIsFreeOption = Annotated[
+    bool, typer.Option("--unknown-is-free", help="Let the way lead through unknown cells.")
+]
+
+
+def end_states(
+    start: Vector, goal: Vector, start_velocity: Vector | None, goal_velocity: Vector | None
+) -> tuple[Vector, Vector]:
+    """x_curr [3D] and x_goal [2D]; the robot starts unaccelerated, and at rest unless told."""
+    rest = np.zeros_like(start)
+    x_curr = np.concatenate([start, rest if start_velocity is None else start_velocity, rest])
+    return x_curr, np.concatenate([goal, rest if goal_velocity is None else goal_velocity])

@@ -12,7 +12,20 @@ from rich.table import Table
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.map_window import map_window
-from anchorflow_cli.options import BundleOption, Vector, command_app, vector_option
+from anchorflow_cli.options import (
+    BundleOption,
+    GoalOption,
+    GoalVelocityOption,
+    NumSamplesOption,
+    SeedOption,
+    StartOption,
+    StartVelocityOption,
+    StyleOption,
+    UnknownIsFreeOption,
+    Vector,
+    command_app,
+    end_states,
+)
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
 from anchorflow_client.http import AnchorClient
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
@@ -21,40 +34,25 @@ from anchorflow_service.ros_map import RosMap, load_ros_map
 
 app = command_app()
 
-VELOCITY = "VX,VY[,RATE]"
-
 
 @app.command()
 def plan(
     *,
     map_file: Annotated[Path, typer.Option("--map", help="The .yaml file of a ROS map.")],
-    start: Annotated[
-        Vector,
-        vector_option(
-            "X,Y[,HEADING]", "Start [m], in the map's frame; heading [rad] where the model has one."
-        ),
-    ],
-    goal: Annotated[Vector, vector_option("X,Y[,HEADING]", "Goal [m], likewise.")],
-    start_velocity: Annotated[
-        Vector | None, vector_option(VELOCITY, "Velocity at the start [m/s, rad/s]; default 0.")
-    ] = None,
-    goal_velocity: Annotated[
-        Vector | None, vector_option(VELOCITY, "Velocity at the goal [m/s, rad/s]; default 0.")
-    ] = None,
-    style: Annotated[
-        Vector | None, vector_option("S,E,M", "Weights of safety, energy and smoothness.")
-    ] = None,
-    num_samples: Annotated[int, typer.Option(help="How many anchors.")] = DEFAULT_NUM_SAMPLES,
-    seed: Annotated[int | None, typer.Option(help="Seed of the noise; drawn by default.")] = None,
+    start: StartOption,
+    goal: GoalOption,
+    start_velocity: StartVelocityOption = None,
+    goal_velocity: GoalVelocityOption = None,
+    style: StyleOption = None,
+    num_samples: NumSamplesOption = DEFAULT_NUM_SAMPLES,
+    seed: SeedOption = None,
     robot_radius: Annotated[
         float | None, typer.Option(help="Radius [m]; the model's by default.")
     ] = None,
     window: Annotated[
         float | None, typer.Option(help="Side of the map's window [m]; by the way's length.")
     ] = None,
-    unknown_is_free: Annotated[
-        bool, typer.Option("--unknown-is-free", help="Let the way lead through unknown cells.")
-    ] = False,
+    unknown_is_free: UnknownIsFreeOption = False,
     out: Annotated[Path | None, typer.Option(help="Picture to draw, .png or .svg.")] = None,
     url: Annotated[
         str | None, typer.Option(help="Ask this server instead of the engine in-process.")
@@ -64,11 +62,11 @@ def plan(
     """Plan on a ROS map; print a table of the anchors and, with --out, draw them."""
     ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
     seen = map_window(ros_map, start[:2], goal[:2], size_m=window)
-    rest = np.zeros_like(start)
+    x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     request = AnchorRequest.build(
         cost_map=CostMap.build(seen.occupancy[None], seen.resolution, seen.origin),
-        x_curr=np.concatenate([start, rest if start_velocity is None else start_velocity, rest]),
-        x_goal=np.concatenate([goal, rest if goal_velocity is None else goal_velocity]),
+        x_curr=x_curr,
+        x_goal=x_goal,
         w_style=style,
         num_samples=num_samples,
         seed=seed,

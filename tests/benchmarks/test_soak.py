@@ -1,0 +1,43 @@
+"""The soak reads what a process really holds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import ExitStack
+
+import pytest
+
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.soak import MB, Held, SoakConfig, soak_table
+from anchorflow_client.contract import AnchorBatch, AnchorRequest
+
+CONFIG = SoakConfig(requests=8, warm_up=2, readings=4)
+
+
+def soak(ask: Callable[[AnchorRequest], AnchorBatch]) -> list[dict]:
+    def connect(_: ExitStack) -> Callable[[AnchorRequest], AnchorBatch]:
+        return ask
+
+    table = soak_table(connect, os.getpid(), ["request"], CONFIG)  # pyright: ignore[reportArgumentType]
+    return [dict(row) for row in table.rows]
+
+
+def test_a_leak_shows() -> None:
+    kept = []
+    rows = soak(lambda _: kept.append(b"x" * int(8 * MB)))  # pyright: ignore[reportArgumentType]
+    assert [row["requests"] for row in rows] == [0, 2, 4, 6, 8]
+    assert rows[-1]["grown by MB"] == pytest.approx(64, abs=8)
+
+
+def test_an_open_descriptor_shows() -> None:
+    opened = []
+    rows = soak(lambda _: opened.append(os.dup(0)))  # pyright: ignore[reportArgumentType]
+    for descriptor in opened:
+        os.close(descriptor)
+    assert rows[-1]["descriptors"] == rows[0]["descriptors"] + 8
+
+
+def test_a_process_that_is_gone_is_named() -> None:
+    with pytest.raises(BenchmarkError, match="process 999999999"):
+        Held.by(999_999_999)
