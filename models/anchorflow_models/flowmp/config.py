@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,16 @@ CHOICES = {
     "map_lookup": (True, False),
     "map_attention": (True, False),
 }
-LEAST = {"map_channels": 1, "map_size": 8, "feature_channels": 0, "degree": 3}
+LEAST = {"map_channels": 1, "map_size": 8, "feature_channels": 0, "degree": 3, "layers": 0}
 POSITIVE = ("horizon_s", "v_max", "a_max")
 MAP_STRIDE = 8  # the map encoder halves its window three times
 ENDS_FIX = 5  # control points that p_0, v_0, a_0, p_T, v_T determine
+
+
+def transformer_size(variant: str, layers: int = 0) -> TransformerSize:
+    """The variant's size, with another number of blocks where one is given."""
+    size = VARIANTS[variant]
+    return replace(size, layers=layers or size.layers)
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,7 @@ class L2Config:
     map_scales: 2 looks at a second window besides, twice as wide and half as fine
     map_lookup: every time step reads the map's features at its own place
     map_attention: the trajectory's tokens attend to a coarse grid of map tokens
+    layers: blocks of the transformer; 0: as many as the variant has
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.
@@ -70,6 +77,7 @@ class L2Config:
     map_scales: int = 1
     map_lookup: bool = True
     map_attention: bool = False
+    layers: int = 0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -91,7 +99,8 @@ class L2Config:
 
     @property
     def size(self) -> TransformerSize:
-        return VARIANTS[self.variant]
+        """Of the transformer."""
+        return transformer_size(self.variant, self.layers)
 
     @property
     def state_dim(self) -> int:

@@ -79,6 +79,7 @@ class L2SafetyCFM(nn.Module):
                 condition_width=CONDITION_WIDTH,
                 steps_per_token=config.steps_per_token,
                 map_attention=config.map_attention,
+                layers=config.layers,
             )
         if config.map_attention:
             self.map_tokens = MapTokens(

@@ -5,7 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models.flowmp.config import VARIANTS, TransformerSize, check_choice
+from anchorflow_models.flowmp.config import (
+    VARIANTS,
+    TransformerSize,
+    check_choice,
+    transformer_size,
+)
 from anchorflow_models.flowmp.vector_field import VectorField, repeat_last_step
 from anchorflow_models.layers.adaln import CHUNKS, AdaLNBlock, modulate, neutral_modulation
 from anchorflow_models.layers.embedding import sinusoidal_positions
@@ -78,11 +83,15 @@ def create_flowmp_transformer(
     condition_width: int = 256,
     steps_per_token: int = 8,
     map_attention: bool = False,
+    layers: int = 0,
 ) -> FlowMPTransformer:
-    """A transformer of a named size: "small", "base" or "large"; raises ValueError on another."""
+    """A transformer of a named size: "small", "base" or "large"; raises ValueError on another.
+
+    layers: 0: as many as that size has
+    """
     check_choice("variant", variant, tuple(VARIANTS))
     return FlowMPTransformer(
-        VARIANTS[variant],
+        transformer_size(variant, layers),
         state_dim=state_dim,
         num_steps=num_steps,
         feature_channels=feature_channels,

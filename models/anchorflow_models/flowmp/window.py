@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from anchorflow_models.flowmp.frame import Frame
+from anchorflow_models.layers.lookup import lookup
 
 NEAR, FAR = 0.25, 1.0  # m, the two scales at which clearance is resolved
 DETOUR_LIMIT = 3.0  # window half sizes of detour from which a place is simply out of the way
@@ -37,7 +37,9 @@ class MapWindow(nn.Module):
             [torch.full((), maps.shape[3]), torch.full((), maps.shape[2])]
         ).to(maps)
         points = (frame.window(self.size) - map_geometry[:, None, None, :2]) / extent * 2 - 1
-        seen = F.grid_sample(maps, points, padding_mode="border", align_corners=False)
+        # Not grid_sample: its ONNX form is newer than what some execution providers read.
+        seen = lookup(maps.permute(0, 2, 3, 1), points.flatten(1, 2))
+        seen = seen.transpose(1, 2).unflatten(2, (self.size, self.size))
         # Beyond the map's edge the robot's clearance goes on falling.
         beyond = ((points.abs() - 1).clamp(min=0) * extent / 2).sum(-1)
         metres = seen[:, 0] - beyond
