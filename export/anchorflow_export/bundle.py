@@ -66,7 +66,7 @@ def export_bundle(
         ExportError: the model cannot be traced, ONNX and torch differ by more than the tolerance,
             or `out` is something else than a bundle. Nothing is left behind.
     """
-    with _into_place(out) as folder:
+    with into_place(out) as folder:
         traced = trace_roles(
             model, T=description.T, D=description.D, channels=description.map.channels
         )
@@ -144,7 +144,7 @@ def _anchor_specs(description: BundleDescription) -> tuple[TensorSpec, ...]:
 
 
 @contextmanager
-def _into_place(out: Path) -> Iterator[Path]:
+def into_place(out: Path) -> Iterator[Path]:
     """A new folder that becomes `out` where the block succeeds, and vanishes where it fails."""
     if out.exists() and not (out / FILE_NAME).is_file():
         raise ExportError(f"{out} is there already and is not a bundle")

@@ -40,11 +40,15 @@ class Part(BaseModel):
 
 
 class GraphEntry(Part):
-    """One ONNX graph of the bundle; the key it stands under is its role."""
+    """One ONNX graph of the bundle; the key it stands under is its role.
+
+    precision: of its products
+    """
 
     file: FileName
     sha256: Sha256
     opset: PositiveInt
+    precision: Literal["float32", "int8"] = "float32"
     inputs: tuple[TensorSpec, ...]
     outputs: tuple[TensorSpec, ...]
 

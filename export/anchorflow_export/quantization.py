@@ -1,0 +1,86 @@
+"""The vector field's products in eight bits: a third faster, where its anchors stay what they were.
+
+Weights are rounded once, a column at a time; activations at every call (dynamic quantisation).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from onnxruntime.quantization import QuantType, quantize_dynamic
+
+from anchorflow_export.bundle import into_place
+from anchorflow_export.parity import SAMPLE_TRIAL, Difference
+from anchorflow_export.scenes import random_scenes
+from anchorflow_service.bundle import Bundle, load_bundle
+from anchorflow_service.flow import FlowSampler
+from anchorflow_service.manifest import FILE_NAME
+
+SCENES = 4
+
+
+def quantize_field(path: Path) -> Difference:
+    """Put an eight-bit field in the place of a bundle's own.
+
+    Returns the root mean square of how far its samples moved, in m.
+
+    Raises:
+        BundleError: there is no sound bundle at that path, which stays what it is.
+    """
+    bundle = load_bundle(path)
+    with into_place(path) as folder:
+        shutil.copytree(path, folder, dirs_exist_ok=True)
+        entry = bundle.manifest.graphs["field"]
+        with _quiet_quantizer():
+            quantize_dynamic(
+                bundle.graph_path("field"),
+                folder / entry.file,
+                weight_type=QuantType.QInt8,
+                per_channel=True,
+                # Seven bits of weight: where a processor lacks VNNI, sums of eight would saturate.
+                reduce_range=True,
+                op_types_to_quantize=["MatMul"],
+            )
+        digest = hashlib.sha256((folder / entry.file).read_bytes()).hexdigest()
+        rounded = entry.model_copy(update={"sha256": digest, "precision": "int8"})
+        graphs = bundle.manifest.graphs | {"field": rounded}
+        manifest = bundle.manifest.model_copy(update={"graphs": graphs})
+        (folder / FILE_NAME).write_bytes(manifest.to_json())
+        return _moved(bundle, load_bundle(folder))
+
+
+def _moved(bundle: Bundle, rounded: Bundle) -> Difference:
+    """How far the card's samples lie from those of the bundle that was rounded."""
+    whole, coarse = (FlowSampler(one, threads=1) for one in (bundle, rounded))
+    trial, D = SAMPLE_TRIAL, bundle.manifest.D
+    inputs = random_scenes(bundle.card, scenes=SCENES, height=trial.H, width=trial.W, seed=0)
+    squares = []
+    for scene in range(SCENES):
+        one = {name: tensor[scene : scene + 1].numpy() for name, tensor in inputs.items()}
+        context = whole.encode(one)
+        noise = whole.draw_noise(context, num_samples=trial.N, seed=scene)
+        x_0 = whole.initial_state(context, noise)
+        states = [flow.integrate(context, x_0, bundle.card.sampler) for flow in (whole, coarse)]
+        squares.append(((states[0] - states[1])[..., :D] ** 2).sum(-1).mean())
+    return Difference("samples moved by, rms [m]", float(np.sqrt(np.mean(squares))))
+
+
+@contextmanager
+def _quiet_quantizer() -> Iterator[None]:
+    """Without its advice to infer shapes first, which the graphs have; it asks the root logger."""
+    logger = logging.getLogger()
+
+    def is_no_advice(record: logging.LogRecord) -> bool:
+        return "pre-processing" not in record.getMessage()
+
+    logger.addFilter(is_no_advice)
+    try:
+        yield
+    finally:
+        logger.removeFilter(is_no_advice)
