@@ -1,0 +1,83 @@
+/** An answer of the contract, brought to flat arrays, and what the page works out from them. */
+
+/** Below this speed [m/s] a curvature says nothing. */
+const STANDSTILL = 0.05;
+
+export class Anchors {
+  /** @param {object} answer  as `plan` of wire.js gives it; `card`: of the bundle that answered */
+  constructor(answer, card) {
+    const { trajectories, velocities, accelerations } = answer;
+    this.card = card;
+    [this.count, this.steps] = trajectories.shape;
+    /** [N,T,2] m, flat; likewise m/s and m/s². A heading is left out. */
+    this.positions = planar(trajectories);
+    this.velocities = planar(velocities);
+    this.accelerations = planar(accelerations);
+    /** [N,T] */
+    this.speeds = lengths(this.velocities);
+    this.pulls = lengths(this.accelerations);
+    const [scores, clearance] = [answer.scores, answer.clearance].map(({ values }) => Array.from(values));
+    const safe = Array.from(answer.safe.values, Boolean);
+    const { dt, seed, timing } = answer;
+    Object.assign(this, { scores, clearance, safe, dt, seed, timing });
+    /** Safe ones first, then by score: the order in which one would take them. */
+    this.order = scores.map((_, n) => n).sort((a, b) => safe[b] - safe[a] || scores[b] - scores[a]);
+    this.best = this.order[0];
+    this.numSafe = safe.filter(Boolean).length;
+  }
+
+  /** Length of the way in m. */
+  length(n) {
+    let sum = 0;
+    for (let t = 1; t < this.steps; t++) {
+      const at = 2 * (n * this.steps + t);
+      sum += Math.hypot(this.positions[at] - this.positions[at - 2], this.positions[at + 1] - this.positions[at - 1]);
+    }
+    return sum;
+  }
+
+  /** Greatest of the [N,T] values of anchor n. */
+  greatest(values, n) {
+    return Math.max(...values.subarray(n * this.steps, (n + 1) * this.steps));
+  }
+
+  /** [T] 1/m, |v × a| / |v|³; NaN where it stands still. */
+  curvature(n) {
+    return this.#along(n, (at, speed) => {
+      if (speed < STANDSTILL) return NaN;
+      const [v, a] = [this.velocities, this.accelerations];
+      return Math.abs(v[at] * a[at + 1] - v[at + 1] * a[at]) / speed ** 3;
+    });
+  }
+
+  /** [T] 1/m, the curvature at which going round takes all of a_max; NaN where it stands still. */
+  curvatureLimit(n) {
+    return this.#along(n, (_, speed) => (speed < STANDSTILL ? NaN : this.card.a_max / speed ** 2));
+  }
+
+  /** Why no anchor is safe, in words; "" where one is. */
+  get trouble() {
+    if (this.numSafe) return "";
+    const { v_max: fastest, horizon_s: horizon } = this.card;
+    const fast = this.order.filter((n) => this.greatest(this.speeds, n) > fastest).length;
+    if (fast > this.count / 2) return `the way is too long for ${horizon} s at ${fastest} m/s`;
+    return "each comes too close to an obstacle or breaks a limit";
+  }
+
+  #along(n, value) {
+    return Float64Array.from({ length: this.steps }, (_, t) => {
+      const index = n * this.steps + t;
+      return value(2 * index, this.speeds[index]);
+    });
+  }
+}
+
+/** x and y of [N,T,D], flat. */
+function planar({ shape: [count, steps, dim], values }) {
+  if (dim === 2) return values;
+  return Float32Array.from({ length: 2 * count * steps }, (_, k) => values[dim * (k >> 1) + (k & 1)]);
+}
+
+function lengths(flat) {
+  return Float32Array.from({ length: flat.length / 2 }, (_, k) => Math.hypot(flat[2 * k], flat[2 * k + 1]));
+}

@@ -1,0 +1,33 @@
+/** Short ways to the elements of the page. */
+
+const SVG = "http://www.w3.org/2000/svg";
+
+/** The element with this id. */
+export const byId = (id) => document.getElementById(id);
+
+/** A new element with properties and children. */
+export function make(tag, properties = {}, ...children) {
+  const element = Object.assign(document.createElement(tag), properties);
+  element.append(...children);
+  return element;
+}
+
+/** A new SVG element with attributes. */
+export function makeSvg(tag, attributes = {}, text = "") {
+  const element = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
+  element.textContent = text;
+  return element;
+}
+
+/** A number with so many digits and a true minus sign. */
+export const figure = (value, digits = 2) => value.toFixed(digits).replace("-", "−");
+
+/** A number between low and high. */
+export const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
+
+/** Lets a range input show how far it is filled. */
+export function showFill(input) {
+  const share = (input.value - input.min) / (input.max - input.min);
+  input.style.setProperty("--fill", `${100 * share}%`);
+}

@@ -1,0 +1,137 @@
+/** Maps out of files: map_server's YAML with its picture, or a picture alone. Nothing is uploaded. */
+
+import { FREE, Grid, OCCUPIED, UNKNOWN } from "./grid.js";
+import { readPgm } from "./pgm.js";
+
+/** Larger maps have several of their cells in one, which is occupied where one of them is. */
+const MOST_CELLS = 160;
+const LEAST_CELLS = 16;
+/** Of a picture that comes without a YAML file, as `map_saver` writes them. */
+const DEFAULTS = { resolution: 0.05, negate: 0, occupied_thresh: 0.65, free_thresh: 0.25, mode: "trinary" };
+const MODES = ["trinary", "scale", "raw"];
+
+/** {grid, note} of the files [File] of one map. Throws an Error whose message is for the reader. */
+export async function readMap(files) {
+  const named = (pattern) => files.find((file) => pattern.test(file.name));
+  const yaml = named(/\.ya?ml$/i);
+  const picture = named(/\.(pgm|png)$/i);
+  const fields = yaml ? readYaml(await yaml.text(), yaml.name) : { ...DEFAULTS, origin: [0, 0, 0] };
+  if (!picture) throw new Error(`${yaml.name} names the picture ${fields.image}: choose both files together.`);
+  const shades = /\.pgm$/i.test(picture.name) ? readPgm(new Uint8Array(await picture.arrayBuffer()), picture.name) : await readPng(picture);
+  const grid = pooled(trimmed(toGrid(shades, fields)));
+  const [width, height] = grid.size.map((metres) => metres.toFixed(1));
+  const guess = yaml ? "" : `, taking ${DEFAULTS.resolution} m a pixel for want of a .yaml file`;
+  return { grid, note: `${picture.name}: ${width} × ${height} m, ${grid.resolution.toFixed(2)} m a cell${guess}.` };
+}
+
+/** The fields of a map_server YAML file, which is flat. */
+export function readYaml(text, name) {
+  const fields = { mode: DEFAULTS.mode, negate: DEFAULTS.negate };
+  const lines = text.replace(/#.*$/gm, "").replace(/\n\s*-\s*/g, ", ").split("\n");
+  for (const line of lines) {
+    const [, key, value] = line.match(/^\s*(\w+)\s*:\s*(.+?)\s*$/) ?? [];
+    if (key) fields[key] = value.replace(/^["']|["']$/g, "");
+  }
+  const wrong = (key, expected) => new Error(`${name}: ${key}: expected ${expected}, got ${fields[key] ?? "nothing"}.`);
+  for (const key of ["resolution", "occupied_thresh", "free_thresh", "negate"]) {
+    const number = Number(fields[key] ?? NaN);
+    if (!Number.isFinite(number)) throw wrong(key, "a number");
+    fields[key] = number;
+  }
+  if (!(fields.resolution > 0)) throw wrong("resolution", "more than 0 m");
+  if (!MODES.includes(fields.mode)) throw wrong("mode", MODES.join(", "));
+  const origin = String(fields.origin ?? "").replace(/[[\]]/g, "").split(",").filter((part) => part.trim()).map(Number);
+  if (origin.length !== 3 || !origin.every(Number.isFinite)) throw wrong("origin", "three numbers x, y, yaw");
+  if (origin[2] !== 0) throw wrong("origin", "a yaw of 0");
+  return { ...fields, origin };
+}
+
+/** {width, height, shade: [H*W] in [0, 1], opaque: [H*W]} of a PNG, top row first. */
+async function readPng(file) {
+  let bitmap;
+  try {
+    bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
+  } catch (cause) {
+    throw new Error(`${file.name}: expected a PNG picture.`, { cause });
+  }
+  const { width, height } = bitmap;
+  const context = new OffscreenCanvas(width, height).getContext("2d");
+  context.drawImage(bitmap, 0, 0);
+  const { data } = context.getImageData(0, 0, width, height);
+  const pixel = (of) => Float32Array.from({ length: width * height }, (_, k) => of(4 * k));
+  return {
+    width,
+    height,
+    shade: pixel((k) => (data[k] + data[k + 1] + data[k + 2]) / 765),
+    opaque: pixel((k) => (data[k + 3] === 255 ? 1 : 0)),
+  };
+}
+
+/** A grid of map_server's meaning of shades; its first row is the picture's last. */
+function toGrid({ width, height, shade, opaque }, fields) {
+  const grid = new Grid(height, width, fields.resolution, fields.origin.slice(0, 2));
+  for (let row = 0; row < height; row++) {
+    for (let column = 0; column < width; column++) {
+      const k = (height - 1 - row) * width + column;
+      grid.set(row, column, opaque && !opaque[k] ? UNKNOWN : meaning(shade[k], fields));
+    }
+  }
+  return grid;
+}
+
+function meaning(shade, { mode, negate, occupied_thresh: occupied, free_thresh: free }) {
+  if (mode === "raw") {
+    const percent = Math.round(255 * shade);
+    if (percent > 100) return UNKNOWN;
+    return percent >= 50 ? OCCUPIED : FREE;
+  }
+  const darkness = negate ? shade : 1 - shade;
+  // The contract takes a cell for an obstacle from an occupancy of 0.5 on.
+  if (mode === "scale") return (darkness - free) / (occupied - free) >= 0.5 ? OCCUPIED : FREE;
+  if (darkness > occupied) return OCCUPIED;
+  return darkness < free ? FREE : UNKNOWN;
+}
+
+/** Without the unknown margin that mapping programs leave. */
+function trimmed(grid) {
+  const rows = [];
+  const columns = [];
+  grid.cells.forEach((cell, k) => {
+    if (cell === UNKNOWN) return;
+    rows.push(Math.floor(k / grid.columns));
+    columns.push(k % grid.columns);
+  });
+  if (!rows.length) throw new Error("Every cell of this map is unknown.");
+  const span = (values, most) => {
+    const [low, high] = values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, 0]);
+    const [from, to] = [Math.max(0, low - 2), Math.min(most, high + 3)];
+    return [from, Math.max(to - from, LEAST_CELLS)];
+  };
+  const [top, height] = span(rows, grid.rows);
+  const [left, width] = span(columns, grid.columns);
+  return resampled(grid, { top, left, height, width, factor: 1 });
+}
+
+function pooled(grid) {
+  const factor = Math.ceil(Math.max(grid.rows, grid.columns) / MOST_CELLS);
+  const side = (cells) => Math.max(LEAST_CELLS, Math.ceil(cells / factor));
+  return resampled(grid, { top: 0, left: 0, height: side(grid.rows), width: side(grid.columns), factor });
+}
+
+/** A window of `height` × `width` cells, each the worst of factor × factor of the old. */
+function resampled(grid, { top, left, height, width, factor }) {
+  const origin = [grid.origin[0] + left * grid.resolution, grid.origin[1] + top * grid.resolution];
+  const window = new Grid(height, width, factor * grid.resolution, origin);
+  for (let row = 0; row < height; row++) {
+    for (let column = 0; column < width; column++) {
+      let worst = FREE;
+      for (let k = 0; k < factor * factor; k++) {
+        const [r, c] = [top + row * factor + Math.floor(k / factor), left + column * factor + (k % factor)];
+        const cell = grid.contains(r, c) ? grid.at(r, c) : UNKNOWN;
+        if (cell === OCCUPIED || (cell === UNKNOWN && worst === FREE)) worst = cell;
+      }
+      window.set(row, column, worst);
+    }
+  }
+  return window;
+}

@@ -1,0 +1,81 @@
+/** One anchor as a motion in time, and the way to stand still when there is none. */
+
+/** Share of a_max with which the robot brakes. */
+const BRAKING = 0.8;
+
+/** The motion along anchor n: [p, v, a] at any time, between its samples by cubic polynomials. */
+export class Plan {
+  constructor(anchors, n) {
+    const { steps, dt } = anchors;
+    const part = (flat) => flat.slice(2 * n * steps, 2 * (n + 1) * steps);
+    Object.assign(this, { steps, dt, safe: anchors.safe[n] });
+    this.positions = part(anchors.positions);
+    this.velocities = part(anchors.velocities);
+    this.accelerations = part(anchors.accelerations);
+  }
+
+  /** {x, y, vx, vy, ax, ay} after `seconds`; at its end for good when they have passed. */
+  at(seconds) {
+    const place = Math.min(Math.max(0, seconds / this.dt), this.steps - 1 - 1e-9);
+    const k = Math.floor(place);
+    const [x, y] = [0, 1].map((axis) => this.#between(this.positions, this.velocities, k, axis, place - k));
+    const [vx, vy] = [0, 1].map((axis) => this.#between(this.velocities, this.accelerations, k, axis, place - k));
+    const [ax, ay] = [0, 1].map((axis) => {
+      const at = 2 * k + axis;
+      return this.accelerations[at] + (place - k) * (this.accelerations[at + 2] - this.accelerations[at]);
+    });
+    return { x, y, vx, vy, ax, ay };
+  }
+
+  /** [T,6] p, v, a of what is left after `seconds`, drawn out to as many steps: a warm start. */
+  rest(seconds) {
+    return Array.from({ length: this.steps }, (_, t) => {
+      const { x, y, vx, vy, ax, ay } = this.at(seconds + t * this.dt);
+      return [x, y, vx, vy, ax, ay].map((value) => Number(value.toFixed(4)));
+    });
+  }
+
+  /** [[x, y]] still to go after `seconds`. */
+  way(seconds) {
+    const { x, y } = this.at(seconds);
+    const points = [[x, y]];
+    for (let t = Math.floor(seconds / this.dt) + 1; t < this.steps; t++) {
+      points.push([this.positions[2 * t], this.positions[2 * t + 1]]);
+    }
+    return points;
+  }
+
+  /** Cubic Hermite interpolation between samples k and k + 1. */
+  #between(values, slopes, k, axis, share) {
+    const [a, b] = [2 * k + axis, 2 * k + 2 + axis];
+    const [s, r] = [share, 1 - share];
+    return values[a] * r * r * (1 + 2 * s) + values[b] * s * s * (1 + 2 * r)
+      + this.dt * s * r * (slopes[a] * r - slopes[b] * s);
+  }
+}
+
+/** Straight on, slower and slower, then at rest. */
+export class Stop {
+  safe = false;
+
+  constructor(state, card) {
+    const speed = Math.hypot(state.vx, state.vy);
+    const pull = BRAKING * card.a_max;
+    Object.assign(this, { state, speed, pull, seconds: speed / pull });
+  }
+
+  at(seconds) {
+    const { x, y, vx, vy } = this.state;
+    const t = Math.min(seconds, this.seconds);
+    const share = this.speed > 0 ? 1 / this.speed : 0;
+    const [along, across] = [vx * share, vy * share];
+    const gone = this.speed * t - (this.pull * t * t) / 2;
+    const speed = this.speed - this.pull * t;
+    const pull = seconds < this.seconds ? -this.pull : 0;
+    return {
+      x: x + gone * along, y: y + gone * across,
+      vx: speed * along, vy: speed * across,
+      ax: pull * along, ay: pull * across,
+    };
+  }
+}

@@ -1,0 +1,157 @@
+"""What one asks with the page: draw, drag, choose; and what comes back."""
+
+from __future__ import annotations
+
+from itertools import compress, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client.contract import OCCUPIED
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
+
+PATIENCE_MS = 60_000
+
+
+def crosses(trajectory: Any, cost_map: Any) -> bool:
+    """Whether one of a trajectory's points lies in an obstacle."""
+    grid = np.array(cost_map["data"][0]) >= OCCUPIED
+    cells = (np.array(trajectory) - cost_map["origin"]) / cost_map["resolution"]
+    columns, rows = np.clip(cells.astype(int), 0, np.array(grid.shape) - 1).T
+    return bool(grid[rows, columns].any())
+
+
+def test_it_opens_with_a_map_and_anchors(visit: Any, artefacts: Path, served: Any) -> None:
+    expect(visit.locate("#best tbody tr")).to_have_count(10)
+    expect(visit.locate("#charts svg")).to_have_count(3)
+    expect(visit.locate("#link-text")).to_contain_text("flowmp")
+    visit.page.screenshot(path=artefacts / "page.png")
+
+    hosts = visit.page.evaluate("performance.getEntriesByType('resource').map(e => e.name)")
+    assert hosts
+    assert all(url.startswith(served.url) for url in hosts)
+
+
+def test_anchors_go_round_a_wall_that_is_drawn(visit: Any, artefacts: Path) -> None:
+    before = visit.choose_empty_map()
+    visit.page.wait_for_timeout(300)
+    picture = visit.picture()
+    wall = visit.at((0.0, 2.0)), visit.at((0.0, -1.0))
+
+    after = visit.answer(
+        lambda: visit.drag(*wall, steps=12), lambda asked: visit.occupied(asked)[40:65, 47:49].all()
+    )
+
+    assert not visit.occupied(before.asked).any()
+    assert all(crosses(path, after.asked["cost_map"]) for path in before.answered["trajectories"])
+    safe = [*compress(after.answered["trajectories"], after.answered["safe"])]
+    assert len(safe) > 32
+    assert not any(crosses(path, after.asked["cost_map"]) for path in safe)
+    expect(visit.locate("#summary")).to_have_text(
+        f"{len(safe)} of 64 anchors are safe.", timeout=PATIENCE_MS
+    )
+    visit.wait_for_another_picture(picture)
+    visit.page.screenshot(path=artefacts / "wall.png")
+
+
+def test_what_was_painted_can_be_undone_and_erased(visit: Any) -> None:
+    visit.choose_empty_map()
+    line = visit.at((-1.0, 2.0)), visit.at((1.0, 2.0))
+    painted = visit.answer(
+        lambda: visit.drag(*line), lambda asked: visit.occupied(asked).sum() > 60
+    )
+    undone = visit.answer(
+        lambda: visit.locate("#undo").click(), lambda asked: not visit.occupied(asked).any()
+    )
+    visit.drag(*line)
+    visit.page.keyboard.press("e")
+    erased = visit.answer(lambda: visit.drag(*line), lambda asked: not visit.occupied(asked).any())
+
+    assert visit.occupied(painted.asked).any()
+    assert undone.asked["cost_map"] == erased.asked["cost_map"]
+
+
+def test_an_obstacle_can_be_pushed(visit: Any) -> None:
+    visit.choose_empty_map()
+    spot = visit.at((0.0, 2.0))
+    dot = visit.answer(lambda: visit.drag(spot, spot), lambda asked: visit.occupied(asked).any())
+    visit.page.keyboard.press("v")
+
+    pushed = visit.answer(
+        lambda: visit.drag(spot, visit.at((1.0, 1.0))),
+        lambda asked: visit.occupied(asked)[58, 58],
+    )
+
+    np.testing.assert_array_equal(
+        np.roll(visit.occupied(dot.asked), (-10, 10), (0, 1)), visit.occupied(pushed.asked)
+    )
+
+
+def test_the_style_changes_request_and_picture(visit: Any) -> None:
+    visit.page.wait_for_timeout(300)
+    picture = visit.picture()
+    box = visit.locate("#triangle").bounding_box()
+    energy = box["x"] + 0.1 * box["width"], box["y"] + 0.9 * box["height"]
+    knob = visit.locate("#knob").bounding_box()
+
+    dragged = visit.answer(
+        lambda: visit.drag((knob["x"] + 8, knob["y"] + 8), energy),
+        lambda asked: asked["w_style"][1] > 0.9,
+    )
+    visit.wait_for_another_picture(picture)
+    visit.locate("#knob").focus()
+    by_key = visit.answer(
+        lambda: visit.page.keyboard.press("ArrowUp"),
+        lambda asked: asked["w_style"][0] > dragged.asked["w_style"][0],
+    )
+
+    assert sum(dragged.asked["w_style"]) == pytest.approx(1, abs=2e-3)
+    assert by_key.asked["w_style"][1] < dragged.asked["w_style"][1]
+    expect(visit.locate("#knob")).to_have_attribute(
+        "aria-valuetext", "safety 5 %, energy 95 %, smooth 0 %"
+    )
+
+
+def test_controls_are_what_is_asked(visit: Any) -> None:
+    visit.locate("#num").fill("16")
+    visit.locate("#sampler").select_option("heun")
+    visit.locate("#steps").fill("3")
+    visit.locate("#steps").press("Enter")
+    visit.locate("#margin").fill("0.2")
+    visit.locate("#smooth").uncheck()
+
+    asked = visit.answer(
+        lambda: visit.locate("#project").uncheck(), lambda asked: not asked["refine"]["project"]
+    ).asked
+
+    assert asked["num_samples"] == 16
+    assert asked["sampler"] == {"method": "heun", "schedule": {"uniform": 3}}
+    assert asked["refine"] == {"smooth": False, "project": False, "safety_margin": 0.2}
+    own = visit.answer(
+        lambda: visit.locate("#sampler").select_option("card"), lambda asked: "sampler" not in asked
+    )
+    assert len(own.answered["trajectories"]) == 16
+
+
+def test_while_the_goal_is_dragged_one_request_is_out_and_the_newest_wins(visit: Any) -> None:
+    visit.choose_empty_map()
+    visit.page.evaluate("performance.clearResourceTimings()")
+    moves = 60
+
+    last = visit.answer(
+        lambda: visit.drag(visit.handle("goal"), visit.at((2.0, 3.0)), steps=moves),
+        lambda asked: asked["x_goal"][:2] == pytest.approx([2.0, 3.0], abs=0.03),
+    )
+
+    assert last.status == 200
+    visit.page.wait_for_timeout(500)
+    spans = visit.page.evaluate(
+        "performance.getEntriesByType('resource').filter(e => e.name.endsWith('/anchors'))"
+        ".map(e => [e.startTime, e.responseEnd])"
+    )
+    assert 1 <= len(spans) < moves
+    assert all(ended <= begun for (_, ended), (begun, _) in pairwise(spans))

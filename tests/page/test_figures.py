@@ -1,0 +1,86 @@
+"""What the page costs: bytes of the first load, and how far the picture is behind the hand.
+
+Bytes are held to their bound; times are measured, printed and kept as figures.json, not judged.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+FIRST_LOAD_BYTES = 300 * 1000
+DRAG_S = 3.0
+MOVE_MS = 16
+
+
+def test_the_first_load_with_its_first_answer_is_small(
+    open_page: Callable[..., Any], artefacts: Path
+) -> None:
+    visit = open_page()
+    visit.locate("#summary").get_by_text("anchors are safe").wait_for()
+    finished = [request for request in visit.requests if request.response().ok]
+    sizes = {request.url: request.sizes() for request in finished}
+
+    bodies = {url: size["responseBodySize"] for url, size in sizes.items()}
+    total = sum(size["responseBodySize"] + size["responseHeadersSize"] for size in sizes.values())
+    answers = sum(size for url, size in bodies.items() if url.endswith("/anchors"))
+
+    keep(
+        artefacts,
+        first_load={"requests": len(sizes), "bytes": total, "of which anchors": answers},
+    )
+    assert answers > 64 * 64 * 2 * 3 * 4
+    assert total < FIRST_LOAD_BYTES
+
+
+def test_how_far_the_picture_is_behind_a_dragged_goal(visit: Any, artefacts: Path) -> None:
+    visit.locate("#sample").select_option("empty")
+    visit.page.wait_for_timeout(1000)
+    visit.page.evaluate("performance.clearMeasures('anchors-on-screen')")
+    begin, end = visit.handle("goal"), visit.at((3.0, 3.0))
+    moves = int(1e3 * DRAG_S / MOVE_MS)
+
+    visit.page.mouse.move(*begin)
+    visit.page.mouse.down()
+    for move in range(moves):
+        share = np.sin(4 * np.pi * move / moves) ** 2
+        visit.page.mouse.move(*(b + share * (e - b) for b, e in zip(begin, end, strict=True)))
+        visit.page.wait_for_timeout(MOVE_MS)
+    visit.page.mouse.up()
+    visit.page.wait_for_timeout(1000)
+
+    script = "performance.getEntriesByName('anchors-on-screen').map(e => [e.duration, e.detail])"
+    seen = visit.page.evaluate(script)
+    engine = np.array([detail["engineMs"] for _, detail in seen])
+    beyond = np.array([detail["roundTripMs"] for _, detail in seen]) - engine
+    behind = np.array([duration for duration, _ in seen])
+    keep(
+        artefacts,
+        drag={
+            "answers": len(seen),
+            "engine ms": spread(engine),
+            "beyond the engine ms": spread(beyond),
+            "behind the hand ms": spread(behind),
+        },
+    )
+    assert len(seen) > 1
+    assert (beyond > 0).all()
+
+
+def spread(values: np.ndarray) -> dict[str, float]:
+    return {f"p{q}": round(float(np.percentile(values, q)), 1) for q in (50, 95, 100)}
+
+
+def keep(artefacts: Path, **figures: Any) -> None:
+    """Add to figures.json, and print."""
+    file = artefacts / "figures.json"
+    kept = json.loads(file.read_text()) if file.exists() else {}
+    file.write_text(json.dumps(kept | figures, indent=2) + "\n")
+    print(json.dumps(figures))  # noqa: T201 - what this test is for

@@ -1,0 +1,95 @@
+"""What the page says when something is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
+
+PATIENCE_MS = 60_000
+REFUSED = "status of 422"
+UNREACHABLE = "net::ERR_CONNECTION_REFUSED"
+
+
+def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any, artefacts: Path) -> None:
+    visit.choose_empty_map()
+    spot = visit.at((1.0, 1.0))
+    visit.drag(spot, spot)
+
+    refused = visit.answer(
+        lambda: visit.drag_end("goal", (1.0, 1.0)),
+        lambda asked: asked["x_goal"][:2] == pytest.approx([1.0, 1.0], abs=0.05),
+    )
+
+    assert refused.status == 422
+    bubble = visit.locate("#bubble")
+    expect(bubble).to_contain_text("The goal cannot be there.")
+    expect(bubble).to_contain_text(refused.answered["error"]["message"])
+    expect(bubble).to_contain_text("x_goal: expected a cell of occupancy below 0.5")
+    box, goal = bubble.bounding_box(), visit.handle("goal")
+    assert abs(box["x"] + box["width"] / 2 - goal[0]) < 60
+    assert 0 < goal[1] - (box["y"] + box["height"]) < 60
+    visit.page.screenshot(path=artefacts / "goal-in-obstacle.png")
+
+    visit.drag_end("goal", (3.0, 1.0))
+    expect(bubble).to_be_hidden(timeout=PATIENCE_MS)
+    visit.forget_errors(REFUSED)
+
+
+def test_a_service_that_stops_is_missed_and_taken_up_again(
+    visit: Any, served: Any, artefacts: Path
+) -> None:
+    visit.choose_empty_map()
+    served.stop()
+    try:
+        expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
+        expect(visit.locate("#banner-text")).to_contain_text("The service does not answer.")
+        expect(visit.locate("#link-text")).to_have_text("Not connected")
+        visit.page.screenshot(path=artefacts / "stopped.png")
+        visit.drag_end("goal", (-3.0, -3.0))
+    finally:
+        served.start()
+
+    back = visit.answer(
+        lambda: visit.locate("#retry").click(),
+        lambda asked: asked["x_goal"][:2] == pytest.approx([-3.0, -3.0], abs=0.05),
+    )
+
+    assert back.status == 200
+    expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
+    visit.forget_errors(UNREACHABLE)
+
+
+def test_a_service_that_is_back_is_found_without_a_hand(visit: Any, served: Any) -> None:
+    served.stop()
+    try:
+        expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
+    finally:
+        served.start()
+
+    expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
+    expect(visit.locate("#link")).to_have_attribute("data-state", "up")
+    visit.forget_errors(UNREACHABLE)
+
+
+def test_a_service_that_asks_for_a_token_gets_one(
+    open_page: Callable[..., Any], guarded: Any
+) -> None:
+    visit = open_page(guarded.url)
+    expect(visit.locate("#token-form")).to_be_visible(timeout=PATIENCE_MS)
+    visit.locate("#token").fill("wrong")
+    visit.page.keyboard.press("Enter")
+    expect(visit.locate("#token-why")).to_contain_text("a token that is valid here")
+
+    visit.locate("#token").fill("open sesame")
+    visit.page.keyboard.press("Enter")
+
+    expect(visit.locate("#summary")).to_contain_text("anchors are safe", timeout=PATIENCE_MS)
+    expect(visit.locate("#token-form")).to_be_hidden()
+    visit.forget_errors("status of 401")
+    assert visit.errors == []

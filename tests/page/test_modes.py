@@ -1,0 +1,143 @@
+"""Looking at anchors, the replay, the drive; by keyboard and on a phone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
+
+PATIENCE_MS = 60_000
+
+
+def test_looking_at_an_anchor(visit: Any) -> None:
+    expect(visit.locate("#anchor-name")).to_have_text("Best anchor")
+    second = visit.locate("#best tbody button").nth(1)
+    number = second.inner_text()
+
+    second.focus()
+
+    expect(visit.locate("#anchor-name")).to_have_text(f"Anchor {number}")
+    visit.page.keyboard.press("Tab")
+    expect(visit.locate("#anchor-name")).not_to_have_text(f"Anchor {number}")
+
+
+def test_hovering_a_line_shows_it(visit: Any) -> None:
+    visit.choose_empty_map()
+    visit.page.mouse.move(*visit.at((0.0, 3.5)))
+    expect(visit.locate("#anchor-name")).to_have_text("Best anchor")
+
+    visit.page.mouse.move(*visit.at((0.0, 0.0)))
+
+    expect(visit.locate("#charts .now")).to_have_count(3)
+    expect(visit.locate("#anchor-name")).not_to_have_text("Best anchor")
+
+
+@pytest.mark.parametrize("by", ["speed", "clearance"])
+def test_colours_stand_for_what_is_chosen(visit: Any, by: str) -> None:
+    visit.page.wait_for_timeout(300)
+    picture = visit.picture()
+
+    visit.page.get_by_text(by.capitalize(), exact=True).first.click()
+
+    expect(visit.locate("#legend")).to_have_attribute("data-by", by)
+    visit.wait_for_another_picture(picture)
+
+
+def test_the_flow_is_replayed(visit: Any, artefacts: Path) -> None:
+    visit.page.wait_for_timeout(300)
+    finished = visit.picture()
+
+    flow = visit.answer(
+        lambda: visit.locate("#replay").click(), lambda asked: asked["seed"] == 0, to="/page/flow"
+    )
+
+    assert flow.answered["times"] == [0.0, 0.5, 1.0]
+    assert np.array(flow.answered["positions"]).shape == (3, 64, 64, 2)
+    expect(visit.locate("#scrub")).to_be_visible()
+    visit.locate("#flow-time").fill("0")
+    expect(visit.locate("#flow-text")).to_have_text("t = 0.00")
+    visit.wait_for_another_picture(finished)
+    visit.page.screenshot(path=artefacts / "flow.png")
+    visit.page.keyboard.press("Escape")
+    expect(visit.locate("#scrub")).to_be_hidden()
+
+
+def test_a_robot_drives_and_plans_again(visit: Any, artefacts: Path) -> None:
+    visit.choose_empty_map()
+    visit.locate("#num").fill("16")
+
+    first = visit.answer(
+        lambda: visit.locate("#drive").click(), lambda asked: asked["num_samples"] == 16
+    )
+    # Under way: the plan before is the warm start, and the robot's own state the beginning.
+    later = visit.answer(
+        lambda: None, lambda asked: "warm_start" in asked and asked["x_curr"][0] > -3.5
+    )
+    visit.page.screenshot(path=artefacts / "drive.png")
+
+    assert first.asked["x_curr"][:2] == pytest.approx([-4.0, 0.0], abs=0.1)
+    assert later.asked["x_curr"][2] > 0.1
+    assert np.array(later.asked["warm_start"]["trajectory"]).shape == (64, 6)
+    # A wall in its way is a new scene: the plan no longer holds.
+    wall = visit.at((2.0, 1.0)), visit.at((2.0, -1.0))
+    walled = visit.answer(
+        lambda: visit.drag(*wall),
+        lambda asked: visit.occupied(asked).any() and "warm_start" not in asked,
+    )
+    assert walled.answered["safe"].count(True) > 0
+    visit.locate("#drive").click()
+    expect(visit.locate("#drive-note")).to_be_hidden()
+
+
+def test_the_keyboard_is_enough(visit: Any) -> None:
+    visit.choose_empty_map()
+    visit.locate("[data-handle=goal]").focus()
+    moved = visit.answer(
+        lambda: visit.page.keyboard.press("Shift+ArrowDown"),
+        lambda asked: asked["x_goal"][1] < -0.4,
+    )
+    assert moved.asked["x_goal"][1] == pytest.approx(-0.5, abs=0.05)
+
+    visit.locate("[data-handle=goal-velocity]").focus()
+    faster = visit.answer(
+        lambda: visit.page.keyboard.press("Shift+ArrowRight"), lambda asked: asked["x_goal"][2] > 0
+    )
+    assert faster.asked["x_goal"][2:] == pytest.approx([0.5, 0.0])
+
+    visit.locate("#canvas").focus()
+    for key in ("ArrowUp", "Shift+ArrowUp", "Shift+ArrowUp"):
+        visit.page.keyboard.press(key)
+    painted = visit.answer(
+        lambda: visit.page.keyboard.press("Space"), lambda asked: visit.occupied(asked).any()
+    )
+    rows, columns = np.nonzero(visit.occupied(painted.asked))
+    assert (rows.mean(), columns.mean()) == pytest.approx((58.5, 7.5), abs=0.6)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_is_enough(open_page: Callable[..., Any], artefacts: Path, scheme: str) -> None:
+    visit = open_page(
+        viewport={"width": 390, "height": 844},
+        has_touch=True,
+        is_mobile=True,
+        device_scale_factor=2,
+        color_scheme=scheme,
+    )
+    expect(visit.locate("#summary")).to_contain_text("anchors are safe", timeout=PATIENCE_MS)
+    width = visit.page.evaluate("document.documentElement.scrollWidth")
+
+    tapped = visit.answer(
+        lambda: visit.page.touchscreen.tap(*visit.at((2.0, -3.0))),
+        lambda asked: visit.occupied(asked)[18, 68],
+    )
+
+    assert width == 390
+    assert visit.occupied(tapped.asked)[18, 68]
+    visit.page.screenshot(path=artefacts / f"phone-{scheme}.png", full_page=True)
+    assert visit.errors == []
