@@ -71,8 +71,11 @@ WALLS: dict[str, set[str]] = {
         "torch",
     },
 }
-# Wider for one module each: the optional transport lives behind one name.
-EXCEPTIONS = {"anchorflow_client.zenoh": {"zenoh"}, "anchorflow_service.zenoh": {"zenoh"}}
+# Wider for one package each: the optional transport lives behind one name.
+EXCEPTIONS = {
+    "anchorflow_client.zenoh_client": {"zenoh"},
+    "anchorflow_service.zenoh_endpoint": {"zenoh"},
+}
 
 # What a light process must not carry unless its package's wall lets it in.
 HEAVY = {"fastapi", "matplotlib", "onnx", "onnxruntime", "pydantic", "scipy", "torch", "typer"}
@@ -97,8 +100,14 @@ def imported_packages(source: str) -> Iterator[str]:
 
 
 def forbidden_imports(source: str, package: str, *, module: str = "") -> set[str]:
-    allowed = WALLS[package] | EXCEPTIONS.get(module, set()) | {package}
+    allowed = WALLS[package] | exception_of(module) | {package}
     return set(imported_packages(source)) - allowed - sys.stdlib_module_names
+
+
+def exception_of(module: str) -> set[str]:
+    """What a module may import beyond its package's wall."""
+    inside = (name for name in EXCEPTIONS if f"{module}.".startswith(f"{name}."))
+    return set().union(*(EXCEPTIONS[name] for name in inside))
 
 
 def reachable(package: str) -> set[str]:
@@ -113,7 +122,7 @@ def loaded_packages(package: str) -> set[str]:
     modules = [
         name
         for path in sorted(source_folder(package).rglob("*.py"))
-        if (name := module_name(path, package)) not in EXCEPTIONS
+        if not exception_of(name := module_name(path, package))
     ]
     program = f"""
 import importlib, json, sys
@@ -158,11 +167,22 @@ def test_a_forbidden_import_is_found(package: str, source: str, forbidden: set[s
     assert forbidden_imports(source, package) == forbidden
 
 
-def test_only_the_named_module_has_its_exception() -> None:
-    source, package = "import zenoh", "anchorflow_client"
+@pytest.mark.parametrize(
+    ("module", "forbidden"),
+    [
+        ("anchorflow_client.zenoh_client", set()),
+        ("anchorflow_client.zenoh_client.session", set()),
+        ("anchorflow_client.zenoh_messages", {"zenoh"}),
+        ("anchorflow_client.codec", {"zenoh"}),
+    ],
+)
+def test_only_the_named_package_has_its_exception(module: str, forbidden: set[str]) -> None:
+    assert forbidden_imports("import zenoh", "anchorflow_client", module=module) == forbidden
 
-    assert forbidden_imports(source, package, module="anchorflow_client.zenoh") == set()
-    assert forbidden_imports(source, package, module="anchorflow_client.codec") == {"zenoh"}
+
+def test_the_client_and_the_service_load_no_zenoh() -> None:
+    for package in ("anchorflow_client", "anchorflow_service"):
+        assert "zenoh" not in loaded_packages(package)
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from anchorflow_cli.main import main
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
+from anchorflow_service.planning import PlanningService
 
 SMALL = ("--steps", 3, "--scenes", 4, "--samples", 4, "--no-tensorboard", "--model.map-size", 16)
 N, CELLS = 6, 32
@@ -67,7 +68,8 @@ def request_of(folder: Path) -> dict[str, Any]:
 
 def post(engine: Engine, body: dict[str, Any]) -> httpx.Response:
     """One POST /anchors to the application in this process."""
-    app = create_app({engine.card.name: engine}, default=engine.card.name)
+    name = engine.card.name
+    app = create_app(PlanningService({name: engine}, default=name))
 
     async def ask() -> httpx.Response:
         transport = httpx.ASGITransport(app=app)

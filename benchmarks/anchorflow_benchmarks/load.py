@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_benchmarks.turns import p50, p99
+from anchorflow_client.codec import Codec
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_client.http import AnchorClient
@@ -56,8 +57,12 @@ class Tally:
                 self.errors[getattr(error, "code", type(error).__name__)] += 1
 
 
-def over_http(url: str) -> Connect:
+def over_http(url: str, codec: Codec | None = None) -> Connect:
     """Clients of a server on this machine, each with a connection that is kept alive.
+
+    Args:
+        url: of the server.
+        codec: the form of what is sent and answered; JSON unless told.
 
     Raises:
         BenchmarkError: the URL names another machine, which is nobody's to load.
@@ -65,7 +70,11 @@ def over_http(url: str) -> Connect:
     host = urlsplit(url).hostname or ""
     if not _is_loopback(host):
         raise BenchmarkError(f"expected a URL of this machine, such as 127.0.0.1, got {url}")
-    return lambda stack: stack.enter_context(AnchorClient(url, timeout_s=120.0)).plan_request
+
+    def connect(stack: ExitStack) -> Ask:
+        return stack.enter_context(AnchorClient(url, timeout_s=120.0, codec=codec)).plan_request
+
+    return connect
 
 
 def in_process(engine: Engine) -> Connect:

@@ -6,6 +6,8 @@ with AnchorClient("http://127.0.0.1:8000") as client:
     anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
 """
 
+from anchorflow_client.base_client import BaseClient
+from anchorflow_client.cancellation import Cancellation
 from anchorflow_client.codec import Codec, Payload
 from anchorflow_client.contract import (
     AnchorBatch,
@@ -23,6 +25,7 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.errors import (
     AnchorFlowError,
+    Cancelled,
     ConnectionFailed,
     DeadlineExceeded,
     InternalError,
@@ -40,6 +43,7 @@ from anchorflow_client.errors import (
 )
 from anchorflow_client.http import AnchorClient
 from anchorflow_client.json_codec import JsonCodec
+from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.transport import Transport
 
 __all__ = [
@@ -47,6 +51,9 @@ __all__ = [
     "AnchorClient",
     "AnchorFlowError",
     "AnchorRequest",
+    "BaseClient",
+    "Cancellation",
+    "Cancelled",
     "Codec",
     "ConnectionFailed",
     "CostMap",
@@ -59,6 +66,7 @@ __all__ = [
     "ModelCard",
     "ModelId",
     "NotReady",
+    "OipCodec",
     "Overloaded",
     "Payload",
     "RefineChoice",

@@ -14,6 +14,7 @@
     ├─ TransportError             no answer that the contract knows
     │    ├─ ConnectionFailed      nobody listens there, or the connection broke
     │    ├─ TimedOut              the service did not answer in time
+    │    ├─ Cancelled             the caller took the request back
     │    └─ InvalidAnswer         what came is not the contract's
     └─ BundleError                a bundle on disk is broken (defined by the service's reader)
 
@@ -106,7 +107,7 @@ class TooLarge(RequestError):
 
 
 class Unauthorized(RequestError):
-    """The token is missing or wrong."""
+    """The token or the password is missing or wrong, or access control denies the key."""
 
     code = "unauthorized"
     http_status = 401
@@ -165,6 +166,10 @@ class ConnectionFailed(TransportError):
 
 class TimedOut(TransportError):
     """The service could not be reached, or did not answer, in the time allowed."""
+
+
+class Cancelled(TransportError):
+    """The caller took the request back before there was an answer."""
 
 
 class InvalidAnswer(TransportError):

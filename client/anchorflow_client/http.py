@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Any
 from urllib.parse import urlsplit
 
-import numpy as np
-from numpy.typing import ArrayLike
-
+from anchorflow_client.base_client import BaseClient
 from anchorflow_client.codec import Codec, Payload
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, ModelCard
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.errors import (
     ConnectionFailed,
     InvalidAnswer,
-    InvalidRequest,
     NotReady,
     RequestError,
     TimedOut,
@@ -24,8 +19,11 @@ from anchorflow_client.errors import (
 from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.transport import SocketTransport, Transport
 
+MAX_DIGITS = 18
+"""Of a number in a header, which fits 64 bits."""
 
-class AnchorClient:
+
+class AnchorClient(BaseClient):
     """A service at a URL, over one connection that is kept alive.
 
         with AnchorClient("http://127.0.0.1:8000") as client:
@@ -64,37 +62,8 @@ class AnchorClient:
         if token is not None:
             self._headers["Authorization"] = f"Bearer {token}"
 
-    def plan(
-        self,
-        *,
-        cost_map: CostMap | Mapping[str, Any] | ArrayLike,
-        x_curr: ArrayLike,
-        x_goal: ArrayLike,
-        resolution: float | None = None,
-        origin: ArrayLike | None = None,
-        **optional: Any,
-    ) -> AnchorBatch:
-        """Anchors from a state to a goal.
-
-        Args:
-            cost_map: a CostMap, {"data", "resolution", "origin"}, or an array [H,W], [C,H,W] or
-                [B,C,H,W] in [0, 1] beside `resolution` and `origin`.
-            x_curr: [3D] or [B,3D] position, velocity, acceleration in m, m/s, m/s^2; D is the
-                model's: 2 (x, y) or 3 (x, y, heading in rad, which runs on beyond ±π).
-            x_goal: [2D] or [B,2D] position, velocity.
-            resolution: m/cell, with an array.
-            origin: [2] m, outer corner of cell (0, 0), with an array; None centres the map.
-            **optional: further fields of `AnchorRequest`, such as num_samples, seed, budget_ms.
-
-        Raises:
-            InvalidRequest: before anything is sent, where a field breaks the contract.
-        """
-        grid = _cost_map(cost_map, resolution, origin)
-        request = AnchorRequest.build(cost_map=grid, x_curr=x_curr, x_goal=x_goal, **optional)
-        return self.plan_request(request)
-
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """The same for a request that was built before."""
+        """Anchors for a request that was built before."""
         payload = self._codec.encode_request(request)
         headers = {"Content-Type": self._codec.content_type}
         if payload.header_length is not None:
@@ -121,17 +90,6 @@ class AnchorClient:
         """Close the connection."""
         self._transport.close()
 
-    def __enter__(self) -> AnchorClient:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def _is_healthy(self, path: str) -> bool:
         try:
             self._send("GET", path, {"Accept": "application/json"})
@@ -150,16 +108,6 @@ class AnchorClient:
         return Payload(answer, _whole_number(answer_headers.get("inference-header-content-length")))
 
 
-def _cost_map(cost_map: Any, resolution: Any, origin: Any) -> CostMap | Mapping[str, Any]:
-    if isinstance(cost_map, CostMap | Mapping):
-        if resolution is not None or origin is not None:
-            raise InvalidRequest("expected resolution and origin inside this map only", "cost_map")
-        return cost_map
-    data = np.asarray(cost_map)
-    data = data[None] if data.ndim == 2 else data
-    return {"data": data, "resolution": resolution, "origin": origin}
-
-
 def _refusal(status: int, headers: Mapping[str, str], body: bytes) -> RequestError:
     """The service's own words. Raises `InvalidAnswer` where they are not the contract's."""
     try:
@@ -174,4 +122,4 @@ def _refusal(status: int, headers: Mapping[str, str], body: bytes) -> RequestErr
 
 def _whole_number(header: str | None) -> int | None:
     """The number in a header; None where there is none, or a date as Retry-After may hold."""
-    return int(header) if header and header.isdecimal() else None
+    return int(header) if header and header.isdecimal() and len(header) <= MAX_DIGITS else None

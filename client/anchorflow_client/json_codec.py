@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_client.codec import Payload
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, ModelId, WarmStart
-from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.contract.sampling import given
+from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
+from anchorflow_client.wire_fields import UNREADABLE, answer_fields, answer_of, request_fields
 
 
 class JsonCodec:
@@ -26,7 +23,7 @@ class JsonCodec:
 
     def encode_request(self, request: AnchorRequest) -> Payload:
         """The request's fields, those left to the card omitted."""
-        return Payload(self._dump(_request_fields(request)))
+        return Payload(self._dump(request_fields(request)))
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
         """A request out of untrusted bytes. Raises `InvalidRequest`."""
@@ -36,17 +33,15 @@ class JsonCodec:
         """The answer. Raises `ValueError` where a number is not finite."""
         if not batch.is_finite:
             raise ValueError("the answer holds numbers that are not finite")
-        return Payload(self._dump(_answer_fields(batch)))
+        return Payload(self._dump(answer_fields(batch)))
 
     def decode_answer(self, payload: Payload) -> AnchorBatch:
         """An answer out of untrusted bytes. Raises `InvalidAnswer`."""
         try:
-            batch = _answer(json.loads(payload.body))
-        except _UNREADABLE as error:
+            fields = json.loads(payload.body)
+        except UNREADABLE as error:
             raise InvalidAnswer(f"not an answer of the contract: {error!r}") from error
-        if not batch.is_finite:
-            raise InvalidAnswer("the answer holds numbers that are not finite")
-        return batch
+        return answer_of(fields)
 
     def _dump(self, value: dict[str, Any]) -> bytes:
         return json.dumps(
@@ -66,17 +61,6 @@ class JsonCodec:
             raise InvalidRequest(f"expected the contract's JSON, got {error}", "body") from error
 
 
-# What walking through JSON of another shape than expected raises.
-_UNREADABLE = (
-    ValueError,
-    TypeError,
-    KeyError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-)
-
-
 def not_json(reason: str, position: int, length: int) -> InvalidRequest:
     """The refusal of a body that breaks off, or breaks JSON's grammar."""
     place = f"position {position} of {length}"
@@ -88,52 +72,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"cannot write a {type(value).__name__} as JSON")
-
-
-def _request_fields(request: AnchorRequest) -> dict[str, Any]:
-    fields = request.field_values()
-    batched = fields.pop("batched")
-    for name in ("x_curr", "x_goal", "w_style"):
-        fields[name] = fields[name] if batched else fields[name][0]
-    fields["cost_map"] = _map_fields(request.cost_map, batched=batched)
-    fields["sampler"] = request.sampler and given(request.sampler)
-    fields["refine"] = request.refine and given(request.refine)
-    fields["warm_start"] = request.warm_start and _warm_start_fields(request.warm_start)
-    return {name: value for name, value in fields.items() if value is not None}
-
-
-def _map_fields(cost_map: CostMap, *, batched: bool) -> dict[str, Any]:
-    # One map broadcast over a batch, which numpy tells by a stride of 0, is sent once.
-    shared = not batched or cost_map.data.strides[0] == 0
-    data: NDArray[np.float32] = cost_map.data[0] if shared else cost_map.data
-    return {"data": data, "resolution": cost_map.resolution, "origin": cost_map.origin}
-
-
-def _warm_start_fields(warm_start: WarmStart) -> dict[str, Any]:
-    return {"trajectory": warm_start.trajectory, "tau": warm_start.tau}
-
-
-def _answer_fields(batch: AnchorBatch) -> dict[str, Any]:
-    return {name: getattr(batch, name) for name in ARRAY_DTYPES} | {
-        "dt": batch.dt,
-        "seed": batch.seed,
-        "model": asdict(batch.model),
-        "timing_ms": dict(batch.timing_ms),
-        "request_id": batch.request_id,
-    }
-
-
-def _answer(fields: dict[str, Any]) -> AnchorBatch:
-    """Keys that this version does not know are left out; a later service may send them."""
-    model = fields["model"]
-    arrays: dict[str, Any] = {
-        name: np.array(fields[name], dtype=dtype) for name, dtype in ARRAY_DTYPES.items()
-    }
-    return AnchorBatch(
-        **arrays,
-        dt=float(fields["dt"]),
-        seed=int(fields["seed"]),
-        model=ModelId(model["name"], model["version"], model["sha256"]),
-        timing_ms={str(stage): float(ms) for stage, ms in fields["timing_ms"].items()},
-        request_id=fields.get("request_id"),
-    )

@@ -7,7 +7,7 @@ to that string's length. So the lists are flattened level by level, at C speed, 
 from __future__ import annotations
 
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from anchorflow_client.contract.ranges import Interval
 from anchorflow_client.errors import InvalidRequest
 
 MAX_DIMENSIONS = 4
+
+Array = TypeVar("Array", bound=NDArray[Any])
 
 _SEQUENCES = (list, tuple, np.ndarray)
 
@@ -36,7 +38,18 @@ def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[n
     array = _from_array(value, field, shape) if hasattr(value, "__array__") else None
     if array is None:
         array = _from_lists(value, field, shape)
-    _check_range(array, field, interval)
+    return within(array, field, interval)
+
+
+def within(array: Array, field: str, interval: Interval) -> Array:
+    """The array itself. Raises `InvalidRequest` for the first number outside the interval."""
+    outside = ~interval.contains(array)
+    if outside.any():
+        index = int(outside.argmax())
+        came = array.flat[index]
+        what = f"numbers {interval}" if np.isfinite(came) else "finite numbers"
+        place = _place(index, array.shape)
+        raise InvalidRequest(f"expected {what}, got {describe(came)} at {field}{place}", field)
     return array
 
 
@@ -106,16 +119,6 @@ def _check_leaves(items: list[Any], sizes: list[int], field: str) -> None:
     if strangers:
         index = next(i for i, item in enumerate(items) if type(item) in strangers)
         raise _item_refused(items, index, sizes, field, "a number")
-
-
-def _check_range(array: NDArray[np.float64], field: str, interval: Interval) -> None:
-    outside = ~interval.contains(array)
-    if outside.any():
-        index = int(outside.argmax())
-        came = array.flat[index]
-        what = f"numbers {interval}" if np.isfinite(came) else "finite numbers"
-        place = _place(index, array.shape)
-        raise InvalidRequest(f"expected {what}, got {describe(came)} at {field}{place}", field)
 
 
 def _item_refused(

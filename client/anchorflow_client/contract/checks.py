@@ -118,8 +118,10 @@ def fields_of(
 
 
 def _sendable(name: str) -> str:
-    """Short, and without the lone surrogates that JSON can smuggle in and UTF-8 cannot carry."""
-    return name[:MAX_TEXT_LENGTH].encode("utf-8", "backslashreplace").decode()
+    """Short, seen even if empty, and without lone surrogates, which JSON smuggles in and UTF-8
+    cannot carry.
+    """
+    return name[:MAX_TEXT_LENGTH].encode("utf-8", "backslashreplace").decode() or '""'
 
 
 def _did_you_mean(name: str, known: Collection[str]) -> str:

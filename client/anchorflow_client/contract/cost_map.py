@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import numbers, read_only, wrong_shape
+from anchorflow_client.contract.arrays import numbers, read_only, within, wrong_shape
 from anchorflow_client.contract.checks import fields_of, number
 from anchorflow_client.errors import InvalidRequest
 
@@ -80,7 +80,11 @@ def _grid(data: Any) -> NDArray[np.float32]:
     field = "cost_map.data"
     if isinstance(data, np.ndarray) and data.dtype == np.bool_:
         data = data.astype(np.float32)
-    grid = numbers(data, field, ranges.UNIT, MAP_SHAPE)
+    # A decoder's view of the bytes that came is kept: nobody can write to it.
+    if isinstance(data, np.ndarray) and data.dtype == np.float32 and not data.flags.writeable:
+        grid = within(data, field, ranges.UNIT)
+    else:
+        grid = numbers(data, field, ranges.UNIT, MAP_SHAPE).astype(np.float32)
     if grid.ndim not in (3, 4):
         raise wrong_shape(field, MAP_SHAPE, grid)
     channels, *sides = grid.shape[-3:]
@@ -89,7 +93,7 @@ def _grid(data: Any) -> NDArray[np.float32]:
     if not all(ranges.MIN_MAP_CELLS <= side <= ranges.MAX_MAP_CELLS for side in sides):
         limits = f"from {ranges.MIN_MAP_CELLS} to {ranges.MAX_MAP_CELLS}"
         raise InvalidRequest(f"expected H and W {limits}, got {sides[0]} and {sides[1]}", field)
-    return grid.astype(np.float32)
+    return grid
 
 
 def _corner(origin: Any, shape: tuple[int, ...], resolution: float) -> NDArray[np.float64]:

@@ -32,6 +32,7 @@ OPTIONAL_FIELDS = (
     "refine",
     "warm_start",
     "budget_ms",
+    "robot_id",
     "request_id",
 )
 FIELDS = REQUIRED_FIELDS + OPTIONAL_FIELDS
@@ -72,6 +73,8 @@ class AnchorRequest:
     warm_start: WarmStart | None = None
     budget_ms: float | None = None
     """Time left to the caller, counted from arrival."""
+    robot_id: str | None = None
+    """Who asks: a newer request of the same robot takes the place of one that is not answered."""
     batched: bool = False
     """False: there is one scene, and the answer has no B axis."""
     request_id: str | None = None
@@ -227,6 +230,7 @@ _CHECK_OF_OPTION: dict[str, Callable[[Any], Any]] = {
     "sampler": SamplerChoice.from_fields,
     "refine": RefineChoice.from_fields,
     "budget_ms": partial(number, field="budget_ms", interval=ranges.BUDGET),
+    "robot_id": partial(text, field="robot_id"),
     "request_id": partial(text, field="request_id"),
 }
 

@@ -1,0 +1,176 @@
+"""A message: a JSON header, padded with spaces, and the tensors that it lists, one after another.
+
+    {"inputs": [{"name", "datatype", "shape", "parameters": {"binary_data_size"}}, …], …}␠␠␠
+    <first tensor><second tensor>…
+
+Nothing is believed: a tensor is read only where its shape, its declared size and the bytes that
+came agree, so that no header asks for more memory than its body holds.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.codec import Payload
+from anchorflow_client.contract.checks import choice, expected, fields_of, text
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.oip.datatypes import DTYPE_OF, name_of, to_wire
+
+ALIGNMENT = 64
+"""Bytes that the padded header is a multiple of, so that the tensors behind it are aligned."""
+MAX_HEADER_BYTES = 64 * 1024
+"""Longest header that is parsed; an honest one has one or two KiB."""
+MAX_DIMENSIONS = 8
+
+Tensors = Mapping[str, NDArray[Any]]
+Datatypes = Mapping[str, Sequence[str]]
+"""The datatypes that a reader takes, by the name of the tensor."""
+
+
+def pack(fields: Mapping[str, Any], role: str, tensors: Tensors) -> Payload:
+    """The bytes of a message.
+
+    Args:
+        fields: what the header says beside its tensors, in JSON's types.
+        role: "inputs" or "outputs", the header's key for the tensors.
+        tensors: of float32, float64 or bool, in the order in which they are sent.
+    """
+    parts = [to_wire(tensor) for tensor in tensors.values()]
+    entries = [
+        {
+            "name": name,
+            "datatype": name_of(tensor.dtype),
+            "shape": tensor.shape,
+            "parameters": {"binary_data_size": part.nbytes},
+        }
+        for (name, tensor), part in zip(tensors.items(), parts, strict=True)
+    ]
+    header = json.dumps({**fields, role: entries}, allow_nan=False, separators=(",", ":")).encode()
+    header += b" " * (-len(header) % ALIGNMENT)
+    return Payload(b"".join([header, *parts]), len(header))
+
+
+def unpack_header(payload: Payload) -> tuple[Mapping[str, Any], memoryview]:
+    """The header and the bytes behind it, read-only and not copied. Raises `InvalidRequest`."""
+    body, length = memoryview(payload.body).toreadonly(), payload.header_length
+    if length is None:
+        beside = "Inference-Header-Content-Length in HTTP, header_length in zenoh's attachment"
+        raise InvalidRequest(
+            f"expected the length of the JSON header ({beside}), got none", "header_length"
+        )
+    if not 0 < length <= min(len(body), MAX_HEADER_BYTES):
+        most = f"{MAX_HEADER_BYTES}, in a body of {len(body)}"
+        raise InvalidRequest(f"expected 1 to {most} bytes, got {length}", "header_length")
+    return _parsed(bytes(body[:length])), body[length:]
+
+
+def unpack_tensors(
+    entries: Any, data: memoryview, role: str, known: Datatypes, *, take_strangers: bool = False
+) -> dict[str, NDArray[Any]]:
+    """The tensors that a header lists: read-only views of `data`, nothing copied.
+
+    Args:
+        entries: what stands under the header's `role`.
+        data: the bytes behind the header.
+        role: "inputs" or "outputs", for messages.
+        known: which tensors there may be, of which datatypes.
+        take_strangers: pass over tensors that are not known instead of refusing them.
+
+    Raises:
+        InvalidRequest: names the tensor, or "body" where the lengths do not add up.
+    """
+    if not isinstance(entries, list):
+        raise expected(role, "a list of tensors", entries)
+    tensors: dict[str, NDArray[Any]] = {}
+    offset = 0
+    for index, value in enumerate(entries):
+        entry = _Entry.read(value, f"{role}[{index}]")
+        part = data[offset : offset + entry.size]
+        offset += entry.size
+        if entry.name in tensors:
+            raise InvalidRequest(f"expected one tensor of this name, got two in {role}", entry.name)
+        if entry.name in known:
+            tensors[entry.name] = entry.view(part, known[entry.name])
+        elif not take_strangers:
+            names = ", ".join(known)
+            raise InvalidRequest(f"unknown tensor {entry.name!r}; known are {names}", entry.field)
+    if offset != len(data):
+        came = f"{len(data)} bytes behind the header"
+        raise InvalidRequest(f"expected {offset}, as its tensors declare, got {came}", "body")
+    return tensors
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """What a header says of one tensor."""
+
+    field: str
+    """Where it stands, such as inputs[2]."""
+    name: str
+    datatype: Any
+    shape: Any
+    size: int
+    """Bytes that it declares."""
+
+    @classmethod
+    def read(cls, value: Any, field: str) -> _Entry:
+        names = ("name", "datatype", "shape", "parameters")
+        entry = fields_of(value, field, names, required=names)
+        name = text(entry["name"], f"{field}.name")
+        parameters = fields_of(
+            entry["parameters"], f"{name}.parameters", ("binary_data_size",), ("binary_data_size",)
+        )
+        size = parameters["binary_data_size"]
+        if not _is_count(size, at_least=0):
+            raise expected(f"{name}.parameters.binary_data_size", "a number of bytes", size)
+        return cls(field, name, entry["datatype"], entry["shape"], size)
+
+    def view(self, part: memoryview, datatypes: Sequence[str]) -> NDArray[Any]:
+        """The tensor in `part`, whose shape, type and size agree."""
+        dtype = DTYPE_OF[choice(self.datatype, self.name, datatypes)]
+        shape = self.shape
+        if not (isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS):
+            raise expected(self.name, f"a shape of at most {MAX_DIMENSIONS} axes", shape)
+        for size in shape:
+            if not _is_count(size, at_least=1):
+                raise expected(self.name, "a shape of whole numbers from 1 on", size)
+        # Python's own integers: a product of lying axes overflows none.
+        wanted = math.prod(shape) * dtype.itemsize
+        if wanted != self.size:
+            declared = f"a binary_data_size of {self.size}"
+            what = f"{wanted} bytes for {self.datatype} {shape}"
+            raise InvalidRequest(f"expected {what}, got {declared}", self.name)
+        if len(part) != self.size:
+            raise InvalidRequest(f"expected {self.size} bytes, got {len(part)}", self.name)
+        return _array(part, dtype, self.name).reshape(shape)
+
+
+def _is_count(value: Any, *, at_least: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= at_least
+
+
+def _array(part: memoryview, dtype: np.dtype, name: str) -> NDArray[Any]:
+    if dtype != np.bool_:
+        return np.frombuffer(part, dtype)
+    values = np.frombuffer(part, np.uint8)
+    if (values > 1).any():
+        raise InvalidRequest(f"expected bytes of 0 or 1, got {int(values.max())}", name)
+    return values.view(np.bool_)
+
+
+def _parsed(header: bytes) -> Mapping[str, Any]:
+    try:
+        value = json.loads(header.decode())
+    # A number of thousands of digits, bytes that are no UTF-8, or lists nested beyond any header.
+    except (ValueError, RecursionError) as error:
+        raise InvalidRequest(f"expected JSON, got {error}", "header") from error
+    if not isinstance(value, Mapping):
+        raise expected("header", "an object", value)
+    return value

@@ -1,0 +1,94 @@
+"""The fields of the JSON contract: what every form on the wire says, before it becomes bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, ModelId, WarmStart
+from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.sampling import given
+from anchorflow_client.errors import InvalidAnswer
+
+# What walking through fields of another shape than expected raises.
+UNREADABLE = (
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
+
+
+def request_fields(request: AnchorRequest) -> dict[str, Any]:
+    """A request's fields, arrays as numpy holds them; those left to the card are omitted."""
+    fields = request.field_values()
+    batched = fields.pop("batched")
+    for name in ("x_curr", "x_goal", "w_style"):
+        fields[name] = fields[name] if batched else fields[name][0]
+    fields["cost_map"] = _map_fields(request.cost_map, batched=batched)
+    fields["sampler"] = request.sampler and given(request.sampler)
+    fields["refine"] = request.refine and given(request.refine)
+    fields["warm_start"] = request.warm_start and _warm_start_fields(request.warm_start)
+    return {name: value for name, value in fields.items() if value is not None}
+
+
+def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
+    """An answer's fields, arrays as numpy holds them."""
+    return {name: getattr(batch, name) for name in ARRAY_DTYPES} | {
+        "dt": batch.dt,
+        "seed": batch.seed,
+        "model": asdict(batch.model),
+        "timing_ms": dict(batch.timing_ms),
+        "request_id": batch.request_id,
+    }
+
+
+def answer_of(fields: Any) -> AnchorBatch:
+    """An answer out of untrusted fields; keys that this version does not know are left out.
+
+    Raises:
+        InvalidAnswer: they are not the contract's, or hold numbers that are not finite.
+    """
+    try:
+        batch = _answer(fields)
+        finite = batch.is_finite
+    except UNREADABLE as error:
+        raise InvalidAnswer(f"not an answer of the contract: {error!r}") from error
+    if not finite:
+        raise InvalidAnswer("the answer holds numbers that are not finite")
+    return batch
+
+
+def _map_fields(cost_map: CostMap, *, batched: bool) -> dict[str, Any]:
+    # One map broadcast over a batch, which numpy tells by a stride of 0, is sent once.
+    shared = not batched or cost_map.data.strides[0] == 0
+    data: NDArray[np.float32] = cost_map.data[0] if shared else cost_map.data
+    return {"data": data, "resolution": cost_map.resolution, "origin": cost_map.origin}
+
+
+def _warm_start_fields(warm_start: WarmStart) -> dict[str, Any]:
+    return {"trajectory": warm_start.trajectory, "tau": warm_start.tau}
+
+
+def _answer(fields: Mapping[str, Any]) -> AnchorBatch:
+    model = fields["model"]
+    names = (model["name"], model["version"], model["sha256"])
+    if not all(isinstance(name, str) for name in names):
+        raise TypeError(f"expected strings in model, got {names!r:.200}")
+    arrays: dict[str, Any] = {
+        name: np.asarray(fields[name], dtype=dtype) for name, dtype in ARRAY_DTYPES.items()
+    }
+    return AnchorBatch(
+        **arrays,
+        dt=float(fields["dt"]),
+        seed=int(fields["seed"]),
+        model=ModelId(*names),
+        timing_ms={str(stage): float(ms) for stage, ms in fields["timing_ms"].items()},
+        request_id=fields.get("request_id"),
+    )

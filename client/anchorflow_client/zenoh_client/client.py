@@ -1,0 +1,126 @@
+"""The client: asks services for anchors over zenoh."""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+from anchorflow_client.base_client import BaseClient
+from anchorflow_client.cancellation import Cancellation
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
+from anchorflow_client.errors import ConnectionFailed, TimedOut
+from anchorflow_client.oip_codec import OipCodec
+from anchorflow_client.zenoh_client.asking import Asking, Question
+from anchorflow_client.zenoh_client.connection import Connection
+from anchorflow_client.zenoh_client.deadline import Deadline
+from anchorflow_client.zenoh_client.network import Network
+from anchorflow_client.zenoh_client.settings import ZenohSettings
+from anchorflow_client.zenoh_messages import ReplicaInfo
+
+
+class ZenohAnchorClient(BaseClient):
+    """The replicas of a service on a zenoh network; threads may share it.
+
+        with ZenohAnchorClient("tcp/127.0.0.1:7447") as client:
+            anchors = client.plan(
+                cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal, budget_ms=80
+            )
+
+    The replica that is likely the first to answer is asked, by the load that replicas report. Where
+    it dies, or is full, another is asked within the same time.
+
+    Errors:
+        ConnectionFailed: nobody is there: no router, no service, or TLS fails.
+        Unauthorized: the user or password is wrong, or access control denies the key.
+        TimedOut: no answer came within `budget_ms`, or `timeout_s` without one.
+        Cancelled: the request was taken back.
+        RequestError: the service refuses, in the same words as over HTTP.
+    """
+
+    def __init__(
+        self,
+        where: str | Sequence[str] | ZenohSettings,
+        *,
+        timeout_s: float = 30.0,
+    ) -> None:
+        """Opens nothing yet.
+
+        Args:
+            where: endpoints to connect to, such as tcp/127.0.0.1:7447, or settings.
+            timeout_s: longest wait for an answer, where the request brings no budget.
+        """
+        self._connection = Connection(_settings(where))
+        self._timeout_s = timeout_s
+        self._codec = OipCodec()
+        self._closing = Cancellation()
+
+    def plan_request(
+        self, request: AnchorRequest, *, cancellation: Cancellation | None = None
+    ) -> AnchorBatch:
+        """Anchors for a request that was built before.
+
+        Args:
+            request: its `budget_ms` bounds the whole call, connecting and failover included.
+            cancellation: takes the request back, from any thread.
+        """
+        budget_ms = request.budget_ms
+        deadline = Deadline(self._timeout_s if budget_ms is None else budget_ms / 1e3)
+        question = Question(
+            payload=self._codec.encode_request(request),
+            content_type=self._codec.content_type,
+            request_id=request.request_id or uuid.uuid4().hex,
+            model=request.model,
+            deadline=deadline,
+            has_budget=budget_ms is not None,
+        )
+        asking = Asking(self._settled(deadline), question)
+        cancellations = [self._closing, *([] if cancellation is None else [cancellation])]
+        with ExitStack() as stack:
+            for each in cancellations:
+                stack.enter_context(each.watched_by(asking.cancel))
+            return self._codec.decode_answer(asking.run())
+
+    def models(self) -> tuple[ModelCard, ...]:
+        """The cards of all bundles that are served, the default first."""
+        cards: dict[str, ModelCard] = {}
+        for info in self._infos():
+            for card in info.models:
+                cards.setdefault(card.name, card)
+        return tuple(cards.values())
+
+    def live(self) -> bool:
+        """Whether a service is there; False where there is none, or no way to it."""
+        try:
+            network = self._settled(Deadline(self._timeout_s))
+        except (ConnectionFailed, TimedOut):
+            return False
+        return bool(network.replicas.alive())
+
+    def ready(self) -> bool:
+        """Whether a replica takes requests now; False while all start or stop, or none is there."""
+        try:
+            return any(info.ready for info in self._infos())
+        except (ConnectionFailed, TimedOut):
+            return False
+
+    def close(self) -> None:
+        """Leave the network; requests that wait for an answer are taken back."""
+        self._closing.cancel()
+        self._connection.close()
+
+    def _settled(self, deadline: Deadline) -> Network:
+        network = self._connection.network(deadline.left_s)
+        network.settle(deadline)
+        return network
+
+    def _infos(self) -> list[ReplicaInfo]:
+        deadline = Deadline(self._timeout_s)
+        return self._connection.network(deadline.left_s).infos(deadline)
+
+
+def _settings(where: str | Sequence[str] | ZenohSettings) -> ZenohSettings:
+    if isinstance(where, ZenohSettings):
+        return where
+    endpoints = (where,) if isinstance(where, str) else tuple(where)
+    return ZenohSettings(mode="client", connect=endpoints)

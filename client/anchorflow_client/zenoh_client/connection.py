@@ -1,0 +1,50 @@
+"""The connection of a client: made when it is first needed, and again where that failed."""
+
+from __future__ import annotations
+
+import threading
+
+from anchorflow_client.errors import ConnectionFailed
+from anchorflow_client.zenoh_client.background import Background
+from anchorflow_client.zenoh_client.network import Network
+from anchorflow_client.zenoh_client.session import config_of, open_session, why_alone
+from anchorflow_client.zenoh_client.settings import ZenohSettings
+
+
+class Connection:
+    """Joins the network in the background. Zenoh itself mends a connection that breaks later."""
+
+    def __init__(self, settings: ZenohSettings) -> None:
+        self._settings = settings
+        self._lock = threading.Lock()
+        self._network: Network | None = None
+        self._is_closed = False
+        self._joining = Background(self._join, name="connecting")
+        self._explaining = Background(lambda: why_alone(config_of(settings)), name="diagnosis")
+
+    def network(self, timeout_s: float) -> Network:
+        """The network.
+
+        Raises:
+            TimedOut: it is not joined by then; joining goes on.
+            ConnectionFailed, Unauthorized, ZenohConfigError: why it cannot be joined.
+        """
+        if self._is_closed:
+            raise ConnectionFailed("the client is closed")
+        return self._network or self._joining.result(timeout_s)
+
+    def close(self) -> None:
+        """Leave the network, at once or as soon as it is joined."""
+        with self._lock:
+            self._is_closed, network = True, self._network
+        if network is not None:
+            network.close()
+
+    def _join(self) -> Network:
+        network = Network(open_session(self._settings), self._explaining)
+        with self._lock:
+            self._network = network
+            is_closed = self._is_closed
+        if is_closed:
+            network.close()
+        return network

@@ -1,0 +1,149 @@
+"""A session on the network, and who is alive on it."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+import zenoh
+
+from anchorflow_client.errors import (
+    AnchorFlowError,
+    ConnectionFailed,
+    InvalidAnswer,
+    TimedOut,
+    Unauthorized,
+)
+from anchorflow_client.keys import ALL_INFO, ALL_REPLICAS, info_key, replica_of
+from anchorflow_client.zenoh_client.background import Background
+from anchorflow_client.zenoh_client.deadline import Deadline
+from anchorflow_client.zenoh_client.replicas import Replicas
+from anchorflow_client.zenoh_messages import ReplicaInfo
+
+DISCOVERY_S = 0.5
+"""How long after the connection a service may take to be seen."""
+INFO_S = 2.0
+"""How long a replica may take to tell of itself."""
+
+logger = logging.getLogger(__name__)
+
+
+class Network:
+    """Watches the replicas' liveliness tokens, and has each tell its cards and its load.
+
+    Args:
+        session: open, and closed with this.
+        explaining: finds out why the session has nobody to talk to.
+    """
+
+    def __init__(self, session: zenoh.Session, explaining: Background[AnchorFlowError]) -> None:
+        self.session = session
+        self.replicas = Replicas()
+        self._explaining = explaining
+        self._seen_by = time.monotonic() + DISCOVERY_S
+        session.liveliness().declare_subscriber(ALL_REPLICAS, self._see, history=True)
+
+    def settle(self, deadline: Deadline) -> None:
+        """Returns when a replica is known that can be asked, or none is to be expected."""
+        self._refresh()
+        early_s = max(0.0, self._seen_by - time.monotonic())
+        self.replicas.wait_until_known(deadline.left_s, somebody_s=early_s)
+
+    def infos(self, deadline: Deadline) -> list[ReplicaInfo]:
+        """What the replicas tell of themselves now; those that say nothing are left out.
+
+        Raises:
+            ConnectionFailed: nobody is there.
+            Unauthorized: replicas are alive, and none may be asked.
+        """
+        self.settle(deadline)
+        timeout_s = min(INFO_S, max(deadline.left_s, 1e-3))
+        with translated():
+            replies = self.session.get(ALL_INFO, target=zenoh.QueryTarget.ALL, timeout=timeout_s)
+            told = [info for reply in replies if (info := _info(reply)) is not None]
+        if not told:
+            raise self.why_nobody(deadline)
+        return told
+
+    def why_nobody(self, deadline: Deadline) -> AnchorFlowError:
+        """Why there is no replica that can be asked."""
+        if silent := self.replicas.silent():
+            heard = f"{', '.join(silent)} is alive, and nothing comes from its info key"
+            return Unauthorized(f"{heard}: access control denies it to this node")
+        if alive := self.replicas.alive():
+            return TimedOut(f"{', '.join(alive)} is alive and has not told yet what it serves")
+        info = self.session.info
+        if info.transports():
+            nodes = ", ".join(map(str, (*info.routers_zid(), *info.peers_zid())))
+            seen = "no service is alive there that this node may see"
+            return ConnectionFailed(f"connected to {nodes}: {seen}")
+        try:
+            return self._explaining.result(deadline.left_s)
+        except TimedOut:
+            return ConnectionFailed("not connected to any zenoh node")
+
+    def close(self) -> None:
+        """Leave the network."""
+        self.session.close()
+
+    def _see(self, sample: zenoh.Sample) -> None:
+        """A replica's liveliness token came or went."""
+        name = replica_of(str(sample.key_expr))
+        if sample.kind == zenoh.SampleKind.PUT:
+            logger.info("replica %s is alive", name)
+            self.replicas.appear(name)
+            self._refresh()
+        else:
+            logger.info("replica %s is gone", name)
+            self.replicas.vanish(name)
+
+    def _refresh(self) -> None:
+        """Has those tell of themselves whose word is old; waits for none of them."""
+        for name in self.replicas.to_be_asked():
+            self._have_told(name)
+
+    def _have_told(self, name: str) -> None:
+        hearing = _Hearing(self.replicas, name)
+        handler = zenoh.handlers.Callback(hearing.hear, hearing.end, indirect=False)
+        with suppress(zenoh.ZError):  # the session was closed meanwhile
+            self.session.get(info_key(name), handler, timeout=INFO_S)
+
+
+@contextmanager
+def translated() -> Iterator[None]:
+    """Zenoh's own errors, which a session that was closed raises, as the contract's."""
+    try:
+        yield
+    except zenoh.ZError as error:
+        raise ConnectionFailed(f"the connection is closed: {error}") from error
+
+
+class _Hearing:
+    """One replica is asked to tell of itself."""
+
+    def __init__(self, replicas: Replicas, name: str) -> None:
+        self._replicas = replicas
+        self._name = name
+        self._has_told = False
+
+    def hear(self, reply: zenoh.Reply) -> None:
+        if (info := _info(reply)) is not None and info.replica == self._name:
+            self._has_told = True
+            self._replicas.learn(info)
+
+    def end(self) -> None:
+        if not self._has_told:
+            self._replicas.hear_nothing(self._name)
+
+
+def _info(reply: zenoh.Reply) -> ReplicaInfo | None:
+    """What a reply tells; None, and a line in the log, where it tells nothing."""
+    if reply.ok is None:
+        return None
+    try:
+        return ReplicaInfo.from_bytes(reply.ok.payload.to_bytes())
+    except InvalidAnswer as error:
+        logger.warning("%s: %s", reply.ok.key_expr, error)
+        return None

@@ -1,0 +1,201 @@
+"""Who is alive, how busy, and who is asked next. Knows nothing of zenoh."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from anchorflow_client.contract import ModelCard
+from anchorflow_client.errors import UnknownModel
+from anchorflow_client.zenoh_messages import Load, ReplicaInfo
+
+SHUNNED_S = 2.0
+"""How long a replica that failed to answer is asked last."""
+FRESH_S = 1.0
+"""How long what a replica told of itself is taken for true."""
+
+
+@dataclass
+class _Replica:
+    """A replica that is alive."""
+
+    name: str
+    models: tuple[ModelCard, ...] | None = None
+    """None: it has not told yet, or may not."""
+    is_silent: bool = False
+    """It was asked to tell, and nothing came."""
+    is_ready: bool = True
+    """False: it starts or stops; it may still answer, and others had better be asked."""
+    load: Load = field(default_factory=Load)
+    told_at: float = -float("inf")
+    is_being_asked: bool = False
+    outstanding: int = 0
+    """Requests of this client that it has not answered yet."""
+    shunned_until: float = -float("inf")
+
+    @property
+    def is_known(self) -> bool:
+        return self.models is not None or self.is_silent
+
+
+class Choice(NamedTuple):
+    """Whom to ask, for which model, and when to expect the answer."""
+
+    replica: str
+    model: str
+    expected_ms: float
+
+
+class Replicas:
+    """The replicas that are alive; threads share it."""
+
+    def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._changed = threading.Condition()
+        self._alive: dict[str, _Replica] = {}
+
+    def appear(self, name: str) -> None:
+        """Its liveliness token is there."""
+        with self._changed:
+            self._alive.setdefault(name, _Replica(name))
+            self._changed.notify_all()
+
+    def vanish(self, name: str) -> None:
+        """Its liveliness token is gone."""
+        with self._changed:
+            self._alive.pop(name, None)
+            self._changed.notify_all()
+
+    def learn(self, info: ReplicaInfo) -> None:
+        """It told of itself."""
+        with self._changed:
+            if replica := self._alive.get(info.replica):
+                replica.models, replica.is_ready = info.models, info.ready
+                replica.is_silent = replica.is_being_asked = False
+                replica.load, replica.told_at = info.load, self._clock()
+                self._changed.notify_all()
+
+    def hear_nothing(self, name: str) -> None:
+        """It was asked to tell of itself, and nothing came."""
+        with self._changed:
+            if replica := self._alive.get(name):
+                replica.is_silent, replica.is_being_asked = True, False
+                replica.told_at = self._clock()
+                self._changed.notify_all()
+
+    def to_be_asked(self) -> list[str]:
+        """Those whose word is old; they count as being asked from now on."""
+        now = self._clock()
+        with self._changed:
+            stale = [
+                replica
+                for replica in self._alive.values()
+                if not replica.is_being_asked and now - replica.told_at > FRESH_S
+            ]
+            for replica in stale:
+                replica.is_being_asked = True
+            return [replica.name for replica in stale]
+
+    def begin(self, name: str) -> None:
+        """A request is on its way to it."""
+        with self._changed:
+            if replica := self._alive.get(name):
+                replica.outstanding += 1
+
+    def end(self, name: str, load: Load | None, *, failed: bool = False) -> None:
+        """That request is over: answered, with the load that came along, or not at all."""
+        with self._changed:
+            if replica := self._alive.get(name):
+                replica.outstanding -= 1
+                if load is not None:
+                    replica.load = load
+                if failed:
+                    replica.shunned_until = self._clock() + SHUNNED_S
+
+    def choose(self, model: str | None, tried: Collection[str] = ()) -> Choice | None:
+        """The replica that likely answers first, of those not tried; None where there is none.
+
+        Raises:
+            UnknownModel: every replica told what it serves, and none serves the model.
+        """
+        with self._changed:
+            self._check_model(model)
+            open_to = [
+                (replica, name)
+                for replica in self._alive.values()
+                if replica.name not in tried and (name := _served_as(replica, model))
+            ]
+            if not open_to:
+                return None
+            # Who has not answered yet is taken to be as fast as the fastest, and tried first.
+            means = (replica.load.mean_service_ms for replica in self._alive.values())
+            unknown_ms = min(filter(None, means), default=1.0)
+            replica, name = min(open_to, key=lambda pair: self._rank(pair[0], unknown_ms))
+            expected_ms = replica.load.expected_ms(replica.outstanding)
+            return Choice(replica.name, name, expected_ms)
+
+    def alive(self) -> tuple[str, ...]:
+        """Their names."""
+        with self._changed:
+            return tuple(self._alive)
+
+    def silent(self) -> tuple[str, ...]:
+        """The names of those that were asked to tell of themselves, and from which nothing came."""
+        with self._changed:
+            return tuple(name for name, replica in self._alive.items() if replica.is_silent)
+
+    def wait_until_known(self, timeout_s: float, *, somebody_s: float) -> None:
+        """Until one has told of itself.
+
+        Args:
+            timeout_s: longest wait, as long as somebody is alive who has not told yet.
+            somebody_s: longest wait for somebody to be alive at all.
+        """
+        start = self._clock()
+        with self._changed:
+            while (left := timeout_s - (self._clock() - start)) > 0:
+                early = somebody_s - (self._clock() - start)
+                replicas = self._alive.values()
+                if any(replica.models for replica in replicas):
+                    return
+                if early <= 0 and all(replica.is_known for replica in replicas):
+                    return
+                self._changed.wait(min(left, early) if early > 0 else left)
+
+    def wait_until_gone(self, names: Iterable[str], timeout_s: float) -> list[str]:
+        """Waits for the names to vanish; gives those that are still alive then."""
+        wanted = set(names)
+        with self._changed:
+            self._changed.wait_for(lambda: not wanted & self._alive.keys(), timeout_s)
+            return sorted(wanted & self._alive.keys())
+
+    def _rank(self, replica: _Replica, unknown_ms: float) -> tuple[int, float, float]:
+        doubts = (
+            replica.shunned_until > self._clock(),
+            replica.is_silent,
+            not replica.is_ready,
+        )
+        load = replica.load
+        expected_ms = load.expected_ms(replica.outstanding, unknown_ms=unknown_ms)
+        return sum(doubts), expected_ms, load.mean_service_ms
+
+    def _check_model(self, model: str | None) -> None:
+        replicas = self._alive.values()
+        told = [replica.models for replica in replicas if replica.models is not None]
+        served = {card.name for models in told for card in models}
+        if model is None or not served or len(told) < len(replicas) or model in served:
+            return
+        names = ", ".join(sorted(served))
+        raise UnknownModel(f"expected a model that is served ({names}), got {model!r}", "model")
+
+
+def _served_as(replica: _Replica, model: str | None) -> str | None:
+    """The model's name where the replica serves it, or may; its default for None."""
+    if replica.models is None:
+        return model
+    if model is None:
+        return replica.models[0].name if replica.models else None
+    return model if any(card.name == model for card in replica.models) else None

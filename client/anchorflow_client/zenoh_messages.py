@@ -1,0 +1,169 @@
+"""What zenoh carries beside the payloads: attachments, and what a replica tells of itself. JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from anchorflow_client.contract import ModelCard
+from anchorflow_client.contract.checks import expected, fields_of, integer, number, text
+from anchorflow_client.contract.ranges import BUDGET, Interval
+from anchorflow_client.errors import InvalidAnswer, InvalidRequest
+
+_LENGTHS = Interval(0, 2**53)
+_COUNTS = Interval(0, 2**31)
+_TIMES = Interval(0.0, 1e9, "ms")
+
+
+@dataclass(frozen=True)
+class RequestAttachment:
+    """What a query says beside its payload."""
+
+    header_length: int | None = None
+    """Bytes of the JSON header in front of the tensors."""
+    request_id: str | None = None
+    budget_ms: float | None = None
+    """Time left to the caller, from arrival; stands above the one inside the payload."""
+
+    def to_bytes(self) -> bytes:
+        """UTF-8 JSON; what is None is left out."""
+        return _written({name: value for name, value in asdict(self).items() if value is not None})
+
+    @classmethod
+    def from_bytes(cls, data: bytes | None) -> RequestAttachment:
+        """Read untrusted bytes; none at all say nothing.
+
+        Raises:
+            InvalidRequest: names attachment or attachment.FIELD.
+        """
+        if data is None:
+            return cls()
+        said = fields_of(_parsed(data), "attachment", tuple(_CHECK_OF_FIELD))
+        return cls(
+            **{
+                name: _CHECK_OF_FIELD[name](value, f"attachment.{name}")
+                for name, value in said.items()
+                if value is not None
+            }
+        )
+
+
+_CHECK_OF_FIELD: dict[str, Any] = {
+    "header_length": lambda value, field: integer(value, field, _LENGTHS),
+    "request_id": text,
+    "budget_ms": lambda value, field: number(value, field, BUDGET),
+}
+
+
+@dataclass(frozen=True)
+class Load:
+    """How busy a replica is."""
+
+    in_flight: int = 0
+    """Requests that are planned or wait."""
+    workers: int = 1
+    """Requests that are planned at a time."""
+    mean_service_ms: float = 0.0
+    """Running mean of the time that one takes a worker; 0 before the first."""
+
+    def expected_ms(self, more: int = 0, *, unknown_ms: float = 0.0) -> float:
+        """Time until one more request is likely answered.
+
+        Args:
+            more: others that are on their way and not counted yet.
+            unknown_ms: stands in for the mean before the first.
+        """
+        waiting = max(0, self.in_flight + more + 1 - self.workers)
+        return (self.mean_service_ms or unknown_ms) * (1 + waiting / self.workers)
+
+    @classmethod
+    def from_fields(cls, value: Any) -> Load:
+        """Read untrusted fields; a later service may say more. Raises `InvalidRequest`."""
+        if not isinstance(value, Mapping):
+            raise expected("load", "an object", value)
+        return cls(
+            in_flight=integer(value.get("in_flight"), "load.in_flight", _COUNTS),
+            workers=integer(value.get("workers"), "load.workers", Interval(1, _COUNTS.high)),
+            mean_service_ms=number(value.get("mean_service_ms"), "load.mean_service_ms", _TIMES),
+        )
+
+
+@dataclass(frozen=True)
+class AnswerAttachment:
+    """What a reply says beside its payload."""
+
+    header_length: int | None
+    request_id: str
+    replica: str
+    """Who answered."""
+    load: Load
+
+    def to_bytes(self) -> bytes:
+        """UTF-8 JSON."""
+        return _written(asdict(self))
+
+    @classmethod
+    def from_bytes(cls, data: bytes | None) -> AnswerAttachment:
+        """Read untrusted bytes. Raises `InvalidAnswer`."""
+        try:
+            said = _parsed(data or b"")
+            return cls(
+                integer(said.get("header_length"), "attachment.header_length", _LENGTHS),
+                text(said.get("request_id"), "attachment.request_id"),
+                text(said.get("replica"), "attachment.replica"),
+                Load.from_fields(said.get("load")),
+            )
+        except InvalidRequest as error:
+            raise InvalidAnswer(f"not an answer of the contract: {error}") from error
+
+
+@dataclass(frozen=True)
+class ReplicaInfo:
+    """What a replica tells of itself."""
+
+    replica: str
+    ready: bool
+    load: Load
+    models: tuple[ModelCard, ...]
+    """The default first."""
+
+    def to_bytes(self) -> bytes:
+        """UTF-8 JSON."""
+        return _written(
+            {
+                "replica": self.replica,
+                "ready": self.ready,
+                "load": asdict(self.load),
+                "models": [card.to_dict() for card in self.models],
+            }
+        )
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> ReplicaInfo:
+        """Read untrusted bytes. Raises `InvalidAnswer`."""
+        try:
+            said = _parsed(data)
+            return cls(
+                replica=text(said.get("replica"), "replica"),
+                ready=said.get("ready") is True,
+                load=Load.from_fields(said.get("load")),
+                models=tuple(map(ModelCard.from_dict, said["models"])),
+            )
+        except (InvalidRequest, ValueError, TypeError, KeyError, AttributeError) as error:
+            raise InvalidAnswer(f"not what a replica tells of itself: {error!r}") from error
+
+
+def _written(value: Mapping[str, Any]) -> bytes:
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
+
+
+def _parsed(data: bytes) -> Mapping[str, Any]:
+    try:
+        value = json.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise InvalidRequest(f"expected JSON in UTF-8, got {error}", "attachment") from error
+    if not isinstance(value, Mapping):
+        raise expected("attachment", "an object", value)
+    return value

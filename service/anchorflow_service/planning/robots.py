@@ -1,0 +1,50 @@
+"""Latest wins: a robot that asks again has no use for the answer to its older question."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from anchorflow_client.errors import Superseded
+from anchorflow_service.planning.ticket import Ticket
+
+
+class Robots:
+    """The newest ticket of each robot, as long as it waits or is worked on.
+
+    Used on the event loop alone.
+    """
+
+    def __init__(self) -> None:
+        self._newest: dict[str, Ticket[Any]] = {}
+
+    def __len__(self) -> int:
+        """Robots that wait for an answer."""
+        return len(self._newest)
+
+    @contextmanager
+    def newest(self, robot_id: str | None, ticket: Ticket[Any]) -> Iterator[None]:
+        """Inside, the ticket stands for its robot; the older one that stood there is called off.
+
+        Raises:
+            Superseded: the ticket is the older one, read later because it was longer.
+        """
+        if robot_id is None:
+            yield
+            return
+        standing = self._newest.get(robot_id)
+        if standing is not None:
+            if standing.arrival.is_after(ticket.arrival):
+                raise _superseded(robot_id)
+            standing.call_off(_superseded(robot_id))
+        self._newest[robot_id] = ticket
+        try:
+            yield
+        finally:
+            if self._newest.get(robot_id) is ticket:
+                del self._newest[robot_id]
+
+
+def _superseded(robot_id: str) -> Superseded:
+    return Superseded(f"a newer request of robot_id {robot_id!r} took this one's place", "robot_id")

@@ -1,0 +1,207 @@
+"""The way from a request's bytes to its answer's."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from types import TracebackType
+from typing import Protocol
+
+from anchorflow_client.codec import Payload
+from anchorflow_client.contract import (
+    AnchorBatch,
+    AnchorRequest,
+    ModelId,
+    ResolvedRequest,
+    resolve_for_card,
+)
+from anchorflow_client.errors import InternalError, InvalidRequest, RequestError
+from anchorflow_service.planning.arrival import Arrival
+from anchorflow_service.planning.engines import Engine, Engines
+from anchorflow_service.planning.limits import Limits
+from anchorflow_service.planning.observer import ANSWERED, CANCELLED, Observer
+from anchorflow_service.planning.queue import PlanningQueue
+from anchorflow_service.planning.robots import Robots
+from anchorflow_service.planning.ticket import Ticket, Turn
+
+
+class ServiceCodec(Protocol):
+    """The half of a codec that a service needs."""
+
+    def decode_request(self, payload: Payload) -> AnchorRequest:
+        """What a service received. Raises `InvalidRequest`."""
+        ...
+
+    def encode_answer(self, batch: AnchorBatch) -> Payload:
+        """What a service sends. Raises `ValueError` where a number is not finite."""
+        ...
+
+
+@dataclass
+class Call:
+    """A request as its transport received it: the bytes, and what was said beside them."""
+
+    payload: Payload
+    codec: ServiceCodec
+    """Reads the request and writes the answer."""
+    arrival: Arrival
+    request_id: str
+    """Stands in where the request has none of its own, which takes its place once it is read."""
+    model: str | None = None
+    """The one that the address names, where it names one."""
+    budget_ms: float | None = None
+    """Said beside the bytes, and newer than the one inside them."""
+    transport: str = "http"
+    model_id: ModelId | None = field(default=None, init=False)
+    """Of the model that was chosen for it."""
+    timing_ms: Mapping[str, float] = field(default_factory=dict, init=False)
+    """Of its answer, by stage."""
+
+
+class PlanningService:
+    """Plans what calls ask for, off the event loop; open inside its `with` block only.
+
+    Args:
+        engines: by the name that a request's `model` gives.
+        default: the name that stands in where a request gives none.
+        limits: bounds on memory, on waiting and on what is done at a time.
+        clock: seconds, for arrivals and for the time in the queue.
+
+    Raises:
+        ValueError: `default` is not among the engines.
+    """
+
+    def __init__(
+        self,
+        engines: Mapping[str, Engine],
+        *,
+        default: str,
+        limits: Limits | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.limits = limits or Limits()
+        self.engines = Engines(engines, default=default)
+        self.queue = PlanningQueue(self.limits, clock=clock, on_batch=self._batch_planned)
+        self._observers: list[Observer] = []
+        self._is_leaving = False
+        self._robots = Robots()
+        self._clock = clock
+        # Parsing holds the interpreter's lock: a second reader would only get in the way.
+        self._reader: ThreadPoolExecutor | None = None
+
+    def arrival(self) -> Arrival:
+        """A request comes in now."""
+        return Arrival(clock=self._clock)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether new callers should come."""
+        return self.queue.is_open and not self._is_leaving
+
+    def leave(self) -> None:
+        """Tell whoever asks that it is not ready; requests that come are still answered."""
+        self._is_leaving = True
+
+    def watch(self, observer: Observer) -> None:
+        """From now on it hears what becomes of every call."""
+        self._observers.append(observer)
+
+    async def answer(self, call: Call) -> Payload:
+        """The answer's bytes, in the form of the request's.
+
+        A caller who leaves cancels this: what waits is dropped, and what is planned ends within
+        one step of the solver. So does what runs out of its budget or is superseded.
+
+        Raises:
+            RequestError: the request is refused, or its budget is spent.
+        """
+        # A place first: whom the service has no room for costs it no reading. Unless robots are
+        # named: one of them may be inside already, and gives his older request's place to this one.
+        beyond = self.limits.max_waiting if self._robots else 0
+        with self._observed(call), self.queue.place(beyond=beyond):
+            asked = await self._read(call)
+            call.request_id = asked.request_id or call.request_id
+            engine = self.engines.choose(_model(call, asked))
+            call.model_id = engine.card.id
+            request = _with_call(resolve_for_card(asked, engine.card), call)
+            call.arrival.check(request.budget_ms, "before planning")
+            ticket = Ticket(
+                partial(_plan, engine, request, call),
+                call.arrival,
+                budget_ms=request.budget_ms,
+                key=_batch_key(engine, request),
+            )
+            with self._robots.newest(request.robot_id, ticket):
+                return await self.queue.work(ticket)
+
+    def __enter__(self) -> PlanningService:
+        self._reader = ThreadPoolExecutor(1, thread_name_prefix="reading")
+        self.queue.__enter__()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.queue.__exit__(kind, error, traceback)
+        if self._reader is not None:
+            self._reader.shutdown()
+
+    @contextmanager
+    def _observed(self, call: Call) -> Iterator[None]:
+        outcome = InternalError.code
+        try:
+            yield
+            outcome = ANSWERED
+        except RequestError as error:
+            outcome = error.code
+            raise
+        except asyncio.CancelledError:
+            outcome = CANCELLED
+            raise
+        finally:
+            for observer in self._observers:
+                observer.ended(call, outcome)
+
+    def _batch_planned(self, requests: int) -> None:
+        for observer in self._observers:
+            observer.batch_planned(requests)
+
+    async def _read(self, call: Call) -> AnchorRequest:
+        """Megabytes of numbers take a while to check: off the event loop with them."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._reader, call.codec.decode_request, call.payload)
+
+
+def _plan(engine: Engine, request: ResolvedRequest, call: Call, turn: Turn) -> Payload:
+    """What a lane does: plan, and write the answer too, which may hold millions of numbers."""
+    batch = engine.plan(request, threads=turn.threads, check=turn.check)
+    turn.check()
+    timing_ms = {**batch.timing_ms, "queue": turn.queue_ms, "total": call.arrival.elapsed_ms}
+    call.timing_ms = timing_ms
+    answer = replace(batch, timing_ms=timing_ms, request_id=request.request_id)
+    return call.codec.encode_answer(answer)
+
+
+def _batch_key(engine: Engine, request: ResolvedRequest) -> Hashable:
+    """Requests of the same key take about as long: same bundle, sampler, anchors and scenes."""
+    tau = request.warm_start and request.warm_start.tau
+    return (id(engine), request.sampler, tau, request.num_samples, request.num_scenes)
+
+
+def _model(call: Call, asked: AnchorRequest) -> str | None:
+    if call.model is None or asked.model in (None, call.model):
+        return call.model or asked.model
+    raise InvalidRequest(f"expected {call.model}, as the address says, got {asked.model}", "model")
+
+
+def _with_call(resolved: ResolvedRequest, call: Call) -> ResolvedRequest:
+    budget_ms = resolved.budget_ms if call.budget_ms is None else call.budget_ms
+    return replace(resolved, request_id=call.request_id, budget_ms=budget_ms)

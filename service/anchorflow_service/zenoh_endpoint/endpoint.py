@@ -1,0 +1,146 @@
+"""A replica's keys, declared as long as the service is open, and the answers on them."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import uuid
+from collections.abc import Callable
+from functools import partial
+from types import TracebackType
+
+import zenoh
+
+from anchorflow_client.codec import Payload
+from anchorflow_client.errors import RequestError, TooLarge
+from anchorflow_client.keys import anchors_key, info_key, replica_anchors_key, replica_key
+from anchorflow_client.oip_codec import OipCodec
+from anchorflow_client.zenoh_messages import (
+    AnswerAttachment,
+    Load,
+    ReplicaInfo,
+    RequestAttachment,
+)
+from anchorflow_service.planning import Arrival, Call, PlanningService, internal_error
+from anchorflow_service.zenoh_endpoint.replies import refuse, reply
+
+logger = logging.getLogger(__name__)
+
+
+class ZenohEndpoint:
+    """Answers queries on the event loop on which it is entered.
+
+    Args:
+        service: plans; open as long as this is.
+        session: on the network; closed with this.
+        replica: this replica's name, one of its own on the network; the session's id unless told.
+
+    Raises:
+        InvalidRequest: the replica or a model has a name that cannot stand in a key.
+    """
+
+    def __init__(
+        self, service: PlanningService, session: zenoh.Session, *, replica: str | None = None
+    ) -> None:
+        self.replica = replica or str(session.zid())
+        self._service = service
+        self._session = session
+        self._codec = OipCodec()
+        self._models = {
+            key: card.name
+            for card in service.engines.cards()
+            for key in (anchors_key(card.name), replica_anchors_key(self.replica, card.name))
+        }
+        self._queryables: list[zenoh.Queryable[None]] = []
+        self._token: zenoh.LivelinessToken | None = None
+        self._answering: set[asyncio.Task[None]] = set()
+
+    async def __aenter__(self) -> ZenohEndpoint:
+        loop = asyncio.get_running_loop()
+        for key in self._models:
+            self._declare(key, partial(self._receive, loop, key))
+        self._declare(info_key(self.replica), self._tell)
+        # Last, so that whoever sees it can be answered.
+        self._token = self._session.liveliness().declare_token(replica_key(self.replica))
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Take no more queries, answer those that came, leave the network."""
+        if self._token is not None:
+            self._token.undeclare()
+        for queryable in self._queryables:
+            await asyncio.to_thread(queryable.undeclare)
+        await asyncio.sleep(0)  # what was received is on the loop now
+        await asyncio.gather(*self._answering)
+        await asyncio.to_thread(self._session.close)
+
+    def _declare(self, key: str, answer: Callable[[zenoh.Query], None]) -> None:
+        # Complete: replicas that share a key get one query each, and not all of them every one.
+        self._queryables.append(self._session.declare_queryable(key, answer, complete=True))
+
+    def _receive(self, loop: asyncio.AbstractEventLoop, key: str, query: zenoh.Query) -> None:
+        """On zenoh's own thread: note the time and hand the query over."""
+        arrival = self._service.arrival()
+
+        def start() -> None:
+            task = loop.create_task(self._respond(query, key, arrival))
+            self._answering.add(task)
+            task.add_done_callback(self._answering.discard)
+
+        loop.call_soon_threadsafe(start)
+
+    async def _respond(self, query: zenoh.Query, key: str, arrival: Arrival) -> None:
+        request_id = uuid.uuid4().hex
+        call: Call | None = None
+        with query:
+            try:
+                call = self._call(query, key, arrival, request_id)
+                answer = await self._service.answer(call)
+                attachment = AnswerAttachment(
+                    answer.header_length, call.request_id, self.replica, self._load()
+                )
+                reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
+                logger.debug("request %s answered in %.1f ms", call.request_id, arrival.elapsed_ms)
+            except RequestError as error:
+                refuse(query, error)
+            except Exception:
+                failed = request_id if call is None else call.request_id
+                logger.exception("request %s failed", failed)
+                refuse(query, internal_error(failed))
+
+    def _call(self, query: zenoh.Query, key: str, arrival: Arrival, request_id: str) -> Call:
+        """What a query asks. Raises `RequestError`."""
+        attached = None if query.attachment is None else query.attachment.to_bytes()
+        said = RequestAttachment.from_bytes(attached)
+        size, most = len(query.payload or b""), self._service.limits.max_body_bytes
+        if size > most:
+            raise TooLarge(f"expected a body of at most {most} bytes, got {size}", "body")
+        body = b"" if query.payload is None else query.payload.to_bytes()
+        return Call(
+            payload=Payload(body, said.header_length),
+            codec=self._codec,
+            arrival=arrival,
+            request_id=said.request_id or request_id,
+            model=self._models[key],
+            budget_ms=said.budget_ms,
+        )
+
+    def _tell(self, query: zenoh.Query) -> None:
+        """Cards and load, from zenoh's own thread: nothing here waits."""
+        info = ReplicaInfo(
+            replica=self.replica,
+            ready=self._service.is_ready,
+            load=self._load(),
+            models=tuple(self._service.engines.cards()),
+        )
+        with query:
+            reply(query, info_key(self.replica), info.to_bytes(), None, "application/json")
+
+    def _load(self) -> Load:
+        queue = self._service.queue
+        return Load(queue.in_flight, queue.workers, queue.mean_service_s * 1e3)

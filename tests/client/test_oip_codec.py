@@ -1,0 +1,227 @@
+"""The binary codec: the bytes that it fixes, and the form that others send."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client import AnchorBatch, AnchorRequest, ModelId, OipCodec, Payload
+from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.oip.message import pack
+
+CODEC = OipCodec()
+GOLDEN = Path(__file__).parent / "golden"
+F32, F64 = np.float32, np.float64
+
+
+def golden(name: str, config: dict[str, Any], written: Payload) -> Payload:
+    """The payload of a golden file, which holds the config that made it.
+
+    With ANCHORFLOW_WRITE_GOLDEN set the file is written instead.
+    """
+    path = GOLDEN / f"{name}.json"
+    if "ANCHORFLOW_WRITE_GOLDEN" in os.environ:
+        text = written.body.hex()
+        lines = [text[i : i + 96] for i in range(0, len(text), 96)]
+        value = {"config": config, "header_length": written.header_length, "hex": lines}
+        path.write_text(json.dumps(value, indent=1) + "\n")
+    value = json.loads(path.read_text())
+    assert value["config"] == config
+    return Payload(bytes.fromhex("".join(value["hex"])), value["header_length"])
+
+
+REQUEST_CONFIG = {
+    "seed": 11,
+    "map": [2, 2, 16, 17],
+    "fields": {
+        "x_curr": [-0.5, 0.25, 0.1, 0.0, 0.0, -0.2],
+        "x_goal": [[0.5, 0.25, 0.0, 0.0], [0.5, -0.25, 0.0, 0.3]],
+        "w_style": [0.5, 0.25, 0.25],
+        "num_samples": 3,
+        "model": "flowmp-small",
+        "seed": 7,
+        "sampler": {"method": "heun", "schedule": [0.0, 0.9, 1.0]},
+        "refine": {"project": True, "safety_margin": 0.1},
+        "warm_start": {"trajectory": [[-0.5, 0.25], [0.5, 0.25]], "tau": 0.75},
+        "budget_ms": 80.0,
+        "request_id": "golden-1",
+    },
+}
+ANSWER_CONFIG = {"seed": 5, "scenes": 2, "anchors": 3, "steps": 4}
+
+
+def golden_request(config: dict[str, Any]) -> AnchorRequest:
+    grid = np.random.default_rng(config["seed"]).random(config["map"]).astype(F32) * F32(0.4)
+    cost_map = {"data": grid, "resolution": 0.125, "origin": [-1.0, -1.0]}
+    return AnchorRequest.build(cost_map=cost_map, **config["fields"])
+
+
+def golden_answer(config: dict[str, Any]) -> AnchorBatch:
+    generator = np.random.default_rng(config["seed"])
+    anchors = (config["scenes"], config["anchors"])
+    paths = generator.random((3, *anchors, config["steps"], 2)).astype(F32)
+    per_anchor = generator.random((2, *anchors)).astype(F32)
+    return AnchorBatch(
+        trajectories=paths[0],
+        velocities=paths[1],
+        accelerations=paths[2],
+        scores=per_anchor[0],
+        clearance=per_anchor[1],
+        safe=per_anchor[0] > 0.5,
+        dt=0.125,
+        seed=2**63 - 1,
+        model=ModelId("flowmp-small", "0.1.0", "ab" * 32),
+        timing_ms={"queue": 0.5, "total": 12.25},
+        request_id="golden-1",
+    )
+
+
+def test_a_request_has_the_golden_bytes() -> None:
+    written = CODEC.encode_request(golden_request(REQUEST_CONFIG))
+    expected = golden("oip_request", REQUEST_CONFIG, written)
+
+    assert written == expected
+    assert CODEC.encode_request(CODEC.decode_request(expected)) == expected
+
+
+def test_an_answer_has_the_golden_bytes() -> None:
+    written = CODEC.encode_answer(golden_answer(ANSWER_CONFIG))
+    expected = golden("oip_answer", ANSWER_CONFIG, written)
+
+    assert written == expected
+    assert CODEC.encode_answer(CODEC.decode_answer(expected)) == expected
+
+
+def header_of(payload: Payload) -> dict[str, Any]:
+    return json.loads(payload.body[: payload.header_length])
+
+
+def test_the_header_is_the_protocols() -> None:
+    payload = CODEC.encode_request(golden_request(REQUEST_CONFIG))
+    header = header_of(payload)
+
+    assert header["id"] == "golden-1"
+    assert {name: header["parameters"][name] for name in ("sampler.method", "warm_start.tau")} == {
+        "sampler.method": "heun",
+        "warm_start.tau": 0.75,
+    }
+    assert header["parameters"]["binary_data_output"] is True
+    entries = {entry["name"]: entry for entry in header["inputs"]}
+    assert entries["cost_map"] == {
+        "name": "cost_map",
+        "datatype": "FP32",
+        "shape": [2, 2, 16, 17],
+        "parameters": {"binary_data_size": 4 * 2 * 2 * 16 * 17},
+    }
+    assert (entries["map_geometry"]["datatype"], entries["map_geometry"]["shape"]) == (
+        "FP32",
+        [2, 3],
+    )
+    sizes = sum(entry["parameters"]["binary_data_size"] for entry in header["inputs"])
+    assert len(payload.body) == (payload.header_length or 0) + sizes
+
+
+@pytest.mark.parametrize("request_id", ["a" * n for n in range(1, 65, 7)])
+def test_every_tensor_is_aligned(request_id: str) -> None:
+    config = REQUEST_CONFIG | {"fields": REQUEST_CONFIG["fields"] | {"request_id": request_id}}
+    payload = CODEC.encode_request(golden_request(config))
+
+    offset = payload.header_length or 0
+    assert offset % 64 == 0
+    for entry in header_of(payload)["inputs"]:
+        assert offset % {"FP32": 4, "FP64": 8}[entry["datatype"]] == 0
+        offset += entry["parameters"]["binary_data_size"]
+
+
+def test_what_is_read_is_the_body_itself_and_cannot_be_written() -> None:
+    sent = CODEC.encode_request(golden_request(REQUEST_CONFIG))
+    answered = CODEC.encode_answer(golden_answer(ANSWER_CONFIG))
+
+    grid = CODEC.decode_request(sent).cost_map.data
+    batch = CODEC.decode_answer(answered)
+
+    assert np.shares_memory(grid, np.frombuffer(sent.body, np.uint8))
+    for name in ARRAY_DTYPES:
+        array = getattr(batch, name)
+        assert np.shares_memory(array, np.frombuffer(answered.body, np.uint8)), name
+        assert not array.flags.writeable
+    with pytest.raises(ValueError, match="read-only"):
+        grid[...] = 0
+
+
+def by_hand(**changes: Any) -> Payload:
+    """A request as another Open Inference Protocol client sends it: FP32 alone, a B axis of 1."""
+    tensors = {
+        "cost_map": np.zeros((1, 1, 16, 20), F32),
+        "map_geometry": np.array([[-5, -4, 0.5]], F32),
+        "x_curr": np.array([[-3, 0.5, 0, 0, 0, 0]], F32),
+        "x_goal": np.array([[3, 0.5, 0, 0]], F32),
+    }
+    header = {"parameters": {"num_samples": 4, "sampler.schedule": "8step"}} | changes
+    return pack(header, "inputs", tensors)
+
+
+def test_a_request_in_float32_is_read() -> None:
+    request = CODEC.decode_request(by_hand())
+
+    assert (request.num_scenes, request.batched, request.num_samples) == (1, True, 4)
+    assert request.x_curr.tolist() == [[-3, 0.5, 0, 0, 0, 0]]
+    assert (request.cost_map.resolution, request.cost_map.origin.tolist()) == (0.5, [-5, -4])
+    assert request.sampler is not None
+    assert request.sampler.schedule is not None
+    assert len(request.sampler.schedule) == 9
+
+
+def test_a_uniform_schedule_is_a_parameter_too() -> None:
+    request = CODEC.decode_request(by_hand(parameters={"sampler.schedule.uniform": 2}))
+
+    assert request.sampler is not None
+    assert request.sampler.schedule == (0.0, 0.5, 1.0)
+
+
+def test_a_body_that_can_be_written_is_read_only_all_the_same() -> None:
+    payload = by_hand()
+    body: Any = bytearray(payload.body)
+
+    grid = CODEC.decode_request(Payload(body, payload.header_length)).cost_map.data
+
+    assert not grid.flags.writeable
+
+
+def test_a_maps_place_travels_as_float32_and_nothing_else_is_rounded() -> None:
+    fields = REQUEST_CONFIG["fields"] | {"x_curr": [1 / 3, 0.1, 1 / 7, 0.0, 0.0, 0.0]}
+    cost_map = {"data": np.zeros((1, 16, 16)), "resolution": 0.1, "origin": [-0.7, -0.8]}
+    request = AnchorRequest.build(cost_map=cost_map, **fields | {"x_goal": [0.3, 0.1, 0, 0]})
+
+    read = CODEC.decode_request(CODEC.encode_request(request))
+
+    assert read.cost_map.resolution == F32(0.1)
+    assert read.cost_map.origin.tolist() == np.array([-0.7, -0.8], F32).tolist()
+    np.testing.assert_array_equal(read.x_curr, request.x_curr)
+    assert read.x_curr.dtype == F64
+
+
+def test_a_later_services_answer_is_read() -> None:
+    """What this version does not know is passed over: a tensor, a parameter, a key."""
+    sent = CODEC.encode_answer(golden_answer(ANSWER_CONFIG))
+    header: dict[str, Any] = {**header_of(sent), "new_key": [1]}
+    header["parameters"]["new.parameter"] = "x"
+    names = [entry["name"] for entry in header.pop("outputs")]
+    batch = CODEC.decode_answer(sent)
+    tensors = {name: getattr(batch, name) for name in names}
+    later = pack(header, "outputs", {"new_tensor": np.zeros((2, 2), F32), **tensors})
+
+    np.testing.assert_array_equal(CODEC.decode_answer(later).safe, batch.safe)
+
+
+def test_an_answer_with_numbers_that_are_not_finite_is_not_sent() -> None:
+    batch = golden_answer(ANSWER_CONFIG)
+    object.__setattr__(batch, "scores", batch.scores * F32(np.nan))
+
+    with pytest.raises(ValueError, match="not finite"):
+        CODEC.encode_answer(batch)

@@ -1,0 +1,283 @@
+"""Hostile binary bodies: always the documented error with its field, never a crash."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client import AnchorBatch, InvalidAnswer, InvalidRequest, ModelId, OipCodec, Payload
+from anchorflow_client.oip.message import MAX_HEADER_BYTES, pack
+
+CODEC = OipCodec()
+F32 = np.float32
+TENSORS: dict[str, np.ndarray] = {
+    "x_curr": np.array([-3, 0.5, 0, 0, 0, 0]),
+    "x_goal": np.array([3, 0.5, 0, 0]),
+    "cost_map": np.zeros((1, 16, 20), F32),
+    "map_geometry": np.array([-5, -4, 0.5], F32),
+}
+REQUEST = pack({"id": "r1", "parameters": {"seed": 1, "num_samples": 4}}, "inputs", TENSORS)
+
+Header = dict[str, Any]
+Edit = Callable[[Header], object]
+
+
+def answer() -> Payload:
+    paths = np.arange(12, dtype=F32).reshape(2, 3, 2)
+    batch = AnchorBatch(
+        trajectories=paths,
+        velocities=paths,
+        accelerations=paths,
+        scores=np.zeros(2, F32),
+        clearance=np.ones(2, F32),
+        safe=np.array([True, False]),
+        dt=0.1,
+        seed=1,
+        model=ModelId("lines", "1", "ab"),
+        timing_ms={"total": 1.0},
+    )
+    return CODEC.encode_answer(batch)
+
+
+def split(payload: Payload) -> tuple[Header, bytes]:
+    length = payload.header_length or 0
+    return json.loads(payload.body[:length]), payload.body[length:]
+
+
+def joined(header: Any, data: bytes) -> Payload:
+    raw = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return Payload(raw + data, len(raw))
+
+
+def edited(payload: Payload, edit: Edit, data: bytes | None = None) -> Payload:
+    header, tensors = split(payload)
+    edit(header)
+    return joined(header, tensors if data is None else data)
+
+
+def refusal(payload: Payload) -> InvalidRequest:
+    with pytest.raises(InvalidRequest) as caught:
+        CODEC.decode_request(payload)
+    assert caught.value.field
+    assert caught.value.field in caught.value.message
+    json.dumps(caught.value.to_dict()).encode()
+    return caught.value
+
+
+def assert_invalid_answer(payload: Payload, words: str) -> None:
+    with pytest.raises(InvalidAnswer, match=words):
+        CODEC.decode_answer(payload)
+
+
+def entry(index: int, **changes: Any) -> Edit:
+    return lambda header: header["inputs"][index].update(changes)
+
+
+def size(index: int, value: Any) -> Edit:
+    return entry(index, parameters={"binary_data_size": value})
+
+
+def parameter(name: str, value: Any) -> Edit:
+    return lambda header: header["parameters"].update({name: value})
+
+
+def without(index: int) -> Edit:
+    return lambda header: header["inputs"].pop(index)
+
+
+HUGE = 10**30
+BAD_HEADERS: dict[str, tuple[Edit, str, str]] = {
+    "size too small": (size(2, 1276), "cost_map", "expected 1280 bytes for FP32 [1, 16, 20]"),
+    "size too large": (size(2, 1284), "cost_map", "got a binary_data_size of 1284"),
+    "size of an ocean": (size(2, HUGE), "cost_map", "got a binary_data_size of 1000000000"),
+    "negative size": (size(0, -48), "x_curr.parameters.binary_data_size", "got -48"),
+    "boolean size": (size(0, True), "x_curr.parameters.binary_data_size", "the boolean true"),
+    "size with a fraction": (size(0, 48.0), "x_curr.parameters.binary_data_size", "got 48.0"),
+    "no size": (entry(0, parameters={}), "x_curr.parameters.binary_data_size", "required"),
+    "no parameters": (entry(0, parameters=None), "inputs[0].parameters", "required"),
+    "data in the header": (entry(0, data=[0] * 6), "inputs[0].data", "unknown field"),
+    "huge shape": (entry(2, shape=[HUGE, HUGE, HUGE, HUGE]), "cost_map", "bytes for FP32"),
+    "huge empty shape": (entry(2, shape=[0, HUGE]), "cost_map", "whole numbers from 1 on, got 0"),
+    "negative shape": (entry(2, shape=[-1, -16, 20]), "cost_map", "from 1 on, got -1"),
+    "shape of text": (entry(2, shape="[1,16,20]"), "cost_map", "a shape of at most 8 axes"),
+    "shape of booleans": (entry(2, shape=[True, 16, 20]), "cost_map", "the boolean true"),
+    "many axes": (entry(2, shape=[1] * 40), "cost_map", "at most 8 axes, got a list of 40"),
+    "other shape": (entry(2, shape=[16, 20, 1]), "cost_map.data", "C from 1 to 8, got 16"),
+    "flat shape": (entry(2, shape=[320]), "cost_map.data", "expected shape [C,H,W]"),
+    "geometry of columns": (entry(3, shape=[3, 1]), "map_geometry", "[3] or [B,3], got [3, 1]"),
+    "integers": (entry(2, datatype="INT32"), "cost_map", "FP32, FP64, got the string 'INT32'"),
+    "booleans": (entry(2, datatype="BOOL"), "cost_map", "got the string 'BOOL'"),
+    "text": (entry(2, datatype="BYTES"), "cost_map", "got the string 'BYTES'"),
+    "doubles": (entry(2, datatype="FP64"), "cost_map", "expected 2560 bytes for FP64"),
+    "unknown tensor": (entry(2, name="costs"), "inputs[2]", "unknown tensor 'costs'; known are"),
+    "unprintable name": (entry(2, name="\ud800"), "inputs[2].name", "printable ASCII"),
+    "the same twice": (entry(1, name="x_curr"), "x_curr", "expected one tensor of this name"),
+    "tensor is no object": (lambda header: header["inputs"].append(3), "inputs[4]", "got 3"),
+    "inputs are no list": (lambda header: header.update(inputs={}), "inputs", "got an object"),
+    "no inputs": (lambda header: header.pop("inputs"), "inputs", "required"),
+    "surplus tensor": (
+        lambda header: header["inputs"].append(
+            {
+                "name": "w_style",
+                "datatype": "FP32",
+                "shape": [3],
+                "parameters": {"binary_data_size": 12},
+            }
+        ),
+        "w_style",
+        "expected 12 bytes, got 0",
+    ),
+    "outputs asked by name": (lambda header: header.update(outputs=[]), "outputs", "unknown field"),
+    "nameless field": (lambda header: header.update({"": 1}), '""', "unknown field"),
+    "outputs in JSON": (parameter("binary_data_output", False), "binary_data_output", "got false"),
+    "id of another type": (lambda header: header.update(id=3), "request_id", "a string, got 3"),
+    "id twice": (parameter("request_id", "r2"), "request_id", "as a parameter too"),
+    "tensor as parameter": (parameter("x_curr", "0"), "x_curr", "as a parameter too"),
+    "parameters are a list": (lambda header: header.update(parameters=[]), "parameters", "object"),
+    "parameter is a list": (parameter("seed", [1]), "seed", "a string, a number or a boolean"),
+    "parameter is null": (parameter("seed", None), "seed", "a string, a number or a boolean"),
+    "unknown parameter": (parameter("sead", 1), "sead", "did you mean 'seed'?"),
+    "unprintable parameter": (parameter("\ud800", 1), "parameters", "printable ASCII"),
+    "parameter through another": (parameter("seed.low", 1), "seed.low", "got both"),
+    "not finite parameter": (parameter("budget_ms", float("nan")), "budget_ms", "got nan"),
+    "too many samples": (parameter("num_samples", 513), "num_samples", "got 513"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_HEADERS)
+def test_a_header_that_lies_is_refused_by_field(case: str) -> None:
+    edit, field, words = BAD_HEADERS[case]
+
+    error = refusal(edited(REQUEST, edit))
+
+    assert error.field == field
+    assert words in error.message
+
+
+@pytest.mark.parametrize("index", range(4))
+def test_a_missing_tensor_is_refused(index: int) -> None:
+    name = list(TENSORS)[index]
+    rest = {other: tensor for other, tensor in TENSORS.items() if other != name}
+    missing = pack({}, "inputs", rest)
+
+    assert refusal(missing).field == (
+        "cost_map.resolution" if name == "map_geometry" else name.replace("_map", "_map.data")
+    )
+    # The header leaves it out and the bytes are still there.
+    assert refusal(edited(REQUEST, without(index))).field
+
+
+def test_tensors_that_share_bytes_are_refused() -> None:
+    """There are no offsets to lie with: what overlaps is bytes that are missing at the end."""
+    _, data = split(REQUEST)
+
+    error = refusal(edited(REQUEST, lambda _: None, data[: len(data) - 48]))
+
+    assert error.field == "cost_map"
+
+
+def test_bytes_that_no_tensor_declares_are_refused() -> None:
+    error = refusal(Payload(REQUEST.body + b"\0", REQUEST.header_length))
+
+    assert error.field == "body"
+    assert "expected 1372, as its tensors declare, got 1373" in error.message
+
+
+def test_a_body_cut_anywhere_is_refused() -> None:
+    for end in range(0, len(REQUEST.body), 7):
+        refusal(Payload(REQUEST.body[:end], REQUEST.header_length))
+
+
+@pytest.mark.parametrize("length", [None, -1, 0, len(REQUEST.body) + 1, HUGE, -HUGE])
+def test_a_header_length_that_cannot_be_is_refused(length: int | None) -> None:
+    error = refusal(Payload(REQUEST.body, length))
+
+    assert error.field == "header_length"
+    assert_invalid_answer(Payload(answer().body, length), "header_length")
+
+
+@pytest.mark.parametrize("length", range(1, REQUEST.header_length or 0, 11))
+def test_a_header_length_that_lies_is_refused(length: int) -> None:
+    refusal(Payload(REQUEST.body, length))
+
+
+def test_a_header_longer_than_any_contract_is_not_parsed() -> None:
+    payload = joined(b" " * (MAX_HEADER_BYTES + 1), b"")
+
+    assert refusal(payload).field == "header_length"
+
+
+@pytest.mark.parametrize(
+    "header",
+    [b"", b"{", b"[1]", b'"text"', b"null", b"\xff\xfe{}", b"[" * 60_000, b"9" * 5000, b"NaN"],
+)
+def test_a_header_that_is_no_json_object_is_refused(header: bytes) -> None:
+    assert refusal(joined(header, b"")).field in ("header", "header_length")
+    assert_invalid_answer(joined(header, b""), "header")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0, 2.0])
+def test_costs_outside_their_range_are_refused(value: float) -> None:
+    cost_map = np.zeros((1, 16, 20), F32)
+    cost_map[0, 3, 4] = value
+
+    error = refusal(pack({}, "inputs", TENSORS | {"cost_map": cost_map}))
+
+    assert error.field == "cost_map.data"
+    assert "cost_map.data[0][3][4]" in error.message
+
+
+def test_numbers_that_are_not_finite_are_refused_by_tensor() -> None:
+    for name in ("x_curr", "x_goal", "map_geometry"):
+        broken = TENSORS[name].copy()
+        broken[2] = np.nan
+        error = refusal(pack({}, "inputs", TENSORS | {name: broken}))
+        assert error.field == name
+        assert "finite numbers" in error.message
+
+
+def test_scenes_that_lie_apart_are_refused() -> None:
+    places = np.array([[-5, -4, 0.5], [-5, -3, 0.5]], F32)
+
+    assert refusal(pack({}, "inputs", TENSORS | {"map_geometry": places})).field == "map_geometry"
+
+
+BAD_ANSWERS: dict[str, tuple[Edit, str]] = {
+    "no model": (lambda header: header.pop("model_name"), "model"),
+    "model is a list": (lambda header: header.update(model_name=[]), "model"),
+    "no dt": (lambda header: header["parameters"].pop("dt"), "dt"),
+    "dt is infinite": (lambda header: header["parameters"].update(dt=float("inf")), "not finite"),
+    "seed is infinite": (lambda header: header["parameters"].update(seed=float("inf")), "answer"),
+    "no outputs": (lambda header: header.pop("outputs"), "outputs"),
+    "outputs are empty": (lambda header: header.update(outputs=[]), "body"),
+    "doubles": (lambda header: header["outputs"][0].update(datatype="FP64"), "trajectories"),
+    "other shape": (lambda header: header["outputs"][0].update(shape=[3, 2, 2]), "velocities"),
+    "flat": (lambda header: header["outputs"][0].update(shape=[12]), "trajectories"),
+    "timing is text": (
+        lambda header: header["parameters"].update({"timing_ms.total": "soon"}),
+        "soon",
+    ),
+    "timing is no object": (lambda header: header["parameters"].update(timing_ms=1), "timing_ms"),
+    "tensor renamed": (lambda header: header["outputs"][5].update(name="unsafe"), "safe missing"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_ANSWERS)
+def test_an_answer_that_lies_is_invalid(case: str) -> None:
+    edit, words = BAD_ANSWERS[case]
+
+    assert_invalid_answer(edited(answer(), edit), words)
+
+
+def test_an_answer_of_strange_numbers_is_invalid() -> None:
+    payload = answer()
+    length = payload.header_length or 0
+    not_finite = np.array([np.nan], "<f4").tobytes()
+
+    assert_invalid_answer(Payload(payload.body[:-1] + b"\x02", length), "safe: expected bytes of 0")
+    swapped = payload.body[:length] + not_finite + payload.body[length + 4 :]
+    assert_invalid_answer(Payload(swapped, length), "not finite")

@@ -1,0 +1,205 @@
+"""Who is asked next: the replica that likely answers first."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from anchorflow_client import ModelCard, UnknownModel
+from anchorflow_client.zenoh_client.replicas import Replicas
+from anchorflow_client.zenoh_messages import Load, ReplicaInfo
+
+
+class Clock:
+    """Stands still until it is moved."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def replicas(clock: Clock, card: ModelCard) -> Replicas:
+    """Idle "a" and "b", each of which serves "lines" and takes 10 ms."""
+    replicas = Replicas(clock=clock)
+    for name in "ab":
+        replicas.appear(name)
+        replicas.learn(info(name, card))
+    return replicas
+
+
+def info(name: str, *cards: ModelCard, in_flight: int = 0, ready: bool = True) -> ReplicaInfo:
+    return ReplicaInfo(name, ready=ready, load=Load(in_flight, 1, 10.0), models=cards)
+
+
+def chosen(replicas: Replicas, model: str | None = None, *tried: str) -> str | None:
+    choice = replicas.choose(model, tried)
+    return choice and choice.replica
+
+
+def test_the_idle_one_is_asked(replicas: Replicas, card: ModelCard) -> None:
+    replicas.learn(info("a", card, in_flight=1))
+    assert chosen(replicas) == "b"
+    replicas.learn(info("b", card, in_flight=2))
+    choice = replicas.choose(None)
+    assert choice is not None
+    assert (choice.replica, choice.model, choice.expected_ms) == ("a", "lines", 20.0)
+
+
+def test_ones_own_requests_count_at_once(replicas: Replicas) -> None:
+    first = chosen(replicas) or ""
+    replicas.begin(first)
+    assert chosen(replicas) != first
+    replicas.end(first, Load(0, 1, 10.0))
+    assert chosen(replicas) == first
+
+
+def test_an_answer_tells_the_load(replicas: Replicas) -> None:
+    replicas.begin("a")
+    replicas.end("a", Load(4, 1, 10.0))
+
+    assert chosen(replicas) == "b"
+
+
+def test_who_has_not_answered_yet_is_tried_but_not_flooded(
+    replicas: Replicas, card: ModelCard
+) -> None:
+    replicas.appear("c")
+    replicas.learn(ReplicaInfo("c", ready=True, load=Load(), models=(card,)))
+
+    asked = []
+    for _ in range(6):
+        asked.append(chosen(replicas) or "")
+        replicas.begin(asked[-1])
+
+    assert asked[0] == "c"
+    assert sorted(asked) == ["a", "a", "b", "b", "c", "c"]
+
+
+def test_who_was_tried_is_not_asked_again(replicas: Replicas) -> None:
+    assert chosen(replicas, None, "a") == "b"
+    assert chosen(replicas, None, "a", "b") is None
+
+
+def test_who_failed_comes_last_for_a_while(replicas: Replicas, clock: Clock) -> None:
+    replicas.begin("a")
+    replicas.end("a", None, failed=True)
+    replicas.begin("b")
+    replicas.end("b", Load(9, 1, 10.0))
+    assert chosen(replicas) == "b"
+    assert chosen(replicas, None, "b") == "a"
+    clock.now += 3
+    assert chosen(replicas) == "a"
+
+
+def test_who_vanished_is_not_asked(replicas: Replicas) -> None:
+    replicas.vanish("a")
+    replicas.begin("a")
+    replicas.end("a", None, failed=True)
+
+    assert replicas.alive() == ("b",)
+    assert chosen(replicas) == "b"
+
+
+def test_only_who_serves_the_model_is_asked(replicas: Replicas, card: ModelCard) -> None:
+    replicas.learn(info("b", replace(card, name="bows"), in_flight=9))
+
+    assert chosen(replicas, "bows") == "b"
+    assert chosen(replicas, "lines") == "a"
+    with pytest.raises(UnknownModel, match=r"\(bows, lines\), got 'nobody'"):
+        replicas.choose("nobody")
+
+
+def test_who_has_not_told_may_serve_any_model_by_name(replicas: Replicas) -> None:
+    replicas.appear("c")
+
+    assert chosen(replicas, "nobody") == "c"
+    assert chosen(replicas, None, "a", "b") is None
+
+
+def test_who_is_not_ready_comes_last(replicas: Replicas, card: ModelCard) -> None:
+    replicas.learn(info("a", card, ready=False))
+    replicas.learn(info("b", card, in_flight=50))
+
+    assert chosen(replicas) == "b"
+    assert chosen(replicas, None, "b") == "a"
+
+
+def test_who_says_nothing_comes_last(replicas: Replicas, card: ModelCard) -> None:
+    replicas.hear_nothing("a")
+    replicas.learn(info("b", card, in_flight=50))
+
+    assert replicas.silent() == ("a",)
+    assert chosen(replicas) == "b"
+
+
+def test_who_told_long_ago_is_asked_to_tell_again(
+    replicas: Replicas, clock: Clock, card: ModelCard
+) -> None:
+    assert replicas.to_be_asked() == []
+    clock.now += 1.5
+    assert replicas.to_be_asked() == ["a", "b"]
+    assert replicas.to_be_asked() == []
+    replicas.learn(info("a", card))
+    clock.now += 1.5
+    assert replicas.to_be_asked() == ["a"]
+
+
+def test_nobody_is_waited_for_no_longer_than_told() -> None:
+    start = time.monotonic()
+
+    Replicas().wait_until_known(10.0, somebody_s=0.05)
+
+    assert 0.05 <= time.monotonic() - start < 5
+
+
+def test_somebody_who_has_not_told_is_waited_for(card: ModelCard) -> None:
+    replicas = Replicas()
+    replicas.appear("a")
+    threading.Timer(0.05, replicas.learn, [info("a", card)]).start()
+
+    replicas.wait_until_known(20.0, somebody_s=0.0)
+
+    assert chosen(replicas) == "a"
+
+
+def test_the_wait_has_an_end(replicas: Replicas) -> None:
+    alone = Replicas()
+    alone.appear("a")
+    start = time.monotonic()
+    alone.wait_until_known(0.05, somebody_s=10.0)
+    assert time.monotonic() - start < 5
+
+    assert replicas.wait_until_gone(["a", "z"], 0.01) == ["a"]
+    threading.Timer(0.05, replicas.vanish, ["a"]).start()
+    assert replicas.wait_until_gone(["a", "z"], 20.0) == []
+
+
+def test_threads_see_one_state(replicas: Replicas) -> None:
+    def ask(_: Any = None) -> None:
+        for _ in range(500):
+            choice = replicas.choose(None)
+            assert choice is not None
+            replicas.begin(choice.replica)
+            replicas.end(choice.replica, None)
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+    choice = replicas.choose(None)
+    assert choice is not None
+    assert choice.expected_ms == 10.0  # nothing is left outstanding

@@ -1,0 +1,233 @@
+"""Work that nobody waits for is not begun, and ends within a step where it was."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from anchorflow_client import (
+    AnchorBatch,
+    AnchorRequest,
+    DeadlineExceeded,
+    JsonCodec,
+    Overloaded,
+    Superseded,
+)
+from anchorflow_service.planning import Call, Limits, PlanningService
+
+CODEC = JsonCodec()
+PATIENCE_S = 20
+
+
+class SteppingEngine:
+    """Plans in steps: each is begun when the test says so, and `check` is called after each."""
+
+    def __init__(self, engine: Any) -> None:
+        self._engine = engine
+        self.card = engine.card
+        self.steps = threading.Semaphore(0)
+        self.at_work = threading.Semaphore(0)
+        self.taken = 0
+        self.left = threading.Event()
+
+    def plan(
+        self, request: AnchorRequest, /, *, threads: int, check: Callable[[], object]
+    ) -> AnchorBatch:
+        self.at_work.release()
+        try:
+            for _ in range(3):
+                assert self.steps.acquire(timeout=PATIENCE_S)
+                self.taken += 1
+                check()
+        finally:
+            self.left.set()
+        return self._engine.plan(request, threads=threads, check=check)
+
+
+@pytest.fixture
+def stepping(engine: Any) -> SteppingEngine:
+    return SteppingEngine(engine)
+
+
+@pytest.fixture
+def service(stepping: SteppingEngine) -> PlanningService:
+    limits = Limits(threads=1, max_waiting=2)
+    return PlanningService({"lines": stepping}, default="lines", limits=limits)
+
+
+Ask = Callable[..., "asyncio.Task[Any]"]
+
+
+@pytest.fixture
+def ask(service: PlanningService, fields: dict[str, Any]) -> Ask:
+    def start(**changes: Any) -> asyncio.Task[Any]:
+        payload = CODEC.encode_request(AnchorRequest.from_fields(fields | changes))
+        return asyncio.ensure_future(service.answer(Call(payload, CODEC, service.arrival(), "r")))
+
+    return start
+
+
+async def until(event: threading.Event) -> None:
+    assert await asyncio.to_thread(event.wait, PATIENCE_S)
+
+
+async def until_at_work(stepping: SteppingEngine) -> None:
+    assert await asyncio.to_thread(stepping.at_work.acquire, timeout=PATIENCE_S)
+
+
+async def until_waiting(service: PlanningService, count: int) -> None:
+    while service.queue._line.count() < count:
+        await asyncio.sleep(0.001)
+
+
+def test_who_hangs_up_frees_the_engine_at_the_next_step(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask
+) -> None:
+    async def hang_up() -> None:
+        task = ask()
+        await until_at_work(stepping)
+        task.cancel()
+        await asyncio.wait([task])
+        assert service.queue.in_flight == 0
+        stepping.steps.release()
+        await until(stepping.left)
+
+    with service:
+        asyncio.run(hang_up())
+    assert stepping.taken == 1
+
+
+def test_a_spent_budget_is_told_at_once_and_frees_the_engine_at_the_next_step(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask
+) -> None:
+    """The caller hears it while the engine is still in the middle of its step."""
+
+    async def run_out() -> None:
+        with pytest.raises(DeadlineExceeded, match="while planning"):
+            await ask(budget_ms=1500)
+        assert stepping.taken == 0
+        stepping.steps.release()
+        await until(stepping.left)
+
+    with service:
+        asyncio.run(run_out())
+    assert stepping.taken == 1
+
+
+def test_a_budget_that_is_spent_in_the_queue_is_told_at_once_too(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask
+) -> None:
+    async def run_out() -> None:
+        first = ask()
+        await until_at_work(stepping)
+        with pytest.raises(DeadlineExceeded, match="in the queue"):
+            await ask(budget_ms=1500)
+        assert service.queue._line.count() == 0
+        stepping.steps.release(3)
+        await first
+
+    with service:
+        asyncio.run(run_out())
+    assert stepping.taken == 3  # none of them for the second
+
+
+def test_a_newer_request_of_the_robot_supersedes_one_that_is_planned(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask
+) -> None:
+    async def supersede() -> None:
+        older = ask(robot_id="r1")
+        await until_at_work(stepping)
+        newer = ask(robot_id="r1", seed=2)
+        with pytest.raises(Superseded, match="robot_id 'r1'"):
+            await older
+        stepping.steps.release()  # the older one's next step is its last
+        await until_at_work(stepping)
+        stepping.steps.release(3)
+        assert CODEC.decode_answer(await newer).seed == 2
+
+    with service:
+        asyncio.run(supersede())
+    assert stepping.taken == 4
+
+
+def test_a_newer_request_of_the_robot_supersedes_one_that_waits(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask
+) -> None:
+    async def supersede() -> None:
+        first = ask(robot_id="another")
+        await until_at_work(stepping)
+        older = ask(robot_id="r1")
+        await until_waiting(service, 1)
+        newer = ask(robot_id="r1", seed=2)
+        with pytest.raises(Superseded):
+            await older
+        stepping.steps.release(6)
+        await asyncio.gather(first, newer)
+
+    with service:
+        asyncio.run(supersede())
+    assert stepping.taken == 6
+
+
+def test_who_leaves_makes_room(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask
+) -> None:
+    async def fill() -> None:
+        first = ask()
+        await until_at_work(stepping)
+        waiting = [ask(), ask()]
+        await until_waiting(service, 2)
+        with pytest.raises(Overloaded):
+            await ask()
+        for each in waiting:
+            each.cancel()
+        await asyncio.wait(waiting)
+        assert service.queue.in_flight == 1
+        stepping.steps.release(6)
+        await asyncio.gather(first, ask())
+
+    with service:
+        asyncio.run(fill())
+
+
+def test_where_no_place_is_left_a_robot_has_that_of_its_older_request(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask
+) -> None:
+    async def fill() -> None:
+        first = ask()
+        await until_at_work(stepping)
+        older, other = ask(robot_id="r1"), ask(robot_id="r2")
+        await until_waiting(service, 2)
+        newer = ask(robot_id="r1", seed=2)
+        with pytest.raises(Superseded):
+            await older
+        for refused in (ask(), ask(robot_id="r3")):
+            with pytest.raises(Overloaded, match="2 requests wait already"):
+                await refused
+        stepping.steps.release(9)
+        await asyncio.gather(first, other, newer)
+        assert service.queue.in_flight == 0
+
+    with service:
+        asyncio.run(fill())
+
+
+def test_who_is_refused_a_place_costs_no_reading(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def refuse() -> None:
+        held = [ask() for _ in range(3)]
+        await until_at_work(stepping)
+        await until_waiting(service, 2)
+        monkeypatch.setattr(JsonCodec, "decode_request", None)
+        with pytest.raises(Overloaded):
+            await ask()
+        stepping.steps.release(9)
+        await asyncio.gather(*held)
+
+    with service:
+        asyncio.run(refuse())

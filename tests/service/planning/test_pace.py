@@ -1,0 +1,132 @@
+"""What is told to those who are refused is what those ahead take."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from anchorflow_client import Overloaded
+from anchorflow_service.planning import Arrival, Limits, PlanningQueue
+from anchorflow_service.planning.pace import Pace
+from anchorflow_service.planning.ticket import Ticket
+
+PATIENCE_S = 20
+
+
+def test_the_mean_forgets_slowly() -> None:
+    pace = Pace(lanes=1)
+    assert pace.mean_s == 0.0
+    pace.observe(1.0)
+    assert pace.mean_s == 1.0
+    pace.observe(2.0)
+    assert pace.mean_s == pytest.approx(1.2)
+
+
+def test_the_wait_is_the_time_of_those_ahead_over_the_lanes() -> None:
+    pace = Pace(lanes=2)
+    pace.observe(3.0)
+
+    assert pace.wait_s(10) == pytest.approx(15.0)
+    assert pace.retry_after_s(10) == 15
+    assert pace.retry_after_s(0) == 1  # the least that a header can say
+
+
+class Clock:
+    """Stands still until it is set."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def taught(queue: PlanningQueue, clock: Clock, seconds: float) -> None:
+    """One request that took so long has gone through."""
+
+    def job(_: object) -> None:
+        clock.now += seconds
+
+    asyncio.run(queue.run(job))
+
+
+def behind(queue: PlanningQueue, clock: Clock, *, waiting: int, budget_ms: float) -> Any:
+    """What comes of a ticket behind one in work and so many that wait."""
+    reached, opened = threading.Event(), threading.Event()
+
+    def hold(_: object) -> None:
+        reached.set()
+        assert opened.wait(PATIENCE_S)
+
+    async def ask() -> Any:
+        ahead = [asyncio.ensure_future(queue.run(hold))]
+        await asyncio.to_thread(reached.wait, PATIENCE_S)
+        ahead += [asyncio.ensure_future(queue.run(lambda _: None)) for _ in range(waiting)]
+        await asyncio.sleep(0)
+        ticket: Ticket[str] = Ticket(lambda _: "done", Arrival(clock=clock), budget_ms=budget_ms)
+        mine = asyncio.ensure_future(queue.work(ticket))
+        await asyncio.sleep(0)
+        opened.set()
+        await asyncio.gather(*ahead)
+        (outcome,) = await asyncio.gather(mine, return_exceptions=True)
+        return outcome
+
+    return asyncio.run(ask())
+
+
+def test_who_cannot_be_answered_in_time_hears_it_at_once(clock: Clock) -> None:
+    with PlanningQueue(Limits(threads=1), clock=clock) as queue:
+        taught(queue, clock, 2.0)
+        refused = behind(queue, clock, waiting=3, budget_ms=7_999.0)
+
+    assert isinstance(refused, Overloaded)
+    assert refused.retry_after_s == 6  # those three
+    assert "3 requests wait already" in refused.message
+    assert "about 8000 ms of a budget of 7999 ms" in refused.message
+
+
+@pytest.mark.parametrize(
+    ("seconds", "waiting", "budget_ms"),
+    [
+        (2.0, 3, 8_001.0),
+        (2.0, 0, 500.0),  # nobody ahead: only by trying is it known
+        (0.0, 3, 500.0),  # no pace known yet
+    ],
+)
+def test_who_may_be_answered_in_time_is_let_in(
+    clock: Clock, seconds: float, waiting: int, budget_ms: float
+) -> None:
+    with PlanningQueue(Limits(threads=1), clock=clock) as queue:
+        taught(queue, clock, seconds)
+        outcome = behind(queue, clock, waiting=waiting, budget_ms=budget_ms)
+
+    assert outcome == "done"
+
+
+def test_the_refusal_of_a_full_queue_counts_those_at_work_too(clock: Clock) -> None:
+    opened = threading.Event()
+
+    async def fill(queue: PlanningQueue) -> Overloaded:
+        wait: Callable[[object], object] = lambda _: opened.wait(PATIENCE_S)  # noqa: E731
+        held = [asyncio.ensure_future(queue.run(wait)) for _ in range(5)]
+        await asyncio.sleep(0)
+        with pytest.raises(
+            Overloaded, match="4 requests wait already; try again in 15 s"
+        ) as caught:
+            await queue.run(wait)
+        opened.set()
+        await asyncio.gather(*held)
+        return caught.value
+
+    with PlanningQueue(Limits(threads=1, max_waiting=4), clock=clock) as queue:
+        taught(queue, clock, 3.0)
+        assert asyncio.run(fill(queue)).retry_after_s == 15

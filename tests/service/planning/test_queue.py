@@ -1,0 +1,151 @@
+"""Only so many jobs run, only so many wait, and each gives its place back."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from typing import Any
+
+import pytest
+
+from anchorflow_client import NotReady, Overloaded
+from anchorflow_service.planning import Limits, PlanningQueue
+
+PATIENCE_S = 20
+
+
+def test_the_queue_lets_so_many_wait() -> None:
+    opened = threading.Event()
+
+    async def fill(queue: PlanningQueue) -> list[Any]:
+        jobs = [
+            asyncio.ensure_future(queue.run(lambda _: opened.wait(PATIENCE_S))) for _ in range(4)
+        ]
+        done, _ = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
+        assert len(done) == 1
+        opened.set()
+        return await asyncio.gather(*jobs, return_exceptions=True)
+
+    with PlanningQueue(Limits(threads=1, max_waiting=2)) as queue:
+        *answered, refused = asyncio.run(fill(queue))
+        assert answered == [True, True, True]
+        assert isinstance(refused, Overloaded)
+        assert asyncio.run(queue.run(lambda turn: turn.queue_ms)) >= 0
+        assert queue.in_flight == 0
+
+
+def test_a_job_that_fails_gives_its_place_back() -> None:
+    def fail(_: object) -> None:
+        raise ZeroDivisionError
+
+    with PlanningQueue(Limits(threads=1, max_waiting=0)) as queue:
+        for _ in range(3):
+            with pytest.raises(ZeroDivisionError):
+                asyncio.run(queue.run(fail))
+
+
+def test_a_caller_who_leaves_gives_his_place_back() -> None:
+    opened = threading.Event()
+    done: list[str] = []
+
+    async def leave(queue: PlanningQueue) -> None:
+        running = asyncio.ensure_future(queue.run(lambda _: opened.wait(PATIENCE_S)))
+        waiting = asyncio.ensure_future(queue.run(lambda _: done.append("waiting")))
+        await asyncio.sleep(0)
+        waiting.cancel()
+        await asyncio.wait([waiting])
+        another = asyncio.ensure_future(queue.run(lambda _: "another"))
+        await asyncio.sleep(0)
+        opened.set()
+        assert await running
+        assert await another == "another"
+
+    with PlanningQueue(Limits(threads=1, max_waiting=1)) as queue:
+        asyncio.run(leave(queue))
+    assert done == []
+
+
+def test_a_closed_queue_is_not_ready() -> None:
+    with pytest.raises(NotReady):
+        asyncio.run(PlanningQueue(Limits(threads=1)).run(lambda _: None))
+
+
+def test_closing_waits_for_what_runs_and_refuses_what_waits() -> None:
+    reached, opened = threading.Event(), threading.Event()
+
+    def job(_: object) -> str:
+        reached.set()
+        assert opened.wait(PATIENCE_S)
+        return "done"
+
+    async def close() -> list[Any]:
+        queue = PlanningQueue(Limits(threads=1)).__enter__()
+        jobs = [asyncio.ensure_future(queue.run(job)) for _ in range(2)]
+        await asyncio.to_thread(reached.wait, PATIENCE_S)
+        closing = asyncio.ensure_future(asyncio.to_thread(queue.__exit__, None, None, None))
+        with pytest.raises(NotReady, match="stopping"):
+            await jobs[1]
+        assert not closing.done()
+        opened.set()
+        await closing
+        return await asyncio.gather(*jobs, return_exceptions=True)
+
+    first, second = asyncio.run(close())
+    assert first == "done"
+    assert isinstance(second, NotReady)
+
+
+def test_two_lanes_work_at_the_same_time() -> None:
+    both = threading.Barrier(2)
+
+    async def ask(queue: PlanningQueue) -> list[int]:
+        jobs = (queue.run(lambda _: both.wait(PATIENCE_S)) for _ in range(2))
+        return await asyncio.gather(*jobs)
+
+    with PlanningQueue(Limits(threads=2, max_batch=2)) as queue:
+        assert sorted(asyncio.run(ask(queue))) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("limits", "lanes"),
+    [
+        (Limits(threads=4), 4),
+        (Limits(threads=4, max_batch=3), 3),
+        (Limits(threads=4, max_batch=1), 1),
+    ],
+)
+def test_there_is_a_lane_for_each_request_that_may_be_planned_at_a_time(
+    limits: Limits, lanes: int
+) -> None:
+    assert PlanningQueue(limits).workers == lanes
+
+
+def test_who_is_alone_has_all_threads() -> None:
+    for limits in (
+        Limits(threads=6),
+        Limits(threads=6, max_batch=1),
+        Limits(threads=6, max_batch=4),
+    ):
+        with PlanningQueue(limits) as queue:
+            idle = threading.Event()
+            while not idle.is_set():  # a lane that has just been started is not yet idle
+                with queue._changed:
+                    if queue._idle_lanes == queue.workers:
+                        idle.set()
+            assert asyncio.run(queue.run(lambda turn: turn.threads)) == 6
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"max_waiting": -1}, "max_waiting"),
+        ({"max_batch": 0}, "max_batch"),
+        ({"batch_wait_ms": -1.0}, "batch_wait_ms"),
+        ({"batch_wait_ms": float("nan")}, "batch_wait_ms"),
+        ({"threads": 0}, "threads"),
+        ({"max_body_bytes": 0}, "max_body_bytes"),
+    ],
+)
+def test_bounds_that_leave_nothing_are_refused(changes: dict[str, Any], name: str) -> None:
+    with pytest.raises(ValueError, match=f"{name}: expected"):
+        Limits(**changes)

@@ -1,0 +1,126 @@
+"""The way from bytes to bytes that all transports share, without any of them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from anchorflow_client import (
+    AnchorRequest,
+    DeadlineExceeded,
+    InvalidRequest,
+    JsonCodec,
+    NotReady,
+    OipCodec,
+    Payload,
+    UnknownModel,
+)
+from anchorflow_service.planning import Call, PlanningService
+
+CODEC = OipCodec()
+
+
+@pytest.fixture
+def open_planning(planning: PlanningService) -> Iterator[PlanningService]:
+    with planning:
+        yield planning
+
+
+def call(planning: PlanningService, fields: dict[str, Any], **beside: Any) -> Call:
+    """A call in binary, with what its transport says beside it."""
+    payload = CODEC.encode_request(AnchorRequest.from_fields(fields))
+    return Call(payload, CODEC, planning.arrival(), "drawn", **beside)
+
+
+def answer(planning: PlanningService, asked: Call) -> Any:
+    return CODEC.decode_answer(asyncio.run(planning.answer(asked)))
+
+
+def test_the_same_bytes_in_give_the_same_bytes_out(engine: Any, fields: dict[str, Any]) -> None:
+    """What differs between two answers is the time they took; here it stands still."""
+    with PlanningService({"lines": engine}, default="lines", clock=lambda: 7.0) as planning:
+        first, second = (
+            asyncio.run(planning.answer(call(planning, fields | {"seed": 3}))) for _ in range(2)
+        )
+
+    assert first == second
+    assert CODEC.decode_answer(first).timing_ms["total"] == 0.0
+
+
+def test_the_address_may_name_the_model(
+    open_planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    assert answer(open_planning, call(open_planning, fields)).model.name == "lines"
+    assert answer(open_planning, call(open_planning, fields, model="bows")).model.name == "bows"
+    same = call(open_planning, fields | {"model": "bows"}, model="bows")
+    assert answer(open_planning, same).model.name == "bows"
+
+
+def test_two_names_of_a_model_must_agree(
+    open_planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    with pytest.raises(InvalidRequest, match="model: expected bows, as the address says"):
+        answer(open_planning, call(open_planning, fields | {"model": "lines"}, model="bows"))
+    with pytest.raises(UnknownModel, match="'nobody'"):
+        answer(open_planning, call(open_planning, fields, model="nobody"))
+
+
+def test_the_requests_own_id_rules(open_planning: PlanningService, fields: dict[str, Any]) -> None:
+    drawn, own = (
+        call(open_planning, fields),
+        call(open_planning, fields | {"request_id": "own"}),
+    )
+
+    assert answer(open_planning, drawn).request_id == drawn.request_id == "drawn"
+    assert answer(open_planning, own).request_id == own.request_id == "own"
+
+
+def test_a_refused_call_has_its_own_id_too(
+    open_planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    refused = call(open_planning, fields | {"request_id": "own", "v_max": 9.0})
+
+    with pytest.raises(InvalidRequest, match="v_max"):
+        answer(open_planning, refused)
+    assert refused.request_id == "own"
+
+
+def test_a_budget_beside_the_bytes_is_the_newer_one(
+    open_planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    with pytest.raises(DeadlineExceeded, match="within 1e-06 ms"):
+        answer(open_planning, call(open_planning, fields | {"budget_ms": 60_000}, budget_ms=1e-6))
+    assert answer(
+        open_planning, call(open_planning, fields | {"budget_ms": 1e-6}, budget_ms=60_000)
+    )
+
+
+def test_the_answer_has_the_form_of_the_request(
+    open_planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    codec = JsonCodec()
+    payload = codec.encode_request(AnchorRequest.from_fields(fields))
+    asked = replace(call(open_planning, fields), payload=payload, codec=codec)
+
+    assert codec.decode_answer(asyncio.run(open_planning.answer(asked))).seed == 1
+
+
+def test_bytes_that_cannot_be_read_are_refused(
+    open_planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    with pytest.raises(InvalidRequest, match="header_length"):
+        answer(open_planning, replace(call(open_planning, fields), payload=Payload(b"")))
+
+
+def test_closed_it_is_not_ready(planning: PlanningService, fields: dict[str, Any]) -> None:
+    with pytest.raises(NotReady):
+        answer(planning, call(planning, fields))
+
+
+def test_the_default_must_be_served(engine: Any) -> None:
+    with pytest.raises(ValueError, match="'b' is none of"):
+        PlanningService({"a": engine}, default="b")

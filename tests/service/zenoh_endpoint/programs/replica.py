@@ -1,0 +1,75 @@
+"""A replica whose engine takes its time. Arguments: the router's endpoint, the name, seconds."""
+
+import asyncio
+import sys
+import time
+
+import numpy as np
+
+from anchorflow_client import (
+    AnchorBatch,
+    AnchorRequest,
+    MapSpec,
+    ModelCard,
+    RefineSpec,
+    SamplerSpec,
+)
+from anchorflow_client.zenoh_client import ZenohSettings
+from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_service.planning import PlanningService
+from anchorflow_service.zenoh_endpoint import ZenohEndpoint
+
+
+class Sleeper:
+    """Answers that every anchor stands still."""
+
+    card = ModelCard(
+        name="sleeper",
+        version="1",
+        sha256="ab" * 32,
+        planner="sleeper",
+        inputs=(),
+        outputs=(),
+        T=4,
+        D=2,
+        horizon_s=3.0,
+        dt=1.0,
+        v_max=2.0,
+        a_max=3.0,
+        robot_radius=0.25,
+        map=MapSpec(H=64, W=64, channels=3),
+        sampler=SamplerSpec("rk4", (0.0, 1.0)),
+        refine=RefineSpec(smooth=False, project=False, safety_margin=0.0, guidance=0.0),
+    )
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+
+    def plan(self, request: AnchorRequest, /, **_: object) -> AnchorBatch:
+        time.sleep(self.seconds)
+        paths = np.zeros((request.num_samples, 4, 2), np.float32)
+        return AnchorBatch(
+            trajectories=paths,
+            velocities=paths,
+            accelerations=paths,
+            scores=paths[:, 0, 0],
+            clearance=paths[:, 0, 0],
+            safe=np.ones(len(paths), bool),
+            dt=1.0,
+            seed=request.seed or 0,
+            model=self.card.id,
+            timing_ms={},
+        )
+
+
+async def serve(endpoint: str, name: str, seconds: float) -> None:
+    """Until the process ends."""
+    session = open_session(ZenohSettings(mode="client", connect=(endpoint,)), wait_s=10)
+    with PlanningService({"sleeper": Sleeper(seconds)}, default="sleeper") as service:
+        async with ZenohEndpoint(service, session, replica=name):
+            sys.stdout.write("up\n")
+            sys.stdout.flush()
+            await asyncio.Event().wait()
+
+
+asyncio.run(serve(sys.argv[1], sys.argv[2], float(sys.argv[3])))

@@ -1,0 +1,237 @@
+"""The endpoint as any zenoh program sees it: keys, attachments, errors, life and death."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import zenoh
+from anyio.from_thread import start_blocking_portal
+
+from anchorflow_client import AnchorBatch, AnchorRequest, InvalidRequest, OipCodec, Payload
+from anchorflow_client.zenoh_client import ZenohSettings
+from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.zenoh_endpoint import ZenohEndpoint
+
+CODEC = OipCodec()
+LINES = "anchorflow/v1/anchors/lines"
+PATIENCE_S = 20
+
+
+@pytest.fixture
+def session(replica: ZenohEndpoint, endpoint: str) -> Iterator[zenoh.Session]:
+    """Another program on the network of replica "a"."""
+    assert replica.replica == "a"
+    settings = ZenohSettings(mode="client", connect=(endpoint,))
+    with open_session(settings) as session:
+        yield session
+
+
+def ask(
+    session: zenoh.Session,
+    key: str,
+    fields: dict[str, Any],
+    *,
+    attachment: dict[str, Any] | bytes | None = None,
+    payload: bytes | None = None,
+) -> list[zenoh.Reply]:
+    """All replies to a request; its attachment says what it should unless told."""
+    sent = CODEC.encode_request(AnchorRequest.from_fields(fields))
+    if attachment is None:
+        attachment = {"header_length": sent.header_length, "request_id": "r1"}
+    if isinstance(attachment, dict):
+        attachment = json.dumps(attachment).encode()
+    replies = session.get(
+        key,
+        payload=sent.body if payload is None else payload,
+        attachment=attachment,
+        timeout=float(PATIENCE_S),
+    )
+    return list(replies)
+
+
+def answer_of(reply: zenoh.Reply) -> tuple[AnchorBatch, dict[str, Any]]:
+    """An answer and its attachment."""
+    assert reply.ok is not None
+    assert reply.ok.attachment is not None
+    said = json.loads(reply.ok.attachment.to_bytes())
+    payload = Payload(reply.ok.payload.to_bytes(), said["header_length"])
+    return CODEC.decode_answer(payload), said
+
+
+def error_of(replies: list[zenoh.Reply]) -> dict[str, Any]:
+    """The only reply, which is the contract's error."""
+    (reply,) = replies
+    assert reply.err is not None
+    assert str(reply.err.encoding) == "application/json"
+    return json.loads(reply.err.payload.to_bytes())["error"]
+
+
+@pytest.mark.parametrize("key", [LINES, "anchorflow/v1/replica/a/anchors/lines"])
+def test_a_query_is_answered_on_both_keys(
+    session: zenoh.Session, fields: dict[str, Any], key: str
+) -> None:
+    (reply,) = ask(session, key, fields)
+
+    batch, said = answer_of(reply)
+    assert reply.ok is not None
+    assert str(reply.ok.key_expr) == key
+    assert str(reply.ok.encoding) == "application/octet-stream"
+    assert (batch.model.name, batch.seed, batch.request_id) == ("lines", 1, "r1")
+    assert (said["request_id"], said["replica"]) == ("r1", "a")
+    assert set(said["load"]) == {"in_flight", "workers", "mean_service_ms"}
+
+
+def test_a_key_with_a_wildcard_reaches_every_model(
+    session: zenoh.Session, fields: dict[str, Any]
+) -> None:
+    replies = ask(session, "anchorflow/v1/anchors/*", fields)
+
+    answered = {str(reply.ok.key_expr): answer_of(reply)[0] for reply in replies if reply.ok}
+    assert {key: batch.model.name for key, batch in answered.items()} == {
+        LINES: "lines",
+        "anchorflow/v1/anchors/bows": "bows",
+    }
+
+
+def test_it_tells_its_cards_and_its_load(session: zenoh.Session, engine: Any) -> None:
+    (reply,) = session.get("anchorflow/v1/replica/*/info", timeout=float(PATIENCE_S))
+
+    assert reply.ok is not None
+    assert str(reply.ok.key_expr) == "anchorflow/v1/replica/a/info"
+    told = json.loads(reply.ok.payload.to_bytes())
+    assert (told["replica"], told["ready"]) == ("a", True)
+    assert told["load"]["in_flight"] == 0
+    assert told["load"]["mean_service_ms"] == 0.0
+    assert told["load"]["workers"] >= 1
+    assert [card["name"] for card in told["models"]] == ["lines", "bows"]
+    assert told["models"][0]["sha256"] == engine.card.sha256
+
+
+BAD_ATTACHMENTS: dict[str, tuple[Any, str]] = {
+    "none": (b"", "attachment"),
+    "no length": ({}, "header_length"),
+    "no json": (b"{", "attachment"),
+    "no utf-8": (b"\xff", "attachment"),
+    "a list": (b"[1]", "attachment"),
+    "nested": (b"[" * 20_000, "attachment"),
+    "unknown field": ({"header_length": 64, "robot": 1}, "attachment.robot"),
+    "length below 0": ({"header_length": -1}, "attachment.header_length"),
+    "length with a fraction": ({"header_length": 1.5}, "attachment.header_length"),
+    "length beyond the body": ({"header_length": 2**50}, "header_length"),
+    "budget of 0": ({"header_length": 64, "budget_ms": 0}, "attachment.budget_ms"),
+    "id of another type": ({"header_length": 64, "request_id": 3}, "attachment.request_id"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_ATTACHMENTS)
+def test_a_bad_attachment_is_refused_by_name(
+    session: zenoh.Session, fields: dict[str, Any], case: str
+) -> None:
+    attachment, field = BAD_ATTACHMENTS[case]
+
+    error = error_of(ask(session, LINES, fields, attachment=attachment))
+
+    assert (error["code"], error["field"]) == ("invalid_request", field)
+    assert field in error["message"]
+    assert ask(session, LINES, fields)[0].ok is not None
+
+
+def test_bytes_that_are_no_request_are_refused(
+    session: zenoh.Session, fields: dict[str, Any]
+) -> None:
+    attachment = {"header_length": 4}
+
+    error = error_of(ask(session, LINES, fields, attachment=attachment, payload=b"\0" * 8))
+
+    assert (error["code"], error["field"]) == ("invalid_request", "header")
+
+
+def test_the_key_and_the_body_must_name_one_model(
+    session: zenoh.Session, fields: dict[str, Any]
+) -> None:
+    error = error_of(ask(session, LINES, fields | {"model": "bows"}))
+
+    assert (error["code"], error["field"]) == ("invalid_request", "model")
+
+
+def test_the_budget_beside_the_body_rules(session: zenoh.Session, fields: dict[str, Any]) -> None:
+    sent = CODEC.encode_request(AnchorRequest.from_fields(fields | {"budget_ms": 60_000}))
+    attachment = {"header_length": sent.header_length, "budget_ms": 1e-6}
+
+    error = error_of(ask(session, LINES, fields, attachment=attachment, payload=sent.body))
+
+    assert (error["code"], error["field"]) == ("deadline_exceeded", "budget_ms")
+
+
+def test_a_body_over_the_limit_is_refused(
+    serve: Any, endpoint: str, engine: Any, fields: dict[str, Any]
+) -> None:
+    limits = Limits(max_body_bytes=100)
+    service = PlanningService({"lines": engine}, default="lines", limits=limits)
+    serve(ZenohSettings(listen=(endpoint,)), service)
+    with open_session(ZenohSettings(mode="client", connect=(endpoint,))) as session:
+        error = error_of(ask(session, LINES, fields))
+
+    assert (error["code"], error["field"]) == ("too_large", "body")
+    assert "at most 100 bytes" in error["message"]
+
+
+def test_behind_a_router_replicas_of_one_key_get_one_query_each(
+    start: Any, serve: Any, endpoint: str, engine: Any, fields: dict[str, Any]
+) -> None:
+    """Complete queryables: a query runs once, not everywhere."""
+    start("router.py", endpoint)
+    at_router = ZenohSettings(mode="client", connect=(endpoint,))
+    for name in "ab":
+        service = PlanningService({"lines": engine}, default="lines")
+        serve(at_router, service, replica=name)
+    with open_session(at_router) as session:
+        replies = ask(session, LINES, fields)
+
+    assert len(replies) == 1
+    assert len(engine.seen) == 1
+
+
+def test_a_service_that_leaves_answers_what_came_and_is_gone(
+    planning: PlanningService, engine: Any, endpoint: str, fields: dict[str, Any]
+) -> None:
+    reached, opened = threading.Event(), threading.Event()
+
+    def hold(batch: AnchorBatch) -> AnchorBatch:
+        reached.set()
+        assert opened.wait(PATIENCE_S)
+        return batch
+
+    engine.before_answer = hold
+    settings = ZenohSettings(mode="client", connect=(endpoint,))
+    with start_blocking_portal() as portal, planning, ThreadPoolExecutor(2) as executor:
+        joined = ZenohEndpoint(planning, open_session(ZenohSettings(listen=(endpoint,))))
+        portal.call(joined.__aenter__)
+        with open_session(settings) as session:
+            asked = executor.submit(ask, session, LINES, fields)
+            assert reached.wait(PATIENCE_S)
+            leaving = executor.submit(portal.call, joined.__aexit__, None, None, None)
+            opened.set()
+            assert answer_of(asked.result(PATIENCE_S)[0])[0].seed == 1
+            leaving.result(PATIENCE_S)
+            assert ask(session, LINES, fields) == []
+
+
+def test_a_model_whose_name_no_key_can_hold_is_refused(engine: Any, endpoint: str) -> None:
+    service = PlanningService({"a/b": _renamed(engine, "a/b")}, default="a/b")
+    with (
+        open_session(ZenohSettings(listen=(endpoint,))) as session,
+        pytest.raises(InvalidRequest, match="model: expected a name without spaces"),
+    ):
+        ZenohEndpoint(service, session)
+
+
+def _renamed(engine: Any, name: str) -> Any:
+    return type(engine)(replace(engine.card, name=name))
