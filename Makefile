@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help serve toolkit test lint format bench clean
+.PHONY: help serve toolkit test lint format bench docs clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -39,8 +39,11 @@ bench: $(VENV)/.dev  ## Measure quality, latency and load into benchmarks/result
 	$(BIN)/anchorflow bench latency
 	$(BIN)/anchorflow bench load
 
-clean:  ## Remove .venv, caches and built packages
-	rm -rf $(VENV) dist .pytest_cache .ruff_cache .hypothesis
+docs: $(VENV)/.docs  ## Build the documentation into site/; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+clean:  ## Remove .venv, caches and what was built
+	rm -rf $(VENV) dist site .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.created:
@@ -54,6 +57,10 @@ $(VENV)/.service: pyproject.toml $(VENV)/.created
 $(VENV)/.toolkit: pyproject.toml $(VENV)/.created
 	$(PIP) install '$(TORCH)'
 	$(PIP) install --editable '.[service,train,plot]'
+	touch $@
+
+$(VENV)/.docs: pyproject.toml $(VENV)/.created
+	$(PIP) install --editable '.[docs]'
 	touch $@
 
 $(VENV)/.dev: pyproject.toml $(VENV)/.created

@@ -108,17 +108,32 @@ class AnchorRequestBody(_Body):
     num_samples: int = _within(
         ranges.NUM_SAMPLES, "N, anchors a scene", default=ranges.DEFAULT_NUM_SAMPLES
     )
-    robot_radius: float | None = _within(ranges.ROBOT_RADIUS, "The card's", default=None)
-    v_max: float | None = _within(ranges.V_MAX, "The card's", default=None)
-    a_max: float | None = _within(ranges.A_MAX, "The card's", default=None)
-    horizon_s: float | None = _within(ranges.HORIZON, "The card's", default=None)
-    model: str | None = Field(None, description="Name of a model; the default one.")
-    seed: int | None = _within(ranges.SEED, "Drawn and echoed", default=None)
+    robot_radius: float | None = _within(
+        ranges.ROBOT_RADIUS, "Radius of the robot; by default the card's", default=None
+    )
+    v_max: float | None = _within(
+        ranges.V_MAX, "Limit of speed; by default the card's", default=None
+    )
+    a_max: float | None = _within(
+        ranges.A_MAX, "Limit of acceleration; by default the card's", default=None
+    )
+    horizon_s: float | None = _within(
+        ranges.HORIZON, "Time that an anchor spans; by default the card's", default=None
+    )
+    model: str | None = Field(None, description="Name of a model; without it the default one.")
+    seed: int | None = _within(
+        ranges.SEED, "Of the noise; drawn by default, and echoed", default=None
+    )
     sampler: SamplerBody | None = Field(None, description="The card's.")
     refine: RefineBody | None = Field(None, description="The card's.")
     warm_start: WarmStartBody | None = Field(None, description="None: start from noise.")
     budget_ms: float | None = _within(
         ranges.BUDGET, "Time left to the caller, from arrival", default=None
+    )
+    robot_id: str | None = Field(
+        None,
+        description="Who asks: a newer request of the same robot supersedes one that still waits "
+        "or is planned.",
     )
     request_id: str | None = Field(
         None, description="Echoed; by default the X-Request-Id header, or drawn."

@@ -1,0 +1,1 @@
+"""The pictures, a subject a file; `docs/pictures.py` draws them."""

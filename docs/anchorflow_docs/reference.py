@@ -1,0 +1,135 @@
+"""The pages under reference/, made from the code at every build: they cannot be outdated."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from anchorflow_client.contract import (
+    AnchorBatch,
+    AnchorRequest,
+    CostMap,
+    MapSpec,
+    ModelCard,
+    ModelId,
+    RefineChoice,
+    SamplerChoice,
+    TensorSpec,
+    WarmStart,
+)
+from anchorflow_docs.card_table import card_table
+from anchorflow_docs.dataclass_table import dataclass_section
+from anchorflow_docs.endpoint_table import endpoint_table
+from anchorflow_docs.error_tables import failures, refusals
+from anchorflow_docs.schema_table import answer_table, request_table
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_service.engine import Engine
+from anchorflow_service.http import create_app
+from anchorflow_service.http.schemas import AnchorAnswerBody, AnchorRequestBody, ErrorBody
+from anchorflow_service.planning import PlanningService
+
+TYPES = (
+    AnchorRequest,
+    CostMap,
+    SamplerChoice,
+    RefineChoice,
+    WarmStart,
+    AnchorBatch,
+    ModelCard,
+    ModelId,
+    TensorSpec,
+    MapSpec,
+)
+OPENAPI = "reference/openapi.json"
+
+HTTP = """# Endpoints
+
+{endpoints}
+
+A body of `POST` and its answer are JSON, or binary where the `Content-Type` says so. What a status
+means: [errors](errors.md).
+
+The same as a machine reads it: [openapi.json](openapi.json), which a running service shows at
+`/openapi.json` too.
+"""
+REQUEST = """# The request
+
+The body of `POST /anchors` in JSON. Everything is in SI units and in the frame of the cost map. An
+interval that begins with a round bracket leaves its end out. A field that is left out, or null,
+takes its default; a field that is not in this table is refused by name.
+
+{fields}
+
+A leading `B` on `cost_map.data`, `x_curr`, `x_goal` or `w_style` makes a batch of scenes; a field
+without it is shared by all of them.
+
+## What a model fixes
+
+`robot_radius`, `v_max`, `a_max` and `horizon_s` may be stated by every request. One that the
+model's card does not list as `adjustable` has to be the card's own. These are the card's values of
+the bundle that ships; `GET /v2/models` tells them of any other.
+
+{card}
+"""
+ANSWER = """# The answer
+
+What `POST /anchors` answers with status 200. Where the request was a batch, a `B` axis leads every
+array.
+
+{fields}
+"""
+ERRORS = """# Errors
+
+Whatever is refused is answered with the same JSON, on every transport:
+
+{body}
+
+The code has an HTTP status, and a class of its own in the Python client, where all of them are
+`RequestError`:
+
+{refusals}
+
+Where there is no such answer at all, the client raises a `TransportError`:
+
+{failures}
+
+Both are `AnchorFlowError`. How to treat them: [clients](../clients.md#when-something-fails); what
+messages mean: [troubleshooting](../troubleshooting.md).
+"""
+PYTHON = """# Python types
+
+`anchorflow_client.contract`, which the service uses too. All of them are frozen; arrays are
+read-only. A field that is None is left to the model's card. One that says nothing here means what
+it means in [the request](request.md) or [the answer](answer.md).
+
+{types}
+"""
+
+
+def reference_pages() -> dict[str, str]:
+    """Markdown, and one JSON document, by their places below docs/."""
+    openapi = _openapi()
+    return {
+        "reference/http.md": HTTP.format(endpoints=endpoint_table(openapi)),
+        "reference/request.md": REQUEST.format(
+            fields=request_table(AnchorRequestBody), card=card_table(_card())
+        ),
+        "reference/answer.md": ANSWER.format(fields=answer_table(AnchorAnswerBody)),
+        "reference/errors.md": ERRORS.format(
+            body=answer_table(ErrorBody), refusals=refusals(), failures=failures()
+        ),
+        "reference/python.md": PYTHON.format(types="\n\n".join(map(dataclass_section, TYPES))),
+        OPENAPI: json.dumps(openapi, indent=2),
+    }
+
+
+def _card() -> ModelCard:
+    return load_bundle(DEFAULT_BUNDLE).card
+
+
+def _openapi() -> Mapping[str, Any]:
+    """Of a service as `anchorflow serve` starts it."""
+    engine = Engine(load_bundle(DEFAULT_BUNDLE), threads=1)
+    service = PlanningService({engine.card.name: engine}, default=engine.card.name)
+    return create_app(service).openapi()

@@ -1,0 +1,153 @@
+"""Reference pages say what the code says: every field, every error, every path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import pytest
+from pydantic import BaseModel, Field
+
+from anchorflow_client import RequestError, TransportError
+from anchorflow_client.contract import AnchorRequest, ranges
+from anchorflow_client.contract.request import FIELDS
+from anchorflow_docs import reference
+from anchorflow_docs.dataclass_table import dataclass_section, field_docstrings
+from anchorflow_docs.endpoint_table import endpoint_table
+from anchorflow_docs.error_tables import failures, refusals
+from anchorflow_docs.markdown import table
+from anchorflow_docs.schema_table import Row, fields_of
+from anchorflow_service.http.schemas import AnchorAnswerBody, AnchorRequestBody
+
+
+class Inner(BaseModel):
+    """What is inside; and more.
+
+    This is not the first line.
+    """
+
+    low: float = Field(gt=0, le=2.5, description="How low [m/s].")
+
+
+class Outer(BaseModel):
+    """A schema with one field of each kind."""
+
+    points: list[float] | list[list[float]] = Field(description="[2] or [B,2] m, where it is.")
+    method: Literal["a", "b"] | None = Field(None, description="One of two.")
+    inner: Inner | None = Field(None, description="Said worse here.")
+    count: int = Field(3, ge=1, le=9, description="Of them.")
+
+
+def test_a_schema_becomes_rows() -> None:
+    assert fields_of(Outer) == [
+        Row("points", "`[2]` or `[B,2]`", "m", "required", "Where it is."),
+        Row("method", '`"a"`, `"b"`', "", "", "One of two."),
+        Row("inner", "object", "", "", "What is inside; and more."),
+        Row("inner.low", "number", "(0, 2.5] m/s", "required", "How low."),
+        Row("count", "integer", "[1, 9]", "`3`", "Of them."),
+    ]
+
+
+def test_the_request_has_every_field_of_the_contract() -> None:
+    rows = {row.path: row for row in fields_of(AnchorRequestBody)}
+
+    assert [path for path in rows if "." not in path] == list(FIELDS)
+    assert rows["v_max"].allowed == f"(0, {ranges.V_MAX.high:g}] m/s"
+    assert rows["num_samples"].default == f"`{ranges.DEFAULT_NUM_SAMPLES}`"
+
+
+@pytest.mark.parametrize("model", [AnchorRequestBody, AnchorAnswerBody])
+def test_every_array_of_the_contract_says_its_shape(model: type[BaseModel]) -> None:
+    """Where no shape is found, the kind is JSON's own: a list."""
+    unshaped = [row.path for row in fields_of(model) if "list" in row.kind]
+
+    assert unshaped in ([], ["sampler.schedule"])
+
+
+def test_a_type_that_no_table_can_show_is_an_error() -> None:
+    class Strange(BaseModel):
+        """Has a field of any type."""
+
+        anything: object
+
+    with pytest.raises(ValueError, match="expected a type"):
+        fields_of(Strange)
+
+
+@dataclass(frozen=True)
+class Base:
+    """The base."""
+
+    first: int
+    """Of all."""
+
+
+@dataclass(frozen=True)
+class Derived(Base):
+    """Derived, on
+    two lines.
+
+    Not shown.
+    """
+
+    second: str | None = None
+
+    @property
+    def both(self) -> str:
+        """Together."""
+        return f"{self.first}{self.second}"
+
+
+def test_a_dataclass_becomes_a_section() -> None:
+    assert dataclass_section(Derived).split("\n") == [
+        "## Derived",
+        "",
+        "Derived, on two lines.",
+        "",
+        "| field | type | default | meaning |",
+        "| --- | --- | --- | --- |",
+        "| `first` | `int` | required | Of all. |",
+        "| `second` | `str | None` | `None` |  |",
+        "",
+        "| property | type | meaning |",
+        "| --- | --- | --- |",
+        "| `both` | `str` | Together. |",
+    ]
+
+
+@pytest.mark.parametrize("kind", reference.TYPES)
+def test_docstrings_belong_to_fields(kind: type) -> None:
+    assert set(field_docstrings(kind)) <= {field.name for field in fields(kind)}
+
+
+def test_an_arrays_shape_stands_under_it() -> None:
+    assert field_docstrings(AnchorRequest)["x_goal"].startswith("[B,2D]")
+
+
+def test_bars_and_line_breaks_keep_to_their_cells() -> None:
+    assert table(["a"], [["x | y\nz `p | q`"]]).split("\n")[-1] == r"| x \| y z `p | q` |"
+
+
+def test_every_error_is_listed_with_its_status() -> None:
+    listed = refusals()
+
+    for kind in RequestError.__subclasses__():
+        assert f"| `{kind.code}` | {kind.http_status} | `{kind.__name__}` |" in listed
+    for kind in TransportError.__subclasses__():
+        assert f"| `{kind.__name__}` |" in failures()
+
+
+def test_every_path_is_listed_with_its_statuses() -> None:
+    paths = {
+        "/anchors": {
+            "post": {
+                "summary": "Plan Anchors",
+                "description": "Plans.\n\nMore.",
+                "responses": {"422": {}, "200": {}},
+            }
+        }
+    }
+
+    row = endpoint_table({"paths": paths}).split("\n")[-1]
+
+    assert row == "| `POST /anchors` | Plans. | 200, 422 |"

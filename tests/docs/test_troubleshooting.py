@@ -1,0 +1,253 @@
+"""Every message that the page explains is one that the code gives, word for word."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.main import main
+from anchorflow_client import (
+    AnchorClient,
+    AnchorFlowError,
+    AnchorRequest,
+    RequestError,
+    TooLarge,
+    TransportError,
+)
+from anchorflow_client.transport import SocketTransport
+from anchorflow_docs.messages import messages_of, wording
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_service.engine import Engine
+from anchorflow_service.http.guard import Guard
+from anchorflow_service.http.tokens import TokenFile, token_line
+from anchorflow_service.planning import Arrival, Limits, PlanningQueue
+from anchorflow_service.planning.robots import Robots
+from anchorflow_service.planning.ticket import Ticket
+
+PAGE = Path(__file__).parents[2] / "docs" / "troubleshooting.md"
+MESSAGES = messages_of(PAGE)
+RESOLUTION = 0.16
+
+
+def occupancy() -> np.ndarray:
+    grid = np.zeros((1, 64, 64))
+    grid[0, 20:44, 30:34] = 1.0
+    return grid
+
+
+def cost_map(data: np.ndarray) -> dict[str, Any]:
+    return {"data": data.tolist(), "resolution": RESOLUTION}
+
+
+GOOD: dict[str, Any] = {
+    "cost_map": cost_map(occupancy()),
+    "x_curr": [-3, 0, 0, 0, 0, 0],
+    "x_goal": [3, 0, 0, 0],
+}
+REFUSED: dict[str, dict[str, Any]] = {
+    "goal-in-obstacle": {"x_goal": [0, 0, 0, 0]},
+    "start-off-the-map": {"x_curr": [-6, 0, 0, 0, 0, 0]},
+    "states-of-another-length": {"x_curr": [-3, 0]},
+    "map-without-channels": {"cost_map": cost_map(occupancy()[0])},
+    "map-of-percent": {"cost_map": cost_map(100 * occupancy())},
+    "map-with-nan": {"cost_map": cost_map(np.nan * occupancy())},
+    "map-too-small": {"cost_map": cost_map(np.zeros((1, 8, 8)))},
+    "map-with-strange-channels": {"cost_map": cost_map(np.zeros((5, 64, 64)))},
+    "limit-of-another-model": {"v_max": 3.0},
+    "misspelt-field": {"num_sample": 16},
+    "schedule-without-noise": {"sampler": {"schedule": [0.5, 1.0]}},
+    "batches-that-differ": {"x_curr": [GOOD["x_curr"]] * 2, "x_goal": [GOOD["x_goal"]] * 3},
+}
+"""By what is changed in a good request."""
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_refused_request(name: str, default_engine: Engine) -> None:
+    with pytest.raises(RequestError) as caught:
+        default_engine.plan(AnchorRequest.from_fields(GOOD | REFUSED[name]))
+
+    check(name, caught.value)
+
+
+def unknown_model(url: str) -> None:
+    with AnchorClient(url) as client:
+        client.plan(**GOOD, model="mine")
+
+
+def budget_spent(url: str) -> None:
+    with AnchorClient(url) as client:
+        client.plan(**GOOD, budget_ms=0.01)
+
+
+def body_too_large(url: str) -> None:
+    transport = SocketTransport(url, connect_timeout_s=5.0)
+    status, _, answer = transport.send("POST", "/anchors", {}, b" " * 17 * 2**20, 30.0)
+    transport.close()
+    assert status == TooLarge.http_status
+    raise RequestError.from_dict(json.loads(answer))
+
+
+OVER_HTTP: dict[str, Callable[[str], None]] = {
+    "unknown-model": unknown_model,
+    "budget-spent": budget_spent,
+    "body-too-large": body_too_large,
+}
+"""What is asked of a service."""
+
+
+@pytest.mark.parametrize("name", OVER_HTTP)
+def test_a_refusal_over_http(name: str, service_url: str) -> None:
+    with pytest.raises(RequestError) as caught:
+        OVER_HTTP[name](service_url)
+
+    check(name, caught.value)
+
+
+def too_many_wait(queue: PlanningQueue) -> None:
+    with queue, ExitStack() as places:
+        while True:
+            places.enter_context(queue.place())
+
+
+def not_ready(queue: PlanningQueue) -> None:
+    with queue.place():
+        raise AssertionError("a closed queue has no place")
+
+
+def superseded(_: PlanningQueue) -> None:
+    older, newer = (Ticket(lambda _: None, Arrival()) for _ in range(2))
+    robots = Robots()
+    with robots.newest("rover-7", newer), robots.newest("rover-7", older):
+        raise AssertionError("the older one is refused")
+
+
+IN_THE_QUEUE: dict[str, Callable[[PlanningQueue], None]] = {
+    "too-many-wait": too_many_wait,
+    "not-ready": not_ready,
+    "superseded": superseded,
+}
+"""What is done to a queue of one place beside that of the work in hand."""
+
+
+@pytest.mark.parametrize("name", IN_THE_QUEUE)
+def test_a_refusal_by_the_queue(name: str) -> None:
+    with pytest.raises(RequestError) as caught:
+        IN_THE_QUEUE[name](PlanningQueue(Limits(threads=1, max_waiting=1)))
+
+    check(name, caught.value)
+
+
+def nobody_listens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    AnchorClient(f"http://127.0.0.1:{port}").plan(**GOOD)
+
+
+def no_word() -> None:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as listener,
+        AnchorClient(f"http://127.0.0.1:{listener.getsockname()[1]}", timeout_s=0.05) as client,
+    ):
+        client.plan(**GOOD)
+
+
+def another_program() -> None:
+    with HTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as other:
+        threading.Thread(target=other.handle_request).start()
+        with AnchorClient(f"http://127.0.0.1:{other.server_port}") as client:
+            client.plan(**GOOD)
+
+
+NO_ANSWER: dict[str, Callable[[], None]] = {
+    "nobody-listens": nobody_listens,
+    "no-word": no_word,
+    "another-program": another_program,
+}
+
+
+@pytest.mark.parametrize("name", NO_ANSWER)
+def test_no_answer(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(TransportError) as caught:
+        NO_ANSWER[name]()
+
+    capfd.readouterr()  # the other program's log
+    check(name, caught.value)
+
+
+def no_token(folder: Path) -> None:
+    file = folder / "tokens"
+    file.write_text(token_line("robot", ("infer",), "secret"))
+    guard = Guard(lambda *_: pytest.fail("it was let through"), tokens=TokenFile(file))
+
+    async def ask() -> httpx.Response:
+        transport = httpx.ASGITransport(app=guard)
+        async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
+            return await client.post("/anchors")
+
+    raise RequestError.from_dict(asyncio.run(ask()).json())
+
+
+def bundle_missing(folder: Path) -> None:
+    load_bundle(folder / "bundles" / "mine")
+
+
+def bundle_changed(folder: Path) -> None:
+    mine = shutil.copytree(DEFAULT_BUNDLE, folder / "bundles" / "mine")
+    with (mine / "field.onnx").open("ab") as graph:
+        graph.write(b"?")
+    load_bundle(mine)
+
+
+def port_taken(_: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        main(["serve", "--port", str(listener.getsockname()[1])])
+
+
+def extra_missing(_: Path) -> None:
+    with needs_extra("service", who="anchorflow serve"):
+        raise ModuleNotFoundError(name="onnxruntime")
+
+
+AT_THE_START: dict[str, Callable[[Path], None]] = {
+    "no-token": no_token,
+    "bundle-missing": bundle_missing,
+    "bundle-changed": bundle_changed,
+    "port-taken": port_taken,
+    "extra-missing": extra_missing,
+}
+
+
+@pytest.mark.parametrize("name", AT_THE_START)
+def test_a_start_that_fails(name: str, tmp_path: Path) -> None:
+    with pytest.raises((AnchorFlowError, SystemExit)) as caught:
+        AT_THE_START[name](tmp_path)
+
+    check(name, str(caught.value).replace(f"{tmp_path}/", ""))
+
+
+def test_every_message_of_the_page_is_checked() -> None:
+    checked = [*REFUSED, *OVER_HTTP, *IN_THE_QUEUE, *NO_ANSWER, *AT_THE_START]
+
+    assert sorted(checked) == sorted(MESSAGES)
+
+
+def test_the_wording_is_what_is_compared() -> None:
+    assert wording("expected 2.5 m, got 3 m") == wording("expected 10 m, got 0.25 m")
+    assert wording("expected 2 m, got 3 m") != wording("expected 2 s, got 3 m")
+
+
+def check(name: str, message: object) -> None:
+    assert wording(str(message)) == wording(MESSAGES[name])
