@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import Progress
 
 from anchorflow_benchmarks.baselines import BASELINES, ExpertPlanner, named_baselines
 from anchorflow_benchmarks.errors import BenchmarkError
@@ -36,10 +34,14 @@ from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_
 from anchorflow_benchmarks.report import Report
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import default_source, load_scenes
+from anchorflow_cli import bench_serving, bench_soak, bench_zenoh
+from anchorflow_cli.bench_output import say, show_and_write
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
+from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
-from anchorflow_service.engine import Engine, usable_cores
+from anchorflow_service.cores import usable_cores
+from anchorflow_service.engine import Engine
 
 app = command_app()
 
@@ -189,7 +191,11 @@ def load(
     found = load_scenes(scenes, limits=limits_of(opened))
     asked = [request_of(scene, num=num, seed=1, sampler=spec) for scene in found]
     with server(bundle, url) as address:
-        ways = {"in-process": in_process(Engine(opened)), "HTTP JSON": over_http(address)}
+        ways = {
+            "in-process": in_process(Engine(opened)),
+            "HTTP JSON": over_http(address),
+            "HTTP binary": over_http(address, OipCodec()),
+        }
         table = load_table(ways, asked, config, progress=say)
     about = {"scenes": scenes, "anchors a request": str(num), "server": url or f"of {bundle}"}
     show_and_write(Report("load", "Load", about | circumstances(), [table]), out)
@@ -214,27 +220,10 @@ def server(bundle: Path, url: str | None) -> Iterator[str]:
             process.terminate()
 
 
-@contextmanager
-def progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A bar on standard error; calls of what it gives move it on."""
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=total)
-        yield lambda done: bar.advance(task, done)
-
-
-def say(line: str) -> None:
-    typer.echo(line, err=True)
-
-
-def show_and_write(report: Report, folder: Path) -> None:
-    report.show()
-    for path in report.write(folder):
-        say(str(path))
-
-
-def whole_numbers(text: str, option: str) -> list[int]:
-    """`1,16,64` as numbers above 0; raises `BenchmarkError`."""
-    parts = text.split(",")
-    if not all(part.isdecimal() and int(part) > 0 for part in parts):
-        raise BenchmarkError(f"{option}: expected whole numbers above 0 such as 1,16, got {text!r}")
-    return [int(part) for part in parts]
+app.command()(bench_zenoh.zenoh)
+app.command()(bench_zenoh.failover)
+app.command()(bench_serving.serving)
+app.command()(bench_serving.release)
+app.command()(bench_serving.swaps)
+app.command()(bench_soak.soak)
+app.command("closed-loop")(bench_closed_loop.closed_loop)

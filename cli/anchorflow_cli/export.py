@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,11 +11,14 @@ from anchorflow_cli.options import command_app
 from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_client.contract import MapSpec, SamplerChoice, SamplerSpec
 from anchorflow_export.bundle import BundleDescription, export_bundle
+from anchorflow_export.quantization import quantize_field
 from anchorflow_models import L2Config
 from anchorflow_service.manifest import LimitsEntry, RefineEntry
 from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.distillation.student import student_schedule
 from anchorflow_training.provenance import provenance
 from anchorflow_training.restore import restore_model
+from anchorflow_trajectory.ode.schedule import Schedule
 
 app = command_app()
 
@@ -27,10 +30,18 @@ def export(
     out: Annotated[Path, typer.Option(help="Folder of the bundle.")],
     name: Annotated[str, typer.Option(help="Name of the bundle.")] = "flowmp-small",
     version: Annotated[str, typer.Option(help="Version of the bundle.")] = "0.1.0",
-    method: Annotated[str, typer.Option(help="Default solver of the card.")] = "rk4",
+    method: Annotated[
+        str | None,
+        typer.Option(help="Default solver of the card.", show_default="rk4; a student's euler"),
+    ] = None,
     schedule: Annotated[
-        str, typer.Option(help="Default schedule of the card: 8step, or a number of equal steps.")
-    ] = "8",
+        str | None,
+        typer.Option(
+            metavar="8step|COUNT|T,T,...",
+            help="Default schedule of the card: 8step, a number of equal steps, or flow times.",
+            show_default="8; a student's own",
+        ),
+    ] = None,
     noise_scale: Annotated[
         float, typer.Option(min=0.1, max=3.0, help="Spread of the noise; 1: as in training.")
     ] = 1.0,
@@ -39,6 +50,9 @@ def export(
         float, typer.Option(min=0.0, help="Clearance that the descent asks for [m].")
     ] = 0.1,
     refine_steps: Annotated[int, typer.Option(min=1, help="Descents on each anchor.")] = 20,
+    int8: Annotated[
+        bool, typer.Option("--int8", help="The field's products in eight bits: faster, rounded.")
+    ] = False,
 ) -> None:
     """Trace a trained planner to ONNX, prove that both agree, and write the bundle."""
     with one_line_errors():
@@ -54,7 +68,7 @@ def export(
         D=config.dim,
         limits=_limits(config, robot_radius),
         map=MapSpec(H=config.map_size, W=config.map_size, channels=config.map_channels),
-        sampler=_sampler(method, schedule),
+        sampler=_sampler(method, schedule, student_schedule(saved)),
         refine=RefineEntry(
             smooth=True,
             project=True,
@@ -68,6 +82,8 @@ def export(
     )
     for difference in export_bundle(model, description, out=out):
         typer.echo(str(difference))
+    if int8:
+        typer.echo(str(quantize_field(out)))
     typer.echo(f"{out}: {name} {version}")
 
 
@@ -80,10 +96,26 @@ def _limits(config: L2Config, robot_radius: float) -> LimitsEntry:
     )
 
 
-def _sampler(method: str, schedule: str) -> SamplerSpec:
+def _sampler(method: str | None, schedule: str | None, of_student: Schedule | None) -> SamplerSpec:
     """The card's sampler in the words of a request; raises `InvalidRequest` as a request would."""
-    steps = {"uniform": int(schedule)} if schedule.isdecimal() else schedule
-    chosen = SamplerChoice.from_fields({"method": method, "schedule": steps})
+    fields: dict[str, Any] = {"method": "rk4", "schedule": {"uniform": 8}}
+    if of_student is not None:
+        fields = {"method": "euler", "schedule": [*of_student]}
+    if method is not None:
+        fields["method"] = method
+    if schedule is not None:
+        fields["schedule"] = _schedule(schedule)
+    chosen = SamplerChoice.from_fields(fields)
     assert chosen.method is not None
     assert chosen.schedule is not None
     return SamplerSpec(chosen.method, chosen.schedule)
+
+
+def _schedule(text: str) -> Any:
+    """A count as equal steps, numbers as flow times, a name as it is."""
+    if text.isdecimal():
+        return {"uniform": int(text)}
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        return text

@@ -28,9 +28,11 @@ class Command:
 
 COMMANDS = {
     "serve": Command("anchorflow_cli.serve", "Serve a bundle over HTTP.", extra="service"),
+    "token": Command("anchorflow_cli.token", "Make a token for a service.", extra="service"),
     "plan": Command("anchorflow_cli.plan", "Plan on a ROS map and draw it.", extra="service"),
     "data": Command("anchorflow_cli.data", "Make a dataset to train on.", extra="train"),
     "train": Command("anchorflow_cli.train", "Train a planner on a dataset.", extra="train"),
+    "distill": Command("anchorflow_cli.distill", "Teach a student of few steps.", extra="train"),
     "generate": Command(
         "anchorflow_cli.generate", "Draw anchors from a checkpoint.", extra="train"
     ),

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from anchorflow_cli.config_options import with_options
 from anchorflow_cli.options import command_app
+from anchorflow_cli.run_report import reported
 from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_training.config_file import config_text, layered_config
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.settings import ConfigError
-from anchorflow_training.trainer import CFMTrainer, Report, TrainerConfig
+from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 
 app = command_app()
 
@@ -29,7 +26,6 @@ SHORT = {
     "evaluation.held_out": "--held-out",
     "evaluation.patience": "--patience",
 }
-SHOWN = ("loss", "success", "any", "free", "feasible", "samples_per_s", "seconds")
 
 
 @app.command()
@@ -68,38 +64,8 @@ def train(
             (out / "config.yaml").write_text(config_text(settings))
             if trainer.evaluator is None:
                 typer.echo("no scenes are held out (--held-out): nothing is evaluated", err=True)
-        with _report(trainer, settings.steps) as report:
+        with reported(trainer, settings.steps) as report:
             trainer.fit(report)
     if trainer.leads:
         why = ": no progress, stopped early" if trainer.stopped else ""
         typer.echo(f"{trainer.checkpoint_path}: step {trainer.step}{why}")
-
-
-@contextmanager
-def _report(trainer: CFMTrainer, steps: int) -> Iterator[Report]:
-    """A progress bar on a terminal, a plain line a report elsewhere."""
-    if not (trainer.leads and sys.stdout.isatty()):
-        yield _plain_line
-        return
-    columns = "step {task.completed}/{task.total}", "{task.fields[shown]}"
-    with Progress(*map(TextColumn, columns), BarColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task("train", total=steps, completed=trainer.step, shown="")
-
-        def report(step: int, row: dict[str, float]) -> None:
-            if "loss" in row:
-                bar.update(task, completed=step, shown=f"loss {row['loss']:.4f}")
-            else:
-                bar.console.print(_line(step, row))
-
-        yield report
-
-
-def _plain_line(step: int, row: dict[str, float]) -> None:
-    typer.echo(_line(step, row))
-    sys.stdout.flush()
-
-
-def _line(step: int, row: dict[str, float]) -> str:
-    """step 500 loss 0.4213 samples_per_s 840 seconds 312"""
-    shown = (f"{name} {row[name]:.4g}" for name in SHOWN if name in row)
-    return " ".join([f"step {step}", *shown])

@@ -25,11 +25,20 @@ OWN_OUTPUTS = {"modulate": ("modulation",), "field": ("dx_t",)}
 
 
 class BundleError(AnchorFlowError):
-    """A bundle on disk is broken; the message names the file and says what is wrong with it."""
+    """A bundle on disk is broken; the message names the file and says what is wrong with it.
 
-    def __init__(self, file: Path, wrong: str) -> None:
+    detail: what a library said, which may name paths and versions of this machine
+    """
+
+    def __init__(self, file: Path, wrong: str, detail: str = "") -> None:
         self.file = file
-        super().__init__(f"{file}: {wrong}")
+        self.wrong = wrong
+        super().__init__(f"{file}: {wrong}" + (f": {detail}" if detail else ""))
+
+    @property
+    def reason(self) -> str:
+        """The message without what only this machine's owner should read."""
+        return f"{self.file.name}: {self.wrong}"
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,9 +16,11 @@ from anchorflow_client.contract import (
     resolve_for_card,
 )
 from anchorflow_client.errors import InvalidRequest, UnknownModel
-from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle import Bundle, BundleError
 from anchorflow_service.conditioning import Scene, scenes_of
+from anchorflow_service.cores import usable_cores
 from anchorflow_service.flow import Array, Context, FlowSampler, FlowStates
+from anchorflow_service.probe import probe_request
 from anchorflow_service.providers import DEFAULT_PROVIDER
 from anchorflow_service.timing import StageClock
 from anchorflow_service.warm_start import renoised, warm_state
@@ -27,15 +28,23 @@ from anchorflow_trajectory.cost import Limits
 from anchorflow_trajectory.ode.schedule import remaining
 from anchorflow_trajectory.refine import Refined, Refiner
 
+Check = Callable[[], object]
+"""Called between the steps of a request; what it raises ends the request."""
+
+PROBED = 16  # anchors
+
 
 class Engine:
     """A bundle, ready to plan; blocking, and safe to call from several threads.
+
+    It has planned once when it is made: what is broken is found there, and not by a caller.
 
     threads: that one request may keep busy; None: the cores that this process may use
     provider: where the graphs run: "cpu", "cuda", "tensorrt" or "openvino"
 
     Raises:
-        BundleError: a graph of the bundle cannot be opened or is not what the manifest says.
+        BundleError: a graph of the bundle cannot be opened or is not what the manifest says, or
+            the bundle fails at its first request.
         ProviderError: the provider is not to be had; nothing falls back in silence.
     """
 
@@ -44,24 +53,35 @@ class Engine:
     ) -> None:
         self.card: ModelCard = bundle.card
         self._manifest = bundle.manifest
-        self._flow = FlowSampler(bundle, threads=threads or usable_cores(), provider=provider)
+        self._threads = threads or usable_cores()
+        self._flow = FlowSampler(bundle, threads=self._threads, provider=provider)
+        self._warm_up(bundle)
 
-    def plan(self, request: AnchorRequest) -> AnchorBatch:
+    def plan(
+        self, request: AnchorRequest, *, threads: int | None = None, check: Check = lambda: None
+    ) -> AnchorBatch:
         """Draw and finish anchors for every scene of a request.
 
         Scenes are planned one after the other from the same noise, so that an answer is the same
-        to the last bit, alone or in a batch.
+        to the last bit, alone or in a batch, and on however many threads.
+
+        Args:
+            request: what to plan.
+            threads: to keep busy; None: all of the engine's.
+            check: called before every stage and after every step of the solver.
 
         Raises:
             InvalidRequest: the request asks what this bundle or this version cannot do.
             UnknownModel: it asks for another model.
+            Exception: what `check` raises.
         """
+        threads = threads or self._threads
         clock = StageClock()
         with clock.stage("total"):
             resolved = resolve_for_card(request, self.card)
             self._check_supported(resolved)
             scenes = scenes_of(resolved, self.card)
-            finished = [self._plan_scene(scene, clock) for scene in scenes]
+            finished = [self._plan_scene(scene, clock, threads, check) for scene in scenes]
         return AnchorBatch(
             **_stacked(finished, batched=resolved.batched),
             dt=resolved.horizon_s / (self.card.T - 1),
@@ -97,18 +117,29 @@ class Engine:
                 "refine.guidance",
             )
 
-    def _plan_scene(self, scene: Scene, clock: StageClock) -> Refined:
+    def _warm_up(self, bundle: Bundle) -> None:
+        """Plan once. Raises `BundleError` where that fails or gives nonsense."""
+        probe = probe_request(self.card, num_samples=PROBED)
+        try:
+            scene = scenes_of(probe, self.card)[0]
+            self._flow.settle(scene.inputs(self._manifest.inputs), seed=probe.seed)
+            batch = self.plan(probe)
+        except Exception as error:  # onnxruntime's exceptions share no public base
+            raise BundleError(bundle.path, "the warm-up failed", str(error)) from error
+        if not batch.is_finite:
+            raise BundleError(bundle.path, "the warm-up gave numbers that are not finite")
+
+    def _plan_scene(self, scene: Scene, clock: StageClock, threads: int, check: Check) -> Refined:
+        check()
         with clock.stage("encode"):
-            context = self._flow.encode(scene.inputs(self._manifest.inputs))
+            inputs = scene.inputs(self._manifest.inputs)
+            context = self._flow.encode(inputs, threads=threads)
+        check()
         with clock.stage("sample"):
-            state = self._sample(scene.request, context)
+            x, sampler = self._begin(scene.request, context)
+            state = self._flow.integrate(context, x, sampler, threads=threads, check=check)
         with clock.stage("refine"):
             return self._refine(scene, state)
-
-    def _sample(self, request: ResolvedRequest, context: Context) -> Array:
-        """States at t = 1: [N,T,S]."""
-        x, sampler = self._begin(request, context)
-        return self._flow.integrate(context, x, sampler)
 
     def _begin(self, request: ResolvedRequest, context: Context) -> tuple[Array, SamplerSpec]:
         """States [N,T,S] at the first time of the sampler that is left to run."""
@@ -140,13 +171,6 @@ class Engine:
             w_style=scene.w_style,
             spec=request.refine,
         )
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):  # Linux alone has it
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _stacked(scenes: Sequence[Refined], *, batched: bool) -> dict[str, np.ndarray]:

@@ -106,7 +106,7 @@ def _open(path: Path, threads: int, provider: str) -> ort.InferenceSession:
     try:
         session = ort.InferenceSession(path, options, providers=[wanted])
     except Exception as error:  # onnxruntime's exceptions share no public base
-        raise BundleError(path, f"onnxruntime cannot open it: {error}") from error
+        raise BundleError(path, "onnxruntime cannot open it", str(error)) from error
     check_obtained(session, wanted, path)
     return session
 

@@ -22,7 +22,7 @@ from anchorflow_cli import main, serve
 
 card = SimpleNamespace(name="named", version="1.2.3")
 serve.load_bundle = lambda path: path
-serve.Engine = lambda bundle: SimpleNamespace(card=card)
+serve.Engine = lambda bundle, **_: SimpleNamespace(card=card)
 main.main(["serve", "--port", "0", "--bundle", "some/bundle"])
 """
 
@@ -89,3 +89,12 @@ def test_an_ipv6_address_has_brackets() -> None:
         pytest.skip("this machine has no IPv6")
     with listen("::1", 0) as listener:
         assert url_of(listener).startswith("http://[::1]:")
+
+
+def test_a_repository_of_nothing_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["serve", "--port", "0", "--repository", str(tmp_path)])
+
+    assert caught.value.code == (
+        "anchorflow serve: the repository holds no bundle that can be served"
+    )

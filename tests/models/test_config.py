@@ -17,6 +17,7 @@ WRONG = [
     ({"map_size": 60}, "map_size: expected a multiple of 8, got 60"),
     ({"map_size": 0}, "map_size: expected at least 8, got 0"),
     ({"map_channels": 0}, "map_channels: expected at least 1, got 0"),
+    ({"layers": -1}, "layers: expected at least 0, got -1"),
     ({"feature_channels": -1}, "feature_channels: expected at least 0, got -1"),
     ({"horizon_s": 0.0}, "horizon_s: expected a finite number above 0, got 0.0"),
     ({"v_max": float("inf")}, "v_max: expected a finite number above 0, got inf"),

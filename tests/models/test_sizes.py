@@ -37,6 +37,7 @@ OPTIONS = [
     ({"map_attention": True, "map_lookup": False}, 2_712_352, 16),
     ({"map_lookup": False}, 2_433_440, 13),
     ({"map_scales": 2}, 3_311_664, 14),
+    ({"layers": 2}, 1_778_928, 7),
     ({"steps_per_token": 4}, 2_549_976, 26),
     ({"steps_per_token": 2}, 2_541_516, 53),
     ({"steps_per_token": 1}, 2_537_286, 110),

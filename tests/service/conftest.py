@@ -1,6 +1,6 @@
-"""A bundle small enough to be worked out by hand.
+"""A bundle small enough to be worked out by hand, and a service whose engines need none.
 
-Its prior stands still at the start, and its field carries every anchor by the same amount:
+The bundle's prior stands still at the start, and its field carries every anchor by the same amount:
 
     x_0 = x_curr + noise · basis        R = 2: one number moves all of p, the other all of v
     dx/dt = 4 t³ · channel means        so x_1 = x_0 + channel means, exactly, by Simpson's rule
@@ -14,6 +14,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,16 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from anchorflow_client.contract import AnchorRequest
+from anchorflow_client import (
+    AnchorBatch,
+    AnchorRequest,
+    MapSpec,
+    ModelCard,
+    RefineSpec,
+    SamplerSpec,
+    TensorSpec,
+)
+from anchorflow_service.planning import Limits, PlanningService
 
 T, S, R = 8, 6, 2
 
@@ -181,3 +191,103 @@ def small_request() -> Callable[..., AnchorRequest]:
         return AnchorRequest.build(**(fields | changes))
 
     return build
+
+
+CARD = ModelCard(
+    name="lines",
+    version="1.2.3",
+    sha256="ab" * 32,
+    planner="lines",
+    inputs=(TensorSpec("x_curr", "float32", ("B", 6), "m, m/s, m/s^2"),),
+    outputs=(TensorSpec("positions", "float32", ("B", "N", "T", "D"), "m"),),
+    T=16,
+    D=2,
+    horizon_s=8.0,
+    dt=8.0 / 15,
+    v_max=2.0,
+    a_max=3.0,
+    robot_radius=0.25,
+    map=MapSpec(H=64, W=64, channels=3),
+    sampler=SamplerSpec("rk4", (0.0, 0.5, 1.0)),
+    refine=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
+    adjustable=("robot_radius",),
+)
+
+
+def minimum_jerk(steps: int) -> np.ndarray:
+    """Position, velocity and acceleration [3,steps] from rest at 0 to rest at 1 in unit time."""
+    s = np.linspace(0, 1, steps)
+    position = 10 * s**3 - 15 * s**4 + 6 * s**5
+    return np.stack([position, 30 * (s - s**2) ** 2, 60 * s - 180 * s**2 + 120 * s**3])
+
+
+class StraightLines:
+    """An engine: minimum-jerk motion along straight lines, fanned out by a seeded draw.
+
+    `before_answer` sees each request and what would be answered, and gives what is answered: here
+    a test lets the engine block, fail or answer nonsense.
+    """
+
+    def __init__(self, card: ModelCard = CARD) -> None:
+        self.card = card
+        self.seen: list[AnchorRequest] = []
+        self.before_answer: Callable[[AnchorBatch], AnchorBatch] = lambda batch: batch
+
+    def plan(self, request: AnchorRequest, /, **_: Any) -> AnchorBatch:
+        """[B,N,T,2], the B axis dropped where the request is not batched."""
+        self.seen.append(request)
+        profile = minimum_jerk(self.card.T)
+        scenes = [self._scene(request, b, profile) for b in range(request.num_scenes)]
+        arrays: dict[str, Any] = {
+            name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]
+        }
+        if not request.batched:
+            arrays = {name: array[0] for name, array in arrays.items()}
+        return self.before_answer(
+            AnchorBatch(
+                **arrays,
+                dt=self.card.dt,
+                seed=request.seed or 0,
+                model=self.card.id,
+                timing_ms={"encode": 1.0, "sample": 2.0, "refine": 3.0, "total": 6.0},
+            )
+        )
+
+    def _scene(self, request: AnchorRequest, scene: int, profile: np.ndarray) -> dict[str, Any]:
+        start, goal = request.x_curr[scene, :2], request.x_goal[scene, :2]
+        fan = np.random.default_rng(request.seed).normal(size=(request.num_samples, 1, 1)) * 0.01
+        line = profile[:, None, :, None] * (goal - start) + fan * profile[:, None, :, None]
+        line[0] += start
+        names = ("trajectories", "velocities", "accelerations")
+        per_anchor = np.abs(fan[:, 0, 0])
+        return dict(zip(names, line, strict=True)) | {
+            "scores": -per_anchor,
+            "clearance": per_anchor,
+            "safe": per_anchor < 1,
+        }
+
+
+@pytest.fixture
+def engine() -> StraightLines:
+    """The default model of `planning`."""
+    return StraightLines()
+
+
+@pytest.fixture
+def planning(engine: StraightLines) -> PlanningService:
+    """A service, not yet open, over that engine and a second model; it plans one at a time."""
+    second = StraightLines(replace(CARD, name="bows", adjustable=()))
+    engines = {"lines": engine, "bows": second}
+    return PlanningService(engines, default="lines", limits=Limits(threads=1))
+
+
+@pytest.fixture
+def fields() -> dict[str, Any]:
+    """A good request over a free map of 16 x 20 cells, 0.5 m each."""
+    return {
+        "cost_map": {"data": np.zeros((1, 16, 20)).tolist(), "resolution": 0.5},
+        "x_curr": [-3.0, 0.5, 0.0, 0.0, 0.0, 0.0],
+        "x_goal": [3.0, 0.5, 0.0, 0.0],
+        "num_samples": 4,
+        "seed": 1,
+    }

@@ -12,7 +12,7 @@ import pytest
 
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import InvalidRequest, UnknownModel
-from anchorflow_service.bundle import load_bundle
+from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.engine import Engine
 
 Build = Callable[..., AnchorRequest]
@@ -163,3 +163,82 @@ def test_what_cannot_be_honoured_is_refused_by_name(
 def test_another_model_is_unknown(engine: Engine, small_request: Build) -> None:
     with pytest.raises(UnknownModel, match="expected tiny, got huge"):
         engine.plan(small_request(model="huge"))
+
+
+def ask_in_turn(calls: list[float]) -> Callable[[], None]:
+    """A check that counts itself."""
+    return lambda: calls.append(0.0)
+
+
+@pytest.mark.parametrize("cuts_freely", [True, False])
+@pytest.mark.parametrize("num_samples", [5, 16, 40])
+def test_an_answer_does_not_depend_on_the_threads_that_it_was_given(
+    engine: Engine, small_request: Build, cuts_freely: bool, num_samples: int
+) -> None:
+    """Whether or not this machine's kernels let the engine choose how it cuts."""
+    engine._flow._cuts_freely = cuts_freely
+    request = small_request(num_samples=num_samples, refine={"smooth": True, "project": True})
+
+    assert_same_bytes(engine.plan(request, threads=1), engine.plan(request, threads=2))
+
+
+def test_where_cutting_changes_bytes_one_thread_makes_the_same_cuts(
+    engine: Engine, small_request: Build, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cuts: list[int] = []
+    monkeypatch.setattr(
+        "anchorflow_service.flow.integrate", lambda _, x, **__: cuts.append(len(x)) or x
+    )
+    request = small_request(num_samples=20)
+    for engine._flow._cuts_freely in (True, False):
+        engine.plan(request, threads=1)
+        engine.plan(request, threads=2)
+
+    assert cuts[:1] == [20]
+    assert sorted(cuts[1:3]) == [10, 10]
+    assert cuts[3:5] == [10, 10]
+    assert sorted(cuts[5:]) == [10, 10]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_it_asks_between_the_steps_whether_to_go_on(
+    engine: Engine, small_request: Build, threads: int
+) -> None:
+    """Before each of the two stages, and after each of the two steps of each slice."""
+    calls: list[float] = []
+    engine.plan(small_request(num_samples=16), threads=threads, check=ask_in_turn(calls))
+
+    assert len(calls) == 2 + 2 * threads
+
+
+class EnoughError(Exception):
+    """No more steps."""
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("allowed", [0, 1, 2, 3])
+def test_what_the_check_raises_ends_the_work_at_that_step(
+    engine: Engine, small_request: Build, allowed: int, threads: int
+) -> None:
+    calls: list[float] = []
+
+    def check() -> None:
+        calls.append(0.0)
+        if len(calls) > allowed:
+            raise EnoughError
+
+    with pytest.raises(EnoughError):
+        engine.plan(small_request(num_samples=16), threads=threads, check=check)
+    assert len(calls) <= allowed + threads  # each slice finds out by itself
+
+
+def test_an_engine_that_fails_at_its_first_request_is_none(
+    tiny_bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("Non-zero status code returned while running Gather node")
+
+    monkeypatch.setattr("anchorflow_service.flow.FlowSampler.integrate", fail)
+    with pytest.raises(BundleError, match="the warm-up failed: Non-zero status") as caught:
+        Engine(load_bundle(tiny_bundle), threads=1)
+    assert caught.value.reason == "bundle: the warm-up failed"

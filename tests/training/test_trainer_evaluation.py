@@ -17,7 +17,7 @@ from anchorflow_training.batches import BatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.config import EvaluationConfig, TrainerConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.evaluation import Evaluator, judge, out_of_patience, sample, scores
+from anchorflow_training.evaluation import flow_evaluator, judge, out_of_patience, sample, scores
 from anchorflow_training.held_out import split
 from anchorflow_training.pictures import sample_picture
 from anchorflow_training.settings import ConfigError
@@ -106,7 +106,7 @@ def test_the_sampler_is_of_second_order() -> None:
 
 
 def test_judged_anchors_meet_both_ends_and_are_always_the_same(tiny_dataset: SceneDataset) -> None:
-    evaluator = Evaluator(tiny_dataset, EvaluationConfig(scenes=2, samples=3, steps=1))
+    evaluator = flow_evaluator(tiny_dataset, EvaluationConfig(scenes=2, samples=3, steps=1))
     model = create_l2_safety_cfm(MODEL).eval()
     first, second = evaluator.judged(model), evaluator.judged(model)
     assert len(first) == 2
@@ -126,7 +126,9 @@ def test_more_sampler_steps_are_another_answer(tiny_dataset: SceneDataset) -> No
     for parameter in model.parameters():  # an untrained field is zero
         torch.nn.init.normal_(parameter, std=0.05)
     one, four = (
-        Evaluator(tiny_dataset, EvaluationConfig(scenes=1, samples=2, steps=steps)).judged(model)
+        flow_evaluator(tiny_dataset, EvaluationConfig(scenes=1, samples=2, steps=steps)).judged(
+            model
+        )
         for steps in (1, 4)
     )
     assert not np.allclose(one[0].positions, four[0].positions, atol=1e-4)
@@ -225,7 +227,7 @@ def test_without_matplotlib_a_line_says_so(
     tiny_dataset: SceneDataset, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    scenes = Evaluator(tiny_dataset, EvaluationConfig(scenes=1, samples=1, steps=1)).judged(
+    scenes = flow_evaluator(tiny_dataset, EvaluationConfig(scenes=1, samples=1, steps=1)).judged(
         create_l2_safety_cfm(MODEL)
     )
     with caplog.at_level(logging.WARNING):

@@ -5,9 +5,10 @@ Batch i depends on the seed and on i alone; a run that resumes sees what it woul
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +42,8 @@ class BatchConfig:
 
 def draw_batch(dataset: SceneDataset, config: BatchConfig, index: int) -> Batch:
     """Batch number `index`: the inputs of encode [B, ...] and states [B, N, T, S]."""
-    epoch, position = divmod(index * config.scenes, len(dataset) - config.scenes + 1)
-    order = np.random.default_rng([config.seed, epoch]).permutation(len(dataset))
-    batch = dataset.batch(np.sort(order[position : position + config.scenes]))
-    rng = np.random.default_rng([config.seed, index, 1])
+    batch = dataset.batch(batch_scenes(len(dataset), config, index))
+    rng = batch_rng(config, index)
     if rng.random() < 0.5 and config.mirror:
         mirror(batch)
     states = batch["states"]
@@ -53,6 +52,18 @@ def draw_batch(dataset: SceneDataset, config: BatchConfig, index: int) -> Batch:
     ]
     states = np.take_along_axis(states, np.stack(chosen)[..., None, None], 1)
     return encode_inputs(batch) | {"states": states}
+
+
+def batch_scenes(total: int, config: BatchConfig, index: int) -> NDArray[np.int64]:
+    """Which of `total` scenes batch number `index` shows, in order; every epoch shuffles anew."""
+    epoch, position = divmod(index * config.scenes, total - config.scenes + 1)
+    order = np.random.default_rng([config.seed, epoch]).permutation(total)
+    return np.sort(order[position : position + config.scenes])
+
+
+def batch_rng(config: BatchConfig, index: int) -> np.random.Generator:
+    """What else is drawn for batch number `index`."""
+    return np.random.default_rng([config.seed, index, 1])
 
 
 def encode_inputs(batch: Batch) -> Batch:
@@ -74,11 +85,16 @@ def mirror(batch: Batch) -> None:
 
 
 def batches(dataset: SceneDataset, config: BatchConfig, indices: Iterable[int]) -> Generator[Batch]:
-    """The batches of these numbers, the next one prepared while the last is used."""
+    """The batches of these numbers."""
+    return prefetched(partial(draw_batch, dataset, config), indices)
+
+
+def prefetched(draw: Callable[[int], Batch], indices: Iterable[int]) -> Generator[Batch]:
+    """What `draw` gives for each number, the next one prepared while the last is used."""
     with ThreadPoolExecutor(1) as pool:
         ahead = None
         for index in indices:
-            ready, ahead = ahead, pool.submit(draw_batch, dataset, config, index)
+            ready, ahead = ahead, pool.submit(draw, index)
             if ready:
                 yield ready.result()
         if ahead:

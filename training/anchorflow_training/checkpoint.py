@@ -18,10 +18,11 @@ class CheckpointError(Exception):
 class Checkpoint:
     """A run as it stood at a step.
 
-    config: the whole `TrainerConfig`; data: the dataset's own description
+    config: the whole `RunConfig`; data: the dataset's own description
     average: exponential moving average of the weights; curve: the loss as it was reported
     evaluations: the validation judge's rows; pending: means since the last report
     scaler: the state of float16's loss scaling
+    teacher: of a distilled student, which checkpoint it learnt from
 
     The first seven are the whole of a checkpoint of the first format, which is still read.
     """
@@ -36,6 +37,7 @@ class Checkpoint:
     evaluations: list[dict[str, float]] = field(default_factory=list)
     pending: dict[str, Any] = field(default_factory=dict)
     scaler: dict[str, Any] = field(default_factory=dict)
+    teacher: dict[str, Any] = field(default_factory=dict)
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:

@@ -26,7 +26,7 @@ class FlowMatchingConfig:
 
 
 @dataclass(frozen=True)
-class EvaluationConfig:
+class JudgeConfig:
     """The validation judge: on what, how often, and when it ends the training."""
 
     every: int = setting(1000, "Steps from one evaluation to the next.", least=1)
@@ -34,7 +34,6 @@ class EvaluationConfig:
     dataset: str | None = setting(None, "Dataset folder to evaluate on, instead of held_out.")
     scenes: int = setting(64, "Scenes an evaluation.", least=1)
     samples: int = setting(16, "Anchors a scene.", least=1)
-    steps: int = setting(2, "Midpoint steps of the sampler.", least=1)
     pictures: int = setting(4, "Scenes on the sample picture; 0: no picture.", least=0)
     patience: int = setting(
         0, "Stop after so many evaluations without a better success; 0: never.", least=0
@@ -42,7 +41,14 @@ class EvaluationConfig:
 
 
 @dataclass(frozen=True)
-class TrainerConfig:
+class EvaluationConfig(JudgeConfig):
+    """The judge of a flow, and the sampler that draws its anchors."""
+
+    steps: int = setting(2, "Midpoint steps of the sampler.", least=1)
+
+
+@dataclass(frozen=True)
+class RunConfig:
     """How long, how fast and on what; the rate climbs over `warmup`, then falls as a cosine."""
 
     steps: int = setting(12_000, "Optimiser steps in all.", least=1)
@@ -63,6 +69,13 @@ class TrainerConfig:
     report_every: int = setting(50, "Steps a line of the curve.", least=1)
     tensorboard: bool = setting(True, "Write scalars and pictures for TensorBoard.")
     batch: BatchConfig = field(default_factory=BatchConfig)
-    flow: FlowMatchingConfig = field(default_factory=FlowMatchingConfig)
-    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    evaluation: JudgeConfig = field(default_factory=JudgeConfig)
     model: L2Config = field(default_factory=L2Config)
+
+
+@dataclass(frozen=True)
+class TrainerConfig(RunConfig):
+    """A run that learns a flow from data."""
+
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    flow: FlowMatchingConfig = field(default_factory=FlowMatchingConfig)

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 
-from anchorflow_training.config import TrainerConfig
+from anchorflow_training.config import RunConfig, TrainerConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.held_out import SHAPES
 from anchorflow_training.settings import ConfigError, build, checked, merged, nested
 
+Config = TypeVar("Config", bound=RunConfig)
 
-def read_config(path: Path) -> dict[str, Any]:
+
+def read_config(path: Path, kind: type[RunConfig] = TrainerConfig) -> dict[str, Any]:
     """The settings of a YAML file; raises `ConfigError` naming the file and the key."""
     try:
         values = yaml.safe_load(path.read_text()) or {}
@@ -23,7 +25,7 @@ def read_config(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: {error}") from error
     if not isinstance(values, Mapping):
         raise ConfigError(f"{path}: expected keys and values, got {type(values).__name__}")
-    return checked(TrainerConfig, values, source=str(path))
+    return checked(kind, values, source=str(path))
 
 
 def layered_config(
@@ -33,13 +35,21 @@ def layered_config(
 
     options: by dotted path, `{"batch.scenes": 8}`
     """
-    values: dict[str, Any] = {"model": model_settings(dataset)}
-    if file:
-        values = merged(values, read_config(file))
+    return layers(TrainerConfig, {"model": model_settings(dataset)}, file, options)
+
+
+def layers(
+    kind: type[Config],
+    base: Mapping[str, Any],
+    file: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Config:
+    """A configuration of `base`, the file and the options over the defaults of its kind."""
+    values = merged(base, read_config(file, kind)) if file else dict(base)
     for path, value in (options or {}).items():
-        given = checked(TrainerConfig, nested(path, value), source="command line")
+        given = checked(kind, nested(path, value), source="command line")
         values = merged(values, given)
-    return build(TrainerConfig, values, source="configuration")
+    return build(kind, values, source="configuration")
 
 
 def model_settings(dataset: SceneDataset) -> dict[str, Any]:
@@ -48,7 +58,7 @@ def model_settings(dataset: SceneDataset) -> dict[str, Any]:
     return {**shapes, **asdict(dataset.limits)}
 
 
-def config_text(config: TrainerConfig) -> str:
+def config_text(config: RunConfig) -> str:
     """The whole configuration as the YAML that `read_config` reads."""
     return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)
 

@@ -8,7 +8,7 @@ import torch
 from lightning_fabric import Fabric
 from lightning_fabric.plugins import MixedPrecision
 
-from anchorflow_training.config import TrainerConfig
+from anchorflow_training.config import RunConfig
 from anchorflow_training.settings import ConfigError
 
 
@@ -22,7 +22,7 @@ class MixedProducts(MixedPrecision):
         return data
 
 
-def make_fabric(config: TrainerConfig) -> Fabric:
+def make_fabric(config: RunConfig) -> Fabric:
     """The processes of a run; raises `ConfigError` where the machine lacks what is asked for."""
     accelerator, precision = _accelerator(config), config.precision
     if precision == "auto":
@@ -37,7 +37,7 @@ def make_fabric(config: TrainerConfig) -> Fabric:
     return Fabric(accelerator=accelerator, devices=config.devices, plugins=plugin)
 
 
-def _accelerator(config: TrainerConfig) -> Literal["cpu", "cuda"]:
+def _accelerator(config: RunConfig) -> Literal["cpu", "cuda"]:
     available = torch.cuda.is_available()
     if config.accelerator == "auto":
         return "cuda" if available else "cpu"

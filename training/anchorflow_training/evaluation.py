@@ -7,8 +7,9 @@ run; a bundle's own quality is measured after its export.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -17,13 +18,16 @@ from torch import Tensor
 
 from anchorflow_models import L2Config, L2SafetyCFM
 from anchorflow_training.batches import encode_inputs
-from anchorflow_training.config import EvaluationConfig
+from anchorflow_training.config import EvaluationConfig, JudgeConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_trajectory.clearance import GridField, path_clearance
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
 FloatArray = NDArray[np.float32]
 BoolArray = NDArray[np.bool_]
+
+# Model, encode's inputs, noise [1, N, R] -> states [B, N, T, S] at t = 1.
+Sampler = Callable[[L2SafetyCFM, Mapping[str, Tensor], Tensor], Tensor]
 
 CHUNK = 16  # scenes sampled at a time
 CHECK_STEP = 0.04  # m between the points at which a path's clearance is looked up
@@ -85,11 +89,16 @@ def sample(model: L2SafetyCFM, inputs: Mapping[str, Tensor], noise: Tensor, step
     return x
 
 
+def flow_evaluator(dataset: SceneDataset, config: EvaluationConfig) -> Evaluator:
+    """The judge of a flow, whose anchors are drawn by equal midpoint steps."""
+    return Evaluator(dataset, config, partial(sample, steps=config.steps))
+
+
 class Evaluator:
     """Judges models on scenes of one dataset, always the same ones with the same noise."""
 
-    def __init__(self, dataset: SceneDataset, config: EvaluationConfig) -> None:
-        self.dataset, self.config = dataset, config
+    def __init__(self, dataset: SceneDataset, config: JudgeConfig, sampler: Sampler) -> None:
+        self.dataset, self.config, self.sampler = dataset, config, sampler
         count = min(config.scenes, len(dataset))
         self.scenes = np.linspace(0, len(dataset) - 1, count).astype(np.int64)
 
@@ -108,7 +117,7 @@ class Evaluator:
         for start in range(0, len(self.scenes), CHUNK):
             batch = self.dataset.batch(self.scenes[start : start + CHUNK])
             inputs = {n: torch.from_numpy(v).to(device) for n, v in encode_inputs(batch).items()}
-            states = sample(model, inputs, noise.to(device), self.config.steps).cpu().numpy()
+            states = self.sampler(model, inputs, noise.to(device)).cpu().numpy()
             for i, state in enumerate(states):
                 scene = {name: array[i] for name, array in batch.items()}
                 result.append(_judged_scene(state, scene, basis, config))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from anchorflow_training.config import TrainerConfig
+from anchorflow_training.config import RunConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
 from anchorflow_training.settings import ConfigError
 
 SHAPES = ("num_steps", "dim", "map_channels")  # T, D and C: the model's must be the dataset's
 
 
-def split(dataset: SceneDataset, config: TrainerConfig) -> tuple[SceneDataset, SceneDataset | None]:
+def split(dataset: SceneDataset, config: RunConfig) -> tuple[SceneDataset, SceneDataset | None]:
     """The scenes to train on and those held out, if any; raises `ConfigError`."""
     held_out, path = config.evaluation.held_out, config.evaluation.dataset
     if held_out and path:
@@ -37,7 +37,7 @@ def _part(dataset: SceneDataset, scenes: slice) -> SceneDataset:
     return replace(dataset, arrays=arrays)
 
 
-def _check_shapes(dataset: SceneDataset, config: TrainerConfig) -> None:
+def _check_shapes(dataset: SceneDataset, config: RunConfig) -> None:
     for name in SHAPES:
         asked, found = getattr(config.model, name), getattr(dataset, name)
         if asked != found:

@@ -13,7 +13,8 @@ from anchorflow_training.config import FlowMatchingConfig
 from anchorflow_training.coupling import couple
 from anchorflow_training.flow_time import draw_flow_times
 
-METRIC = ("prior_mean", "prior_basis", "frame", "units")  # context in SI units, kept in float32
+# Context in SI units, kept in float32.
+METRIC = ("prior_mean", "prior_basis", "frame", "units", "si_units")
 
 
 class FlowObjective(nn.Module):
@@ -39,7 +40,7 @@ class FlowObjective(nn.Module):
             context |= {name: context[name].float() for name in METRIC}
             x_0 = model.draw(noise, context)
             if self.config.optimal_transport:
-                x_0 = _paired(x_0, data, model.config.dim)
+                x_0 = paired(x_0, data, model.config.dim)
             x_t, target = interpolate(x_0, data, t)
             mean, units = context["prior_mean"], context["units"]
             state = model.prior.normalise(x_t, mean, units)
@@ -50,8 +51,8 @@ class FlowObjective(nn.Module):
         return flow_matching_loss(predicted.float(), target, self.config.weights)
 
 
-def _paired(x_0: Tensor, data: Tensor, dim: int) -> Tensor:
-    """x_0 reordered within each scene to lie near the data."""
+def paired(x_0: Tensor, data: Tensor, dim: int) -> Tensor:
+    """x_0 [B, N, T, S] reordered within each scene to lie near the data."""
     points = (x[:, :, ::4, :dim].flatten(2).cpu().numpy() for x in (data, x_0))
     order = torch.from_numpy(couple(*points)).to(x_0.device)
     return torch.take_along_dim(x_0, order[..., None, None], 1)

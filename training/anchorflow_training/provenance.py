@@ -10,11 +10,13 @@ CURVE_POINTS = 40
 
 
 def provenance(checkpoint: Checkpoint) -> dict[str, Any]:
-    """Steps, configuration, data and a thinned loss curve."""
+    """Steps, configuration, data and a thinned loss curve; of a student its teacher too."""
     stride = max(1, len(checkpoint.curve) // CURVE_POINTS)
+    learnt_from = {"teacher": checkpoint.teacher} if checkpoint.teacher else {}
     return {
         "steps": checkpoint.step,
         "config": checkpoint.config,
         "data": checkpoint.data,
         "loss": [[row["step"], round(row["loss"], 4)] for row in checkpoint.curve[::stride]],
+        **learnt_from,
     }

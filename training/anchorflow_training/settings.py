@@ -13,6 +13,7 @@ Kind = TypeVar("Kind")
 WORDS = {"true": True, "false": False}
 BOUNDS = {
     "least": ("at least", lambda value, bound: value >= bound),
+    "most": ("at most", lambda value, bound: value <= bound),
     "above": ("more than", lambda value, bound: value > bound),
     "below": ("less than", lambda value, bound: value < bound),
 }
@@ -23,7 +24,7 @@ class ConfigError(Exception):
 
 
 def setting(default: Any, about: str, **bounds: float) -> Any:
-    """A dataclass field that explains itself; bounds are `least`, `above` and `below`."""
+    """A dataclass field that explains itself; bounds are `least`, `most`, `above` and `below`."""
     return field(default=default, metadata={"about": about, **bounds})
 
 

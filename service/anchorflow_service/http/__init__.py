@@ -1,7 +1,5 @@
-"""The HTTP endpoints: `POST /anchors` in JSON, health, and the cards of what is served."""
+"""The HTTP endpoints: `POST /anchors` in JSON and in binary, health, and the models' cards."""
 
 from anchorflow_service.http.app import create_app
-from anchorflow_service.http.engines import Engine
-from anchorflow_service.http.limits import Limits
 
-__all__ = ["Engine", "Limits", "create_app"]
+__all__ = ["create_app"]

@@ -2,73 +2,71 @@
 
 from __future__ import annotations
 
-import asyncio
-from dataclasses import replace
-from functools import partial
-
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
 from anchorflow_client.codec import Codec, Payload
-from anchorflow_client.contract import AnchorRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.http.body import read_body
-from anchorflow_service.http.budget import Arrival
-from anchorflow_service.http.engines import Engine, Engines
-from anchorflow_service.http.limits import Limits
-from anchorflow_service.http.openapi import ANCHORS_DOCUMENTATION
+from anchorflow_service.http.hang_up import HungUp, to_nobody, unless_hung_up
+from anchorflow_service.http.openapi import ANCHORS_DOCUMENTATION, HEADER_LENGTH
 from anchorflow_service.http.orjson_codec import OrjsonCodec
-from anchorflow_service.http.planning import PlanningQueue
+from anchorflow_service.planning import Call, PlanningService
 
-CODECS: dict[str, Codec] = {codec.content_type: codec for codec in (OrjsonCodec(),)}
-DEFAULT_CONTENT_TYPE = OrjsonCodec.content_type
+CODECS: dict[str, Codec] = {codec.content_type: codec for codec in (OrjsonCodec(), OipCodec())}
+JSON = OrjsonCodec.content_type
+MAX_DIGITS = 18
+"""Of a length in a header, which fits 64 bits."""
 
 
-def anchors_router(engines: Engines, queue: PlanningQueue, limits: Limits) -> APIRouter:
-    """The route, over what the app holds."""
+def anchors_router(service: PlanningService) -> APIRouter:
+    """The route, over the service."""
     router = APIRouter()
 
     @router.post("/anchors", tags=["anchors"], **ANCHORS_DOCUMENTATION)
     async def plan_anchors(request: Request) -> Response:
         """Trajectories from a state to a goal over a cost map: N a scene, scored and checked."""
-        arrival = Arrival()
-        body = await read_body(request, limits.max_body_bytes)
-        codec = _codec_of(request)
-        # Megabytes of numbers take a while to check: off the event loop with them.
-        asked = await asyncio.to_thread(codec.decode_request, Payload(body))
-        engine = engines.choose(asked.model)
-        resolved = _with_id(resolve_for_card(asked, engine.card), request)
-        arrival.check(resolved.budget_ms, "before planning")
-        answer = await queue.run(partial(_plan, engine, resolved, codec, arrival))
-        return Response(answer.body, media_type=codec.content_type)
+        arrival = service.arrival()
+        body = await read_body(request, service.limits.max_body_bytes)
+        payload = Payload(body, header_length(request))
+        call = Call(payload, _codec_of(request), arrival, request.state.request_id)
+        return await answer_to(call, request, service)
 
     return router
 
 
-def _plan(
-    engine: Engine, request: AnchorRequest, codec: Codec, arrival: Arrival, queue_ms: float
-) -> Payload:
-    """What a worker does: plan, and write the answer too, which may hold millions of numbers."""
-    arrival.check(request.budget_ms, "in the queue")
-    batch = engine.plan(request)
-    arrival.check(request.budget_ms, "after planning")
-    timing_ms = {**batch.timing_ms, "queue": queue_ms, "total": arrival.elapsed_ms}
-    return codec.encode_answer(replace(batch, timing_ms=timing_ms, request_id=request.request_id))
+async def answer_to(call: Call, request: Request, service: PlanningService) -> Response:
+    """The answer in the form that the call's codec gives it; no answer to who has hung up."""
+    try:
+        answer = await unless_hung_up(request, service.answer(call))
+    except HungUp:
+        return to_nobody()
+    finally:  # the log and the header of a refusal carry the request's own id too
+        request.state.request_id = call.request_id
+    length = answer.header_length
+    headers = {} if length is None else {HEADER_LENGTH: str(length)}
+    media_type = JSON if length is None else OipCodec.content_type
+    return Response(answer.body, headers=headers, media_type=media_type)
+
+
+def header_length(request: Request) -> int | None:
+    """The length of the JSON header, which the binary form alone needs."""
+    length = request.headers.get(HEADER_LENGTH)
+    if length is None:
+        return None
+    if not length.isdecimal() or len(length) > MAX_DIGITS:
+        raise InvalidRequest(f"expected a number of bytes, got {length[:40]!r}", HEADER_LENGTH)
+    return int(length)
 
 
 def _codec_of(request: Request) -> Codec:
     """The codec that the Content-Type names."""
-    header = request.headers.get("content-type", DEFAULT_CONTENT_TYPE)
+    header = request.headers.get("content-type", JSON)
     content_type = header.partition(";")[0].strip().lower()
     if content_type not in CODECS:
-        served = ", ".join(CODECS)
+        served = " or ".join(CODECS)
         message = f"expected a Content-Type of {served}, got {content_type!r}"
         raise InvalidRequest(f"{message}: not supported by this version", "Content-Type")
     return CODECS[content_type]
-
-
-def _with_id(resolved: AnchorRequest, request: Request) -> AnchorRequest:
-    """The id in the body rules; the one in the header, or a drawn one, stands in for it."""
-    request.state.request_id = resolved.request_id or request.state.request_id
-    return replace(resolved, request_id=request.state.request_id)

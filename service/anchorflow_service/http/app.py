@@ -1,44 +1,59 @@
-"""The application: routes, queue and error handling put together."""
+"""The application: routes, error handling and the service behind them put together."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
 
 from fastapi import FastAPI
+from starlette.middleware import Middleware
 
 from anchorflow_service.http.anchors import anchors_router
-from anchorflow_service.http.engines import Engine, Engines
 from anchorflow_service.http.errors import install_error_handlers
-from anchorflow_service.http.limits import Limits
+from anchorflow_service.http.guard import Guard
+from anchorflow_service.http.metrics import metrics_router
+from anchorflow_service.http.oip_models import models_router
 from anchorflow_service.http.openapi import document
-from anchorflow_service.http.planning import PlanningQueue
+from anchorflow_service.http.page import page_router
+from anchorflow_service.http.repository import repository_router
 from anchorflow_service.http.request_id import RequestIds
 from anchorflow_service.http.server import server_router, server_version
+from anchorflow_service.http.tokens import TokenFile
+from anchorflow_service.observability.exchanges import Exchanges, log_exchange
+from anchorflow_service.observability.metrics import Metrics
+from anchorflow_service.planning import PlanningService
+from anchorflow_service.repository import Repository
 
 
 def create_app(
-    engines: Mapping[str, Engine], *, default: str, limits: Limits | None = None
+    service: PlanningService,
+    *,
+    endpoints: Sequence[AbstractAsyncContextManager[object]] = (),
+    tokens: TokenFile | None = None,
+    repository: Repository | None = None,
+    middleware: Sequence[Middleware] = (),
 ) -> FastAPI:
-    """An ASGI application that serves the engines by model name.
+    """An ASGI application over the service.
 
-    It is ready inside its lifespan, whose end waits for the engine calls that still run.
+    It is ready inside its lifespan, which opens the service, and whose end waits for the engine
+    calls that still run.
 
     Args:
-        engines: by the name that a request's `model` gives.
-        default: the name that stands in where a request gives none.
-        limits: bounds on memory and on waiting.
-
-    Raises:
-        ValueError: `default` is not among the engines.
+        service: what answers; no other application may open it.
+        endpoints: other transports of the same service, open as long as it is.
+        tokens: who may ask; None: everybody.
+        repository: bundles that may be loaded; None: there are no routes to do so.
+        middleware: around all routes, refusals included; each sees the request's id.
     """
-    limits = limits or Limits()
-    served = Engines(engines, default=default)
-    queue = PlanningQueue(workers=limits.workers, max_waiting=limits.max_waiting)
+
+    metrics = Metrics(service)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        with queue:
+        async with AsyncExitStack() as stack:
+            stack.enter_context(service)
+            for endpoint in endpoints:
+                await stack.enter_async_context(endpoint)
             yield
 
     app = FastAPI(
@@ -47,10 +62,23 @@ def create_app(
         summary="Smooth trajectories worth trying, from a map, a state and a goal.",
         lifespan=lifespan,
         redirect_slashes=False,  # a redirect would not be the contract's error JSON
+        docs_url=None,  # FastAPI's pages load their scripts from elsewhere, and name their versions
+        redoc_url=None,
+        # From the outside in.
+        middleware=[
+            Middleware(RequestIds),
+            *middleware,
+            Middleware(Exchanges, listeners=[metrics.exchanged, log_exchange]),
+            *([] if tokens is None else [Middleware(Guard, tokens=tokens)]),
+        ],
     )
-    app.include_router(anchors_router(served, queue, limits))
-    app.include_router(server_router(served, queue))
-    app.add_middleware(RequestIds)
+    app.include_router(anchors_router(service))
+    app.include_router(server_router(service))
+    app.include_router(models_router(service))
+    if repository is not None:
+        app.include_router(repository_router(repository))
+    app.include_router(page_router(service))
+    app.include_router(metrics_router(metrics))
     install_error_handlers(app)
     document(app)
     return app

@@ -23,20 +23,20 @@ async def read_body(request: Request, max_bytes: int) -> bytes:
     """
     declared = request.headers.get("content-length", "")
     if declared.isdecimal() and int(declared) > max_bytes:
-        await _discard(request)
+        await discard_body(request)
         raise _too_large(max_bytes, f"{int(declared)}")
     chunks, size = [], 0
     async for chunk in request.stream():
         size += len(chunk)
         if size > max_bytes:
             chunks.clear()
-            await _discard(request)
+            await discard_body(request)
             raise _too_large(max_bytes, "more")
         chunks.append(chunk)
     return b"".join(chunks)
 
 
-async def _discard(request: Request) -> None:
+async def discard_body(request: Request) -> None:
     """Take the rest of a body without keeping it, within bounds of size and time."""
     if request.headers.get("expect", "").lower() == "100-continue":
         return  # this client waits for leave to send

@@ -9,7 +9,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 
-from anchorflow_client.errors import InternalError, InvalidRequest, Overloaded, RequestError
+from anchorflow_client.errors import InvalidRequest, Overloaded, RequestError
 from anchorflow_service.http.answers import json_answer
 
 
@@ -26,11 +26,6 @@ def error_answer(error: RequestError, headers: Mapping[str, str] | None = None) 
     if isinstance(error, Overloaded) and error.retry_after_s is not None:
         headers["Retry-After"] = f"{error.retry_after_s:.0f}"
     return json_answer(error.to_dict(), status=error.http_status, headers=headers)
-
-
-def internal_error(request_id: str) -> Response:
-    """What is said of an unexpected exception: where to look, and nothing of what it was."""
-    return error_answer(InternalError(f"internal error; the log tells of request {request_id}"))
 
 
 def _refused(_: Request, error: Exception) -> Response:

@@ -15,8 +15,19 @@ from anchorflow_client.errors import (
     NotReady,
     Overloaded,
     RequestError,
+    Superseded,
     TooLarge,
     UnknownModel,
+)
+from anchorflow_service.http.oip_schemas import (
+    IndexRequestBody,
+    InferAnswerBody,
+    InferRequestBody,
+    LoadRequestBody,
+    ModelMetadataBody,
+    ModelReadyBody,
+    ModelStateBody,
+    UnloadRequestBody,
 )
 from anchorflow_service.http.schemas import (
     AnchorAnswerBody,
@@ -26,6 +37,18 @@ from anchorflow_service.http.schemas import (
 )
 
 REF_TEMPLATE = "#/components/schemas/{model}"
+HEADER_LENGTH = "Inference-Header-Content-Length"
+_LENGTH = {
+    "description": "Bytes of the JSON header in front of the tensors; with the binary form only.",
+    "schema": {"type": "integer", "minimum": 1},
+}
+BINARY = {
+    "type": "string",
+    "format": "binary",
+    "description": "Open Inference Protocol v2 with the binary tensor extension: a JSON header of "
+    f"{HEADER_LENGTH} bytes, then the tensors. Arrays are tensors, other fields are parameters "
+    "by their JSON path.",
+}
 
 
 def _refusals(*errors: type[RequestError]) -> dict[int | str, dict[str, Any]]:
@@ -35,38 +58,82 @@ def _refusals(*errors: type[RequestError]) -> dict[int | str, dict[str, Any]]:
     }
 
 
-def _request_body(model: type[BaseModel]) -> dict[str, Any]:
-    schema = {"$ref": REF_TEMPLATE.format(model=model.__name__)}
-    content = {"application/json": {"schema": schema}}
-    return {"requestBody": {"required": True, "content": content}}
+def _content(model: type[BaseModel]) -> dict[str, Any]:
+    """Both forms of a body: the JSON of the model, and the same in binary."""
+    json_form = {"schema": {"$ref": REF_TEMPLATE.format(model=model.__name__)}}
+    return {"application/json": json_form, "application/octet-stream": {"schema": BINARY}}
 
 
-ANCHORS_DOCUMENTATION: dict[str, Any] = {
-    "openapi_extra": _request_body(AnchorRequestBody),
-    "responses": {200: {"model": AnchorAnswerBody}}
-    | _refusals(
-        InvalidRequest,
-        UnknownModel,
-        TooLarge,
-        Overloaded,
-        DeadlineExceeded,
-        NotReady,
-        InternalError,
-    ),
+def _planning(request: type[BaseModel], answer: type[BaseModel]) -> dict[str, Any]:
+    """A route that plans, with bodies in both forms."""
+    return {
+        "openapi_extra": {
+            "requestBody": {"required": True, "content": _content(request)},
+            "parameters": [{"name": HEADER_LENGTH, "in": "header", **_LENGTH}],
+        },
+        "responses": {
+            200: {
+                "model": answer,
+                "content": _content(answer),
+                "headers": {HEADER_LENGTH: _LENGTH},
+            }
+        }
+        | _refusals(
+            InvalidRequest,
+            UnknownModel,
+            Superseded,
+            TooLarge,
+            Overloaded,
+            DeadlineExceeded,
+            NotReady,
+            InternalError,
+        ),
+    }
+
+
+def _administration(request: type[BaseModel], answer: Any) -> dict[str, Any]:
+    """A route of the repository; its body may be left out."""
+    schema = {"$ref": REF_TEMPLATE.format(model=request.__name__)}
+    body = {"required": False, "content": {"application/json": {"schema": schema}}}
+    return {
+        "openapi_extra": {"requestBody": body},
+        "responses": {200: {"model": answer}} | _refusals(InvalidRequest, UnknownModel, TooLarge),
+    }
+
+
+ANCHORS_DOCUMENTATION = _planning(AnchorRequestBody, AnchorAnswerBody)
+INFER_DOCUMENTATION = _planning(InferRequestBody, InferAnswerBody)
+METADATA_DOCUMENTATION: dict[str, Any] = {
+    "responses": {200: {"model": ModelMetadataBody}} | _refusals(UnknownModel)
 }
+MODEL_READY_DOCUMENTATION: dict[str, Any] = {
+    "responses": {200: {"model": ModelReadyBody}} | _refusals(UnknownModel, NotReady)
+}
+INDEX_DOCUMENTATION = _administration(IndexRequestBody, list[ModelStateBody])
+LOAD_DOCUMENTATION = _administration(LoadRequestBody, ModelStateBody)
+UNLOAD_DOCUMENTATION = _administration(UnloadRequestBody, ModelStateBody)
 MODELS_DOCUMENTATION: dict[str, Any] = {"responses": {200: {"model": ModelsBody}}}
 NOT_READY_DOCUMENTATION: dict[str, Any] = {"responses": _refusals(NotReady)}
+REQUESTS = (
+    AnchorRequestBody,
+    InferRequestBody,
+    IndexRequestBody,
+    LoadRequestBody,
+    UnloadRequestBody,
+)
+"""What no route's signature names."""
 
 
 def document(app: FastAPI) -> None:
-    """Make the app's schema hold the request's, which no route's signature names."""
+    """Make the app's schema hold those of the requests."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
             schema = get_openapi(
                 title=app.title, version=app.version, summary=app.summary, routes=app.routes
             )
-            schema["components"]["schemas"] |= _definitions(AnchorRequestBody)
+            for model in REQUESTS:
+                schema["components"]["schemas"] |= _definitions(model)
             app.openapi_schema = schema
         return app.openapi_schema
 

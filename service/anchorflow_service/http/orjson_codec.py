@@ -19,6 +19,14 @@ def dump(value: Any) -> bytes:
     return orjson.dumps(value, default=_contiguous, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
+def parse(body: bytes) -> Any:
+    """JSON as the standard has it. Raises `InvalidRequest`."""
+    try:
+        return orjson.loads(body)
+    except orjson.JSONDecodeError as error:
+        raise not_json(error.msg, error.pos, len(body)) from error
+
+
 class OrjsonCodec(JsonCodec):
     """The contract as JSON, on the service's side."""
 

@@ -10,7 +10,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from anchorflow_client.contract.checks import text
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.http.errors import internal_error
+from anchorflow_service.http.errors import error_answer
+from anchorflow_service.planning import internal_error
 
 HEADER = "X-Request-Id"
 
@@ -45,10 +46,12 @@ class RequestIds:
         try:
             await self._app(scope, receive, send_with_id)
         except Exception:
-            logger.exception("request %s failed", state["request_id"])
+            request_id = state["request_id"]
+            logger.exception("request %s failed", request_id, extra={"request_id": request_id})
             if started:
                 raise
-            await internal_error(state["request_id"])(scope, receive, send_with_id)
+            failed = error_answer(internal_error(request_id))
+            await failed(scope, receive, send_with_id)
 
 
 def _asked_id(header: str | None) -> str | None:

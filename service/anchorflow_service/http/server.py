@@ -9,16 +9,15 @@ from starlette.responses import Response
 
 from anchorflow_client.errors import NotReady
 from anchorflow_service.http.answers import json_answer
-from anchorflow_service.http.engines import Engines
 from anchorflow_service.http.openapi import MODELS_DOCUMENTATION, NOT_READY_DOCUMENTATION
-from anchorflow_service.http.planning import PlanningQueue
+from anchorflow_service.planning import PlanningService
 
 SERVER_NAME = "anchorflow"
-EXTENSIONS: list[str] = []
+EXTENSIONS = ["binary_tensor_data", "model_repository"]
 """Extensions of the Open Inference Protocol that are spoken here."""
 
 
-def server_router(engines: Engines, queue: PlanningQueue) -> APIRouter:
+def server_router(service: PlanningService) -> APIRouter:
     """The routes, over what the app holds."""
     router = APIRouter(prefix="/v2", tags=["server"])
 
@@ -36,14 +35,14 @@ def server_router(engines: Engines, queue: PlanningQueue) -> APIRouter:
     @router.get("/health/ready", **NOT_READY_DOCUMENTATION)
     async def ready() -> Response:
         """Whether requests are taken now."""
-        if not queue.is_open:
+        if not service.is_ready:
             raise NotReady("the service is starting or stopping")
         return json_answer({"ready": True})
 
     @router.get("/models", **MODELS_DOCUMENTATION)
     async def models() -> Response:
         """The cards of all models, the default first."""
-        cards = [card.to_dict() | {"ready": queue.is_open} for card in engines.cards()]
+        cards = [card.to_dict() | {"ready": service.is_ready} for card in service.engines.cards()]
         return json_answer({"models": cards})
 
     return router

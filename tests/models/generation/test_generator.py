@@ -147,7 +147,10 @@ def test_one_scene_is_no_batch(gaussian_flow: Callable, free_room: Any) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"method": "rk5"}, "method: expected one of euler, midpoint, heun, rk4, ab2, rk45, got 'rk5'"),
+        (
+            {"method": "rk5"},
+            "method: expected one of euler, midpoint, heun, rk4, ab2, rk45, got 'rk5'",
+        ),
         ({"schedule": "9step"}, "schedule: expected one of uniform, 8step, or flow times"),
         ({"schedule": (0.0, 0.5)}, "schedule: .* strictly rising to 1"),
         ({"schedule": (0.2, 1.0)}, "schedule: expected a first flow time of 0, got 0.2"),

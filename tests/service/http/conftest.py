@@ -1,4 +1,4 @@
-"""The application over an engine that draws straight lines, in this process or on a socket."""
+"""The application over engines that draw straight lines, in this process or on a socket."""
 
 from __future__ import annotations
 
@@ -8,99 +8,17 @@ import threading
 import time
 from collections.abc import AsyncIterable, Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
 from typing import Any, Protocol
 
 import httpx
-import numpy as np
 import pytest
 import uvicorn
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 from fastapi import FastAPI
 
-from anchorflow_client import (
-    AnchorBatch,
-    AnchorRequest,
-    MapSpec,
-    ModelCard,
-    RefineSpec,
-    SamplerSpec,
-    TensorSpec,
-)
 from anchorflow_service.http import create_app
-
-CARD = ModelCard(
-    name="lines",
-    version="1.2.3",
-    sha256="ab" * 32,
-    planner="lines",
-    inputs=(TensorSpec("x_curr", "float32", ("B", 6), "m, m/s, m/s^2"),),
-    outputs=(TensorSpec("positions", "float32", ("B", "N", "T", "D"), "m"),),
-    T=16,
-    D=2,
-    horizon_s=8.0,
-    dt=8.0 / 15,
-    v_max=2.0,
-    a_max=3.0,
-    robot_radius=0.25,
-    map=MapSpec(H=64, W=64, channels=3),
-    sampler=SamplerSpec("rk4", (0.0, 0.5, 1.0)),
-    refine=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
-    adjustable=("robot_radius",),
-)
-
-
-def minimum_jerk(steps: int) -> np.ndarray:
-    """Position, velocity and acceleration [3,steps] from rest at 0 to rest at 1 in unit time."""
-    s = np.linspace(0, 1, steps)
-    position = 10 * s**3 - 15 * s**4 + 6 * s**5
-    return np.stack([position, 30 * (s - s**2) ** 2, 60 * s - 180 * s**2 + 120 * s**3])
-
-
-class StraightLines:
-    """An engine: minimum-jerk motion along straight lines, fanned out by a seeded draw.
-
-    `before_answer` sees each request and what would be answered, and gives what is answered: here
-    a test lets the engine block, fail or answer nonsense.
-    """
-
-    def __init__(self, card: ModelCard = CARD) -> None:
-        self.card = card
-        self.seen: list[AnchorRequest] = []
-        self.before_answer: Callable[[AnchorBatch], AnchorBatch] = lambda batch: batch
-
-    def plan(self, request: AnchorRequest, /) -> AnchorBatch:
-        """[B,N,T,2], the B axis dropped where the request is not batched."""
-        self.seen.append(request)
-        profile = minimum_jerk(self.card.T)
-        scenes = [self._scene(request, b, profile) for b in range(request.num_scenes)]
-        arrays: dict[str, Any] = {
-            name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]
-        }
-        if not request.batched:
-            arrays = {name: array[0] for name, array in arrays.items()}
-        return self.before_answer(
-            AnchorBatch(
-                **arrays,
-                dt=self.card.dt,
-                seed=request.seed or 0,
-                model=self.card.id,
-                timing_ms={"encode": 1.0, "sample": 2.0, "refine": 3.0, "total": 6.0},
-            )
-        )
-
-    def _scene(self, request: AnchorRequest, scene: int, profile: np.ndarray) -> dict[str, Any]:
-        start, goal = request.x_curr[scene, :2], request.x_goal[scene, :2]
-        fan = np.random.default_rng(request.seed).normal(size=(request.num_samples, 1, 1)) * 0.01
-        line = profile[:, None, :, None] * (goal - start) + fan * profile[:, None, :, None]
-        line[0] += start
-        names = ("trajectories", "velocities", "accelerations")
-        per_anchor = np.abs(fan[:, 0, 0])
-        return dict(zip(names, line, strict=True)) | {
-            "scores": -per_anchor,
-            "clearance": per_anchor,
-            "safe": per_anchor < 1,
-        }
+from anchorflow_service.http.lifecycle import AnchorServer
+from anchorflow_service.planning import PlanningService
 
 
 class InProcess:
@@ -191,32 +109,54 @@ def listen() -> Iterator[Callable[[FastAPI], str]]:
         assert not thread.is_alive()
 
 
-@pytest.fixture
-def engine() -> StraightLines:
-    """The default model of `app`."""
-    return StraightLines()
+class Served:
+    """A server of ours on a thread, listening on a free port of this machine."""
+
+    def __init__(self, server: AnchorServer) -> None:
+        self.server = server
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.port = listener.getsockname()[1]
+        self.url = f"http://127.0.0.1:{self.port}"
+        self._thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        self._thread.start()
+        while not server.started:
+            assert self._thread.is_alive()
+            time.sleep(0.01)
+
+    def has_stopped(self, within_s: float = 20) -> bool:
+        """Whether it stops in that time."""
+        self._thread.join(within_s)
+        return not self._thread.is_alive()
+
+
+class Serve(Protocol):
+    """Starts a server and stops it when the test ends."""
+
+    def __call__(self, server: AnchorServer) -> Served: ...
 
 
 @pytest.fixture
-def app(engine: StraightLines) -> FastAPI:
-    """The application over that engine and a second model."""
-    second = StraightLines(replace(CARD, name="bows", adjustable=()))
-    return create_app({"lines": engine, "bows": second}, default="lines")
+def serve() -> Iterator[Serve]:
+    """Starts servers with the limits, the TLS and the drain that they were made with."""
+    started: list[Served] = []
+
+    def start(server: AnchorServer) -> Served:
+        started.append(Served(server))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.server.should_exit = True
+        assert each.has_stopped()
+
+
+@pytest.fixture
+def app(planning: PlanningService) -> FastAPI:
+    """The application over two engines that draw straight lines."""
+    return create_app(planning)
 
 
 @pytest.fixture
 def service(app: FastAPI, run: Run) -> InProcess:
     """The application, running in this process."""
     return run(app)
-
-
-@pytest.fixture
-def fields() -> dict[str, Any]:
-    """A good request over a free map of 16 x 20 cells, 0.5 m each."""
-    return {
-        "cost_map": {"data": np.zeros((1, 16, 20)).tolist(), "resolution": 0.5},
-        "x_curr": [-3.0, 0.5, 0.0, 0.0, 0.0, 0.0],
-        "x_goal": [3.0, 0.5, 0.0, 0.0],
-        "num_samples": 4,
-        "seed": 1,
-    }

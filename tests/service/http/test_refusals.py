@@ -140,7 +140,7 @@ def test_an_unknown_model_is_told_what_there_is(service: Any, fields: dict[str, 
     assert "'flowmp'" in error["message"]
 
 
-@pytest.mark.parametrize("content_type", ["application/octet-stream", "text/plain", ""])
+@pytest.mark.parametrize("content_type", ["application/x-tensor", "text/plain", ""])
 def test_another_form_than_json_is_refused(service: Any, content_type: str) -> None:
     headers = {"Content-Type": content_type}
     answer = service.request("POST", "/anchors", headers=headers, content=b"{}")

@@ -6,12 +6,10 @@ import asyncio
 from typing import Any
 
 import httpx
-import pytest
 from fastapi import FastAPI
 
 from anchorflow_client import AnchorClient
 from anchorflow_client.contract.request import FIELDS
-from anchorflow_service.http import create_app
 
 
 def test_health(service: Any) -> None:
@@ -37,7 +35,7 @@ def test_it_says_what_it_is(service: Any) -> None:
 
     assert answer["name"] == "anchorflow"
     assert isinstance(answer["version"], str)
-    assert answer["extensions"] == []
+    assert answer["extensions"] == ["binary_tensor_data", "model_repository"]
 
 
 def test_cards_come_with_the_default_first(service: Any, engine: Any) -> None:
@@ -51,11 +49,6 @@ def test_cards_come_with_the_default_first(service: Any, engine: Any) -> None:
     assert ready == [True, True]
 
 
-def test_the_default_must_be_served(engine: Any) -> None:
-    with pytest.raises(ValueError, match="'b' is none of"):
-        create_app({"a": engine}, default="b")
-
-
 def test_the_documentation_knows_every_field(service: Any) -> None:
     schema = service.request("GET", "/openapi.json").json()
     models = schema["components"]["schemas"]
@@ -66,7 +59,7 @@ def test_the_documentation_knows_every_field(service: Any) -> None:
     assert "m/cell" in models["CostMapBody"]["properties"]["resolution"]["description"]
     body = schema["paths"]["/anchors"]["post"]["requestBody"]["content"]["application/json"]
     assert body["schema"]["$ref"].endswith("/AnchorRequestBody")
-    assert {"200", "404", "413", "422", "429", "500", "503", "504"} == set(
+    assert {"200", "404", "409", "413", "422", "429", "500", "503", "504"} == set(
         schema["paths"]["/anchors"]["post"]["responses"]
     )
 

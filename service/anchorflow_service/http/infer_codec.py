@@ -1,0 +1,143 @@
+"""The Open Inference Protocol as any of its clients may speak it: tensors in binary or in JSON.
+
+`POST /anchors` and zenoh take and give every tensor in binary; here each tensor is what its sender
+or receiver asked for, and a client may ask for some of the outputs alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.codec import Payload
+from anchorflow_client.contract import AnchorBatch, AnchorRequest
+from anchorflow_client.contract.arrays import numbers
+from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.checks import boolean, choice, expected, fields_of, number
+from anchorflow_client.contract.ranges import BUDGET, Interval
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.oip.datatypes import DTYPE_OF, name_of, to_wire
+from anchorflow_client.oip.message import ALIGNMENT, unpack_header, unpack_tensors
+from anchorflow_client.oip.parameters import flatten, scalars
+from anchorflow_client.oip_codec import INPUTS, OUTPUTS, request_of
+from anchorflow_client.wire_fields import answer_fields
+from anchorflow_service.http.orjson_codec import dump, parse
+
+EVERY_NUMBER = Interval(-math.inf, math.inf)
+TIMEOUT = "timeout"
+"""Triton's parameter for a budget, in microseconds."""
+
+
+class InferCodec:
+    """Reads one request to `…/infer` and writes its answer, in the form that the request asks for.
+
+    A new one for every request.
+    """
+
+    def __init__(self) -> None:
+        self._in_binary = dict.fromkeys(OUTPUTS, False)
+        """The outputs that are wanted, and whether in binary."""
+
+    def decode_request(self, payload: Payload) -> AnchorRequest:
+        """A request out of untrusted bytes; all of them are JSON where no length is given.
+
+        Raises:
+            InvalidRequest: names the field, the tensor, "header_length", "header" or "body".
+        """
+        value, data = (
+            (parse(bytes(payload.body)), memoryview(b""))
+            if payload.header_length is None
+            else unpack_header(payload)
+        )
+        header = fields_of(value, "", ("id", "parameters", "inputs", "outputs"), ("inputs",))
+        leaves = scalars(header.get("parameters"))
+        in_binary = boolean(leaves.pop("binary_data_output", False), "binary_data_output")
+        self._in_binary = _wanted(header.get("outputs"), in_binary)
+        if TIMEOUT in leaves:
+            timeout_ms = Interval(BUDGET.low, BUDGET.high * 1e3, "µs", open_low=True)
+            leaves.setdefault("budget_ms", number(leaves.pop(TIMEOUT), TIMEOUT, timeout_ms) / 1e3)
+        return request_of(_tensors(header["inputs"], data), leaves, header.get("id"))
+
+    def encode_answer(self, batch: AnchorBatch) -> Payload:
+        """The outputs that were asked for. Raises `ValueError` where a number is not finite."""
+        if not batch.is_finite:
+            raise ValueError("the answer holds numbers that are not finite")
+        leaves = flatten(answer_fields(batch))
+        tensors = {name: leaves.pop(name) for name in ARRAY_DTYPES}
+        parts = {
+            name: to_wire(tensors[name]) for name, in_binary in self._in_binary.items() if in_binary
+        }
+        header = {
+            "model_name": leaves.pop("model.name"),
+            "model_version": leaves.pop("model.version"),
+            "id": leaves.pop("request_id") or "",
+            "parameters": leaves,
+            "outputs": [_output(name, tensors[name], parts.get(name)) for name in self._in_binary],
+        }
+        written = dump(header)
+        if not parts:
+            return Payload(written)
+        written += b" " * (-len(written) % ALIGNMENT)
+        return Payload(b"".join([written, *parts.values()]), len(written))
+
+
+def _wanted(outputs: Any, in_binary: bool) -> dict[str, bool]:
+    """The outputs that a header asks for, all where it names none, and whether in binary."""
+    if not outputs:
+        return dict.fromkeys(OUTPUTS, in_binary)
+    if not isinstance(outputs, list):
+        raise expected("outputs", "a list of outputs", outputs)
+    wanted: dict[str, bool] = {}
+    for index, value in enumerate(outputs):
+        field = f"outputs[{index}]"
+        output = fields_of(value, field, ("name", "parameters"), ("name",))
+        name = choice(output["name"], f"{field}.name", OUTPUTS)
+        said = fields_of(output.get("parameters") or {}, f"{field}.parameters", ("binary_data",))
+        wanted[name] = boolean(said.get("binary_data", in_binary), f"{field}.binary_data")
+    return wanted
+
+
+def _tensors(inputs: Any, data: memoryview) -> Mapping[str, NDArray[Any]]:
+    """The tensors of a header, whose data stand in it or behind it."""
+    if not isinstance(inputs, list):
+        raise expected("inputs", "a list of tensors", inputs)
+    in_json = [isinstance(value, Mapping) and "data" in value for value in inputs]
+    behind = [value for value, inside in zip(inputs, in_json, strict=True) if not inside]
+    tensors = unpack_tensors(behind, data, "inputs", INPUTS)
+    for index, value in enumerate(inputs):
+        if in_json[index]:
+            name, tensor = _json_tensor(value, f"inputs[{index}]")
+            if name in tensors:
+                raise InvalidRequest("expected one tensor of this name, got two in inputs", name)
+            tensors[name] = tensor
+    return tensors
+
+
+def _json_tensor(value: Any, field: str) -> tuple[str, NDArray[Any]]:
+    """A tensor whose data, flat or nested, stand in the header."""
+    names = ("name", "datatype", "shape", "data")
+    entry = fields_of(value, field, names, required=names)
+    name = choice(entry["name"], f"{field}.name", INPUTS)
+    dtype = DTYPE_OF[choice(entry["datatype"], name, INPUTS[name])]
+    shape = entry["shape"]
+    if not isinstance(shape, list) or not all(type(size) is int and size > 0 for size in shape):
+        raise expected(name, "a shape of whole numbers from 1 on", shape)
+    tensor = numbers(entry["data"], name, EVERY_NUMBER, str(shape))
+    if tensor.size != math.prod(shape):
+        raise InvalidRequest(f"expected shape {shape}, got {tensor.size} numbers", name)
+    return name, tensor.reshape(shape).astype(dtype)
+
+
+def _output(name: str, tensor: NDArray[Any], part: memoryview | None) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "name": name,
+        "datatype": name_of(tensor.dtype),
+        "shape": tensor.shape,
+    }
+    if part is None:
+        return entry | {"data": np.ascontiguousarray(tensor).reshape(-1)}
+    return entry | {"parameters": {"binary_data_size": part.nbytes}}

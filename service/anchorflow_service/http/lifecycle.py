@@ -1,0 +1,100 @@
+"""The server's life: opened before it listens, and on SIGTERM out of sight before it stops."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import socket
+import ssl
+import time
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from types import FrameType
+
+import uvicorn
+from fastapi import FastAPI
+
+from anchorflow_service.http.connections import ConnectionLimits, limited
+from anchorflow_service.planning import PlanningService
+
+BREAKING_OFF_S = 1.0
+"""For what is broken off to be told so."""
+
+
+@dataclass(frozen=True)
+class Draining:
+    """How a server goes."""
+
+    notice_s: float = 0.0
+    """Requests are still taken so long after readiness has turned false, for balancers to see."""
+    drain_s: float = 10.0
+    """Longest wait for requests that run; what then still runs is `not_ready`."""
+
+
+class AnchorServer(uvicorn.Server):
+    """uvicorn with the application opened by itself and with a notice before it goes.
+
+    The application's lifespan is entered here and not by uvicorn, so that what fails in it is
+    raised as it is. A second signal ends the notice at once.
+    """
+
+    def __init__(
+        self,
+        app: FastAPI,
+        service: PlanningService,
+        *,
+        limits: ConnectionLimits | None = None,
+        draining: Draining | None = None,
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
+        self._app = app
+        self._service = service
+        self._draining = draining or Draining()
+        self._opened = AsyncExitStack()
+        self._leaving_since: float | None = None
+        limits = limits or ConnectionLimits()
+        super().__init__(
+            uvicorn.Config(
+                app,
+                http=limited(limits),
+                ws="none",
+                lifespan="off",
+                log_config=None,
+                access_log=False,
+                server_header=False,
+                proxy_headers=False,
+                h11_max_incomplete_event_size=limits.max_head_bytes,
+                # What is broken off by then is still answered.
+                timeout_graceful_shutdown=math.ceil(self._draining.drain_s + BREAKING_OFF_S),
+                ssl_context_factory=None if tls is None else (lambda *_: tls),
+            )
+        )
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Open the application, then listen."""
+        await self._opened.enter_async_context(self._app.router.lifespan_context(self._app))
+        await super().startup(sockets)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen no more, answer what came, close the application."""
+        loop = asyncio.get_running_loop()
+        loop.call_later(self._draining.drain_s, self._service.queue.break_off)
+        await super().shutdown(sockets)
+        await self._opened.aclose()
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """A signal: readiness turns false now, the rest follows after the notice."""
+        self._service.leave()
+        if self._leaving_since is None and self._draining.notice_s > 0:
+            self._leaving_since = time.monotonic()
+            self._captured_signals.append(sig)
+        else:
+            super().handle_exit(sig, frame)
+
+    async def on_tick(self, counter: int) -> bool:
+        """Whether it is time to go."""
+        stopping = await super().on_tick(counter)
+        since = self._leaving_since
+        return stopping or (
+            since is not None and time.monotonic() - since >= self._draining.notice_s
+        )

@@ -1,0 +1,111 @@
+"""`/v2/models/{name}…`: what a model takes and gives, whether it is ready, and its anchors.
+
+The Open Inference Protocol (KServe's v2), so that any of its clients works.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter
+from starlette.requests import Request
+from starlette.responses import Response
+
+from anchorflow_client.codec import Payload
+from anchorflow_client.contract import ModelCard
+from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.ranges import GOAL_FIELDS, NUM_STYLE, STATE_FIELDS
+from anchorflow_client.errors import InvalidRequest, NotReady, UnknownModel
+from anchorflow_client.oip_codec import GEOMETRY, INPUTS, OUTPUTS
+from anchorflow_service.http.anchors import answer_to, header_length
+from anchorflow_service.http.answers import json_answer
+from anchorflow_service.http.body import read_body
+from anchorflow_service.http.infer_codec import InferCodec
+from anchorflow_service.http.openapi import (
+    INFER_DOCUMENTATION,
+    METADATA_DOCUMENTATION,
+    MODEL_READY_DOCUMENTATION,
+)
+from anchorflow_service.planning import Call, PlanningService
+
+PLATFORM = "anchorflow_onnx"
+ANY = -1
+"""An axis that may have any length."""
+
+
+def models_router(service: PlanningService) -> APIRouter:
+    """The routes, over the service; a version in the path must be the one that is served."""
+    router = APIRouter(prefix="/v2/models", tags=["models"])
+
+    def card_of(name: str, version: str | None) -> ModelCard:
+        card = service.engines.choose(name).card
+        if version not in (None, card.version):
+            raise UnknownModel(f"expected version {card.version} of {name}, got {version}", "model")
+        return card
+
+    @router.get("/{name}", **METADATA_DOCUMENTATION)
+    @router.get("/{name}/versions/{version}", **METADATA_DOCUMENTATION)
+    async def metadata(name: str, version: str | None = None) -> Response:
+        """The tensors that a model takes and gives, for a batch of scenes."""
+        return json_answer(_metadata(card_of(name, version)))
+
+    @router.get("/{name}/ready", **MODEL_READY_DOCUMENTATION)
+    @router.get("/{name}/versions/{version}/ready", **MODEL_READY_DOCUMENTATION)
+    async def ready(name: str, version: str | None = None) -> Response:
+        """Whether a model takes requests now."""
+        card_of(name, version)
+        if not service.is_ready:
+            raise NotReady("the service is starting or stopping")
+        return json_answer({"name": name, "ready": True})
+
+    @router.post("/{name}/infer", **INFER_DOCUMENTATION)
+    @router.post("/{name}/versions/{version}/infer", **INFER_DOCUMENTATION)
+    async def infer(request: Request, name: str, version: str | None = None) -> Response:
+        """Anchors, each tensor in JSON or in binary, both ways."""
+        arrival = service.arrival()
+        body = await read_body(request, service.limits.max_body_bytes)
+        _check_encoding(request)
+        card_of(name, version)
+        payload = Payload(body, header_length(request))
+        call = Call(payload, InferCodec(), arrival, request.state.request_id, model=name)
+        return await answer_to(call, request, service)
+
+    return router
+
+
+def _check_encoding(request: Request) -> None:
+    """Raises `InvalidRequest`: a small body that unpacks to a huge one is nobody's to send."""
+    encoding = request.headers.get("content-encoding", "identity")
+    if encoding.lower() != "identity":
+        raise InvalidRequest(f"expected a body as it is, got {encoding[:40]!r}", "Content-Encoding")
+
+
+def _metadata(card: ModelCard) -> dict[str, Any]:
+    state, goal = STATE_FIELDS * card.D, GOAL_FIELDS * card.D
+    inputs = {
+        "cost_map": [ANY, ANY, ANY, ANY],
+        GEOMETRY: [ANY, 3],
+        "x_curr": [ANY, state],
+        "x_goal": [ANY, goal],
+        "w_style": [ANY, NUM_STYLE],
+        "warm_start": [ANY, ANY],
+        "schedule": [ANY],
+    }
+    anchors = [ANY, ANY, card.T, card.D]
+    outputs = {
+        name: anchors if name in ("trajectories", "velocities", "accelerations") else [ANY, ANY]
+        for name in ARRAY_DTYPES
+    }
+    return {
+        "name": card.name,
+        "versions": [card.version],
+        "platform": PLATFORM,
+        "inputs": [
+            {"name": name, "datatype": INPUTS[name][0], "shape": shape}
+            for name, shape in inputs.items()
+        ],
+        "outputs": [
+            {"name": name, "datatype": OUTPUTS[name][0], "shape": shape}
+            for name, shape in outputs.items()
+        ],
+    }

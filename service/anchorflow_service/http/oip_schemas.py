@@ -1,0 +1,137 @@
+"""The Open Inference Protocol as documentation: what /openapi.json shows of `/v2/…`."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Scalar = bool | int | float | str
+Numbers = list[float] | list[list[float]] | list[list[list[float]]] | list[list[list[list[float]]]]
+
+
+class _Body(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class MetadataTensorBody(BaseModel):
+    """A tensor that a model takes or gives."""
+
+    name: str
+    datatype: Literal["FP32", "FP64", "BOOL"]
+    shape: list[int] = Field(description="-1 for an axis of any length.")
+
+
+class ModelMetadataBody(BaseModel):
+    """What a model takes and gives for a batch of scenes; without its first axis for one scene."""
+
+    name: str
+    versions: list[str]
+    platform: str
+    inputs: list[MetadataTensorBody]
+    outputs: list[MetadataTensorBody]
+
+
+class ModelReadyBody(BaseModel):
+    """Whether a model takes requests now."""
+
+    name: str
+    ready: bool
+
+
+class InferInputBody(_Body):
+    """A tensor in JSON; in the binary form its data stand behind the header."""
+
+    name: Literal[
+        "cost_map", "map_geometry", "x_curr", "x_goal", "w_style", "warm_start", "schedule"
+    ]
+    datatype: Literal["FP32", "FP64"]
+    shape: list[int] = Field(min_length=1)
+    data: Numbers = Field(description="In row-major order, flat or nested.")
+
+
+class OutputParametersBody(_Body):
+    """How an output is wanted."""
+
+    binary_data: bool = False
+
+
+class InferOutputBody(_Body):
+    """An output that is wanted."""
+
+    name: Literal["trajectories", "velocities", "accelerations", "scores", "clearance", "safe"]
+    parameters: OutputParametersBody | None = None
+
+
+class InferRequestBody(_Body):
+    """Arrays are tensors, all other fields of a request parameters by their JSON path."""
+
+    id: str | None = Field(None, description="Echoed.")
+    parameters: dict[str, Scalar] | None = Field(
+        None,
+        description="num_samples, seed, budget_ms, robot_id, sampler.method, refine.project, …; "
+        "`binary_data_output` for outputs in binary, `timeout` for a budget in microseconds.",
+    )
+    inputs: list[InferInputBody] = Field(
+        description="map_geometry is [3] or [B,3]: origin x and y [m], resolution [m/cell]."
+    )
+    outputs: list[InferOutputBody] | None = Field(None, description="All of them.")
+
+
+class AnswerTensorBody(BaseModel):
+    """An output; its data stand behind the header where it was wanted in binary."""
+
+    name: str
+    datatype: str
+    shape: list[int]
+    data: list[Any] | None = None
+    parameters: dict[str, Any] | None = None
+
+
+class InferAnswerBody(BaseModel):
+    """The outputs that were asked for."""
+
+    model_name: str
+    model_version: str
+    id: str
+    parameters: dict[str, Scalar] = Field(description="dt, seed, timing_ms.…, model.sha256.")
+    outputs: list[AnswerTensorBody]
+
+
+class IndexRequestBody(_Body):
+    """Which models are listed."""
+
+    ready: bool = Field(False, description="Only those that are served.")
+
+
+class ModelStateBody(BaseModel):
+    """What is known of one version of a model."""
+
+    name: str
+    version: str = Field(description="Empty where the manifest cannot be read.")
+    state: Literal["READY", "UNAVAILABLE"]
+    reason: str = Field(description="Why it is not served, or why its newer bundle is not.")
+
+
+class LoadParametersBody(_Body):
+    """What is loaded."""
+
+    version: str | None = Field(None, description="The newest.")
+
+
+class LoadRequestBody(_Body):
+    """How a model is loaded."""
+
+    parameters: LoadParametersBody | None = None
+
+
+class UnloadParametersBody(_Body):
+    """What Triton's clients send."""
+
+    unload_dependents: bool = Field(False, description="No model depends on another.")
+
+
+class UnloadRequestBody(_Body):
+    """How a model is unloaded."""
+
+    parameters: UnloadParametersBody | None = None

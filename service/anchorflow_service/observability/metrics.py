@@ -1,0 +1,82 @@
+"""Counts and durations for Prometheus: of calls on every transport, and of HTTP exchanges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector
+from prometheus_client.exposition import generate_latest
+
+from anchorflow_service.observability.collector import ServiceCollector
+from anchorflow_service.observability.exchanges import Exchange
+from anchorflow_service.planning import Call, Observer, PlanningService
+
+SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.25, 0.5, 1.0, 2.5, 10.0)
+SIZES = (1, 2, 4, 8, 16, 32, 64)
+STAGES = ("encode", "sample", "refine")
+
+
+class Metrics(Observer):
+    """The metrics of one service, in a registry of their own.
+
+    No label takes its value from a caller, whose inventions would fill the memory.
+    """
+
+    def __init__(self, service: PlanningService) -> None:
+        self.registry = registry = CollectorRegistry()
+        self._requests = Counter(
+            "anchorflow_requests",
+            "Planning requests by transport, model (empty where none was chosen) and outcome: ok, "
+            "cancelled, or the code of the error.",
+            ["transport", "model", "outcome"],
+            registry=registry,
+        )
+        self._total = _seconds("request", "From arrival to the answer.", registry, ["transport"])
+        self._queue = _seconds("queue", "Age of a request when a worker took it.", registry, [])
+        self._stages = _seconds("stage", "Engine time of an answer.", registry, ["stage"])
+        self._batch = Histogram(
+            "anchorflow_batch_requests",
+            "Requests that went through an engine together.",
+            buckets=SIZES,
+            registry=registry,
+        )
+        self._exchanges = Counter(
+            "anchorflow_http_responses",
+            "HTTP answers by route and status; those that never became a planning request too.",
+            ["route", "status"],
+            registry=registry,
+        )
+        registry.register(ServiceCollector(service))
+        # Its own numbers only: the interpreter's version is nobody's business.
+        ProcessCollector(registry=registry)
+        service.watch(self)
+
+    def ended(self, call: Call, outcome: str) -> None:
+        """Count it, and its times where it was answered."""
+        model = call.model_id.name if call.model_id else ""
+        self._requests.labels(call.transport, model, outcome).inc()
+        self._total.labels(call.transport).observe(call.arrival.elapsed_ms / 1e3)
+        if call.timing_ms:
+            self._queue.observe(call.timing_ms["queue"] / 1e3)
+            for stage in STAGES:
+                self._stages.labels(stage).observe(call.timing_ms.get(stage, 0.0) / 1e3)
+
+    def batch_planned(self, requests: int) -> None:
+        """Count it."""
+        self._batch.observe(requests)
+
+    def exchanged(self, exchange: Exchange) -> None:
+        """Count an HTTP answer."""
+        self._exchanges.labels(exchange.route, str(exchange.status)).inc()
+
+    def render(self) -> bytes:
+        """All of them, in Prometheus's text format 0.0.4."""
+        return generate_latest(self.registry)
+
+
+def _seconds(
+    name: str, description: str, registry: CollectorRegistry, labels: Sequence[str]
+) -> Histogram:
+    return Histogram(
+        f"anchorflow_{name}_seconds", description, labels, buckets=SECONDS, registry=registry
+    )

@@ -1,0 +1,130 @@
+"""OpenTelemetry traces: a span for each HTTP exchange, and one for each planning call with its
+stages, whatever transport it came by. Sent over OTLP (HTTP); nothing here runs unless asked for.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Mapping
+from types import TracebackType
+
+from opentelemetry.context import Context, attach, detach
+from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
+from opentelemetry.propagate import extract
+from opentelemetry.sdk.resources import SERVICE_NAME, OTELResourceDetector, Resource
+from opentelemetry.sdk.trace import SpanProcessor, TracerProvider
+from opentelemetry.sdk.trace.export import BatchSpanProcessor
+from opentelemetry.trace import SpanKind, StatusCode, Tracer, set_span_in_context
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from anchorflow_service.observability.exchanges import FAILED
+from anchorflow_service.planning import ANSWERED, Call, Observer
+
+STAGES = ("queue", "encode", "sample", "refine")
+NS_PER_MS = 1_000_000
+
+
+class Tracing(Observer):
+    """Spans of one service; what is left of them is sent when its `async with` block ends."""
+
+    def __init__(self, processor: SpanProcessor) -> None:
+        named = Resource({SERVICE_NAME: "anchorflow"}).merge(OTELResourceDetector().detect())
+        self._provider = TracerProvider(resource=named)
+        self._provider.add_span_processor(processor)
+        self._tracer = self._provider.get_tracer("anchorflow_service")
+
+    def middleware(self, app: ASGIApp) -> ASGIApp:
+        """The application with a span around each HTTP exchange."""
+        return TracedExchanges(app, tracer=self._tracer)
+
+    async def __aenter__(self) -> Tracing:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await asyncio.to_thread(self._provider.shutdown)
+
+    def ended(self, call: Call, outcome: str) -> None:
+        """A span for the call, under the one it was made in, with its stages one after the other.
+
+        Its times are known once it is over, so all spans are drawn then.
+        """
+        now = time.time_ns()
+        arrived = now - round(call.arrival.elapsed_ms * NS_PER_MS)
+        attributes = {
+            "anchorflow.request_id": call.request_id,
+            "anchorflow.transport": call.transport,
+            "anchorflow.outcome": outcome,
+        }
+        if call.model_id:
+            attributes["anchorflow.model"] = call.model_id.name
+            attributes["anchorflow.model.version"] = call.model_id.version
+        span = self._tracer.start_span("plan", attributes=attributes, start_time=arrived)
+        if outcome != ANSWERED:
+            span.set_status(StatusCode.ERROR, outcome)
+        if call.timing_ms:
+            self._stages(set_span_in_context(span), call.timing_ms, end=now)
+        span.end(now)
+
+    def _stages(self, parent: Context, timing_ms: Mapping[str, float], *, end: int) -> None:
+        # Laid out backwards from the answer: what comes first, decoding, has no time of its own.
+        lengths = [round(timing_ms.get(stage, 0.0) * NS_PER_MS) for stage in STAGES]
+        start = end - sum(lengths)
+        for stage, length in zip(STAGES, lengths, strict=True):
+            span = self._tracer.start_span(stage, context=parent, start_time=start)
+            start += length
+            span.end(start)
+
+
+class TracedExchanges:
+    """Middleware: a span for each HTTP exchange, under the caller's where it names one."""
+
+    def __init__(self, app: ASGIApp, *, tracer: Tracer) -> None:
+        self._app = app
+        self._tracer = tracer
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on inside a span."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        parent = extract(dict(Headers(scope=scope)))
+        attributes = {"http.request.method": scope["method"], "url.path": scope["path"]}
+        span = self._tracer.start_span(
+            scope["method"], context=parent, kind=SpanKind.SERVER, attributes=attributes
+        )
+
+        async def send_noted(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                span.set_attribute("http.response.status_code", message["status"])
+            await send(message)
+
+        token = attach(set_span_in_context(span))
+        try:
+            await self._app(scope, receive, send_noted)
+        except Exception as error:
+            span.record_exception(error)
+            span.set_attribute("http.response.status_code", FAILED)
+            raise
+        finally:
+            detach(token)
+            if route := getattr(scope.get("route"), "path", None):
+                span.update_name(f"{scope['method']} {route}")
+                span.set_attribute("http.route", route)
+            span.set_attribute("anchorflow.request_id", scope["state"]["request_id"])
+            span.end()
+
+
+def tracing_to(endpoint: str) -> Tracing:
+    """Spans sent to an OTLP collector, such as http://127.0.0.1:4318/v1/traces.
+
+    OpenTelemetry's own environment variables (OTEL_SERVICE_NAME, OTEL_EXPORTER_OTLP_HEADERS, …)
+    hold for the rest.
+    """
+    return Tracing(BatchSpanProcessor(OTLPSpanExporter(endpoint=endpoint)))

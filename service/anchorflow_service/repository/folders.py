@@ -1,0 +1,115 @@
+"""Where bundles lie: single folders, and a repository of them.
+
+A repository is a folder of bundles, `FOLDER/flowmp/manifest.json`, or of bundles by version,
+`FOLDER/flowmp/0.2.0/manifest.json`. What a bundle is called stands in its manifest, not in the
+names of folders. The folders are looked through at every question, so that a bundle which was just
+copied there is found.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_service.bundle import BundleError
+from anchorflow_service.manifest import FILE_NAME, parse_manifest
+
+
+class RepositoryError(AnchorFlowError):
+    """The folders hold no bundle, or two that cannot be told apart."""
+
+
+@dataclass(frozen=True)
+class FoundBundle:
+    """A folder with a manifest; its graphs have not been looked at."""
+
+    path: Path
+    name: str
+    """The model's; the folder's where the manifest cannot be read."""
+    version: str
+    """Empty where the manifest cannot be read."""
+    fault: BundleError | None = None
+    """Why the manifest cannot be read."""
+
+
+class BundleFolders:
+    """The bundles of single folders and of a repository.
+
+    Raises:
+        RepositoryError: the repository is no folder.
+    """
+
+    def __init__(self, bundles: Sequence[Path] = (), *, repository: Path | None = None) -> None:
+        if repository is not None and not repository.is_dir():
+            raise RepositoryError(f"{repository}: expected a folder of bundles, found none")
+        self.single = tuple(bundles)
+        self._repository = repository
+
+    def __str__(self) -> str:
+        repository = [] if self._repository is None else [f"repository {self._repository}"]
+        return ", ".join([*(f"bundle {path}" for path in self.single), *repository])
+
+    def found(self) -> list[FoundBundle]:
+        """All bundles, the newest version of each model first; those that are broken are marked."""
+        found = [_look_at(path) for path in self._paths()]
+        found.sort(key=lambda bundle: _version_order(bundle.version), reverse=True)
+        found.sort(key=lambda bundle: bundle.name)
+        return found
+
+    def find(self, name: str, version: str | None = None) -> FoundBundle | None:
+        """The bundle of a model, of that version or the newest; None where there is none.
+
+        Raises:
+            RepositoryError: two folders hold that version.
+            BundleError: the folder of that name holds a manifest that cannot be read.
+        """
+        same_name = [bundle for bundle in self.found() if bundle.name == name]
+        readable = [bundle for bundle in same_name if bundle.fault is None]
+        matching = [bundle for bundle in readable if version in (None, bundle.version)]
+        if not matching:
+            for bundle in same_name:
+                if bundle.fault is not None:
+                    raise bundle.fault
+            return None
+        first = matching[0]
+        if sum(other.version == first.version for other in matching) > 1:
+            twice = f"{name} {first.version}"
+            raise RepositoryError(f"expected one bundle of {twice}, found it in two folders")
+        return first
+
+    def _paths(self) -> Iterator[Path]:
+        """Each folder once, although a single one may lie in the repository."""
+        paths = [*self.single]
+        if self._repository is not None:
+            for pattern in (f"*/{FILE_NAME}", f"*/*/{FILE_NAME}"):
+                paths += [manifest.parent for manifest in sorted(self._repository.glob(pattern))]
+        return iter({path.resolve(): path for path in paths}.values())
+
+
+def _look_at(path: Path) -> FoundBundle:
+    file = path / FILE_NAME
+    try:
+        manifest = parse_manifest(file.read_bytes())
+    except OSError as error:
+        fault = BundleError(file, f"cannot be read: {error.strerror}")
+    except ValueError as error:
+        fault = BundleError(file, str(error))
+    else:
+        return FoundBundle(path, manifest.name, manifest.version)
+    return FoundBundle(path, path.name, "", fault)
+
+
+def _version_order(version: str) -> list[tuple[int, int, str]]:
+    """Sorts 0.10.0 behind 0.9.1, and 1.0.0 behind 1.0.0-rc1, which is what comes before it."""
+    return [*map(_part_order, re.findall(r"[0-9]+|[a-zA-Z]+", version)), (1, 0, "")]
+
+
+def _part_order(part: str) -> tuple[int, int, str]:
+    """Words below the end of a version, numbers above it, those by their digits: none is too long
+    for that.
+    """
+    digits = part.lstrip("0")
+    return (2, len(digits), digits) if part.isdecimal() else (0, 0, part)

@@ -1,0 +1,69 @@
+"""A contest from end to end: worlds and contenders over worker processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from anchorflow_benchmarks.closed_loop.contest import (
+    Contender,
+    ContestConfig,
+    Heat,
+    run_contest,
+    run_heat,
+)
+from anchorflow_benchmarks.closed_loop.drive import DriveConfig
+from anchorflow_benchmarks.closed_loop.mppi import MppiConfig
+from anchorflow_benchmarks.closed_loop.world import World
+from anchorflow_service.bundle import DEFAULT_BUNDLE
+
+ALONE = Contender("MPPI", None, 48)
+LINES = Contender("lines", "lines", 48)
+SERVED = Contender("served", "served", 48)
+CONFIG = ContestConfig(
+    bundle=DEFAULT_BUNDLE,
+    threads=1,
+    latency_ms=60.0,
+    mppi=MppiConfig(steps=15),
+    drive=DriveConfig(
+        limit_s=0.5,
+        map_cells=64,
+        map_resolution=0.1,
+        options={"num_samples": 8, "sampler": {"method": "euler", "schedule": {"uniform": 1}}},
+    ),
+)
+
+
+def test_every_contender_runs_in_every_world_with_every_seed(world: Callable[..., World]) -> None:
+    worlds = [world([(3.0, 0.0)], name="one"), world(name="two", path_length=7.0)]
+    done: list[int] = []
+    results = run_contest([ALONE, LINES], worlds, CONFIG, seeds=2, workers=2, progress=done.append)
+
+    assert [(r.world, r.seed, r.contender) for r in results] == [
+        (name, seed, contender)
+        for name in ("one", "two")
+        for seed in (0, 1)
+        for contender in ("MPPI", "lines")
+    ]
+    assert done == [1] * 8
+    assert results[-1].path_length == 7.0
+    for result in results:
+        alone = run_heat(
+            Heat(
+                {"MPPI": ALONE, "lines": LINES}[result.contender],
+                worlds[result.world == "two"],
+                result.seed,
+            ),
+            CONFIG,
+        )
+        assert alone.run == result.run  # whichever process it ran in
+
+
+def test_served_anchors_come_from_the_bundle(world: Callable[..., World]) -> None:
+    result = run_heat(Heat(SERVED, world([(3.0, 0.0)]), 0), CONFIG)
+
+    assert result.run.length > 0.1
+    assert result.run.ticks_braked == 1  # until the first answer
+    np.testing.assert_allclose(result.latencies_ms, 60.0)
+    assert len(result.latencies_ms) >= 4

@@ -1,0 +1,87 @@
+"""The rolling map knows what scans have shown, where they have shown it, and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from anchorflow_benchmarks.closed_loop.lidar import Lidar
+from anchorflow_benchmarks.closed_loop.local_map import LocalMap
+from anchorflow_benchmarks.closed_loop.world import World
+
+LIDAR = Lidar(2 * np.pi, noise=0.0)
+AHEAD = Lidar(np.pi, noise=0.0)
+
+
+def seen(
+    local: LocalMap, world: World, *places: tuple[float, float], lidar: Lidar = LIDAR
+) -> LocalMap:
+    for x, y in places:
+        local.add(lidar.scan(world, np.array([x, y, 0.0]), np.random.default_rng(0)))
+    return local
+
+
+def cells(local: LocalMap) -> np.ndarray:
+    """[M, 2] m, centres of the occupied cells."""
+    rows, columns = np.nonzero(local.occupied)
+    return local.origin + local.resolution * (np.stack([columns, rows], 1) + 0.5)
+
+
+def test_only_the_side_of_a_post_that_was_seen_is_mapped(world: Callable[..., World]) -> None:
+    posts = world([(2.0, 0.0)], post_radius=0.3)
+    mapped = cells(seen(LocalMap(), posts, (0.0, 0.0)))
+
+    distance = np.linalg.norm(mapped - [2.0, 0.0], axis=1)
+    assert len(mapped) >= 5
+    assert (np.abs(distance - 0.3) < 0.08).all()
+    assert (mapped[:, 0] < 2.0).all()
+
+
+def test_what_a_post_hides_is_not_known(world: Callable[..., World]) -> None:
+    hidden = world([(2.0, 0.0), (4.0, 0.0)])
+    mapped = cells(seen(LocalMap(), hidden, (0.0, 0.0)))
+
+    assert (mapped[:, 0] < 3.0).all()
+
+
+def test_what_is_behind_the_robot_is_not_known(world: Callable[..., World]) -> None:
+    local = seen(LocalMap(), world([(-2.0, 0.0)]), (0.0, 0.0), lidar=AHEAD)
+    assert not local.occupied.any()
+
+
+def test_the_window_moves_and_the_posts_stay(world: Callable[..., World]) -> None:
+    local = seen(LocalMap(), world([(2.0, 1.0)]), (0.0, 0.0))
+    before = cells(local)
+    # Blind on its way: what it still knows it has carried along.
+    seen(local, world(), (0.7, -0.3), lidar=Lidar(0.02, noise=0.0))
+    after = cells(local)
+
+    np.testing.assert_allclose(np.sort(after, 0), np.sort(before, 0), atol=1e-9)
+    assert np.abs(local.origin + 64 * 0.08 - [0.7, -0.3]).max() <= 0.08
+
+
+def test_what_leaves_the_window_is_forgotten(world: Callable[..., World]) -> None:
+    local = seen(LocalMap(), world([(-2.0, 0.0)]), (0.0, 0.0))
+    assert local.occupied.any()
+    seen(local, world(), (6.0, 0.0), (0.0, 0.0))
+    assert not local.occupied.any()
+
+
+def test_a_jump_beyond_the_window_leaves_nothing(world: Callable[..., World]) -> None:
+    local = seen(LocalMap(), world([(2.0, 0.0)]), (0.0, 0.0))
+    assert not seen(local, world(), (100.0, -50.0)).occupied.any()
+
+
+def test_a_false_hit_is_looked_through_later(world: Callable[..., World]) -> None:
+    local = seen(LocalMap(), world([(2.0, 0.0)]), (0.0, 0.0))
+    seen(local, world(), *[(0.0, 0.0)] * 5)
+    assert not local.occupied.any()
+
+
+def test_the_robots_own_place_is_free(world: Callable[..., World]) -> None:
+    local = seen(LocalMap(), world([(0.3, 0.0), (2.0, 0.0)]), (0.0, 0.0))
+    near = np.linalg.norm(cells(local), axis=1) <= 0.25
+    assert near.any()
+    left = local.occupied_beyond(np.zeros(2), 0.25)
+    assert left.sum() == (~near).sum()

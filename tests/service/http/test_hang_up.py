@@ -1,0 +1,144 @@
+"""A client that hangs up, over a real socket: its work ends with the step that is being taken."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from fastapi import FastAPI
+
+from anchorflow_client import AnchorBatch, AnchorRequest
+from anchorflow_service.http import create_app
+from anchorflow_service.planning import ANSWERED, CANCELLED, Call, Limits, Observer, PlanningService
+
+PATIENCE_S = 20
+
+
+class StepByStep:
+    """An engine that takes a step when it is told to, and asks after each whether to go on."""
+
+    def __init__(self, engine: Any) -> None:
+        self._engine = engine
+        self.card = engine.card
+        self.at_work = threading.Event()
+        self.step = threading.Semaphore(0)
+        self.steps_taken = 0
+        self.left = threading.Event()
+
+    def plan(
+        self, request: AnchorRequest, /, *, threads: int, check: Callable[[], object]
+    ) -> AnchorBatch:
+        self.at_work.set()
+        try:
+            for _ in range(4):
+                assert self.step.acquire(timeout=PATIENCE_S)
+                self.steps_taken += 1
+                check()
+        finally:
+            self.left.set()
+        return self._engine.plan(request, threads=threads, check=check)
+
+
+class Outcomes(Observer):
+    """What became of every call."""
+
+    def __init__(self) -> None:
+        self.seen: list[str] = []
+        self.heard = threading.Event()
+
+    def ended(self, call: Call, outcome: str) -> None:  # noqa: ARG002
+        self.seen.append(outcome)
+        self.heard.set()
+
+
+@pytest.fixture
+def stepping(engine: Any) -> StepByStep:
+    return StepByStep(engine)
+
+
+@pytest.fixture
+def planning(stepping: StepByStep) -> PlanningService:
+    return PlanningService({"lines": stepping}, default="lines", limits=Limits(threads=1))
+
+
+@pytest.fixture
+def outcomes(planning: PlanningService) -> Outcomes:
+    outcomes = Outcomes()
+    planning.watch(outcomes)
+    return outcomes
+
+
+def post(url: str, path: str, body: bytes) -> socket.socket:
+    """A request on its way, and the connection that it was sent over."""
+    address = urlsplit(url)
+    connection = socket.create_connection((address.hostname, address.port), timeout=PATIENCE_S)
+    head = f"POST {path} HTTP/1.1\r\nHost: test\r\nContent-Length: {len(body)}\r\n\r\n"
+    connection.sendall(head.encode() + body)
+    return connection
+
+
+def oip(fields: dict[str, Any]) -> dict[str, Any]:
+    """The same request for any client of the protocol."""
+    cost_map = fields["cost_map"]
+    shapes = {"x_curr": [6], "x_goal": [4], "map_geometry": [3], "cost_map": [1, 16, 20]}
+    data = {
+        "x_curr": fields["x_curr"],
+        "x_goal": fields["x_goal"],
+        "map_geometry": [-5.0, -4.0, cost_map["resolution"]],
+        "cost_map": cost_map["data"],
+    }
+    return {
+        "inputs": [
+            {"name": name, "datatype": "FP64", "shape": shapes[name], "data": data[name]}
+            for name in shapes
+        ]
+    }
+
+
+@pytest.mark.parametrize("path", ["/anchors", "/v2/models/lines/infer"])
+def test_who_hangs_up_frees_the_engine_at_its_next_step(
+    planning: PlanningService,
+    stepping: StepByStep,
+    outcomes: Outcomes,
+    fields: dict[str, Any],
+    listen: Callable[[FastAPI], str],
+    path: str,
+) -> None:
+    url = listen(create_app(planning))
+    body = fields if path == "/anchors" else oip(fields)
+    with post(url, path, json.dumps(body).encode()):
+        assert stepping.at_work.wait(PATIENCE_S)
+    assert outcomes.heard.wait(PATIENCE_S)  # the service has seen the client leave
+    stepping.step.release(4)
+    assert stepping.left.wait(PATIENCE_S)
+
+    assert stepping.steps_taken == 1
+    assert outcomes.seen == [CANCELLED]
+    assert planning.queue.in_flight == 0
+
+
+def test_who_hangs_up_in_the_queue_is_not_planned(
+    planning: PlanningService,
+    stepping: StepByStep,
+    outcomes: Outcomes,
+    fields: dict[str, Any],
+    listen: Callable[[FastAPI], str],
+) -> None:
+    url, body = listen(create_app(planning)), json.dumps(fields).encode()
+    with post(url, "/anchors", body) as first:
+        assert stepping.at_work.wait(PATIENCE_S)
+        with post(url, "/anchors", body):
+            while planning.queue.in_flight < 2:
+                time.sleep(0.001)
+        assert outcomes.heard.wait(PATIENCE_S)
+        stepping.step.release(8)
+        assert b"200 OK" in first.recv(4096)
+
+    assert stepping.steps_taken == 4
+    assert outcomes.seen == [CANCELLED, ANSWERED]

@@ -1,0 +1,200 @@
+"""What is counted, on the application and without it."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from typing import Any
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from anchorflow_client import AnchorRequest, DeadlineExceeded
+from anchorflow_client.json_codec import JsonCodec
+from anchorflow_service.observability.collector import threads
+from anchorflow_service.observability.metrics import Metrics
+from anchorflow_service.planning import Call, PlanningService
+
+Samples = dict[tuple[str, frozenset[tuple[str, str]]], float]
+
+
+def samples_of(text: str) -> Samples:
+    return {
+        (sample.name, frozenset(sample.labels.items())): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def value(samples: Samples, name: str, **labels: str) -> float:
+    return samples.get((name, frozenset(labels.items())), 0.0)
+
+
+def scraped(service: Any) -> Samples:
+    answer = service.request("GET", "/metrics")
+    assert answer.headers["content-type"] == "text/plain; version=0.0.4; charset=utf-8"
+    return samples_of(answer.text)
+
+
+def requests(samples: Samples, model: str, outcome: str) -> float:
+    return value(
+        samples, "anchorflow_requests_total", transport="http", model=model, outcome=outcome
+    )
+
+
+def test_an_answer_is_counted_with_its_times(service: Any, fields: dict[str, Any]) -> None:
+    for _ in range(3):
+        assert service.post(fields).status_code == 200
+
+    samples = scraped(service)
+
+    assert requests(samples, "lines", "ok") == 3
+    assert value(samples, "anchorflow_request_seconds_count", transport="http") == 3
+    assert value(samples, "anchorflow_queue_seconds_count") == 3
+    assert value(samples, "anchorflow_batch_requests_count") == 3
+    assert value(samples, "anchorflow_batch_requests_sum") == 3
+    # The engine of the tests says 1, 2 and 3 ms.
+    for stage, ms in (("encode", 1.0), ("sample", 2.0), ("refine", 3.0)):
+        total = value(samples, "anchorflow_stage_seconds_sum", stage=stage)
+        assert total == pytest.approx(3 * ms / 1e3)
+    posted = value(samples, "anchorflow_http_responses_total", route="/anchors", status="200")
+    assert posted == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "model", "code"),
+    [
+        ({"budget_ms": 0.001}, "lines", "deadline_exceeded"),
+        ({"num_samples": 0}, "", "invalid_request"),
+        ({"model": "nobody"}, "", "unknown_model"),
+        ({"horizon_s": 5.0}, "lines", "invalid_request"),
+    ],
+)
+def test_a_refusal_is_counted_by_its_code(
+    service: Any, fields: dict[str, Any], change: dict[str, Any], model: str, code: str
+) -> None:
+    assert service.post(fields | change).status_code != 200
+
+    samples = scraped(service)
+    assert requests(samples, model, code) == 1
+    assert value(samples, "anchorflow_queue_seconds_count") == 0
+
+
+def test_a_failure_is_internal(service: Any, engine: Any, fields: dict[str, Any]) -> None:
+    def fail(_: Any) -> Any:
+        raise ZeroDivisionError
+
+    engine.before_answer = fail
+    service.post(fields)
+
+    samples = scraped(service)
+    assert requests(samples, "lines", "internal") == 1
+    answered = value(samples, "anchorflow_http_responses_total", route="/anchors", status="500")
+    assert answered == 1
+
+
+def test_callers_cannot_invent_labels(service: Any, fields: dict[str, Any]) -> None:
+    before = len(scraped(service))
+    for number in range(20):
+        service.post(fields | {"model": f"invented-{number}"})
+        service.request("GET", f"/invented/{number}")
+
+    text = service.request("GET", "/metrics").text
+    assert "invented" not in text
+    routes = value(samples_of(text), "anchorflow_http_responses_total", route="other", status="404")
+    assert routes == 20
+    assert len(samples_of(text)) < before + 100
+
+
+def test_a_path_with_a_name_in_it_is_one_route(service: Any) -> None:
+    for name in ("lines", "bows"):
+        assert service.request("GET", f"/v2/models/{name}/ready").status_code == 200
+
+    samples = scraped(service)
+    route = "/v2/models/{name}/ready"
+    assert value(samples, "anchorflow_http_responses_total", route=route, status="200") == 2
+
+
+def test_bundles_load_and_threads_stand_as_they_are(service: Any, planning: Any) -> None:
+    samples = scraped(service)
+
+    for model in ("lines", "bows"):
+        labels = {"model": model, "version": "1.2.3", "sha256": "ab" * 32}
+        assert value(samples, "anchorflow_bundle_info", **labels) == 1
+    assert value(samples, "anchorflow_ready") == 1
+    assert value(samples, "anchorflow_in_flight") == 0
+    assert value(samples, "anchorflow_workers") == planning.queue.workers
+    assert value(samples, "anchorflow_threads") > 1
+    assert value(samples, "process_open_fds") > 1
+
+    planning.leave()
+    assert value(scraped(service), "anchorflow_ready") == 0
+
+
+def test_the_age_of_the_oldest_in_the_queue_is_seen(
+    service: Any, engine: Any, planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    go, begun = threading.Event(), threading.Semaphore(0)
+
+    def wait(batch: Any) -> Any:
+        begun.release()
+        assert go.wait(20)
+        return batch
+
+    engine.before_answer = wait
+    lanes = planning.queue.workers
+    asking = [threading.Thread(target=service.post, args=(fields,)) for _ in range(lanes + 1)]
+    for thread in asking[:-1]:
+        thread.start()
+        assert begun.acquire(timeout=20)
+    asking[-1].start()
+    deadline = time.monotonic() + 20
+    while not (waited := value(scraped(service), "anchorflow_oldest_wait_seconds")):
+        assert time.monotonic() < deadline
+    time.sleep(0.1)
+    assert value(scraped(service), "anchorflow_oldest_wait_seconds") >= waited + 0.1
+    assert value(scraped(service), "anchorflow_in_flight") == lanes + 1
+
+    go.set()
+    for thread in asking:
+        thread.join(20)
+    assert value(scraped(service), "anchorflow_oldest_wait_seconds") == 0
+
+
+def test_another_transport_is_counted_under_its_name(
+    planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    metrics = Metrics(planning)
+    codec = JsonCodec()
+    request = AnchorRequest.build(**fields)
+
+    def call(**changes: Any) -> Call:
+        payload = codec.encode_request(request)
+        return Call(payload, codec, planning.arrival(), "r1", transport="zenoh", **changes)
+
+    async def both() -> None:
+        with planning:
+            await planning.answer(call())
+            with pytest.raises(DeadlineExceeded):
+                await planning.answer(call(budget_ms=1e-6))
+
+    asyncio.run(both())
+    samples = samples_of(metrics.render().decode())
+    for outcome in ("ok", "deadline_exceeded"):
+        labels = {"transport": "zenoh", "model": "lines", "outcome": outcome}
+        assert value(samples, "anchorflow_requests_total", **labels) == 1
+
+
+def test_threads_are_those_of_the_process() -> None:
+    go = threading.Event()
+    before = threads()
+    more = [threading.Thread(target=go.wait, args=(20,)) for _ in range(5)]
+    for thread in more:
+        thread.start()
+    try:
+        assert threads() >= before + 5
+    finally:
+        go.set()
+        for thread in more:
+            thread.join()

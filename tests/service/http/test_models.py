@@ -1,0 +1,197 @@
+"""The Open Inference Protocol by hand: what its own client never sends."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client import AnchorClient
+
+Tensor = dict[str, Any]
+LENGTH = "Inference-Header-Content-Length"
+
+
+def tensor(name: str, value: Any, datatype: str = "FP64") -> Tensor:
+    return {
+        "name": name,
+        "datatype": datatype,
+        "shape": list(np.shape(value)),
+        "data": np.asarray(value).tolist(),
+    }
+
+
+@pytest.fixture
+def body(fields: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "inputs": [
+            tensor("cost_map", fields["cost_map"]["data"], "FP32"),
+            tensor("map_geometry", [-5.0, -4.0, 0.5]),
+            tensor("x_curr", fields["x_curr"]),
+            tensor("x_goal", fields["x_goal"]),
+        ],
+        "parameters": {"num_samples": 4, "seed": 1},
+    }
+
+
+def infer(service: Any, body: Any, model: str = "lines", **headers: str) -> Any:
+    content = body if isinstance(body, bytes) else json.dumps(body).encode()
+    return service.request(
+        "POST", f"/v2/models/{model}/infer", headers=headers or None, content=content
+    )
+
+
+def arrays(answer: Any) -> dict[str, np.ndarray]:
+    return {
+        each["name"]: np.array(each["data"]).reshape(each["shape"])
+        for each in answer.json()["outputs"]
+    }
+
+
+def test_all_in_json_it_is_what_our_own_client_gets(
+    service: Any, body: dict[str, Any], fields: dict[str, Any]
+) -> None:
+    answer = infer(service, body)
+
+    assert answer.headers["content-type"] == "application/json"
+    assert LENGTH not in answer.headers
+    got = arrays(answer)
+    ours = AnchorClient("http://test", transport=service).plan(**fields)
+    for name, array in got.items():
+        np.testing.assert_array_equal(array.astype(np.float32), getattr(ours, name), name)
+    assert set(got) == {
+        "trajectories", "velocities", "accelerations", "scores", "clearance", "safe",
+    }  # fmt: skip
+
+
+def test_data_may_be_flat(service: Any, body: dict[str, Any]) -> None:
+    expected = arrays(infer(service, body))
+    for each in body["inputs"]:
+        each["data"] = np.array(each["data"]).reshape(-1).tolist()
+
+    for name, array in arrays(infer(service, body)).items():
+        np.testing.assert_array_equal(array, expected[name])
+
+
+def test_the_version_in_the_path_must_be_served(service: Any, body: dict[str, Any]) -> None:
+    assert infer(service, body, "lines/versions/1.2.3").status_code == 200
+    refused = infer(service, body, "lines/versions/9")
+    assert refused.status_code == 404
+    assert refused.json()["error"]["message"] == ("model: expected version 1.2.3 of lines, got 9")
+    assert service.request("GET", "/v2/models/lines/versions/9").status_code == 404
+    assert service.request("GET", "/v2/models/lines/versions/1.2.3").json()["versions"] == ["1.2.3"]
+
+
+def test_the_path_names_the_model(service: Any, body: dict[str, Any]) -> None:
+    assert infer(service, body, "bows").json()["model_name"] == "bows"
+    body["parameters"]["model"] = "lines"
+    refused = infer(service, body, "bows").json()["error"]
+    assert refused["message"] == "model: expected bows, as the address says, got lines"
+
+
+def test_the_documentation_and_the_metadata_name_the_same_tensors(service: Any) -> None:
+    metadata = service.request("GET", "/v2/models/lines").json()
+    schemas = service.request("GET", "/openapi.json").json()["components"]["schemas"]
+
+    def named(schema: str) -> set[str]:
+        return set(schemas[schema]["properties"]["name"]["enum"])
+
+    assert {each["name"] for each in metadata["inputs"]} == named("InferInputBody")
+    assert {each["name"] for each in metadata["outputs"]} == named("InferOutputBody")
+
+
+def change(body: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    """The first tensor otherwise."""
+    return body | {"inputs": [body["inputs"][0] | changes, *body["inputs"][1:]]}
+
+
+REFUSED: dict[str, tuple[Any, str]] = {
+    "no object": (lambda _: [1], "body: expected an object"),
+    "no json": (lambda _: b"{", "expected JSON, got a body that breaks"),
+    "no inputs": (lambda _: {"id": "a"}, "inputs: this field is required"),
+    "inputs no list": (lambda _: {"inputs": {"a": 1}}, "inputs: expected a list of tensors"),
+    "a number for a tensor": (lambda body: body | {"inputs": [7]}, r"inputs\[0\]: expected an obj"),
+    "unknown field": (lambda body: body | {"input": []}, "input: unknown field"),
+    "unknown tensor": (lambda body: change(body, name="camera"), r"inputs\[0\].name: expected one"),
+    "unknown type": (lambda body: change(body, datatype="BYTES"), "cost_map: expected one of FP32"),
+    "shape no list": (lambda body: change(body, shape=5), "cost_map: expected a shape of whole"),
+    "shape of true": (lambda body: change(body, shape=[True]), "cost_map: expected a shape of"),
+    "shape too small": (lambda body: change(body, shape=[1, 16, 19]), "cost_map: expected shape"),
+    "huge shape": (lambda body: change(body, shape=[2**62] * 9), "cost_map: expected shape"),
+    "data of strings": (
+        lambda body: change(body, data=["1"] * 320),
+        r"expected a number at cost_map\[0\], got",
+    ),
+    "data of true": (
+        lambda body: change(body, data=[True] * 320),
+        r"expected a number at cost_map\[0\], got",
+    ),
+    "ragged data": (
+        lambda body: change(body, data=[[1], [1, 2]]),
+        r"expected a list of 1 like the first at cost_map\[1\]",
+    ),
+    "no data": (lambda body: change(body, data=None), r"inputs\[0\].data: this field is required"),
+    "a tensor twice": (
+        lambda body: body | {"inputs": [*body["inputs"], body["inputs"][0]]},
+        "cost_map: expected one tensor of this name, got two",
+    ),
+    "binary without a length": (
+        lambda body: (
+            body
+            | {
+                "inputs": [
+                    {
+                        "name": "x_curr",
+                        "datatype": "FP32",
+                        "shape": [6],
+                        "parameters": {"binary_data_size": 24},
+                    }
+                ]
+            }
+        ),
+        "x_curr: expected 24 bytes, got 0",
+    ),
+    "outputs no list": (
+        lambda body: body | {"outputs": {"a": 1}},
+        "expected a list of outputs, got an object",
+    ),
+    "unknown output": (
+        lambda body: body | {"outputs": [{"name": "paths"}]},
+        r"outputs\[0\].name: expected one of trajectories",
+    ),
+    "a class as output": (
+        lambda body: body | {"outputs": [{"name": "safe", "parameters": {"classification": 1}}]},
+        r"outputs\[0\].parameters.classification: unknown field",
+    ),
+    "shared memory": (
+        lambda body: body | {"parameters": {"shared_memory_region": "a"}},
+        "shared_memory_region: unknown field",
+    ),
+    "a timeout of 0": (lambda body: body | {"parameters": {"timeout": 0}}, "timeout: expected"),
+    "a nested parameter": (
+        lambda body: body | {"parameters": {"sampler": {"method": "rk4"}}},
+        "sampler: expected a string, a number or a boolean",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_wrong_is_refused_by_name(service: Any, body: dict[str, Any], case: str) -> None:
+    make, words = REFUSED[case]
+
+    answer = infer(service, make(body))
+
+    assert answer.status_code == 422
+    assert re.match(words, answer.json()["error"]["message"]), answer.text
+
+
+def test_a_body_that_would_have_to_be_unpacked_is_refused(
+    service: Any, body: dict[str, Any]
+) -> None:
+    answer = infer(service, body, **{"Content-Encoding": "gzip"})
+
+    assert answer.status_code == 422
+    assert answer.json()["error"]["field"] == "Content-Encoding"

@@ -1,0 +1,82 @@
+"""What no answer says: which libraries answer, where they lie, what went wrong inside."""
+
+from __future__ import annotations
+
+import re
+import socket
+from collections.abc import Callable
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi import FastAPI
+
+import anchorflow_service
+from anchorflow_service.http.lifecycle import AnchorServer
+from anchorflow_service.planning import PlanningService
+
+REQUESTS = [
+    ("GET", "/", b""),
+    ("GET", "/docs", b""),
+    ("GET", "/redoc", b""),
+    ("GET", "/metrics", b""),
+    ("GET", "/nowhere/../etc/passwd", b""),
+    ("GET", "/page/../../pyproject.toml", b""),
+    ("DELETE", "/anchors", b""),
+    ("POST", "/anchors", b"{"),
+    ("POST", "/anchors", b"[1, 2, nonsense]"),
+    ("POST", "/anchors", b"\xff\xfe"),
+    ("POST", "/anchors", b'{"model": 7}'),
+    ("GET", "/v2", b""),
+    ("GET", "/v2/models", b""),
+]
+LIBRARIES = ("fastapi", "starlette", "uvicorn", "h11", "orjson", "pydantic", "onnxruntime", "numpy")
+
+
+@pytest.mark.parametrize(("method", "path", "body"), REQUESTS)
+def test_an_answer_names_no_library_and_no_place(
+    service: Any, method: str, path: str, body: bytes
+) -> None:
+    answer = service.request(method, path, content=body)
+
+    said = "\n".join([*map(": ".join, answer.headers.items()), answer.text])
+    assert "Traceback" not in said
+    assert str(Path(anchorflow_service.__file__).parents[1]) not in said
+    assert not re.search(r"\bFile \"|site-packages|\.py\b", said)
+    named = re.compile(rf"\b({'|'.join(LIBRARIES)})\b", re.IGNORECASE)
+    assert not named.search(said), named.search(said)
+    for each in distributions():
+        if each.name in LIBRARIES:
+            assert each.version not in said
+
+
+def test_there_are_no_pages_that_load_scripts_from_elsewhere(service: Any) -> None:
+    for path in ("/docs", "/redoc"):
+        assert service.request("GET", path).status_code == 404
+
+
+def test_a_failure_says_nothing_of_itself(
+    service: Any, engine: Any, fields: dict[str, Any]
+) -> None:
+    def fail(_: Any) -> Any:
+        raise RuntimeError("/secret/path of numpy 2.0")
+
+    engine.before_answer = fail
+    answer = service.post(fields)
+
+    assert answer.status_code == 500
+    assert "secret" not in answer.text
+
+
+def test_the_head_of_an_answer_names_no_server(
+    app: FastAPI, planning: PlanningService, serve: Callable[[AnchorServer], Any]
+) -> None:
+    port = serve(AnchorServer(app, planning)).port
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(b"GET /v2 HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
+        connection.settimeout(20)
+        head = connection.recv(65536).partition(b"\r\n\r\n")[0].lower()
+
+    assert head.startswith(b"http/1.1 200 ok")
+    assert b"\r\nserver:" not in head

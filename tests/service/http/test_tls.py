@@ -1,0 +1,114 @@
+"""TLS over a real socket, with certificates made here."""
+
+from __future__ import annotations
+
+import http.client
+import ssl
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import trustme
+from fastapi import FastAPI
+
+from anchorflow_service.http.lifecycle import AnchorServer
+from anchorflow_service.http.tls import TlsError, tls_context
+from anchorflow_service.planning import PlanningService
+
+Behind = Callable[[ssl.SSLContext], int]
+
+
+class Files(NamedTuple):
+    """PEM files of one authority and of what it signed."""
+
+    authority: trustme.CA
+    ca: Path
+    certificate: Path
+    key: Path
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Files:
+    authority = trustme.CA()
+    signed = authority.issue_cert("localhost")
+    paths = Files(authority, *(tmp_path / name for name in ("ca.pem", "cert.pem", "key.pem")))
+    authority.cert_pem.write_to_path(paths.ca)
+    for index, blob in enumerate(signed.cert_chain_pems):
+        blob.write_to_path(paths.certificate, append=index > 0)
+    signed.private_key_pem.write_to_path(paths.key)
+    return paths
+
+
+@pytest.fixture
+def behind(app: FastAPI, planning: PlanningService, serve: Callable[[AnchorServer], Any]) -> Behind:
+    """Starts the application behind TLS; gives its port."""
+    return lambda context: serve(AnchorServer(app, planning, tls=context)).port
+
+
+def status_of_health(port: int, context: ssl.SSLContext) -> int:
+    connection = http.client.HTTPSConnection("localhost", port, timeout=20, context=context)
+    try:
+        connection.request("GET", "/v2/health/ready")
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+def test_a_caller_who_trusts_the_authority_is_served(files: Files, behind: Behind) -> None:
+    port = behind(tls_context(files.certificate, files.key))
+    trusting = ssl.create_default_context(cafile=str(files.ca))
+
+    assert status_of_health(port, trusting) == 200
+    with pytest.raises(ssl.SSLCertVerificationError):
+        status_of_health(port, ssl.create_default_context())
+
+
+def test_old_versions_of_tls_are_refused(files: Files) -> None:
+    context = tls_context(files.certificate, files.key)
+
+    assert context.minimum_version is ssl.TLSVersion.TLSv1_2
+
+
+def test_callers_need_a_certificate_where_an_authority_is_given(
+    files: Files, behind: Behind
+) -> None:
+    port = behind(tls_context(files.certificate, files.key, client_ca=files.ca))
+    nobody = ssl.create_default_context(cafile=str(files.ca))
+    somebody = ssl.create_default_context(cafile=str(files.ca))
+    files.authority.issue_cert("robot@example.com").configure_cert(somebody)
+
+    assert status_of_health(port, somebody) == 200
+    with pytest.raises((ssl.SSLError, OSError)):
+        status_of_health(port, nobody)
+
+
+def test_what_cannot_be_used_is_named(files: Files, tmp_path: Path) -> None:
+    absent, nonsense = tmp_path / "absent.pem", tmp_path / "nonsense.pem"
+    nonsense.write_text("nonsense")
+    stranger = tmp_path / "stranger.pem"
+    trustme.CA().issue_cert("localhost").private_key_pem.write_to_path(stranger)
+
+    with pytest.raises(TlsError, match=r"absent\.pem: cannot be read: No such file"):
+        tls_context(absent, files.key)
+    with pytest.raises(TlsError, match=r"nonsense\.pem with .*key\.pem: no certificate"):
+        tls_context(nonsense, files.key)
+    with pytest.raises(TlsError, match=r"stranger\.pem: no certificate and its key"):
+        tls_context(files.certificate, stranger)
+    with pytest.raises(TlsError, match=r"nonsense\.pem: no PEM certificate of an authority"):
+        tls_context(files.certificate, files.key, client_ca=nonsense)
+
+
+def test_an_encrypted_key_is_refused_and_asks_nobody(files: Files, tmp_path: Path) -> None:
+    from cryptography.hazmat.primitives import serialization as pem
+
+    key = pem.load_pem_private_key(files.key.read_bytes(), None)
+    encrypted = tmp_path / "encrypted.pem"
+    encrypted.write_bytes(
+        key.private_bytes(
+            pem.Encoding.PEM, pem.PrivateFormat.PKCS8, pem.BestAvailableEncryption(b"secret")
+        )
+    )
+
+    with pytest.raises(TlsError, match="the private key is encrypted"):
+        tls_context(files.certificate, encrypted)

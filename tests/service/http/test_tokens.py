@@ -1,0 +1,147 @@
+"""The file of tokens: what it says, what it refuses, and that a change is seen."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+from pathlib import Path
+
+import pytest
+
+from anchorflow_service.http.tokens import (
+    RELOAD_S,
+    TokenFile,
+    TokenFileError,
+    digest_of,
+    read_tokens,
+    token_line,
+)
+
+GOOD = token_line("robot-7", ("infer",), "first")
+OTHER = token_line("fleet", ("infer", "admin"), "second")
+
+
+class Clock:
+    """A time that stands still until it is set."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    file = tmp_path / "tokens"
+    file.write_text(f"# the fleet's\n\n{GOOD}\n   {OTHER}\n")
+    return file
+
+
+def test_a_line_holds_the_digest_and_not_the_token() -> None:
+    digest = hashlib.sha256(b"first").hexdigest()
+
+    assert f"robot-7 infer sha256:{digest}" == GOOD
+
+
+def test_tokens_are_found_by_what_is_presented(path: Path) -> None:
+    tokens = TokenFile(path)
+
+    found = tokens.find("second")
+
+    assert found is not None
+    assert (found.name, found.scopes) == ("fleet", {"infer", "admin"})
+    assert found.digest == digest_of("second")
+    for wrong in ("", "Second", "second ", "third", GOOD, found.digest.hex(), "é\u2603"):
+        assert tokens.find(wrong) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "holds no token"),
+        ("# nobody\n", "holds no token"),
+        ("secret-by-mistake", "line 1: expected NAME SCOPES sha256:DIGEST, got 1 words"),
+        (f"{GOOD}\nname infer", "line 2: expected NAME SCOPES sha256:DIGEST, got 2 words"),
+        (GOOD.replace("infer", "infer,root"), "line 1: expected scopes among infer,admin"),
+        (GOOD.replace("infer", ","), "line 1: expected scopes among infer,admin"),
+        (GOOD.replace("robot-7", "robot/7"), "line 1: expected a name"),
+        (GOOD.replace("sha256:", ""), "line 1: expected sha256: and 64 hexadecimal digits"),
+        (GOOD[:-1], "line 1: expected sha256: and 64 hexadecimal digits"),
+        (GOOD[:-1] + "g", "line 1: expected sha256: and 64 hexadecimal digits"),
+        (f"{GOOD}\n{GOOD}", "line 2: the name robot-7 stands above already"),
+    ],
+)
+def test_a_wrong_file_is_one_line_that_repeats_no_secret(
+    path: Path, text: str, message: str
+) -> None:
+    path.write_text(text)
+
+    with pytest.raises(TokenFileError) as caught:
+        TokenFile(path)
+
+    assert str(caught.value).startswith(f"{path}: {message}")
+    assert "\n" not in str(caught.value)
+    assert "secret-by-mistake" not in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(TokenFileError, match=r"absent: cannot be read: No such file"):
+        read_tokens(tmp_path / "absent")
+    (tmp_path / "binary").write_bytes(b"\xff\xfe")
+    with pytest.raises(TokenFileError, match="binary: expected UTF-8 text"):
+        read_tokens(tmp_path / "binary")
+
+
+def test_a_change_is_seen_within_a_second(path: Path, tmp_path: Path) -> None:
+    clock = Clock()
+    tokens = TokenFile(path, clock=clock)
+    replacement = tmp_path / "new"
+    replacement.write_text(OTHER)
+    replacement.replace(path)
+
+    assert tokens.find("first") is not None  # not yet looked at again
+    clock.now = RELOAD_S
+    assert tokens.find("first") is None
+    assert tokens.find("second") is not None
+
+
+def test_a_secret_that_is_mounted_as_a_link_is_seen_to_change(path: Path, tmp_path: Path) -> None:
+    clock = Clock()
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    tokens = TokenFile(link, clock=clock)
+    target = tmp_path / "target"
+    target.write_text(token_line("third", ("infer",), "third"))
+    staging = tmp_path / "staging"
+    staging.symlink_to(target)
+    staging.replace(link)
+
+    clock.now = 2 * RELOAD_S
+    assert tokens.find("third") is not None
+    assert tokens.find("first") is None
+
+
+@pytest.mark.parametrize("gone", [False, True])
+def test_a_file_that_breaks_leaves_the_tokens_as_they_were(
+    path: Path, caplog: pytest.LogCaptureFixture, gone: bool
+) -> None:
+    clock = Clock()
+    tokens = TokenFile(path, clock=clock)
+    if gone:
+        path.unlink()
+    else:
+        path.write_text("nonsense")
+
+    with caplog.at_level(logging.ERROR):
+        for clock.now in (RELOAD_S, 2 * RELOAD_S, 3 * RELOAD_S):
+            assert tokens.find("first") is not None
+
+    assert len(caplog.records) == 1  # said once, not at every look
+    assert "the tokens stay as they were" in caplog.text
+
+    path.write_text(OTHER)
+    os.utime(path, ns=(1, 1))
+    clock.now = 4 * RELOAD_S
+    assert tokens.find("first") is None

@@ -1,0 +1,98 @@
+"""Which bundles lie in which folders."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from anchorflow_service.bundle import BundleError
+from anchorflow_service.repository import BundleFolders
+from anchorflow_service.repository.folders import RepositoryError, _version_order
+
+Write = Callable[..., Path]
+
+
+def test_a_model_is_found_by_what_its_manifest_says(tmp_path: Path, write_bundle: Write) -> None:
+    write_bundle(tmp_path / "repository" / "some-folder", name="flow")
+    folders = BundleFolders(repository=tmp_path / "repository")
+
+    found = folders.find("flow")
+    assert found is not None
+    assert (found.name, found.version) == ("flow", "1.2.3")
+    assert found.path == tmp_path / "repository" / "some-folder"
+    assert folders.find("some-folder") is None
+
+
+def test_the_newest_version_is_taken_unless_one_is_named(
+    tmp_path: Path, write_bundle: Write
+) -> None:
+    for version in ("0.9.1", "0.10.0", "0.10.0-rc1"):
+        write_bundle(tmp_path / "flow" / version, name="flow", version=version)
+    folders = BundleFolders(repository=tmp_path)
+
+    newest, named = folders.find("flow"), folders.find("flow", "0.9.1")
+    assert newest is not None
+    assert newest.version == "0.10.0"
+    assert named is not None
+    assert named.path == tmp_path / "flow" / "0.9.1"
+    assert folders.find("flow", "7") is None
+
+
+def test_versions_sort_as_people_read_them() -> None:
+    versions = ["0.1", "0.1.0", "0.9.1", "0.10.0-a2", "0.10.0-rc1", "0.10.0", "0.10.0.1", "1" * 999]
+    mixed = random.Random(0).sample(versions, len(versions))
+
+    assert sorted(mixed, key=_version_order) == versions
+
+
+def test_single_folders_and_a_repository_go_together(tmp_path: Path, write_bundle: Write) -> None:
+    alone = write_bundle(tmp_path / "alone", name="alone")
+    inside = write_bundle(tmp_path / "repository" / "inside", name="inside")
+    folders = BundleFolders([alone, inside], repository=tmp_path / "repository")
+
+    assert [(each.name, each.path) for each in folders.found()] == [
+        ("alone", alone),
+        ("inside", inside),  # once, although it is named twice
+    ]
+
+
+def test_two_folders_of_one_version_cannot_be_told_apart(
+    tmp_path: Path, write_bundle: Write
+) -> None:
+    for folder in ("a", "b"):
+        write_bundle(tmp_path / folder, name="flow")
+
+    with pytest.raises(RepositoryError, match=r"one bundle of flow 1\.2\.3, found it in two"):
+        BundleFolders(repository=tmp_path).find("flow")
+
+
+def test_a_broken_manifest_is_known_by_its_folder(tmp_path: Path, write_bundle: Write) -> None:
+    broken = write_bundle(tmp_path / "repository" / "flow")
+    (broken / "manifest.json").write_text("{")
+    folders = BundleFolders(repository=tmp_path / "repository")
+
+    (found,) = folders.found()
+    assert (found.name, found.version) == ("flow", "")
+    with pytest.raises(BundleError, match=r"manifest\.json: Invalid JSON"):
+        folders.find("flow")
+
+
+def test_a_single_folder_without_a_manifest_is_told(tmp_path: Path) -> None:
+    with pytest.raises(BundleError, match=r"manifest\.json: cannot be read"):
+        BundleFolders([tmp_path / "nothing"]).find("nothing")
+
+
+def test_a_repository_must_be_there(tmp_path: Path) -> None:
+    with pytest.raises(RepositoryError, match="expected a folder of bundles, found none"):
+        BundleFolders(repository=tmp_path / "nowhere")
+
+
+def test_a_bundle_that_was_just_copied_there_is_found(tmp_path: Path, write_bundle: Write) -> None:
+    (tmp_path / "repository").mkdir()
+    folders = BundleFolders(repository=tmp_path / "repository")
+    assert folders.found() == []
+    write_bundle(tmp_path / "repository" / "flow", name="flow")
+    assert folders.find("flow") is not None

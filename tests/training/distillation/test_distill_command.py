@@ -1,0 +1,142 @@
+"""`anchorflow distill`, from a teacher's checkpoint to a bundle that plans."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from anchorflow_cli.distill import SHORT
+from anchorflow_cli.distill import app as distill_app
+from anchorflow_cli.main import main
+from anchorflow_client.contract import AnchorRequest
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.engine import Engine
+from anchorflow_training.batches import BatchConfig
+from anchorflow_training.config import TrainerConfig
+from anchorflow_training.config_file import read_config
+from anchorflow_training.dataset import SceneDataset, open_dataset
+from anchorflow_training.distillation.config import DistillConfig
+from anchorflow_training.settings import build, settings
+from anchorflow_training.trainer import CFMTrainer
+
+DOCS = Path(__file__).resolve().parents[3] / "docs" / "distillation.md"
+QUICK = ["--scenes", "2", "--samples", "2", "--teacher.pairs", "2", "--teacher.steps", "1"]
+
+
+@pytest.fixture(scope="module")
+def checkpoint(
+    tiny_dataset_path: Path, tmp_path_factory: pytest.TempPathFactory, config: DistillConfig
+) -> Path:
+    """A teacher of one step."""
+    settings = TrainerConfig(
+        steps=1, tensorboard=False, batch=BatchConfig(scenes=2, samples=2), model=config.model
+    )
+    dataset: SceneDataset = open_dataset(tiny_dataset_path)
+    run = CFMTrainer(settings, dataset, tmp_path_factory.mktemp("teacher"))
+    run.fit()
+    return run.checkpoint_path
+
+
+def command(*words: str | Path, name: str = "distill") -> str:
+    """What `anchorflow distill`, or another command, says, its error included."""
+    try:
+        main([name, *map(str, words)])
+    except SystemExit as error:
+        return str(error)
+    return ""
+
+
+def test_a_student_is_taught_exported_and_plans(
+    checkpoint: Path, tiny_dataset_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, bundle = tmp_path / "run", tmp_path / "bundle"
+    words = [checkpoint, tiny_dataset_path, "--out", out, *QUICK, "--no-tensorboard"]
+    said = command(*words, "--steps", "2", "--layers", "2", "--schedule", "0,0.8,1")
+    assert said in ("", "0")
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "pairs 1/1"
+    assert lines[-1].endswith("checkpoint.pt: step 2")
+    assert read_config(out / "config.yaml", DistillConfig)["schedule"] == (0.0, 0.8, 1.0)
+
+    said = command(out / "checkpoint.pt", "--out", bundle, name="export")
+    assert said in ("", "0")
+    card = load_bundle(bundle).card
+    assert (card.sampler.method, card.sampler.schedule) == ("euler", (0.0, 0.8, 1.0))
+    assert card.training["config"]["method"] == "direct"
+    assert len(card.training["teacher"]["sha256"]) == 64
+    batch = Engine(load_bundle(bundle), threads=1).plan(
+        AnchorRequest.build(
+            cost_map={"data": np.zeros((1, 40, 40)), "resolution": 0.25},
+            x_curr=[-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+            x_goal=[3.0, 0.0, 0.0, 0.0],
+            num_samples=5,
+            seed=1,
+        )
+    )
+    assert batch.trajectories.shape == (5, 64, 2)
+    assert batch.is_finite
+
+
+def test_the_teacher_s_network_and_the_options_make_the_configuration(
+    checkpoint: Path, tiny_dataset_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "distill.yaml"
+    file.write_text("method: reflow\nteacher: {pairs: 8}\nmodel: {layers: 1}\n")
+    words = ["--print-config", "--config", file, "--layers", "3", "--noise-scale", "1.5"]
+    command(checkpoint, tiny_dataset_path, *words)
+    file.write_text(capsys.readouterr().out)
+    printed = build(DistillConfig, read_config(file, DistillConfig), source="")
+    assert printed.method == "reflow"
+    assert (printed.teacher.pairs, printed.teacher.noise_scale) == (8, 1.5)
+    assert (printed.model.layers, printed.model.map_size) == (3, 16)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ([], "--out: expected the folder of the run"),
+        (["--schedule", "0.5,1", "--out", "x"], "schedule: expected its first time to be 0"),
+        (["--model.v-max", "1", "--out", "x"], "model.v_max: expected 2.0, the teacher's"),
+        (["--method", "magic"], "method: expected one of reflow, direct, consistency"),
+    ],
+)
+def test_a_wrong_command_is_one_line(
+    words: list[str], message: str, checkpoint: Path, tiny_dataset_path: Path
+) -> None:
+    said = command(checkpoint, tiny_dataset_path, *words)
+    assert message in said
+    assert said.startswith("anchorflow distill: ")
+    assert "\n" not in said
+
+
+def test_a_teacher_that_is_no_checkpoint_is_named(tiny_dataset_path: Path, tmp_path: Path) -> None:
+    file = tmp_path / "teacher.pt"
+    file.write_text("nothing of the kind")
+    assert "teacher.pt: not a checkpoint" in command(file, tiny_dataset_path, "--out", tmp_path)
+
+
+def test_every_setting_of_its_own_is_an_option_and_stands_in_the_docs() -> None:
+    text = DOCS.read_text()
+    help_text = CliRunner().invoke(distill_app, ["--help"], env={"COLUMNS": "300"}).output
+    known = {leaf.path: leaf for leaf in settings(TrainerConfig)}
+    own = [
+        leaf
+        for leaf in settings(DistillConfig)
+        if leaf.path not in known or known[leaf.path].default != leaf.default
+    ]
+    assert {leaf.path for leaf in own} >= {"method", "schedule", "teacher.pairs", "learning_rate"}
+    for leaf in own:
+        option = "--" + leaf.path.replace("_", "-")
+        assert re.search(rf"{re.escape(option)}\b", help_text), option
+        row = re.search(rf"^\| `{re.escape(leaf.path)}` \| ([^|]*) \|", text, re.MULTILINE)
+        assert row, f"docs/distillation.md has no row `{leaf.path}`"
+        assert row[1].strip() == f"`{_shown(leaf.default)}`", leaf.path
+    assert set(SHORT) <= {leaf.path for leaf in settings(DistillConfig)}
+
+
+def _shown(default: object) -> str:
+    return ",".join(f"{part:g}" for part in default) if isinstance(default, tuple) else str(default)

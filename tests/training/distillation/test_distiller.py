@@ -1,0 +1,183 @@
+"""A distillation learns, can be cut off anywhere, and changes nothing of its teacher."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import torch
+
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.config import JudgeConfig, TrainerConfig
+from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.distillation.config import DistillConfig
+from anchorflow_training.distillation.distiller import Distiller
+from anchorflow_training.distillation.student import student_schedule
+from anchorflow_training.distillation.teacher import Teacher
+from anchorflow_training.provenance import provenance
+from anchorflow_training.restore import restore_model
+from anchorflow_training.settings import ConfigError, build
+from anchorflow_training.trainer import CFMTrainer
+
+METHODS = ("reflow", "direct", "consistency")
+
+Distil = Callable[..., Distiller]
+
+
+class Cut(Exception):
+    """Ends a run from its own report."""
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_only_the_student_learns(
+    method: str, config: DistillConfig, distil: Distil, teacher: Teacher
+) -> None:
+    before = {name: value.clone() for name, value in teacher.model.state_dict().items()}
+    run = distil(replace(config, method=method, steps=2))
+    run.fit()
+    moved = [
+        name for name, value in run.model.named_parameters() if not torch.equal(value, before[name])
+    ]
+    assert any(name.startswith("transformer.blocks") for name in moved)
+    assert any(name.startswith("cost_map_encoder") for name in moved)
+    for name, value in teacher.model.state_dict().items():
+        assert torch.equal(value, before[name])
+    assert all(parameter.grad is None for parameter in teacher.model.parameters())
+    held = {id(p) for group in run.optimiser.param_groups for p in group["params"]}
+    assert held == {id(p) for p in run.model.parameters()}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rounded_products_leave_the_loss_nearly_where_it_was(
+    method: str, config: DistillConfig, distil: Distil
+) -> None:
+    settings = replace(config, method=method, steps=1)
+    exact, rounded = distil(settings, "exact"), distil(replace(settings, precision="bfloat16"), "b")
+    for run in (exact, rounded):
+        run.fit()
+    assert rounded.curve[0]["loss"] != exact.curve[0]["loss"]
+    assert rounded.curve[0]["loss"] == pytest.approx(exact.curve[0]["loss"], rel=0.05)
+
+
+def test_the_student_comes_nearer_to_its_teacher(config: DistillConfig, distil: Distil) -> None:
+    run = distil(replace(config, steps=60, learning_rate=1e-3))
+    run.fit()
+    losses = [row["loss"] for row in run.curve]
+    assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:5])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(
+    method: str, config: DistillConfig, distil: Distil
+) -> None:
+    settings = replace(config, method=method)
+
+    def cut(step: int, _: dict[str, float]) -> None:
+        if step == 3:
+            raise Cut
+
+    with pytest.raises(Cut):
+        distil(settings, "cut").fit(cut)
+    resumed = distil(settings, "cut")
+    assert resumed.step == 2
+    resumed.fit()
+    whole = distil(settings, "whole")
+    whole.fit()
+    lines = (resumed.out / "curve.jsonl").read_text().splitlines()
+    assert [json.loads(line)["step"] for line in lines] == [1, 2, 3, 4]
+    losses = [[row["loss"] for row in run.curve] for run in (resumed, whole)]
+    np.testing.assert_allclose(*losses, rtol=1e-4)
+    torch.testing.assert_close(resumed.average, whole.average, rtol=1e-3, atol=1e-5)
+
+
+def test_the_checkpoint_knows_its_teacher_and_its_steps(
+    config: DistillConfig, distil: Distil, teacher: Teacher
+) -> None:
+    settings = replace(config, steps=1, schedule=(0.0, 0.8, 1.0))
+    run = distil(settings)
+    run.fit()
+    saved = load_checkpoint(run.checkpoint_path)
+    assert saved.teacher == {"sha256": teacher.sha256, "step": 7}
+    assert build(DistillConfig, saved.config, source="checkpoint") == settings
+    assert provenance(saved)["teacher"] == saved.teacher
+    assert provenance(saved)["config"]["method"] == "direct"
+    assert student_schedule(saved) == (0.0, 0.8, 1.0)
+    assert student_schedule(replace(saved, teacher={})) is None
+    assert asdict(restore_model(saved).config) == asdict(settings.model)
+
+
+def test_a_run_goes_on_with_its_own_teacher_only(
+    config: DistillConfig, distil: Distil, teacher: Teacher, tiny_dataset: SceneDataset
+) -> None:
+    settings = replace(config, method="consistency", steps=1)
+    run = distil(settings)
+    run.fit()
+    other = replace(teacher, sha256="6" * 64)
+    with pytest.raises(CheckpointError, match=r"checkpoint\.pt: expected the teacher .*555.*666"):
+        Distiller(settings, tiny_dataset, run.out, teacher=other, pairs=run.out)
+    flow = TrainerConfig(model=settings.model, batch=settings.batch)
+    with pytest.raises(CheckpointError, match=r"expected the teacher .* got None"):
+        CFMTrainer(flow, tiny_dataset, run.out)
+
+
+def test_a_student_that_samples_as_its_teacher_does_is_at_no_distance(
+    config: DistillConfig, distil: Distil
+) -> None:
+    """With a rate of next to nothing it stays its teacher; both take two Euler steps."""
+    held_out = JudgeConfig(every=1, held_out=2, scenes=2, samples=3, pictures=0)
+    same = replace(config.teacher, method="euler", steps=2)
+    two, one = (
+        replace(
+            config,
+            steps=1,
+            learning_rate=1e-12,
+            schedule=schedule,
+            teacher=same,
+            evaluation=held_out,
+        )
+        for schedule in ((0.0, 0.5, 1.0), (0.0, 1.0))
+    )
+    near, far = distil(two, "two"), distil(one, "one")
+    for run in (near, far):
+        run.fit()
+    assert near.evaluations[0]["distance"] < 1e-4
+    assert far.evaluations[0]["distance"] > 1e-2
+    assert near.evaluations[0]["teacher_success"] == near.evaluations[0]["success"]
+
+
+def test_only_scenes_that_are_trained_on_have_pairs(config: DistillConfig, distil: Distil) -> None:
+    held_out = replace(config.evaluation, held_out=2)
+    assert distil(replace(config, evaluation=held_out)).bank.scenes == 4
+    few = replace(config.teacher, scenes=3)
+    assert distil(replace(config, teacher=few)).bank.scenes == 3
+
+
+def test_consistency_makes_no_pairs(config: DistillConfig, distil: Distil) -> None:
+    run = distil(replace(config, method="consistency", steps=1))
+    run.fit()
+    assert not run.bank.path.exists()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"schedule": [0.2, 1.0]}, "schedule: expected its first time to be 0"),
+        ({"schedule": [0.0, 0.9]}, "strictly rising to 1"),
+        ({"method": "magic"}, "method: expected one of reflow, direct, consistency"),
+        ({"at_schedule": 1.5}, "at_schedule: expected at most 1"),
+        ({"teacher": {"method": "rk5"}}, "teacher.method: expected one of euler"),
+    ],
+)
+def test_a_wrong_setting_is_named(values: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        build(DistillConfig, values, source="distill.yaml")
+
+
+def test_pairs_cannot_be_of_fewer_scenes_than_a_batch(
+    config: DistillConfig, distil: Distil
+) -> None:
+    with pytest.raises(ConfigError, match=r"teacher\.scenes: expected at least 2"):
+        distil(replace(config, teacher=replace(config.teacher, scenes=1)))

@@ -1,0 +1,41 @@
+"""The normalised states are the network's own view of what the engine integrates in SI."""
+
+from __future__ import annotations
+
+import torch
+
+from anchorflow_training.distillation.normalised_flow import NormalisedFlow, drawn, start_states
+from anchorflow_training.distillation.teacher import Teacher
+from anchorflow_training.evaluation import sample
+from anchorflow_trajectory.ode.schedule import uniform_schedule
+from anchorflow_trajectory.ode.tableau import MIDPOINT
+
+Inputs = dict[str, torch.Tensor]
+
+
+@torch.no_grad()
+def test_noise_begins_at_the_same_normalised_state_in_every_scene(
+    teacher: Teacher, inputs: Inputs
+) -> None:
+    model, flow = teacher.model, NormalisedFlow.of(teacher.model, inputs)
+    noise = torch.randn(1, 5, model.prior.rank)
+    z_0 = torch.tensordot(noise, start_states(model), 1).expand(3, -1, -1, -1)
+    torch.testing.assert_close(flow.in_si(z_0), model.draw(noise, flow.context), rtol=0, atol=1e-4)
+    torch.testing.assert_close(flow.normalised(flow.in_si(z_0)), z_0, rtol=0, atol=1e-4)
+
+
+def test_both_ways_of_sampling_agree(teacher: Teacher, inputs: Inputs) -> None:
+    noise = torch.randn(1, 5, teacher.model.prior.rank)
+    schedule = uniform_schedule(2)
+    states = drawn(teacher.model, inputs, noise, schedule=schedule, method=MIDPOINT)
+    expected = sample(teacher.model, inputs, noise, 2)
+    assert (expected - teacher.model.draw(noise, teacher.model.encode(**inputs))).abs().max() > 0.1
+    torch.testing.assert_close(states, expected, rtol=0, atol=1e-4)
+
+
+def test_wider_noise_begins_farther_out_and_leaves_the_narrow_teacher_alone(
+    teacher: Teacher,
+) -> None:
+    narrow = start_states(teacher.model)
+    torch.testing.assert_close(start_states(teacher.widened(1.5).model), 1.5 * narrow)
+    torch.testing.assert_close(start_states(teacher.model), narrow)

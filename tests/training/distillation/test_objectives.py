@@ -1,0 +1,197 @@
+"""On dz/dt = -a z every method's student is known in closed form: at it the loss is nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models.flow_matching import LossWeights
+from anchorflow_training.distillation.consistency import ConsistencyObjective
+from anchorflow_training.distillation.direct import DirectObjective
+from anchorflow_training.distillation.reflow import ReflowObjective
+
+RATE = 1.2
+END = math.exp(-RATE)  # where the teacher carries 1
+WEIGHTS = LossWeights()
+B, N, T, D, R = 2, 5, 7, 2, 3
+
+Gain = Callable[[Tensor], Tensor]
+
+
+class LinearFlow(nn.Module):
+    """dz/dt = gain(t) z in every scene; SI and normalised states are the same."""
+
+    def __init__(self, gain: Gain) -> None:
+        super().__init__()
+        self.gain = gain
+        generator = torch.Generator().manual_seed(3)
+        factor = torch.randn(R, D, 4, generator=generator)
+        free = torch.randn(4, T, 3, generator=generator)
+        self.prior = SimpleNamespace(
+            factor=factor,
+            free=free,
+            spread=torch.ones(3, D),
+            rank=R,
+            to_si=lambda z, _: z,
+            normalise=lambda x, *_: x,
+        )
+
+    def encode(self, scene: Tensor) -> dict[str, Tensor]:
+        nothing = torch.zeros(len(scene), T, 3 * D)
+        names = ("prior_mean", "prior_basis", "frame", "units", "si_units")
+        return dict.fromkeys(names, nothing)
+
+    def modulate(self, t: Tensor, _: object) -> Tensor:
+        return self.gain(t)[..., None, None]
+
+    def normalised_field(self, _x: Tensor, z: Tensor, modulation: Tensor, _: object) -> Tensor:
+        return modulation * z
+
+
+def constant(value: float | Tensor) -> Gain:
+    return lambda t: value + 0 * t
+
+
+def pair_batch() -> dict[str, Tensor]:
+    z_0 = torch.randn(B, N, T, 3 * D, generator=torch.Generator().manual_seed(0))
+    return {"scene": torch.zeros(B, 1), "z_0": z_0, "z_1": END * z_0}
+
+
+def straight(t: Tensor) -> Tensor:
+    """The field of straight lines from z to END z, at the point they have at t."""
+    return (END - 1) / (1 + t * (END - 1))
+
+
+def loss_of(objective: nn.Module, batch: dict[str, Tensor], seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return objective(batch, *objective.draw(B, N, generator))[0]  # type: ignore[operator]
+
+
+def reflow(gain: Gain, *, at_schedule: float = 0.3) -> ReflowObjective:
+    model: nn.Module = LinearFlow(gain)
+    return ReflowObjective(
+        model,  # type: ignore[arg-type]
+        schedule=(0.0, 0.5, 1.0),
+        at_schedule=at_schedule,
+        weights=WEIGHTS,
+    )
+
+
+def direct(gain: Gain, schedule: tuple[float, ...]) -> DirectObjective:
+    model: nn.Module = LinearFlow(gain)
+    return DirectObjective(model, schedule=schedule, weights=WEIGHTS)  # type: ignore[arg-type]
+
+
+def consistency(gain: Gain, *, intervals: int) -> ConsistencyObjective:
+    student: nn.Module = LinearFlow(gain)
+    learnt: nn.Module = LinearFlow(constant(-RATE))
+    return ConsistencyObjective(
+        student,  # type: ignore[arg-type]
+        learnt,  # type: ignore[arg-type]
+        intervals=intervals,
+        optimal_transport=False,
+        weights=WEIGHTS,
+    )
+
+
+def data_batch() -> dict[str, Tensor]:
+    states = torch.randn(B, N, T, 3 * D, generator=torch.Generator().manual_seed(1))
+    return {"scene": torch.zeros(B, 1), "states": states}
+
+
+def test_reflow_learns_the_straight_field() -> None:
+    assert loss_of(reflow(straight), pair_batch()) < 1e-12
+    assert loss_of(reflow(constant(-RATE)), pair_batch()) > 1e-2
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_reflow_s_times_are_the_schedule_s_or_all(share: float) -> None:
+    (t,) = reflow(straight, at_schedule=share).draw(50, 40, torch.Generator().manual_seed(0))
+    at_schedule = (t == 0.0) | (t == 0.5)
+    assert at_schedule.float().mean() == share
+    if share:
+        assert 0.4 < (t == 0.5).float().mean() < 0.6
+    else:
+        assert 0.45 < t.mean() < 0.55
+
+
+@pytest.mark.parametrize(
+    ("schedule", "gain"),
+    [
+        ((0.0, 1.0), END - 1),
+        ((0.0, 0.5, 1.0), 2 * (math.sqrt(END) - 1)),
+        ((0.0, 0.25, 0.5, 0.75, 1.0), 4 * (END**0.25 - 1)),
+    ],
+)
+def test_direct_steps_end_where_the_teacher_ends(schedule: tuple[float, ...], gain: float) -> None:
+    assert loss_of(direct(constant(gain), schedule), pair_batch()) < 1e-12
+    assert loss_of(direct(constant(-RATE), schedule), pair_batch()) > 1e-4
+
+
+def test_direct_gradients_run_through_every_step() -> None:
+    """An Euler step of gain g on each half: d/dg of (1 + g/2)^2 is 1 + g/2, not half of it."""
+    gain = torch.tensor(-0.5, requires_grad=True)
+    batch = pair_batch()
+    loss_of(direct(constant(gain), (0.0, 0.5, 1.0)), batch).backward()
+    end = torch.tensor(-0.5, dtype=torch.float32)
+    slope = 1 + end / 2
+    scale = loss_of(direct(constant(END), (0.0, 1.0)), batch)  # of ((1 + END) - END)^2 = 1
+    expected = 2 * ((1 + end / 2) ** 2 - END) * slope * scale
+    assert gain.grad is not None
+    torch.testing.assert_close(gain.grad, expected, rtol=1e-4, atol=1e-6)
+
+
+def seen_from(rate: float) -> Gain:
+    """The field whose straight way from any t ends at e^(-rate (1 - t)) z."""
+
+    def gain(t: Tensor) -> Tensor:
+        left = (1 - t).clamp(min=1e-6)
+        return (torch.exp(-rate * left) - 1) / left
+
+    return gain
+
+
+def test_consistency_sees_one_end_along_the_teacher_s_path() -> None:
+    """Up to the error of one midpoint step, which is of third order: 64 times less in 4 times as
+    short an interval, and its square in the loss."""
+    coarse, fine = (
+        loss_of(consistency(seen_from(RATE), intervals=n), data_batch()).item() for n in (4, 16)
+    )
+    assert coarse < 1e-4
+    assert fine < coarse / 1000
+    assert loss_of(consistency(constant(-RATE), intervals=4), data_batch()) > 1e-3
+
+
+def test_consistency_targets_pass_no_gradient() -> None:
+    """With g constant the end seen from t is (1 + (1 - t) g) z; the farther t's stands still."""
+    gain = torch.tensor(-0.5, requires_grad=True)
+    objective, batch = consistency(constant(gain), intervals=2), data_batch()
+    loss_of(objective, batch).backward()
+    assert gain.grad is not None
+
+    frozen = gain.detach()
+    _, t = objective.draw(B, N, torch.Generator().manual_seed(0))
+
+    def loss_with(moving: float) -> float:
+        """The nearer end with another g, the farther with the same as ever."""
+
+        def law(at: Tensor) -> Tensor:
+            nearer = torch.equal(at, t)
+            return frozen + 0 * at + (moving if nearer else 0.0)
+
+        return loss_of(consistency(law, intervals=2), batch).item()
+
+    step = 1e-2
+    slope = (loss_with(step) - loss_with(-step)) / (2 * step)
+    assert gain.grad.item() == pytest.approx(slope, rel=1e-2)
+
+
+def test_one_interval_of_consistency_is_a_regression_on_the_teacher() -> None:
+    """From t = 0 a midpoint step over [0, 1] ends at (1 - a + a^2 / 2) z."""
+    end = 1 - RATE + RATE**2 / 2
+    assert loss_of(consistency(constant(end - 1), intervals=1), data_batch()) < 1e-12

@@ -1,0 +1,87 @@
+"""What a student begins with, and what it may not differ in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+
+from anchorflow_models import L2Config, create_l2_safety_cfm
+from anchorflow_training.distillation.normalised_flow import NormalisedFlow, start_states
+from anchorflow_training.distillation.student import begin_as, check_student, kept_blocks
+from anchorflow_training.distillation.teacher import Teacher
+from anchorflow_training.settings import ConfigError
+
+Inputs = dict[str, torch.Tensor]
+
+
+def begun(teacher: Teacher, **changed: Any) -> Any:
+    model = create_l2_safety_cfm(replace(teacher.model.config, **changed))
+    begin_as(model, teacher.model)
+    return model.eval()
+
+
+@torch.no_grad()
+def velocity(model: Any, inputs: Inputs) -> torch.Tensor:
+    z = torch.randn(3, 4, 64, 6, generator=torch.Generator().manual_seed(2))
+    return NormalisedFlow.of(model, inputs).velocity(z, torch.tensor([0.3]))
+
+
+def test_a_student_of_the_teacher_s_size_begins_as_the_teacher(
+    teacher: Teacher, inputs: Inputs
+) -> None:
+    torch.testing.assert_close(
+        velocity(begun(teacher), inputs), velocity(teacher.model, inputs), rtol=0, atol=0
+    )
+
+
+def test_a_shorter_student_is_the_teacher_without_some_blocks(
+    teacher: Teacher, inputs: Inputs
+) -> None:
+    """A block whose gates are closed is not there: the teacher without its middle two."""
+    short = begun(teacher, layers=2)
+    bridged = begun(teacher)
+    size = 6 * bridged.config.size.width
+    with torch.no_grad():
+        for parameter in bridged.vector_field.to_modulation[1].parameters():
+            parameter[size : 3 * size] = 0.0
+    assert len(short.vector_field.blocks) == 2
+    torch.testing.assert_close(
+        velocity(short, inputs), velocity(bridged, inputs), rtol=1e-4, atol=1e-4
+    )
+    assert not torch.allclose(velocity(short, inputs), velocity(teacher.model, inputs), atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("of", "keep", "kept"), [(4, 2, [0, 3]), (4, 1, [0]), (6, 3, [0, 2, 5]), (8, 8, [*range(8)])]
+)
+def test_kept_blocks_are_spread_evenly(of: int, keep: int, kept: list[int]) -> None:
+    assert kept_blocks(of, keep) == kept
+
+
+@pytest.mark.parametrize(
+    "changed", [{"variant": "base"}, {"layers": 6}, {"backbone": "unet"}, {"map_attention": True}]
+)
+def test_another_network_takes_over_what_fits(changed: dict[str, Any], teacher: Teacher) -> None:
+    student = begun(teacher, **changed)
+    torch.testing.assert_close(start_states(student), start_states(teacher.model))
+    ours, theirs = (
+        student.cost_map_encoder.state_dict(),
+        teacher.model.cost_map_encoder.state_dict(),
+    )
+    for name, value in theirs.items():
+        torch.testing.assert_close(ours[name], value, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    "changed", [{"num_steps": 32}, {"v_max": 1.0}, {"num_control_points": 20}, {"dim": 3}]
+)
+def test_a_student_that_answers_something_else_is_refused(
+    changed: dict[str, Any], teacher: Teacher
+) -> None:
+    (name,) = changed
+    other: L2Config = replace(teacher.model.config, **changed)
+    with pytest.raises(ConfigError, match=rf"model\.{name}: expected .*, the teacher's, got"):
+        check_student(other, teacher.model.config)

@@ -1,0 +1,151 @@
+"""Train a student on what its teacher does."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Sequence
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from torch import nn
+
+from anchorflow_models import L2SafetyCFM
+from anchorflow_training.batches import Batch, batches, prefetched
+from anchorflow_training.curve import Row
+from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.distillation.config import DistillConfig
+from anchorflow_training.distillation.consistency import ConsistencyObjective
+from anchorflow_training.distillation.direct import DirectObjective
+from anchorflow_training.distillation.make_pairs import Progress, make_pairs
+from anchorflow_training.distillation.normalised_flow import drawn, start_states
+from anchorflow_training.distillation.pair_batches import PairBatches
+from anchorflow_training.distillation.pairs import PairBank, open_pairs
+from anchorflow_training.distillation.reflow import ReflowObjective
+from anchorflow_training.distillation.student import begin_as, check_student
+from anchorflow_training.distillation.teacher import Teacher
+from anchorflow_training.evaluation import Evaluator, JudgedScene, scores
+from anchorflow_training.run import Report, TrainingRun
+from anchorflow_training.settings import ConfigError
+from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.ode.schedule import uniform_schedule
+
+
+class Distiller(TrainingRun):
+    """Teaches a student; `TrainingRun` says the rest.
+
+    pairs: folder of the teacher's pairs, made there as far as they are missing
+
+    Raises:
+        ConfigError: the student is not to answer what its teacher answers, or the pairs that are
+            there are not this teacher's.
+    """
+
+    def __init__(
+        self,
+        config: DistillConfig,
+        dataset: SceneDataset,
+        out: Path,
+        *,
+        teacher: Teacher,
+        pairs: Path,
+    ) -> None:
+        check_student(config.model, teacher.model.config)
+        if 0 < config.teacher.scenes < config.batch.scenes:
+            raise ConfigError(
+                f"teacher.scenes: expected at least {config.batch.scenes}, as batch.scenes, "
+                f"got {config.teacher.scenes}"
+            )
+        self.config, self.teacher, self._pairs = config, teacher, pairs
+        self._held_out: SceneDataset | None = None
+        super().__init__(config, dataset, out)
+        self.teacher.model.to(self.fabric.device)
+
+    def begin(self, model: L2SafetyCFM) -> None:
+        begin_as(model, self.teacher.model)
+
+    def new_objective(self, model: L2SafetyCFM) -> nn.Module:
+        config = self.config
+        schedule, weights = config.schedule, config.weights
+        if config.method == "reflow":
+            return ReflowObjective(
+                model, schedule=schedule, at_schedule=config.at_schedule, weights=weights
+            )
+        if config.method == "direct":
+            return DirectObjective(model, schedule=schedule, weights=weights)
+        return ConsistencyObjective(
+            model,
+            self.teacher.model,
+            intervals=config.intervals,
+            optimal_transport=self.teacher.optimal_transport,
+            weights=weights,
+        )
+
+    def new_evaluator(self, held_out: SceneDataset) -> Evaluator:
+        self._held_out = held_out
+        sampler = partial(drawn, schedule=self.config.schedule)
+        return Evaluator(held_out, self.config.evaluation, sampler)
+
+    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
+        if not self.needs_pairs:
+            return batches(self.dataset, self.config.batch, indices)
+        starts = start_states(self.teacher.model).cpu().numpy()
+        draw = PairBatches(self.dataset, self.bank, starts, self.config.batch).draw
+        return prefetched(draw, indices)
+
+    def scores(self, scenes: Sequence[JudgedScene]) -> Row:
+        """As of a flow, beside its teacher's.
+
+        distance: m, root mean square between anchors of student and teacher from the same noise
+        """
+        gaps = [
+            np.square(student.positions - teacher.positions)[..., :2].sum(-1).mean()
+            for student, teacher in zip(scenes, self._judged_teacher, strict=True)
+        ]
+        row = {"distance": float(np.sqrt(np.mean(gaps)))}
+        return {**scores(scenes), **row, "teacher_success": scores(self._judged_teacher)["success"]}
+
+    @property
+    def learnt_from(self) -> dict[str, Any]:
+        return self.teacher.description
+
+    @property
+    def needs_pairs(self) -> bool:
+        """Whether the method learns from the teacher's pairs."""
+        return self.config.method != "consistency"
+
+    @cached_property
+    def bank(self) -> PairBank:
+        """The teacher's pairs; whole after `prepare`."""
+        return open_pairs(self._pairs, self.teacher, self.dataset, self.config.teacher)
+
+    def prepare(self, progress: Progress = lambda *_: None) -> None:
+        """Make the pairs that are missing, each process its share of them."""
+        if not self.needs_pairs:
+            return
+        missing = self.bank.missing()
+        if self.leads:
+            self.bank.begin()
+        self.fabric.barrier()  # whoever asks later finds less missing, and shares it out otherwise
+        make_pairs(
+            self.bank,
+            missing[self.fabric.global_rank :: self.fabric.world_size],
+            teacher=self.teacher,
+            dataset=self.dataset,
+            config=self.config.teacher,
+            progress=progress,
+        )
+        self.fabric.barrier()
+
+    def fit(self, report: Report = lambda *_: None) -> None:
+        self.prepare()
+        super().fit(report)
+
+    @cached_property
+    def _judged_teacher(self) -> list[JudgedScene]:
+        assert self._held_out is not None
+        asked = self.config.teacher
+        sampler = partial(
+            drawn, schedule=uniform_schedule(asked.steps), method=method_named(asked.method)
+        )
+        return Evaluator(self._held_out, self.config.evaluation, sampler).judged(self.teacher.model)

@@ -1,0 +1,83 @@
+"""The student's first weights: the teacher's, as far as they fit."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import torch
+from torch import Tensor
+
+from anchorflow_models import L2Config, L2SafetyCFM
+from anchorflow_models.layers.adaln import CHUNKS
+from anchorflow_training.checkpoint import Checkpoint
+from anchorflow_training.settings import ConfigError
+from anchorflow_trajectory.ode.schedule import Schedule
+
+# What a student may have of its own; the rest says what an anchor is.
+OWN = (
+    "variant",
+    "map_size",
+    "feature_channels",
+    "steps_per_token",
+    "backbone",
+    "map_scales",
+    "map_lookup",
+    "map_attention",
+    "layers",
+)
+BLOCKS, MODULATION = "transformer.blocks.", "transformer.to_modulation.1."
+
+
+def check_student(student: L2Config, teacher: L2Config) -> None:
+    """Raise `ConfigError` where the two would not answer the same request."""
+    for name in (part.name for part in fields(student)):
+        asked, found = getattr(student, name), getattr(teacher, name)
+        if name not in OWN and asked != found:
+            raise ConfigError(f"model.{name}: expected {found}, the teacher's, got {asked}")
+
+
+def begin_as(student: L2SafetyCFM, teacher: L2SafetyCFM) -> None:
+    """Give a student every weight of its teacher that fits; with the prior, the same noise.
+
+    Of the teacher's blocks a student with fewer takes ones that are evenly spread, the first and
+    the last among them.
+    """
+    known = _taken_over(teacher, student)
+    own = student.state_dict()
+    with torch.no_grad():
+        for name, value in own.items():
+            if name in known and known[name].shape == value.shape:
+                value.copy_(known[name])
+
+
+def student_schedule(checkpoint: Checkpoint) -> Schedule | None:
+    """The flow times that a student was taught to step over; None if it is no student."""
+    return tuple(checkpoint.config["schedule"]) if checkpoint.teacher else None
+
+
+def kept_blocks(of: int, keep: int) -> list[int]:
+    """Which of `of` blocks a student of `keep` takes: 4 to 2 is the first and the last."""
+    return torch.linspace(0, of - 1, keep).round().long().tolist()
+
+
+def _taken_over(teacher: L2SafetyCFM, student: L2SafetyCFM) -> dict[str, Tensor]:
+    """The teacher's weights by the names that they have in the student."""
+    known = dict(teacher.state_dict())
+    configs = teacher.config, student.config
+    if any(config.backbone != "transformer" for config in configs):
+        return known
+    of, keep = (config.size.layers for config in configs)
+    if keep >= of:
+        return known
+    kept = kept_blocks(of, keep)
+    blocks = {name: known.pop(name) for name in list(known) if name.startswith(BLOCKS)}
+    for new, old in enumerate(kept):
+        prefix = f"{BLOCKS}{old}."
+        for name, value in blocks.items():
+            if name.startswith(prefix):
+                known[f"{BLOCKS}{new}.{name.removeprefix(prefix)}"] = value
+    size = CHUNKS * teacher.config.size.width
+    for name in (f"{MODULATION}weight", f"{MODULATION}bias"):
+        *per_block, last = known[name].split([size] * of + [known[name].shape[0] - size * of])
+        known[name] = torch.cat([*(per_block[old] for old in kept), last])
+    return known

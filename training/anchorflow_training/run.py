@@ -1,0 +1,282 @@
+"""A training run: AdamW, warm-up and cosine, EMA, checkpoints, resume, evaluations.
+
+What is learnt, and from what, a subclass says: `CFMTrainer` for a flow, `Distiller` for a student.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models import L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_training.average import update_average
+from anchorflow_training.batches import Batch
+from anchorflow_training.checkpoint import Checkpoint, CheckpointError, save_checkpoint
+from anchorflow_training.config import RunConfig
+from anchorflow_training.curve import Row, RunningMean
+from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.devices import make_fabric
+from anchorflow_training.evaluation import Evaluator, JudgedScene, out_of_patience
+from anchorflow_training.held_out import split
+from anchorflow_training.learning_rate import rate_share
+from anchorflow_training.pictures import sample_picture
+from anchorflow_training.record import RunRecord
+from anchorflow_training.restore import resumable
+
+Report = Callable[[int, Row], None]
+
+SEED_STRIDE = 1_000_003  # between the noise of one seed and of the next
+
+
+class Objective(Protocol):
+    """An `nn.Module` whose forward is the loss and its terms: (batch, *draws) -> (loss, terms)."""
+
+    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:
+        """What is random in the loss; on the CPU, so alike on every device."""
+        ...
+
+
+class TrainingRun(ABC):
+    """Trains one model; `fit` may be called again after any interruption.
+
+    curve: a row a report, the means of the loss and its terms since the last one
+    evaluations: a row an evaluation, where scenes are held out
+
+    Raises:
+        ConfigError: the configuration does not fit the dataset or the machine.
+        CheckpointError: the folder's checkpoint is of another model or another teacher.
+    """
+
+    def __init__(self, config: RunConfig, dataset: SceneDataset, out: Path) -> None:
+        self.run_config, self.out = config, out
+        self.fabric = make_fabric(config)
+        self.dataset, held_out = split(dataset, config)
+        self.evaluator = self.new_evaluator(held_out) if held_out else None
+        if config.threads:
+            torch.set_num_threads(config.threads)
+        self.fabric.launch()
+        saved = resumable(self.checkpoint_path, config.model)
+        self.model = self._new_model()
+        if saved is None:
+            self.begin(self.model)
+        else:
+            self.model.load_state_dict(saved.model)
+        if config.compile:
+            # In place and part by part, so that the weights keep their names.
+            for part in self.model.children():
+                part.compile()
+        self._optimiser = torch.optim.AdamW(
+            self.model.parameters(), config.learning_rate, weight_decay=config.weight_decay
+        )
+        self.objective, self.optimiser = self.fabric.setup(
+            self.new_objective(self.model), self._optimiser
+        )
+        self.step, self.curve, self.evaluations = 0, [], []
+        self.average = {k: v.clone() for k, v in self.model.state_dict().items()}
+        self.pending = RunningMean()
+        if saved is not None:
+            self._resume(saved)
+
+    @abstractmethod
+    def begin(self, model: L2SafetyCFM) -> None:
+        """Give a model of random weights what it begins with."""
+
+    @abstractmethod
+    def new_objective(self, model: L2SafetyCFM) -> nn.Module:
+        """The loss to train the model on, an `Objective`."""
+
+    @abstractmethod
+    def new_evaluator(self, held_out: SceneDataset) -> Evaluator:
+        """The validation judge."""
+
+    @abstractmethod
+    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
+        """The batches of these numbers, each the same whenever it is asked for."""
+
+    @abstractmethod
+    def scores(self, scenes: Sequence[JudgedScene]) -> Row:
+        """What judged scenes are worth; it has a `success`."""
+
+    @property
+    def learnt_from(self) -> dict[str, Any]:
+        """What the checkpoint says of the teacher, if there is one."""
+        return {}
+
+    @property
+    def checkpoint_path(self) -> Path:
+        return self.out / "checkpoint.pt"
+
+    @property
+    def best_path(self) -> Path:
+        """The checkpoint of the evaluation with the best success."""
+        return self.out / "best.pt"
+
+    @property
+    def leads(self) -> bool:
+        """Whether this is the process that writes and reports."""
+        return self.fabric.is_global_zero
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the validation judge has ended the training early."""
+        return out_of_patience(self.evaluations, self.run_config.evaluation.patience)
+
+    def fit(self, report: Report = lambda *_: None) -> None:
+        """Train to `config.steps` or until the judge sees no more progress.
+
+        report: called in one process with the step and each new row of `curve` and `evaluations`
+        """
+        config = self.run_config
+        before = self.curve[-1]["seconds"] if self.curve else 0.0
+        began = time.perf_counter() - before
+        record = self._open_record() if self.leads else None
+        with closing(self.stream(self._indices())) as stream:
+            while self.step < config.steps and not self.stopped:
+                mark = time.perf_counter()
+                terms = self.train_step(list(itertools.islice(stream, config.accumulate)))
+                seconds = torch.tensor(time.perf_counter() - mark)
+                self.pending.add({**terms, "step_seconds": seconds})
+                last = self.step == config.steps
+                if self.step % config.report_every == 0:
+                    self._report(record, report, seconds=time.perf_counter() - began)
+                if self.evaluator and (self.step % config.evaluation.every == 0 or last):
+                    self._evaluate(self.evaluator, record, report)
+                if self.step % config.checkpoint_every == 0 or last or self.stopped:
+                    self.save(self.checkpoint_path)
+        if record:
+            record.close()
+
+    def train_step(self, group: Sequence[Batch]) -> dict[str, Tensor]:
+        """One optimiser step on `accumulate` batches; returns the loss, its terms and the norm."""
+        config = self.run_config
+        rate = config.learning_rate * rate_share(
+            self.step, warmup=config.warmup, steps=config.steps
+        )
+        for settings in self._optimiser.param_groups:
+            settings["lr"] = rate
+        sums: dict[str, Tensor] = {}
+        for part, batch in enumerate(group):
+            waiting = part + 1 < len(group)
+            with self.fabric.no_backward_sync(self.objective, enabled=waiting):
+                loss, terms = self._loss(batch, part)
+                self.fabric.backward(loss / len(group))
+            for name, value in {"loss": loss, **terms}.items():
+                sums[name] = sums.get(name, 0.0) + value.detach() / len(group)
+        norm = self.fabric.clip_gradients(
+            self.objective,
+            self.optimiser,
+            max_norm=config.gradient_clip,
+            error_if_nonfinite=False,
+        )
+        self.optimiser.step()
+        self.optimiser.zero_grad(set_to_none=True)
+        update_average(self.average, self.model, decay=config.ema_decay, step=self.step)
+        self.step += 1
+        course = {"learning_rate": torch.tensor(rate, dtype=torch.float64)}
+        return {**sums, "gradient_norm": torch.as_tensor(norm), **course}
+
+    def save(self, path: Path) -> None:
+        """Write the run as it stands; one process does."""
+        if not self.leads:
+            return
+        checkpoint = Checkpoint(
+            step=self.step,
+            config=asdict(self.run_config),
+            data=dict(self.dataset.meta),
+            model=self.model.state_dict(),
+            average=self.average,
+            optimiser=self._optimiser.state_dict(),
+            curve=self.curve,
+            evaluations=self.evaluations,
+            pending=self.pending.state(),
+            scaler=self.fabric.strategy.precision.state_dict(),
+            teacher=self.learnt_from,
+        )
+        save_checkpoint(path, checkpoint)
+
+    def averaged_model(self) -> L2SafetyCFM:
+        """A model with the averaged weights, on the CPU or GPU that trains."""
+        model = create_l2_safety_cfm(self.run_config.model)
+        model.load_state_dict(self.average)
+        return model.to(self.fabric.device).eval()
+
+    def _loss(self, batch: Batch, part: int) -> tuple[Tensor, dict[str, Tensor]]:
+        sizes = self.run_config.batch
+        index = self._index(self.step * self.run_config.accumulate + part)
+        generator = torch.Generator().manual_seed(sizes.seed * SEED_STRIDE + index)
+        draws = self.objective.module.draw(sizes.scenes, sizes.samples, generator)
+        inputs = {name: torch.from_numpy(value) for name, value in batch.items()}
+        return self.objective(*self.fabric.to_device((inputs, *draws)))
+
+    def _index(self, batch: int) -> int:
+        """The number over all processes of this process's n-th batch."""
+        return batch * self.fabric.world_size + self.fabric.global_rank
+
+    def _indices(self) -> Sequence[int]:
+        """The batches that this process still has to see."""
+        per_step = self.run_config.accumulate
+        first, end = self.step * per_step, self.run_config.steps * per_step
+        return range(self._index(first), self._index(end), self.fabric.world_size)
+
+    def _report(self, record: RunRecord | None, report: Report, *, seconds: float) -> None:
+        means = self.pending.means()
+        values = torch.tensor([*means.values()], dtype=torch.float64, device=self.fabric.device)
+        shared = self.fabric.all_reduce(values, reduce_op="mean")
+        row = dict(zip(means, torch.as_tensor(shared).tolist(), strict=True))
+        config, processes = self.run_config, self.fabric.world_size
+        samples = config.batch.scenes * config.batch.samples * config.accumulate * processes
+        row["samples_per_s"] = samples / row.pop("step_seconds")
+        row["seconds"] = seconds
+        self.curve.append({"step": self.step, **row})
+        self.pending = RunningMean()
+        if record:
+            record.report(self.step, row)
+            report(self.step, row)
+
+    def _evaluate(self, evaluator: Evaluator, record: RunRecord | None, report: Report) -> None:
+        row: Row = {}
+        scenes = evaluator.judged(self.averaged_model()) if record else []
+        row = self.fabric.broadcast(self.scores(scenes) if record else row)
+        best = max((past["success"] for past in self.evaluations), default=-1.0)
+        self.evaluations.append({"step": self.step, **row})
+        if row["success"] > best:
+            self.save(self.best_path)
+        if record:
+            shown = scenes[: self.run_config.evaluation.pictures]
+            record.evaluation(self.step, row, sample_picture(shown) if shown else None)
+            report(self.step, row)
+
+    def _new_model(self) -> L2SafetyCFM:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.run_config.batch.seed)
+            return create_l2_safety_cfm(self.run_config.model)
+
+    def _resume(self, saved: Checkpoint) -> None:
+        if saved.teacher != self.learnt_from:
+            raise CheckpointError(
+                f"{self.checkpoint_path}: expected the teacher {saved.teacher or None}, as it was "
+                f"trained, got {self.learnt_from or None}; another folder begins a new run"
+            )
+        self.step, self.curve, self.evaluations = saved.step, saved.curve, saved.evaluations
+        self.average = {k: v.to(self.fabric.device) for k, v in saved.average.items()}
+        self.pending = RunningMean(saved.pending)
+        self._optimiser.load_state_dict(saved.optimiser)
+        self.fabric.strategy.precision.load_state_dict(saved.scaler)
+
+    def _open_record(self) -> RunRecord:
+        return RunRecord(
+            self.out,
+            step=self.step,
+            curve=self.curve,
+            evaluations=self.evaluations,
+            tensorboard=self.run_config.tensorboard,
+        )
