@@ -65,6 +65,7 @@ WALLS: dict[str, set[str]] = {
         "ompl",
         "onnx",
         "onnxruntime",
+        "pytorch_mppi",  # the closed loop's controller
         "rich",  # tables
         "scipy",
         "threadpoolctl",

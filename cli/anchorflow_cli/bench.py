@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,14 +32,16 @@ from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_
 from anchorflow_benchmarks.report import Report
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import default_source, load_scenes
-from anchorflow_cli import bench_serving, bench_soak, bench_zenoh
-from anchorflow_cli.bench_output import say, show_and_write
+from anchorflow_benchmarks.serving.served import served
+from anchorflow_cli import bench_closed_loop, bench_serving, bench_soak, bench_zenoh
+from anchorflow_cli.bench_output import progress, say, show_and_write, whole_numbers
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.cores import usable_cores
 from anchorflow_service.engine import Engine
+from anchorflow_service.http.orjson_codec import OrjsonCodec
 
 app = command_app()
 
@@ -193,7 +193,8 @@ def load(
     with server(bundle, url) as address:
         ways = {
             "in-process": in_process(Engine(opened)),
-            "HTTP JSON": over_http(address),
+            "HTTP JSON": over_http(address, OrjsonCodec()),
+            "HTTP JSON, AnchorClient's own": over_http(address),
             "HTTP binary": over_http(address, OipCodec()),
         }
         table = load_table(ways, asked, config, progress=say)
@@ -207,17 +208,8 @@ def server(bundle: Path, url: str | None) -> Iterator[str]:
     if url is not None:
         yield url
         return
-    program = "from anchorflow_cli.main import main; main()"
-    command = (sys.executable, "-c", program, "serve", "--port", "0", "--bundle", str(bundle))
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            words = process.stdout.readline().split()  # NAME VERSION at URL (bundle FOLDER)
-            if len(words) < 4:
-                raise BenchmarkError(f"anchorflow serve --bundle {bundle} did not start")
-            yield words[words.index("at") + 1]
-        finally:
-            process.terminate()
+    with served("--bundle", str(bundle)) as process:
+        yield process.url
 
 
 app.command()(bench_zenoh.zenoh)

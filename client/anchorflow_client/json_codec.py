@@ -10,7 +10,7 @@ import numpy as np
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
-from anchorflow_client.wire_fields import UNREADABLE, answer_fields, answer_of, request_fields
+from anchorflow_client.wire_fields import answer_fields, answer_of, request_fields
 
 
 class JsonCodec:
@@ -38,9 +38,9 @@ class JsonCodec:
     def decode_answer(self, payload: Payload) -> AnchorBatch:
         """An answer out of untrusted bytes. Raises `InvalidAnswer`."""
         try:
-            fields = json.loads(payload.body)
-        except UNREADABLE as error:
-            raise InvalidAnswer(f"not an answer of the contract: {error!r}") from error
+            fields = self._load(payload.body)
+        except InvalidRequest as error:  # the reader's words for both directions
+            raise InvalidAnswer(f"not an answer of the contract: {error}") from error
         return answer_of(fields)
 
     def _dump(self, value: dict[str, Any]) -> bytes:

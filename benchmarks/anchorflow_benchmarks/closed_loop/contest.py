@@ -1,0 +1,165 @@
+"""A contest: the same worlds and seeds for MPPI alone and with the anchors of others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import torch
+
+from anchorflow_benchmarks.closed_loop.anchor_sources import EngineSource, LinesSource
+from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig
+from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
+from anchorflow_benchmarks.closed_loop.robots import ROBOTS
+from anchorflow_benchmarks.closed_loop.scoring import Result
+from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, SimulatedTime
+from anchorflow_benchmarks.closed_loop.world import World
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_client.http import AnchorClient
+from anchorflow_client.planner import AnchorSource, Planner, PlannerConfig
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.engine import Engine
+
+
+@dataclass(frozen=True)
+class Contender:
+    """name: as the table calls it; anchors: None, "lines" or "served"
+
+    samples: motions that MPPI may roll out a tick, anchors included
+    """
+
+    name: str
+    anchors: str | None
+    samples: int
+
+
+def contenders_of(motions: Sequence[int], *, anchors: int) -> list[Contender]:
+    """MPPI alone, with straight lines and with served anchors, for each number of motions.
+
+    Raises:
+        BenchmarkError: the motions do not hold the anchors and one more.
+    """
+    if few := [count for count in motions if count < anchors + 2]:
+        raise BenchmarkError(
+            f"motions: expected at least {anchors + 2}, for {anchors} anchors a request, "
+            f"got {few[0]}"
+        )
+    helped = {"": None, " + straight lines": "lines", " + served anchors": "served"}
+    return [
+        Contender(f"MPPI{by}, {count} motions", source, count)
+        for count in motions
+        for by, source in helped.items()
+    ]
+
+
+@dataclass(frozen=True)
+class ContestConfig:
+    """What all contenders share.
+
+    bundle: of the served anchors; url: of a service that answers in its place
+    threads: of a request to the bundle's engine
+    latency_ms: of an answer in simulated time; None: as long as it took
+    """
+
+    bundle: Path
+    url: str | None = None
+    threads: int | None = None
+    latency_ms: float | None = None
+    robot: str = "unicycle"
+    mppi: MppiConfig = field(default_factory=MppiConfig)
+    drive: DriveConfig = field(default_factory=DriveConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+
+
+@dataclass(frozen=True)
+class Heat:
+    """One run to be made."""
+
+    contender: Contender
+    world: World
+    seed: int
+
+
+def run_contest(
+    contenders: Sequence[Contender],
+    worlds: Sequence[World],
+    config: ContestConfig,
+    *,
+    seeds: int = 1,
+    workers: int = 1,
+    progress: Callable[[int], None] = lambda _: None,
+) -> list[Result]:
+    """Every contender's run in every world, seed by seed; `progress` gets 1 a finished run.
+
+    Each worker is a process with a single thread for torch, so that all ticks have the same share
+    of the machine. An answer takes as long as it is measured to: with more workers than idle
+    cores, longer than it would on a robot.
+
+    Raises:
+        BundleError: the bundle cannot be opened.
+        BrokenProcessPool: a worker was killed.
+    """
+    heats = [
+        Heat(contender, world, seed)
+        for world in worlds
+        for seed in range(seeds)
+        for contender in contenders
+    ]
+    results = []
+    with ProcessPoolExecutor(
+        workers, mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,)
+    ) as pool:
+        for result in pool.map(partial(run_heat, config=config), heats):
+            results.append(result)
+            progress(1)
+    return results
+
+
+def run_heat(heat: Heat, config: ContestConfig) -> Result:
+    """One run, on this process's threads."""
+    clock, contender = SimulatedTime(), heat.contender
+    robot = ROBOTS[config.robot]()
+    mppi = replace(config.mppi, samples=contender.samples)
+    controller = MppiController(robot, mppi, tick_s=config.drive.tick_s)
+    fixed_s = None if config.latency_ms is None else 1e-3 * config.latency_ms
+    executor = LatencyExecutor(clock, fixed_s=fixed_s)
+    with _source(contender, config) as source:
+        planner = None
+        if source is not None:
+            planner = Planner(source, config.planner, clock=clock, executor=executor)
+        drive = Drive(
+            heat.world,
+            controller,
+            planner=planner,
+            clock=clock,
+            config=config.drive,
+            seed=heat.seed,
+        )
+        run = drive.run()
+    latencies = tuple(1e3 * seconds for seconds in executor.latencies_s)
+    world = heat.world
+    return Result(contender.name, world.name, heat.seed, world.path_length, run, latencies)
+
+
+@contextmanager
+def _source(contender: Contender, config: ContestConfig) -> Iterator[AnchorSource | None]:
+    if contender.anchors is None:
+        yield None
+    elif contender.anchors == "lines":
+        yield LinesSource()
+    elif config.url is None:
+        yield EngineSource(_engine(config.bundle, config.threads))
+    else:
+        with AnchorClient(config.url, timeout_s=1e-3 * config.planner.max_age_ms) as client:
+            yield client
+
+
+@lru_cache(maxsize=1)
+def _engine(bundle: Path, threads: int | None) -> Engine:
+    """A worker opens its bundle once."""
+    return Engine(load_bundle(bundle), threads=threads)

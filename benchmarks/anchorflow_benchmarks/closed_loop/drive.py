@@ -1,0 +1,184 @@
+"""The loop: look, map, ask for anchors, decide, move; until goal, collision or the time is up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from anchorflow_benchmarks.closed_loop.lidar import Lidar
+from anchorflow_benchmarks.closed_loop.local_map import LocalMap
+from anchorflow_benchmarks.closed_loop.mppi import MppiController
+from anchorflow_benchmarks.closed_loop.navigation_cost import ClearanceGrid
+from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
+from anchorflow_benchmarks.closed_loop.world import GOAL_TOLERANCE, World
+from anchorflow_client.planner import Planner
+from anchorflow_client.planner_plan import Plan
+
+SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are looked for
+OWN_DISC = 0.8  # of the robot's radius: hits within it are noise, the robot stands there
+
+
+class End(Enum):
+    """How a run ended."""
+
+    GOAL = "goal"
+    COLLISION = "collision"
+    TIMEOUT = "timeout"
+
+
+@dataclass(frozen=True)
+class Run:
+    """time_s: until it ended; clearance: m, smallest to any post; ticks_braked: without a plan."""
+
+    end: End
+    time_s: float
+    clearance: float
+    length: float
+    ticks_braked: int
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """What a viewer may show of one tick.
+
+    pose: [3]; occupied: [H, W] with its resolution and origin; ahead: [T, 2] m, what the robot is
+    about to do; plan: None where nobody is asked for anchors
+    """
+
+    time_s: float
+    pose: NDArray[np.floating]
+    occupied: NDArray[np.bool_]
+    resolution: float
+    origin: NDArray[np.floating]
+    ahead: NDArray[np.floating]
+    plan: Plan | None
+
+
+@dataclass(frozen=True)
+class DriveConfig:
+    """tick_s: between two commands; options: further fields of each request for anchors."""
+
+    tick_s: float = 0.1
+    limit_s: float = 50.0
+    map_cells: int = 128
+    map_resolution: float = 0.08
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Drive:
+    """One robot on its way through one world; only its scans tell it of the posts."""
+
+    def __init__(
+        self,
+        world: World,
+        controller: MppiController,
+        *,
+        planner: Planner | None = None,
+        clock: SimulatedTime | None = None,
+        config: DriveConfig = DriveConfig(),
+        seed: int = 0,
+    ) -> None:
+        """Stands at the start.
+
+        Args:
+            world: where.
+            controller: decides, for the robot that it is made for.
+            planner: brings anchors; None: MPPI is alone. Without a usable plan the robot brakes.
+            clock: is advanced tick by tick; the planner's, where it lives in simulated time.
+            config: ticks, map, requests.
+            seed: of the lidar's noise and of MPPI's samples, through torch's global generator.
+        """
+        self.world, self.config = world, config
+        self.robot = controller.robot
+        self.state: Tensor = self.robot.start(world.start)
+        self._controller, self._planner = controller, planner
+        self._clock = clock or SimulatedTime()
+        self._lidar = Lidar(self.robot.field_of_view)
+        self._map = LocalMap(cells=config.map_cells, resolution=config.map_resolution)
+        self._rng = np.random.default_rng(seed)
+        self._clearance = world.clearance(world.start[:2], self.robot.radius)
+        self._length = 0.0
+        self._ticks_braked = 0
+        torch.manual_seed(seed)
+
+    def run(self, on_tick: Callable[[Tick], None] | None = None) -> Run:
+        """Drive to the end; `on_tick` sees every tick before its command is carried out."""
+        start = self._clock.now
+        while self._clock.now - start < self.config.limit_s - 1e-6:
+            command, plan = self._decide()
+            if on_tick is not None:
+                on_tick(self._shown(plan))
+            if end := self._move(command):
+                return self._ended(end, self._clock.now - start)
+        return self._ended(End.TIMEOUT, self.config.limit_s)
+
+    def _decide(self) -> tuple[Tensor, Plan | None]:
+        """The control [U] for this tick, from what the lidar has shown so far."""
+        robot, local = self.robot, self._map
+        pose = robot.pose(self.state)
+        local.add(self._lidar.scan(self.world, pose, self._rng))
+        occupied = local.occupied_beyond(pose[:2], OWN_DISC * robot.radius)
+        grid = ClearanceGrid.of(
+            occupied,
+            resolution=local.resolution,
+            origin=local.origin,
+            robot_radius=robot.radius,
+        )
+        goal = torch.tensor(self.world.goal, dtype=torch.float32)
+        if self._planner is None:
+            return self._controller.command(self.state, grid=grid, goal=goal)[0], None
+        plan = self._planner.update(
+            cost_map=occupied,
+            resolution=local.resolution,
+            origin=local.origin,
+            x_curr=robot.x_curr(self.state),
+            x_goal=[*self.world.goal, 0.0, 0.0],
+            **self.config.options,
+        )
+        if not plan.usable:
+            self._controller.rest()
+            self._ticks_braked += 1
+            return robot.braking(self.state, self.config.tick_s), plan
+        paths = torch.from_numpy(plan.states()[..., :2].astype(np.float32))
+        command, chosen = self._controller.command(self.state, grid=grid, goal=goal, paths=paths)
+        if chosen is not None:
+            self._planner.follow(chosen)
+        return command, plan
+
+    def _move(self, command: Tensor) -> End | None:
+        """Carry a command out for a tick."""
+        step_s = self.config.tick_s / SUBSTEPS
+        for _ in range(SUBSTEPS):
+            before = self.robot.pose(self.state)[:2]
+            self.state = self.robot.step(self.state, command, step_s)
+            self._clock.advance(step_s)
+            place = self.robot.pose(self.state)[:2]
+            self._length += float(np.linalg.norm(place - before))
+            clearance = self.world.clearance(place, self.robot.radius)
+            self._clearance = min(self._clearance, clearance)
+            if clearance < 0.0:
+                return End.COLLISION
+            if np.linalg.norm(place - self.world.goal) <= GOAL_TOLERANCE:
+                return End.GOAL
+        return None
+
+    def _shown(self, plan: Plan | None) -> Tick:
+        return Tick(
+            time_s=self._clock.now,
+            pose=self.robot.pose(self.state),
+            occupied=self._map.occupied,
+            resolution=self._map.resolution,
+            origin=self._map.origin,
+            ahead=self._controller.planned(self.state)[:, :2].numpy(),
+            plan=plan,
+        )
+
+    def _ended(self, end: End, time_s: float) -> Run:
+        return Run(end, time_s, self._clearance, self._length, self._ticks_braked)

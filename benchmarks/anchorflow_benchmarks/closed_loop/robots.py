@@ -1,0 +1,194 @@
+"""Two robots in torch: one step for the simulation and for MPPI's samples alike.
+
+States and controls carry any leading axes; the last one holds the fields named in each class.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, tau
+from typing import ClassVar, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+Array = NDArray[np.float64]
+
+FULL_SPEED_TURN = 0.8  # rad off its course from which a unicycle turns on the spot
+TURN_GAIN = 4.0  # 1/s, yaw rate per rad off course while it turns on the spot
+SIDE_ACCELERATION = 2.0  # m/s^2 that a unicycle allows itself in a bend
+BRAKING_SHARE = 0.5  # of a_max that is planned for coming to a stop
+
+
+class Robot(Protocol):
+    """A robot whose motion is `step`."""
+
+    state_size: ClassVar[int]
+    """X."""
+
+    @property
+    def radius(self) -> float:
+        """m, of the disc that it takes up."""
+        ...
+
+    @property
+    def v_max(self) -> float:
+        """m/s."""
+        ...
+
+    @property
+    def field_of_view(self) -> float:
+        """rad, of its lidar."""
+        ...
+
+    @property
+    def control_limit(self) -> Tensor:
+        """[U], the largest size of each control."""
+        ...
+
+    def start(self, pose: Array) -> Tensor:
+        """[X], at rest at a pose [3]."""
+        ...
+
+    def step(self, state: Tensor, control: Tensor, dt: float) -> Tensor:
+        """[..., X] after dt s of [..., U]."""
+        ...
+
+    def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
+        """[M, U]: controls of [M, X] towards carrots [M, 2] m at speeds [M] m/s."""
+        ...
+
+    def braking(self, state: Tensor, dt: float) -> Tensor:
+        """[U]: as fast to a standstill as it can."""
+        ...
+
+    def speed(self, state: Tensor) -> Tensor:
+        """[...] m/s; below 0 where it drives backwards."""
+        ...
+
+    def pose(self, state: Tensor) -> Array:
+        """[3] x, y in m, yaw of its lidar in rad."""
+        ...
+
+    def x_curr(self, state: Tensor) -> Array:
+        """[6] position, velocity, acceleration, as a request holds them."""
+        ...
+
+
+@dataclass(frozen=True)
+class Unicycle:
+    """State x, y [m], yaw [rad], speed [m/s], yaw rate [rad/s]; control: their two accelerations.
+
+    The default is BARN's Jackal as a disc, with the limits of the default bundle.
+    """
+
+    state_size: ClassVar[int] = 5
+    radius: float = 0.25
+    v_max: float = 2.0
+    v_min: float = -0.5
+    yaw_rate_max: float = 2.5
+    a_max: float = 3.0
+    yaw_acceleration_max: float = 6.0
+    field_of_view: float = 1.5 * pi
+
+    @property
+    def control_limit(self) -> Tensor:
+        return torch.tensor([self.a_max, self.yaw_acceleration_max])
+
+    def start(self, pose: Array) -> Tensor:
+        return torch.tensor([*pose, 0.0, 0.0], dtype=torch.float32)
+
+    def step(self, state: Tensor, control: Tensor, dt: float) -> Tensor:
+        x, y, yaw, speed, yaw_rate = state.unbind(-1)
+        push, twist = control.unbind(-1)
+        speed = (speed + dt * push.clamp(-self.a_max, self.a_max)).clamp(self.v_min, self.v_max)
+        twist = twist.clamp(-self.yaw_acceleration_max, self.yaw_acceleration_max)
+        yaw_rate = (yaw_rate + dt * twist).clamp(-self.yaw_rate_max, self.yaw_rate_max)
+        course, way = yaw + 0.5 * dt * yaw_rate, dt * speed
+        place = (x + way * torch.cos(course), y + way * torch.sin(course))
+        return torch.stack([*place, yaw + dt * yaw_rate, speed, yaw_rate], -1)
+
+    def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
+        """Pure pursuit (Coulter, 1992); far off its course it turns on the spot."""
+        way = carrot - state[:, :2]
+        off = _wrapped(torch.atan2(way[:, 1], way[:, 0]) - state[:, 2])
+        curvature = 2.0 * torch.sin(off) / way.norm(dim=1).clamp(min=0.05)
+        bend_limit = (SIDE_ACCELERATION / (curvature.abs() + 1e-3)).sqrt()
+        wanted = torch.minimum(speed, bend_limit) * torch.cos(off).clamp(min=0.0)
+        on_the_spot = off.abs() > FULL_SPEED_TURN
+        turn = torch.where(on_the_spot, TURN_GAIN * off, wanted * curvature + off)
+        turn = turn.clamp(-self.yaw_rate_max, self.yaw_rate_max)
+        control = torch.stack([wanted - state[:, 3], turn - state[:, 4]], -1) / dt
+        return _within(control, self.control_limit)
+
+    def braking(self, state: Tensor, dt: float) -> Tensor:
+        return _within(-state[3:] / dt, self.control_limit)
+
+    def speed(self, state: Tensor) -> Tensor:
+        return state[..., 3]
+
+    def pose(self, state: Tensor) -> Array:
+        return state[:3].double().numpy()
+
+    def x_curr(self, state: Tensor) -> Array:
+        x, y, yaw, speed, _ = state.double().numpy()
+        return np.array([x, y, speed * np.cos(yaw), speed * np.sin(yaw), 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class DoubleIntegrator:
+    """State x, y [m], vx, vy [m/s]; control: the acceleration. Its lidar looks all round."""
+
+    state_size: ClassVar[int] = 4
+    radius: float = 0.25
+    v_max: float = 2.0
+    a_max: float = 3.0
+    field_of_view: float = tau
+
+    @property
+    def control_limit(self) -> Tensor:
+        # Along each axis, so that both together keep a_max.
+        return torch.full((2,), self.a_max / 2**0.5)
+
+    def start(self, pose: Array) -> Tensor:
+        return torch.tensor([pose[0], pose[1], 0.0, 0.0], dtype=torch.float32)
+
+    def step(self, state: Tensor, control: Tensor, dt: float) -> Tensor:
+        velocity = state[..., 2:] + dt * _within(control, self.control_limit)
+        size = velocity.norm(dim=-1, keepdim=True)
+        velocity = velocity * (self.v_max / size.clamp(min=self.v_max))
+        return torch.cat([state[..., :2] + dt * velocity, velocity], -1)
+
+    def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
+        way = carrot - state[:, :2]
+        course = way / way.norm(dim=1, keepdim=True).clamp(min=0.05)
+        return _within((speed[:, None] * course - state[:, 2:]) / dt, self.control_limit)
+
+    def braking(self, state: Tensor, dt: float) -> Tensor:
+        return _within(-state[2:] / dt, self.control_limit)
+
+    def speed(self, state: Tensor) -> Tensor:
+        return state[..., 2:].norm(dim=-1)
+
+    def pose(self, state: Tensor) -> Array:
+        return np.array([*state[:2].double().numpy(), 0.0])
+
+    def x_curr(self, state: Tensor) -> Array:
+        return np.array([*state.double().numpy(), 0.0, 0.0])
+
+
+ROBOTS: dict[str, type[Unicycle] | type[DoubleIntegrator]] = {
+    "unicycle": Unicycle,
+    "double-integrator": DoubleIntegrator,
+}
+
+
+def _within(control: Tensor, limit: Tensor) -> Tensor:
+    return torch.maximum(torch.minimum(control, limit), -limit)
+
+
+def _wrapped(angle: Tensor) -> Tensor:
+    """In [-pi, pi)."""
+    return torch.remainder(angle + pi, tau) - pi

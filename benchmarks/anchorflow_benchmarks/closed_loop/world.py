@@ -1,0 +1,137 @@
+"""Worlds: a start, a goal and round posts in between, as in the BARN challenge.
+
+BARN: Perille, Truong, Xiao and Stone, "Benchmarking Metric Ground Navigation" (SSRR 2020).
+"""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.grid_path import shortest_grid_path
+from anchorflow_trajectory.clearance import distance_to_cells
+
+Array = NDArray[np.float64]
+
+DRAWN = "drawn"
+GOAL_TOLERANCE = 1.0  # m; the challenge counts a robot as arrived from there
+
+# Drawn worlds: BARN's corridor and its grid of posts.
+SPACING, RADIUS, WIDTH, LENGTH = 0.15, 0.075, 4.5, 9.6  # m
+START, GOAL = (-2.25, 3.0, np.pi / 2), (-2.25, 13.0)
+FIRST_ROW = 5.1  # m along y, from which on posts stand in the corridor
+PASSAGE = 0.3  # m, the robot's radius and a little more, that a drawn world leaves open
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """posts: [M, 2] m, their centres; start: [3] x, y in m, yaw in rad; goal: [2] m.
+
+    path_length: m of the shortest way that fits the robot
+    """
+
+    name: str
+    posts: Array
+    post_radius: float
+    start: Array
+    goal: Array
+    path_length: float
+
+    def clearance(self, position: Array, robot_radius: float) -> float:
+        """m between a robot at [2] and the nearest post; negative where they overlap."""
+        nearest = np.sqrt(((self.posts - position) ** 2).sum(1).min(initial=np.inf))
+        return float(nearest) - self.post_radius - robot_radius
+
+
+def load_worlds(source: str, *, limit: int | None = None) -> list[World]:
+    """Worlds of a .npz file, or `drawn:COUNT:SEED`; at most `limit` of them, evenly spread.
+
+    Raises:
+        BenchmarkError: the file is none of worlds, or the text is not of that form.
+    """
+    kind, _, rest = source.partition(":")
+    worlds = _drawn(rest) if kind == DRAWN else read_worlds(Path(source))
+    if limit is not None and limit < len(worlds):
+        worlds = [worlds[i] for i in np.linspace(0, len(worlds) - 1, limit).astype(int)]
+    return worlds
+
+
+def read_worlds(path: Path) -> list[World]:
+    """The worlds of a .npz file.
+
+    Its keys: cylinders [M, 2] m, of which world k owns rows offsets[k] to offsets[k + 1]; radius m
+    of a cylinder; start x, y, yaw; goal x, y; path_length [K] m; world [K], their numbers.
+
+    Raises:
+        BenchmarkError: the file cannot be read or lacks a key.
+    """
+    try:
+        with np.load(path) as file:
+            arrays = {name: file[name].astype(np.float64) for name in file.files}
+        posts = np.split(arrays["cylinders"], arrays["offsets"].astype(int)[1:-1])
+        radius, start, goal = float(arrays["radius"]), arrays["start"], arrays["goal"]
+        rows = zip(arrays["world"], posts, arrays["path_length"], strict=True)
+        return [
+            World(f"BARN {int(number)}", centres, radius, start, goal, float(length))
+            for number, centres, length in rows
+        ]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise BenchmarkError(f"{path}: not a file of worlds ({error})") from error
+
+
+def draw_world(seed: int) -> World:
+    """A corridor like BARN's with clusters of posts at random; there is a way through."""
+    rng = np.random.default_rng(seed)
+    while True:
+        posts = np.concatenate([_walls(), _clusters(rng, share=rng.uniform(0.08, 0.2))])
+        length = _shortest_way(posts)
+        if np.isfinite(length):
+            start, goal = np.array(START), np.array(GOAL)
+            return World(f"{DRAWN} {seed}", posts, RADIUS, start, goal, length)
+
+
+def _drawn(text: str) -> list[World]:
+    try:
+        count, seed = (int(number) for number in text.split(":"))
+    except ValueError:
+        raise BenchmarkError(f"expected {DRAWN}:COUNT:SEED, got {DRAWN}:{text}") from None
+    if count < 1 or seed < 0:
+        raise BenchmarkError(f"expected a COUNT from 1 and a SEED from 0, got {DRAWN}:{text}")
+    return [draw_world(1000 * seed + index) for index in range(count)]
+
+
+def _walls() -> Array:
+    """Posts along both sides and the near end of the corridor."""
+    y = np.arange(0.0, LENGTH, SPACING)
+    x = np.arange(-WIDTH + SPACING, -SPACING / 2, SPACING)
+    left, right = (np.stack([np.full_like(y, side), y], 1) for side in (-WIDTH, 0.0))
+    return np.concatenate([left, right, np.stack([x, np.zeros_like(x)], 1)])
+
+
+def _clusters(rng: np.random.Generator, share: float) -> Array:
+    """Posts on the grid's cells; smoothed noise makes them stand together."""
+    x = np.arange(-WIDTH + SPACING, -SPACING / 2, SPACING)
+    y = np.arange(FIRST_ROW, LENGTH, SPACING)
+    noise = np.pad(rng.normal(size=(len(y), len(x))), 1, mode="edge")
+    smooth = sum(noise[i : i + len(y), j : j + len(x)] for i in range(3) for j in range(3))
+    rows, columns = np.nonzero(smooth > np.quantile(smooth, 1.0 - share))
+    return np.stack([x[columns], y[rows]], 1)
+
+
+def _shortest_way(posts: Array) -> float:
+    """m from START to GOAL for a robot of PASSAGE; NaN where there is no way."""
+    cell = 0.1
+    low = np.array([-WIDTH - 1.0, -1.0])
+    width, height = np.ceil((np.array([1.0, GOAL[1] + 1.0]) - low) / cell).astype(int)
+    columns, rows = np.floor((posts - low) / cell).astype(int).T
+    occupied = np.zeros((height, width), bool)
+    occupied[rows, columns] = True
+    passable = distance_to_cells(occupied, cell) > PASSAGE + RADIUS - cell / 2
+    ends = [np.floor((np.array(point[:2]) - low) / cell).astype(int) for point in (START, GOAL)]
+    start, goal = ((int(y), int(x)) for x, y in ends)
+    return cell * shortest_grid_path(passable, start, goal)

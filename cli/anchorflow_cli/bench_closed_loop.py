@@ -1,0 +1,93 @@
+"""`anchorflow bench closed-loop`: does a robot drive better with anchors?"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.machine import circumstances
+from anchorflow_benchmarks.report import Report
+from anchorflow_benchmarks.samplers import parse_sampler
+from anchorflow_cli.bench_output import progress, show_and_write, whole_numbers
+from anchorflow_cli.extras import needs_extra
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+
+RESULTS = Path("benchmarks/results")
+
+
+def closed_loop(
+    worlds: Annotated[
+        str, typer.Argument(metavar="FILE|drawn:N:SEED", help="Worlds: a .npz file, or drawn ones.")
+    ],
+    *,
+    limit: Annotated[int, typer.Option(min=1, help="Worlds at most, evenly spread.")] = 50,
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each contender in a world.")] = 1,
+    motions: Annotated[
+        str, typer.Option(metavar="K,K", help="That MPPI rolls out a tick, anchors included.")
+    ] = "512",
+    num: Annotated[int, typer.Option(min=1, max=512, help="Anchors a request.")] = 64,
+    sampler: Annotated[
+        str, typer.Option(help="Of the served anchors: card, euler:uniform1, …")
+    ] = "midpoint:uniform2",
+    bundle: Annotated[Path, typer.Option(help="Folder of the bundle.")] = DEFAULT_BUNDLE,
+    url: Annotated[
+        str | None, typer.Option(help="A service that answers in place of the bundle's engine.")
+    ] = None,
+    latency_ms: Annotated[
+        float | None,
+        typer.Option(min=0, help="Of an answer in simulated time.", show_default="as it took"),
+    ] = None,
+    robot: Annotated[str, typer.Option(help="unicycle or double-integrator.")] = "unicycle",
+    limit_s: Annotated[float, typer.Option(min=0.1, help="Simulated time of a run.")] = 50.0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes, one run each at a time.")] = 1,
+    threads: Annotated[
+        int | None, typer.Option(min=1, help="Threads of a request.", show_default="the cores")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder that the results are written to.")] = RESULTS,
+) -> None:
+    """Drive a robot through worlds by MPPI alone, with straight lines, with served anchors."""
+    with needs_extra("robot", who="anchorflow bench closed-loop"):
+        from anchorflow_benchmarks.closed_loop.contest import (
+            ContestConfig,
+            contenders_of,
+            run_contest,
+        )
+        from anchorflow_benchmarks.closed_loop.drive import DriveConfig
+        from anchorflow_benchmarks.closed_loop.robots import ROBOTS
+        from anchorflow_benchmarks.closed_loop.scoring import contest_tables
+        from anchorflow_benchmarks.closed_loop.world import load_worlds
+    if robot not in ROBOTS:
+        raise BenchmarkError(f"--robot: expected {' or '.join(ROBOTS)}, got {robot!r}")
+    opened = load_bundle(bundle)
+    spec = parse_sampler(sampler, opened.card)
+    contenders = contenders_of(whole_numbers(motions, "--motions"), anchors=num)
+    config = ContestConfig(
+        bundle=bundle,
+        url=url,
+        threads=threads,
+        latency_ms=latency_ms,
+        robot=robot,
+        drive=DriveConfig(
+            limit_s=limit_s,
+            options={
+                "num_samples": num,
+                "sampler": {"method": spec.method, "schedule": list(spec.schedule)},
+            },
+        ),
+    )
+    found = load_worlds(worlds, limit=limit)
+    with progress("driving", len(found) * seeds * len(contenders)) as advance:
+        results = run_contest(
+            contenders, found, config, seeds=seeds, workers=workers, progress=advance
+        )
+    about = {
+        "worlds": f"{Path(worlds).name}, {len(found)} driven, {seeds} runs each",
+        "robot": f"{robot}, {1 / config.drive.tick_s:g} commands a second",
+        "anchors": f"{num} a request, {sampler}, of {url or opened.card.name}",
+        "latency": "as measured" if latency_ms is None else f"{latency_ms:g} ms",
+    }
+    tables = contest_tables(results, [contender.name for contender in contenders])
+    show_and_write(Report("closed_loop", "Closed loop", about | circumstances(), tables), out)

@@ -1,0 +1,62 @@
+"""The plan: what a `Planner` hands to its control loop, and how good it still is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import AnchorBatch
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_client.planner_shift import shifted, states_of
+
+
+class PlanState(Enum):
+    """What the loop may do with a plan."""
+
+    WAITING = "waiting"
+    """No answer has come yet: stand still."""
+    FRESH = "fresh"
+    """The last request was answered, and the answer is young enough: follow it."""
+    HELD = "held"
+    """A request has failed since; the last good answer is still young enough: follow it."""
+    EXPIRED = "expired"
+    """The last good answer is older than the limit: brake."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The newest finished batch, as old as it is now."""
+
+    state: PlanState
+    batch: AnchorBatch | None = None
+    """None while waiting and once expired: what is too old cannot be followed by mistake."""
+    age_ms: float = float("inf")
+    """Since the loop saw the state from which the batch starts; infinite while waiting."""
+    request_id: str | None = None
+    """Of the request that the newest good answer belongs to, expired or not."""
+    last_error: AnchorFlowError | None = None
+    """Why the last request failed; None where it was answered."""
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is a batch to follow."""
+        return self.batch is not None
+
+    @property
+    def expired(self) -> bool:
+        """Whether there was a batch and it is too old now."""
+        return self.state is PlanState.EXPIRED
+
+    def states(self) -> NDArray[np.float64]:
+        """[N,T,3D] position, velocity, acceleration of the anchors from now on, dt apart.
+
+        Raises:
+            ValueError: the plan is not usable.
+        """
+        if self.batch is None:
+            raise ValueError(f"expected a usable plan, got one that is {self.state.value}")
+        states = states_of(self.batch)
+        return shifted(states, dt=self.batch.dt, elapsed_s=1e-3 * self.age_ms)

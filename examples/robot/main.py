@@ -1,0 +1,117 @@
+"""A robot that asks a service for anchors while it drives, through a world it knows only by lidar.
+
+    anchorflow serve                                      # in another terminal
+    python examples/robot/main.py --record robot.gif      # or --view, or neither
+
+Everything about the robot, its lidar, its map and MPPI is `anchorflow_benchmarks.closed_loop`;
+this program joins it to a client in real time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from view import LiveView, Recorder
+
+from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, Run, Tick
+from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
+from anchorflow_benchmarks.closed_loop.robots import ROBOTS
+from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
+from anchorflow_benchmarks.closed_loop.world import load_worlds
+from anchorflow_client import AnchorClient, AnchorFlowError
+from anchorflow_client.base_client import BaseClient
+from anchorflow_client.planner import Planner, PlannerConfig
+
+
+class PacedTime(SimulatedTime):
+    """Simulated time that never runs ahead of the wall clock."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._began = time.monotonic()
+
+    def advance(self, seconds: float) -> None:
+        super().advance(seconds)
+        time.sleep(max(0.0, self._began + self.now - time.monotonic()))
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    options = parse(arguments)
+    with ExitStack() as stack:
+        try:
+            run = drive(options, stack)
+        except AnchorFlowError as error:
+            raise SystemExit(str(error)) from error
+    print(
+        f"{run.end.value} after {run.time_s:.1f} s and {run.length:.1f} m, "
+        f"at least {run.clearance:.2f} m from every post; "
+        f"{run.ticks_braked} ticks braked for want of a plan"
+    )
+
+
+def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
+    """One run, as the options say."""
+    worlds = load_worlds(options.worlds)
+    world = worlds[options.world % len(worlds)]
+    config = DriveConfig(
+        options={
+            "num_samples": options.num,
+            "sampler": {"method": options.method, "schedule": {"uniform": options.steps}},
+        }
+    )
+    robot = ROBOTS[options.robot]()
+    controller = MppiController(robot, MppiConfig(), tick_s=config.tick_s)
+    planner = None
+    if not options.alone:
+        client = stack.enter_context(connect(options))
+        # Ages are told by the wall clock: the answers come from outside the simulation.
+        planner = stack.enter_context(Planner(client, PlannerConfig(max_age_ms=options.max_age)))
+    watchers: list[Callable[[Tick], None]] = []
+    if options.view:
+        watchers.append(LiveView(world, robot.radius))
+    if options.record is not None:
+        watchers.append(stack.enter_context(Recorder(world, robot.radius, options.record)))
+
+    def on_tick(tick: Tick) -> None:
+        for watch in watchers:
+            watch(tick)
+
+    clock, seed = PacedTime(), options.seed
+    run = Drive(world, controller, planner=planner, clock=clock, config=config, seed=seed)
+    return run.run(on_tick)
+
+
+def connect(options: argparse.Namespace) -> BaseClient:
+    """A client over zenoh where it is asked for, else over HTTP."""
+    timeout_s = 1e-3 * options.max_age
+    if options.zenoh is None:
+        return AnchorClient(options.url, timeout_s=timeout_s)
+    from anchorflow_client.zenoh_client import ZenohAnchorClient  # an extra: anchorflow[zenoh]
+
+    return ZenohAnchorClient(options.zenoh, timeout_s=timeout_s)
+
+
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--url", default="http://127.0.0.1:8000", help="of the service")
+    parser.add_argument("--zenoh", metavar="ENDPOINT", help="ask over zenoh, tcp/127.0.0.1:7447")
+    parser.add_argument("--alone", action="store_true", help="MPPI without anchors")
+    parser.add_argument("--robot", choices=sorted(ROBOTS), default="unicycle")
+    parser.add_argument("--worlds", metavar="FILE|drawn:N:SEED", default="drawn:10:0")
+    parser.add_argument("--world", type=int, default=0, help="which of them")
+    parser.add_argument("--seed", type=int, default=0, help="of lidar noise and MPPI's samples")
+    parser.add_argument("--num", type=int, default=64, help="anchors a request")
+    parser.add_argument("--method", default="midpoint", help="of the sampler")
+    parser.add_argument("--steps", type=int, default=2, help="of the sampler")
+    parser.add_argument("--max-age", type=float, default=1000.0, help="ms, of a plan")
+    parser.add_argument("--view", action="store_true", help="a live picture")
+    parser.add_argument("--record", type=Path, metavar="FILE.gif", help="an animation of the run")
+    return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    main()

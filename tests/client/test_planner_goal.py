@@ -1,0 +1,91 @@
+"""The local goal: on the map it stays, beyond it the way towards it is cut off."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from anchorflow_client import CostMap, InvalidRequest
+from anchorflow_client.planner_goal import local_goal
+
+RESOLUTION = 0.25
+HERE = np.zeros(2)
+
+
+def empty_map() -> np.ndarray:
+    """[1,H,W] of 8 m by 8 m round (0, 0)."""
+    return np.zeros((1, 32, 32), np.float32)
+
+
+def goal_on(data: np.ndarray, goal: list[float], clearance_m: float = 0.3) -> np.ndarray:
+    return local_goal(
+        CostMap.build(data, RESOLUTION),
+        HERE,
+        np.array(goal),
+        clearance_m=clearance_m,
+        through_speed=1.5,
+    )
+
+
+def test_a_goal_on_free_ground_stays() -> None:
+    np.testing.assert_array_equal(
+        goal_on(empty_map(), [2.1, -1.3, 0.4, 0.2]), [2.1, -1.3, 0.4, 0.2]
+    )
+
+
+def test_a_far_goal_is_cut_off_inside_the_map_and_passed_towards() -> None:
+    goal = goal_on(empty_map(), [30.0, 0.0, 0.0, 0.0])
+
+    np.testing.assert_allclose(goal, [3.7, 0.0, 1.5, 0.0], atol=1e-9)
+
+
+def test_a_far_goal_aslant_keeps_its_direction() -> None:
+    goal = goal_on(empty_map(), [20.0, 10.0, 0.0, 0.0])
+
+    np.testing.assert_allclose(goal[:2], [3.7, 1.85], atol=1e-9)
+    np.testing.assert_allclose(goal[2:], 1.5 * np.array([2, 1]) / np.sqrt(5), atol=1e-9)
+
+
+def test_a_goal_in_an_obstacle_moves_to_the_nearest_free_cell_and_is_stopped_at() -> None:
+    data = empty_map()
+    data[0, 12:20, 20:28] = 1.0  # x from 1 to 3, y from -1 to 1
+    goal = goal_on(data, [1.2, 0.1, 0.0, 0.0], clearance_m=0.3)
+
+    # The last column of cells before the wall whose centre is more than 0.3 m from its first.
+    np.testing.assert_allclose(goal, [0.625, 0.125, 0.0, 0.0], atol=1e-9)
+
+
+def test_a_heading_is_left_as_it_is() -> None:
+    goal = goal_on(empty_map(), [30.0, 0.0, 0.7, 0.0, 0.0, 0.1])
+
+    np.testing.assert_allclose(goal, [3.7, 0.0, 0.7, 1.5, 0.0, 0.1], atol=1e-9)
+
+
+def test_a_map_without_room_is_refused() -> None:
+    with pytest.raises(InvalidRequest, match=r"cost_map\.data: expected a cell that is 0\.3 m"):
+        goal_on(np.ones((1, 16, 16)), [1.0, 0.0, 0.0, 0.0])
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    share=st.floats(0.0, 0.3),
+    goal=st.tuples(st.floats(-50, 50), st.floats(-50, 50)),
+    clearance_m=st.floats(0.0, 0.6),
+)
+def test_the_local_goal_keeps_its_distance(
+    seed: int, share: float, goal: tuple[float, float], clearance_m: float
+) -> None:
+    occupied = np.random.default_rng(seed).random((32, 32)) < share
+    data = occupied[None].astype(np.float32)
+    try:
+        point = goal_on(data, [*goal, 0.0, 0.0], clearance_m)[:2]
+    except InvalidRequest:
+        return
+    assert (np.abs(point) <= 4.0 - clearance_m + RESOLUTION).all()
+    rows, columns = np.nonzero(occupied)
+    centres = RESOLUTION * (np.stack([columns, rows], axis=1) + 0.5) - 4.0
+    # The point lies in its cell, so at most half a diagonal from the centre that was looked at.
+    distance = np.linalg.norm(centres - point, axis=1).min(initial=np.inf)
+    assert distance >= clearance_m - RESOLUTION / np.sqrt(2) - 1e-9
