@@ -90,7 +90,7 @@ def soak_table(
     return ResultTable("Soak", rows, note)
 
 
-def _reading(done: int, held: Held, first: Held, times: Sequence[float]) -> Row:
+def _reading(done: int, held: Held, first: Held, times: list[float]) -> Row:
     return {
         "requests": done,
         "memory MB": held.memory_mb,

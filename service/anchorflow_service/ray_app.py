@@ -41,15 +41,15 @@ class RaySettings(BaseModel):
     """File of bearer tokens, on every node; None: everybody may ask."""
     zenoh: str | None = None
     """Endpoint of a zenoh router to connect to."""
-    cpus: int = Field(1, ge=1)
+    cpus: int = Field(default=1, ge=1)
     """Of a replica: what Ray reserves, and the threads of its engine."""
-    gpus: float = Field(0.0, ge=0)
-    min_replicas: int = Field(1, ge=0)
-    max_replicas: int = Field(4, ge=1)
-    target_requests: float = Field(2.0, gt=0)
+    gpus: float = Field(default=0.0, ge=0)
+    min_replicas: int = Field(default=1, ge=0)
+    max_replicas: int = Field(default=4, ge=1)
+    target_requests: float = Field(default=2.0, gt=0)
     """Running in a replica, on average: with more of them, Ray starts another."""
-    max_batch: int = Field(8, ge=1)
-    batch_wait_ms: float = Field(0.0, ge=0)
+    max_batch: int = Field(default=8, ge=1)
+    batch_wait_ms: float = Field(default=0.0, ge=0)
 
     def limits(self) -> Limits:
         """The bounds of a replica."""

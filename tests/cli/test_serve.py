@@ -98,3 +98,11 @@ def test_a_repository_of_nothing_is_one_line(tmp_path: Path) -> None:
     assert caught.value.code == (
         "anchorflow serve: the repository holds no bundle that can be served"
     )
+
+
+def test_no_answer_waits_for_an_acknowledgement() -> None:
+    """A connection has the option from the listener that it came in by."""
+    with listen("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
+        accepted, _ = listener.accept()
+        with accepted:
+            assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)

@@ -14,8 +14,8 @@ import time
 from collections import Counter
 
 import numpy as np
-import ray
-from ray import serve
+import ray  # pyright: ignore[reportMissingImports] - an extra that not every venv has
+from ray import serve  # pyright: ignore[reportMissingImports]
 
 from anchorflow_client import AnchorClient, TransportError
 from anchorflow_client.errors import InternalError, NotReady, Overloaded
@@ -53,26 +53,28 @@ class Asking:
 
     def _one_request(self, client: AnchorClient) -> None:
         deadline = time.monotonic() + PATIENCE_S
-        while True:
-            try:
-                anchors = client.plan(
-                    cost_map=np.zeros((64, 64)),
-                    resolution=0.1,
-                    x_curr=[-2.0, 0, 0, 0, 0, 0],
-                    x_goal=[2.0, 0, 0, 0],
-                    num_samples=8,
-                )
-            except RETRIED as error:
-                if time.monotonic() > deadline:
-                    self.counts["failed"] += 1
-                    return
-                self.counts[f"repeated after {type(error).__name__}"] += 1
-                client.close()
-                time.sleep(0.1)
-            else:
-                self.counts["answered"] += 1
-                self.models.add(f"{anchors.model.name} {anchors.model.version}")
+        while not self._is_answered(client):
+            if time.monotonic() > deadline:
+                self.counts["failed"] += 1
                 return
+            client.close()
+            time.sleep(0.1)
+
+    def _is_answered(self, client: AnchorClient) -> bool:
+        try:
+            anchors = client.plan(
+                cost_map=np.zeros((64, 64)),
+                resolution=0.1,
+                x_curr=[-2.0, 0, 0, 0, 0, 0],
+                x_goal=[2.0, 0, 0, 0],
+                num_samples=8,
+            )
+        except RETRIED as error:
+            self.counts[f"repeated after {type(error).__name__}"] += 1
+            return False
+        self.counts["answered"] += 1
+        self.models.add(f"{anchors.model.name} {anchors.model.version}")
+        return True
 
 
 def replicas() -> list[str]:

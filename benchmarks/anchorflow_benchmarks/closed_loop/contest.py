@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
+from time import perf_counter, process_time
 
 import torch
 
@@ -63,7 +64,7 @@ class ContestConfig:
 
     bundle: of the served anchors; url: of a service that answers in its place
     threads: of a request to the bundle's engine
-    latency_ms: of an answer in simulated time; None: as long as it took
+    latency_ms: of an answer in simulated time; None: as long as it took, see `run_contest`
     """
 
     bundle: Path
@@ -96,9 +97,9 @@ def run_contest(
 ) -> list[Result]:
     """Every contender's run in every world, seed by seed; `progress` gets 1 a finished run.
 
-    Each worker is a process with a single thread for torch, so that all ticks have the same share
-    of the machine. An answer takes as long as it is measured to: with more workers than idle
-    cores, longer than it would on a robot.
+    Each worker is a process with a single thread for torch. An engine's answer takes the time that
+    this process keeps cores busy with it, so that a machine that others share makes no robot slow;
+    a service's takes what the wall clock says.
 
     Raises:
         BundleError: the bundle cannot be opened.
@@ -127,7 +128,8 @@ def run_heat(heat: Heat, config: ContestConfig) -> Result:
     mppi = replace(config.mppi, samples=contender.samples)
     controller = MppiController(robot, mppi, tick_s=config.drive.tick_s)
     fixed_s = None if config.latency_ms is None else 1e-3 * config.latency_ms
-    executor = LatencyExecutor(clock, fixed_s=fixed_s)
+    stopwatch = process_time if config.url is None else perf_counter
+    executor = LatencyExecutor(clock, stopwatch=stopwatch, fixed_s=fixed_s)
     with _source(contender, config) as source:
         planner = None
         if source is not None:

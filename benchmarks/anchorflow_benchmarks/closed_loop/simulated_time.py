@@ -39,24 +39,32 @@ class SimulatedTime:
 class LatencyExecutor(Executor):
     """Runs what is submitted at once; in simulated time it is done as much later as it took.
 
+    stopwatch: s, by which that is measured
     fixed_s: takes the place of the time that was measured, so that a run can be repeated exactly
     """
 
-    def __init__(self, clock: SimulatedTime, *, fixed_s: float | None = None) -> None:
+    def __init__(
+        self,
+        clock: SimulatedTime,
+        *,
+        stopwatch: Callable[[], float] = perf_counter,
+        fixed_s: float | None = None,
+    ) -> None:
         self.latencies_s: list[float] = []
         self._clock = clock
+        self._stopwatch = stopwatch
         self._fixed_s = fixed_s
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Blocks while it runs; an `AnchorFlowError` is the future's."""
         future: Future[Any] = Future()
-        start = perf_counter()
+        start = self._stopwatch()
         result, failed = None, None
         try:
             result = fn(*args, **kwargs)
         except AnchorFlowError as error:
             failed = error
-        latency_s = perf_counter() - start if self._fixed_s is None else self._fixed_s
+        latency_s = self._stopwatch() - start if self._fixed_s is None else self._fixed_s
         self.latencies_s.append(latency_s)
 
         def finish() -> None:

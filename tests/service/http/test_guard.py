@@ -104,7 +104,7 @@ def test_who_has_no_right_is_told_so_and_nothing_is_planned(
 
 def test_the_client_shows_its_token(service: Any, fields: dict[str, Any]) -> None:
     assert AnchorClient("http://test", transport=service, token="robot-token").plan(**fields)
-    with pytest.raises(Unauthorized, match="no bearer|got none"):
+    with pytest.raises(Unauthorized, match="got none"):
         AnchorClient("http://test", transport=service).plan(**fields)
     assert AnchorClient("http://test", transport=service).ready()
 

@@ -77,7 +77,8 @@ def outcomes(planning: PlanningService) -> Outcomes:
 def post(url: str, path: str, body: bytes) -> socket.socket:
     """A request on its way, and the connection that it was sent over."""
     address = urlsplit(url)
-    connection = socket.create_connection((address.hostname, address.port), timeout=PATIENCE_S)
+    place = (address.hostname, address.port or 80)
+    connection = socket.create_connection(place, timeout=PATIENCE_S)
     head = f"POST {path} HTTP/1.1\r\nHost: test\r\nContent-Length: {len(body)}\r\n\r\n"
     connection.sendall(head.encode() + body)
     return connection

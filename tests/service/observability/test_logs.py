@@ -71,7 +71,7 @@ def test_an_exception_stays_on_its_line(root: logging.Logger) -> None:
     try:
         raise ValueError("two\nlines")
     except ValueError:
-        logger.exception("request %s failed", "r7", extra={"request_id": "r7", 5: {1, 2}})
+        logger.exception("request %s failed", "r7", extra={"request_id": "r7", "odd": {1, 2}})
 
     (line,) = out.getvalue().splitlines()
     record = json.loads(line)
