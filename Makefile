@@ -12,7 +12,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help serve toolkit test lint format bench docs clean
+.PHONY: help serve toolkit test lint format bench docs image clean
 
 help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -41,6 +41,9 @@ bench: $(VENV)/.dev  ## Measure quality, latency and load into benchmarks/result
 
 docs: $(VENV)/.docs  ## Build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+image:  ## Build the image with buildah, run it, ask it for anchors (as root; skips where it cannot)
+	docker/build_and_try.sh
 
 clean:  ## Remove .venv, caches and what was built
 	rm -rf $(VENV) dist site .pytest_cache .ruff_cache .hypothesis

@@ -27,6 +27,8 @@ WALLS: dict[str, set[str]] = {
         "fastapi",
         "starlette",  # what fastapi's requests and responses are made of
         "uvicorn",
+        "h11",  # the HTTP under uvicorn
+        "prometheus_client",
         "pydantic",
         "orjson",
         "yaml",  # ROS maps
@@ -76,6 +78,8 @@ WALLS: dict[str, set[str]] = {
 EXCEPTIONS = {
     "anchorflow_client.zenoh_client": {"zenoh"},
     "anchorflow_service.zenoh_endpoint": {"zenoh"},
+    "anchorflow_service.observability.tracing": {"opentelemetry"},
+    "anchorflow_service.ray_app": {"ray"},
 }
 
 # What a light process must not carry unless its package's wall lets it in.

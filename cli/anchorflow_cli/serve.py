@@ -102,6 +102,8 @@ def serve(
     tls = tls_choice(tls_cert, tls_key, tls_client_ca)
     token_file = None if tokens is None else TokenFile(tokens)
     with listen(host, port) as listener:
+        if tokens is None and not is_loopback(listener):
+            logger.warning("everybody who reaches this address may ask: there is no --tokens")
         folders = folders_of(bundle, repository)
         engines = open_all(folders, open_engine)
         limits = Limits(max_body_bytes, max_waiting, max_batch, batch_wait_ms, threads)
@@ -125,8 +127,6 @@ def serve(
         typer.echo(f"{described(engines)} at {url_of(listener, tls=bool(tls))} ({folders})")
         if zenoh is not None and endpoint is not None:
             typer.echo(f"zenoh replica {endpoint.replica} ({zenoh.settings.describe()})")
-        if tokens is None and not is_loopback(listener):
-            logger.warning("everybody who reaches this address may ask: there is no --tokens")
         with suppress(KeyboardInterrupt):  # uvicorn has shut down when it raises the signal again
             server.run(sockets=[listener])
 

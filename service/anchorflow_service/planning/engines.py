@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Protocol
 
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
@@ -46,6 +47,7 @@ class Engines:
         self._engines = dict(engines)
         self._default = default
         self._changing = threading.Lock()
+        self._followers: list[Callable[[], None]] = []
 
     def choose(self, model: str | None) -> Engine:
         """The engine of that model, or the default. Raises `UnknownModel`."""
@@ -61,15 +63,30 @@ class Engines:
         """From now on this engine answers for the model of its card."""
         with self._changing:
             self._engines = {**self._engines, engine.card.name: engine}
+        self._tell()
 
     def remove(self, model: str) -> None:
         """From now on nobody answers for that model. Raises `UnknownModel`."""
         with self._changing:
             self.choose(model)
             self._engines = {name: each for name, each in self._engines.items() if name != model}
+        self._tell()
+
+    @contextmanager
+    def followed_by(self, follower: Callable[[], None]) -> Iterator[None]:
+        """Calls it after every change inside the block, on the thread that changed the engines."""
+        self._followers.append(follower)
+        try:
+            yield
+        finally:
+            self._followers.remove(follower)
 
     def cards(self) -> list[ModelCard]:
         """All cards, the default model's first."""
         engines = self._engines
         names = sorted(engines, key=lambda name: (name != self._default, name))
         return [engines[name].card for name in names]
+
+    def _tell(self) -> None:
+        for follower in list(self._followers):
+            follower()

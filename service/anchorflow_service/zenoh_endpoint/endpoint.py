@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 import uuid
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from types import TracebackType
 
 import zenoh
 
 from anchorflow_client.codec import Payload
-from anchorflow_client.errors import RequestError, TooLarge
+from anchorflow_client.errors import InvalidRequest, RequestError, TooLarge
 from anchorflow_client.keys import anchors_key, info_key, replica_anchors_key, replica_key
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.zenoh_messages import (
@@ -46,20 +48,22 @@ class ZenohEndpoint:
         self._service = service
         self._session = session
         self._codec = OipCodec()
-        self._models = {
-            key: card.name
-            for card in service.engines.cards()
-            for key in (anchors_key(card.name), replica_anchors_key(self.replica, card.name))
-        }
-        self._queryables: list[zenoh.Queryable[None]] = []
+        self._models: dict[str, str] = {}
+        """The model of every key that there was, served still or not."""
+        for card in service.engines.cards():
+            self._models |= self._keys_of(card.name)
+        self._queryables: dict[str, zenoh.Queryable[None]] = {}
+        self._changing = threading.Lock()
+        self._following = ExitStack()
         self._token: zenoh.LivelinessToken | None = None
         self._answering: set[asyncio.Task[None]] = set()
 
     async def __aenter__(self) -> ZenohEndpoint:
         loop = asyncio.get_running_loop()
-        for key in self._models:
-            self._declare(key, partial(self._receive, loop, key))
         self._declare(info_key(self.replica), self._tell)
+        self._follow(loop)
+        following = self._service.engines.followed_by(partial(self._follow, loop))
+        self._following.enter_context(following)
         # Last, so that whoever sees it can be answered.
         self._token = self._session.liveliness().declare_token(replica_key(self.replica))
         return self
@@ -71,17 +75,41 @@ class ZenohEndpoint:
         traceback: TracebackType | None,
     ) -> None:
         """Take no more queries, answer those that came, leave the network."""
+        self._following.close()
         if self._token is not None:
             self._token.undeclare()
-        for queryable in self._queryables:
+        with self._changing:
+            queryables = list(self._queryables.values())
+        for queryable in queryables:
             await asyncio.to_thread(queryable.undeclare)
         await asyncio.sleep(0)  # what was received is on the loop now
         await asyncio.gather(*self._answering)
         await asyncio.to_thread(self._session.close)
 
+    def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Have the keys of the models that are served now, and no others."""
+        with self._changing:
+            served = {info_key(self.replica)}
+            for card in self._service.engines.cards():
+                try:
+                    keys = self._keys_of(card.name)
+                except InvalidRequest as error:
+                    logger.warning("model %s is served over HTTP alone: %s", card.name, error)
+                    continue
+                self._models |= keys
+                served |= keys.keys()
+            for key in served - self._queryables.keys():
+                self._declare(key, partial(self._receive, loop, key))
+            for key in self._queryables.keys() - served:
+                self._queryables.pop(key).undeclare()
+
+    def _keys_of(self, model: str) -> dict[str, str]:
+        keys = (anchors_key(model), replica_anchors_key(self.replica, model))
+        return dict.fromkeys(keys, model)
+
     def _declare(self, key: str, answer: Callable[[zenoh.Query], None]) -> None:
         # Complete: replicas that share a key get one query each, and not all of them every one.
-        self._queryables.append(self._session.declare_queryable(key, answer, complete=True))
+        self._queryables[key] = self._session.declare_queryable(key, answer, complete=True)
 
     def _receive(self, loop: asyncio.AbstractEventLoop, key: str, query: zenoh.Query) -> None:
         """On zenoh's own thread: note the time and hand the query over."""
@@ -110,7 +138,7 @@ class ZenohEndpoint:
                 refuse(query, error)
             except Exception:
                 failed = request_id if call is None else call.request_id
-                logger.exception("request %s failed", failed)
+                logger.exception("request %s failed", failed, extra={"request_id": failed})
                 refuse(query, internal_error(failed))
 
     def _call(self, query: zenoh.Query, key: str, arrival: Arrival, request_id: str) -> Call:
@@ -128,6 +156,7 @@ class ZenohEndpoint:
             request_id=said.request_id or request_id,
             model=self._models[key],
             budget_ms=said.budget_ms,
+            transport="zenoh",
         )
 
     def _tell(self, query: zenoh.Query) -> None:

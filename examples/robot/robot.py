@@ -1,7 +1,7 @@
 """A robot that asks a service for anchors while it drives, through a world it knows only by lidar.
 
     anchorflow serve                                      # in another terminal
-    python examples/robot/main.py --record robot.gif      # or --view, or neither
+    python examples/robot/robot.py --record robot.gif      # or --view, or neither
 
 Everything about the robot, its lidar, its map and MPPI is `anchorflow_benchmarks.closed_loop`;
 this program joins it to a client in real time.
@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from view import LiveView, Recorder
+from robot_view import LiveView, Recorder
 
 from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, Run, Tick
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
@@ -39,6 +39,20 @@ class PacedTime(SimulatedTime):
         time.sleep(max(0.0, self._began + self.now - time.monotonic()))
 
 
+class ErrorLog:
+    """Prints why requests fail, each reason once in a row."""
+
+    def __init__(self) -> None:
+        self._told = ""
+
+    def __call__(self, tick: Tick) -> None:
+        error = tick.plan and tick.plan.last_error
+        reason = f"{type(error).__name__}: {error}" if error else ""
+        if reason not in ("", self._told):
+            print(f"{tick.time_s:5.1f} s  {reason}")
+        self._told = reason or self._told
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     options = parse(arguments)
     with ExitStack() as stack:
@@ -58,10 +72,11 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
     worlds = load_worlds(options.worlds)
     world = worlds[options.world % len(worlds)]
     config = DriveConfig(
+        limit_s=options.limit_s,
         options={
             "num_samples": options.num,
             "sampler": {"method": options.method, "schedule": {"uniform": options.steps}},
-        }
+        },
     )
     robot = ROBOTS[options.robot]()
     controller = MppiController(robot, MppiConfig(), tick_s=config.tick_s)
@@ -70,7 +85,7 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
         client = stack.enter_context(connect(options))
         # Ages are told by the wall clock: the answers come from outside the simulation.
         planner = stack.enter_context(Planner(client, PlannerConfig(max_age_ms=options.max_age)))
-    watchers: list[Callable[[Tick], None]] = []
+    watchers: list[Callable[[Tick], None]] = [ErrorLog()]
     if options.view:
         watchers.append(LiveView(world, robot.radius))
     if options.record is not None:
@@ -108,6 +123,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--method", default="midpoint", help="of the sampler")
     parser.add_argument("--steps", type=int, default=2, help="of the sampler")
     parser.add_argument("--max-age", type=float, default=1000.0, help="ms, of a plan")
+    parser.add_argument("--limit-s", type=float, default=50.0, help="time of the run")
     parser.add_argument("--view", action="store_true", help="a live picture")
     parser.add_argument("--record", type=Path, metavar="FILE.gif", help="an animation of the run")
     return parser.parse_args(arguments)
