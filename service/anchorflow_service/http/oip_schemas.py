@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from anchorflow_service.http.schemas import Text
 
 Scalar = bool | int | float | str
 Numbers = list[float] | list[list[float]] | list[list[list[float]]] | list[list[list[list[float]]]]
@@ -46,7 +48,7 @@ class InferInputBody(_Body):
         "cost_map", "map_geometry", "x_curr", "x_goal", "w_style", "warm_start", "schedule"
     ]
     datatype: Literal["FP32", "FP64"]
-    shape: list[int] = Field(min_length=1)
+    shape: list[Annotated[int, Field(ge=1)]] = Field(min_length=1, max_length=4)
     data: Numbers = Field(description="In row-major order, flat or nested.")
 
 
@@ -66,7 +68,7 @@ class InferOutputBody(_Body):
 class InferRequestBody(_Body):
     """Arrays are tensors, all other fields of a request parameters by their JSON path."""
 
-    id: str | None = Field(None, description="Echoed.")
+    id: Text | None = Field(None, description="Echoed.")
     parameters: dict[str, Scalar] | None = Field(
         None,
         description="num_samples, seed, budget_ms, robot_id, sampler.method, refine.project, …; "
@@ -116,7 +118,7 @@ class ModelStateBody(BaseModel):
 class LoadParametersBody(_Body):
     """What is loaded."""
 
-    version: str | None = Field(None, description="The newest.")
+    version: Text | None = Field(None, description="The newest.")
 
 
 class LoadRequestBody(_Body):

@@ -7,17 +7,41 @@ the contract's own.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from anchorflow_client.contract import ranges
 from anchorflow_client.contract.ranges import Interval
 
+# What is answered.
 Vector = list[float]
 Matrix = list[list[float]]
 Tensor3 = list[list[list[float]]]
 Tensor4 = list[list[list[list[float]]]]
+
+
+# What is asked, as far as a schema can tell. Beyond it is checked that the rows of a map are of one
+# length, that B and D are the same everywhere, and that start and goal lie on free cells.
+_SIDE = Field(min_length=ranges.MIN_MAP_CELLS, max_length=ranges.MAX_MAP_CELLS)
+_BATCH = Field(min_length=1, max_length=ranges.MAX_SCENES)
+Text = Annotated[str, Field(min_length=1, max_length=ranges.MAX_TEXT_LENGTH, pattern=r"^[ -~]*$")]
+Share = Annotated[float, Field(ge=0, le=1)]
+Grid = Annotated[
+    list[Annotated[list[Annotated[list[Share], _SIDE]], _SIDE]],
+    Field(min_length=1, max_length=ranges.MAX_CHANNELS),
+]
+Coordinate = Annotated[float, Field(ge=ranges.STATE.low, le=ranges.STATE.high)]
+Origin = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+State = Annotated[list[Coordinate], Field(min_length=6, max_length=9)]
+Goal = Annotated[list[Coordinate], Field(min_length=4, max_length=6)]
+Weight = Annotated[float, Field(ge=ranges.STYLE_WEIGHT.low, le=ranges.STYLE_WEIGHT.high)]
+Style = Annotated[list[Weight], Field(min_length=3, max_length=3)]
+Schedule = Annotated[list[Share], Field(min_length=2, max_length=ranges.MAX_SCHEDULE_STEPS + 1)]
+Trajectory = Annotated[
+    list[Annotated[list[Coordinate], Field(min_length=2, max_length=9)]],
+    Field(min_length=2, max_length=ranges.MAX_WARM_START_STEPS),
+]
 
 Method = Literal["rk4", "heun", "midpoint", "euler", "ab2"]
 
@@ -38,12 +62,12 @@ class _Body(BaseModel):
 class CostMapBody(_Body):
     """What the robot knows of the space around it; row grows with y, column with x."""
 
-    data: Tensor3 | Tensor4 = Field(
+    data: Grid | Annotated[list[Grid], _BATCH] = Field(
         description="[C,H,W] or [B,C,H,W] in [0, 1]; C from 1 to 8, H and W from 16 to 512. "
         "Channel 0 is obstacle occupancy (0.5 and above), 1 traversability, 2 risk."
     )
     resolution: float = _within(ranges.RESOLUTION, "Size of a cell")
-    origin: Vector | None = Field(
+    origin: Origin | None = Field(
         None, description="[2] m, outer corner of cell (0, 0); by default the map is centred on 0."
     )
 
@@ -58,7 +82,7 @@ class SamplerBody(_Body):
     """The solver of the flow; what is left out is the card's."""
 
     method: Method | None = Field(None, description="Method of integration.")
-    schedule: Literal["8step"] | UniformSchedule | Vector | None = Field(
+    schedule: Literal["8step"] | UniformSchedule | Schedule | None = Field(
         None, description="Flow times from 0 (noise) to 1 (data), strictly increasing."
     )
 
@@ -79,7 +103,7 @@ class RefineBody(_Body):
 class WarmStartBody(_Body):
     """A trajectory to start from in place of noise."""
 
-    trajectory: Matrix = Field(
+    trajectory: Trajectory = Field(
         description="[T,D], [T,2D] or [T,3D]: p [m], v [m/s], a [m/s^2]; D is the model's, 2 or 3."
     )
     tau: float = _within(ranges.INSIDE_UNIT, "Flow time to start at", default=ranges.DEFAULT_TAU)
@@ -93,15 +117,15 @@ class AnchorRequestBody(_Body):
     """
 
     cost_map: CostMapBody
-    x_curr: Vector | Matrix = Field(
+    x_curr: State | Annotated[list[State], _BATCH] = Field(
         description="[6] or [B,6]: p [m], v [m/s], a [m/s^2], each x and y; [9] or [B,9] for a "
         "model with D = 3: x, y and heading [rad], which runs on beyond pi; map and limits see "
         "x and y alone."
     )
-    x_goal: Vector | Matrix = Field(
+    x_goal: Goal | Annotated[list[Goal], _BATCH] = Field(
         description="[4] or [B,4]: p [m], v [m/s]; [6] or [B,6] with heading."
     )
-    w_style: Vector | Matrix = Field(
+    w_style: Style | Annotated[list[Style], _BATCH] = Field(
         list(ranges.DEFAULT_STYLE),
         description="[3] or [B,3] at least 0: safety, energy, smooth; made to sum to 1.",
     )
@@ -120,7 +144,7 @@ class AnchorRequestBody(_Body):
     horizon_s: float | None = _within(
         ranges.HORIZON, "Time that an anchor spans; by default the card's", default=None
     )
-    model: str | None = Field(None, description="Name of a model; without it the default one.")
+    model: Text | None = Field(None, description="Name of a model; without it the default one.")
     seed: int | None = _within(
         ranges.SEED, "Of the noise; drawn by default, and echoed", default=None
     )
@@ -130,12 +154,12 @@ class AnchorRequestBody(_Body):
     budget_ms: float | None = _within(
         ranges.BUDGET, "Time left to the caller, from arrival", default=None
     )
-    robot_id: str | None = Field(
+    robot_id: Text | None = Field(
         None,
         description="Who asks: a newer request of the same robot supersedes one that still waits "
         "or is planned.",
     )
-    request_id: str | None = Field(
+    request_id: Text | None = Field(
         None, description="Echoed; by default the X-Request-Id header, or drawn."
     )
 

@@ -9,7 +9,7 @@ from prometheus_client.exposition import generate_latest
 
 from anchorflow_service.observability.collector import ServiceCollector
 from anchorflow_service.observability.exchanges import Exchange
-from anchorflow_service.planning import Call, Observer, PlanningService
+from anchorflow_service.planning import ANSWERED, Call, Observer, PlanningService
 
 SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.25, 0.5, 1.0, 2.5, 10.0)
 SIZES = (1, 2, 4, 8, 16, 32, 64)
@@ -31,7 +31,9 @@ class Metrics(Observer):
             ["transport", "model", "outcome"],
             registry=registry,
         )
-        self._total = _seconds("request", "From arrival to the answer.", registry, ["transport"])
+        self._total = _seconds(
+            "request", "From arrival to the answer, of what was answered.", registry, ["transport"]
+        )
         self._queue = _seconds("queue", "Age of a request when a worker took it.", registry, [])
         self._stages = _seconds("stage", "Engine time of an answer.", registry, ["stage"])
         self._batch = Histogram(
@@ -55,8 +57,8 @@ class Metrics(Observer):
         """Count it, and its times where it was answered."""
         model = call.model_id.name if call.model_id else ""
         self._requests.labels(call.transport, model, outcome).inc()
-        self._total.labels(call.transport).observe(call.arrival.elapsed_ms / 1e3)
-        if call.timing_ms:
+        if outcome == ANSWERED:
+            self._total.labels(call.transport).observe(call.arrival.elapsed_ms / 1e3)
             self._queue.observe(call.timing_ms["queue"] / 1e3)
             for stage in STAGES:
                 self._stages.labels(stage).observe(call.timing_ms.get(stage, 0.0) / 1e3)
