@@ -83,7 +83,18 @@ EXCEPTIONS = {
 }
 
 # What a light process must not carry unless its package's wall lets it in.
-HEAVY = {"fastapi", "matplotlib", "onnx", "onnxruntime", "pydantic", "scipy", "torch", "typer"}
+HEAVY = {
+    "fastapi",
+    "matplotlib",
+    "onnx",
+    "onnxruntime",
+    "opentelemetry",
+    "pydantic",
+    "ray",
+    "scipy",
+    "torch",
+    "typer",
+}
 
 
 def source_folder(package: str) -> Path:

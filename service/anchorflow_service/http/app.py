@@ -11,6 +11,7 @@ from starlette.middleware import Middleware
 from anchorflow_service.http.anchors import anchors_router
 from anchorflow_service.http.errors import install_error_handlers
 from anchorflow_service.http.guard import Guard
+from anchorflow_service.http.guard_documentation import document_guard
 from anchorflow_service.http.metrics import metrics_router
 from anchorflow_service.http.oip_models import models_router
 from anchorflow_service.http.openapi import document
@@ -45,7 +46,6 @@ def create_app(
         repository: bundles that may be loaded; None: there are no routes to do so.
         middleware: around all routes, refusals included; each sees the request's id.
     """
-
     metrics = Metrics(service)
 
     @asynccontextmanager
@@ -81,4 +81,6 @@ def create_app(
     app.include_router(metrics_router(metrics))
     install_error_handlers(app)
     document(app)
+    if tokens is not None:
+        document_guard(app)
     return app

@@ -76,6 +76,18 @@ def test_no_route_is_open_but_health_and_the_pages_files(app: FastAPI) -> None:
     assert "/page/flow" not in rest
 
 
+def test_the_documentation_says_what_needs_a_token(service: Any) -> None:
+    headers = {"Authorization": "Bearer robot-token"}
+    schema = service.request("GET", "/openapi.json", headers=headers).json()
+
+    assert schema["components"]["securitySchemes"] == {"token": {"type": "http", "scheme": "bearer"}}
+    for path, operations in schema["paths"].items():
+        for method, operation in operations.items():
+            needs = bool(scopes_for(method.upper(), path))
+            assert ("401" in operation["responses"]) == needs
+            assert (operation.get("security") == [{"token": []}]) == needs
+
+
 @pytest.mark.parametrize(
     ("headers", "message"),
     [
