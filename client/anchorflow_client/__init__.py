@@ -44,6 +44,8 @@ from anchorflow_client.errors import (
 from anchorflow_client.http import AnchorClient
 from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
+from anchorflow_client.planner import Planner, PlannerConfig
+from anchorflow_client.planner_plan import Plan, PlanState
 from anchorflow_client.transport import Transport
 
 __all__ = [
@@ -69,6 +71,10 @@ __all__ = [
     "OipCodec",
     "Overloaded",
     "Payload",
+    "Plan",
+    "PlanState",
+    "Planner",
+    "PlannerConfig",
     "RefineChoice",
     "RefineSpec",
     "RequestError",

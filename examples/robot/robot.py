@@ -22,9 +22,8 @@ from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.world import load_worlds
-from anchorflow_client import AnchorClient, AnchorFlowError
+from anchorflow_client import AnchorClient, AnchorFlowError, Planner, PlannerConfig
 from anchorflow_client.base_client import BaseClient
-from anchorflow_client.planner import Planner, PlannerConfig
 
 
 class PacedTime(SimulatedTime):

@@ -16,7 +16,7 @@ ADDRESS = "http://127.0.0.1:8000"
 """That the pages name."""
 
 
-@pytest.mark.parametrize("name", ["index.md", "clients.md"])
+@pytest.mark.parametrize("name", ["index.md", "clients.md", "planner.md"])
 def test_the_programs_of_a_page_run(name: str, service_url: str) -> None:
     seen: dict[str, Any] = {"__name__": "__main__"}
     programs = programs_of(DOCS / name)

@@ -80,7 +80,9 @@ def test_the_documentation_says_what_needs_a_token(service: Any) -> None:
     headers = {"Authorization": "Bearer robot-token"}
     schema = service.request("GET", "/openapi.json", headers=headers).json()
 
-    assert schema["components"]["securitySchemes"] == {"token": {"type": "http", "scheme": "bearer"}}
+    assert schema["components"]["securitySchemes"] == {
+        "token": {"type": "http", "scheme": "bearer"}
+    }
     for path, operations in schema["paths"].items():
         for method, operation in operations.items():
             needs = bool(scopes_for(method.upper(), path))
