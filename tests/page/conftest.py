@@ -44,9 +44,13 @@ HEADER_LENGTH = "inference-header-content-length"
 Point = tuple[float, float]
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """Chromium of the system, in ANCHORFLOW_CHROMIUM or on the path."""
+    """Chromium of the system, in ANCHORFLOW_CHROMIUM or on the path.
+
+    For a module only: while it is open, an event loop runs in this thread and no test may make
+    another.
+    """
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     found = filter(
         None, (os.environ.get("ANCHORFLOW_CHROMIUM"), *map(shutil.which, CHROMIUM_NAMES))

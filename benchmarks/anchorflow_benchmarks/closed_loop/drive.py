@@ -22,6 +22,7 @@ from anchorflow_client.planner import Planner
 from anchorflow_client.planner_plan import Plan
 
 SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are looked for
+SLOWEST = 4.0  # times slower than it is, as which a robot may ask
 OWN_DISC = 0.8  # of the robot's radius: hits within it are noise, the robot stands there
 
 
@@ -63,12 +64,17 @@ class Tick:
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """tick_s: between two commands; options: further fields of each request for anchors."""
+    """tick_s: between two commands; options: further fields of each request for anchors.
+
+    horizon_s: that anchors last; cruise: m/s at which they are to be driven
+    """
 
     tick_s: float = 0.1
     limit_s: float = 50.0
     map_cells: int = 128
     map_resolution: float = 0.08
+    horizon_s: float = 8.0
+    cruise: float = 1.5
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -138,7 +144,7 @@ class Drive:
             cost_map=occupied,
             resolution=local.resolution,
             origin=local.origin,
-            x_curr=robot.x_curr(self.state),
+            x_curr=self._in_slow_motion(robot.x_curr(self.state)),
             x_goal=[*self.world.goal, 0.0, 0.0],
             **self.config.options,
         )
@@ -151,6 +157,18 @@ class Drive:
         if chosen is not None:
             self._planner.follow(chosen)
         return command, plan
+
+    def _in_slow_motion(self, x_curr: NDArray[np.floating]) -> NDArray[np.floating]:
+        """A state [6] whose anchors, driven faster than they were asked for, are at cruise.
+
+        An anchor takes its whole horizon to the goal, however near that is: a fast robot would be
+        sent on detours. So it asks as if its time ran slower; the way is the same.
+        """
+        config, place = self.config, x_curr[:2]
+        beside = 0.5 * config.map_cells * config.map_resolution
+        way = min(float(np.linalg.norm(self.world.goal - place)), beside)
+        slower = np.clip(config.horizon_s * config.cruise / way, 1.0, SLOWEST)
+        return np.concatenate([place, x_curr[2:4] / slower, x_curr[4:] / slower**2])
 
     def _move(self, command: Tensor) -> End | None:
         """Carry a command out for a tick."""
