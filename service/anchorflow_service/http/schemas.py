@@ -21,9 +21,9 @@ Tensor3 = list[list[list[float]]]
 Tensor4 = list[list[list[list[float]]]]
 
 
-# What is asked, as far as a schema can tell. Beyond it is checked that the rows of a map are of one
-# length, that B and D are the same everywhere, and that start and goal lie on free cells.
-_SIDE = Field(min_length=ranges.MIN_MAP_CELLS, max_length=ranges.MAX_MAP_CELLS)
+# What is asked, as far as a schema tells. Beyond it is checked that a map has enough cells in rows
+# of one length, that B and D are the same everywhere, and that start and goal lie on free cells.
+_SIDE = Field(min_length=1, max_length=ranges.MAX_MAP_CELLS)
 _BATCH = Field(min_length=1, max_length=ranges.MAX_SCENES)
 Text = Annotated[str, Field(min_length=1, max_length=ranges.MAX_TEXT_LENGTH, pattern=r"^[ -~]*$")]
 Share = Annotated[float, Field(ge=0, le=1)]
