@@ -88,7 +88,6 @@ HEAVY = {
     "matplotlib",
     "onnx",
     "onnxruntime",
-    "opentelemetry",
     "pydantic",
     "ray",
     "scipy",

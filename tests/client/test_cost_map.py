@@ -47,3 +47,9 @@ def test_channel_0_is_the_occupancy() -> None:
     occupancy = CostMap.build(data, 0.1).occupancy
 
     np.testing.assert_array_equal(occupancy, data[:, 0].astype(np.float32))
+
+
+def test_a_point_far_away_is_in_the_nearest_cell_however_fine_the_map() -> None:
+    grid = cost_map(resolution=1e-308)
+
+    assert grid.cells_of(np.array([1e7, -1e7])).tolist() == [0, 19]

@@ -72,7 +72,8 @@ class CostMap:
 
     def cells_of(self, points: NDArray[np.float64]) -> NDArray[np.intp]:
         """(row, column) [...,2] of the cells that hold points [...,2] in m; the nearest outside."""
-        column_row = np.floor((points - self.origin) / self.resolution).astype(np.intp)
+        from_corner = np.clip(points, *self.extent) - self.origin
+        column_row = np.floor(from_corner / self.resolution).astype(np.intp)
         return np.clip(column_row[..., ::-1], 0, np.array(self.data.shape[-2:]) - 1)
 
 

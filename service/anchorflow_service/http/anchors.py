@@ -56,7 +56,7 @@ def header_length(request: Request) -> int | None:
     length = request.headers.get(HEADER_LENGTH)
     if length is None:
         return None
-    if not length.isdecimal() or len(length) > MAX_DIGITS:
+    if not length.isdecimal() or len(length) > MAX_DIGITS or int(length) < 1:
         raise InvalidRequest(f"expected a number of bytes, got {length[:40]!r}", HEADER_LENGTH)
     return int(length)
 

@@ -65,8 +65,27 @@ class InferOutputBody(_Body):
     parameters: OutputParametersBody | None = None
 
 
+EXAMPLE = {
+    "inputs": [
+        {"name": "cost_map", "datatype": "FP32", "shape": [1, 16, 16], "data": [0.0] * 256},
+        {"name": "map_geometry", "datatype": "FP32", "shape": [3], "data": [-4.0, -4.0, 0.5]},
+        {
+            "name": "x_curr",
+            "datatype": "FP64",
+            "shape": [6],
+            "data": [-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        },
+        {"name": "x_goal", "datatype": "FP64", "shape": [4], "data": [3.0, 1.0, 0.0, 0.0]},
+    ],
+    "parameters": {"num_samples": 4},
+}
+"""The same as that of `POST /anchors`."""
+
+
 class InferRequestBody(_Body):
     """Arrays are tensors, all other fields of a request parameters by their JSON path."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [EXAMPLE]})
 
     id: Text | None = Field(None, description="Echoed.")
     parameters: dict[str, Scalar] | None = Field(

@@ -106,7 +106,18 @@ class WarmStartBody(_Body):
     trajectory: Trajectory = Field(
         description="[T,D], [T,2D] or [T,3D]: p [m], v [m/s], a [m/s^2]; D is the model's, 2 or 3."
     )
-    tau: float = _within(ranges.INSIDE_UNIT, "Flow time to start at", default=ranges.DEFAULT_TAU)
+    tau: float | None = _within(
+        ranges.INSIDE_UNIT, "Flow time to start at", default=ranges.DEFAULT_TAU
+    )
+
+
+EXAMPLE = {
+    "cost_map": {"data": [[[0.0] * 16] * 16], "resolution": 0.5},
+    "x_curr": [-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    "x_goal": [3.0, 1.0, 0.0, 0.0],
+    "num_samples": 4,
+}
+"""A free map of 8 m around (0, 0), crossed from left to right."""
 
 
 class AnchorRequestBody(_Body):
@@ -115,6 +126,8 @@ class AnchorRequestBody(_Body):
     A leading B on cost_map.data, x_curr, x_goal or w_style makes it a batch of scenes; a field
     without it is shared by all of them.
     """
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [EXAMPLE]})
 
     cost_map: CostMapBody
     x_curr: State | Annotated[list[State], _BATCH] = Field(
@@ -125,11 +138,11 @@ class AnchorRequestBody(_Body):
     x_goal: Goal | Annotated[list[Goal], _BATCH] = Field(
         description="[4] or [B,4]: p [m], v [m/s]; [6] or [B,6] with heading."
     )
-    w_style: Style | Annotated[list[Style], _BATCH] = Field(
+    w_style: Style | Annotated[list[Style], _BATCH] | None = Field(
         list(ranges.DEFAULT_STYLE),
         description="[3] or [B,3] at least 0: safety, energy, smooth; made to sum to 1.",
     )
-    num_samples: int = _within(
+    num_samples: int | None = _within(
         ranges.NUM_SAMPLES, "N, anchors a scene", default=ranges.DEFAULT_NUM_SAMPLES
     )
     robot_radius: float | None = _within(

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from urllib.parse import quote
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -25,6 +26,7 @@ class Exchange:
 
     method: str
     path: str
+    """Percent-encoded: what a caller sends cannot begin a line of the log."""
     route: str
     """The template that the path matched: /v2/models/{name}."""
     status: int
@@ -91,7 +93,7 @@ def _exchange(scope: Scope, status: int, seconds: float) -> Exchange:
     state = scope.get("state", {})
     return Exchange(
         method=scope["method"],
-        path=scope["path"],
+        path=quote(scope["path"]),
         route=getattr(scope.get("route"), "path", OTHER),
         status=status,
         seconds=seconds,

@@ -107,6 +107,16 @@ def test_callers_cannot_invent_labels(service: Any, fields: dict[str, Any]) -> N
     assert len(samples_of(text)) < before + 100
 
 
+def test_a_path_cannot_begin_a_line_of_the_log(
+    service: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level("INFO", "anchorflow_service.access"):
+        service.request("GET", "/a%0AERROR%20all%20is%20lost")
+
+    (record,) = caplog.records
+    assert record.getMessage().startswith("GET /a%0AERROR%20all%20is%20lost 404 in ")
+
+
 def test_a_path_with_a_name_in_it_is_one_route(service: Any) -> None:
     for name in ("lines", "bows"):
         assert service.request("GET", f"/v2/models/{name}/ready").status_code == 200

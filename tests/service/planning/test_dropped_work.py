@@ -220,14 +220,15 @@ def test_who_is_refused_a_place_costs_no_reading(
     service: PlanningService, stepping: SteppingEngine, ask: Ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def refuse() -> None:
-        held = [ask() for _ in range(3)]
+        first = ask()
         await until_at_work(stepping)
+        waiting = [ask(), ask()]
         await until_waiting(service, 2)
         monkeypatch.setattr(JsonCodec, "decode_request", None)
         with pytest.raises(Overloaded):
             await ask()
         stepping.steps.release(9)
-        await asyncio.gather(*held)
+        await asyncio.gather(first, *waiting)
 
     with service:
         asyncio.run(refuse())
