@@ -75,7 +75,9 @@ class Served:
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        """Returns when it listens."""
+        """Returns when it listens, at once where it does."""
+        if self._process is not None:
+            return
         self._process = subprocess.Popen(
             [sys.executable, "-u", "-c", SERVE, "--port", str(self.port), *self._options],
             stdout=subprocess.PIPE,
