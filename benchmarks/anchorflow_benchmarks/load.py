@@ -57,12 +57,12 @@ class Tally:
                 self.errors[getattr(error, "code", type(error).__name__)] += 1
 
 
-def over_http(url: str, codec: Codec | None = None) -> Connect:
+def over_http(url: str, codec: Codec) -> Connect:
     """Clients of a server on this machine, each with a connection that is kept alive.
 
     Args:
         url: of the server.
-        codec: the form of what is sent and answered; JSON unless told.
+        codec: the form of what is sent and answered.
 
     Raises:
         BenchmarkError: the URL names another machine, which is nobody's to load.

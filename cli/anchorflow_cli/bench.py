@@ -37,6 +37,7 @@ from anchorflow_cli import bench_closed_loop, bench_serving, bench_soak, bench_z
 from anchorflow_cli.bench_output import progress, say, show_and_write, whole_numbers
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
+from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.cores import usable_cores
@@ -194,7 +195,7 @@ def load(
         ways = {
             "in-process": in_process(Engine(opened)),
             "HTTP JSON": over_http(address, OrjsonCodec()),
-            "HTTP JSON, AnchorClient's own": over_http(address),
+            "HTTP JSON, standard library": over_http(address, JsonCodec()),
             "HTTP binary": over_http(address, OipCodec()),
         }
         table = load_table(ways, asked, config, progress=say)

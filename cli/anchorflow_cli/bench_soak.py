@@ -16,6 +16,7 @@ from anchorflow_benchmarks.scene_files import load_scenes
 from anchorflow_benchmarks.serving.served import served
 from anchorflow_benchmarks.soak import SoakConfig, soak_table
 from anchorflow_cli.bench_output import say, show_and_write
+from anchorflow_client import JsonCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 
@@ -47,6 +48,8 @@ def soak(
             done += count
             say(f"{done} of {requests} requests")
 
-        table = soak_table(over_http(server.url), server.pid, asked, config, progress=tell)
+        table = soak_table(
+            over_http(server.url, JsonCodec()), server.pid, asked, config, progress=tell
+        )
     about = {"bundle": opened.card.name, "anchors a request": str(num), "scenes": scenes}
     show_and_write(Report("soak", "Soak", about | circumstances(), [table]), out)

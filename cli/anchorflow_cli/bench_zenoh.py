@@ -27,7 +27,6 @@ from anchorflow_cli.bench_output import say, show_and_write
 from anchorflow_cli.extras import needs_extra
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.http import AnchorClient
-from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.engine import Engine
 
@@ -104,7 +103,7 @@ def _ways(opened: Bundle, bundle: Path, stack: ExitStack) -> dict[str, Ask]:
     line = service.start()  # NAME VERSION at URL (bundle FOLDER)
     stack.callback(service.kill)
     url = line.partition(" at ")[2].partition(" ")[0]
-    http = stack.enter_context(AnchorClient(url, codec=OipCodec()))
+    http = stack.enter_context(AnchorClient(url))
     by_router = stack.enter_context(_client(router))
     directly = stack.enter_context(_client(direct))
     return {

@@ -16,11 +16,13 @@ from anchorflow_client.errors import (
     RequestError,
     TimedOut,
 )
-from anchorflow_client.json_codec import JsonCodec
+from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.transport import SocketTransport, Transport
 
 MAX_DIGITS = 18
 """Of a number in a header, which fits 64 bits."""
+PROXY_STATUSES = frozenset({500, 502, 503, 504})
+"""With which a proxy says that it does not reach the service; 501 is another program's."""
 
 
 class AnchorClient(BaseClient):
@@ -52,10 +54,10 @@ class AnchorClient(BaseClient):
             connect_timeout_s: longest wait for a connection.
             token: sent as a bearer token.
             transport: carries the requests in place of a socket.
-            codec: the form of the contract on the wire; JSON unless told.
+            codec: the form of the contract on the wire: binary unless told, `JsonCodec()` to read along.
         """
         self._transport = transport or SocketTransport(url, connect_timeout_s=connect_timeout_s)
-        self._codec = codec or JsonCodec()
+        self._codec = codec or OipCodec()
         self._timeout_s = timeout_s
         self._base_path = urlsplit(url).path.rstrip("/")
         self._headers = {"Accept": self._codec.content_type}
@@ -109,7 +111,12 @@ class AnchorClient(BaseClient):
 
 
 def _refusal(status: int, headers: Mapping[str, str], body: bytes) -> RequestError:
-    """The service's own words. Raises `InvalidAnswer` where they are not the contract's."""
+    """The service's own words.
+
+    Raises:
+        ConnectionFailed: they are those of a proxy, which has no way to the service.
+        InvalidAnswer: they are not the contract's in another way.
+    """
     try:
         return RequestError.from_dict(
             json.loads(body),
@@ -117,6 +124,9 @@ def _refusal(status: int, headers: Mapping[str, str], body: bytes) -> RequestErr
             retry_after_s=_whole_number(headers.get("retry-after")),
         )
     except (ValueError, InvalidAnswer) as error:
+        if status in PROXY_STATUSES:
+            proxy = f"status {status}, not in the service's own words: a proxy before it answers"
+            raise ConnectionFailed(proxy) from error
         raise InvalidAnswer(f"status {status} without the contract's error JSON") from error
 
 

@@ -47,7 +47,7 @@ def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
     assert [(row["way"], row["requests"], row["errors"]) for row in rows] == [
         ("in-process", 5, 0),
         ("HTTP JSON", 5, 0),
-        ("HTTP JSON, AnchorClient's own", 5, 0),
+        ("HTTP JSON, standard library", 5, 0),
         ("HTTP binary", 5, 0),
     ]
 

@@ -11,6 +11,7 @@ import pytest
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.load import Connect, LoadConfig, load_table, over_http, run_level
+from anchorflow_client import JsonCodec
 from anchorflow_client.errors import Overloaded
 
 REQUESTS: Any = ["first", "second"]
@@ -88,10 +89,10 @@ def test_a_row_for_each_way_and_number_of_clients() -> None:
 @pytest.mark.parametrize("url", ["http://192.0.2.1:8000", "http://robot.example", "nonsense"])
 def test_another_machine_is_not_loaded(url: str) -> None:
     with pytest.raises(BenchmarkError, match="of this machine"):
-        over_http(url)
+        over_http(url, JsonCodec())
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:8000", "http://localhost:1", "http://[::1]:80"])
 def test_this_machine_is(url: str) -> None:
     with ExitStack() as stack:
-        assert callable(over_http(url)(stack))
+        assert callable(over_http(url, JsonCodec())(stack))

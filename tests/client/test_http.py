@@ -16,8 +16,11 @@ from anchorflow_client import (
     InternalError,
     InvalidAnswer,
     InvalidRequest,
+    JsonCodec,
     ModelCard,
+    OipCodec,
     Overloaded,
+    Payload,
 )
 from anchorflow_client.transport import HttpAnswer
 
@@ -70,6 +73,7 @@ class Broken(Canned):
 
 
 def client(transport: Canned, **options: Any) -> AnchorClient:
+    options = {"codec": JsonCodec()} | options
     return AnchorClient("http://robot:8000/base/", transport=transport, **options)
 
 
@@ -85,6 +89,21 @@ def test_a_plan_is_one_post(fields: dict[str, Any]) -> None:
     assert json.loads(body or b"")["num_samples"] == 1
     assert anchors.trajectories.shape == (1, 2, 2)
     assert (anchors.seed, anchors.request_id, anchors.model.name) == (3, "r1", "lines")
+
+
+def test_binary_is_the_form_unless_one_is_told(fields: dict[str, Any]) -> None:
+    answer = JsonCodec().decode_answer(Payload(json.dumps(ANSWER).encode()))
+    binary = OipCodec().encode_answer(answer)
+    length = str(binary.header_length)
+    transport = Canned(binary.body, headers={"inference-header-content-length": length})
+
+    anchors = client(transport, codec=None).plan(**fields)
+
+    assert anchors.seed == ANSWER["seed"]
+    ((_, _, headers, body, _),) = transport.sent
+    assert headers["Content-Type"] == headers["Accept"] == "application/octet-stream"
+    assert body is not None
+    assert json.loads(body[: int(headers["Inference-Header-Content-Length"])])["inputs"]
 
 
 @pytest.mark.parametrize("shape", [(16, 20), (1, 16, 20), (2, 1, 16, 20)])
@@ -123,12 +142,30 @@ def test_a_refusal_is_raised_with_its_field(fields: dict[str, Any]) -> None:
     assert caught.value.retry_after_s == 7
 
 
-@pytest.mark.parametrize("body", [b"<html>Bad gateway</html>", b"[]", b""])
+@pytest.mark.parametrize("body", [b"<html>Not found</html>", b"[]", b""])
+@pytest.mark.parametrize("status", [404, 501])
 def test_an_error_of_another_program_is_an_invalid_answer(
-    fields: dict[str, Any], body: bytes
+    fields: dict[str, Any], status: int, body: bytes
 ) -> None:
-    with pytest.raises(InvalidAnswer, match="502"):
-        client(Canned(body, 502)).plan(**fields)
+    with pytest.raises(InvalidAnswer, match=f"status {status} without the contract's error JSON"):
+        client(Canned(body, status)).plan(**fields)
+
+
+@pytest.mark.parametrize(
+    "body", [b"<html>Bad gateway</html>", b"Internal Server Error", b"[]", b""]
+)
+@pytest.mark.parametrize("status", [500, 502, 503, 504])
+def test_what_a_proxy_says_is_a_failed_connection(
+    fields: dict[str, Any], status: int, body: bytes
+) -> None:
+    """Behind it the service may be gone for a moment: the request may be sent again."""
+    with pytest.raises(ConnectionFailed, match=f"status {status}, not in the service's own words"):
+        client(Canned(body, status)).plan(**fields)
+
+
+def test_a_service_behind_a_proxy_that_does_not_reach_it_is_not_ready() -> None:
+    assert not client(Canned(b"<html>Bad gateway</html>", 502)).ready()
+    assert not client(Canned(b"<html>Bad gateway</html>", 502)).live()
 
 
 def test_cards_are_read(card: ModelCard) -> None:

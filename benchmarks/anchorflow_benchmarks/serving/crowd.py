@@ -14,7 +14,6 @@ from time import perf_counter
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.errors import AnchorFlowError, Overloaded
 from anchorflow_client.http import AnchorClient
-from anchorflow_client.oip_codec import OipCodec
 
 TIMEOUT_S = 120.0
 # In a process of its own: what is measured is the server's delay, not that of 64 threads here.
@@ -95,7 +94,7 @@ def crowd(url: str, requests: Sequence[AnchorRequest], config: CrowdConfig) -> S
 def _client(
     url: str, requests: Sequence[AnchorRequest], turn: int, until: float, seen: Seen
 ) -> None:
-    with AnchorClient(url, timeout_s=TIMEOUT_S, codec=OipCodec()) as client:
+    with AnchorClient(url, timeout_s=TIMEOUT_S) as client:
         while perf_counter() < until:
             start = perf_counter()
             try:
