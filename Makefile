@@ -46,7 +46,7 @@ image:  ## Build the image with buildah, run it, ask it for anchors (as root; sk
 	docker/build_and_try.sh
 
 clean:  ## Remove .venv, caches and what was built
-	rm -rf $(VENV) dist site .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) artefacts dist site .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.created:

@@ -74,7 +74,8 @@ class ContestConfig:
     robot: str = "unicycle"
     mppi: MppiConfig = field(default_factory=MppiConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
-    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    # Local goals are passed in slow motion too, see `Drive`.
+    planner: PlannerConfig = PlannerConfig(period_ms=200.0, through_speed=0.6)
 
 
 @dataclass(frozen=True)
