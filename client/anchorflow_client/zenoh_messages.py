@@ -128,6 +128,8 @@ class ReplicaInfo:
     load: Load
     models: tuple[ModelCard, ...]
     """The default first."""
+    default: str
+    """The model that answers where none is named; it may be unloaded at present."""
 
     def to_bytes(self) -> bytes:
         """UTF-8 JSON."""
@@ -137,6 +139,7 @@ class ReplicaInfo:
                 "ready": self.ready,
                 "load": asdict(self.load),
                 "models": [card.to_dict() for card in self.models],
+                "default": self.default,
             }
         )
 
@@ -150,6 +153,7 @@ class ReplicaInfo:
                 ready=said.get("ready") is True,
                 load=Load.from_fields(said.get("load")),
                 models=tuple(map(ModelCard.from_dict, said["models"])),
+                default=text(said.get("default"), "default"),
             )
         except (InvalidRequest, ValueError, TypeError, KeyError, AttributeError) as error:
             raise InvalidAnswer(f"not what a replica tells of itself: {error!r}") from error

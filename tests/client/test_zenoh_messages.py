@@ -72,14 +72,18 @@ def test_an_answers_attachment_is_not_believed(change: dict[str, Any]) -> None:
 
 
 def test_a_replica_tells_its_cards(card: ModelCard) -> None:
-    info = ReplicaInfo("a", ready=True, load=BUSY, models=(card,))
+    info = ReplicaInfo("a", ready=True, load=BUSY, models=(card,), default="lines")
 
     assert ReplicaInfo.from_bytes(info.to_bytes()) == info
 
 
-@pytest.mark.parametrize("change", [{"models": None}, {"models": [{}]}, {"replica": ""}])
+@pytest.mark.parametrize(
+    "change", [{"models": None}, {"models": [{}]}, {"replica": ""}, {"default": 3}]
+)
 def test_what_a_replica_tells_is_not_believed(card: ModelCard, change: dict[str, Any]) -> None:
-    told = json.loads(ReplicaInfo("a", ready=True, load=BUSY, models=(card,)).to_bytes())
+    told = json.loads(
+        ReplicaInfo("a", ready=True, load=BUSY, models=(card,), default="lines").to_bytes()
+    )
 
     with pytest.raises(InvalidAnswer):
         ReplicaInfo.from_bytes(json.dumps(told | change).encode())

@@ -5,16 +5,23 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from anyio.from_thread import BlockingPortal, start_blocking_portal
+from fastapi import FastAPI
 
-from anchorflow_client import AnchorRequest, OipCodec, Payload
-from anchorflow_client.zenoh_client import ZenohSettings
+from anchorflow_client import AnchorRequest, OipCodec, Payload, UnknownModel
+from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import PlanningService
+from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.repository import BundleFolders, Repository
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 CODEC = OipCodec()
@@ -28,7 +35,7 @@ def endpoint() -> str:
 
 
 def over_zenoh(endpoint: str, sent: Payload) -> Payload:
-    """What replica "a" answers."""
+    """What replica "a" answers; an error has no header."""
     attachment = json.dumps({"header_length": sent.header_length}).encode()
     with open_session(ZenohSettings(mode="client", connect=(endpoint,))) as session:
         (reply,) = session.get(
@@ -37,6 +44,8 @@ def over_zenoh(endpoint: str, sent: Payload) -> Payload:
             attachment=attachment,
             timeout=20.0,
         )
+    if reply.err is not None:
+        return Payload(reply.err.payload.to_bytes(), None)
     assert reply.ok is not None
     assert reply.ok.attachment is not None
     said = json.loads(reply.ok.attachment.to_bytes())
@@ -44,10 +53,15 @@ def over_zenoh(endpoint: str, sent: Payload) -> Payload:
 
 
 async def over_http(client: httpx.AsyncClient, sent: Payload) -> Payload:
+    """The same; an error has no header either."""
     headers = {"Content-Type": CODEC.content_type, LENGTH: str(sent.header_length)}
     answer = await client.post("/anchors", content=sent.body, headers=headers)
-    assert answer.status_code == 200
-    return Payload(answer.content, int(answer.headers[LENGTH]))
+    length = answer.headers.get(LENGTH)
+    return Payload(answer.content, None if length is None else int(length))
+
+
+def in_process(app: FastAPI) -> httpx.AsyncClient:
+    return httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://test")
 
 
 def both(planning: PlanningService, endpoint: str, sent: Payload) -> list[Payload]:
@@ -56,11 +70,7 @@ def both(planning: PlanningService, endpoint: str, sent: Payload) -> list[Payloa
     app = create_app(planning, endpoints=[zenoh])
 
     async def ask() -> list[Payload]:
-        transport = httpx.ASGITransport(app=app)
-        async with (
-            app.router.lifespan_context(app),
-            httpx.AsyncClient(transport=transport, base_url="http://test") as client,
-        ):
+        async with app.router.lifespan_context(app), in_process(app) as client:
             return [
                 await over_http(client, sent),
                 await asyncio.to_thread(over_zenoh, endpoint, sent),
@@ -77,7 +87,71 @@ def test_the_answers_are_the_same_bytes(engine: Any, endpoint: str, fields: dict
     by_http, by_zenoh = both(planning, endpoint, sent)
 
     assert by_http == by_zenoh
+    assert by_http.header_length
     assert CODEC.decode_answer(by_http).request_id == "r1"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [({"v_max": 9.0}, "v_max"), ({"x_curr": [0.0] * 9, "x_goal": [0.0] * 6}, "x_curr")],
+)
+def test_the_refusals_are_the_same_bytes(
+    planning: PlanningService,
+    endpoint: str,
+    fields: dict[str, Any],
+    wrong: dict[str, Any],
+    field: str,
+) -> None:
+    sent = CODEC.encode_request(AnchorRequest.from_fields(fields | wrong))
+
+    by_http, by_zenoh = both(planning, endpoint, sent)
+
+    assert by_http == by_zenoh
+    error = json.loads(by_http.body)["error"]
+    assert (error["code"], error["field"]) == ("invalid_request", field)
+
+
+def test_what_is_loaded_over_http_is_served_over_zenoh(
+    tiny_bundle: Path,
+    edit_manifest: Callable[..., None],
+    endpoint: str,
+    small_request: Callable[..., AnchorRequest],
+) -> None:
+    """And what is unloaded there is served no longer, nor by the client's older knowledge."""
+
+    def opened(folder: Path) -> Engine:
+        return Engine(load_bundle(folder), threads=1)
+
+    engines = {"tiny": opened(tiny_bundle)}
+    planning = PlanningService(engines, default="tiny", limits=Limits(threads=1))
+    repository = Repository(planning.engines, BundleFolders([tiny_bundle]), opened)
+    session = open_session(ZenohSettings(listen=(endpoint,)))
+    app = create_app(planning, endpoints=[ZenohEndpoint(planning, session)], repository=repository)
+    # What lies in the folder from now on is another model.
+    edit_manifest("name", to="newer")
+
+    def ask(zenoh: ZenohAnchorClient, name: str) -> str:
+        return zenoh.plan_request(small_request(model=name)).model.name
+
+    def change(portal: BlockingPortal, http: httpx.AsyncClient, what: str) -> None:
+        assert portal.call(http.post, f"/v2/repository/models/{what}").status_code == 200
+
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
+        portal.wrap_async_context_manager(in_process(app)) as http,
+        ZenohAnchorClient(endpoint, timeout_s=20) as zenoh,
+    ):
+        assert ask(zenoh, "tiny") == "tiny"
+        with pytest.raises(UnknownModel):
+            ask(zenoh, "newer")
+        change(portal, http, "newer/load")
+        assert [ask(zenoh, "newer"), ask(zenoh, "tiny")] == ["newer", "tiny"]
+        change(portal, http, "tiny/unload")
+        assert portal.call(http.get, "/v2/models/tiny/ready").status_code == 404
+        with pytest.raises(UnknownModel, match=r"\(newer\), got 'tiny'"):
+            ask(zenoh, "tiny")
+        assert ask(zenoh, "newer") == "newer"
 
 
 def test_with_a_running_clock_only_the_times_differ(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import zenoh
 
 from anchorflow_client.codec import Payload
+from anchorflow_client.contract.ranges import BUDGET
 from anchorflow_client.errors import (
     AnchorFlowError,
     Cancelled,
@@ -21,10 +22,12 @@ from anchorflow_client.errors import (
     RequestError,
     TimedOut,
     Unauthorized,
+    UnknownModel,
 )
 from anchorflow_client.keys import replica_anchors_key
 from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.network import Network, translated
+from anchorflow_client.zenoh_client.replicas import Choice
 from anchorflow_client.zenoh_messages import AnswerAttachment, Load, RequestAttachment
 
 SETTLE_S = 0.3
@@ -46,8 +49,6 @@ class Question:
     request_id: str
     model: str | None
     deadline: Deadline
-    has_budget: bool
-    """Whether the service is told how much time is left."""
 
 
 @dataclass
@@ -55,6 +56,7 @@ class _Attempt:
     """One query on its way."""
 
     replica: str
+    model: str
     key: str
     sent: float
     patience_s: float
@@ -77,7 +79,7 @@ class Asking:
         self._outcomes: queue.SimpleQueue[_Outcome] = queue.SimpleQueue()
         self._open: dict[str, _Attempt] = {}
         self._tried: list[str] = []
-        self._empty: dict[str, str] = {}
+        self._empty: dict[str, _Attempt] = {}
         self._refusal: RequestError | None = None
 
     def cancel(self) -> None:
@@ -88,7 +90,8 @@ class Asking:
         """The answer's bytes.
 
         Raises:
-            RequestError: a replica refuses; where it is full or starting, all of them do.
+            RequestError: a replica refuses; where it is full or starting or has not the model, all
+                of them do.
             Unauthorized: replicas are alive, and what is asked does not reach them.
             ConnectionFailed: none is alive.
             TimedOut: none answered in time.
@@ -131,30 +134,63 @@ class Asking:
 
     def _ask_another(self) -> None:
         """Asks the next replica, if there is one. Raises where nothing is left to wait for."""
-        question, left_s = self._question, self._question.deadline.left_s
+        left_s = self._question.deadline.left_s
         if not left_s:
             raise self._timed_out()
-        choice = self._replicas.choose(question.model, self._tried)
+        choice = self._choose()
         if choice is None:
             if self._open:
                 return
             raise self._verdict()
         patience_s = max(left_s * HEDGE_SHARE, 2e-3 * choice.expected_ms)
         key = replica_anchors_key(choice.replica, choice.model)
+        cancellation = zenoh.CancellationToken()
         attempt = _Attempt(
-            choice.replica, key, time.monotonic(), patience_s, zenoh.CancellationToken()
+            choice.replica, choice.model, key, time.monotonic(), patience_s, cancellation
         )
         self._tried.append(choice.replica)
         self._open[choice.replica] = attempt
         self._replicas.begin(choice.replica)
         self._send(attempt, left_s)
 
+    def _choose(self) -> Choice | None:
+        """The next replica. Raises `UnknownModel`."""
+        model = self._question.model
+        try:
+            choice = self._replicas.choose(model, self._tried)
+            if choice is None and not self._open and self._forget_who_dropped_the_model():
+                choice = self._replicas.choose(model, self._tried)
+            return choice
+        except UnknownModel:  # by what the replicas told last; it may have been loaded since
+            if self._open:  # what was taken before the model went is still answered
+                return None
+            self._hear_anew()
+            return self._replicas.choose(model, self._tried)
+
+    def _forget_who_dropped_the_model(self) -> bool:
+        """Whether somebody was asked in vain who serves that model no longer."""
+        if self._empty:
+            self._hear_anew()
+        dropped = [
+            name
+            for name, attempt in self._empty.items()
+            if self._replicas.has_dropped(name, attempt.model)
+        ]
+        for name in dropped:
+            del self._empty[name]
+            self._tried.remove(name)
+        return bool(dropped)
+
+    def _hear_anew(self) -> None:
+        self._network.hear_anew(min(SETTLE_S, self._question.deadline.left_s))
+
     def _send(self, attempt: _Attempt, left_s: float) -> None:
         question, name = self._question, attempt.replica
         attachment = RequestAttachment(
             header_length=question.payload.header_length,
             request_id=question.request_id,
-            budget_ms=left_s * 1e3 if question.has_budget else None,
+            # Whatever becomes of this client, the service drops the request by its own clock.
+            budget_ms=min(left_s * 1e3, BUDGET.high),
         )
 
         def hand_over(reply: zenoh.Reply | None = None) -> None:
@@ -216,12 +252,12 @@ class Asking:
             self._close(attempt, None, failed=True)
             logger.warning("request %s: nothing came from %s", request_id, name)
             if data is None:
-                self._empty[name] = attempt.key
+                self._empty[name] = attempt
             return
         refusal = _refusal(data)
-        another_may_do = isinstance(refusal, Overloaded | NotReady)
-        self._close(attempt, None, failed=another_may_do)
-        if not another_may_do:
+        is_busy = isinstance(refusal, Overloaded | NotReady)
+        self._close(attempt, None, failed=is_busy)
+        if not is_busy and not isinstance(refusal, UnknownModel):
             raise refusal
         logger.warning("request %s: %s refused: %s", request_id, name, refusal)
         self._refusal = refusal
@@ -239,7 +275,7 @@ class Asking:
         if denied and wait_s < SETTLE_S:  # too early to know whether they died
             return self._timed_out()
         if denied:
-            keys = ", ".join(self._empty[name] for name in denied)
+            keys = ", ".join(self._empty[name].key for name in denied)
             alive = f"{', '.join(denied)} is alive, and nothing comes back from {keys}"
             return Unauthorized(f"{alive}: access control denies it to this node")
         if self._empty:

@@ -48,7 +48,8 @@ class ZenohAnchorClient(BaseClient):
 
         Args:
             where: endpoints to connect to, such as tcp/127.0.0.1:7447, or settings.
-            timeout_s: longest wait for an answer, where the request brings no budget.
+            timeout_s: longest wait for an answer, and the budget that the service is told, where
+                the request brings none.
         """
         self._connection = Connection(_settings(where))
         self._timeout_s = timeout_s
@@ -72,7 +73,6 @@ class ZenohAnchorClient(BaseClient):
             request_id=request.request_id or uuid.uuid4().hex,
             model=request.model,
             deadline=deadline,
-            has_budget=budget_ms is not None,
         )
         asking = Asking(self._settled(deadline), question)
         cancellations = [self._closing, *([] if cancellation is None else [cancellation])]

@@ -19,7 +19,7 @@ from anchorflow_client.errors import (
 from anchorflow_client.keys import ALL_INFO, ALL_REPLICAS, info_key, replica_of
 from anchorflow_client.zenoh_client.background import Background
 from anchorflow_client.zenoh_client.deadline import Deadline
-from anchorflow_client.zenoh_client.replicas import Replicas
+from anchorflow_client.zenoh_client.replicas import FRESH_S, Replicas
 from anchorflow_client.zenoh_messages import ReplicaInfo
 
 DISCOVERY_S = 0.5
@@ -43,6 +43,7 @@ class Network:
         self.replicas = Replicas()
         self._explaining = explaining
         self._seen_by = time.monotonic() + DISCOVERY_S
+        self._was_let_in = bool(session.info.transports())
         session.liveliness().declare_subscriber(ALL_REPLICAS, self._see, history=True)
 
     def settle(self, deadline: Deadline) -> None:
@@ -50,6 +51,11 @@ class Network:
         self._refresh()
         early_s = max(0.0, self._seen_by - time.monotonic())
         self.replicas.wait_until_known(deadline.left_s, somebody_s=early_s)
+
+    def hear_anew(self, timeout_s: float) -> None:
+        """Has every replica tell of itself now: models come and go."""
+        self._refresh(fresh_s=0.0)
+        self.replicas.wait_until_told(timeout_s)
 
     def infos(self, deadline: Deadline) -> list[ReplicaInfo]:
         """What the replicas tell of themselves now; those that say nothing are left out.
@@ -80,9 +86,13 @@ class Network:
             seen = "no service is alive there that this node may see"
             return ConnectionFailed(f"connected to {nodes}: {seen}")
         try:
-            return self._explaining.result(deadline.left_s)
+            reason = self._explaining.result(deadline.left_s)
         except TimedOut:
             return ConnectionFailed("not connected to any zenoh node")
+        if self._was_let_in and isinstance(reason, Unauthorized):
+            # Who was started again listens for a while before zenoh has mended the connection.
+            return ConnectionFailed(f"the connection broke and is not mended yet, or {reason}")
+        return reason
 
     def close(self) -> None:
         """Leave the network."""
@@ -93,15 +103,16 @@ class Network:
         name = replica_of(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.PUT:
             logger.info("replica %s is alive", name)
+            self._was_let_in = True
             self.replicas.appear(name)
             self._refresh()
         else:
             logger.info("replica %s is gone", name)
             self.replicas.vanish(name)
 
-    def _refresh(self) -> None:
+    def _refresh(self, *, fresh_s: float = FRESH_S) -> None:
         """Has those tell of themselves whose word is old; waits for none of them."""
-        for name in self.replicas.to_be_asked():
+        for name in self.replicas.to_be_asked(fresh_s=fresh_s):
             self._have_told(name)
 
     def _have_told(self, name: str) -> None:

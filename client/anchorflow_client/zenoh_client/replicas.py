@@ -25,6 +25,8 @@ class _Replica:
     name: str
     models: tuple[ModelCard, ...] | None = None
     """None: it has not told yet, or may not."""
+    default: str | None = None
+    """Answers where no model is named; served at present or not."""
     is_silent: bool = False
     """It was asked to tell, and nothing came."""
     is_ready: bool = True
@@ -73,7 +75,8 @@ class Replicas:
         """It told of itself."""
         with self._changed:
             if replica := self._alive.get(info.replica):
-                replica.models, replica.is_ready = info.models, info.ready
+                replica.models, replica.default = info.models, info.default
+                replica.is_ready = info.ready
                 replica.is_silent = replica.is_being_asked = False
                 replica.load, replica.told_at = info.load, self._clock()
                 self._changed.notify_all()
@@ -86,14 +89,14 @@ class Replicas:
                 replica.told_at = self._clock()
                 self._changed.notify_all()
 
-    def to_be_asked(self) -> list[str]:
-        """Those whose word is old; they count as being asked from now on."""
+    def to_be_asked(self, *, fresh_s: float = FRESH_S) -> list[str]:
+        """Those whose word is older than that; they count as being asked from now on."""
         now = self._clock()
         with self._changed:
             stale = [
                 replica
                 for replica in self._alive.values()
-                if not replica.is_being_asked and now - replica.told_at > FRESH_S
+                if not replica.is_being_asked and now - replica.told_at > fresh_s
             ]
             for replica in stale:
                 replica.is_being_asked = True
@@ -119,7 +122,8 @@ class Replicas:
         """The replica that likely answers first, of those not tried; None where there is none.
 
         Raises:
-            UnknownModel: every replica told what it serves, and none serves the model.
+            UnknownModel: every replica told what it serves, and none serves the model; for None,
+                none serves its default.
         """
         with self._changed:
             self._check_model(model)
@@ -136,6 +140,12 @@ class Replicas:
             replica, name = min(open_to, key=lambda pair: self._rank(pair[0], unknown_ms))
             expected_ms = replica.load.expected_ms(replica.outstanding)
             return Choice(replica.name, name, expected_ms)
+
+    def has_dropped(self, name: str, model: str) -> bool:
+        """Whether it is alive and tells that it does not serve the model."""
+        with self._changed:
+            replica = self._alive.get(name)
+            return replica is not None and _served_as(replica, model) is None
 
     def alive(self) -> tuple[str, ...]:
         """Their names."""
@@ -165,6 +175,14 @@ class Replicas:
                     return
                 self._changed.wait(min(left, early) if early > 0 else left)
 
+    def wait_until_told(self, timeout_s: float) -> None:
+        """Until nobody is being asked to tell of himself any more."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: not any(replica.is_being_asked for replica in self._alive.values()),
+                timeout_s,
+            )
+
     def wait_until_gone(self, names: Iterable[str], timeout_s: float) -> list[str]:
         """Waits for the names to vanish; gives those that are still alive then."""
         wanted = set(names)
@@ -185,17 +203,19 @@ class Replicas:
     def _check_model(self, model: str | None) -> None:
         replicas = self._alive.values()
         told = [replica.models for replica in replicas if replica.models is not None]
-        served = {card.name for models in told for card in models}
-        if model is None or not served or len(told) < len(replicas) or model in served:
+        if not told or len(told) < len(replicas):
             return
-        names = ", ".join(sorted(served))
-        raise UnknownModel(f"expected a model that is served ({names}), got {model!r}", "model")
+        if any(_served_as(replica, model) for replica in replicas):
+            return
+        names = ", ".join(sorted({card.name for models in told for card in models}))
+        which = "the default" if model is None else repr(model)
+        wrong = f"expected a model that is served ({names or 'none at present'}), got {which}"
+        raise UnknownModel(wrong, "model")
 
 
 def _served_as(replica: _Replica, model: str | None) -> str | None:
     """The model's name where the replica serves it, or may; its default for None."""
     if replica.models is None:
         return model
-    if model is None:
-        return replica.models[0].name if replica.models else None
-    return model if any(card.name == model for card in replica.models) else None
+    name = replica.default if model is None else model
+    return name if any(card.name == name for card in replica.models) else None

@@ -13,6 +13,11 @@ MODES = ("peer", "client", "router")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a peer or a router listens that is told nothing else: this machine's own, zenoh's port."""
 
+RETRY = {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2}
+"""When a connection that broke is tried again. Zenoh's own tries come up to 4 s apart: a robot
+would stand that long before a service that is back.
+"""
+
 
 class ZenohConfigError(AnchorFlowError):
     """Zenoh cannot be configured so; the message names the setting or the file."""
@@ -97,6 +102,7 @@ class ZenohSettings:
             "mode": mode,
             "listen/endpoints": [DEFAULT_ENDPOINT] if listens else [],
             "scouting/multicast/enabled": False,
+            "connect/retry": RETRY,
         }
 
     def _security(self) -> dict[str, Any]:

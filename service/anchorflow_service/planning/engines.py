@@ -45,13 +45,14 @@ class Engines:
             raise ValueError(f"the default model {default!r} is none of {sorted(engines)}")
         # Replaced as a whole, never changed: who reads needs no lock.
         self._engines = dict(engines)
-        self._default = default
+        self.default = default
+        """Answers where no model is named; it may be taken out meanwhile."""
         self._changing = threading.Lock()
         self._followers: list[Callable[[], None]] = []
 
     def choose(self, model: str | None) -> Engine:
         """The engine of that model, or the default. Raises `UnknownModel`."""
-        name = self._default if model is None else model
+        name = self.default if model is None else model
         engine = self._engines.get(name)
         if engine is None:
             served = ", ".join(sorted(self._engines)) or "none at present"
@@ -84,7 +85,7 @@ class Engines:
     def cards(self) -> list[ModelCard]:
         """All cards, the default model's first."""
         engines = self._engines
-        names = sorted(engines, key=lambda name: (name != self._default, name))
+        names = sorted(engines, key=lambda name: (name != self.default, name))
         return [engines[name].card for name in names]
 
     def _tell(self) -> None:

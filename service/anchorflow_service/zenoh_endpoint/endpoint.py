@@ -54,6 +54,7 @@ class ZenohEndpoint:
             self._models |= self._keys_of(card.name)
         self._queryables: dict[str, zenoh.Queryable[None]] = {}
         self._changing = threading.Lock()
+        self._is_leaving = False
         self._following = ExitStack()
         self._token: zenoh.LivelinessToken | None = None
         self._answering: set[asyncio.Task[None]] = set()
@@ -61,9 +62,9 @@ class ZenohEndpoint:
     async def __aenter__(self) -> ZenohEndpoint:
         loop = asyncio.get_running_loop()
         self._declare(info_key(self.replica), self._tell)
-        self._follow(loop)
         following = self._service.engines.followed_by(partial(self._follow, loop))
         self._following.enter_context(following)
+        self._follow(loop)
         # Last, so that whoever sees it can be answered.
         self._token = self._session.liveliness().declare_token(replica_key(self.replica))
         return self
@@ -78,8 +79,8 @@ class ZenohEndpoint:
         self._following.close()
         if self._token is not None:
             self._token.undeclare()
-        with self._changing:
-            queryables = list(self._queryables.values())
+        with self._changing:  # a change that is under way comes before or has no effect
+            self._is_leaving, queryables = True, list(self._queryables.values())
         for queryable in queryables:
             await asyncio.to_thread(queryable.undeclare)
         await asyncio.sleep(0)  # what was received is on the loop now
@@ -87,8 +88,10 @@ class ZenohEndpoint:
         await asyncio.to_thread(self._session.close)
 
     def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Have the keys of the models that are served now, and no others."""
+        """Have the keys of the models that are served now, and no others; from any thread."""
         with self._changing:
+            if self._is_leaving:
+                return
             served = {info_key(self.replica)}
             for card in self._service.engines.cards():
                 try:
@@ -166,6 +169,7 @@ class ZenohEndpoint:
             ready=self._service.is_ready,
             load=self._load(),
             models=tuple(self._service.engines.cards()),
+            default=self._service.engines.default,
         )
         with query:
             reply(query, info_key(self.replica), info.to_bytes(), None, "application/json")

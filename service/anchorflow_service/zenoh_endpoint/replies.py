@@ -24,7 +24,8 @@ def reply(
 
 def refuse(query: zenoh.Query, error: RequestError) -> None:
     """The contract's error JSON."""
+    said = json.dumps(error.to_dict(), ensure_ascii=False, separators=(",", ":"))
     try:
-        query.reply_err(json.dumps(error.to_dict()).encode(), encoding="application/json")
+        query.reply_err(said.encode(errors="replace"), encoding="application/json")
     except zenoh.ZError as failure:
         logger.warning("a refusal could not be sent: %s", failure)

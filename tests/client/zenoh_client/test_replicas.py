@@ -40,7 +40,9 @@ def replicas(clock: Clock, card: ModelCard) -> Replicas:
 
 
 def info(name: str, *cards: ModelCard, in_flight: int = 0, ready: bool = True) -> ReplicaInfo:
-    return ReplicaInfo(name, ready=ready, load=Load(in_flight, 1, 10.0), models=cards)
+    return ReplicaInfo(
+        name, ready=ready, load=Load(in_flight, 1, 10.0), models=cards, default="lines"
+    )
 
 
 def chosen(replicas: Replicas, model: str | None = None, *tried: str) -> str | None:
@@ -76,7 +78,7 @@ def test_who_has_not_answered_yet_is_tried_but_not_flooded(
     replicas: Replicas, card: ModelCard
 ) -> None:
     replicas.appear("c")
-    replicas.learn(ReplicaInfo("c", ready=True, load=Load(), models=(card,)))
+    replicas.learn(ReplicaInfo("c", ready=True, load=Load(), models=(card,), default="lines"))
 
     asked = []
     for _ in range(6):
@@ -121,6 +123,38 @@ def test_only_who_serves_the_model_is_asked(replicas: Replicas, card: ModelCard)
         replicas.choose("nobody")
 
 
+def test_without_a_name_the_default_is_asked_and_no_other_in_its_place(
+    replicas: Replicas, card: ModelCard
+) -> None:
+    bows = replace(card, name="bows")
+    replicas.learn(info("a", bows))
+    replicas.learn(info("b", bows, card, in_flight=9))
+    choice = replicas.choose(None)
+    assert choice is not None
+    assert (choice.replica, choice.model) == ("b", "lines")
+
+    replicas.learn(info("b", bows))
+    with pytest.raises(UnknownModel, match=r"\(bows\), got the default"):
+        replicas.choose(None)
+
+
+def test_where_all_models_are_gone_it_says_so(replicas: Replicas) -> None:
+    for name in "ab":
+        replicas.learn(info(name))
+    for model in (None, "lines"):
+        with pytest.raises(UnknownModel, match=r"is served \(none at present\)"):
+            replicas.choose(model)
+
+    assert replicas.has_dropped("a", "lines")
+
+
+def test_who_has_not_told_or_is_gone_has_dropped_nothing(replicas: Replicas) -> None:
+    replicas.appear("c")
+    replicas.vanish("b")
+
+    assert not any(replicas.has_dropped(name, "lines") for name in "abc")
+
+
 def test_who_has_not_told_may_serve_any_model_by_name(replicas: Replicas) -> None:
     replicas.appear("c")
 
@@ -152,8 +186,22 @@ def test_who_told_long_ago_is_asked_to_tell_again(
     assert replicas.to_be_asked() == ["a", "b"]
     assert replicas.to_be_asked() == []
     replicas.learn(info("a", card))
+    clock.now += 0.5
+    assert replicas.to_be_asked() == []
+    assert replicas.to_be_asked(fresh_s=0.0) == ["a"]
+
+
+def test_it_is_waited_for_those_who_are_being_asked(
+    replicas: Replicas, clock: Clock, card: ModelCard
+) -> None:
+    replicas.wait_until_told(0.0)
     clock.now += 1.5
-    assert replicas.to_be_asked() == ["a"]
+    assert replicas.to_be_asked() == ["a", "b"]
+    replicas.hear_nothing("a")
+    threading.Timer(0.05, replicas.learn, [info("b", replace(card, name="bows"))]).start()
+    replicas.wait_until_told(20.0)
+
+    assert chosen(replicas, "bows") == "b"
 
 
 def test_nobody_is_waited_for_no_longer_than_told() -> None:

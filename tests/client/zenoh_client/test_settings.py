@@ -30,6 +30,7 @@ def test_without_a_file_nothing_is_open_beyond_this_machine(
 
     assert (values["mode"], values["listen/endpoints"]) == (mode, listen)
     assert values["scouting/multicast/enabled"] is False
+    assert values["connect/retry"]["period_max_ms"] == 1000
 
 
 def test_a_file_is_changed_only_where_told(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 from anchorflow_client import Unauthorized, UnknownModel
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import config_of
+from anchorflow_client.zenoh_client.settings import RETRY
 from anchorflow_service.planning import PlanningService
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples" / "zenoh"
@@ -39,6 +40,13 @@ def _list(config: Any, key: str) -> list[str]:
     value = json.loads(config.get_json(key))
     # Zenoh's own default, one list for each mode, where a file says nothing.
     return [] if isinstance(value, dict) else value
+
+
+@pytest.mark.parametrize("name", [name for name in CONFIGS if name.startswith("client")])
+def test_who_connects_tries_again_as_soon_as_without_a_file(name: str) -> None:
+    tries = json.loads(config_of(example(name)).get_json("connect/retry"))
+
+    assert tries["period_max_ms"] == RETRY["period_max_ms"]
 
 
 def test_a_robot_reaches_a_peer(serve: Any, endpoint: str, fields: dict[str, Any]) -> None:

@@ -1,23 +1,24 @@
-"""Models that come and go while a replica is on the network.
-
-A client learns of them when it next hears from the replica, so here each question has a new one.
-"""
+"""Models that come and go while a replica is on the network, and a client has long been there."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
 import pytest
+from anyio.from_thread import start_blocking_portal
 
-from anchorflow_client import ModelId, UnknownModel
-from anchorflow_client.zenoh_client import ZenohAnchorClient
+from anchorflow_client import AnchorBatch, UnknownModel
+from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
+from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.planning import PlanningService
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
-Ask = Callable[[str], ModelId]
+PATIENCE_S = 20
 
 
 def named(engine: Any, name: str, version: str = "1.2.3") -> Any:
@@ -25,49 +26,175 @@ def named(engine: Any, name: str, version: str = "1.2.3") -> Any:
     return type(engine)(replace(engine.card, name=name, version=version))
 
 
-@pytest.fixture
-def ask(replica: ZenohEndpoint, endpoint: str, fields: dict[str, Any]) -> Ask:
-    """The model that answers a client who has only just come."""
-    assert replica.replica == "a"
-
-    def plan(model: str) -> ModelId:
-        with ZenohAnchorClient(endpoint, timeout_s=20) as client:
-            return client.plan(**fields, model=model).model
-
-    return plan
-
-
-def test_a_model_that_comes_is_answered(ask: Ask, planning: PlanningService, engine: Any) -> None:
+def test_a_model_that_comes_is_answered_at_once(
+    client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
+) -> None:
     with pytest.raises(UnknownModel):
-        ask("arcs")
+        client.plan(**fields, model="arcs")
     planning.engines.put(named(engine, "arcs"))
-    assert ask("arcs").name == "arcs"
+
+    assert client.plan(**fields, model="arcs").model.name == "arcs"
+    assert "arcs" in [card.name for card in client.models()]
 
 
 def test_a_model_that_is_swapped_answers_with_its_new_version(
-    ask: Ask, planning: PlanningService, engine: Any
+    client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
 ) -> None:
-    assert ask("lines").version == "1.2.3"
+    assert client.plan(**fields, model="lines").model.version == "1.2.3"
     planning.engines.put(named(engine, "lines", "2.0"))
-    assert ask("lines").version == "2.0"
+
+    assert client.plan(**fields, model="lines").model.version == "2.0"
 
 
-def test_a_model_that_goes_is_asked_in_vain_and_may_come_back(
-    ask: Ask, planning: PlanningService, engine: Any
+def test_a_model_that_goes_is_unknown_and_not_denied_and_may_come_back(
+    client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
 ) -> None:
+    assert client.plan(**fields, model="bows").model.name == "bows"
     planning.engines.remove("bows")
-    with pytest.raises(UnknownModel):
-        ask("bows")
-    assert ask("lines").name == "lines"
+    for _ in range(2):  # by what the client heard before, and by what it has heard since
+        with pytest.raises(UnknownModel, match=r"is served \(lines\), got 'bows'"):
+            client.plan(**fields, model="bows")
+    assert client.plan(**fields).model.name == "lines"
     planning.engines.put(named(engine, "bows"))
-    assert ask("bows").name == "bows"
+
+    assert client.plan(**fields, model="bows").model.name == "bows"
+
+
+def test_a_default_that_goes_is_replaced_by_no_other(
+    client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
+) -> None:
+    """As over HTTP, where who names no model is refused too."""
+    assert client.plan(**fields).model.name == "lines"
+    planning.engines.remove("lines")
+    with pytest.raises(UnknownModel, match=r"is served \(bows\), got the default"):
+        client.plan(**fields)
+    assert client.plan(**fields, model="bows").model.name == "bows"
+    planning.engines.remove("bows")
+    with pytest.raises(UnknownModel, match="none at present"):
+        client.plan(**fields)
+    planning.engines.put(engine)
+
+    assert client.plan(**fields).model.name == "lines"
+
+
+def test_a_model_that_goes_in_one_place_is_asked_for_in_the_other(
+    start: Any, serve: Any, endpoint: str, engine: Any, fields: dict[str, Any]
+) -> None:
+    start("router.py", endpoint)
+    at_router = ZenohSettings(mode="client", connect=(endpoint,))
+    services = {
+        name: PlanningService({"lines": named(engine, "lines", name)}, default="lines")
+        for name in "ab"
+    }
+    for name, service in services.items():
+        serve(at_router, service, replica=name)
+    with ZenohAnchorClient(endpoint, timeout_s=20) as client:
+        answered: set[str] = set()
+        while answered != {"a", "b"}:  # it knows both, and would ask either
+            answered.add(client.plan(**fields).model.version)
+        services["a"].engines.remove("lines")
+        answered = {client.plan(**fields).model.version for _ in range(8)}
+
+    assert answered == {"b"}
+
+
+def test_a_request_whose_model_goes_before_it_is_read_is_told_so(
+    client: ZenohAnchorClient,
+    planning: PlanningService,
+    fields: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In the service's own words, over the query that is open."""
+    assert client.plan(**fields, model="bows").model.name == "bows"
+    choose = planning.engines.choose
+
+    def too_late(model: str | None) -> Any:
+        monkeypatch.undo()
+        planning.engines.remove("bows")
+        return choose(model)
+
+    monkeypatch.setattr(planning.engines, "choose", too_late)
+    with pytest.raises(UnknownModel, match=r"\(lines\), got 'bows'"):
+        client.plan(**fields, model="bows")
+
+
+def test_a_request_that_is_planned_when_its_model_goes_is_still_answered(
+    client: ZenohAnchorClient,
+    planning: PlanningService,
+    fields: dict[str, Any],
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Even where the client has heard of it, and would ask somebody else by now."""
+    reached, opened = threading.Event(), threading.Event()
+
+    def hold(batch: AnchorBatch) -> AnchorBatch:
+        reached.set()
+        assert opened.wait(PATIENCE_S)
+        return batch
+
+    bows: Any = planning.engines.choose("bows")
+    bows.before_answer = hold
+    with ThreadPoolExecutor(1) as executor:
+        asked = executor.submit(lambda: client.plan(**fields, model="bows", budget_ms=4000))
+        assert reached.wait(PATIENCE_S)
+        planning.engines.remove("bows")
+        with pytest.raises(UnknownModel):
+            client.plan(**fields, model="bows")
+        while "a has not answered yet" not in caplog.text and not asked.done():
+            time.sleep(0.01)
+        opened.set()
+
+        assert asked.result(PATIENCE_S).model.name == "bows"
+
+
+def test_many_changes_at_a_time_leave_the_keys_of_what_is_served(
+    client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
+) -> None:
+    def come_and_go(name: str) -> None:
+        for _ in range(10):
+            planning.engines.put(named(engine, name))
+            planning.engines.remove(name)
+        planning.engines.put(named(engine, name))
+
+    threads = [threading.Thread(target=come_and_go, args=(name,)) for name in ("x", "y", "z")]
+    for thread in threads:
+        thread.start()
+    answers = [client.plan(**fields).model.name for _ in range(20)]
+    for thread in threads:
+        thread.join()
+
+    assert answers == ["lines"] * 20
+    assert [client.plan(**fields, model=name).model.name for name in "xyz"] == ["x", "y", "z"]
+
+
+def test_a_change_under_way_when_the_replica_leaves_fails_nobody(
+    planning: PlanningService, engine: Any, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    followers: list[Any] = []
+    followed_by = planning.engines.followed_by
+
+    def note(follower: Any) -> Any:
+        followers.append(follower)
+        return followed_by(follower)
+
+    monkeypatch.setattr(planning.engines, "followed_by", note)
+    joined = ZenohEndpoint(planning, open_session(ZenohSettings(listen=(endpoint,))))
+    with start_blocking_portal() as portal, planning, portal.wrap_async_context_manager(joined):
+        pass
+    planning.engines.put(named(engine, "arcs"))
+    (late,) = followers
+    late()  # its session is closed: to declare a key there would be an error
 
 
 def test_a_model_whose_name_is_no_key_is_served_over_http_alone(
-    ask: Ask, planning: PlanningService, engine: Any, caplog: pytest.LogCaptureFixture
+    client: ZenohAnchorClient,
+    planning: PlanningService,
+    engine: Any,
+    fields: dict[str, Any],
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     with caplog.at_level(logging.WARNING):
         planning.engines.put(named(engine, "bows and lines"))
 
     assert "bows and lines is served over HTTP alone" in caplog.text
-    assert ask("lines").name == "lines"
+    assert client.plan(**fields).model.name == "lines"

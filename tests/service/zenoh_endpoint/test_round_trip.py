@@ -24,7 +24,7 @@ from anchorflow_client import (
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import Call, Limits, Observer, PlanningService
 
 PATIENCE_S = 20
 
@@ -40,6 +40,16 @@ class Gate:
         self.reached.set()
         assert self.opened.wait(PATIENCE_S)
         return batch
+
+
+class Outcomes(Observer):
+    """What became of every call."""
+
+    def __init__(self) -> None:
+        self.seen: list[str] = []
+
+    def ended(self, call: Call, outcome: str) -> None:  # noqa: ARG002
+        self.seen.append(outcome)
 
 
 @pytest.fixture
@@ -105,8 +115,20 @@ def test_the_service_is_told_the_time_that_is_left(
     client: ZenohAnchorClient, engine: Any, fields: dict[str, Any]
 ) -> None:
     client.plan(**fields, budget_ms=60_000)
-
     assert 50_000 < engine.seen[-1].budget_ms < 60_000
+
+    client.plan(**fields)  # no budget: the time after which this client gives up
+    assert 10_000 < engine.seen[-1].budget_ms < 20_000
+
+
+def test_a_patience_beyond_any_budget_is_sent_as_the_longest(
+    replica: Any, endpoint: str, engine: Any, fields: dict[str, Any]
+) -> None:
+    assert replica.replica == "a"
+    with ZenohAnchorClient(endpoint, timeout_s=1e6) as client:
+        client.plan(**fields)
+
+    assert engine.seen[-1].budget_ms == 1e7
 
 
 def test_a_budget_bounds_the_wait(
@@ -137,6 +159,60 @@ def test_a_request_can_be_taken_back(
     with pytest.raises(Cancelled):
         client.plan_request(request, cancellation=cancellation)
     assert client.plan(**fields).seed == 1
+
+
+def test_what_nobody_waits_for_is_dropped_by_the_services_own_clock(
+    client: ZenohAnchorClient,
+    endpoint: str,
+    planning: PlanningService,
+    engine: Any,
+    gate: Gate,
+    fields: dict[str, Any],
+) -> None:
+    """Zenoh does not tell it of a client that gave up, was killed, or took its request back."""
+    cancellation = Cancellation()
+    request = AnchorRequest.from_fields(fields)
+    with ThreadPoolExecutor(2) as executor, ZenohAnchorClient(endpoint, timeout_s=1) as hasty:
+        occupied = executor.submit(client.plan_request, request)
+        assert gate.reached.wait(PATIENCE_S)
+        taken_back = executor.submit(hasty.plan_request, request, cancellation=cancellation)
+        while planning.queue.in_flight < 2:
+            time.sleep(0.001)
+        cancellation.cancel()
+        with pytest.raises(Cancelled):
+            taken_back.result(PATIENCE_S)
+        with pytest.raises(TimedOut):
+            hasty.plan_request(request)
+        while planning.queue.in_flight > 1:  # without a budget it would wait for its turn
+            time.sleep(0.001)
+        assert not occupied.done()
+        gate.opened.set()
+        assert occupied.result(PATIENCE_S).seed == 1
+
+    assert len(engine.seen) == 1
+
+
+def test_a_newer_request_of_a_robot_ends_the_one_that_was_taken_back(
+    client: ZenohAnchorClient, planning: PlanningService, gate: Gate, fields: dict[str, Any]
+) -> None:
+    outcomes = Outcomes()
+    planning.watch(outcomes)
+    cancellation = Cancellation()
+    request = AnchorRequest.from_fields(fields | {"robot_id": "r1"})
+    with ThreadPoolExecutor(2) as executor:
+        occupied = executor.submit(lambda: client.plan(**fields))
+        assert gate.reached.wait(PATIENCE_S)
+        taken_back = executor.submit(client.plan_request, request, cancellation=cancellation)
+        while planning.queue.in_flight < 2:
+            time.sleep(0.001)
+        cancellation.cancel()
+        with pytest.raises(Cancelled):
+            taken_back.result(PATIENCE_S)
+        newer = executor.submit(client.plan_request, request)
+        while outcomes.seen != ["superseded"]:
+            time.sleep(0.001)
+        gate.opened.set()
+        assert newer.result(PATIENCE_S).seed == occupied.result(PATIENCE_S).seed == 1
 
 
 def test_closing_takes_back_what_waits(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import socket
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -118,6 +120,23 @@ def test_a_wrong_password_is_refused(
         assert "three" not in str(error)
     error = refusal(replace(robot, user=None, password=None), fields)
     assert "it wants a user and a password" in str(error)
+
+
+def test_who_was_let_in_before_is_not_said_to_be_denied(
+    start: Any, endpoint: str, fields: dict[str, Any]
+) -> None:
+    """A service that is started again listens before zenoh has mended the connection."""
+    service = start("replica.py", endpoint, "a", 0.0, "listen")
+    port = int(endpoint.rpartition(":")[2])
+    with ZenohAnchorClient(endpoint, timeout_s=20) as client:
+        client.plan(**fields)
+        service.kill()
+        service.wait()
+        with socket.create_server(("127.0.0.1", port)):  # and says nothing yet
+            while client.live():
+                time.sleep(0.01)
+            with pytest.raises(ConnectionFailed, match="the connection broke and is not mended"):
+                client.plan(**fields)
 
 
 def test_a_peer_with_a_wrong_password_is_told_so_too(

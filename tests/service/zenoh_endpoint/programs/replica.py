@@ -1,4 +1,7 @@
-"""A replica whose engine takes its time. Arguments: the router's endpoint, the name, seconds."""
+"""A replica whose engine takes its time.
+
+Arguments: an endpoint, the name, seconds, and "listen" to be a peer there, not a router's client.
+"""
 
 import asyncio
 import sys
@@ -62,9 +65,9 @@ class Sleeper:
         )
 
 
-async def serve(endpoint: str, name: str, seconds: float) -> None:
+async def serve(settings: ZenohSettings, name: str, seconds: float) -> None:
     """Until the process ends."""
-    session = open_session(ZenohSettings(mode="client", connect=(endpoint,)), wait_s=10)
+    session = open_session(settings, wait_s=10)
     with PlanningService({"sleeper": Sleeper(seconds)}, default="sleeper") as service:
         async with ZenohEndpoint(service, session, replica=name):
             sys.stdout.write("up\n")
@@ -72,4 +75,9 @@ async def serve(endpoint: str, name: str, seconds: float) -> None:
             await asyncio.Event().wait()
 
 
-asyncio.run(serve(sys.argv[1], sys.argv[2], float(sys.argv[3])))
+endpoint, name, seconds, *listens = sys.argv[1:]
+if listens == ["listen"]:
+    settings = ZenohSettings(listen=(endpoint,))
+else:
+    settings = ZenohSettings(mode="client", connect=(endpoint,))
+asyncio.run(serve(settings, name, float(seconds)))

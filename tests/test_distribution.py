@@ -1,0 +1,36 @@
+"""What a robot has to install: numpy for the client over HTTP, and one more package for zenoh."""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import requires
+from pathlib import Path
+
+import pytest
+from hatchling.metadata.core import ProjectMetadata
+from hatchling.plugin.manager import PluginManager
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def project() -> ProjectMetadata:
+    """What pip is told of this folder."""
+    return ProjectMetadata(str(ROOT), PluginManager())
+
+
+def names(requirements: list[str]) -> list[str]:
+    return [re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in requirements]
+
+
+def test_the_client_needs_numpy_alone(project: ProjectMetadata) -> None:
+    assert names(project.core.dependencies) == ["numpy"]
+
+
+def test_zenoh_is_one_package_more(project: ProjectMetadata) -> None:
+    assert names(project.core.optional_dependencies["zenoh"]) == ["eclipse-zenoh"]
+
+
+@pytest.mark.parametrize("name", ["numpy", "eclipse-zenoh"])
+def test_neither_brings_another(name: str) -> None:
+    assert not [line for line in requires(name) or [] if "extra ==" not in line]
