@@ -80,6 +80,7 @@ EXCEPTIONS = {
     "anchorflow_service.zenoh_endpoint": {"zenoh"},
     "anchorflow_service.observability.tracing": {"opentelemetry"},
     "anchorflow_service.ray_app": {"ray"},
+    "anchorflow_benchmarks.serving.ray_server": {"ray"},
 }
 
 # What a light process must not carry unless its package's wall lets it in.

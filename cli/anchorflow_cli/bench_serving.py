@@ -1,4 +1,4 @@
-"""`anchorflow bench serving`, `release` and `swaps`: a server under many callers."""
+"""`anchorflow bench serving`, `release`, `swaps` and `kill`: a server under many callers."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from anchorflow_benchmarks.report import Report
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import load_scenes
 from anchorflow_benchmarks.serving.crowd import CrowdConfig
+from anchorflow_benchmarks.serving.kills import KillConfig, kill_table
 from anchorflow_benchmarks.serving.micro_batches import batching_table
 from anchorflow_benchmarks.serving.release import release_table
 from anchorflow_benchmarks.serving.swaps import swap_table
@@ -31,6 +32,7 @@ SamplerOption = Annotated[str, typer.Option(help="card, rk4:8step, midpoint:unif
 ClientsOption = Annotated[int, typer.Option(min=1, help="Closed-loop clients.")]
 OutOption = Annotated[Path, typer.Option(help="Folder that the results are written to.")]
 RESULTS = Path("benchmarks/results")
+STUDENT = DEFAULT_BUNDLE.parent / "student"
 
 
 def serving(
@@ -90,6 +92,25 @@ def swaps(
     with TemporaryDirectory() as folder:
         table = swap_table(bundle, requests, config, swaps=count, folder=Path(folder), progress=say)
     report = Report("swaps", "Swaps", _about(opened, num, sampler) | circumstances(), [table])
+    show_and_write(report, out)
+
+
+def kill(
+    *,
+    bundle: BundleOption = STUDENT,
+    num: NumOption = 16,
+    sampler: SamplerOption = CARD,
+    clients: ClientsOption = 4,
+    seconds: Annotated[float, typer.Option(min=1.0, help="That the clients ask.")] = 30.0,
+    count: Annotated[int, typer.Option("--kills", min=1, help="Kills meanwhile.")] = 2,
+    out: OutOption = RESULTS,
+) -> None:
+    """Kill workers, and Ray's replicas where it is there, and count the requests that fail."""
+    opened = load_bundle(bundle)
+    requests = _requests(opened, "drawn:8:0", num, sampler)
+    config = KillConfig(clients=clients, seconds=seconds, kills=count)
+    table = kill_table(bundle, requests, config, progress=say)
+    report = Report("kills", "Kills", _about(opened, num, sampler) | circumstances(), [table])
     show_and_write(report, out)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ssl
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -56,18 +57,27 @@ TracesOption = Annotated[
         show_default=False,
     ),
 ]
+WorkersOption = Annotated[
+    int, typer.Option(min=1, help="Processes that answer on the port, each with its own models.")
+]
 
 
 class ServeOptionError(AnchorFlowError):
     """The options do not go together."""
 
 
-def tls_choice(
-    certificate: Path | None, key: Path | None, client_ca: Path | None
-) -> ssl.SSLContext | None:
-    """The context that the options ask for. Raises `ServeOptionError`, `TlsError`."""
-    if certificate and key:
-        return tls_context(certificate, key, client_ca=client_ca)
-    if certificate or key or client_ca:
-        raise ServeOptionError("TLS needs --tls-cert and --tls-key, both of them")
-    return None
+@dataclass(frozen=True)
+class TlsFiles:
+    """PEM files, as far as they are named."""
+
+    certificate: Path | None
+    key: Path | None
+    client_ca: Path | None
+
+    def context(self) -> ssl.SSLContext | None:
+        """What they ask for. Raises `ServeOptionError`, `TlsError`."""
+        if self.certificate and self.key:
+            return tls_context(self.certificate, self.key, client_ca=self.client_ca)
+        if self.certificate or self.key or self.client_ca:
+            raise ServeOptionError("TLS needs --tls-cert and --tls-key, both of them")
+        return None

@@ -46,6 +46,7 @@ from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.planner import Planner, PlannerConfig
 from anchorflow_client.planner_plan import Plan, PlanState
+from anchorflow_client.retry import RetryingClient
 from anchorflow_client.transport import Transport
 
 __all__ = [
@@ -78,6 +79,7 @@ __all__ = [
     "RefineChoice",
     "RefineSpec",
     "RequestError",
+    "RetryingClient",
     "SamplerChoice",
     "SamplerSpec",
     "Superseded",

@@ -12,7 +12,7 @@
     │    ├─ NotReady              not_ready          503
     │    └─ InternalError         internal           500
     ├─ TransportError             no answer that the contract knows
-    │    ├─ ConnectionFailed      nobody listens there, or the connection broke
+    │    ├─ ConnectionFailed      nobody listens there, the connection broke, a proxy answers
     │    ├─ TimedOut              the service did not answer in time
     │    ├─ Cancelled             the caller took the request back
     │    └─ InvalidAnswer         what came is not the contract's
@@ -161,7 +161,9 @@ class TransportError(AnchorFlowError):
 
 
 class ConnectionFailed(TransportError):
-    """Nobody listens there, or the connection broke before the answer was complete."""
+    """Nobody listens there, the connection broke before the answer was complete, or a proxy before
+    the service answers in its place: with status 500, 502, 503 or 504, in words of its own.
+    """
 
 
 class TimedOut(TransportError):

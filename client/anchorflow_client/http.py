@@ -54,7 +54,7 @@ class AnchorClient(BaseClient):
             connect_timeout_s: longest wait for a connection.
             token: sent as a bearer token.
             transport: carries the requests in place of a socket.
-            codec: the form of the contract on the wire: binary unless told, `JsonCodec()` to read along.
+            codec: the form on the wire: binary unless told, `JsonCodec()` to read along.
         """
         self._transport = transport or SocketTransport(url, connect_timeout_s=connect_timeout_s)
         self._codec = codec or OipCodec()

@@ -11,18 +11,18 @@ from pathlib import Path
 
 import pytest
 
+from anchorflow_cli.listening import AddressError, listen, url_of
 from anchorflow_cli.main import main
-from anchorflow_cli.serve import AddressError, listen, url_of
 from anchorflow_client.http import AnchorClient
 
 # The command as it is, but for a card in place of a bundle: nothing plans here.
 PROGRAM = """
 from types import SimpleNamespace
-from anchorflow_cli import main, serve
+from anchorflow_cli import main, serving
 
 card = SimpleNamespace(name="named", version="1.2.3")
-serve.load_bundle = lambda path: path
-serve.Engine = lambda bundle, **_: SimpleNamespace(card=card)
+serving.load_bundle = lambda path: path
+serving.Engine = lambda bundle, **_: SimpleNamespace(card=card)
 main.main(["serve", "--port", "0", "--bundle", "some/bundle"])
 """
 

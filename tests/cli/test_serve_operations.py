@@ -24,11 +24,11 @@ from anchorflow_service.providers import PROVIDERS
 PROGRAM = """
 import sys
 from types import SimpleNamespace
-from anchorflow_cli import main, serve
+from anchorflow_cli import main, serving
 
 card = SimpleNamespace(name="named", version="1.2.3", sha256="ab" * 32)
-serve.load_bundle = lambda path: path
-serve.Engine = lambda bundle, **_: SimpleNamespace(card=card)
+serving.load_bundle = lambda path: path
+serving.Engine = lambda bundle, **_: SimpleNamespace(card=card)
 main.main(["serve", "--port", "0", "--bundle", "some/bundle", *sys.argv[1:]])
 """
 

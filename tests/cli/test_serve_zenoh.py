@@ -104,7 +104,7 @@ def test_what_cannot_be_joined_is_one_line(endpoint: str, tmp_path: Path) -> Non
 def test_a_router_that_is_not_there_is_one_line(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("anchorflow_cli.serve.ZENOH_WAIT_S", 0.3)
+    monkeypatch.setattr("anchorflow_cli.serving.ZENOH_WAIT_S", 0.3)
 
     message = failure("--zenoh", "client", "--zenoh-connect", endpoint)
 

@@ -27,7 +27,7 @@ from anchorflow_client import (
     TooLarge,
     TransportError,
 )
-from anchorflow_client.transport import SocketTransport
+from anchorflow_client.transport import HttpAnswer, SocketTransport
 from anchorflow_docs.messages import messages_of, wording
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
@@ -171,10 +171,25 @@ def another_program() -> None:
             client.plan(**GOOD)
 
 
+class BadGateway:
+    """A proxy's answer where it does not reach the service."""
+
+    def send(self, *_: object, **__: object) -> HttpAnswer:
+        return 502, {}, b"<html>Bad gateway</html>"
+
+    def close(self) -> None:
+        pass
+
+
+def proxy() -> None:
+    AnchorClient("http://127.0.0.1:8000", transport=BadGateway()).plan(**GOOD)
+
+
 NO_ANSWER: dict[str, Callable[[], None]] = {
     "nobody-listens": nobody_listens,
     "no-word": no_word,
     "another-program": another_program,
+    "proxy": proxy,
 }
 
 

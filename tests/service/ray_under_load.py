@@ -1,7 +1,7 @@
-"""A program: two replicas on Ray, clients that ask without a pause, and one replica killed.
+"""A program: two replicas on Ray, retrying clients that ask without a pause, one replica killed.
 
-Prints a JSON line: answers, attempts that had to be repeated, requests that failed for good,
-replicas that were alive before and after, and the models that answered.
+Prints a JSON line: answers, requests that failed, replicas that were alive before and after, and
+the models that answered.
 """
 
 from __future__ import annotations
@@ -17,19 +17,16 @@ import numpy as np
 import ray  # pyright: ignore[reportMissingImports] - an extra that not every venv has
 from ray import serve  # pyright: ignore[reportMissingImports]
 
-from anchorflow_client import AnchorClient, TransportError
-from anchorflow_client.errors import InternalError, NotReady, Overloaded
+from anchorflow_client import AnchorClient, AnchorFlowError, RetryingClient
 from anchorflow_service.ray_app import RaySettings, app
 
 CLIENTS = 3
 BEFORE_S, AFTER_S = 3.0, 12.0
 PATIENCE_S = 60.0
-RETRIED = (TransportError, InternalError, NotReady, Overloaded)
-"""What another attempt may mend: the connection broke, or the proxy lost its replica."""
 
 
 class Asking:
-    """Clients that ask one request after the other, each until it is answered."""
+    """Clients that ask one request after the other."""
 
     def __init__(self, url: str) -> None:
         self.counts: Counter[str] = Counter()
@@ -47,20 +44,12 @@ class Asking:
             thread.join()
 
     def _ask(self) -> None:
-        with AnchorClient(self._url, timeout_s=20) as client:
+        plain = AnchorClient(self._url, timeout_s=20)
+        with RetryingClient(plain, patience_s=PATIENCE_S) as client:
             while not self._stop.is_set():
                 self._one_request(client)
 
-    def _one_request(self, client: AnchorClient) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not self._is_answered(client):
-            if time.monotonic() > deadline:
-                self.counts["failed"] += 1
-                return
-            client.close()
-            time.sleep(0.1)
-
-    def _is_answered(self, client: AnchorClient) -> bool:
+    def _one_request(self, client: RetryingClient) -> None:
         try:
             anchors = client.plan(
                 cost_map=np.zeros((64, 64)),
@@ -69,12 +58,11 @@ class Asking:
                 x_goal=[2.0, 0, 0, 0],
                 num_samples=8,
             )
-        except RETRIED as error:
-            self.counts[f"repeated after {type(error).__name__}"] += 1
-            return False
-        self.counts["answered"] += 1
-        self.models.add(f"{anchors.model.name} {anchors.model.version}")
-        return True
+        except AnchorFlowError as error:
+            self.counts[f"failed: {error!r}"] += 1
+        else:
+            self.counts["answered"] += 1
+            self.models.add(f"{anchors.model.name} {anchors.model.version}")
 
 
 def replicas() -> list[str]:

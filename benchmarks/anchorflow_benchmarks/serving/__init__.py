@@ -4,4 +4,5 @@ crowd          closed-loop clients with a budget, and a probe that asks for its 
 micro_batches  throughput with micro-batches over that without
 release        how soon an engine is free when nobody waits any more
 swaps          bundles swapped while clients ask
+kills          processes killed while clients ask
 """

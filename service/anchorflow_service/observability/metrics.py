@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector
 from prometheus_client.exposition import generate_latest
+from prometheus_client.multiprocess import MultiProcessCollector
 
 from anchorflow_service.observability.collector import ServiceCollector
 from anchorflow_service.observability.exchanges import Exchange
@@ -14,16 +16,26 @@ from anchorflow_service.planning import ANSWERED, Call, Observer, PlanningServic
 SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.25, 0.5, 1.0, 2.5, 10.0)
 SIZES = (1, 2, 4, 8, 16, 32, 64)
 STAGES = ("encode", "sample", "refine")
+SHARED_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
+"""prometheus_client's variable: the folder of the files in which processes count together."""
 
 
 class Metrics(Observer):
-    """The metrics of one service, in a registry of their own.
+    """The metrics of one service, in registries of their own.
+
+    Where prometheus_client counts in files that several processes share, which its variable
+    `PROMETHEUS_MULTIPROC_DIR` says, counts and histograms are those of all of them; what is read
+    off the service at the moment of asking is this process's.
 
     No label takes its value from a caller, whose inventions would fill the memory.
     """
 
     def __init__(self, service: PlanningService) -> None:
-        self.registry = registry = CollectorRegistry()
+        self._rendered = [registry := CollectorRegistry()]
+        seen = registry
+        if os.environ.get(SHARED_FOLDER):
+            self._rendered = [counted := CollectorRegistry(), seen := CollectorRegistry()]
+            MultiProcessCollector(counted)
         self._requests = Counter(
             "anchorflow_requests",
             "Planning requests by transport, model (empty where none was chosen) and outcome: ok, "
@@ -48,9 +60,9 @@ class Metrics(Observer):
             ["route", "status"],
             registry=registry,
         )
-        registry.register(ServiceCollector(service))
+        seen.register(ServiceCollector(service))
         # Its own numbers only: the interpreter's version is nobody's business.
-        ProcessCollector(registry=registry)
+        ProcessCollector(registry=seen)
         service.watch(self)
 
     def ended(self, call: Call, outcome: str) -> None:
@@ -73,7 +85,7 @@ class Metrics(Observer):
 
     def render(self) -> bytes:
         """All of them, in Prometheus's text format 0.0.4."""
-        return generate_latest(self.registry)
+        return b"".join(map(generate_latest, self._rendered))
 
 
 def _seconds(

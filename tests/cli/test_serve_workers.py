@@ -1,0 +1,332 @@
+"""`anchorflow serve --workers 2`: real processes, killed as they come."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anchorflow_cli.main import main
+from anchorflow_cli.serve_options import TlsFiles
+from anchorflow_cli.serving import ServeChoice
+from anchorflow_client import (
+    AnchorClient,
+    AnchorFlowError,
+    AnchorRequest,
+    InvalidRequest,
+    RetryingClient,
+)
+from anchorflow_client.errors import RequestError
+from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.http.connections import ConnectionLimits
+from anchorflow_service.http.lifecycle import Draining
+from anchorflow_service.planning import Limits
+
+pytestmark = pytest.mark.skipif(
+    not Path("/proc/self/task").exists(), reason="finds the workers in /proc"
+)
+
+COMMAND = (
+    sys.executable,
+    "-u",
+    "-c",
+    "from anchorflow_cli.main import main; main()",
+    *("serve", "--port", "0", "--workers", "2", "--threads", "1", "--drain-s", "5"),
+)
+REQUEST = AnchorRequest.build(
+    cost_map={"data": np.zeros((1, 64, 64)), "resolution": 0.16},
+    x_curr=[-3, 0, 0, 0, 0, 0],
+    x_goal=[3, 0, 0, 0],
+    num_samples=2,
+    sampler={"method": "midpoint", "schedule": {"uniform": 2}},
+)
+PATIENCE_S = 100.0
+
+
+class Served:
+    """The command, which serves; ended at the end of the test."""
+
+    def __init__(self, *options: str) -> None:
+        self.process = subprocess.Popen(
+            [*COMMAND, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        assert self.process.stdout is not None
+        self.line = self.process.stdout.readline().rstrip("\n")
+        self.url = self.line.partition(" at ")[2].partition(" ")[0]
+
+    def workers(self) -> set[int]:
+        """Their processes; the standard library has one of its own beside them."""
+        pid = self.process.pid
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        return {int(child) for child in children if "spawn_main" in commandline(int(child))}
+
+    def another_than(self, before: set[int]) -> int:
+        """Waits for a worker that was not there before."""
+        (new,) = until(lambda: self.workers() - before)
+        return new
+
+    def ended(self) -> tuple[int, list[str]]:
+        """Waits for the end: its status, and the lines on stderr."""
+        _, errors = self.process.communicate(timeout=60)
+        return self.process.returncode, errors.splitlines()
+
+
+def commandline(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+
+
+def until(seen: Callable[[], set[int]]) -> set[int]:
+    deadline = time.monotonic() + 60
+    while not (found := seen()):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    return found
+
+
+def is_gone(pid: int) -> bool:
+    return "spawn_main" not in commandline(pid)
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[..., Served]]:
+    started: list[Served] = []
+
+    def start(*options: str) -> Served:
+        started.append(Served(*options))
+        return started[-1]
+
+    yield start
+    for each in started:
+        each.process.kill()
+        each.process.communicate(timeout=20)
+
+
+class Crowd:
+    """Retrying clients that ask without a pause, until they are told to stop."""
+
+    def __init__(self, url: str, clients: int = 3) -> None:
+        self.answers = 0
+        self.failures: list[AnchorFlowError] = []
+        self._stop = threading.Event()
+        self._threads = [threading.Thread(target=self._ask, args=(url,)) for _ in range(clients)]
+        for thread in self._threads:
+            thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join(PATIENCE_S + 30)
+
+    def wait_for(self, more: int) -> None:
+        goal = self.answers + more
+        until(lambda: {1} if self.answers >= goal or self.failures else set())
+
+    def _ask(self, url: str) -> None:
+        with RetryingClient(AnchorClient(url), patience_s=PATIENCE_S) as client:
+            while not self._stop.is_set():
+                try:
+                    client.plan_request(REQUEST)
+                    self.answers += 1
+                except AnchorFlowError as error:  # noqa: PERF203
+                    self.failures.append(error)
+
+
+def test_workers_that_are_killed_are_replaced_and_no_request_fails(
+    serve: Callable[..., Served],
+) -> None:
+    served = serve()
+    first, second = sorted(served.workers())
+    crowd = Crowd(served.url)
+    crowd.wait_for(10)
+
+    os.kill(first, signal.SIGKILL)
+    third = served.another_than({first, second})
+    os.kill(second, signal.SIGKILL)  # from now on only a worker that came later can answer
+    fourth = served.another_than({first, second, third})
+    crowd.wait_for(20)
+    crowd.stop()
+
+    assert crowd.failures == []
+    assert served.workers() == {third, fourth}
+    served.process.send_signal(signal.SIGTERM)
+    code, lines = served.ended()
+    assert code == -signal.SIGTERM
+    assert [line.partition(": ")[2] for line in lines] == [
+        f"worker {pid} ended with signal SIGKILL; another takes its place"
+        for pid in (first, second)
+    ]
+
+
+def test_a_worker_that_is_told_to_go_is_replaced_too(serve: Callable[..., Served]) -> None:
+    """So a new bundle comes in without a pause: SIGTERM to one worker after the other."""
+    served = serve()
+    before = served.workers()
+    crowd = Crowd(served.url)
+
+    os.kill(min(before), signal.SIGTERM)
+    served.another_than(before)
+    until(lambda: {1} if is_gone(min(before)) else set())
+    crowd.wait_for(10)
+    crowd.stop()
+
+    assert crowd.failures == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_all_of_them(serve: Callable[..., Served], number: signal.Signals) -> None:
+    served = serve()
+    workers = served.workers()
+    assert served.line.startswith("flowmp-small ")
+    assert served.line.endswith("), 2 workers")
+    assert len(workers) == 2
+
+    served.process.send_signal(number)
+    code, lines = served.ended()
+
+    assert (code, lines) == (-signal.SIGTERM if number == signal.SIGTERM else 0, [])
+    assert all(map(is_gone, workers))
+    assert not AnchorClient(served.url).live()
+
+
+def test_a_signal_to_every_process_is_one_signal(serve: Callable[..., Served]) -> None:
+    """As systemd sends it: what a worker hears from its supervisor besides ends no notice."""
+    served = serve("--notice-s", "2")
+    with AnchorClient(served.url) as client:
+        for pid in (*served.workers(), served.process.pid):
+            os.kill(pid, signal.SIGTERM)
+        time.sleep(0.8)
+
+        assert not client.ready()
+        assert client.plan_request(REQUEST).model.name == "flowmp-small"
+    assert served.ended() == (-signal.SIGTERM, [])
+
+
+def test_a_second_signal_ends_the_notice_of_all(serve: Callable[..., Served]) -> None:
+    served = serve("--notice-s", "1000")
+
+    served.process.send_signal(signal.SIGTERM)
+    time.sleep(0.5)
+    served.process.send_signal(signal.SIGTERM)
+
+    assert served.ended() == (-signal.SIGTERM, [])
+
+
+def test_workers_do_not_outlive_their_supervisor(serve: Callable[..., Served]) -> None:
+    served = serve()
+    workers = served.workers()
+
+    served.process.kill()
+
+    for pid in workers:
+        until(lambda pid=pid: {1} if is_gone(pid) else set())
+
+
+def test_a_bundle_that_breaks_later_ends_the_service_with_its_last_worker(
+    serve: Callable[..., Served], tmp_path: Path
+) -> None:
+    bundle = Path(shutil.copytree(DEFAULT_BUNDLE, tmp_path / "bundle"))
+    served = serve("--bundle", str(bundle))
+    first, second = sorted(served.workers())
+    (bundle / "manifest.json").unlink()
+    reason = f"{bundle}/manifest.json: cannot be read: No such file or directory"
+
+    os.kill(first, signal.SIGKILL)
+    assert served.process.stderr is not None
+    assert "SIGKILL" in served.process.stderr.readline()
+    assert f"next try in 1 s: {reason}" in served.process.stderr.readline()
+    with RetryingClient(AnchorClient(served.url)) as client:
+        assert client.plan_request(REQUEST).model.name == "flowmp-small"
+
+    os.kill(second, signal.SIGKILL)
+    code, lines = served.ended()
+    assert code == 1
+    assert lines[-1] == f"anchorflow serve: {reason}"
+
+
+def test_a_worker_that_cannot_start_ends_the_command_with_one_line(
+    serve: Callable[..., Served], tmp_path: Path
+) -> None:
+    served = serve("--bundle", str(tmp_path))
+
+    code, (line,) = served.ended()
+    assert (code, served.line) == (1, "")
+    assert line.startswith(f"anchorflow serve: {tmp_path}/manifest.json: cannot be read")
+
+
+def test_models_are_not_changed_in_one_worker_alone(serve: Callable[..., Served]) -> None:
+    served = serve()
+
+    for action in ("load", "unload"):
+        url = f"{served.url}/v2/repository/models/flowmp-small/{action}"
+        with pytest.raises(urllib.error.HTTPError) as caught:
+            urllib.request.urlopen(urllib.request.Request(url, data=b"{}"), timeout=20)
+        with caught.value as answer:
+            error = RequestError.from_dict(json.load(answer))
+        assert isinstance(error, InvalidRequest)
+        assert "expected a service of one worker: this one has several" in error.message
+
+
+def counted(url: str) -> float:
+    """Planning requests that were answered, as the worker that is asked tells it."""
+    with urllib.request.urlopen(f"{url}/metrics", timeout=20) as answer:
+        lines = answer.read().decode().splitlines()
+    labels = '{model="flowmp-small",outcome="ok",transport="http"}'
+    return sum(float(line.split()[-1]) for line in lines if f"requests_total{labels}" in line)
+
+
+def test_every_worker_counts_for_all(serve: Callable[..., Served]) -> None:
+    served = serve()
+    before = served.workers()
+    for _ in range(12):  # a connection each, so that both workers are asked
+        with AnchorClient(served.url) as client:
+            client.plan_request(REQUEST)
+
+    assert [counted(served.url) for _ in range(8)] == [12.0] * 8
+
+    os.kill(min(before), signal.SIGKILL)
+    served.another_than(before)
+    assert counted(served.url) == 12.0
+
+
+def test_threads_are_shared_out_unless_they_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("anchorflow_cli.serving.usable_cores", lambda: 8)
+    choice = ServeChoice(
+        bundles=None,
+        repository=None,
+        provider="cpu",
+        tokens=None,
+        tls=TlsFiles(None, None, None),
+        connections=ConnectionLimits(),
+        limits=Limits(),
+        draining=Draining(),
+        traces=None,
+        log_format="text",
+        log_level="warning",
+    )
+    named = replace(choice, limits=Limits(threads=5))
+
+    assert [choice.for_one_of(n).limits.threads for n in (2, 3, 16)] == [4, 2, 1]
+    assert named.for_one_of(3).limits.threads == 5
+
+
+def test_several_workers_and_zenoh_do_not_go_together() -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["serve", "--port", "0", "--workers", "2", "--zenoh", "peer"])
+
+    assert str(caught.value.code).startswith("anchorflow serve: --workers: expected 1 with --zenoh")
