@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -105,6 +106,9 @@ def run_level(
 ) -> Row:
     """`clients` threads, each asking in turn for the requests, until the level ends."""
     tally = Tally(left=config.requests)
+    # This program's own modules, which a client does not have to carry, are no garbage.
+    gc.collect()
+    gc.freeze()
     with ExitStack() as stack:
         asks = [connect(stack) for _ in range(clients)]
         asks[0](requests[0])  # connection and caches, not counted

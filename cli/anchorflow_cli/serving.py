@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import socket
 from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager
@@ -113,6 +114,9 @@ def open_service(
         repository=repository(service.engines, folders, open_engine),
         middleware=[] if tracing is None else [Middleware(tracing.middleware)],
     )
+    # All of it stays as long as the process does: the collector need not look at it again.
+    gc.collect()
+    gc.freeze()
     return Opened(app, service, described(engines), endpoint)
 
 

@@ -13,16 +13,17 @@ import argparse
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from robot_view import LiveView, Recorder
 
-from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, Run, Tick
+from anchorflow_benchmarks.closed_loop.drive import PLANNER, Drive, DriveConfig, Run, Tick
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.world import load_worlds
-from anchorflow_client import AnchorClient, AnchorFlowError, Planner, PlannerConfig
+from anchorflow_client import AnchorClient, AnchorFlowError, Planner
 from anchorflow_client.base_client import BaseClient
 
 
@@ -83,7 +84,7 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
     if not options.alone:
         client = stack.enter_context(connect(options))
         # Ages are told by the wall clock: the answers come from outside the simulation.
-        planner = stack.enter_context(Planner(client, PlannerConfig(max_age_ms=options.max_age)))
+        planner = stack.enter_context(Planner(client, replace(PLANNER, max_age_ms=options.max_age)))
     watchers: list[Callable[[Tick], None]] = [ErrorLog()]
     if options.view:
         watchers.append(LiveView(world, robot.radius))

@@ -14,7 +14,7 @@ from time import perf_counter, process_time
 import torch
 
 from anchorflow_benchmarks.closed_loop.anchor_sources import EngineSource, LinesSource
-from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig
+from anchorflow_benchmarks.closed_loop.drive import PLANNER, Drive, DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.scoring import Result
@@ -74,8 +74,7 @@ class ContestConfig:
     robot: str = "unicycle"
     mppi: MppiConfig = field(default_factory=MppiConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
-    # Local goals are passed in slow motion too, see `Drive`.
-    planner: PlannerConfig = PlannerConfig(period_ms=200.0, through_speed=0.6)
+    planner: PlannerConfig = PLANNER
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,14 @@ from anchorflow_benchmarks.closed_loop.mppi import MppiController
 from anchorflow_benchmarks.closed_loop.navigation_cost import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.world import GOAL_TOLERANCE, World
-from anchorflow_client.planner import Planner
+from anchorflow_client.planner import Planner, PlannerConfig
 from anchorflow_client.planner_plan import Plan
 
 SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are looked for
 SLOWEST = 4.0  # times slower than it is, as which a robot may ask
 OWN_DISC = 0.8  # of the robot's radius: hits within it are noise, the robot stands there
+PLANNER = PlannerConfig(period_ms=200.0, through_speed=0.6)
+"""How a `Drive` asks: local goals are passed in slow motion too."""
 
 
 class End(Enum):
@@ -99,7 +101,8 @@ class Drive:
             planner: brings anchors; None: MPPI is alone. Without a usable plan the robot brakes.
             clock: is advanced tick by tick; the planner's, where it lives in simulated time.
             config: ticks, map, requests.
-            seed: of the lidar's noise and of MPPI's samples, through torch's global generator.
+            seed: of the lidar's noise, of each request for anchors, and of MPPI's samples, through
+                torch's global generator.
         """
         self.world, self.config = world, config
         self.robot = controller.robot
@@ -109,6 +112,7 @@ class Drive:
         self._lidar = Lidar(self.robot.field_of_view)
         self._map = LocalMap(cells=config.map_cells, resolution=config.map_resolution)
         self._rng = np.random.default_rng(seed)
+        self._seeds = np.random.default_rng([seed, 1])
         self._clearance = world.clearance(world.start[:2], self.robot.radius)
         self._length = 0.0
         self._ticks_braked = 0
@@ -146,6 +150,9 @@ class Drive:
             origin=local.origin,
             x_curr=self._in_slow_motion(robot.x_curr(self.state)),
             x_goal=[*self.world.goal, 0.0, 0.0],
+            # What comes nearer than the controller's margin is a collision to it, and no help.
+            robot_radius=robot.radius + self._controller.config.cost.margin,
+            seed=int(self._seeds.integers(2**31)),
             **self.config.options,
         )
         if not plan.usable:

@@ -66,4 +66,4 @@ def test_served_anchors_come_from_the_bundle(world: Callable[..., World]) -> Non
     assert result.run.length > 0.1
     assert result.run.ticks_braked == 1  # until the first answer
     np.testing.assert_allclose(result.latencies_ms, 60.0)
-    assert len(result.latencies_ms) >= 4
+    assert len(result.latencies_ms) >= 2
