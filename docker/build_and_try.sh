@@ -98,10 +98,13 @@ for name in sys.argv[1:]:
 }
 
 # A command in the image: its user, its environment, its root not to be written but for /tmp.
-in_image() {
+in_image() (exec_in_image "$@")
+
+# The same in place of this shell, so that a signal to it reaches the command.
+exec_in_image() {
     local environment
     mapfile -t environment < <(setting Env)
-    unshare --mount -- bash -euc '
+    exec unshare --mount -- bash -euc '
         root="$1"; user="$2"; shift 2
         mount --bind "$root" "$root"
         mount -o remount,bind,ro "$root"
@@ -119,7 +122,7 @@ try_image() {
     mapfile -t command < <(setting Entrypoint Cmd)
     mapfile -t health < <(setting Healthcheck.Test)
     step "running ${command[*]}"
-    in_image "${command[@]}" --port "$PORT" >"$FOLDER/server.log" 2>&1 &
+    exec_in_image "${command[@]}" --port "$PORT" >"$FOLDER/server.log" 2>&1 &
     server=$!
     in_image python - "http://127.0.0.1:$PORT" "$READY_S" <"$REPOSITORY/docker/ask.py" \
         && in_image "${health[@]:1}" && step "its health check says that it is well" || status=$?

@@ -27,8 +27,10 @@ from anchorflow_cli.bench_output import say, show_and_write
 from anchorflow_cli.extras import needs_extra
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.http import AnchorClient
+from anchorflow_client.json_codec import JsonCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.engine import Engine
+from anchorflow_service.http.orjson_codec import OrjsonCodec
 
 BundleOption = Annotated[Path, typer.Option(help="Folder of the bundle.")]
 ScenesOption = Annotated[
@@ -50,7 +52,7 @@ def zenoh(
     budget_s: Annotated[float, typer.Option(help="Seconds after which a way rests.")] = 60.0,
     out: OutOption = RESULTS,
 ) -> None:
-    """Time a request in this process, over HTTP in binary, over zenoh directly and by a router."""
+    """Time a request in this process, over HTTP in each form, over zenoh directly and routed."""
     opened = load_bundle(bundle)
     spec = parse_sampler(sampler, opened.card)
     found = load_scenes(scenes, limits=limits_of(opened))
@@ -103,12 +105,16 @@ def _ways(opened: Bundle, bundle: Path, stack: ExitStack) -> dict[str, Ask]:
     line = service.start()  # NAME VERSION at URL (bundle FOLDER)
     stack.callback(service.kill)
     url = line.partition(" at ")[2].partition(" ")[0]
-    http = stack.enter_context(AnchorClient(url))
+    binary = stack.enter_context(AnchorClient(url))
+    by_orjson = stack.enter_context(AnchorClient(url, codec=OrjsonCodec()))
+    by_json = stack.enter_context(AnchorClient(url, codec=JsonCodec()))
     by_router = stack.enter_context(_client(router))
     directly = stack.enter_context(_client(direct))
     return {
         IN_PROCESS: Engine(opened).plan,
-        "HTTP binary": http.plan_request,
+        "HTTP binary": binary.plan_request,
+        "HTTP JSON": by_orjson.plan_request,
+        "HTTP JSON, standard library": by_json.plan_request,
         "zenoh": directly.plan_request,
         "zenoh by a router": by_router.plan_request,
     }

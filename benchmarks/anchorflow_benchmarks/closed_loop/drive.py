@@ -150,8 +150,6 @@ class Drive:
             origin=local.origin,
             x_curr=self._in_slow_motion(robot.x_curr(self.state)),
             x_goal=[*self.world.goal, 0.0, 0.0],
-            # What comes nearer than the controller's margin is a collision to it, and no help.
-            robot_radius=robot.radius + self._controller.config.cost.margin,
             seed=int(self._seeds.integers(2**31)),
             **self.config.options,
         )

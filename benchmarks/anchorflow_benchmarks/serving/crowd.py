@@ -19,7 +19,7 @@ TIMEOUT_S = 120.0
 # In a process of its own: what is measured is the server's delay, not that of 64 threads here.
 PROBE = """
 import http.client, json, sys, time
-host, port, seconds, pause_s = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), 0.02
+host, port, seconds, pause_s = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), 0.1
 connection, times, until = http.client.HTTPConnection(host, port), [], time.perf_counter() + seconds
 while (start := time.perf_counter()) < until:
     connection.request("GET", "/v2/health/ready")
