@@ -199,7 +199,7 @@ def load(
             "HTTP binary": over_http(address, OipCodec()),
         }
         table = load_table(ways, asked, config, progress=say)
-    about = {"scenes": scenes, "anchors a request": str(num), "server": url or f"of {bundle}"}
+    about = {"scenes": scenes, "anchors a request": str(num), "server": url or opened.card.name}
     show_and_write(Report("load", "Load", about | circumstances(), [table]), out)
 
 
