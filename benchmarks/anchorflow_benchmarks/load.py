@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ from urllib.parse import urlsplit
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.report import ResultTable, Row
-from anchorflow_benchmarks.turns import p50, p99
+from anchorflow_benchmarks.turns import p50, p99, spare_the_collector
 from anchorflow_client.codec import Codec
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import AnchorFlowError
@@ -106,9 +105,7 @@ def run_level(
 ) -> Row:
     """`clients` threads, each asking in turn for the requests, until the level ends."""
     tally = Tally(left=config.requests)
-    # This program's own modules, which a client does not have to carry, are no garbage.
-    gc.collect()
-    gc.freeze()
+    spare_the_collector()
     with ExitStack() as stack:
         asks = [connect(stack) for _ in range(clients)]
         asks[0](requests[0])  # connection and caches, not counted

@@ -15,7 +15,7 @@ from anchorflow_benchmarks.planners import limits_of, request_of
 from anchorflow_benchmarks.report import Report
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import load_scenes
-from anchorflow_benchmarks.zenoh_latency import IN_PROCESS, Ask, transport_table
+from anchorflow_benchmarks.transports import IN_PROCESS, Ask, transport_table
 from anchorflow_benchmarks.zenoh_processes import (
     Process,
     free_endpoint,

@@ -24,7 +24,6 @@ from anchorflow_benchmarks.turns import p50, p99
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_client.http import AnchorClient
-from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.retry import RetryingClient
 
 REPLACED_S = 60.0
@@ -73,7 +72,7 @@ class Attempts(AnchorClient):
     """A client that counts the attempts that fail."""
 
     def __init__(self, url: str, seen: Seen) -> None:
-        super().__init__(url, timeout_s=TIMEOUT_S, codec=OipCodec())
+        super().__init__(url, timeout_s=TIMEOUT_S)
         self._seen = seen
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:

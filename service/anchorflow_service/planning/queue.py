@@ -102,9 +102,10 @@ class PlanningQueue:
 
     @property
     def oldest_wait_s(self) -> float:
-        """How long the first in the line has waited; 0 where nobody waits."""
+        """How long the oldest that no lane has taken has waited; 0 where nobody waits."""
         with self._changed:
-            first = self._line.first
+            # A batch stood before all that is in the line.
+            first = self._batch[0].ticket if self._batch else self._line.first
             return 0.0 if first is None else self._clock() - first.submitted
 
     async def run(self, job: Callable[[Turn], Result]) -> Result:

@@ -173,6 +173,27 @@ def test_a_newer_request_of_the_robot_supersedes_one_that_waits(
     assert stepping.taken == 6
 
 
+def test_who_is_in_a_batch_that_no_lane_has_taken_still_waits(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask
+) -> None:
+    async def batch() -> None:
+        first = ask()
+        await until_at_work(stepping)
+        waiting = [ask(), ask()]
+        await until_waiting(service, 2)
+        stepping.steps.release(3)
+        await first
+        await until_at_work(stepping)  # one of the two; the other has left the line with it
+        assert service.queue._line.count() == 0
+        assert service.queue.oldest_wait_s > 0.0
+        stepping.steps.release(6)
+        await asyncio.gather(*waiting)
+        assert service.queue.oldest_wait_s == 0.0
+
+    with service:
+        asyncio.run(batch())
+
+
 def test_who_leaves_makes_room(
     service: PlanningService, stepping: SteppingEngine, ask: Ask
 ) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Sequence
 from itertools import cycle
 from time import perf_counter
 
 from anchorflow_benchmarks.report import ResultTable, Row
-from anchorflow_benchmarks.turns import p50, p99, take_turns
+from anchorflow_benchmarks.turns import p50, p99, spare_the_collector, take_turns
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 
 Ask = Callable[[AnchorRequest], AnchorBatch]
@@ -33,9 +32,7 @@ def transport_table(
     """
     beside: dict[str, list[float]] = {name: [] for name in ways}
     calls = {name: _timed(ask, requests, beside[name]) for name, ask in ways.items()}
-    # This program's own modules, which a client does not have to carry, are no garbage.
-    gc.collect()
-    gc.freeze()
+    spare_the_collector()
     times = take_turns(calls, rounds=rounds, budget_s=budget_s)
     # The first call of each is not counted: caches and connections.
     spare = {name: p50(values[1:]) for name, values in beside.items()}
