@@ -105,7 +105,7 @@ class PlanningQueue:
         """How long the oldest that no lane has taken has waited; 0 where nobody waits."""
         with self._changed:
             # A batch stood before all that is in the line.
-            first = self._batch[0].ticket if self._batch else self._line.first
+            first = next(self._left_in_batch(), self._line.first)
             return 0.0 if first is None else self._clock() - first.submitted
 
     async def run(self, job: Callable[[Turn], Result]) -> Result:
@@ -128,7 +128,7 @@ class PlanningQueue:
         with self._changed:
             if not self._is_open:
                 raise NotReady("the service is stopping")
-            self._check_room(self._line.count() + len(self._batch) + self._busy_lanes)
+            self._check_room(self._waiting() + self._busy_lanes)
             self._check_worth_waiting(ticket)
             ticket.submitted = self._clock()
             self._line.add(ticket)
@@ -229,6 +229,14 @@ class PlanningQueue:
         self._changed.notify(len(tickets))
         return None
 
+    def _waiting(self) -> int:
+        """Those that somebody waits for and no lane has taken."""
+        return self._line.count() + sum(1 for _ in self._left_in_batch())
+
+    def _left_in_batch(self) -> Iterator[AnyTicket]:
+        """Of those, the ones that have left the line as part of a batch."""
+        return (each.ticket for each in self._batch if not each.ticket.has_ended)
+
     def _check_room(self, held: int, max_waiting: int | None = None) -> None:
         """Raises `Overloaded` where so many already hold all places."""
         waiting = held - self.workers
@@ -240,7 +248,7 @@ class PlanningQueue:
 
         Who has nobody ahead is never refused: it is his request that teaches the pace.
         """
-        ahead = self._line.count() + len(self._batch)
+        ahead = self._waiting()
         if ticket.budget_ms is None or not ahead:
             return
         likely_ms = self._pace.wait_s(ahead + self.workers) * 1e3
