@@ -29,7 +29,7 @@ from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.scenes import Scene, SceneError, draw_scene
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 DRAWN = GeneratorConfig(num_samples=24, project=False)
 FINISHED = GeneratorConfig(num_samples=24)
@@ -85,7 +85,7 @@ def report(step: int, row: dict[str, float]) -> None:
     print(f"  step {step}: loss {row['loss']:.3f}", flush=True)
 
 
-def new_scenes(count: int, *, limits: Limits, seed: int) -> list[Scene]:
+def new_scenes(count: int, *, limits: MotionLimits, seed: int) -> list[Scene]:
     """Scenes that the training has not seen, and that the expert finds ways through."""
     rng, scenes = np.random.default_rng(seed), []
     while len(scenes) < count:

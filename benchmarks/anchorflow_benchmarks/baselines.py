@@ -12,12 +12,12 @@ from anchorflow_benchmarks.anchors import Anchors
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.planners import Planner, limits_of
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.manifest import RefineEntry
+from anchorflow_service.bundle.manifest import RefineEntry
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.cost import Limits
-from anchorflow_trajectory.ground import Ground
+from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.refine import Refiner
 from anchorflow_trajectory.spline import spline_basis
 
@@ -29,7 +29,7 @@ EXPERT_STEPS = (60, 200)
 class ExpertPlanner:
     """The expert's optimiser with `num` tries, all of which are answered, good or not."""
 
-    limits: Limits
+    limits: MotionLimits
     steps: int
     evaluations: None = None
 
@@ -53,7 +53,7 @@ class LinesPlanner:
     spread: m, standard deviation of the first and widest of the bends
     """
 
-    limits: Limits
+    limits: MotionLimits
     spread: float = 1.0
     bends: int = 4
     name: str = "lines with noise"
@@ -100,7 +100,7 @@ class RefinedLinesPlanner:
         )
         refined = refiner.refine(
             np.concatenate(parts, axis=-1, dtype=np.float32),
-            Ground.of(scene.cost_map, scene.clearance, scene.resolution, scene.origin),
+            CostFields.of(scene.cost_map, scene.clearance, scene.resolution, scene.origin),
             x_curr=scene.x_curr,
             x_goal=scene.x_goal,
             w_style=scene.style,

@@ -25,7 +25,7 @@ from scipy.spatial.distance import cdist
 from anchorflow_benchmarks.anchors import Anchors
 from anchorflow_benchmarks.grid_path import shortest_grid_path
 from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -95,7 +95,7 @@ class SceneJudge:
     """Judges anchors on one scene."""
 
     scene: Scene
-    limits: Limits
+    limits: MotionLimits
 
     def judge(self, anchors: Anchors) -> Verdict:
         """The verdict on all anchors of a plan."""

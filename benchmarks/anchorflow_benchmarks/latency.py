@@ -19,9 +19,9 @@ from anchorflow_benchmarks.samplers import evaluations, sampler_name
 from anchorflow_benchmarks.turns import p50, p99, take_turns
 from anchorflow_client.contract import AnchorRequest, SamplerSpec, resolve_for_card
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.conditioning import scenes_of
 from anchorflow_service.engine import Engine
-from anchorflow_service.flow import FlowSampler
+from anchorflow_service.engine.conditioning.cost_map import scenes_of
+from anchorflow_service.engine.samplers.ode import FlowSampler
 from anchorflow_training.scenes import Scene
 
 SEED = 1

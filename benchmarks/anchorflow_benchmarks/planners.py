@@ -14,7 +14,7 @@ from anchorflow_client.contract import AnchorRequest, CostMap, SamplerChoice, Sa
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 
 class Planner(Protocol):
@@ -95,7 +95,7 @@ def bundle_names(bundles: Sequence[Bundle]) -> list[str]:
     return [f"{b.card.name} ({b.path.resolve().name})" for b in bundles]
 
 
-def limits_of(bundle: Bundle) -> Limits:
+def limits_of(bundle: Bundle) -> MotionLimits:
     """What a bundle's anchors keep."""
     card = bundle.card
-    return Limits(v_max=card.v_max, a_max=card.a_max, horizon_s=card.horizon_s)
+    return MotionLimits(v_max=card.v_max, a_max=card.a_max, horizon_s=card.horizon_s)

@@ -15,7 +15,7 @@ from anchorflow_benchmarks.judge import MEASURES, SceneJudge, Verdict
 from anchorflow_benchmarks.planners import Planner
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 SEED = 1
 ALL = "all"
@@ -47,7 +47,7 @@ def judge_planners(
     planners: Sequence[Planner],
     scenes: Sequence[Scene],
     *,
-    limits: Limits,
+    limits: MotionLimits,
     num: int,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Plans:
@@ -101,7 +101,7 @@ def style_table(
     planners: Sequence[Planner],
     scenes: Sequence[Scene],
     *,
-    limits: Limits,
+    limits: MotionLimits,
     num: int,
     progress: Callable[[int], None] = lambda _: None,
 ) -> ResultTable:

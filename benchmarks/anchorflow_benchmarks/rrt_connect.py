@@ -18,7 +18,7 @@ from anchorflow_benchmarks.baselines import NUM_SAMPLES, with_own_clearance
 from anchorflow_training.expert.grid_paths import time_along
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.clearance import GridField
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import spline_basis
 
 FloatArray = NDArray[np.float32]
@@ -38,7 +38,7 @@ class RrtConnectPlanner:
         start or goal has less
     """
 
-    limits: Limits
+    limits: MotionLimits
     margin: float = 0.05
     name: str = "RRT-Connect (OMPL)"
     evaluations: None = None

@@ -14,7 +14,7 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_client.contract import DEFAULT_STYLE
 from anchorflow_training.scenes import Scene, SceneError, draw_scene
 from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 DRAWN = "drawn"
 WITHOUT_FILE = f"{DRAWN}:60:0"
@@ -32,7 +32,7 @@ def default_source() -> str:
     return str(path) if path.exists() else WITHOUT_FILE
 
 
-def load_scenes(source: str, *, limits: Limits, limit: int | None = None) -> list[Scene]:
+def load_scenes(source: str, *, limits: MotionLimits, limit: int | None = None) -> list[Scene]:
     """Scenes of a file, or `drawn:COUNT:SEED`; at most `limit` of them, evenly spread.
 
     Raises:
@@ -69,7 +69,7 @@ def read_scenes(path: Path) -> list[Scene]:
         raise BenchmarkError(f"{path}: not a file of scenes ({error})") from error
 
 
-def draw_scenes(count: int, seed: int, *, limits: Limits, cells: int = 96) -> list[Scene]:
+def draw_scenes(count: int, seed: int, *, limits: MotionLimits, cells: int = 96) -> list[Scene]:
     """Scenes of every family that training knows, none of which is in a dataset."""
     scenes = []
     for index in range(count):
@@ -84,7 +84,7 @@ def draw_scenes(count: int, seed: int, *, limits: Limits, cells: int = 96) -> li
     return scenes
 
 
-def _drawn(text: str, limits: Limits) -> list[Scene]:
+def _drawn(text: str, limits: MotionLimits) -> list[Scene]:
     try:
         count, seed = (int(number) for number in text.split(":"))
     except ValueError:

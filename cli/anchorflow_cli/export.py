@@ -13,7 +13,7 @@ from anchorflow_client.contract import MapSpec, SamplerChoice, SamplerSpec
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.quantization import quantize_field
 from anchorflow_models import L2Config
-from anchorflow_service.manifest import LimitsEntry, RefineEntry
+from anchorflow_service.bundle.manifest import LimitsEntry, RefineEntry
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.distillation.student import student_schedule
 from anchorflow_training.provenance import provenance

@@ -30,12 +30,12 @@ from anchorflow_cli.options import (
     end_states,
 )
 from anchorflow_cli.plan import table
+from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.generation import Anchors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_models.generation.scenes import DEFAULT_ROBOT_RADIUS
-from anchorflow_service.ros_map import RosMap, load_ros_map
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.restore import restore_model
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from anchorflow_cli.options import Vector
+from anchorflow_cli.ros_map import RosMap
 from anchorflow_client.contract.ranges import MAX_MAP_CELLS, MIN_MAP_CELLS
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_service.ros_map import RosMap
 
 MARGIN_M = 3.0
 """Room for a detour beyond start and goal, on each side."""

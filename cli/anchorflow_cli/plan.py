@@ -26,11 +26,11 @@ from anchorflow_cli.options import (
     command_app,
     end_states,
 )
+from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
 from anchorflow_client.http import AnchorClient
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
-from anchorflow_service.ros_map import RosMap, load_ros_map
 
 app = command_app()
 

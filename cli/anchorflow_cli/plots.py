@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from anchorflow_cli.options import Vector
+from anchorflow_cli.ros_map import RosMap
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_service.ros_map import RosMap
 
 FREE, UNKNOWN, OCCUPIED = "white", "#c9ccd1", "#3b4048"
 START, GOAL = "#1b7f3b", "#c62828"

@@ -37,11 +37,11 @@ from anchorflow_cli.serve_options import (
 from anchorflow_cli.serve_workers import check_workers, serve_by_workers
 from anchorflow_cli.serving import ServeChoice, open_service, serving_line
 from anchorflow_cli.zenoh_options import ZenohChoice, with_zenoh_options
+from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.http.connections import ConnectionLimits
 from anchorflow_service.http.lifecycle import AnchorServer, Draining
 from anchorflow_service.observability.logs import set_up_logging
-from anchorflow_service.planning import Limits
-from anchorflow_service.providers import DEFAULT_PROVIDER
+from anchorflow_service.planning import ServiceLimits
 
 app = command_app()
 logger = logging.getLogger(__name__)
@@ -61,11 +61,11 @@ def serve(
     tls_key: KeyOption = None,
     tls_client_ca: ClientCaOption = None,
     max_connections: ConnectionsOption = ConnectionLimits.max_connections,
-    max_body_bytes: BodyOption = Limits.max_body_bytes,
-    max_waiting: WaitingOption = Limits.max_waiting,
-    max_batch: BatchOption = Limits.max_batch,
-    batch_wait_ms: BatchWaitOption = Limits.batch_wait_ms,
-    threads: ThreadsOption = Limits.threads,
+    max_body_bytes: BodyOption = ServiceLimits.max_body_bytes,
+    max_waiting: WaitingOption = ServiceLimits.max_waiting,
+    max_batch: BatchOption = ServiceLimits.max_batch,
+    batch_wait_ms: BatchWaitOption = ServiceLimits.batch_wait_ms,
+    threads: ThreadsOption = ServiceLimits.threads,
     workers: WorkersOption = 1,
     notice_s: NoticeOption = Draining.notice_s,
     drain_s: DrainOption = Draining.drain_s,
@@ -82,7 +82,7 @@ def serve(
         tokens=tokens,
         tls=TlsFiles(tls_cert, tls_key, tls_client_ca),
         connections=ConnectionLimits(max_connections=max_connections),
-        limits=Limits(max_body_bytes, max_waiting, max_batch, batch_wait_ms, threads),
+        limits=ServiceLimits(max_body_bytes, max_waiting, max_batch, batch_wait_ms, threads),
         draining=Draining(notice_s=notice_s, drain_s=drain_s),
         traces=traces,
         log_format=log_format,

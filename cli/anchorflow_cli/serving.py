@@ -24,7 +24,7 @@ from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
 from anchorflow_service.http.lifecycle import Draining
 from anchorflow_service.http.tokens import TokenFile
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.repository import (
     BundleFolders,
     FixedRepository,
@@ -51,7 +51,7 @@ class ServeChoice:
     tokens: Path | None
     tls: TlsFiles
     connections: ConnectionLimits
-    limits: Limits
+    limits: ServiceLimits
     draining: Draining
     traces: str | None
     log_format: LogFormat

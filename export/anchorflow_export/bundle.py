@@ -17,7 +17,7 @@ from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
 from anchorflow_export.roles import TracedGraph, trace_roles
 from anchorflow_export.tracing import OPSET
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.manifest import (
+from anchorflow_service.bundle.manifest import (
     FILE_NAME,
     FORMAT,
     Adjustable,

@@ -15,8 +15,8 @@ from anchorflow_export.errors import ExportError
 from anchorflow_export.graphs import PRIOR_BASIS, PRIOR_MEAN, Context, FlowModel
 from anchorflow_export.scenes import random_scenes
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.flow import FlowSampler
-from anchorflow_service.graph import Graph, open_graph
+from anchorflow_service.bundle.graphs import Graph, open_graph
+from anchorflow_service.engine.samplers.ode import FlowSampler
 from anchorflow_trajectory.ode.method import Method, method_named
 
 TOLERANCE = 1e-4  # m, m/s, m/s² of a sample; of max(1, largest magnitude) for a graph's outputs

@@ -19,8 +19,8 @@ from anchorflow_export.bundle import into_place
 from anchorflow_export.parity import SAMPLE_TRIAL, Difference
 from anchorflow_export.scenes import random_scenes
 from anchorflow_service.bundle import Bundle, load_bundle
-from anchorflow_service.flow import FlowSampler
-from anchorflow_service.manifest import FILE_NAME
+from anchorflow_service.bundle.manifest import FILE_NAME
+from anchorflow_service.engine.samplers.ode import FlowSampler
 
 SCENES = 4
 

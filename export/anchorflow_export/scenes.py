@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from anchorflow_client.contract import AnchorRequest, ModelCard, resolve_for_card
-from anchorflow_service.conditioning import scenes_of
+from anchorflow_service.engine.conditioning.cost_map import scenes_of
 
 CELLS_A_BLOB = 40  # one square obstacle for so many cells of the map
 

@@ -23,7 +23,7 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.tokens import TokenFile
-from anchorflow_service.planning import Call, Limits, PlanningService
+from anchorflow_service.planning import Call, PlanningService, ServiceLimits
 
 if TYPE_CHECKING:
     from anchorflow_service.zenoh_endpoint import ZenohEndpoint
@@ -51,9 +51,9 @@ class RaySettings(BaseModel):
     max_batch: int = Field(default=8, ge=1)
     batch_wait_ms: float = Field(default=0.0, ge=0)
 
-    def limits(self) -> Limits:
+    def limits(self) -> ServiceLimits:
         """The bounds of a replica."""
-        return Limits(max_batch=self.max_batch, threads=self.cpus)
+        return ServiceLimits(max_batch=self.max_batch, threads=self.cpus)
 
 
 class RayBatches(PlanningService):

@@ -12,12 +12,12 @@ import pytest
 from anchorflow_benchmarks.scene_files import STYLE
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 
 @pytest.fixture(scope="session")
-def limits() -> Limits:
-    return Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+def limits() -> MotionLimits:
+    return MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.judge import SceneJudge
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 SceneMaker = Callable[..., Scene]
 
@@ -41,7 +41,7 @@ def test_minimum_jerk_is_at_rest_at_both_ends() -> None:
 
 @pytest.mark.parametrize("name", ["expert", "lines", "rrt"])
 def test_every_baseline_answers_as_many_as_asked_and_reaches_the_goal(
-    name: str, scene: SceneMaker, limits: Limits
+    name: str, scene: SceneMaker, limits: MotionLimits
 ) -> None:
     if name == "rrt":
         pytest.importorskip("ompl")
@@ -57,7 +57,7 @@ def test_every_baseline_answers_as_many_as_asked_and_reaches_the_goal(
             assert verdict.free.mean() >= 0.5, planner.name
 
 
-def test_the_same_seed_brings_the_same_anchors(scene: SceneMaker, limits: Limits) -> None:
+def test_the_same_seed_brings_the_same_anchors(scene: SceneMaker, limits: MotionLimits) -> None:
     case = scene(wall(gap=True))
     for planner in (LinesPlanner(limits), ExpertPlanner(limits, 10)):
         one, same, other = (planner.plan(case, num=8, seed=s).positions for s in (1, 1, 2))
@@ -65,7 +65,7 @@ def test_the_same_seed_brings_the_same_anchors(scene: SceneMaker, limits: Limits
         assert not np.array_equal(one, other)
 
 
-def test_where_there_is_no_way_rrt_gives_up(scene: SceneMaker, limits: Limits) -> None:
+def test_where_there_is_no_way_rrt_gives_up(scene: SceneMaker, limits: MotionLimits) -> None:
     pytest.importorskip("ompl")
     from anchorflow_benchmarks.rrt_connect import RrtConnectPlanner
 

@@ -21,7 +21,7 @@ from anchorflow_benchmarks.judge import (
 )
 from anchorflow_benchmarks.scene_files import load_scenes
 from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import spline_basis
 
 SceneMaker = Callable[..., Scene]
@@ -40,7 +40,7 @@ def random_anchors(scene: Scene, *, count: int, seed: int, size: float) -> Ancho
 
 @pytest.mark.parametrize("seed", range(6))
 def test_it_agrees_with_the_judge_outside_the_project(
-    seed: int, scene: SceneMaker, limits: Limits, shared_judge: ModuleType
+    seed: int, scene: SceneMaker, limits: MotionLimits, shared_judge: ModuleType
 ) -> None:
     rng = np.random.default_rng(seed)
     occupied = rng.random((40, 40)) < [0.004, 0.008, 0.014][seed % 3]
@@ -77,7 +77,7 @@ def test_it_agrees_with_the_judge_outside_the_project(
 
 
 def test_it_agrees_on_public_scenes(
-    limits: Limits, shared_judge: ModuleType, shared_data: Callable[[str], Path]
+    limits: MotionLimits, shared_judge: ModuleType, shared_data: Callable[[str], Path]
 ) -> None:
     for case in load_scenes(str(shared_data("scenes_public.npz")), limits=limits, limit=4):
         plan = random_anchors(case, count=32, seed=3, size=1.0)
@@ -107,7 +107,7 @@ def straight(scene: Scene, offset: float = 0.0) -> Anchors:
     return Anchors.of_spline(basis, control[:, None])
 
 
-def test_a_straight_way_past_nothing_succeeds(scene: SceneMaker, limits: Limits) -> None:
+def test_a_straight_way_past_nothing_succeeds(scene: SceneMaker, limits: MotionLimits) -> None:
     verdict = SceneJudge(scene(np.zeros((32, 32), bool)), limits).judge(
         straight(scene(np.zeros((32, 32), bool)))
     )
@@ -118,7 +118,9 @@ def test_a_straight_way_past_nothing_succeeds(scene: SceneMaker, limits: Limits)
     assert np.isnan(verdict.measures["unsafe_called_safe"])
 
 
-def test_clearance_is_measured_to_the_square_of_a_cell(scene: SceneMaker, limits: Limits) -> None:
+def test_clearance_is_measured_to_the_square_of_a_cell(
+    scene: SceneMaker, limits: MotionLimits
+) -> None:
     occupied = np.zeros((64, 64), bool)  # cells of 0.1 m
     occupied[37, 32] = True  # 0.5 m above the straight way
 
@@ -128,7 +130,7 @@ def test_clearance_is_measured_to_the_square_of_a_cell(scene: SceneMaker, limits
     assert clearance[0] == pytest.approx(0.5 - 0.25, abs=0.5 * 0.1 / 4 + 1e-9)
 
 
-def test_a_promise_that_does_not_hold_is_counted(scene: SceneMaker, limits: Limits) -> None:
+def test_a_promise_that_does_not_hold_is_counted(scene: SceneMaker, limits: MotionLimits) -> None:
     occupied = np.zeros((64, 64), bool)
     occupied[30:34, 30:34] = True
     case = scene(occupied)
@@ -140,7 +142,7 @@ def test_a_promise_that_does_not_hold_is_counted(scene: SceneMaker, limits: Limi
         assert measures["free"] == 0.0
 
 
-def test_a_path_off_the_map_is_not_free(scene: SceneMaker, limits: Limits) -> None:
+def test_a_path_off_the_map_is_not_free(scene: SceneMaker, limits: MotionLimits) -> None:
     judge = SceneJudge(scene(np.zeros((32, 32), bool)), limits)
 
     assert judge.clearance(np.array([[[-2.0, 0], [0, 3.3], [2.0, 0]]])) < 0

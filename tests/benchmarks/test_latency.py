@@ -16,7 +16,7 @@ from anchorflow_benchmarks.turns import LEAST, p50, p99, take_turns
 from anchorflow_client.contract import SamplerSpec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 ONCE = LatencyConfig(counts=(3,), rounds=LEAST, budget_s=0.0, threads=1)
 
@@ -27,7 +27,7 @@ def bundle() -> Bundle:
 
 
 @pytest.fixture(scope="module")
-def scenes(limits: Limits) -> list[Scene]:
+def scenes(limits: MotionLimits) -> list[Scene]:
     return draw_scenes(1, 0, limits=limits, cells=32)
 
 

@@ -17,7 +17,7 @@ from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_
 from anchorflow_benchmarks.samplers import sampler_name
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import spline_basis
 
 SceneMaker = Callable[..., Scene]
@@ -51,7 +51,7 @@ def scenes(scene: SceneMaker) -> list[Scene]:
     return [scene(aside, family="open"), scene(blocked, family="wall")]
 
 
-def test_planners_take_turns_with_the_same_seed(scenes: list[Scene], limits: Limits) -> None:
+def test_planners_take_turns_with_the_same_seed(scenes: list[Scene], limits: MotionLimits) -> None:
     log: list[str] = []
     one, other = Bows("one", log=log), Bows("other", log=log)
     judge_planners([one, other], scenes, limits=limits, num=4)
@@ -69,7 +69,9 @@ def test_a_sampler_that_is_named_twice_is_one_planner() -> None:
     assert [planner.name.split()[-1] for planner in planners] == [own, "euler:uniform1"]
 
 
-def test_a_table_over_all_and_one_for_each_family(scenes: list[Scene], limits: Limits) -> None:
+def test_a_table_over_all_and_one_for_each_family(
+    scenes: list[Scene], limits: MotionLimits
+) -> None:
     planner = Bows()
     plans = judge_planners([planner], scenes, limits=limits, num=4)
     every, free, wall = quality_tables([planner], plans)
@@ -89,7 +91,7 @@ def test_a_table_over_all_and_one_for_each_family(scenes: list[Scene], limits: L
     assert wall.rows[0]["length"] != wall.rows[0]["length"]  # NaN
 
 
-def test_style_changes_are_seen_in_percent(scenes: list[Scene], limits: Limits) -> None:
+def test_style_changes_are_seen_in_percent(scenes: list[Scene], limits: MotionLimits) -> None:
     table = style_table([Bows()], scenes, limits=limits, num=4)
     row = table.rows[0]
 
@@ -100,7 +102,7 @@ def test_style_changes_are_seen_in_percent(scenes: list[Scene], limits: Limits) 
     assert float(row["jerk, fast to smooth"] or 0.0) > 0.0
 
 
-def test_numbers_that_are_not_finite_are_refused(scenes: list[Scene], limits: Limits) -> None:
+def test_numbers_that_are_not_finite_are_refused(scenes: list[Scene], limits: MotionLimits) -> None:
     class Broken(Bows):
         def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
             anchors = super().plan(scene, num=num, seed=seed)
@@ -110,7 +112,7 @@ def test_numbers_that_are_not_finite_are_refused(scenes: list[Scene], limits: Li
         judge_planners([Broken()], scenes, limits=limits, num=2)
 
 
-def test_pictures_are_drawn(scenes: list[Scene], limits: Limits, tmp_path: Path) -> None:
+def test_pictures_are_drawn(scenes: list[Scene], limits: MotionLimits, tmp_path: Path) -> None:
     planner = Bows()
     plans = judge_planners([planner], scenes, limits=limits, num=4)
     tables = quality_tables([planner], plans)

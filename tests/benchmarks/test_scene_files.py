@@ -17,7 +17,7 @@ from anchorflow_benchmarks.scene_files import (
     read_scenes,
 )
 from anchorflow_training.scenes import draw_scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_a_file_is_read_as_it_was_written(scene_file: Callable[..., Path]) -> No
 
 
 def test_a_limit_keeps_scenes_evenly_spread(
-    scene_file: Callable[..., Path], limits: Limits
+    scene_file: Callable[..., Path], limits: MotionLimits
 ) -> None:
     path = str(scene_file(family=np.array(["a", "b", "c"])))
 
@@ -80,7 +80,9 @@ def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
             read_scenes(broken)
 
 
-def test_drawn_scenes_depend_on_the_seed_and_are_not_those_of_a_dataset(limits: Limits) -> None:
+def test_drawn_scenes_depend_on_the_seed_and_are_not_those_of_a_dataset(
+    limits: MotionLimits,
+) -> None:
     first, again = (draw_scenes(2, 7, limits=limits, cells=48) for _ in range(2))
     trained = draw_scene(np.random.default_rng([7, 0]), cells=48, limits=limits)
 
@@ -90,12 +92,12 @@ def test_drawn_scenes_depend_on_the_seed_and_are_not_those_of_a_dataset(limits: 
     assert not np.array_equal(first[0].x_curr, first[1].x_curr)
 
 
-def test_a_draw_can_be_asked_for_by_name(limits: Limits) -> None:
+def test_a_draw_can_be_asked_for_by_name(limits: MotionLimits) -> None:
     assert len(load_scenes("drawn:2:7", limits=limits)) == 2
 
 
 @pytest.mark.parametrize("text", ["drawn:", "drawn:3", "drawn:3:x", "drawn:0:1", "drawn:3:-1"])
-def test_a_wrong_draw_is_refused(text: str, limits: Limits) -> None:
+def test_a_wrong_draw_is_refused(text: str, limits: MotionLimits) -> None:
     with pytest.raises(BenchmarkError, match="drawn:"):
         load_scenes(text, limits=limits)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anchorflow_cli.map_window import MARGIN_M, WindowError, map_window
-from anchorflow_service.ros_map import RosMap
+from anchorflow_cli.ros_map import RosMap
 
 
 def empty_map(*, resolution: float) -> RosMap:

@@ -17,8 +17,8 @@ import pytest
 import trustme
 
 from anchorflow_cli.main import main
+from anchorflow_service.bundle.providers import PROVIDERS
 from anchorflow_service.http.tokens import token_line
-from anchorflow_service.providers import PROVIDERS
 
 # The command as it is, but for a card in place of a bundle: nothing plans here.
 PROGRAM = """

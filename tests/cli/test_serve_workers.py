@@ -33,7 +33,7 @@ from anchorflow_client.errors import RequestError
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.http.connections import ConnectionLimits
 from anchorflow_service.http.lifecycle import Draining
-from anchorflow_service.planning import Limits
+from anchorflow_service.planning import ServiceLimits
 
 pytestmark = pytest.mark.skipif(
     not Path("/proc/self/task").exists(), reason="finds the workers in /proc"
@@ -313,13 +313,13 @@ def test_threads_are_shared_out_unless_they_are_named(monkeypatch: pytest.Monkey
         tokens=None,
         tls=TlsFiles(None, None, None),
         connections=ConnectionLimits(),
-        limits=Limits(),
+        limits=ServiceLimits(),
         draining=Draining(),
         traces=None,
         log_format="text",
         log_level="warning",
     )
-    named = replace(choice, limits=Limits(threads=5))
+    named = replace(choice, limits=ServiceLimits(threads=5))
 
     assert [choice.for_one_of(n).limits.threads for n in (2, 3, 16)] == [4, 2, 1]
     assert named.for_one_of(3).limits.threads == 5

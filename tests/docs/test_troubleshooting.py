@@ -33,9 +33,9 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http.guard import Guard
 from anchorflow_service.http.tokens import TokenFile, token_line
-from anchorflow_service.planning import Arrival, Limits, PlanningQueue
-from anchorflow_service.planning.robots import Robots
-from anchorflow_service.planning.ticket import Ticket
+from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
+from anchorflow_service.planning.job import Ticket
+from anchorflow_service.planning.latest_per_robot import Robots
 
 PAGE = Path(__file__).parents[2] / "docs" / "troubleshooting.md"
 MESSAGES = messages_of(PAGE)
@@ -145,7 +145,7 @@ IN_THE_QUEUE: dict[str, Callable[[PlanningQueue], None]] = {
 @pytest.mark.parametrize("name", IN_THE_QUEUE)
 def test_a_refusal_by_the_queue(name: str) -> None:
     with pytest.raises(RequestError) as caught:
-        IN_THE_QUEUE[name](PlanningQueue(Limits(threads=1, max_waiting=1)))
+        IN_THE_QUEUE[name](PlanningQueue(ServiceLimits(threads=1, max_waiting=1)))
 
     check(name, caught.value)
 

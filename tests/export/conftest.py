@@ -12,7 +12,7 @@ from torch.nn import functional as F
 
 from anchorflow_client.contract import MapSpec, SamplerSpec
 from anchorflow_export.bundle import BundleDescription
-from anchorflow_service.manifest import LimitsEntry, RefineEntry
+from anchorflow_service.bundle.manifest import LimitsEntry, RefineEntry
 
 T, D, S, R, WIDTH = 8, 2, 6, 5, 16
 

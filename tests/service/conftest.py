@@ -32,7 +32,7 @@ from anchorflow_client import (
     SamplerSpec,
     TensorSpec,
 )
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 
 T, S, R = 8, 6, 2
 
@@ -278,7 +278,7 @@ def planning(engine: StraightLines) -> PlanningService:
     """A service, not yet open, over that engine and a second model; it plans one at a time."""
     second = StraightLines(replace(CARD, name="bows", adjustable=()))
     engines = {"lines": engine, "bows": second}
-    return PlanningService(engines, default="lines", limits=Limits(threads=1))
+    return PlanningService(engines, default="lines", limits=ServiceLimits(threads=1))
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.repository import BundleFolders, Repository
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
@@ -123,7 +123,7 @@ def test_what_is_loaded_over_http_is_served_over_zenoh(
         return Engine(load_bundle(folder), threads=1)
 
     engines = {"tiny": opened(tiny_bundle)}
-    planning = PlanningService(engines, default="tiny", limits=Limits(threads=1))
+    planning = PlanningService(engines, default="tiny", limits=ServiceLimits(threads=1))
     repository = Repository(planning.engines, BundleFolders([tiny_bundle]), opened)
     session = open_session(ZenohSettings(listen=(endpoint,)))
     app = create_app(planning, endpoints=[ZenohEndpoint(planning, session)], repository=repository)

@@ -11,9 +11,9 @@ from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.clearance import GridField, clearance_field, path_clearance
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
-LIMITS = Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
 CONFIG = DataConfig(scenes=6, seed=3, trajectories=8)
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from anchorflow_training.scenes import Scene, SceneError, draw_scene
 from anchorflow_training.scenes.layouts import LAYOUTS, Canvas
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
-LIMITS = Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
 
 
 def drawn(count: int) -> list[Scene]:

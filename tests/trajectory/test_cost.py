@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from anchorflow_trajectory.clearance import clearance_field, path_clearance
-from anchorflow_trajectory.cost import Limits, TrajectoryCost
+from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
+from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.descent import descend
-from anchorflow_trajectory.ground import Ground
 from anchorflow_trajectory.spline import spline_basis
 
-LIMITS = Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
 X_CURR = np.asarray([1.0, 3.2, 0.4, 0.0, 0.0, 0.0], np.float32)
 X_GOAL = np.asarray([5.5, 3.1, 0.0, 0.0], np.float32)
 BASIS = spline_basis(64, 8.0)
 
 
-def ground(*, risky: bool = False) -> Ground:
+def fields(*, risky: bool = False) -> CostFields:
     """A post in the way and, if asked for, risky ground below it."""
     occupied = np.zeros((64, 64), bool)
     occupied[30:34, 31:35] = True
@@ -23,13 +23,13 @@ def ground(*, risky: bool = False) -> Ground:
     cost_map[0], cost_map[1] = occupied, 1.0
     if risky:
         cost_map[2] = np.linspace(1.0, 0.0, 64)[:, None]
-    return Ground.of(cost_map, clearance_field(occupied, 0.1, 0.25), 0.1, np.zeros(2))
+    return CostFields.of(cost_map, clearance_field(occupied, 0.1, 0.25), 0.1, np.zeros(2))
 
 
 def cost(
     style: tuple[float, float, float] = (0.4, 0.3, 0.3), *, risky: bool = False
 ) -> TrajectoryCost:
-    return TrajectoryCost(BASIS, ground(risky=risky), LIMITS, np.asarray(style, np.float32))
+    return TrajectoryCost(BASIS, fields(risky=risky), LIMITS, np.asarray(style, np.float32))
 
 
 def disturbed(count: int, spread: float = 0.4) -> np.ndarray:
@@ -58,7 +58,7 @@ def test_descent_frees_anchors_and_keeps_the_ends_and_the_limits() -> None:
     control = descend(problem, start, steps=60, rate=0.3)
     assert (problem.value(control) < problem.value(start)).all()
     position, velocity, acceleration = BASIS.states(control)
-    clearance = path_clearance(problem.ground.clearance, position, max_step=0.02)
+    clearance = path_clearance(problem.fields.clearance, position, max_step=0.02)
     assert (clearance > 0).mean() > 0.9
     assert np.linalg.norm(velocity, axis=-1).max() <= 1.02 * LIMITS.v_max
     assert np.linalg.norm(acceleration, axis=-1).max() <= 1.03 * LIMITS.a_max
@@ -89,7 +89,7 @@ def test_each_style_is_visible() -> None:
         problem = cost(style)
         control = descend(problem, start, steps=80, rate=0.3)
         position, _, _ = BASIS.states(control)
-        clearance = path_clearance(problem.ground.clearance, position, max_step=0.02)
+        clearance = path_clearance(problem.fields.clearance, position, max_step=0.02)
         length = np.linalg.norm(np.diff(position, axis=1), axis=-1).sum(1)
         jerk = np.linalg.norm(control.transpose(1, 0, 2) @ BASIS.jerk.T, axis=1).mean(1)
         return float(clearance.mean()), float(length.mean()), float(jerk.mean())

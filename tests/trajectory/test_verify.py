@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from anchorflow_trajectory.bisection import bisect_to_safe
 from anchorflow_trajectory.clearance import GridField, clearance_field
-from anchorflow_trajectory.cost import Limits
-from anchorflow_trajectory.retreat import retreat
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import spline_basis
 from anchorflow_trajectory.verify import verify
 
-LIMITS = Limits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
 BASIS = spline_basis(64, 8.0)
 X_CURR = np.asarray([1.0, 3.2, 0, 0, 0, 0], np.float32)
 X_GOAL = np.asarray([5.4, 3.2, 0, 0], np.float32)
@@ -33,9 +33,9 @@ def bows(heights: list[float]) -> np.ndarray:
 def test_a_collision_and_each_limit_are_told() -> None:
     states = BASIS.states(bows([0.0, 1.2, -1.2]))
     assert verify(states, post(), LIMITS).safe.tolist() == [False, True, True]
-    slow = Limits(v_max=0.8, a_max=3.0, horizon_s=8.0)
+    slow = MotionLimits(v_max=0.8, a_max=3.0, horizon_s=8.0)
     assert not verify(states, post(), slow).safe.any()
-    weak = Limits(v_max=2.0, a_max=0.2, horizon_s=8.0)
+    weak = MotionLimits(v_max=2.0, a_max=0.2, horizon_s=8.0)
     assert not verify(states, post(), weak).safe.any()
 
 
@@ -60,7 +60,7 @@ def safe_of(control: np.ndarray) -> np.ndarray:
 
 def test_retreat_moves_failures_to_the_safe_side_that_is_near() -> None:
     control = bows([1.4, -1.4, 0.5, -0.3])
-    moved = retreat(control, safe_of(control), BASIS, post(), LIMITS)
+    moved = bisect_to_safe(control, safe_of(control), BASIS, post(), LIMITS)
     assert safe_of(moved).all()
     np.testing.assert_array_equal(moved[:, :2], control[:, :2])
     heights = moved[1, :, 9] - 3.2
@@ -72,5 +72,5 @@ def test_retreat_moves_failures_to_the_safe_side_that_is_near() -> None:
 def test_retreat_leaves_all_as_it_is_where_none_or_all_are_safe(heights: list[float]) -> None:
     control = bows(heights)
     np.testing.assert_array_equal(
-        retreat(control, safe_of(control), BASIS, post(), LIMITS), control
+        bisect_to_safe(control, safe_of(control), BASIS, post(), LIMITS), control
     )

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 DTYPES = {
     "cost_map": np.uint8,
@@ -68,12 +68,12 @@ class SceneDataset:
         return self.arrays["cost_map"].shape[1]
 
     @property
-    def limits(self) -> Limits:
+    def limits(self) -> MotionLimits:
         """What the trajectories keep, and how long they take; raises `DatasetError` if unsaid."""
         # Folders of before 0.1 say it in the expert's configuration alone.
         found = self.meta.get("limits") or self.meta.get("config", {}).get("limits")
         try:
-            return Limits(**found)
+            return MotionLimits(**found)
         except TypeError as error:
             raise DatasetError(
                 f"{self.path / 'dataset.json'}: limits: expected v_max, a_max and horizon_s, "

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from anchorflow_training.dataset import create_arrays
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.scenes import Scene, SceneError, draw_scene
-from anchorflow_trajectory.cost import CostWeights, Limits
+from anchorflow_trajectory.cost import CostWeights, MotionLimits
 from anchorflow_trajectory.geodesic import cost_to_go
 from anchorflow_trajectory.spline import spline_basis
 
@@ -39,7 +39,9 @@ class DataConfig:
     trajectories: int = 16
     least: int = 3
     cells: int = 96
-    limits: Limits = field(default_factory=lambda: Limits(v_max=2.0, a_max=3.0, horizon_s=8.0))
+    limits: MotionLimits = field(
+        default_factory=lambda: MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+    )
     expert: ExpertConfig = field(default_factory=ExpertConfig)
 
 

@@ -20,14 +20,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.ground import Ground
+from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.spline import SplineBasis
 
 FloatArray = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
-class Limits:
+class MotionLimits:
     """What every anchor keeps: speed [m/s] and acceleration [m/s^2], over the horizon [s]."""
 
     v_max: float
@@ -69,8 +69,8 @@ class TrajectoryCost:
     """
 
     basis: SplineBasis
-    ground: Ground
-    limits: Limits
+    fields: CostFields
+    limits: MotionLimits
     style: FloatArray
     margin: float = 0.05
     weights: CostWeights = CostWeights()
@@ -89,7 +89,7 @@ class TrajectoryCost:
         safety, energy, smooth = (leaning / leaning.sum(-1, keepdims=True)).T[..., None]
         w, limits = self.weights, self.limits
 
-        cost = self._ground(position, safety * w.safety, on_position)
+        cost = self._place(position, safety * w.safety, on_position)
         cost += _squared(velocity, energy * (w.energy / limits.v_max**2), on_velocity)
         cost += _squared(jerk, smooth * (w.smooth / w.jerk_scale**2), on_jerk)
         speed_limit, acceleration_limit = (w.limit_share * m for m in (limits.v_max, limits.a_max))
@@ -100,10 +100,10 @@ class TrajectoryCost:
         count = position.shape[-1]
         return cost.sum(-1) / count, (slope @ self.basis.stacked.T) / count
 
-    def _ground(self, position: FloatArray, safety: FloatArray, slope: FloatArray) -> FloatArray:
+    def _place(self, position: FloatArray, safety: FloatArray, slope: FloatArray) -> FloatArray:
         """Cost [M, T] of where the samples lie; writes its derivatives into slope [D, M, T]."""
         x, y = position[0], position[1]
-        clearance, along_x, along_y = self.ground.clearance.sample_with_gradient(x, y)
+        clearance, along_x, along_y = self.fields.clearance.sample_with_gradient(x, y)
         hard = np.maximum(self.margin - clearance, 0.0)
         lack = np.maximum(1.0 - clearance / self.weights.comfort, 0.0)
         # Beyond one robot-sized intrusion the hinge grows linearly: a deep start must not explode.
@@ -111,8 +111,8 @@ class TrajectoryCost:
         cost = self.weights.collision * deep * (2.0 * hard - deep) + safety * lack**2
         rate = -2.0 * (self.weights.collision * deep + safety / self.weights.comfort * lack)
         slope[0], slope[1], slope[2:] = rate * along_x, rate * along_y, 0.0
-        if self.ground.soft is not None:
-            value, soft_x, soft_y = self.ground.soft.sample_with_gradient(x, y)
+        if self.fields.soft is not None:
+            value, soft_x, soft_y = self.fields.soft.sample_with_gradient(x, y)
             cost += safety * value
             slope[0] += safety * soft_x
             slope[1] += safety * soft_y

@@ -8,10 +8,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.cost import Limits, TrajectoryCost
+from anchorflow_trajectory.bisection import bisect_to_safe
+from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
+from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.descent import descend
-from anchorflow_trajectory.ground import Ground
-from anchorflow_trajectory.retreat import retreat
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
 from anchorflow_trajectory.verify import verify
 
@@ -69,12 +69,12 @@ class Refiner:
     """
 
     basis: SplineBasis
-    limits: Limits
+    limits: MotionLimits
     steps: int
 
     @staticmethod
     def of(
-        limits: Limits, *, num_steps: int, num_control_points: int, degree: int, steps: int
+        limits: MotionLimits, *, num_steps: int, num_control_points: int, degree: int, steps: int
     ) -> Refiner:
         """A refiner for anchors of T = `num_steps` samples."""
         basis = spline_basis(
@@ -85,7 +85,7 @@ class Refiner:
     def refine(
         self,
         state: FloatArray,
-        ground: Ground,
+        fields: CostFields,
         *,
         x_curr: FloatArray,
         x_goal: FloatArray,
@@ -97,7 +97,7 @@ class Refiner:
         x_curr: [3D]; x_goal: [2D]; w_style: [3]; all SI, in the map's frame. Neither smoothed nor
         projected, the states are returned as they were sampled.
         """
-        cost = TrajectoryCost(self.basis, ground, self.limits, w_style, spec.safety_margin)
+        cost = TrajectoryCost(self.basis, fields, self.limits, w_style, spec.safety_margin)
         control = self.basis.fit(state, x_curr, x_goal)
         if spec.project:
             control = self._project(cost, control)
@@ -107,17 +107,17 @@ class Refiner:
             position, velocity, acceleration = np.split(state, 3, axis=-1)
             states = position, velocity, acceleration
         position, velocity, acceleration = (np.ascontiguousarray(s, np.float32) for s in states)
-        verdict = verify((position, velocity, acceleration), ground.clearance, self.limits)
+        verdict = verify((position, velocity, acceleration), fields.clearance, self.limits)
         scores = -cost.value(control)
         return Refined(position, velocity, acceleration, scores, verdict.clearance, verdict.safe)
 
     def _project(self, cost: TrajectoryCost, control: FloatArray) -> FloatArray:
         """Descend, again where not one anchor has come out safe, and bring the failures back."""
-        field = cost.ground.clearance
+        field = cost.fields.clearance
         for rate in (DESCENT_RATE, *FURTHER_RATES):
             control = descend(cost, control, steps=self.steps, rate=rate)
             safe = verify(self.basis.states(control), field, self.limits).safe
             if safe.any():
-                return retreat(control, safe, self.basis, field, self.limits)
+                return bisect_to_safe(control, safe, self.basis, field, self.limits)
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
         return control

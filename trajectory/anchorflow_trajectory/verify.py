@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.clearance import GridField, path_clearance
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -30,7 +30,7 @@ class Verdict:
 def verify(
     states: tuple[FloatArray, FloatArray, FloatArray],
     field: GridField,
-    limits: Limits,
+    limits: MotionLimits,
     *,
     check_step: float = CHECK_STEP,
 ) -> Verdict:

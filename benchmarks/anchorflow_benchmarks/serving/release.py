@@ -16,7 +16,7 @@ from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.errors import DeadlineExceeded, Superseded
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.engine import Engine
-from anchorflow_service.planning import Call, Limits, PlanningService
+from anchorflow_service.planning import Call, PlanningService, ServiceLimits
 
 CODEC = OipCodec()
 EARLIEST, LATEST = 0.2, 0.7  # of a request's time, when it is given up
@@ -31,7 +31,7 @@ def release_table(engine: Engine, request: AnchorRequest, *, rounds: int) -> Res
     timings = [engine.plan(request, threads=1).timing_ms for _ in range(3)]
     whole_s = p50([timing["total"] for timing in timings]) / 1e3
     step_ms = p50([timing["sample"] for timing in timings]) / steps
-    service = PlanningService({"it": engine}, default="it", limits=Limits(threads=1))
+    service = PlanningService({"it": engine}, default="it", limits=ServiceLimits(threads=1))
     draw = Random(0)
     with service:
         rows: list[Row] = []

@@ -14,8 +14,8 @@ from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
 from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.cost_fields import RISK, TRAVERSABILITY
 from anchorflow_trajectory.geodesic import cost_to_go
-from anchorflow_trajectory.ground import RISK, TRAVERSABILITY
 
 FAMILY, WAYS = "rooms", 2
 LINE_EVERY_M = 1.0

@@ -14,7 +14,7 @@ from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap
 from anchorflow_service.engine import Engine
 from anchorflow_training.data.homology import homology_classes, obstacle_points
 from anchorflow_training.scenes import Scene, SceneError, draw_scene
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 FAMILIES = ("rooms", "posts", "maze", "bug_traps", "city", "gaps", "discs", "forest")
 QUICK = {"method": "midpoint", "schedule": {"uniform": 2}}
@@ -79,7 +79,7 @@ class Stage:
     def _scenes(self, family: str) -> Iterator[Scene]:
         card = self.engine.card
         rng = np.random.default_rng([self.seed, FAMILIES.index(family)])
-        limits = Limits(card.v_max, card.a_max, card.horizon_s)
+        limits = MotionLimits(card.v_max, card.a_max, card.horizon_s)
         while True:
             with suppress(SceneError):
                 yield draw_scene(rng, limits=limits)

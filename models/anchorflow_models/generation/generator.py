@@ -25,7 +25,7 @@ from anchorflow_models.generation.scenes import (
     Scenes,
 )
 from anchorflow_models.generation.warm_start import WarmStart
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ode.schedule import remaining
 from anchorflow_trajectory.refine import Refined, Refiner
 
@@ -186,7 +186,7 @@ class TrajectoryGenerator:
 
     def _finish(self, state: np.ndarray, scenes: Scenes, b: int) -> Refined:
         config = self.model.config
-        limits = Limits(v_max=config.v_max, a_max=config.a_max, horizon_s=config.horizon_s)
+        limits = MotionLimits(v_max=config.v_max, a_max=config.a_max, horizon_s=config.horizon_s)
         refiner = Refiner.of(
             limits,
             num_steps=config.num_steps,
@@ -196,7 +196,7 @@ class TrajectoryGenerator:
         )
         return refiner.refine(
             state,
-            scenes.ground(b),
+            scenes.cost_fields(b),
             x_curr=scenes.x_curr[b],
             x_goal=scenes.x_goal[b],
             w_style=scenes.w_style[b],

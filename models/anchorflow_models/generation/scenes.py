@@ -13,8 +13,8 @@ from torch import Tensor
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.generation.checks import batched, check
 from anchorflow_trajectory.clearance import OCCUPIED, clearance_field
+from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
 from anchorflow_trajectory.geodesic import cost_to_go
-from anchorflow_trajectory.ground import TRAVERSABILITY, Ground
 
 FloatArray = NDArray[np.float32]
 Numbers = ArrayLike | Tensor
@@ -96,10 +96,10 @@ class Scenes:
         }
         return {name: torch.tensor(array, device=device) for name, array in inputs.items()}
 
-    def ground(self, scene: int) -> Ground:
-        """The ground of one scene as the refinement looks it up."""
+    def cost_fields(self, scene: int) -> CostFields:
+        """One scene as the finish looks it up."""
         origin = self.origin[scene]
-        return Ground.of(self.cost_map[scene], self.clearance[scene], self.resolution, origin)
+        return CostFields.of(self.cost_map[scene], self.clearance[scene], self.resolution, origin)
 
 
 def _cost_map(value: Numbers, channels: int) -> FloatArray:

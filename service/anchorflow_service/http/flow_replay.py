@@ -16,7 +16,7 @@ from starlette.responses import Response
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorRequest, ResolvedRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.flow import FlowStates
+from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_service.http.answers import json_answer
 from anchorflow_service.http.body import read_body
 from anchorflow_service.http.orjson_codec import OrjsonCodec

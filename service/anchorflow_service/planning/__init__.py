@@ -15,11 +15,11 @@ observer    who hears what becomes of every call
 from anchorflow_service.planning.arrival import Arrival
 from anchorflow_service.planning.engines import Engine, Engines
 from anchorflow_service.planning.errors import internal_error
-from anchorflow_service.planning.limits import Limits
+from anchorflow_service.planning.job import Turn
+from anchorflow_service.planning.limits import ServiceLimits
 from anchorflow_service.planning.observer import ANSWERED, CANCELLED, Observer
 from anchorflow_service.planning.queue import PlanningQueue
 from anchorflow_service.planning.service import Call, PlanningService
-from anchorflow_service.planning.ticket import Turn
 
 __all__ = [
     "ANSWERED",
@@ -28,10 +28,10 @@ __all__ = [
     "Call",
     "Engine",
     "Engines",
-    "Limits",
     "Observer",
     "PlanningQueue",
     "PlanningService",
+    "ServiceLimits",
     "Turn",
     "internal_error",
 ]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Limits:
+class ServiceLimits:
     """Bounds on memory, on waiting and on what is done at a time."""
 
     max_body_bytes: int = 16 * 2**20

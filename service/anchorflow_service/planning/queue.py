@@ -20,9 +20,9 @@ from typing import NamedTuple, TypeVar
 from anchorflow_client.errors import NotReady, Overloaded
 from anchorflow_service.cores import usable_cores
 from anchorflow_service.planning.arrival import Arrival
-from anchorflow_service.planning.limits import Limits
-from anchorflow_service.planning.pace import Pace
-from anchorflow_service.planning.ticket import CalledOff, Ticket, Turn
+from anchorflow_service.planning.job import CalledOff, Ticket, Turn
+from anchorflow_service.planning.limits import ServiceLimits
+from anchorflow_service.planning.service_time import Pace
 from anchorflow_service.planning.waiting import AnyTicket, WaitingLine
 
 Result = TypeVar("Result")
@@ -46,7 +46,7 @@ class PlanningQueue:
 
     def __init__(
         self,
-        limits: Limits,
+        limits: ServiceLimits,
         *,
         clock: Callable[[], float] = time.perf_counter,
         on_batch: Callable[[int], None] = lambda _: None,

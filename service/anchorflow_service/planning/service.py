@@ -23,11 +23,11 @@ from anchorflow_client.contract import (
 from anchorflow_client.errors import InternalError, InvalidRequest, RequestError
 from anchorflow_service.planning.arrival import Arrival
 from anchorflow_service.planning.engines import Engine, Engines
-from anchorflow_service.planning.limits import Limits
+from anchorflow_service.planning.job import Ticket, Turn
+from anchorflow_service.planning.latest_per_robot import Robots
+from anchorflow_service.planning.limits import ServiceLimits
 from anchorflow_service.planning.observer import ANSWERED, CANCELLED, Observer
 from anchorflow_service.planning.queue import PlanningQueue
-from anchorflow_service.planning.robots import Robots
-from anchorflow_service.planning.ticket import Ticket, Turn
 
 
 class ServiceCodec(Protocol):
@@ -81,10 +81,10 @@ class PlanningService:
         engines: Mapping[str, Engine],
         *,
         default: str,
-        limits: Limits | None = None,
+        limits: ServiceLimits | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self.limits = limits or Limits()
+        self.limits = limits or ServiceLimits()
         self.engines = Engines(engines, default=default)
         self.queue = PlanningQueue(self.limits, clock=clock, on_batch=self._batch_planned)
         self._observers: list[Observer] = []

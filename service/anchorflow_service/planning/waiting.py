@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from anchorflow_service.planning.ticket import Ticket
+from anchorflow_service.planning.job import Ticket
 
 AnyTicket = Ticket[Any]
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.bundle import BundleError
-from anchorflow_service.manifest import FILE_NAME, parse_manifest
+from anchorflow_service.bundle.manifest import FILE_NAME, parse_manifest
 
 
 class RepositoryError(AnchorFlowError):

@@ -11,8 +11,8 @@ from pathlib import Path
 from anchorflow_client.contract import ModelCard
 from anchorflow_client.errors import AnchorFlowError, UnknownModel
 from anchorflow_service.bundle import BundleError
+from anchorflow_service.bundle.providers import ProviderError
 from anchorflow_service.planning import Engine, Engines
-from anchorflow_service.providers import ProviderError
 from anchorflow_service.repository.folders import BundleFolders, FoundBundle, RepositoryError
 
 READY, UNAVAILABLE = "READY", "UNAVAILABLE"

@@ -14,7 +14,7 @@ from fastapi import FastAPI
 
 from anchorflow_service.http import body as body_module
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 
 MEBIBYTE = 2**20
 
@@ -76,7 +76,7 @@ def test_what_is_refused_is_taken_within_bounds(
 
 
 def test_the_limit_is_the_apps(run: Any, engine: Any, fields: dict[str, Any]) -> None:
-    limits = Limits(max_body_bytes=100)
+    limits = ServiceLimits(max_body_bytes=100)
     service = run(create_app(PlanningService({"a": engine}, default="a", limits=limits)))
 
     error = service.post(fields).json()["error"]

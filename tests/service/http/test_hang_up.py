@@ -15,7 +15,14 @@ from fastapi import FastAPI
 
 from anchorflow_client import AnchorBatch, AnchorRequest
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import ANSWERED, CANCELLED, Call, Limits, Observer, PlanningService
+from anchorflow_service.planning import (
+    ANSWERED,
+    CANCELLED,
+    Call,
+    Observer,
+    PlanningService,
+    ServiceLimits,
+)
 
 PATIENCE_S = 20
 
@@ -64,7 +71,7 @@ def stepping(engine: Any) -> StepByStep:
 
 @pytest.fixture
 def planning(stepping: StepByStep) -> PlanningService:
-    return PlanningService({"lines": stepping}, default="lines", limits=Limits(threads=1))
+    return PlanningService({"lines": stepping}, default="lines", limits=ServiceLimits(threads=1))
 
 
 @pytest.fixture

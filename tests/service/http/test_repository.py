@@ -16,7 +16,7 @@ from anchorflow_client import AnchorClient, AnchorRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.repository import BundleFolders, Repository
 
 SWAPS = 20
@@ -30,7 +30,7 @@ def opened(folder: Path) -> Engine:
 @pytest.fixture
 def service(tiny_bundle: Path, run: Any) -> Any:
     planning = PlanningService(
-        {"tiny": opened(tiny_bundle)}, default="tiny", limits=Limits(threads=2)
+        {"tiny": opened(tiny_bundle)}, default="tiny", limits=ServiceLimits(threads=2)
     )
     repository = Repository(planning.engines, BundleFolders([tiny_bundle]), opened)
     return run(create_app(planning, repository=repository))

@@ -13,7 +13,7 @@ from fastapi import FastAPI
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.repository import BundleFolders, Repository
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
@@ -28,7 +28,7 @@ def opened(folder: Path) -> Engine:
 @pytest.fixture
 def app(tiny_bundle: Path) -> FastAPI:
     """The tiny bundle, served; its repository can load it again."""
-    service = PlanningService({"tiny": opened(tiny_bundle)}, default="tiny", limits=Limits())
+    service = PlanningService({"tiny": opened(tiny_bundle)}, default="tiny", limits=ServiceLimits())
     repository = Repository(service.engines, BundleFolders([tiny_bundle]), opened)
     return create_app(service, repository=repository)
 

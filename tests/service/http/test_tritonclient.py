@@ -14,7 +14,7 @@ from anchorflow_client import AnchorClient
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.repository import BundleFolders, Repository
 
 triton = pytest.importorskip("tritonclient.http", reason="tritonclient[http] is not installed")
@@ -30,7 +30,7 @@ def opened(folder: Path) -> Engine:
 def app(tiny_bundle: Path) -> FastAPI:
     """The tiny bundle, served."""
     engine = opened(tiny_bundle)
-    service = PlanningService({"tiny": engine}, default="tiny", limits=Limits(threads=1))
+    service = PlanningService({"tiny": engine}, default="tiny", limits=ServiceLimits(threads=1))
     repository = Repository(service.engines, BundleFolders([tiny_bundle]), opened)
     return create_app(service, repository=repository)
 

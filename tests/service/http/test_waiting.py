@@ -11,7 +11,7 @@ import pytest
 
 from anchorflow_client import AnchorBatch, AnchorClient, Overloaded
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 
 PATIENCE_S = 20
 
@@ -59,7 +59,9 @@ def test_health_answers_while_an_engine_is_busy(
 def test_one_too_many_is_told_when_to_come_back(
     run: Any, engine: Any, gate: Gate, fields: dict[str, Any], background: ThreadPoolExecutor
 ) -> None:
-    planning = PlanningService({"a": engine}, default="a", limits=Limits(max_waiting=0, threads=1))
+    planning = PlanningService(
+        {"a": engine}, default="a", limits=ServiceLimits(max_waiting=0, threads=1)
+    )
     service = run(create_app(planning))
     answer = background.submit(service.post, fields)
     assert gate.reached.wait(PATIENCE_S)

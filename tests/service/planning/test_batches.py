@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from anchorflow_service.planning import Arrival, Limits, PlanningQueue, Turn
-from anchorflow_service.planning.ticket import Ticket
+from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits, Turn
+from anchorflow_service.planning.job import Ticket
 
 PATIENCE_S = 20
 AGES_MS = PATIENCE_S * 1e3
@@ -53,21 +53,21 @@ async def behind_a_busy_lane(queue: PlanningQueue, works: Works, *names: str) ->
 
 
 def test_a_batch_is_what_waits_when_a_lane_gets_free(works: Works) -> None:
-    with PlanningQueue(Limits(threads=1)) as queue:
+    with PlanningQueue(ServiceLimits(threads=1)) as queue:
         asyncio.run(behind_a_busy_lane(queue, works, "a1", "b1", "a2", "b2", "a3"))
 
     assert works.order == ["a1", "a2", "a3", "b1", "b2"]
 
 
 def test_a_batch_has_its_bound_so_that_nobody_is_passed_by_for_long(works: Works) -> None:
-    with PlanningQueue(Limits(threads=1, max_batch=2)) as queue:
+    with PlanningQueue(ServiceLimits(threads=1, max_batch=2)) as queue:
         asyncio.run(behind_a_busy_lane(queue, works, "a1", "b1", "a2", "a3", "a4"))
 
     assert works.order == ["a1", "a2", "b1", "a3", "a4"]
 
 
 def test_without_batches_it_is_first_come_first_served(works: Works) -> None:
-    with PlanningQueue(Limits(threads=1, max_batch=1)) as queue:
+    with PlanningQueue(ServiceLimits(threads=1, max_batch=1)) as queue:
         asyncio.run(behind_a_busy_lane(queue, works, "a1", "b1", "a2"))
 
     assert works.order == ["a1", "b1", "a2"]
@@ -81,7 +81,7 @@ async def two_in_turn(queue: PlanningQueue, works: Works) -> None:
 
 
 def test_a_batch_may_wait_for_others_and_goes_once_it_is_full(works: Works) -> None:
-    limits = Limits(threads=4, max_batch=2, batch_wait_ms=AGES_MS)
+    limits = ServiceLimits(threads=4, max_batch=2, batch_wait_ms=AGES_MS)
     with PlanningQueue(limits) as queue:
         asyncio.run(asyncio.wait_for(two_in_turn(queue, works), PATIENCE_S / 2))
 
@@ -90,7 +90,7 @@ def test_a_batch_may_wait_for_others_and_goes_once_it_is_full(works: Works) -> N
 
 def test_a_batch_shares_the_threads(works: Works) -> None:
     """Both lanes are idle when the batch of two is made, so each request has half of them."""
-    limits = Limits(threads=4, max_batch=2, batch_wait_ms=AGES_MS)
+    limits = ServiceLimits(threads=4, max_batch=2, batch_wait_ms=AGES_MS)
     with PlanningQueue(limits) as queue:
         while queue._idle_lanes < 2:  # they have only just been started
             threading.Event().wait(0.001)
@@ -107,14 +107,14 @@ def test_who_finds_another_at_work_has_only_the_idle_lanes(works: Works) -> None
         works.go_on.set()
         await busy
 
-    with PlanningQueue(Limits(threads=2)) as queue:
+    with PlanningQueue(ServiceLimits(threads=2)) as queue:
         asyncio.run(ask(queue))
 
     assert works.turns["a1"].threads == 1
 
 
 def test_who_waits_for_others_in_vain_is_planned_alone(works: Works) -> None:
-    with PlanningQueue(Limits(threads=1, batch_wait_ms=30.0)) as queue:
+    with PlanningQueue(ServiceLimits(threads=1, batch_wait_ms=30.0)) as queue:
         asyncio.run(queue.work(works.ticket("a1", "a")))
 
     assert works.turns["a1"].queue_ms >= 30.0
@@ -130,7 +130,7 @@ def test_a_batch_does_not_wait_for_who_was_called_off(works: Works) -> None:
         await asyncio.wait([first])
         return await queue.work(works.ticket("b1", "b"))
 
-    with PlanningQueue(Limits(threads=1, batch_wait_ms=30.0)) as queue:
+    with PlanningQueue(ServiceLimits(threads=1, batch_wait_ms=30.0)) as queue:
         asyncio.run(ask(queue))
 
     assert works.order == ["b1"]

@@ -17,7 +17,7 @@ from anchorflow_client import (
     Overloaded,
     Superseded,
 )
-from anchorflow_service.planning import Call, Limits, PlanningService
+from anchorflow_service.planning import Call, PlanningService, ServiceLimits
 
 CODEC = JsonCodec()
 PATIENCE_S = 20
@@ -55,7 +55,7 @@ def stepping(engine: Any) -> SteppingEngine:
 
 @pytest.fixture
 def service(stepping: SteppingEngine) -> PlanningService:
-    limits = Limits(threads=1, max_waiting=2)
+    limits = ServiceLimits(threads=1, max_waiting=2)
     return PlanningService({"lines": stepping}, default="lines", limits=limits)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from anchorflow_client import NotReady, Overloaded
-from anchorflow_service.planning import Limits, PlanningQueue
+from anchorflow_service.planning import PlanningQueue, ServiceLimits
 
 PATIENCE_S = 20
 
@@ -26,7 +26,7 @@ def test_the_queue_lets_so_many_wait() -> None:
         opened.set()
         return await asyncio.gather(*jobs, return_exceptions=True)
 
-    with PlanningQueue(Limits(threads=1, max_waiting=2)) as queue:
+    with PlanningQueue(ServiceLimits(threads=1, max_waiting=2)) as queue:
         *answered, refused = asyncio.run(fill(queue))
         assert answered == [True, True, True]
         assert isinstance(refused, Overloaded)
@@ -38,7 +38,7 @@ def test_a_job_that_fails_gives_its_place_back() -> None:
     def fail(_: object) -> None:
         raise ZeroDivisionError
 
-    with PlanningQueue(Limits(threads=1, max_waiting=0)) as queue:
+    with PlanningQueue(ServiceLimits(threads=1, max_waiting=0)) as queue:
         for _ in range(3):
             with pytest.raises(ZeroDivisionError):
                 asyncio.run(queue.run(fail))
@@ -60,14 +60,14 @@ def test_a_caller_who_leaves_gives_his_place_back() -> None:
         assert await running
         assert await another == "another"
 
-    with PlanningQueue(Limits(threads=1, max_waiting=1)) as queue:
+    with PlanningQueue(ServiceLimits(threads=1, max_waiting=1)) as queue:
         asyncio.run(leave(queue))
     assert done == []
 
 
 def test_a_closed_queue_is_not_ready() -> None:
     with pytest.raises(NotReady):
-        asyncio.run(PlanningQueue(Limits(threads=1)).run(lambda _: None))
+        asyncio.run(PlanningQueue(ServiceLimits(threads=1)).run(lambda _: None))
 
 
 def test_closing_waits_for_what_runs_and_refuses_what_waits() -> None:
@@ -79,7 +79,7 @@ def test_closing_waits_for_what_runs_and_refuses_what_waits() -> None:
         return "done"
 
     async def close() -> list[Any]:
-        queue = PlanningQueue(Limits(threads=1)).__enter__()
+        queue = PlanningQueue(ServiceLimits(threads=1)).__enter__()
         jobs = [asyncio.ensure_future(queue.run(job)) for _ in range(2)]
         await asyncio.to_thread(reached.wait, PATIENCE_S)
         closing = asyncio.ensure_future(asyncio.to_thread(queue.__exit__, None, None, None))
@@ -102,29 +102,29 @@ def test_two_lanes_work_at_the_same_time() -> None:
         jobs = (queue.run(lambda _: both.wait(PATIENCE_S)) for _ in range(2))
         return await asyncio.gather(*jobs)
 
-    with PlanningQueue(Limits(threads=2, max_batch=2)) as queue:
+    with PlanningQueue(ServiceLimits(threads=2, max_batch=2)) as queue:
         assert sorted(asyncio.run(ask(queue))) == [0, 1]
 
 
 @pytest.mark.parametrize(
     ("limits", "lanes"),
     [
-        (Limits(threads=4), 4),
-        (Limits(threads=4, max_batch=3), 3),
-        (Limits(threads=4, max_batch=1), 1),
+        (ServiceLimits(threads=4), 4),
+        (ServiceLimits(threads=4, max_batch=3), 3),
+        (ServiceLimits(threads=4, max_batch=1), 1),
     ],
 )
 def test_there_is_a_lane_for_each_request_that_may_be_planned_at_a_time(
-    limits: Limits, lanes: int
+    limits: ServiceLimits, lanes: int
 ) -> None:
     assert PlanningQueue(limits).workers == lanes
 
 
 def test_who_is_alone_has_all_threads() -> None:
     for limits in (
-        Limits(threads=6),
-        Limits(threads=6, max_batch=1),
-        Limits(threads=6, max_batch=4),
+        ServiceLimits(threads=6),
+        ServiceLimits(threads=6, max_batch=1),
+        ServiceLimits(threads=6, max_batch=4),
     ):
         with PlanningQueue(limits) as queue:
             idle = threading.Event()
@@ -148,4 +148,4 @@ def test_who_is_alone_has_all_threads() -> None:
 )
 def test_bounds_that_leave_nothing_are_refused(changes: dict[str, Any], name: str) -> None:
     with pytest.raises(ValueError, match=f"{name}: expected"):
-        Limits(**changes)
+        ServiceLimits(**changes)

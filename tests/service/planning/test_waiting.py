@@ -6,7 +6,7 @@ from collections.abc import Hashable
 
 from anchorflow_client import DeadlineExceeded
 from anchorflow_service.planning import Arrival
-from anchorflow_service.planning.ticket import CalledOff, Ticket
+from anchorflow_service.planning.job import CalledOff, Ticket
 from anchorflow_service.planning.waiting import WaitingLine
 
 

@@ -16,7 +16,7 @@ from anyio.from_thread import start_blocking_portal
 from anchorflow_client import AnchorBatch, AnchorRequest, InvalidRequest, OipCodec, Payload
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
-from anchorflow_service.planning import Limits, PlanningService
+from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 CODEC = OipCodec()
@@ -173,7 +173,7 @@ def test_the_budget_beside_the_body_rules(session: zenoh.Session, fields: dict[s
 def test_a_body_over_the_limit_is_refused(
     serve: Any, endpoint: str, engine: Any, fields: dict[str, Any]
 ) -> None:
-    limits = Limits(max_body_bytes=100)
+    limits = ServiceLimits(max_body_bytes=100)
     service = PlanningService({"lines": engine}, default="lines", limits=limits)
     serve(ZenohSettings(listen=(endpoint,)), service)
     with open_session(ZenohSettings(mode="client", connect=(endpoint,))) as session:

@@ -24,7 +24,7 @@ from anchorflow_client import (
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-from anchorflow_service.planning import Call, Limits, Observer, PlanningService
+from anchorflow_service.planning import Call, Observer, PlanningService, ServiceLimits
 
 PATIENCE_S = 20
 
@@ -264,7 +264,7 @@ def test_the_queue_is_the_services(
 ) -> None:
     """One request too many is refused over zenoh, however the others came."""
     service = PlanningService(
-        {"lines": engine}, default="lines", limits=Limits(max_waiting=0, threads=1)
+        {"lines": engine}, default="lines", limits=ServiceLimits(max_waiting=0, threads=1)
     )
     serve(ZenohSettings(listen=(endpoint,)), service)
     with ThreadPoolExecutor(1) as executor, ZenohAnchorClient(endpoint) as client:

@@ -17,7 +17,7 @@ import numpy as np
 from anchorflow_training.data.imported_scene import SceneOptions, SceneSource, imported_scene
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
 from anchorflow_training.dataset import DatasetError, create_arrays, shrink_arrays
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 
 LIMIT_QUANTILE = 0.995  # of the samples' peaks; a single glitch must not set the limit
 LIMIT_RESERVE = 1.02
@@ -40,7 +40,7 @@ class ImportConfig:
     scene: SceneOptions = field(default_factory=SceneOptions)
 
 
-def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> Limits:
+def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> MotionLimits:
     """Speed and acceleration that the samples keep, and their horizon.
 
     Raises:
@@ -60,7 +60,7 @@ def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> Limits:
             (config.a_max, dataset.peak_acceleration),
         )
     )
-    return Limits(v_max=v_max, a_max=a_max, horizon_s=dataset.horizon_s)
+    return MotionLimits(v_max=v_max, a_max=a_max, horizon_s=dataset.horizon_s)
 
 
 def rounded_up(value: float) -> float:
@@ -167,7 +167,7 @@ def _mapper(workers: int) -> Iterator[Callable[..., Any]]:
         yield pool.map
 
 
-def _over(dataset: TrajectoryDataset, limits: Limits) -> np.ndarray:
+def _over(dataset: TrajectoryDataset, limits: MotionLimits) -> np.ndarray:
     """[n] bool: samples that do not keep the limits."""
     speed, acceleration = dataset.peak_speed, dataset.peak_acceleration
     return ((speed > limits.v_max) | (acceleration > limits.a_max))[dataset.rows]

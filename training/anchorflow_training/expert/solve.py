@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from anchorflow_training.expert.grid_paths import alternative_paths, time_along
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.clearance import path_clearance
-from anchorflow_trajectory.cost import Limits, TrajectoryCost
+from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
+from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.descent import descend, whitening
-from anchorflow_trajectory.ground import Ground
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
 FloatArray = NDArray[np.floating]
@@ -50,17 +50,17 @@ class Solution:
 
 
 def solve(
-    scene: Scene, *, config: ExpertConfig, limits: Limits, rng: np.random.Generator
+    scene: Scene, *, config: ExpertConfig, limits: MotionLimits, rng: np.random.Generator
 ) -> Solution:
     """Try `config.tries` descents on the scene."""
     basis = spline_basis(config.num_samples, limits.horizon_s)
-    ground = Ground.of(scene.cost_map, scene.clearance, scene.resolution, scene.origin)
-    cost = TrajectoryCost(basis, ground, limits, scene.style, config.margin)
+    fields = CostFields.of(scene.cost_map, scene.clearance, scene.resolution, scene.origin)
+    cost = TrajectoryCost(basis, fields, limits, scene.style, config.margin)
     control = descend(
         cost, _guesses(scene, basis, config, rng), steps=config.steps, rate=config.rate
     )
     position, velocity, acceleration = basis.states(control)
-    clearance = path_clearance(ground.clearance, position, max_step=0.05)
+    clearance = path_clearance(fields.clearance, position, max_step=0.05)
     good = clearance >= 0.3 * scene.resolution
     good &= np.linalg.norm(velocity, axis=-1).max(1) <= 1.02 * limits.v_max
     good &= np.linalg.norm(acceleration, axis=-1).max(1) <= 1.03 * limits.a_max

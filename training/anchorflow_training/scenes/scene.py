@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from anchorflow_training.scenes.layouts import LAYOUTS, BoolArray, Canvas
 from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.geodesic import grid_graph
 
 FloatArray = NDArray[np.floating]
@@ -46,7 +46,7 @@ class Scene:
         return self.cost_map[0] >= 0.5
 
 
-def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: Limits) -> Scene:
+def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: MotionLimits) -> Scene:
     """A random scene on a `cells` x `cells` map; raises `SceneError` where the draw has no room."""
     families = list(LAYOUTS)
     shares = np.array([LAYOUTS[f][1] for f in families])
@@ -94,7 +94,7 @@ def _oriented(
 
 
 def _ends(
-    rng: np.random.Generator, clearance: FloatArray, resolution: float, limits: Limits
+    rng: np.random.Generator, clearance: FloatArray, resolution: float, limits: MotionLimits
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Start and goal cells (row, column), connected by a way that the horizon suffices for."""
     # Some ends are snug against a wall, most are not.
@@ -134,7 +134,7 @@ def _ends(
 
 
 def _velocity(
-    rng: np.random.Generator, clearance: float, limits: Limits, span: FloatArray
+    rng: np.random.Generator, clearance: float, limits: MotionLimits, span: FloatArray
 ) -> FloatArray:
     """A velocity at an end of the way: mostly along it, slow where there is little room."""
     braking = np.sqrt(2 * 0.7 * limits.a_max * max(0.05, clearance + 0.15))

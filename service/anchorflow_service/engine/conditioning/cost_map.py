@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import OCCUPIED, ModelCard, ResolvedRequest, TensorSpec
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_trajectory import clearance, geodesic
-from anchorflow_trajectory.ground import TRAVERSABILITY, Ground
+from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
 
 FloatArray = NDArray[np.float32]
 
@@ -80,9 +80,9 @@ class Scene:
         return self.request.w_style[self.index].astype(np.float32)
 
     @cached_property
-    def ground(self) -> Ground:
-        """The ground as refinement looks it up."""
-        return Ground.of(self.cost_map, self.clearance_field, self.resolution, self.origin)
+    def cost_fields(self) -> CostFields:
+        """The maps as the finish looks them up."""
+        return CostFields.of(self.cost_map, self.clearance_field, self.resolution, self.origin)
 
     def inputs(self, specs: Iterable[TensorSpec]) -> dict[str, FloatArray]:
         """The inputs that a manifest lists, by name and with a B axis of 1."""

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from anchorflow_client.contract import ModelCard
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_service.conditioning import SCENE_INPUTS
-from anchorflow_service.manifest import FILE_NAME, GraphEntry, Manifest, parse_manifest
+from anchorflow_service.bundle.manifest import FILE_NAME, GraphEntry, Manifest, parse_manifest
+from anchorflow_service.engine.conditioning.cost_map import SCENE_INPUTS
 
-DEFAULT_BUNDLE = Path(__file__).parent / "bundles" / "default"
+DEFAULT_BUNDLE = Path(__file__).parents[1] / "bundles" / "default"
 """The bundle that ships inside the package."""
 
 # What each role of an "ode" bundle is fed besides the outputs of encode.

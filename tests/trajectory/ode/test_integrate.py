@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from anchorflow_service.solver import Array, VectorField, integrate
+from anchorflow_trajectory.ode.integrate import Array, VectorField, integrate
 from anchorflow_trajectory.ode.method import METHODS, Method
 from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times, uniform_schedule
 from anchorflow_trajectory.ode.tableau import ButcherTableau

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import TensorSpec
 from anchorflow_service.bundle import Bundle, BundleError
-from anchorflow_service.providers import DEFAULT_PROVIDER, check_obtained, provider_named
+from anchorflow_service.bundle.providers import DEFAULT_PROVIDER, check_obtained, provider_named
 
 Array = NDArray[np.float32]
 

@@ -187,7 +187,8 @@ def test_where_cutting_changes_bytes_one_thread_makes_the_same_cuts(
 ) -> None:
     cuts: list[int] = []
     monkeypatch.setattr(
-        "anchorflow_service.flow.integrate", lambda _, x, **__: cuts.append(len(x)) or x
+        "anchorflow_service.engine.samplers.ode.integrate",
+        lambda _, x, **__: cuts.append(len(x)) or x,
     )
     request = small_request(num_samples=20)
     for engine._flow._cuts_freely in (True, False):
@@ -238,7 +239,7 @@ def test_an_engine_that_fails_at_its_first_request_is_none(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("Non-zero status code returned while running Gather node")
 
-    monkeypatch.setattr("anchorflow_service.flow.FlowSampler.integrate", fail)
+    monkeypatch.setattr("anchorflow_service.engine.samplers.ode.FlowSampler.integrate", fail)
     with pytest.raises(BundleError, match="the warm-up failed: Non-zero status") as caught:
         Engine(load_bundle(tiny_bundle), threads=1)
     assert caught.value.reason == "bundle: the warm-up failed"

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import SamplerSpec
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.graph import BoundGraph, open_graph
-from anchorflow_service.providers import DEFAULT_PROVIDER
-from anchorflow_service.solver import integrate
+from anchorflow_service.bundle.graphs import BoundGraph, open_graph
+from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
+from anchorflow_trajectory.ode.integrate import integrate
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import stage_times
 

@@ -1,4 +1,4 @@
-"""The ground of one scene, as the cost looks it up."""
+"""Cost fields: the maps of one scene, as the cost looks them up."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TRAVERSABILITY, RISK = 1, 2  # channels of a cost map; 0 is occupancy
 
 
 @dataclass(frozen=True)
-class Ground:
+class CostFields:
     """clearance: m beyond the robot's radius; soft: cost in [0, 1] of free ground, if any."""
 
     clearance: GridField
@@ -24,10 +24,10 @@ class Ground:
     @staticmethod
     def of(
         cost_map: FloatArray, clearance: FloatArray, resolution: float, origin: FloatArray
-    ) -> Ground:
-        """The ground of a cost map [C, H, W] in [0, 1] whose clearance [H, W] is known.
+    ) -> CostFields:
+        """Of a cost map [C, H, W] in [0, 1] whose clearance [H, W] is known.
 
-        Ground is dear where it is risky or hard to pass, whichever is worse.
+        CostFields is dear where it is risky or hard to pass, whichever is worse.
         """
         field = GridField(clearance, resolution, origin)
         soft = np.zeros_like(clearance)
@@ -35,4 +35,4 @@ class Ground:
             soft = np.maximum(soft, 1.0 - cost_map[TRAVERSABILITY])
         if len(cost_map) > RISK:
             soft = np.maximum(soft, cost_map[RISK])
-        return Ground(field, GridField(soft, resolution, origin) if soft.any() else None)
+        return CostFields(field, GridField(soft, resolution, origin) if soft.any() else None)

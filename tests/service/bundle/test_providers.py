@@ -9,8 +9,8 @@ import onnxruntime as ort
 import pytest
 
 from anchorflow_service.bundle import load_bundle
+from anchorflow_service.bundle.providers import ProviderError, check_obtained, provider_named
 from anchorflow_service.engine import Engine
-from anchorflow_service.providers import ProviderError, check_obtained, provider_named
 
 WITHOUT_CUDA = pytest.mark.skipif(
     "CUDAExecutionProvider" in ort.get_available_providers(), reason="this onnxruntime has CUDA"

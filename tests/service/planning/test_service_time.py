@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from anchorflow_client import Overloaded
-from anchorflow_service.planning import Arrival, Limits, PlanningQueue
-from anchorflow_service.planning.pace import Pace
-from anchorflow_service.planning.ticket import Ticket
+from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
+from anchorflow_service.planning.job import Ticket
+from anchorflow_service.planning.service_time import Pace
 
 PATIENCE_S = 20
 
@@ -84,7 +84,7 @@ def behind(queue: PlanningQueue, clock: Clock, *, waiting: int, budget_ms: float
 
 
 def test_who_cannot_be_answered_in_time_hears_it_at_once(clock: Clock) -> None:
-    with PlanningQueue(Limits(threads=1), clock=clock) as queue:
+    with PlanningQueue(ServiceLimits(threads=1), clock=clock) as queue:
         taught(queue, clock, 2.0)
         refused = behind(queue, clock, waiting=3, budget_ms=7_999.0)
 
@@ -105,7 +105,7 @@ def test_who_cannot_be_answered_in_time_hears_it_at_once(clock: Clock) -> None:
 def test_who_may_be_answered_in_time_is_let_in(
     clock: Clock, seconds: float, waiting: int, budget_ms: float
 ) -> None:
-    with PlanningQueue(Limits(threads=1), clock=clock) as queue:
+    with PlanningQueue(ServiceLimits(threads=1), clock=clock) as queue:
         taught(queue, clock, seconds)
         outcome = behind(queue, clock, waiting=waiting, budget_ms=budget_ms)
 
@@ -127,6 +127,6 @@ def test_the_refusal_of_a_full_queue_counts_those_at_work_too(clock: Clock) -> N
         await asyncio.gather(*held)
         return caught.value
 
-    with PlanningQueue(Limits(threads=1, max_waiting=4), clock=clock) as queue:
+    with PlanningQueue(ServiceLimits(threads=1, max_waiting=4), clock=clock) as queue:
         taught(queue, clock, 3.0)
         assert asyncio.run(fill(queue)).retry_after_s == 15

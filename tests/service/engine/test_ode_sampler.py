@@ -11,7 +11,7 @@ import pytest
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, SamplerSpec
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.flow import Context, FlowSampler
+from anchorflow_service.engine.samplers.ode import Context, FlowSampler
 
 RK4_8STEP = SamplerSpec("rk4", EIGHT_STEP_SCHEDULE)
 X_CURR = np.array([[1.0, 2.0, 0.5, -0.5, 0.0, 0.1]], np.float32)

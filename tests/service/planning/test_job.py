@@ -6,7 +6,7 @@ import pytest
 
 from anchorflow_client import DeadlineExceeded, NotReady
 from anchorflow_service.planning import Arrival, Turn
-from anchorflow_service.planning.ticket import CalledOff, Ticket
+from anchorflow_service.planning.job import CalledOff, Ticket
 
 
 def test_a_job_learns_how_long_it_waited_and_what_it_may_use() -> None:

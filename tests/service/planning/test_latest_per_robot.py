@@ -6,8 +6,8 @@ import pytest
 
 from anchorflow_client import Superseded
 from anchorflow_service.planning import Arrival
-from anchorflow_service.planning.robots import Robots
-from anchorflow_service.planning.ticket import Ticket
+from anchorflow_service.planning.job import Ticket
+from anchorflow_service.planning.latest_per_robot import Robots
 
 
 def ticket(arrived: float = 7.0) -> Ticket[None]:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from anchorflow_client.errors import Superseded
-from anchorflow_service.planning.ticket import Ticket
+from anchorflow_service.planning.job import Ticket
 
 
 class Robots:

@@ -17,14 +17,14 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import Bundle, BundleError
-from anchorflow_service.conditioning import Scene, scenes_of
+from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.cores import usable_cores
-from anchorflow_service.flow import Array, Context, FlowSampler, FlowStates
-from anchorflow_service.probe import probe_request
-from anchorflow_service.providers import DEFAULT_PROVIDER
-from anchorflow_service.timing import StageClock
-from anchorflow_service.warm_start import renoised, warm_state
-from anchorflow_trajectory.cost import Limits
+from anchorflow_service.engine.conditioning.cost_map import Scene, scenes_of
+from anchorflow_service.engine.probe import probe_request
+from anchorflow_service.engine.samplers.ode import Array, Context, FlowSampler, FlowStates
+from anchorflow_service.engine.samplers.warm_start import renoised, warm_state
+from anchorflow_service.engine.timing import StageClock
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ode.schedule import remaining
 from anchorflow_trajectory.refine import Refined, Refiner
 
@@ -155,7 +155,7 @@ class Engine:
     def _refine(self, scene: Scene, state: Array) -> Refined:
         """Anchors that meet both ends, and what they are worth."""
         request, refine = scene.request, self._manifest.refine
-        limits = Limits(v_max=request.v_max, a_max=request.a_max, horizon_s=request.horizon_s)
+        limits = MotionLimits(v_max=request.v_max, a_max=request.a_max, horizon_s=request.horizon_s)
         refiner = Refiner.of(
             limits,
             num_steps=self.card.T,
@@ -165,7 +165,7 @@ class Engine:
         )
         return refiner.refine(
             state,
-            scene.ground,
+            scene.cost_fields,
             x_curr=scene.x_curr,
             x_goal=scene.x_goal,
             w_style=scene.w_style,

@@ -12,7 +12,7 @@ import yaml
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from anchorflow_service.ros_map import RosMap, RosMapError, load_ros_map
+from anchorflow_cli.ros_map import RosMap, RosMapError, load_ros_map
 
 # Top row first, as a picture is: an occupied, an unknown, a free pixel over three free ones.
 PIXELS = np.array([[0, 205, 254], [254, 254, 254]], dtype=np.uint8)

@@ -13,7 +13,7 @@ from anchorflow_client.contract import AnchorRequest, ModelCard, WarmStart
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
-from anchorflow_service.warm_start import warm_state
+from anchorflow_service.engine.samplers.warm_start import warm_state
 
 HORIZON = 7.0
 

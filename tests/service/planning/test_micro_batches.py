@@ -12,7 +12,7 @@ from anchorflow_client import AnchorBatch, AnchorRequest, OipCodec
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
-from anchorflow_service.planning import Call, Limits, Observer, PlanningService
+from anchorflow_service.planning import Call, Observer, PlanningService, ServiceLimits
 
 CODEC = OipCodec()
 CALLERS = 10
@@ -48,7 +48,7 @@ def request(caller: int) -> AnchorRequest:
 
 
 def answers(
-    engine: Engine, limits: Limits, requests: Sequence[AnchorRequest]
+    engine: Engine, limits: ServiceLimits, requests: Sequence[AnchorRequest]
 ) -> tuple[list[AnchorBatch], list[int]]:
     """What the callers get who all ask at once, and the sizes of the batches."""
     service, sizes = PlanningService({"it": engine}, default="it", limits=limits), Sizes()
@@ -71,7 +71,7 @@ def test_together_they_get_the_bytes_that_each_gets_alone(engine: Engine, thread
     # In binary a map's geometry is float32, so what is planned alone goes through the codec too.
     alone = [engine.plan(CODEC.decode_request(CODEC.encode_request(each))) for each in requests]
 
-    together, sizes = answers(engine, Limits(threads=threads), requests)
+    together, sizes = answers(engine, ServiceLimits(threads=threads), requests)
 
     for one, other in zip(alone, together, strict=True):
         for name in ARRAY_DTYPES:
@@ -82,8 +82,8 @@ def test_together_they_get_the_bytes_that_each_gets_alone(engine: Engine, thread
 
 def test_without_batches_they_get_the_same_bytes_too(engine: Engine) -> None:
     requests = [request(caller) for caller in range(4)]
-    batched, _ = answers(engine, Limits(threads=2), requests)
-    in_turn, sizes = answers(engine, Limits(threads=2, max_batch=1), requests)
+    batched, _ = answers(engine, ServiceLimits(threads=2), requests)
+    in_turn, sizes = answers(engine, ServiceLimits(threads=2, max_batch=1), requests)
 
     for one, other in zip(batched, in_turn, strict=True):
         assert one.trajectories.tobytes() == other.trajectories.tobytes()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.clearance import GridField
-from anchorflow_trajectory.cost import Limits
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import SplineBasis
 from anchorflow_trajectory.verify import verify
 
@@ -22,8 +22,8 @@ ROUNDS = 5
 STRIDE = 4  # samples between the points by which trajectories are compared
 
 
-def retreat(
-    control: FloatArray, safe: BoolArray, basis: SplineBasis, field: GridField, limits: Limits
+def bisect_to_safe(
+    control: FloatArray, safe: BoolArray, basis: SplineBasis, field: GridField, limits: MotionLimits
 ) -> FloatArray:
     """Control points [D, M, K], those that are not `safe` [M] moved; unmoved where none is."""
     if safe.all() or not safe.any():

@@ -12,7 +12,7 @@ import pytest
 
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.bundle import BundleError, load_bundle
-from anchorflow_service.graph import open_graph
+from anchorflow_service.bundle.graphs import open_graph
 
 Edit = Callable[..., None]
 

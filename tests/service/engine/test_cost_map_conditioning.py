@@ -12,7 +12,7 @@ import pytest
 from anchorflow_client.contract import AnchorRequest, ModelCard, TensorSpec, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.conditioning import SCENE_INPUTS, Scene, scenes_of
+from anchorflow_service.engine.conditioning.cost_map import SCENE_INPUTS, Scene, scenes_of
 
 Build = Callable[..., AnchorRequest]
 

@@ -1,0 +1,11 @@
+"""Bundles on disk: a folder of manifest.json and ONNX graphs.
+
+manifest   what manifest.json says; the exporter writes it with the same classes
+reader     a bundle read, and checked before it serves
+graphs     its graphs, opened by onnxruntime
+providers  where onnxruntime runs them
+"""
+
+from anchorflow_service.bundle.reader import DEFAULT_BUNDLE, Bundle, BundleError, load_bundle
+
+__all__ = ["DEFAULT_BUNDLE", "Bundle", "BundleError", "load_bundle"]
