@@ -33,6 +33,7 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http.guard import Guard
 from anchorflow_service.http.tokens import TokenFile, token_line
+from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
 from anchorflow_service.planning.job import Ticket
 from anchorflow_service.planning.latest_per_robot import Robots
@@ -77,7 +78,7 @@ REFUSED: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_refused_request(name: str, default_engine: Engine) -> None:
     with pytest.raises(RequestError) as caught:
-        default_engine.plan(AnchorRequest.from_fields(GOOD | REFUSED[name]))
+        LocalClient(default_engine).plan_request(AnchorRequest.from_fields(GOOD | REFUSED[name]))
 
     check(name, caught.value)
 

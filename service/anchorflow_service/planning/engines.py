@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Protocol
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
+from anchorflow_client.contract import AnchorBatch, ModelCard, ResolvedRequest
 from anchorflow_client.errors import UnknownModel
 
 
@@ -20,9 +20,10 @@ class Engine(Protocol):
         ...
 
     def plan(
-        self, request: AnchorRequest, /, *, threads: int, check: Callable[[], object]
+        self, request: ResolvedRequest, /, *, threads: int, check: Callable[[], object]
     ) -> AnchorBatch:
-        """Anchors for every scene of the request. Blocks; several threads may call it.
+        """Anchors for every scene of a request that is resolved for the card. Blocks; several
+        threads may call it.
 
         The answer depends neither on `threads`, which it may keep busy, nor on what else is
         planned. `check` is called between steps; what it raises ends the work.
