@@ -17,8 +17,8 @@ from fastapi import FastAPI
 from anchorflow_service.http.connections import ConnectionLimits, limited
 from anchorflow_service.planning import PlanningService
 
-BREAKING_OFF_S = 1.0
-"""For what is broken off to be told so."""
+CANCELLING_S = 1.0
+"""For those whose requests are cancelled to be told so."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,8 @@ class AnchorServer(uvicorn.Server):
                 server_header=False,
                 proxy_headers=False,
                 h11_max_incomplete_event_size=limits.max_head_bytes,
-                # What is broken off by then is still answered.
-                timeout_graceful_shutdown=math.ceil(self._draining.drain_s + BREAKING_OFF_S),
+                # What is cancelled by then is still answered.
+                timeout_graceful_shutdown=math.ceil(self._draining.drain_s + CANCELLING_S),
                 ssl_context_factory=None if tls is None else (lambda *_: tls),
             )
         )
@@ -78,7 +78,7 @@ class AnchorServer(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Listen no more, answer what came, close the application."""
         loop = asyncio.get_running_loop()
-        loop.call_later(self._draining.drain_s, self._service.queue.break_off)
+        loop.call_later(self._draining.drain_s, self._service.queue.cancel_all)
         await super().shutdown(sockets)
         await self._opened.aclose()
 

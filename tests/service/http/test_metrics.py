@@ -134,7 +134,7 @@ def test_bundles_load_and_threads_stand_as_they_are(service: Any, planning: Any)
         assert value(samples, "anchorflow_bundle_info", **labels) == 1
     assert value(samples, "anchorflow_ready") == 1
     assert value(samples, "anchorflow_in_flight") == 0
-    assert value(samples, "anchorflow_workers") == planning.queue.workers
+    assert value(samples, "anchorflow_workers") == planning.queue.num_lanes
     assert value(samples, "anchorflow_threads") > 1
     assert value(samples, "process_open_fds") > 1
 
@@ -153,7 +153,7 @@ def test_the_age_of_the_oldest_in_the_queue_is_seen(
         return batch
 
     engine.before_answer = wait
-    lanes = planning.queue.workers
+    lanes = planning.queue.num_lanes
     asking = [threading.Thread(target=service.post, args=(fields,)) for _ in range(lanes + 1)]
     for thread in asking[:-1]:
         thread.start()
