@@ -73,9 +73,7 @@ def ask(service: PlanningService, fields: dict[str, Any]) -> Ask:
 
 
 @pytest.fixture
-def until_waiting(
-    service: PlanningService, until: Callable[[Callable[[], object]], None]
-) -> UntilWaiting:
+def until_waiting(service: PlanningService, until: Any) -> UntilWaiting:
     """Until so many jobs wait for a lane."""
     return lambda count: asyncio.to_thread(until, lambda: service.queue.num_waiting == count)
 
