@@ -42,7 +42,7 @@ def shared_data() -> Callable[[str], Path]:
 
 @pytest.fixture(scope="session")
 def until() -> Callable[[Callable[[], object]], None]:
-    """Waits until a condition holds; fails where it still does not after a minute.
+    """Waits until a condition holds; fails where it still does not after a while.
 
     For what can only be looked at: where there is an event, wait for the event.
     """
@@ -50,7 +50,7 @@ def until() -> Callable[[Callable[[], object]], None]:
 
 
 def _until(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 100
     while not condition():
         assert time.monotonic() < deadline, "it does not come about"
         time.sleep(0.005)
