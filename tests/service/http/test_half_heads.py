@@ -58,17 +58,30 @@ class HalfHeads:
             connection.close()
 
     def _open_again(self) -> None:
-        place = 0
-        while not self._stop.wait(0.001):
-            self._connections[place].close()
-            self._connections[place] = self._opened()
-            place = (place + 1) % CONNECTIONS
+        while not self._stop.is_set():
+            for place, connection in enumerate(self._connections):
+                if is_open(connection):
+                    continue
+                connection.close()
+                self._connections[place] = self._opened()
+                if self._stop.wait(0.001):
+                    return
 
     def _opened(self) -> socket.socket:
         connection = socket.create_connection(self._address, timeout=PATIENCE_S)
         with suppress(ConnectionError):
             connection.sendall(b"GET /v2 HTTP/1.1\r\nHost: a\r\nX-Half: ")
         return connection
+
+
+def is_open(connection: socket.socket) -> bool:
+    """Whether the other side has not closed it."""
+    try:
+        return connection.recv(1, socket.MSG_DONTWAIT) != b""
+    except BlockingIOError:
+        return True
+    except ConnectionError:
+        return False
 
 
 def is_ready(url: str) -> bool:
