@@ -63,7 +63,8 @@ class HalfHeads:
                 if is_open(connection):
                     continue
                 connection.close()
-                self._connections[place] = self._opened()
+                with suppress(OSError):  # it is tried again on the next round
+                    self._connections[place] = self._opened()
                 if self._stop.wait(0.001):
                     return
 
@@ -80,7 +81,7 @@ def is_open(connection: socket.socket) -> bool:
         return connection.recv(1, socket.MSG_DONTWAIT) != b""
     except BlockingIOError:
         return True
-    except ConnectionError:
+    except OSError:
         return False
 
 
