@@ -35,8 +35,8 @@ from anchorflow_service.http.guard import Guard
 from anchorflow_service.http.tokens import TokenFile, token_line
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
-from anchorflow_service.planning.job import Ticket
-from anchorflow_service.planning.latest_per_robot import Robots
+from anchorflow_service.planning.job import Job
+from anchorflow_service.planning.latest_per_robot import LatestPerRobot
 
 PAGE = Path(__file__).parents[2] / "docs" / "troubleshooting.md"
 MESSAGES = messages_of(PAGE)
@@ -129,9 +129,9 @@ def not_ready(queue: PlanningQueue) -> None:
 
 
 def superseded(_: PlanningQueue) -> None:
-    older, newer = (Ticket(lambda _: None, Arrival()) for _ in range(2))
-    robots = Robots()
-    with robots.newest("rover-7", newer), robots.newest("rover-7", older):
+    older, newer = (Job(lambda _: None, Arrival()) for _ in range(2))
+    latest = LatestPerRobot()
+    with latest.registered("rover-7", newer), latest.registered("rover-7", older):
         raise AssertionError("the older one is refused")
 
 

@@ -13,7 +13,9 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -309,3 +311,31 @@ def fields() -> dict[str, Any]:
         "num_samples": 4,
         "seed": 1,
     }
+
+
+class Gate:
+    """Holds an engine's answers back until it is opened."""
+
+    def __init__(self) -> None:
+        self.reached = threading.Event()
+        self.opened = threading.Event()
+
+    def __call__(self, batch: AnchorBatch) -> AnchorBatch:
+        self.reached.set()
+        assert self.opened.wait(20)
+        return batch
+
+
+@pytest.fixture
+def gate(engine: StraightLines) -> Iterator[Gate]:
+    """Stands before every answer of the default model of `planning`."""
+    engine.before_answer = gate = Gate()
+    yield gate
+    gate.opened.set()
+
+
+@pytest.fixture
+def background() -> Iterator[ThreadPoolExecutor]:
+    """For a request that is not waited for at once."""
+    with ThreadPoolExecutor(2) as executor:
+        yield executor
