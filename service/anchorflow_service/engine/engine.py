@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class Engine:
         self.card: ModelCard = bundle.card
         self._threads = threads or usable_cores()
         self._conditioning = CONDITIONINGS[manifest.conditioning.kind](manifest)
-        for fault in (*kind.faults(manifest), *self._conditioning.faults()):
+        for fault in chain(kind.faults(manifest), self._conditioning.faults()):
             raise bundle.fault(fault)
         self.sampler: Sampler = kind(bundle, threads=self._threads, provider=provider)
         self._finish = FINISHES[manifest.finish.kind](manifest)
