@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -18,6 +17,7 @@ from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.graphs import Graph, open_graph
 from anchorflow_service.engine.samplers.ode import FlowSampler
 from anchorflow_trajectory.ode.method import Method, method_named
+from anchorflow_trajectory.ode.reference import integrate_plainly
 
 TOLERANCE = 1e-4  # m, m/s, m/s² of a sample; of max(1, largest magnitude) for a graph's outputs
 
@@ -77,16 +77,12 @@ def torch_sample(
     method: Method,
 ) -> Tensor:
     """The sampler written the plain way, one modulation an evaluation: x_0 -> x_1 [B,N,T,S]."""
-    before: list[Tensor] = []
-    for step, (start, end) in enumerate(pairwise(schedule)):
-        h, slopes = end - start, []
-        for row, c in zip(method.a_lower, method.c, strict=True):
-            point = x + sum((h * a * k for a, k in zip(row, slopes, strict=True)), 0.0)
-            modulation = model.modulate(torch.tensor([start + c * h]), context)[:, 0]
-            slopes.append(model.field(point, modulation, context))
-        before = [*slopes, *before]
-        x = x + sum(h * b * k for b, k in zip(method.weights(schedule, step), before, strict=False))
-    return x
+
+    def field(x_t: Tensor, t: float) -> Tensor:
+        modulation = model.modulate(torch.tensor([t]), context)[:, 0]
+        return model.field(x_t, modulation, context)
+
+    return integrate_plainly(field, x, schedule=schedule, method=method)
 
 
 def _graphs(model: FlowModel, bundle: Bundle, trial: Trial, seed: int) -> Iterator[Difference]:
