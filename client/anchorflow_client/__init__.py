@@ -45,8 +45,7 @@ from anchorflow_client.http import AnchorClient, AsyncAnchorClient
 from anchorflow_client.http.transport import AsyncTransport, Transport
 from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
-from anchorflow_client.planner import Planner, PlannerConfig
-from anchorflow_client.planner_plan import Plan, PlanState
+from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
 from anchorflow_client.retry import AsyncRetryingClient, RetryingClient
 
 __all__ = [
