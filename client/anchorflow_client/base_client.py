@@ -59,8 +59,8 @@ class BaseClient(PlanKeywords[AnchorBatch]):
 class BaseAsyncClient(PlanKeywords[Coroutine[Any, Any, AnchorBatch]]):
     """The same for a program on an event loop, which may ask many things at the same time.
 
-    Whoever cancels the task that awaits an answer takes its request back: the service is told, and
-    its engine is free for others. A client belongs to the event loop that it is first used on.
+    Where the task that awaits an answer is cancelled, nothing of its request goes on here. A client
+    belongs to the event loop that it is first used on.
     """
 
     @abstractmethod

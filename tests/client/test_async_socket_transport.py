@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 
 import pytest
 
@@ -143,6 +143,34 @@ def test_a_header_cannot_end_its_line() -> None:
             with pytest.raises(ValueError, match="Invalid header value"):
                 await transport.send("GET", "/", {"Authorization": "Bearer a\r\nX: y"}, None, 20)
             assert server.connections == 0
+
+    run(test)
+
+
+def test_a_connection_whose_body_is_still_on_its_way_is_not_kept() -> None:
+    """What is left of it would be taken for the head of the next request."""
+
+    async def test() -> None:
+        heard, hung_up = asyncio.Event(), asyncio.Event()
+
+        async def refuse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"HTTP/1.1 413 Too Large\r\nContent-Length: 2\r\n\r\nno")
+            await heard.wait()
+            with suppress(ConnectionError):
+                while not reader.at_eof():
+                    await reader.read(2**16)
+            hung_up.set()
+            writer.close()
+
+        async with await asyncio.start_server(refuse, "127.0.0.1", 0) as listening:
+            url = f"http://127.0.0.1:{listening.sockets[0].getsockname()[1]}"
+            transport = AsyncSocketTransport(url, connect_timeout_s=5, max_connections=1)
+            status, _, body = await transport.send("POST", "/", {}, bytes(2**24), 20)
+            assert (status, body) == (413, b"no")
+            heard.set()
+            await hung_up.wait()
+            await transport.aclose()
 
     run(test)
 

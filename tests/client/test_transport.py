@@ -101,6 +101,16 @@ def test_an_idle_connection_that_was_closed_is_opened_again(serve: Serve) -> Non
     assert [get(transport), get(transport)] == [b"ok", b"ok"]
 
 
+def test_a_connection_that_closes_as_it_is_asked_is_opened_again(serve: Serve) -> None:
+    def answer_once(connection: socket.socket) -> None:
+        answer(connection)
+        read_head(connection)
+
+    transport = serve(answer_once, answer)
+
+    assert [get(transport), get(transport)] == [b"ok", b"ok"]
+
+
 def test_it_is_opened_again_only_once(serve: Serve) -> None:
     transport = serve(answer, lambda _: None)
 
