@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -27,9 +27,9 @@ class PlanKeywords(ABC, Generic[Answer]):
     def plan(
         self,
         *,
-        cost_map: CostMap | Mapping[str, Any] | ArrayLike,
-        x_curr: ArrayLike,
-        x_goal: ArrayLike,
+        cost_map: CostMap | Mapping[str, Any] | ArrayLike | None = None,
+        x_curr: ArrayLike | None = None,
+        x_goal: ArrayLike | None = None,
         resolution: float | None = None,
         origin: ArrayLike | None = None,
         w_style: ArrayLike | None = None,
@@ -46,8 +46,12 @@ class PlanKeywords(ABC, Generic[Answer]):
         budget_ms: float | None = None,
         robot_id: str | None = None,
         request_id: str | None = None,
+        inputs: Mapping[str, Any] | None = None,
+        outputs: Sequence[str] | None = None,
     ) -> Answer:
-        """Anchors from a state to a goal. None leaves a field to the service or the model's card.
+        """Anchors: from a state to a goal on a map, or for the inputs that the model's card lists.
+
+        None leaves a field to the service or the card.
 
         Args:
             cost_map: a CostMap, {"data", "resolution", "origin"}, or an array [H,W], [C,H,W] or
@@ -71,6 +75,8 @@ class PlanKeywords(ABC, Generic[Answer]):
             budget_ms: time left to the caller; who cannot answer within it drops the request.
             robot_id: who asks; a newer request of the same robot supersedes one that still waits.
             request_id: echoed in the answer, and in the service's log.
+            inputs: what a planner without a cost map is asked with, by the names of its card.
+            outputs: names of extras of the card to be sent along.
 
         Raises:
             InvalidRequest: before anything is sent, where a field breaks the contract.
@@ -94,6 +100,8 @@ class PlanKeywords(ABC, Generic[Answer]):
                 budget_ms=budget_ms,
                 robot_id=robot_id,
                 request_id=request_id,
+                inputs=inputs,
+                outputs=outputs,
             )
         )
 
@@ -103,16 +111,16 @@ class PlanKeywords(ABC, Generic[Answer]):
 
 
 def map_fields(
-    cost_map: CostMap | Mapping[str, Any] | ArrayLike,
+    cost_map: CostMap | Mapping[str, Any] | ArrayLike | None,
     resolution: float | None,
     origin: ArrayLike | None,
-) -> CostMap | Mapping[str, Any]:
+) -> CostMap | Mapping[str, Any] | None:
     """A map in one of the forms of `plan` as one that `AnchorRequest` takes; nothing is copied.
 
     Raises:
-        InvalidRequest: a map that knows its own place comes with another.
+        InvalidRequest: a map that knows its own place, or none at all, comes with a place.
     """
-    if isinstance(cost_map, CostMap | Mapping):
+    if cost_map is None or isinstance(cost_map, CostMap | Mapping):
         if resolution is not None or origin is not None:
             raise InvalidRequest("expected resolution and origin inside this map only", "cost_map")
         return cost_map

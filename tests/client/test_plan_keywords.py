@@ -18,7 +18,8 @@ from anchorflow_client.contract.request import FIELDS
 
 PLACE = {"resolution", "origin"}
 """Of a map that is given as an array."""
-SET_BY_THE_PLANNER = {"request_id"}
+NOT_OF_UPDATE = {"request_id", "inputs"}
+"""The planner gives its requests their ids, and plans on maps alone."""
 
 
 def keywords_of(function: Any) -> dict[str, inspect.Parameter]:
@@ -34,8 +35,8 @@ def test_plan_has_every_field_as_a_keyword(kind: type[BaseClient | BaseAsyncClie
     assert {each.kind for each in keywords.values()} == {inspect.Parameter.KEYWORD_ONLY}
 
 
-def test_update_has_what_a_planner_does_not_set_itself() -> None:
-    assert set(keywords_of(Planner.update)) == (set(FIELDS) | PLACE) - SET_BY_THE_PLANNER
+def test_update_has_the_fields_of_planning_on_a_map() -> None:
+    assert set(keywords_of(Planner.update)) == (set(FIELDS) | PLACE) - NOT_OF_UPDATE
 
 
 def test_every_keyword_is_told_of() -> None:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol
@@ -125,6 +125,7 @@ class Planner:
         warm_start: WarmStart | Mapping[str, Any] | None = None,
         budget_ms: float | None = None,
         robot_id: str | None = None,
+        outputs: Sequence[str] | None = None,
     ) -> Plan:
         """Show what the loop sees now and take the newest plan; returns at once.
 
@@ -159,9 +160,16 @@ class Planner:
                 "warm_start": warm_start,
                 "budget_ms": budget_ms,
                 "robot_id": robot_id,
+                "outputs": outputs,
             }
-            grid = map_fields(cost_map, resolution, origin)
-            self._ask(Observation.copied(now, grid, x_curr=x_curr, x_goal=x_goal, options=options))
+            seen = Observation.copied(
+                now,
+                map_fields(cost_map, resolution, origin),
+                x_curr=x_curr,
+                x_goal=x_goal,
+                options=options,
+            )
+            self._ask(seen)
         return self._plan(now)
 
     def follow(self, index: int) -> None:

@@ -36,7 +36,7 @@ class Observation:
     def copied(
         cls,
         seen_at: float,
-        cost_map: CostMap | Mapping[str, Any],
+        cost_map: CostMap | Mapping[str, Any] | None,
         *,
         x_curr: ArrayLike,
         x_goal: ArrayLike,
@@ -45,8 +45,10 @@ class Observation:
         """A copy of the loop's own arrays; options that are None are left out.
 
         Raises:
-            InvalidRequest: a state is no single vector.
+            InvalidRequest: there is no map, or a state is no single vector.
         """
+        if cost_map is None:
+            raise InvalidRequest("expected a map to plan on, got none", "cost_map")
         if not isinstance(cost_map, CostMap):
             cost_map = {**cost_map, "data": np.array(cost_map.get("data"))}
         start, goal = np.array(x_curr, np.float64), np.array(x_goal, np.float64)
