@@ -287,3 +287,10 @@ def test_the_networks_load_no_server() -> None:
 def test_loading_is_seen() -> None:
     """The probe above finds what a package does load."""
     assert {"numpy", "scipy"} <= loaded_packages("anchorflow_trajectory")
+
+
+def test_a_blocking_robot_does_not_load_an_event_loop() -> None:
+    """asyncio costs a seventh of the client's own import."""
+    program = "import sys, anchorflow_client; sys.exit('asyncio' in sys.modules)"
+
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
