@@ -7,11 +7,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from anchorflow_client.contract import AnchorBatch
-from anchorflow_docs.pictures.marks import Array, draw_best, draw_ends, draw_map, draw_paths
+from anchorflow_docs.pictures.marks import Array, draw_best, draw_ends, draw_map
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.drawing import draw_paths
 
 FAMILY, WAYS = "city", 2
 STYLES = {"safety": (0.8, 0.1, 0.1), "energy": (0.1, 0.8, 0.1), "smooth": (0.1, 0.1, 0.8)}
