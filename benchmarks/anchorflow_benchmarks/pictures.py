@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.quality import Plan
+from anchorflow_benchmarks.quality import JudgedPlan
 from anchorflow_benchmarks.report import Row
 from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hide_ticks, sheet
 
@@ -18,7 +18,7 @@ COLUMNS = 4
 GOOD, BAD = "#1f6fb4", "#d1495b"
 
 
-def draw_scene_sheet(plans: Sequence[Plan], path: Path, *, title: str) -> None:
+def draw_scene_sheet(plans: Sequence[JudgedPlan], path: Path, *, title: str) -> None:
     """The worst and the typical scene of each family, by the share of anchors that succeed.
 
     Successes are blue, the others red. Raises `BenchmarkError` where `path` cannot be written.
@@ -51,11 +51,11 @@ def draw_quality_over_time(rows: Sequence[Row], path: Path) -> None:
     _save(figure, path)
 
 
-def _families(plans: Sequence[Plan]) -> list[str]:
+def _families(plans: Sequence[JudgedPlan]) -> list[str]:
     return sorted({plan.scene.family for plan in plans})
 
 
-def _telling(plans: Sequence[Plan], family: str) -> list[tuple[str, Plan]]:
+def _telling(plans: Sequence[JudgedPlan], family: str) -> list[tuple[str, JudgedPlan]]:
     """The worst scene of a family and the one in the middle, with what to call them."""
     numbered = [(i, plan) for i, plan in enumerate(plans) if plan.scene.family == family]
     ranked = sorted(numbered, key=lambda one: one[1].verdict.measures["success"])
@@ -68,7 +68,7 @@ def _telling(plans: Sequence[Plan], family: str) -> list[tuple[str, Plan]]:
     ]
 
 
-def _draw_plan(axes: Axes, plan: Plan, label: str) -> None:
+def _draw_plan(axes: Axes, plan: JudgedPlan, label: str) -> None:
     scene, good = plan.scene, plan.verdict.success
     draw_cells(axes, scene.occupied, resolution=scene.resolution, origin=scene.origin)
     for kept, colour in ((~good, BAD), (good, GOOD)):

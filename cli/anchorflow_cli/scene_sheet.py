@@ -41,7 +41,7 @@ def draw_sheet(dataset: SceneDataset | TrajectoryDataset, path: Path) -> None:
     """
     picked = np.unique(np.linspace(0, len(dataset) - 1, SHEET**2).astype(int))
     panel = scene_panel if isinstance(dataset, SceneDataset) else trajectory_panel
-    figure, axes = sheet(len(picked), columns=SHEET, inches=SIDE_INCHES)
+    figure, axes = sheet(len(picked), columns=SHEET, inches=SIDE_INCHES, header=0.3)
     for place, index in zip(axes, picked, strict=True):
         draw_panel(place, panel(dataset, int(index)))  # type: ignore[arg-type]
     save(figure, path, dpi=130)
