@@ -25,26 +25,22 @@ def sample_picture(scenes: Sequence[JudgedScene]) -> NDArray[np.uint8] | None:
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-        from anchorflow_trajectory.drawing import (
-            draw_cells,
-            draw_ends,
-            draw_paths,
-            hide_ticks,
-            sheet,
-        )
+        from anchorflow_trajectory import drawing
     except ModuleNotFoundError:
         LOG.warning("no sample picture: matplotlib is not installed (pip install matplotlib)")
         return None
-    figure, panels = sheet(len(scenes), columns=len(scenes), inches=SIZE)
+    figure, panels = drawing.sheet(len(scenes), columns=len(scenes), inches=SIZE)
     figure.set_dpi(DOTS_PER_INCH)
     canvas = FigureCanvasAgg(figure)
     for axes, scene in zip(panels, scenes, strict=True):
         x, y, resolution = scene.map_geometry
-        draw_cells(axes, scene.cost_map[0], resolution=resolution, origin=(x, y))
+        drawing.draw_cells(axes, scene.cost_map[0], resolution=resolution, origin=(x, y))
         colours = np.where(scene.verdict.success, GOOD, BAD)
-        draw_paths(axes, scene.positions, colours, linewidths=0.8)
-        draw_ends(axes, scene.x_curr, scene.x_goal, colours=("black", "black"), sizes=(4, 7))
-        hide_ticks(axes)
+        drawing.draw_paths(axes, scene.positions, colours, linewidths=0.8)
+        drawing.draw_ends(
+            axes, scene.x_curr, scene.x_goal, colours=("black", "black"), sizes=(4, 7)
+        )
+        drawing.hide_ticks(axes)
         axes.set_title(f"{scene.verdict.success.mean():.0%}", fontsize=8)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
