@@ -23,7 +23,7 @@ from anchorflow_training.data.inspection import Summary, inspect_scenes, inspect
 from anchorflow_training.data.pose_files import read_poses
 from anchorflow_training.data.pose_trajectories import CutConfig, cut_trajectories
 from anchorflow_training.data.scene_import import ImportConfig, import_scenes
-from anchorflow_training.data.trajectory_dataset import TimeStepUnknown
+from anchorflow_training.data.time_step import TimeStepUnknown
 from anchorflow_training.dataset import DatasetError, open_dataset
 from anchorflow_training.make_data import DataConfig, make_dataset
 

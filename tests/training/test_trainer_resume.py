@@ -114,7 +114,7 @@ def test_a_killed_run_loses_at_most_an_interval_and_its_curve_joins(
     fit_until(whole, last)
 
     assert [row["step"] for row in rows(out)] == list(range(1, last + 1))
-    for name in ("loss", "jerk", "learning_rate"):
+    for name in ("loss", "jerk_field", "learning_rate"):
         values = [[row[name] for row in rows(run.out)] for run in (resumed, whole)]
         np.testing.assert_allclose(*values, rtol=1e-3)
 

@@ -34,12 +34,12 @@ def sample_picture(scenes: Sequence[JudgedScene]) -> NDArray[np.uint8] | None:
         height, width = scene.cost_map.shape[1:]
         extent = (x, x + width * resolution, y, y + height * resolution)
         axes.imshow(scene.cost_map[0], cmap="Greys", origin="lower", extent=extent, vmin=0, vmax=1)
-        for path, good in zip(scene.positions, scene.verdict.success, strict=True):
+        for path, good in zip(scene.positions, scene.checks.success, strict=True):
             axes.plot(path[:, 0], path[:, 1], color="tab:green" if good else "tab:red", lw=0.8)
         axes.plot(*scene.x_curr[:2], "ko", ms=4)
         axes.plot(*scene.x_goal[:2], "k*", ms=7)
         axes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
-        axes.set_title(f"{scene.verdict.success.mean():.0%}", fontsize=8)
+        axes.set_title(f"{scene.checks.success.mean():.0%}", fontsize=8)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_training.data.statistics import FIELDS
+from anchorflow_training.data.trajectory_statistics import FIELDS
 from anchorflow_trajectory.clearance import GridField, clearance_field, path_clearance
 from anchorflow_trajectory.geodesic import cost_to_go
 
@@ -75,7 +75,7 @@ def imported_scene(source: SceneSource) -> Row | str:
             return "collision"
     ways = cost_to_go(clearance, resolution, origin, x_curr[:2], x_goal[:2])
     style = np.asarray(arrays.get("style_weights", STYLE))
-    return {
+    row = {
         "cost_map": np.rint(cost_map * 255).astype(np.uint8),
         "clearance": clearance.astype(np.float16),
         "cost_to_go": np.minimum(ways, MOST_FLOAT16).astype(np.float16),
@@ -85,6 +85,9 @@ def imported_scene(source: SceneSource) -> Row | str:
         "w_style": (style / style.sum()).astype(np.float32),
         "states": np.concatenate(fields, -1).astype(np.float32)[None],
     }
+    if "quality" in arrays:
+        row["quality"] = arrays["quality"].astype(np.float32).reshape(1)
+    return row
 
 
 def end_states(arrays: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:

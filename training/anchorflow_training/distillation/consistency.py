@@ -52,9 +52,9 @@ class ConsistencyObjective(nn.Module):
     def forward(
         self, batch: Mapping[str, Tensor], noise: Tensor, t: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """batch: the inputs of encode and states [B, N, T, S] in SI; noise: [B, N, R]; t: [B, N]"""
+        """batch: as of `FlowObjective`, states in SI; noise: [B, N, R]; t: [B, N]."""
         inputs = dict(batch)
-        states = inputs.pop("states")
+        states, sample_weights = inputs.pop("states"), inputs.pop("sample_weights", None)
         flow = NormalisedFlow.of(self.model, inputs)
         with torch.no_grad():
             teacher = NormalisedFlow.of(self.teacher, inputs)
@@ -63,7 +63,9 @@ class ConsistencyObjective(nn.Module):
             halfway = z_t + 0.5 * h * teacher.velocity(z_t, t)
             z_s = z_t + h * teacher.velocity(halfway, t + 0.5 * h)
             target = end_seen(flow, z_s, (t + h).clamp(max=1.0))
-        return flow_matching_loss(end_seen(flow, z_t, t), target, self.weights)
+        return flow_matching_loss(
+            end_seen(flow, z_t, t), target, self.weights, sample_weights=sample_weights
+        )
 
     def _between(self, noise: Tensor, data: Tensor, t: Tensor, flow: NormalisedFlow) -> Tensor:
         """Normalised states between noise and data [B, N, T, S] in SI."""
