@@ -19,8 +19,8 @@ def split(dataset: SceneDataset, config: RunConfig) -> tuple[SceneDataset, Scene
         raise ConfigError("evaluation: expected held_out or dataset, got both")
     if held_out >= len(dataset):
         raise ConfigError(
-            f"evaluation.held_out: expected fewer than the {len(dataset)} scenes of {dataset.path}, "
-            f"got {held_out}"
+            f"evaluation.held_out: expected less than {len(dataset)}, the scenes of "
+            f"{dataset.path}, got {held_out}"
         )
     if len(dataset) - held_out < config.batch.scenes:
         raise ConfigError(
