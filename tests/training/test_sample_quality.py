@@ -97,9 +97,9 @@ def test_equal_qualities_change_nothing(tiny_dataset: SceneDataset, tmp_path: Pa
 @pytest.mark.parametrize(
     ("quality", "said"),
     [
-        (np.ones((SCENES, 2)), r"expected \[6, 4\].*found \[6, 2\]"),
-        (np.full((SCENES, TRAJECTORIES), 1.5), r"in \[0, 1\], found 1\.5 in scene 0"),
-        (np.full((SCENES, TRAJECTORIES), np.nan), r"in \[0, 1\], found nan in scene 0"),
+        (np.ones((SCENES, 2)), r"\[6, 4\].*found \[6, 2\]"),
+        (np.full((SCENES, TRAJECTORIES), 1.5), r"values in \[0, 1\], found 1\.5 in scene 0"),
+        (np.full((SCENES, TRAJECTORIES), np.nan), r"values in \[0, 1\], found nan in scene 0"),
     ],
 )
 def test_a_wrong_quality_is_named(
@@ -107,9 +107,7 @@ def test_a_wrong_quality_is_named(
 ) -> None:
     path = write_dataset(tmp_path / "data")
     np.save(path / "quality.npy", quality.astype(np.float32))
-    with pytest.raises(
-        DatasetError, match=r"quality\.npy: expected .*" + said.split("expected ")[-1]
-    ):
+    with pytest.raises(DatasetError, match=r"quality\.npy: expected " + said):
         open_dataset(path)
 
 
