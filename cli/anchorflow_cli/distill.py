@@ -10,11 +10,10 @@ import typer
 
 from anchorflow_cli.config_options import with_options
 from anchorflow_cli.options import command_app
-from anchorflow_cli.training_errors import one_line_errors
-from anchorflow_cli.training_options import (
+from anchorflow_cli.training_command import (
     SHORT as SHARED_SHORT,
 )
-from anchorflow_cli.training_options import (
+from anchorflow_cli.training_command import (
     Bfloat16Option,
     ConfigOption,
     OutOption,
@@ -23,6 +22,7 @@ from anchorflow_cli.training_options import (
     given_settings,
     run_folder,
 )
+from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_training.config_file import config_text, layers
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.distillation.config import DistillConfig

@@ -1,4 +1,4 @@
-"""Options that the commands which train share."""
+"""What the commands that train share: options, the folder of a run, the run itself."""
 
 from __future__ import annotations
 
