@@ -82,7 +82,8 @@ def test_the_prior_has_the_spread_of_what_counts(tiny_dataset: SceneDataset) -> 
     np.testing.assert_allclose(
         prior_covariance(with_quality(tiny_dataset, quality), MODEL),
         prior_covariance(replace(tiny_dataset, arrays=first), MODEL),
-        rtol=1e-6,
+        rtol=0,
+        atol=1e-7,  # the largest are 0.01; float32 rounds the fit to 2e-8
     )
 
 
