@@ -60,7 +60,7 @@ def scene_panel(dataset: SceneDataset, index: int) -> Panel:
 
 
 def trajectory_panel(dataset: TrajectoryDataset, index: int) -> Panel:
-    arrays = dataset.read(np.array([index]))
+    arrays = dataset.samples([index])
     positions, classes = arrays["positions"][..., :2], np.zeros(1, np.int64)
     geometry = dataset.map_geometry(np.array([index]))
     title = f"row {dataset.rows[index]}"

@@ -96,7 +96,7 @@ def test_a_broken_dataset_names_its_file(dataset: SceneDataset, tmp_path: Path) 
     for file in dataset.path.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     np.save(tmp_path / "x_goal.npy", np.zeros((2, 4)))
-    with pytest.raises(DatasetError, match=r"x_goal\.npy.*float32 \[6, \.\.\.\].*float64 \(2, 4\)"):
+    with pytest.raises(DatasetError, match=r"x_goal\.npy.*float32 \[6, \.\.\.\].*float64 \[2, 4\]"):
         open_dataset(tmp_path)
     (tmp_path / "dataset.json").unlink()
     with pytest.raises(DatasetError, match=r"dataset\.json"):

@@ -245,7 +245,7 @@ def test_tensorboard_gets_every_scalar_and_the_picture(
     CFMTrainer(config, tiny_dataset, tmp_path).fit()
     events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
 
-    fields = {"position", "velocity", "acceleration", "jerk"}
+    fields = {"velocity_field", "acceleration_field", "jerk_field", "roughness"}
     course = {"loss", "gradient_norm", "learning_rate", "samples_per_s"}
     tags = set(events.Tags()["scalars"])
     assert {f"train/{name}" for name in fields | course} <= tags

@@ -35,13 +35,13 @@ def sample_picture(scenes: Sequence[JudgedScene]) -> NDArray[np.uint8] | None:
     for axes, scene in zip(panels, scenes, strict=True):
         x, y, resolution = scene.map_geometry
         drawing.draw_cells(axes, scene.cost_map[0], resolution=resolution, origin=(x, y))
-        colours = np.where(scene.verdict.success, GOOD, BAD)
+        colours = np.where(scene.checks.success, GOOD, BAD)
         drawing.draw_paths(axes, scene.positions, colours, linewidths=0.8)
         drawing.draw_ends(
             axes, scene.x_curr, scene.x_goal, colours=("black", "black"), sizes=(4, 7)
         )
         drawing.hide_ticks(axes)
-        axes.set_title(f"{scene.verdict.success.mean():.0%}", fontsize=8)
+        axes.set_title(f"{scene.checks.success.mean():.0%}", fontsize=8)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
