@@ -105,8 +105,7 @@ def run_level(
 ) -> Row:
     """`clients` threads, each asking in turn for the requests, until the level ends."""
     tally = Tally(left=config.requests)
-    spare_the_collector()
-    with ExitStack() as stack:
+    with spare_the_collector(), ExitStack() as stack:
         asks = [connect(stack) for _ in range(clients)]
         asks[0](requests[0])  # connection and caches, not counted
         start = perf_counter()
