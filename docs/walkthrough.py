@@ -15,7 +15,7 @@ from time import perf_counter
 
 from anchorflow_docs.commands.printed import ROOT, printed_texts
 from anchorflow_docs.commands.sessions import WALKTHROUGH
-from anchorflow_docs.commands.terminal import Terminal, TerminalError
+from anchorflow_docs.commands.terminal import Loopback, Terminal, TerminalError
 
 # Of this process and of the make that started it; the checkout has an environment of its own.
 OWN = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "PYTHONPATH", "VIRTUAL_ENV")
@@ -23,6 +23,11 @@ OWN = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "PYTHONPATH", "VIRTUAL_ENV")
 
 def main() -> None:
     """All sessions, one after the other; the first that fails ends it with status 1."""
+    try:
+        Loopback().close()
+    except OSError as error:
+        sys.stdout.write(f"skipped: the walkthrough: no loopback of its own here: {error}\n")
+        return
     texts = printed_texts()
     environment = {name: value for name, value in os.environ.items() if name not in OWN}
     environment["RAY_AUTH_MODE"] = "disabled"

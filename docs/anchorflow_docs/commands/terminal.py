@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -32,6 +33,9 @@ sys.stdin.read()
 FETCHES = re.compile(r"(\.venv/bin/)?pip install |make toolkit\b|make \.venv/")
 """What needs the network of the machine."""
 END_S = 60.0
+"""A server has them after Ctrl-C,"""
+GRACE_S = 5.0
+"""and what it started these ones more."""
 
 
 class TerminalError(AssertionError):
@@ -39,7 +43,11 @@ class TerminalError(AssertionError):
 
 
 class Loopback:
-    """A network namespace with a loopback alone, as long as its holder lives (Linux)."""
+    """A network namespace with a loopback alone, as long as its holder lives.
+
+    Raises:
+        OSError: this system has none, or lets nobody make one.
+    """
 
     def __init__(self) -> None:
         self._holder = subprocess.Popen(
@@ -60,26 +68,31 @@ class Loopback:
         return ["nsenter", *target, "--user", "--preserve-credentials", "--net"]
 
     def close(self) -> list[str]:
-        """Ends whatever is left there, and says what it was."""
-        left = [path for path in Path("/proc").glob("[0-9]*") if self._holds(path)]
-        names = [self._kill(path) for path in left]
+        """Ends whatever does not end by itself there, and says what it was."""
+        left = [ended(process) for process in Path("/proc").glob("[0-9]*") if self._holds(process)]
         self._holder.communicate()
-        return [name for name in names if name]
+        return [command for command in left if command]
 
     def _holds(self, process: Path) -> bool:
         with suppress(OSError):
-            return (
-                process.name != str(self._holder.pid)
-                and (process / "ns" / "net").readlink() == self._name
-            )
+            name = (process / "ns" / "net").readlink()
+            return name == self._name and process.name != str(self._holder.pid)
         return False
 
-    def _kill(self, process: Path) -> str:
-        with suppress(OSError):
-            name = (process / "cmdline").read_text().replace("\0", " ").strip()
-            os.kill(int(process.name), signal.SIGKILL)
-            return name
-        return ""
+
+def ended(process: Path) -> str:
+    """Waits for a folder of /proc to go, and kills it where it stays; what it was then."""
+    with suppress(OSError):  # it may go at any moment
+        handle = os.pidfd_open(int(process.name))
+        try:
+            if select.select([handle], [], [], GRACE_S)[0]:
+                return ""
+            command = (process / "cmdline").read_text().replace("\0", " ").strip()
+            signal.pidfd_send_signal(handle, signal.SIGKILL)
+            return command
+        finally:
+            os.close(handle)
+    return ""
 
 
 class Server:
@@ -163,7 +176,8 @@ class Terminal:
         Raises:
             TerminalError: it failed, or it answered with an error of the contract.
         """
-        shell = ["bash", "-euo", "pipefail", "-c", text]
+        # Whatever is started in the background inherits a Ctrl-C that does nothing.
+        shell = ["env", "--default-signal=INT", "bash", "-euo", "pipefail", "-c", text]
         command = shell if FETCHES.match(text) else [*self._loopback.enter(), *shell]
         for pattern, says in SERVERS.items():
             if re.match(pattern, text):
