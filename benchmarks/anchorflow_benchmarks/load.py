@@ -50,12 +50,14 @@ def run_level(
     connect: Connect, clients: int, requests: Sequence[AnchorRequest], config: LoadConfig
 ) -> Row:
     """`clients` threads, each asking in turn for the requests, until the level ends."""
-    spare_the_collector()
     with ExitStack() as stack:
         connect(stack)(requests[0])  # caches, not counted
-    with asking(
-        connect, requests, callers=clients, seconds=config.seconds, questions=config.requests
-    ) as outcomes:
+    with (
+        spare_the_collector(),
+        asking(
+            connect, requests, callers=clients, seconds=config.seconds, questions=config.requests
+        ) as outcomes,
+    ):
         pass
     return {
         "requests": len(outcomes.ms),

@@ -31,8 +31,8 @@ def transport_table(
     """
     beside: dict[str, list[float]] = {name: [] for name in ways}
     calls = {name: _timed(ask, requests, beside[name]) for name, ask in ways.items()}
-    spare_the_collector()
-    times = take_turns(calls, rounds=rounds, budget_s=budget_s)
+    with spare_the_collector():
+        times = take_turns(calls, rounds=rounds, budget_s=budget_s)
     # The first call of each is not counted: caches and connections.
     spare = {name: p50(values[1:]) for name, values in beside.items()}
     rows: list[Row] = [
