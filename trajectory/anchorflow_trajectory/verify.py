@@ -32,15 +32,25 @@ def verify(
     field: GridField,
     limits: MotionLimits,
     *,
+    certified_margin: float = 0.0,
     check_step: float = CHECK_STEP,
 ) -> Verdict:
-    """Judge positions, velocities and accelerations [M, T, D]."""
+    """Judge positions, velocities and accelerations [M, T, D].
+
+    certified_margin: m beyond the robot's radius that a safe path keeps from every obstacle and
+        from the map's edge; the share of a cell comes on top, so it holds for another reader too
+    """
     position, velocity, acceleration = states
     clearance = path_clearance(field, position, max_step=check_step)
-    safe = clearance >= SHARE_OF_CELL * field.resolution
+    safe = clearance >= required_clearance(field, certified_margin)
     safe &= _largest(velocity) <= SPEED_TOLERANCE * limits.v_max
     safe &= _largest(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
     return Verdict(clearance, safe)
+
+
+def required_clearance(field: GridField, certified_margin: float) -> float:
+    """m of clearance in the field from which a path is certified to keep the margin."""
+    return certified_margin + SHARE_OF_CELL * field.resolution
 
 
 def _largest(vectors: FloatArray) -> FloatArray:

@@ -87,6 +87,8 @@ class RefineEntry(Part):
     project: bool
     safety_margin: NonNegativeFloat
     guidance: NonNegativeFloat
+    barrier: bool = False
+    certified_margin: NonNegativeFloat = 0.0
     steps: PositiveInt
     num_control_points: PositiveInt
     degree: PositiveInt
@@ -154,6 +156,8 @@ class Manifest(Part):
                 self.refine.project,
                 self.refine.safety_margin,
                 self.refine.guidance,
+                self.refine.barrier,
+                self.refine.certified_margin,
             ),
             adjustable=self.adjustable,
             quality=self.quality,
