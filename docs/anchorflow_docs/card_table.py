@@ -23,6 +23,13 @@ def card_table(card: ModelCard) -> str:
         [code("refine.smooth"), str(card.refine.smooth).lower(), "a request's choice"],
         [code("refine.project"), str(card.refine.project).lower(), "a request's choice"],
         [code("refine.safety_margin"), f"{card.refine.safety_margin:g} m", "a request's choice"],
+        [code("refine.guidance"), f"{card.refine.guidance:g}", "a request's choice"],
+        [code("refine.barrier"), str(card.refine.barrier).lower(), "a request's choice"],
+        [
+            code("refine.certified_margin"),
+            f"{card.refine.certified_margin:g} m",
+            "a request's choice",
+        ],
     ]
     return table([card.name, "value", ""], rows)
 
