@@ -78,7 +78,7 @@ WALLS: dict[str, set[str]] = {
 EXCEPTIONS = {
     "anchorflow_client.zenoh_client": {"zenoh"},
     "anchorflow_service.zenoh_endpoint": {"zenoh"},
-    "anchorflow_service.observability.tracing": {"opentelemetry"},
+    "anchorflow_service.observability.spans": {"opentelemetry"},
     "anchorflow_service.ray_app": {"ray"},
     "anchorflow_benchmarks.serving.ray_server": {"ray"},
 }

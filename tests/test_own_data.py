@@ -85,10 +85,9 @@ def post(engine: Engine, body: dict[str, Any]) -> httpx.Response:
 def assert_served(engine: Engine, folder: Path, *, T: int, D: int) -> None:
     """The bundle has the data's T and D, its anchors meet both ends, another D is refused."""
     assert (engine.card.T, engine.card.D) == (T, D)
-    assert engine.card.dt == pytest.approx(0.1)
-    shapes = {spec.name: spec.shape for spec in (*engine.card.inputs, *engine.card.outputs)}
+    assert engine.card.time.dt == pytest.approx(0.1)
+    shapes = {spec.name: spec.shape for spec in engine.card.inputs}
     assert (shapes["x_curr"], shapes["x_goal"]) == (("B", 3 * D), ("B", 2 * D))
-    assert shapes["positions"] == ("B", "N", T, D)
     body = request_of(folder)
 
     answer = post(engine, body)
@@ -124,5 +123,5 @@ def test_a_real_drive_becomes_a_served_bundle(
     """With heading, at the speeds and distances of a car."""
     poses = shared_data("kitti_00_poses.txt")
     engine = bundle_of(poses, tmp_path, "--stride", 50, "--heading")
-    assert engine.card.v_max > 10.0
+    assert engine.card.cost_map.limits.v_max > 10.0
     assert_served(engine, tmp_path, T=45, D=3)

@@ -12,7 +12,7 @@ from anchorflow_benchmarks.anchors import Anchors
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.planners import Planner, limits_of
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.bundle.manifest import RefineEntry
+from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.clearance import clearance_field
@@ -83,7 +83,7 @@ class RefinedLinesPlanner:
     """The same lines, finished as a bundle's anchors are: what its network has to earn."""
 
     lines: LinesPlanner
-    refine: RefineEntry
+    refine: SplineEntry
     name: str = "lines with noise, refined"
     evaluations: None = None
 
@@ -129,7 +129,11 @@ def _expert(bundle: Bundle) -> list[Planner]:
 
 def _lines(bundle: Bundle) -> list[Planner]:
     lines = LinesPlanner(limits_of(bundle))
-    return [lines, RefinedLinesPlanner(lines, bundle.manifest.refine)]
+    finish = bundle.manifest.finish
+    return [
+        lines,
+        *([RefinedLinesPlanner(lines, finish)] if isinstance(finish, SplineEntry) else []),
+    ]
 
 
 def _rrt(bundle: Bundle) -> list[Planner]:

@@ -17,18 +17,18 @@ from anchorflow_benchmarks.planners import request_of
 from anchorflow_benchmarks.report import ResultTable
 from anchorflow_benchmarks.samplers import evaluations, sampler_name
 from anchorflow_benchmarks.turns import p50, p99, take_turns
-from anchorflow_client.contract import AnchorRequest, SamplerSpec, resolve_for_card
+from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_card
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
-from anchorflow_service.engine.conditioning.cost_map import scenes_of
-from anchorflow_service.engine.samplers.ode import FlowSampler
+from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
+from anchorflow_service.engine.samplers.ode import OdeSampler
 from anchorflow_training.scenes import Scene
 
 SEED = 1
 STAGES = ("encode", "sample", "refine", "total")
 SAME_STATE = 1e-2  # m, m/s, m/s^2 by which loops of the same weights may differ at t = 1
 
-Loop = Callable[[Arrays, Array, SamplerSpec], Array]
+Loop = Callable[[Arrays, Array, OdeSpec], Array]
 """Inputs of encode, x_0 [N,T,S] and a sampler -> x_1."""
 
 
@@ -48,7 +48,7 @@ class Contest:
 
     name: str
     bundle: Bundle
-    sampler: SamplerSpec
+    sampler: OdeSpec
     loops: dict[str, Loop] = field(default_factory=dict)
 
 
@@ -135,7 +135,8 @@ class Measured:
 def _measure(
     contest: Contest, engine: Engine, scenes: Sequence[Scene], num: int, config: LatencyConfig
 ) -> Measured:
-    requests = [request_of(s, num=num, seed=SEED, sampler=contest.sampler) for s in scenes]
+    asked = [request_of(s, num=num, seed=SEED, sampler=contest.sampler) for s in scenes]
+    requests = [resolve_for_card(request, engine.card) for request in asked]
     work = _sampling_work(contest.bundle, requests[0])
     _check_same_work(contest, work)
     stages: dict[str, list[float]] = {stage: [] for stage in STAGES}
@@ -163,14 +164,14 @@ class SamplingWork:
     inputs: Arrays
     context: Arrays
     x: Array
-    flow: FlowSampler
+    flow: OdeSampler
 
 
-def _sampling_work(bundle: Bundle, request: AnchorRequest) -> SamplingWork:
-    resolved = resolve_for_card(request, bundle.card)
-    inputs = scenes_of(resolved, bundle.card)[0].inputs(bundle.manifest.inputs)
-    flow = FlowSampler(bundle, threads=1)
-    context = flow.encode(inputs)
+def _sampling_work(bundle: Bundle, request: ResolvedRequest) -> SamplingWork:
+    scene = CostMapConditioning(bundle.manifest).scenes(request)[0]
+    inputs = scene.inputs(bundle.manifest.graphs["encode"].input_names)
+    flow = OdeSampler(bundle, threads=1)
+    context = dict(flow.encode(scene))
     noise = flow.draw_noise(context, num_samples=request.num_samples, seed=SEED)
     return SamplingWork(inputs, context, flow.initial_state(context, noise), flow)
 

@@ -19,6 +19,7 @@ from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_client.http import AnchorClient
 from anchorflow_service.engine import Engine
+from anchorflow_service.local import LocalClient
 
 Ask = Callable[[AnchorRequest], AnchorBatch]
 Connect = Callable[[ExitStack], Ask]
@@ -79,7 +80,7 @@ def over_http(url: str, codec: Codec) -> Connect:
 
 def in_process(engine: Engine) -> Connect:
     """Clients that call one engine, which lets them in side by side."""
-    return lambda _: engine.plan
+    return lambda _: LocalClient(engine).plan_request
 
 
 def load_table(

@@ -14,7 +14,7 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import SamplerSpec
+from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
 from anchorflow_trajectory.ode.method import method_named
 
@@ -23,7 +23,7 @@ Arrays = Mapping[str, Array]
 Field = Callable[[Any, float], Any]
 
 
-def integrate_plainly(field: Field, x: Any, sampler: SamplerSpec) -> Any:
+def integrate_plainly(field: Field, x: Any, sampler: OdeSpec) -> Any:
     """x at t = 1 from x at t = 0 [N,T,S]; numpy arrays or torch tensors."""
     method, before = method_named(sampler.method), []
     for step, (start, end) in enumerate(pairwise(sampler.schedule)):

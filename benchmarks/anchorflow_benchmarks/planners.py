@@ -10,7 +10,13 @@ import numpy as np
 
 from anchorflow_benchmarks.anchors import Anchors
 from anchorflow_benchmarks.samplers import evaluations, parse_sampler, sampler_name
-from anchorflow_client.contract import AnchorRequest, CostMap, SamplerChoice, SamplerSpec
+from anchorflow_client.contract import (
+    AnchorRequest,
+    CostMap,
+    OdeSpec,
+    SamplerChoice,
+    resolve_for_card,
+)
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_training.scenes import Scene
@@ -41,20 +47,21 @@ class EnginePlanner:
 
     name: str
     engine: Engine
-    sampler: SamplerSpec
+    sampler: OdeSpec
 
     @property
     def evaluations(self) -> int:
         return evaluations(self.sampler)
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
-        answer = self.engine.plan(request_of(scene, num=num, seed=seed, sampler=self.sampler))
+        request = request_of(scene, num=num, seed=seed, sampler=self.sampler)
+        answer = self.engine.plan(resolve_for_card(request, self.engine.card))
         states = (answer.trajectories, answer.velocities, answer.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
         return Anchors(position, velocity, acceleration, answer.dt, answer.safe)
 
 
-def request_of(scene: Scene, *, num: int, seed: int, sampler: SamplerSpec) -> AnchorRequest:
+def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> AnchorRequest:
     """A scene as a caller asks for it."""
     return AnchorRequest.build(
         cost_map=CostMap.build(scene.cost_map, scene.resolution, scene.origin),
@@ -98,4 +105,5 @@ def bundle_names(bundles: Sequence[Bundle]) -> list[str]:
 def limits_of(bundle: Bundle) -> MotionLimits:
     """What a bundle's anchors keep."""
     card = bundle.card
-    return MotionLimits(v_max=card.v_max, a_max=card.a_max, horizon_s=card.horizon_s)
+    limits = card.cost_map.limits
+    return MotionLimits(v_max=limits.v_max, a_max=limits.a_max, horizon_s=limits.horizon_s)

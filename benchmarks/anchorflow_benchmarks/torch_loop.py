@@ -11,7 +11,7 @@ from torch import Tensor
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.plain_loop import Arrays, Field, integrate_plainly
-from anchorflow_client.contract import SamplerSpec
+from anchorflow_client.contract import OdeSpec
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.restore import restore_model
 
@@ -32,7 +32,7 @@ class TorchLoop:
 
     @torch.inference_mode()
     def sample(
-        self, inputs: Arrays, x: NDArray[np.float32], sampler: SamplerSpec
+        self, inputs: Arrays, x: NDArray[np.float32], sampler: OdeSpec
     ) -> NDArray[np.float32]:
         """States at t = 1 [N,T,S] from x at t = 0, given the inputs of encode, B = 1."""
         tensors = {name: torch.from_numpy(array) for name, array in inputs.items()}

@@ -31,6 +31,7 @@ from anchorflow_client.json_codec import JsonCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http.orjson_codec import OrjsonCodec
+from anchorflow_service.local import LocalClient
 
 BundleOption = Annotated[Path, typer.Option(help="Folder of the bundle.")]
 ScenesOption = Annotated[
@@ -111,7 +112,7 @@ def _ways(opened: Bundle, bundle: Path, stack: ExitStack) -> dict[str, Ask]:
     by_router = stack.enter_context(_client(router))
     directly = stack.enter_context(_client(direct))
     return {
-        IN_PROCESS: Engine(opened).plan,
+        IN_PROCESS: LocalClient(Engine(opened)).plan_request,
         "HTTP binary": binary.plan_request,
         "HTTP JSON": by_orjson.plan_request,
         "HTTP JSON, standard library": by_json.plan_request,

@@ -9,11 +9,11 @@ import typer
 
 from anchorflow_cli.options import command_app
 from anchorflow_cli.training_errors import one_line_errors
-from anchorflow_client.contract import MapSpec, SamplerChoice, SamplerSpec
+from anchorflow_client.contract import SamplerChoice
+from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
+from anchorflow_export.planners import ADAPTERS
 from anchorflow_export.quantization import quantize_field
-from anchorflow_models import L2Config
-from anchorflow_service.bundle.manifest import LimitsEntry, RefineEntry
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.distillation.student import student_schedule
 from anchorflow_training.provenance import provenance
@@ -58,57 +58,39 @@ def export(
     with one_line_errors():
         saved = load_checkpoint(checkpoint)
         model = restore_model(saved)
-    model.prior.widen(noise_scale)
-    config = model.config
+    choices = ExportChoices(
+        sampler=_sampler(method, schedule, student_schedule(saved)),
+        noise_scale=noise_scale,
+        robot_radius=robot_radius,
+        safety_margin=safety_margin,
+        refine_steps=refine_steps,
+    )
     description = BundleDescription(
         name=name,
         version=version,
-        planner="flowmp",
-        T=config.num_steps,
-        D=config.dim,
-        limits=_limits(config, robot_radius),
-        map=MapSpec(H=config.map_size, W=config.map_size, channels=config.map_channels),
-        sampler=_sampler(method, schedule, student_schedule(saved)),
-        refine=RefineEntry(
-            smooth=True,
-            project=True,
-            safety_margin=safety_margin,
-            guidance=0.0,
-            steps=refine_steps,
-            num_control_points=config.num_control_points,
-            degree=config.degree,
-        ),
+        planner=saved.planner,
         training={**provenance(saved), "noise_scale": noise_scale},
     )
-    for difference in export_bundle(model, description, out=out):
+    adapter = ADAPTERS[saved.planner](model, choices)
+    for difference in export_bundle(adapter, description, out=out):
         typer.echo(str(difference))
     if int8:
         typer.echo(str(quantize_field(out)))
     typer.echo(f"{out}: {name} {version}")
 
 
-def _limits(config: L2Config, robot_radius: float) -> LimitsEntry:
-    return LimitsEntry(
-        horizon_s=config.horizon_s,
-        v_max=config.v_max,
-        a_max=config.a_max,
-        robot_radius=robot_radius,
-    )
-
-
-def _sampler(method: str | None, schedule: str | None, of_student: Schedule | None) -> SamplerSpec:
+def _sampler(
+    method: str | None, schedule: str | None, of_student: Schedule | None
+) -> SamplerChoice:
     """The card's sampler in the words of a request; raises `InvalidRequest` as a request would."""
-    fields: dict[str, Any] = {"method": "rk4", "schedule": {"uniform": 8}}
+    fields: dict[str, Any] = {}
     if of_student is not None:
         fields = {"method": "euler", "schedule": [*of_student]}
     if method is not None:
         fields["method"] = method
     if schedule is not None:
         fields["schedule"] = _schedule(schedule)
-    chosen = SamplerChoice.from_fields(fields)
-    assert chosen.method is not None
-    assert chosen.schedule is not None
-    return SamplerSpec(chosen.method, chosen.schedule)
+    return SamplerChoice.from_fields(fields)
 
 
 def _schedule(text: str) -> Any:

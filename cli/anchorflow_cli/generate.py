@@ -172,7 +172,9 @@ def _answer(
     anchors: Anchors, *, dt: float, seed: int, model: ModelId, milliseconds: float
 ) -> AnchorBatch:
     arrays = {name: tensor.numpy() for name, tensor in vars(anchors).items()}
-    return AnchorBatch(**arrays, dt=dt, seed=seed, model=model, timing_ms={"total": milliseconds})
+    return AnchorBatch(
+        arrays=arrays, dt=dt, seed=seed, model=model, timing_ms={"total": milliseconds}
+    )
 
 
 def _model_id(checkpoint: Path, step: int) -> ModelId:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from anchorflow_service.bundle import DEFAULT_BUNDLE
-from anchorflow_service.planning import Engine
+from anchorflow_service.planning import PlanningEngine
 from anchorflow_service.repository import BundleFolders
 
 BundlesOption = Annotated[
@@ -48,6 +48,6 @@ def folders_of(bundles: list[Path] | None, repository: Path | None) -> BundleFol
     return BundleFolders(named, repository=repository)
 
 
-def described(engines: Mapping[str, Engine]) -> str:
+def described(engines: Mapping[str, PlanningEngine]) -> str:
     """The models' names and versions, the default first."""
     return ", ".join(f"{each.card.name} {each.card.version}" for each in engines.values())

@@ -29,8 +29,8 @@ from anchorflow_cli.options import (
 from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
 from anchorflow_client.http import AnchorClient
-from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_service.engine import Engine
+from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.local import LocalClient
 
 app = command_app()
 
@@ -86,7 +86,7 @@ def ask_server(url: str, request: AnchorRequest) -> AnchorBatch:
 
 def ask_engine(bundle: Path, request: AnchorRequest) -> AnchorBatch:
     """Anchors from an engine in this process."""
-    return Engine(load_bundle(bundle)).plan(request)
+    return LocalClient.of(bundle).plan_request(request)
 
 
 def table(anchors: AnchorBatch) -> Table:

@@ -37,7 +37,17 @@ ClientCaOption = Annotated[
     ),
 ]
 ConnectionsOption = Annotated[
-    int, typer.Option(min=1, help="Connections at a time; more are refused.")
+    int,
+    typer.Option(min=1, help="Connections at a time; beyond, one that is idle is closed for each."),
+]
+PerAddressOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="Connections of one address at a time; three quarters of --max-connections unless "
+        "given.",
+        show_default=False,
+    ),
 ]
 BodyOption = Annotated[int, typer.Option(min=1, help="Longest body of a request [bytes].")]
 NoticeOption = Annotated[

@@ -17,7 +17,7 @@ from anchorflow_cli.serve_options import ServeOptionError
 from anchorflow_cli.serving import ServeChoice, open_service, serving_line
 from anchorflow_cli.zenoh_options import ZenohChoice
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_service.http.lifecycle import BREAKING_OFF_S
+from anchorflow_service.http.lifecycle import CANCELLING_S
 from anchorflow_service.observability.logs import set_up_logging
 from anchorflow_service.observability.metrics import SHARED_FOLDER
 from anchorflow_service.workers.link import FAILED
@@ -49,7 +49,7 @@ def serve_by_workers(choice: ServeChoice, listener: socket.socket, workers: int)
     def say(models: str) -> None:
         typer.echo(f"{serving_line(models, choice, listener)}, {workers} workers")
 
-    leave_s = choice.draining.notice_s + choice.draining.drain_s + BREAKING_OFF_S + CLOSING_S
+    leave_s = choice.draining.notice_s + choice.draining.drain_s + CANCELLING_S + CLOSING_S
     supervisor = Supervisor(partial(work, choice), listener, count=workers, leave_s=leave_s)
     with TemporaryDirectory(prefix="anchorflow-metrics-") as folder:
         # Workers inherit it before they load prometheus_client, which reads it then.

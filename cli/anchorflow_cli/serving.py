@@ -34,7 +34,7 @@ from anchorflow_service.repository import (
 
 if TYPE_CHECKING:
     from anchorflow_cli.zenoh_options import ZenohChoice
-    from anchorflow_service.observability.tracing import Tracing
+    from anchorflow_service.observability.spans import Tracing
     from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 ZENOH_WAIT_S = 5.0
@@ -129,7 +129,7 @@ def serving_line(models: str, choice: ServeChoice, listener: socket.socket) -> s
 def traced(service: PlanningService, url: str) -> Tracing:
     """Traces of the service, sent to the collector at the URL."""
     with needs_extra("otel", who="anchorflow serve --traces"):
-        from anchorflow_service.observability.tracing import tracing_to
+        from anchorflow_service.observability.spans import tracing_to
     tracing = tracing_to(url)
     service.watch(tracing)
     return tracing

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
+from anchorflow_client.contract.inputs import DTYPES, EncodedImage, Input
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
 from anchorflow_client.wire_fields import answer_fields, answer_of, request_fields
 
@@ -23,7 +25,10 @@ class JsonCodec:
 
     def encode_request(self, request: AnchorRequest) -> Payload:
         """The request's fields, those left to the card omitted."""
-        return Payload(self._dump(request_fields(request)))
+        fields = request_fields(request)
+        if "inputs" in fields:
+            fields["inputs"] = {name: _input(value) for name, value in request.inputs.items()}
+        return Payload(self._dump(fields))
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
         """A request out of untrusted bytes. Raises `InvalidRequest`."""
@@ -65,6 +70,19 @@ def not_json(reason: str, position: int, length: int) -> InvalidRequest:
     """The refusal of a body that breaks off, or breaks JSON's grammar."""
     place = f"position {position} of {length}"
     return InvalidRequest(f"expected JSON, got a body that breaks at {place}: {reason}", "body")
+
+
+def _input(value: Input) -> Any:
+    """An input as JSON carries it: numbers as the bytes that they are, texts as strings."""
+    if isinstance(value, EncodedImage):
+        return {value.format: base64.b64encode(value.data).decode()}
+    if value.dtype.kind == "O":
+        return value.tolist()
+    dtype = value.dtype.newbyteorder("=").name
+    if dtype not in DTYPES:
+        value, dtype = value.astype(np.float64), "float64"
+    data = np.ascontiguousarray(value, DTYPES[dtype]).tobytes()
+    return {"dtype": dtype, "shape": value.shape, "base64": base64.b64encode(data).decode()}
 
 
 def _plain(value: Any) -> Any:

@@ -16,17 +16,17 @@ from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.contract.arrays import wrong_shape
 from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.contract.checks import fields_of
+from anchorflow_client.contract.checks import expected, fields_of, text
+from anchorflow_client.contract.inputs import EncodedImage
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
 from anchorflow_client.oip.datatypes import FLOATS, name_of
-from anchorflow_client.oip.message import pack, unpack_header, unpack_tensors
+from anchorflow_client.oip.message import Datatypes, pack, unpack_header, unpack_tensors
 from anchorflow_client.oip.parameters import check_binary_output, flatten, nest, scalars
 from anchorflow_client.wire_fields import answer_fields, answer_of, request_fields
 
 GEOMETRY = "map_geometry"
-"""[3] or [B,3]: origin x and y in m, resolution in m/cell."""
+"""[3] or [B,3]: origin x and y in m, resolution in m/cell; FP64, as maps may lie far from zero."""
 
-# Tensors of 8-byte numbers come first, so that each begins at a multiple of its own item size.
 PATH_OF_INPUT = {
     "x_curr": "x_curr",
     "x_goal": "x_goal",
@@ -35,8 +35,13 @@ PATH_OF_INPUT = {
     "schedule": "sampler.schedule",
     "cost_map": "cost_map.data",
 }
-INPUTS = {**dict.fromkeys(PATH_OF_INPUT, FLOATS), GEOMETRY: FLOATS}
-OUTPUTS = {name: (name_of(np.dtype(dtype)),) for name, dtype in ARRAY_DTYPES.items()}
+RESERVED = {**dict.fromkeys(PATH_OF_INPUT, FLOATS), GEOMETRY: FLOATS}
+"""Datatypes of the tensors that are fields of a request; any other is one of its `inputs`."""
+OUTPUTS: Datatypes = {
+    **{name: (name_of(np.dtype(dtype)),) for name, dtype in ARRAY_DTYPES.items()},
+    "trajectories": FLOATS,
+}
+INPUTS = "inputs."
 
 
 class OipCodec:
@@ -48,17 +53,12 @@ class OipCodec:
         """The request's fields, those left to the card omitted."""
         fields = request_fields(request)
         header = {"id": fields.pop("request_id")} if "request_id" in fields else {}
+        outputs = [{"name": name} for name in fields.pop("outputs", ())]
         leaves = flatten(fields)
-        geometry = [*leaves.pop("cost_map.origin"), leaves.pop("cost_map.resolution")]
-        tensors = {
-            name: np.asarray(leaves.pop(path))
-            for name, path in PATH_OF_INPUT.items()
-            if path in leaves
-        }
-        batch = tensors["cost_map"].shape[:-3]
-        tensors[GEOMETRY] = np.broadcast_to(np.array(geometry, np.float32), (*batch, 3))
+        tensors = _request_tensors(leaves)
         parameters = {"binary_data_output": True, **leaves}
-        return pack({**header, "parameters": parameters}, "inputs", tensors)
+        header |= {"parameters": parameters} | ({"outputs": outputs} if outputs else {})
+        return pack(header, "inputs", tensors)
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
         """A request out of untrusted bytes; its map is the body's own memory.
@@ -67,10 +67,12 @@ class OipCodec:
             InvalidRequest: names the field, the tensor, "header_length", "header" or "body".
         """
         value, data = unpack_header(payload)
-        header = fields_of(value, "", ("id", "parameters", "inputs"), ("inputs",))
+        header = fields_of(value, "", ("id", "parameters", "inputs", "outputs"), ("inputs",))
         leaves = scalars(header.get("parameters"))
         check_binary_output(leaves)
-        tensors = unpack_tensors(header["inputs"], data, "inputs", INPUTS)
+        if outputs := header.get("outputs"):
+            leaves["outputs"] = wanted_outputs(outputs)
+        tensors = unpack_tensors(header["inputs"], data, "inputs", RESERVED)
         return request_of(tensors, leaves, header.get("id"))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
@@ -78,7 +80,7 @@ class OipCodec:
         if not batch.is_finite:
             raise ValueError("the answer holds numbers that are not finite")
         leaves = flatten(answer_fields(batch))
-        tensors: dict[str, NDArray[Any]] = {name: leaves.pop(name) for name in ARRAY_DTYPES}
+        tensors: dict[str, NDArray[Any]] = {name: leaves.pop(name) for name in batch.arrays}
         header = {
             "model_name": leaves.pop("model.name"),
             "model_version": leaves.pop("model.version"),
@@ -95,20 +97,15 @@ class OipCodec:
         """
         try:
             header, data = unpack_header(payload)
-            tensors = unpack_tensors(
-                header.get("outputs"), data, "outputs", OUTPUTS, take_strangers=True
-            )
+            tensors = unpack_tensors(header.get("outputs"), data, "outputs", OUTPUTS)
             leaves = scalars(header.get("parameters"))
             for name, key in (("model.name", "model_name"), ("model.version", "model_version")):
                 _put(leaves, name, header.get(key))
             fields = nest(leaves)
         except InvalidRequest as error:  # the reader's words for both directions
             raise InvalidAnswer(f"not an answer of the contract: {error}") from error
-        missing = [name for name in OUTPUTS if name not in tensors]
-        if missing:
-            raise InvalidAnswer(f"not an answer of the contract: {', '.join(missing)} missing")
-        told = {"timing_ms": {}, **fields, **tensors, "request_id": header.get("id")}
-        return answer_of(told)
+        told = {"timing_ms": {}, **fields, "request_id": header.get("id")}
+        return answer_of(told, tensors)
 
 
 def request_of(
@@ -122,12 +119,47 @@ def request_of(
     leaves = dict(leaves)
     if GEOMETRY in tensors:
         leaves |= _geometry_leaves(tensors[GEOMETRY])
-    for name, path in PATH_OF_INPUT.items():
-        if name in tensors:
-            _put(leaves, path, tensors[name])
+    for name, tensor in tensors.items():
+        if name != GEOMETRY:
+            _put(leaves, PATH_OF_INPUT.get(name, INPUTS + name), tensor)
     if request_id is not None:
         _put(leaves, "request_id", request_id)
     return AnchorRequest.from_fields(nest(leaves))
+
+
+def wanted_outputs(outputs: Any) -> list[str]:
+    """The names that a header's `outputs` list. Raises `InvalidRequest`."""
+    if not isinstance(outputs, list):
+        raise expected("outputs", "a list of outputs", outputs)
+    entries = [
+        fields_of(value, f"outputs[{index}]", ("name", "parameters"), ("name",))
+        for index, value in enumerate(outputs)
+    ]
+    return [text(entry["name"], f"outputs[{i}].name") for i, entry in enumerate(entries)]
+
+
+def _request_tensors(leaves: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    """Take the arrays out of a request's leaves; those of the widest numbers come first, so that
+    each begins at a multiple of its own item size.
+    """
+    tensors = {
+        name: np.asarray(leaves.pop(path)) for name, path in PATH_OF_INPUT.items() if path in leaves
+    }
+    if "cost_map" in tensors:
+        geometry = np.array([*leaves.pop("cost_map.origin"), leaves.pop("cost_map.resolution")])
+        batch = tensors["cost_map"].shape[:-3]
+        tensors[GEOMETRY] = np.broadcast_to(geometry, (*batch, 3))
+    for path in [path for path in leaves if path.startswith(INPUTS)]:
+        name, value = path.removeprefix(INPUTS), leaves.pop(path)
+        if isinstance(value, EncodedImage):
+            what = f"pixels, uint8 [3,H,W], as the binary form carries no {value.format}"
+            raise expected(path, what, value)
+        tensors[name] = value
+    return dict(sorted(tensors.items(), key=lambda item: -_item_size(item[1])))
+
+
+def _item_size(tensor: NDArray[Any]) -> int:
+    return 0 if tensor.dtype.kind == "O" else tensor.dtype.itemsize
 
 
 def _put(leaves: dict[str, Any], path: str, value: Any) -> None:

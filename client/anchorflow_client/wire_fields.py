@@ -28,20 +28,26 @@ UNREADABLE = (
 def request_fields(request: AnchorRequest) -> dict[str, Any]:
     """A request's fields, arrays as numpy holds them; those left to the card are omitted."""
     fields = request.field_values()
-    batched = fields.pop("batched")
-    for name in ("x_curr", "x_goal", "w_style"):
-        fields[name] = fields[name] if batched else fields[name][0]
-    fields["cost_map"] = _map_fields(request.cost_map, batched=batched)
+    del fields["num_scenes"]
+    batched, scenes = fields.pop("batched"), fields.pop("map_scenes")
+    if scenes is not None:
+        fields["cost_map"] = _map_fields(scenes.cost_map, batched=batched)
+        for name in ("x_curr", "x_goal", "w_style"):
+            array = getattr(scenes, name)
+            fields[name] = array if batched else array[0]
     fields["sampler"] = request.sampler and given(request.sampler)
     fields["refine"] = request.refine and given(request.refine)
     fields["warm_start"] = request.warm_start and _warm_start_fields(request.warm_start)
+    fields["inputs"] = request.inputs or None
+    fields["outputs"] = list(request.outputs) or None
     return {name: value for name, value in fields.items() if value is not None}
 
 
 def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
     """An answer's fields, arrays as numpy holds them."""
-    return {name: getattr(batch, name) for name in ARRAY_DTYPES} | {
+    return dict(batch.arrays) | {
         "dt": batch.dt,
+        "first_s": batch.first_s,
         "seed": batch.seed,
         "model": asdict(batch.model),
         "timing_ms": dict(batch.timing_ms),
@@ -49,14 +55,18 @@ def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
     }
 
 
-def answer_of(fields: Any) -> AnchorBatch:
-    """An answer out of untrusted fields; keys that this version does not know are left out.
+def answer_of(fields: Any, arrays: Mapping[str, Any] | None = None) -> AnchorBatch:
+    """An answer out of untrusted fields.
+
+    arrays: where they came apart from the fields; None: all lists among the fields are arrays
 
     Raises:
         InvalidAnswer: they are not the contract's, or hold numbers that are not finite.
     """
     try:
-        batch = _answer(fields)
+        if arrays is None:
+            arrays = {name: value for name, value in fields.items() if isinstance(value, list)}
+        batch = _answer(fields, arrays)
         finite = batch.is_finite
     except UNREADABLE as error:
         raise InvalidAnswer(f"not an answer of the contract: {error!r}") from error
@@ -76,19 +86,24 @@ def _warm_start_fields(warm_start: WarmStart) -> dict[str, Any]:
     return {"trajectory": warm_start.trajectory, "tau": warm_start.tau}
 
 
-def _answer(fields: Mapping[str, Any]) -> AnchorBatch:
+def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch:
     model = fields["model"]
     names = (model["name"], model["version"], model["sha256"])
     if not all(isinstance(name, str) for name in names):
         raise TypeError(f"expected strings in model, got {names!r:.200}")
-    arrays: dict[str, Any] = {
-        name: np.asarray(fields[name], dtype=dtype) for name, dtype in ARRAY_DTYPES.items()
-    }
     return AnchorBatch(
-        **arrays,
+        arrays={name: _array(name, value) for name, value in arrays.items()},
         dt=float(fields["dt"]),
+        first_s=float(fields.get("first_s", 0.0)),
         seed=int(fields["seed"]),
         model=ModelId(*names),
         timing_ms={str(stage): float(ms) for stage, ms in fields["timing_ms"].items()},
         request_id=fields.get("request_id"),
     )
+
+
+def _array(name: str, value: Any) -> NDArray[Any]:
+    array = np.asarray(value)
+    if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and name in ARRAY_DTYPES):
+        raise TypeError(f"expected numbers in {name}, got {array.dtype}")
+    return array

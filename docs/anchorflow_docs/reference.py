@@ -9,13 +9,16 @@ from typing import Any
 from anchorflow_client.contract import (
     AnchorBatch,
     AnchorRequest,
+    AnswerSpec,
     CostMap,
-    MapSpec,
+    CostMapSpec,
+    LimitsSpec,
     ModelCard,
     ModelId,
     RefineChoice,
     SamplerChoice,
     TensorSpec,
+    TimeSpec,
     WarmStart,
 )
 from anchorflow_docs.card_table import card_table
@@ -39,7 +42,10 @@ TYPES = (
     ModelCard,
     ModelId,
     TensorSpec,
-    MapSpec,
+    CostMapSpec,
+    LimitsSpec,
+    TimeSpec,
+    AnswerSpec,
 )
 OPENAPI = "reference/openapi.json"
 

@@ -10,55 +10,43 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from anchorflow_client.contract import MapSpec, SamplerSpec, TensorSpec
+from anchorflow_export.adapter import PlannerAdapter, TracedGraph
 from anchorflow_export.errors import ExportError
-from anchorflow_export.graphs import F32, PRIOR_BASIS, PRIOR_MEAN, FlowModel, unit_of
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
-from anchorflow_export.roles import TracedGraph, trace_roles
 from anchorflow_export.tracing import OPSET
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.bundle.manifest import (
     FILE_NAME,
     FORMAT,
-    Adjustable,
     GraphEntry,
-    LimitsEntry,
     Manifest,
-    PriorEntry,
-    RefineEntry,
-    SamplerEntry,
+    RequestEntry,
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class BundleDescription:
-    """What a manifest says beside its graphs.
+    """What a manifest says of a bundle that its planner does not.
 
-    T: time steps of an anchor; D: dimensions of a position
-    map: the grid that the model was trained on; its channels are those of the cost_map input
-    sampler, refine: what a request that leaves them open gets
-    adjustable: limits that a request may change
+    planner: its name in the registry of planners
     training: provenance of the weights; quality: the judge's table, where it is known already
     """
 
     name: str
     version: str
     planner: str
-    T: int
-    D: int
-    limits: LimitsEntry
-    map: MapSpec
-    sampler: SamplerSpec
-    refine: RefineEntry
-    adjustable: tuple[Adjustable, ...] = ("robot_radius",)
     training: Mapping[str, Any] = field(default_factory=dict)
     quality: Mapping[str, Any] = field(default_factory=dict)
 
 
 def export_bundle(
-    model: FlowModel, description: BundleDescription, *, out: Path, tolerance: float = TOLERANCE
+    adapter: PlannerAdapter,
+    description: BundleDescription,
+    *,
+    out: Path,
+    tolerance: float = TOLERANCE,
 ) -> tuple[Difference, ...]:
-    """Write a torch flow model as the bundle `out`, in the place of a bundle that is there.
+    """Write a torch planner as the bundle `out`, in the place of a bundle that is there.
 
     Returns how far ONNX and torch are apart, for every graph and for whole samples.
 
@@ -67,12 +55,12 @@ def export_bundle(
             or `out` is something else than a bundle. Nothing is left behind.
     """
     with into_place(out) as folder:
-        traced = trace_roles(
-            model, T=description.T, D=description.D, channels=description.map.channels
-        )
-        graphs = {role: _write(graph, folder / f"{role}.onnx") for role, graph in traced.items()}
-        (folder / FILE_NAME).write_bytes(_manifest(description, graphs).to_json())
-        return prove_parity(model, load_bundle(folder), tolerance=tolerance)
+        graphs = {
+            role: _write(graph, folder / f"{role}.onnx") for role, graph in adapter.trace().items()
+        }
+        manifest = _manifest(adapter, description, graphs)
+        (folder / FILE_NAME).write_bytes(manifest.to_json())
+        return prove_parity(adapter, load_bundle(folder), tolerance=tolerance)
 
 
 def record_quality(bundle: Path, quality: Mapping[str, Any]) -> None:
@@ -99,47 +87,24 @@ def _write(graph: TracedGraph, path: Path) -> GraphEntry:
     )
 
 
-def _manifest(description: BundleDescription, graphs: dict[str, GraphEntry]) -> Manifest:
-    sampler = description.sampler
+def _manifest(
+    adapter: PlannerAdapter, description: BundleDescription, graphs: dict[str, GraphEntry]
+) -> Manifest:
+    parts = adapter.parts
     return Manifest(
         format=FORMAT,
         name=description.name,
         version=description.version,
         planner=description.planner,
-        inputs=graphs["encode"].inputs,
-        outputs=_anchor_specs(description),
+        request=RequestEntry(inputs=parts.inputs),
+        conditioning=parts.conditioning,
+        sampler=parts.sampler,
+        finish=parts.finish,
+        time=parts.time,
+        answer=parts.answer,
         graphs=graphs,
-        sampler=SamplerEntry(
-            kind="ode",
-            method=sampler.method,
-            schedule=sampler.schedule,
-            prior=PriorEntry(mean=PRIOR_MEAN, basis=PRIOR_BASIS),
-        ),
-        refine=description.refine,
-        T=description.T,
-        D=description.D,
-        dt=description.limits.horizon_s / (description.T - 1),
-        limits=description.limits,
-        adjustable=description.adjustable,
-        map=description.map,
         training=dict(description.training),
         quality=dict(description.quality),
-    )
-
-
-def _anchor_specs(description: BundleDescription) -> tuple[TensorSpec, ...]:
-    """What the engine answers."""
-    limits, D = description.limits, description.D
-    fields = {
-        "positions": ("m", None),
-        "velocities": ("m/s", (-limits.v_max, limits.v_max)),
-        "accelerations": ("m/s^2", (-limits.a_max, limits.a_max)),
-    }
-    shape = ("B", "N", description.T, D)
-    return tuple(
-        # The limits are planar: of a heading's rate they say nothing.
-        TensorSpec(name, F32, shape, unit_of(unit, D), limit if D == 2 else None)
-        for name, (unit, limit) in fields.items()
     )
 
 

@@ -1,42 +1,18 @@
-"""The proof: every graph, and a whole sample through the service's engine, against torch."""
+"""The proof: every graph, and whole samples through the service's sampler, against torch."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from anchorflow_client.contract import SamplerSpec
+from anchorflow_export.adapter import GraphTrial, PlannerAdapter
 from anchorflow_export.errors import ExportError
-from anchorflow_export.graphs import PRIOR_BASIS, PRIOR_MEAN, Context, FlowModel
-from anchorflow_export.scenes import random_scenes
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.bundle.graphs import Graph, open_graph
-from anchorflow_service.engine.samplers.ode import FlowSampler
-from anchorflow_trajectory.ode.method import Method, method_named
+from anchorflow_service.bundle.graphs import open_graph
 
 TOLERANCE = 1e-4  # m, m/s, m/s² of a sample; of max(1, largest magnitude) for a graph's outputs
-
-Arrays = dict[str, np.ndarray]
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Sizes that a graph is tried at; none is the one it was traced at."""
-
-    B: int
-    N: int
-    K: int
-    H: int
-    W: int
-
-
-TRIALS = (Trial(1, 1, 17, 64, 64), Trial(3, 5, 1, 16, 40), Trial(2, 64, 8, 97, 50))
-SAMPLE_TRIAL = Trial(2, 9, 0, 64, 48)  # N enough for two slices
 
 
 @dataclass(frozen=True)
@@ -51,16 +27,21 @@ class Difference:
 
 
 def prove_parity(
-    model: FlowModel, bundle: Bundle, *, tolerance: float = TOLERANCE
+    adapter: PlannerAdapter, bundle: Bundle, *, tolerance: float = TOLERANCE
 ) -> tuple[Difference, ...]:
-    """Compare a bundle's graphs and a whole sample with the torch model.
+    """Compare a bundle's graphs and whole samples with the torch model.
 
     Raises:
         ExportError: a difference is above the tolerance, or not a number; it lists all of them.
     """
     with torch.inference_mode():
-        graphs = [d for seed, t in enumerate(TRIALS) for d in _graphs(model, bundle, t, seed)]
-        differences = (*graphs, *_samples(model, bundle, SAMPLE_TRIAL))
+        differences = (
+            *(_compare(bundle, trial) for trial in adapter.graph_trials(bundle)),
+            *(
+                _difference(trial.what, trial.got, trial.expected)
+                for trial in adapter.sample_trials(bundle)
+            ),
+        )
     # Written so that a NaN fails.
     if not all(difference.error <= tolerance for difference in differences):
         numbers = "; ".join(str(difference) for difference in differences)
@@ -68,85 +49,13 @@ def prove_parity(
     return differences
 
 
-def torch_sample(
-    model: FlowModel,
-    context: Context,
-    x: Tensor,
-    *,
-    schedule: tuple[float, ...],
-    method: Method,
-) -> Tensor:
-    """The sampler written the plain way, one modulation an evaluation: x_0 -> x_1 [B,N,T,S]."""
-    before: list[Tensor] = []
-    for step, (start, end) in enumerate(pairwise(schedule)):
-        h, slopes = end - start, []
-        for row, c in zip(method.a_lower, method.c, strict=True):
-            point = x + sum((h * a * k for a, k in zip(row, slopes, strict=True)), 0.0)
-            modulation = model.modulate(torch.tensor([start + c * h]), context)[:, 0]
-            slopes.append(model.field(point, modulation, context))
-        before = [*slopes, *before]
-        x = x + sum(h * b * k for b, k in zip(method.weights(schedule, step), before, strict=False))
-    return x
-
-
-def _graphs(model: FlowModel, bundle: Bundle, trial: Trial, seed: int) -> Iterator[Difference]:
-    """encode, modulate and field at one set of sizes, each fed from torch's own context."""
-    generator = torch.Generator().manual_seed(seed)
-    inputs = _scenes(bundle, trial, seed)
-    context = model.encode(**inputs)
-    encode = open_graph(bundle, "encode")
-    yield _compare(f"encode at {trial}", encode, inputs, context)
-
-    times = torch.rand(trial.K, generator=generator).sort().values
-    modulation = model.modulate(times, context)
-    modulate = open_graph(bundle, "modulate")
-    yield _compare(
-        f"modulate at {trial}", modulate, {**context, "times": times}, {"modulation": modulation}
-    )
-
-    noise = torch.randn(trial.N, context[PRIOR_BASIS].shape[1], generator=generator)
-    x_t, one_time = _initial_state(context, noise), modulation[:, -1]
-    field_inputs = {**context, "x_t": x_t, "modulation": one_time}
-    expected = {"dx_t": model.field(x_t, one_time, context)}
-    yield _compare(f"field at {trial}", open_graph(bundle, "field"), field_inputs, expected)
-
-
-def _samples(model: FlowModel, bundle: Bundle, trial: Trial) -> Iterator[Difference]:
-    """The card's sampler from the same noise: the plain torch loop and the engine's."""
-    card, flow = bundle.card, FlowSampler(bundle, threads=2)
-    inputs = _scenes(bundle, trial, len(TRIALS))
-    context = model.encode(**inputs)
-    sampler: SamplerSpec = card.sampler
-    for b in range(trial.B):
-        scene = flow.encode({name: array[b : b + 1].numpy() for name, array in inputs.items()})
-        noise = flow.draw_noise(scene, num_samples=trial.N, seed=b)
-        state = flow.integrate(scene, flow.initial_state(scene, noise), sampler)
-        expected = torch_sample(
-            model,
-            {name: tensor[b : b + 1] for name, tensor in context.items()},
-            _initial_state(context, torch.from_numpy(noise))[b : b + 1],
-            schedule=sampler.schedule,
-            method=method_named(sampler.method),
-        )
-        yield _difference(f"sample of scene {b} at {trial}", state, expected[0].numpy())
-
-
-def _scenes(bundle: Bundle, trial: Trial, seed: int) -> dict[str, Tensor]:
-    return random_scenes(bundle.card, scenes=trial.B, height=trial.H, width=trial.W, seed=seed)
-
-
-def _initial_state(context: Context, noise: Tensor) -> Tensor:
-    """x_0 [B,N,T,S] from noise [N,R]."""
-    mean = context[PRIOR_MEAN]
-    return mean[:, None] + (noise @ context[PRIOR_BASIS]).unflatten(-1, mean.shape[1:])
-
-
-def _compare(what: str, graph: Graph, inputs: Context, expected: Context) -> Difference:
+def _compare(bundle: Bundle, trial: GraphTrial) -> Difference:
     """The worst of a graph's outputs."""
-    arrays = {name: tensor.contiguous().numpy() for name, tensor in inputs.items()}
+    graph = open_graph(bundle, trial.role)
+    arrays = {name: tensor.contiguous().numpy() for name, tensor in trial.inputs.items()}
     got = graph(**graph.select(arrays))
     parts = [
-        _difference(f"{what}, {name}", got[name], expected[name].numpy(), relative=True)
+        _difference(f"{trial.what}, {name}", got[name], trial.expected[name].numpy(), relative=True)
         for name in got
     ]
     # A NaN compares as the worst.

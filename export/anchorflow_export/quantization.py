@@ -15,12 +15,14 @@ from pathlib import Path
 import numpy as np
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
+from anchorflow_client.contract import OdeSpec
 from anchorflow_export.bundle import into_place
-from anchorflow_export.parity import SAMPLE_TRIAL, Difference
-from anchorflow_export.scenes import random_scenes
+from anchorflow_export.parity import Difference
+from anchorflow_export.planners.flowmp.adapter import SAMPLE_TRIAL
+from anchorflow_export.planners.flowmp.scenes import random_scenes
 from anchorflow_service.bundle import Bundle, load_bundle
 from anchorflow_service.bundle.manifest import FILE_NAME
-from anchorflow_service.engine.samplers.ode import FlowSampler
+from anchorflow_service.engine.samplers.ode import OdeSampler
 
 SCENES = 4
 
@@ -57,16 +59,15 @@ def quantize_field(path: Path) -> Difference:
 
 def _moved(bundle: Bundle, rounded: Bundle) -> Difference:
     """How far the card's samples lie from those of the bundle that was rounded."""
-    whole, coarse = (FlowSampler(one, threads=1) for one in (bundle, rounded))
-    trial, D = SAMPLE_TRIAL, bundle.manifest.D
-    inputs = random_scenes(bundle.card, scenes=SCENES, height=trial.H, width=trial.W, seed=0)
+    whole, coarse = (OdeSampler(one, threads=1) for one in (bundle, rounded))
+    trial, D, spec = SAMPLE_TRIAL, bundle.manifest.D, bundle.card.sampler
+    assert isinstance(spec, OdeSpec)
     squares = []
-    for scene in range(SCENES):
-        one = {name: tensor[scene : scene + 1].numpy() for name, tensor in inputs.items()}
-        context = whole.encode(one)
-        noise = whole.draw_noise(context, num_samples=trial.N, seed=scene)
+    for seed, scene in enumerate(random_scenes(bundle, SCENES, (trial.H, trial.W), seed=0)):
+        context = whole.encode(scene)
+        noise = whole.draw_noise(context, num_samples=trial.N, seed=seed)
         x_0 = whole.initial_state(context, noise)
-        states = [flow.integrate(context, x_0, bundle.card.sampler) for flow in (whole, coarse)]
+        states = [flow.integrate(context, x_0, spec) for flow in (whole, coarse)]
         squares.append(((states[0] - states[1])[..., :D] ** 2).sum(-1).mean())
     return Difference("samples moved by, rms [m]", float(np.sqrt(np.mean(squares))))
 

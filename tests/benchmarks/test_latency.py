@@ -13,7 +13,7 @@ from anchorflow_benchmarks.plain_loop import integrate_plainly, repeated
 from anchorflow_benchmarks.samplers import parse_sampler
 from anchorflow_benchmarks.scene_files import draw_scenes
 from anchorflow_benchmarks.turns import LEAST, p50, p99, take_turns
-from anchorflow_client.contract import SamplerSpec
+from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.cost import MotionLimits
@@ -33,7 +33,7 @@ def scenes(limits: MotionLimits) -> list[Scene]:
 
 def test_the_plain_loop_is_classical_rk4() -> None:
     """On x' = x one step multiplies by the exponential's series up to h^4."""
-    x = integrate_plainly(lambda x, _: x, np.ones(2), SamplerSpec("rk4", (0.0, 0.5, 1.0)))
+    x = integrate_plainly(lambda x, _: x, np.ones(2), OdeSpec("rk4", (0.0, 0.5, 1.0)))
     step = sum(0.5**k / math.factorial(k) for k in range(5))
 
     np.testing.assert_allclose(x, step**2)
@@ -42,7 +42,7 @@ def test_the_plain_loop_is_classical_rk4() -> None:
 def test_the_plain_loop_asks_for_the_stages_times() -> None:
     times: list[float] = []
     integrate_plainly(
-        lambda x, t: times.append(t) or x, np.ones(1), SamplerSpec("rk4", (0.0, 0.8, 1.0))
+        lambda x, t: times.append(t) or x, np.ones(1), OdeSpec("rk4", (0.0, 0.8, 1.0))
     )
     assert times == pytest.approx([0.0, 0.4, 0.4, 0.8, 0.8, 0.9, 0.9, 1.0])
 

@@ -63,7 +63,7 @@ def test_planners_take_turns_with_the_same_seed(scenes: list[Scene], limits: Mot
 
 def test_a_sampler_that_is_named_twice_is_one_planner() -> None:
     bundle = load_bundle(DEFAULT_BUNDLE)
-    own = sampler_name(bundle.card.sampler)
+    own = sampler_name(bundle.card.ode)
     planners = engine_planners([bundle], ["card", own, "euler:uniform1"], threads=1)
 
     assert [planner.name.split()[-1] for planner in planners] == [own, "euler:uniform1"]

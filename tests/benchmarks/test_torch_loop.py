@@ -12,11 +12,11 @@ import torch
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.torch_loop import TorchLoop
-from anchorflow_client.contract import SamplerSpec
+from anchorflow_client.contract import OdeSpec
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
 
-EULER = SamplerSpec("euler", (0.0, 0.5, 1.0))
+EULER = OdeSpec("euler", (0.0, 0.5, 1.0))
 
 
 @pytest.fixture(scope="module")

@@ -40,18 +40,20 @@ def requests(monkeypatch: pytest.MonkeyPatch) -> list[AnchorRequest]:
 
 
 def straight_lines(request: AnchorRequest) -> AnchorBatch:
-    N = request.num_samples
+    N = request.num_samples or 64
     times = np.linspace(0, 1, 64)[:, None]
     start, goal = request.x_curr[0, :2], request.x_goal[0, :2]
     bend = np.linspace(-1, 1, N)[:, None, None] * np.sin(np.pi * times)
     lines = (start + times * (goal - start) + bend).astype(np.float32)
     return AnchorBatch(
-        trajectories=lines,
-        velocities=np.zeros_like(lines),
-        accelerations=np.zeros_like(lines),
-        scores=np.linspace(-3, -1, N, dtype=np.float32),
-        clearance=np.full(N, 0.5, dtype=np.float32),
-        safe=np.arange(N) < N - 1,
+        arrays={
+            "trajectories": lines,
+            "velocities": np.zeros_like(lines),
+            "accelerations": np.zeros_like(lines),
+            "scores": np.linspace(-3, -1, N, dtype=np.float32),
+            "clearance": np.full(N, 0.5, dtype=np.float32),
+            "safe": np.arange(N) < N - 1,
+        },
         dt=8 / 63,
         seed=7,
         model=ModelId("straight", "1.0.0", "0" * 64),

@@ -9,12 +9,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,11 +73,6 @@ class Served:
         children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         return {int(child) for child in children if "spawn_main" in commandline(int(child))}
 
-    def another_than(self, before: set[int]) -> int:
-        """Waits for a worker that was not there before."""
-        (new,) = until(lambda: self.workers() - before)
-        return new
-
     def ended(self) -> tuple[int, list[str]]:
         """Waits for the end: its status, and the lines on stderr."""
         _, errors = self.process.communicate(timeout=60)
@@ -89,14 +84,6 @@ def commandline(pid: int) -> str:
         return Path(f"/proc/{pid}/cmdline").read_text()
     except (FileNotFoundError, ProcessLookupError):
         return ""
-
-
-def until(seen: Callable[[], set[int]]) -> set[int]:
-    deadline = time.monotonic() + 60
-    while not (found := seen()):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    return found
 
 
 def is_gone(pid: int) -> bool:
@@ -117,6 +104,18 @@ def serve() -> Iterator[Callable[..., Served]]:
         each.process.communicate(timeout=20)
 
 
+@pytest.fixture
+def replacement(until: Any) -> Callable[[Served, set[int]], int]:
+    """Waits for a worker that was not there before."""
+
+    def find(served: Served, before: set[int]) -> int:
+        until(lambda: served.workers() - before)
+        (new,) = served.workers() - before
+        return new
+
+    return find
+
+
 class Crowd:
     """Retrying clients that ask without a pause, until they are told to stop."""
 
@@ -133,9 +132,10 @@ class Crowd:
         for thread in self._threads:
             thread.join(PATIENCE_S + 30)
 
-    def wait_for(self, more: int) -> None:
+    def has_more(self, more: int) -> Callable[[], bool]:
+        """Whether so many more answers have come since now; or a failure, which ends the wait."""
         goal = self.answers + more
-        until(lambda: {1} if self.answers >= goal or self.failures else set())
+        return lambda: self.answers >= goal or bool(self.failures)
 
     def _ask(self, url: str) -> None:
         with RetryingClient(AnchorClient(url), patience_s=PATIENCE_S) as client:
@@ -148,18 +148,18 @@ class Crowd:
 
 
 def test_workers_that_are_killed_are_replaced_and_no_request_fails(
-    serve: Callable[..., Served],
+    serve: Callable[..., Served], replacement: Callable[[Served, set[int]], int], until: Any
 ) -> None:
     served = serve()
     first, second = sorted(served.workers())
     crowd = Crowd(served.url)
-    crowd.wait_for(10)
+    until(crowd.has_more(10))
 
     os.kill(first, signal.SIGKILL)
-    third = served.another_than({first, second})
+    third = replacement(served, {first, second})
     os.kill(second, signal.SIGKILL)  # from now on only a worker that came later can answer
-    fourth = served.another_than({first, second, third})
-    crowd.wait_for(20)
+    fourth = replacement(served, {first, second, third})
+    until(crowd.has_more(20))
     crowd.stop()
 
     assert crowd.failures == []
@@ -173,16 +173,18 @@ def test_workers_that_are_killed_are_replaced_and_no_request_fails(
     ]
 
 
-def test_a_worker_that_is_told_to_go_is_replaced_too(serve: Callable[..., Served]) -> None:
+def test_a_worker_that_is_told_to_go_is_replaced_too(
+    serve: Callable[..., Served], replacement: Callable[[Served, set[int]], int], until: Any
+) -> None:
     """So a new bundle comes in without a pause: SIGTERM to one worker after the other."""
     served = serve()
     before = served.workers()
     crowd = Crowd(served.url)
 
     os.kill(min(before), signal.SIGTERM)
-    served.another_than(before)
-    until(lambda: {1} if is_gone(min(before)) else set())
-    crowd.wait_for(10)
+    replacement(served, before)
+    until(lambda: is_gone(min(before)))
+    until(crowd.has_more(10))
     crowd.stop()
 
     assert crowd.failures == []
@@ -204,37 +206,42 @@ def test_a_signal_ends_all_of_them(serve: Callable[..., Served], number: signal.
     assert not AnchorClient(served.url).live()
 
 
-def test_a_signal_to_every_process_is_one_signal(serve: Callable[..., Served]) -> None:
+def test_a_signal_to_every_process_is_one_signal(serve: Callable[..., Served], until: Any) -> None:
     """As systemd sends it: what a worker hears from its supervisor besides ends no notice."""
-    served = serve("--notice-s", "2")
+    served = serve("--notice-s", "1000")
+    workers = served.workers()
     with AnchorClient(served.url) as client:
-        for pid in (*served.workers(), served.process.pid):
+        for pid in (*workers, served.process.pid):
             os.kill(pid, signal.SIGTERM)
-        time.sleep(0.8)
+        until(lambda: not client.ready())
 
-        assert not client.ready()
+        # A worker whose notice had ended would be gone by then.
+        with pytest.raises(subprocess.TimeoutExpired):
+            served.process.wait(1.0)
+        assert served.workers() == workers
         assert client.plan_request(REQUEST).model.name == "flowmp-small"
+    served.process.send_signal(signal.SIGTERM)
     assert served.ended() == (-signal.SIGTERM, [])
 
 
-def test_a_second_signal_ends_the_notice_of_all(serve: Callable[..., Served]) -> None:
+def test_a_second_signal_ends_the_notice_of_all(serve: Callable[..., Served], until: Any) -> None:
     served = serve("--notice-s", "1000")
 
     served.process.send_signal(signal.SIGTERM)
-    time.sleep(0.5)
+    with AnchorClient(served.url) as client:
+        until(lambda: not client.ready())
     served.process.send_signal(signal.SIGTERM)
 
     assert served.ended() == (-signal.SIGTERM, [])
 
 
-def test_workers_do_not_outlive_their_supervisor(serve: Callable[..., Served]) -> None:
+def test_workers_do_not_outlive_their_supervisor(serve: Callable[..., Served], until: Any) -> None:
     served = serve()
     workers = served.workers()
 
     served.process.kill()
 
-    for pid in workers:
-        until(lambda pid=pid: {1} if is_gone(pid) else set())
+    until(lambda: all(map(is_gone, workers)))
 
 
 def test_a_bundle_that_breaks_later_ends_the_service_with_its_last_worker(
@@ -290,7 +297,9 @@ def counted(url: str) -> float:
     return sum(float(line.split()[-1]) for line in lines if f"requests_total{labels}" in line)
 
 
-def test_every_worker_counts_for_all(serve: Callable[..., Served]) -> None:
+def test_every_worker_counts_for_all(
+    serve: Callable[..., Served], replacement: Callable[[Served, set[int]], int]
+) -> None:
     served = serve()
     before = served.workers()
     for _ in range(12):  # a connection each, so that both workers are asked
@@ -300,7 +309,7 @@ def test_every_worker_counts_for_all(serve: Callable[..., Served]) -> None:
     assert [counted(served.url) for _ in range(8)] == [12.0] * 8
 
     os.kill(min(before), signal.SIGKILL)
-    served.another_than(before)
+    replacement(served, before)
     assert counted(served.url) == 12.0
 
 

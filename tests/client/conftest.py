@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client import MapSpec, ModelCard, RefineSpec, SamplerSpec, TensorSpec
+from anchorflow_client import (
+    AnswerSpec,
+    CostMapSpec,
+    LimitsSpec,
+    ModelCard,
+    OdeSpec,
+    RefineSpec,
+    TensorSpec,
+    TimeSpec,
+)
 
 
 @pytest.fixture
@@ -29,17 +38,16 @@ def card() -> ModelCard:
         sha256="ab" * 32,
         planner="lines",
         inputs=(TensorSpec("x_curr", "float32", ("B", 6), "m, m/s, m/s^2"),),
-        outputs=(TensorSpec("positions", "float32", ("B", "N", "T", "D"), "m", (None, 5.0)),),
-        T=64,
-        D=2,
-        horizon_s=8.0,
-        dt=8.0 / 63,
-        v_max=2.0,
-        a_max=3.0,
-        robot_radius=0.25,
-        map=MapSpec(H=64, W=64, channels=3),
-        sampler=SamplerSpec("rk4", (0.0, 0.5, 1.0)),
-        refine=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
-        adjustable=("robot_radius",),
+        conditioning=CostMapSpec(
+            channels=3,
+            H=64,
+            W=64,
+            limits=LimitsSpec(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25),
+            adjustable=("robot_radius",),
+        ),
+        sampler=OdeSpec("rk4", (0.0, 0.5, 1.0)),
+        finish=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
+        time=TimeSpec(steps=64, first_s=0.0, dt=8.0 / 63),
+        answer=AnswerSpec(("x", "y"), ("velocities", "scores", "safe")),
         quality={"any": 0.9},
     )

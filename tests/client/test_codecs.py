@@ -76,12 +76,14 @@ def batches(draw: st.DrawFn) -> AnchorBatch:
     trajectories = draw(paths)
     per_anchor = hnp.arrays(np.float32, anchors, elements=FINITE32)
     return AnchorBatch(
-        trajectories=trajectories,
-        velocities=trajectories[..., ::-1],
-        accelerations=trajectories * np.float32(0.5),
-        scores=draw(per_anchor),
-        clearance=draw(per_anchor),
-        safe=draw(hnp.arrays(bool, anchors)),
+        arrays={
+            "trajectories": trajectories,
+            "velocities": trajectories[..., ::-1],
+            "accelerations": trajectories * np.float32(0.5),
+            "scores": draw(per_anchor),
+            "clearance": draw(per_anchor),
+            "safe": draw(hnp.arrays(bool, anchors)),
+        },
         dt=draw(st.floats(0.01, 1)),
         seed=draw(st.integers(0, 2**63 - 1)),
         model=ModelId("flowmp-small", "0.1.0", "ab" * 32),

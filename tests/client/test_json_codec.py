@@ -74,12 +74,14 @@ def test_a_literal_that_is_not_finite_is_refused_by_its_field(
 def test_an_answer_with_numbers_that_are_not_finite_is_not_sent() -> None:
     paths = np.full((1, 2, 2), np.nan, np.float32)
     batch = AnchorBatch(
-        trajectories=paths,
-        velocities=paths,
-        accelerations=paths,
-        scores=paths[:, 0, 0],
-        clearance=paths[:, 0, 0],
-        safe=np.zeros(1, bool),
+        arrays={
+            "trajectories": paths,
+            "velocities": paths,
+            "accelerations": paths,
+            "scores": paths[:, 0, 0],
+            "clearance": paths[:, 0, 0],
+            "safe": np.zeros(1, bool),
+        },
         dt=0.1,
         seed=1,
         model=ModelId("a", "b", "c"),

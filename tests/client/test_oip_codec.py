@@ -67,12 +67,14 @@ def golden_answer(config: dict[str, Any]) -> AnchorBatch:
     paths = generator.random((3, *anchors, config["steps"], 2)).astype(F32)
     per_anchor = generator.random((2, *anchors)).astype(F32)
     return AnchorBatch(
-        trajectories=paths[0],
-        velocities=paths[1],
-        accelerations=paths[2],
-        scores=per_anchor[0],
-        clearance=per_anchor[1],
-        safe=per_anchor[0] > 0.5,
+        arrays={
+            "trajectories": paths[0],
+            "velocities": paths[1],
+            "accelerations": paths[2],
+            "scores": per_anchor[0],
+            "clearance": per_anchor[1],
+            "safe": per_anchor[0] > 0.5,
+        },
         dt=0.125,
         seed=2**63 - 1,
         model=ModelId("flowmp-small", "0.1.0", "ab" * 32),

@@ -26,12 +26,14 @@ REQUEST = pack({"id": "r1", "parameters": {"seed": 1, "num_samples": 4}}, "input
 def answer() -> Payload:
     paths = np.arange(12, dtype=F32).reshape(2, 3, 2)
     batch = AnchorBatch(
-        trajectories=paths,
-        velocities=paths,
-        accelerations=paths,
-        scores=np.zeros(2, F32),
-        clearance=np.ones(2, F32),
-        safe=np.array([True, False]),
+        arrays={
+            "trajectories": paths,
+            "velocities": paths,
+            "accelerations": paths,
+            "scores": np.zeros(2, F32),
+            "clearance": np.ones(2, F32),
+            "safe": np.array([True, False]),
+        },
         dt=0.1,
         seed=1,
         model=ModelId("lines", "1", "ab"),

@@ -43,12 +43,14 @@ def batch_for(request: AnchorRequest) -> AnchorBatch:
     velocities = np.zeros_like(paths)
     velocities[..., 0] = speeds[:, None]
     return AnchorBatch(
-        trajectories=paths,
-        velocities=velocities,
-        accelerations=np.zeros_like(paths),
-        scores=speeds,
-        clearance=np.ones(2, np.float32),
-        safe=np.ones(2, bool),
+        arrays={
+            "trajectories": paths,
+            "velocities": velocities,
+            "accelerations": np.zeros_like(paths),
+            "scores": speeds,
+            "clearance": np.ones(2, np.float32),
+            "safe": np.ones(2, bool),
+        },
         dt=DT,
         seed=0,
         model=ModelId("lines", "1", "ab"),

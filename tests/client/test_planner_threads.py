@@ -30,12 +30,14 @@ class GatedClient:
             raise ConnectionFailed("nobody listens")
         paths = np.zeros((1, 4, 2), np.float32)
         return AnchorBatch(
-            trajectories=paths,
-            velocities=paths,
-            accelerations=paths,
-            scores=np.zeros(1, np.float32),
-            clearance=np.ones(1, np.float32),
-            safe=np.ones(1, bool),
+            arrays={
+                "trajectories": paths,
+                "velocities": paths,
+                "accelerations": paths,
+                "scores": np.zeros(1, np.float32),
+                "clearance": np.ones(1, np.float32),
+                "safe": np.ones(1, bool),
+            },
             dt=1.0,
             seed=0,
             model=ModelId("still", "1", "ab"),

@@ -191,7 +191,7 @@ def test_the_length_of_the_state_tells_the_dimensions(
     states = [heading_fields["x_curr"]] * 2
     turning = AnchorRequest.from_fields(heading_fields | {"x_curr": states})
 
-    assert (planar.dim, turning.dim) == (2, 3)
+    assert (planar.on_map.dim, turning.on_map.dim) == (2, 3)
     np.testing.assert_array_equal(turning.x_curr, states)
     np.testing.assert_array_equal(turning.x_goal, [heading_fields["x_goal"]] * 2)
 

@@ -7,16 +7,35 @@ from typing import Any
 
 import pytest
 
-from anchorflow_client import AnchorRequest, InvalidRequest, ModelCard, RefineSpec, SamplerSpec
-from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, resolve_for_card
+from anchorflow_client import AnchorRequest, InvalidRequest, ModelCard, OdeSpec, RefineSpec
+from anchorflow_client.contract import (
+    EIGHT_STEP_SCHEDULE,
+    LimitsSpec,
+    ResolvedRequest,
+    resolve_for_card,
+)
+
+
+def of_dim(card: ModelCard, dim: int) -> ModelCard:
+    components = ("x", "y", "heading")[:dim]
+    return replace(card, answer=replace(card.answer, components=components))
+
+
+def limits_of(request: ResolvedRequest) -> LimitsSpec:
+    assert request.limits is not None
+    return request.limits
 
 
 def test_what_is_left_open_is_the_cards(fields: dict[str, Any], card: ModelCard) -> None:
     resolved = resolve_for_card(AnchorRequest.from_fields(fields), card)
 
-    assert (resolved.robot_radius, resolved.v_max, resolved.a_max) == (0.25, 2.0, 3.0)
-    assert (resolved.horizon_s, resolved.model) == (8.0, "lines")
-    assert (resolved.sampler, resolved.refine) == (card.sampler, card.refine)
+    assert (
+        limits_of(resolved).robot_radius,
+        limits_of(resolved).v_max,
+        limits_of(resolved).a_max,
+    ) == (0.25, 2.0, 3.0)
+    assert (limits_of(resolved).horizon_s, resolved.model) == (8.0, "lines")
+    assert (resolved.sampler, resolved.refine) == (card.sampler, card.finish)
     assert 0 <= resolved.seed < 2**53
 
 
@@ -27,7 +46,7 @@ def test_a_partial_choice_keeps_the_rest_of_the_cards(
 
     resolved = resolve_for_card(AnchorRequest.from_fields(fields), card)
 
-    assert resolved.sampler == SamplerSpec("rk4", EIGHT_STEP_SCHEDULE)
+    assert resolved.sampler == OdeSpec("rk4", EIGHT_STEP_SCHEDULE)
     assert resolved.refine == RefineSpec(False, True, 0.05, 0.0)
 
 
@@ -36,7 +55,7 @@ def test_uniform_steps_become_times(fields: dict[str, Any], card: ModelCard) -> 
 
     resolved = resolve_for_card(AnchorRequest.from_fields(fields), card)
 
-    assert resolved.sampler == SamplerSpec("euler", (0.0, 0.25, 0.5, 0.75, 1.0))
+    assert resolved.sampler == OdeSpec("euler", (0.0, 0.25, 0.5, 0.75, 1.0))
 
 
 def test_resolving_twice_changes_nothing(fields: dict[str, Any], card: ModelCard) -> None:
@@ -48,7 +67,7 @@ def test_resolving_twice_changes_nothing(fields: dict[str, Any], card: ModelCard
 def test_an_adjustable_limit_is_the_requests(fields: dict[str, Any], card: ModelCard) -> None:
     resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"robot_radius": 0.4}), card)
 
-    assert resolved.robot_radius == 0.4
+    assert limits_of(resolved).robot_radius == 0.4
 
 
 @pytest.mark.parametrize(("field", "value"), [("v_max", 3.0), ("a_max", 1.0), ("horizon_s", 4)])
@@ -80,14 +99,14 @@ def test_another_number_of_dimensions_is_refused(
     request = AnchorRequest.from_fields(fields | states)
 
     with pytest.raises(InvalidRequest, match=words) as caught:
-        resolve_for_card(request, replace(card, D=dim))
+        resolve_for_card(request, of_dim(card, dim))
     assert caught.value.field == "x_curr"
 
 
 def test_a_heading_meets_a_card_that_has_one(fields: dict[str, Any], card: ModelCard) -> None:
     request = AnchorRequest.from_fields(fields | TURNING)
 
-    assert resolve_for_card(request, replace(card, D=3)).dim == 3
+    assert resolve_for_card(request, of_dim(card, 3)).on_map.dim == 3
 
 
 def test_a_limit_that_went_through_float32_is_the_same(
@@ -95,4 +114,4 @@ def test_a_limit_that_went_through_float32_is_the_same(
 ) -> None:
     resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"v_max": 2.0 + 1e-7}), card)
 
-    assert resolved.v_max == 2.0
+    assert limits_of(resolved).v_max == 2.0

@@ -33,9 +33,10 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http.guard import Guard
 from anchorflow_service.http.tokens import TokenFile, token_line
+from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
-from anchorflow_service.planning.job import Ticket
-from anchorflow_service.planning.latest_per_robot import Robots
+from anchorflow_service.planning.job import Job
+from anchorflow_service.planning.latest_per_robot import LatestPerRobot
 
 PAGE = Path(__file__).parents[2] / "docs" / "troubleshooting.md"
 MESSAGES = messages_of(PAGE)
@@ -77,7 +78,7 @@ REFUSED: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_refused_request(name: str, default_engine: Engine) -> None:
     with pytest.raises(RequestError) as caught:
-        default_engine.plan(AnchorRequest.from_fields(GOOD | REFUSED[name]))
+        LocalClient(default_engine).plan_request(AnchorRequest.from_fields(GOOD | REFUSED[name]))
 
     check(name, caught.value)
 
@@ -128,9 +129,9 @@ def not_ready(queue: PlanningQueue) -> None:
 
 
 def superseded(_: PlanningQueue) -> None:
-    older, newer = (Ticket(lambda _: None, Arrival()) for _ in range(2))
-    robots = Robots()
-    with robots.newest("rover-7", newer), robots.newest("rover-7", older):
+    older, newer = (Job(lambda _: None, Arrival()) for _ in range(2))
+    latest = LatestPerRobot()
+    with latest.registered("rover-7", newer), latest.registered("rover-7", older):
         raise AssertionError("the older one is refused")
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_client.contract import MapSpec, SamplerSpec
+from anchorflow_client.contract import OdeSpec
 from anchorflow_export.bundle import BundleDescription
-from anchorflow_service.bundle.manifest import LimitsEntry, RefineEntry
+from anchorflow_export.planners.flowmp import FlowMPAdapter
+from anchorflow_service.bundle.manifest import CostMapEntry, LimitsEntry, SplineEntry
 
 T, D, S, R, WIDTH = 8, 2, 6, 5, 16
 
@@ -90,24 +91,35 @@ def small_flow() -> Callable[[], SmallFlow]:
 
 @pytest.fixture(scope="session")
 def description() -> BundleDescription:
-    """What the small flow's manifest says beside its graphs."""
+    """What the small flow's manifest says beside its planner."""
     return BundleDescription(
-        name="small-flow",
-        version="0.0.1",
-        planner="stand-in",
-        T=T,
-        D=D,
-        limits=LimitsEntry(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25),
-        map=MapSpec(H=32, W=32, channels=3),
-        sampler=SamplerSpec("rk4", (0.0, 0.8, 0.9, 1.0)),
-        refine=RefineEntry(
-            smooth=True,
-            project=False,
-            safety_margin=0.05,
-            guidance=0.0,
-            steps=4,
-            num_control_points=12,
-            degree=4,
-        ),
-        training={"checkpoint": "none"},
+        name="small-flow", version="0.0.1", planner="stand-in", training={"checkpoint": "none"}
     )
+
+
+@pytest.fixture(scope="session")
+def adapted() -> Callable[..., FlowMPAdapter]:
+    """Adapts a flow model; what is not told is as the small flow has it."""
+
+    def adapt(model: Any, *, H: int = 32, W: int = 32, **told: Any) -> FlowMPAdapter:
+        limits = LimitsEntry(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25)
+        parts: dict[str, Any] = {
+            "T": T,
+            "D": D,
+            "conditioning": CostMapEntry(
+                channels=3, H=H, W=W, limits=limits, adjustable=("robot_radius",)
+            ),
+            "sampler": OdeSpec("rk4", (0.0, 0.8, 0.9, 1.0)),
+            "finish": SplineEntry(
+                smooth=True,
+                project=False,
+                safety_margin=0.05,
+                guidance=0.0,
+                steps=4,
+                num_control_points=12,
+                degree=4,
+            ),
+        }
+        return FlowMPAdapter(model=model, **(parts | told))
+
+    return adapt

@@ -12,19 +12,23 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, AnchorRequest, MapSpec, SamplerSpec
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, AnchorRequest, SamplerChoice
+from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle, record_quality
 from anchorflow_export.errors import ExportError
+from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine import Engine
+from anchorflow_service.local import LocalClient
 
 
 @pytest.fixture(scope="module")
-def bundle(tmp_path_factory: pytest.TempPathFactory, small_flow: Any, description: Any) -> Path:
+def bundle(
+    tmp_path_factory: pytest.TempPathFactory, small_flow: Any, description: Any, adapted: Any
+) -> Path:
     """The small flow's bundle, exported once."""
     out = tmp_path_factory.mktemp("exported") / "bundle"
-    differences = export_bundle(small_flow(), description, out=out)
+    differences = export_bundle(adapted(small_flow()), description, out=out)
     assert max(part.error for part in differences) <= 1e-5
     kinds = {part.what.split()[0] for part in differences}
     assert kinds == {"encode", "modulate", "field", "sample"}
@@ -52,7 +56,7 @@ def test_graphs_tell_nothing_of_the_machine_they_were_made_on(bundle: Path) -> N
 
 
 def test_the_engine_plans_with_it(bundle: Path) -> None:
-    batch = Engine(load_bundle(bundle), threads=2).plan(
+    batch = LocalClient.of(bundle, threads=2).plan_request(
         AnchorRequest.build(
             cost_map={"data": np.zeros((2, 1, 40, 40)), "resolution": 0.25},
             x_curr=[-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -78,7 +82,7 @@ def test_quality_is_recorded_afterwards(bundle: Path, tmp_path: Path) -> None:
 
 
 def test_graphs_that_differ_from_torch_are_not_written(
-    small_flow: Any, description: BundleDescription, tmp_path: Path
+    small_flow: Any, adapted: Any, description: BundleDescription, tmp_path: Path
 ) -> None:
     model = small_flow()
     exact = model.field
@@ -89,32 +93,32 @@ def test_graphs_that_differ_from_torch_are_not_written(
 
     model.field = drifting
     with pytest.raises(ExportError, match=r"field at .*, dx_t: 1\.00e-02") as caught:
-        export_bundle(model, description, out=tmp_path / "bundle")
+        export_bundle(adapted(model), description, out=tmp_path / "bundle")
     assert "sample of scene 0" in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_graph_that_holds_for_one_size_only_is_not_written(
-    small_flow: Any, description: BundleDescription, tmp_path: Path
+    small_flow: Any, adapted: Any, description: BundleDescription, tmp_path: Path
 ) -> None:
     model = small_flow()
     exact = model.modulate
     model.modulate = lambda times, context: exact(times.reshape(5), context)
     with pytest.raises(ExportError, match=r"times came out as \[5\], expected \['K'\]"):
-        export_bundle(model, description, out=tmp_path / "bundle")
+        export_bundle(adapted(model), description, out=tmp_path / "bundle")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_bundle_is_replaced_and_anything_else_is_not(
-    bundle: Path, small_flow: Any, description: BundleDescription, tmp_path: Path
+    bundle: Path, small_flow: Any, adapted: Any, description: BundleDescription, tmp_path: Path
 ) -> None:
     out = tmp_path / "bundle"
     out.mkdir()
     (out / "thesis.txt").write_text("years of work")
     with pytest.raises(ExportError, match="is there already and is not a bundle"):
-        export_bundle(small_flow(), description, out=out)
+        export_bundle(adapted(small_flow()), description, out=out)
     (out / "thesis.txt").rename(out / "manifest.json")
-    export_bundle(small_flow(), replace(description, version="0.0.2"), out=out)
+    export_bundle(adapted(small_flow()), replace(description, version="0.0.2"), out=out)
     assert load_bundle(out).card.version == "0.0.2"
     assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
     for file in bundle.glob("*.onnx"):  # the same weights give the same bytes
@@ -131,11 +135,7 @@ def test_the_planner_of_this_repository_exports(
         for parameter in model.parameters():  # branches start at zero, which would prove little
             if not parameter.any():
                 nn.init.normal_(parameter, std=0.02)
-    real = replace(
-        description,
-        T=config.num_steps,
-        map=MapSpec(config.map_size, config.map_size, config.map_channels),
-        sampler=SamplerSpec("rk4", EIGHT_STEP_SCHEDULE),
-    )
-    differences = export_bundle(model, real, out=tmp_path / "bundle")
+    choices = ExportChoices(sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE))
+    adapter = flowmp_adapter(model, choices)
+    differences = export_bundle(adapter, description, out=tmp_path / "bundle")
     assert max(part.error for part in differences) <= 1e-4

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
-from anchorflow_client.contract import AnchorRequest, MapSpec
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator, WarmStart
-from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine import Engine
+from anchorflow_service.local import LocalClient
 
 CONFIG = L2Config(map_size=16, num_steps=24, num_control_points=12)
 X_CURR, X_GOAL = [-1.5, 0.1, 0.4, 0.0, 0.0, 0.0], [1.5, -0.3, 0.0, 0.0]
 
 
 def test_generator_and_engine_agree_from_a_seed(
-    description: BundleDescription, tmp_path: Path
+    description: BundleDescription, adapted: Any, tmp_path: Path
 ) -> None:
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -29,14 +27,14 @@ def test_generator_and_engine_agree_from_a_seed(
         for parameter in model.parameters():
             if not parameter.any():
                 nn.init.normal_(parameter, std=0.02)
-    described = replace(description, T=CONFIG.num_steps, map=MapSpec(H=16, W=16, channels=3))
-    export_bundle(model, described, out=tmp_path / "bundle")
-    engine = Engine(load_bundle(tmp_path / "bundle"), threads=1)
+    adapter = adapted(model, T=CONFIG.num_steps, H=16, W=16)
+    export_bundle(adapter, description, out=tmp_path / "bundle")
+    client = LocalClient.of(tmp_path / "bundle", threads=1)
 
     occupancy = np.zeros((1, 48, 48), np.float32)
     occupancy[0, 28:34, 20:26] = 1.0
     plan = np.linspace([-1.5, 0.1], [1.5, -0.3], 30)
-    request = {
+    request: dict[str, Any] = {
         "cost_map": {"data": occupancy, "resolution": 0.1},
         "x_curr": X_CURR,
         "x_goal": X_GOAL,
@@ -48,7 +46,7 @@ def test_generator_and_engine_agree_from_a_seed(
     config = GeneratorConfig(method="heun", steps=3, num_samples=6, project=False)
     generator = TrajectoryGenerator(model, config)
     for warm in (None, {"trajectory": plan, "tau": 0.7}):
-        served = engine.plan(AnchorRequest.build(**request, warm_start=warm))
+        served = client.plan(**request, warm_start=warm)
         warm_start = None if warm is None else WarmStart(**warm)
         drawn = generator.generate(occupancy, X_CURR, X_GOAL, seed=11, warm_start=warm_start)
         for name in ("trajectories", "velocities", "accelerations", "scores", "clearance"):

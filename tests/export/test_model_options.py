@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +9,9 @@ import pytest
 import torch
 from torch import nn
 
-from anchorflow_client.contract import MapSpec
+from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
+from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_models import L2Config, create_l2_safety_cfm
 
 OPTION_SETS: dict[str, dict[str, Any]] = {
@@ -37,12 +37,8 @@ def test_a_planner_with_options_exports(
         for parameter in model.parameters():  # branches start at zero, which would prove little
             if not parameter.any():
                 nn.init.normal_(parameter, std=0.02)
-    described = replace(
-        description,
-        T=config.num_steps,
-        map=MapSpec(config.map_size, config.map_size, config.map_channels),
-    )
-    differences = export_bundle(model, described, out=tmp_path / "bundle")
+    adapter = flowmp_adapter(model, ExportChoices())
+    differences = export_bundle(adapter, description, out=tmp_path / "bundle")
     assert {part.what.split()[0] for part in differences} == {
         "encode",
         "modulate",

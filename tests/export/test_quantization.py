@@ -15,8 +15,8 @@ from anchorflow_service.bundle import BundleError, load_bundle
 
 
 @pytest.fixture
-def bundle(tmp_path: Path, small_flow: Any, description: Any) -> Path:
-    export_bundle(small_flow(), description, out=tmp_path / "bundle")
+def bundle(tmp_path: Path, small_flow: Any, description: Any, adapted: Any) -> Path:
+    export_bundle(adapted(small_flow()), description, out=tmp_path / "bundle")
     return tmp_path / "bundle"
 
 

@@ -21,7 +21,7 @@ from anchorflow_client import JsonCodec, Payload
 from anchorflow_client.contract import OCCUPIED
 from anchorflow_client.oip.message import unpack_header, unpack_tensors
 from anchorflow_client.oip.parameters import nest
-from anchorflow_client.oip_codec import INPUTS, PATH_OF_INPUT, OipCodec
+from anchorflow_client.oip_codec import PATH_OF_INPUT, RESERVED, OipCodec
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page, Request, Response
@@ -225,7 +225,7 @@ def asked_in(response: Response) -> Any:
     if length is None:
         return request.post_data_json
     header, data = unpack_header(Payload(request.post_data_buffer or b"", int(length)))
-    tensors = unpack_tensors(header["inputs"], data, "inputs", INPUTS)
+    tensors = unpack_tensors(header["inputs"], data, "inputs", RESERVED)
     leaves = {PATH_OF_INPUT.get(name, name): tensor.tolist() for name, tensor in tensors.items()}
     *leaves["cost_map.origin"], leaves["cost_map.resolution"] = leaves.pop("map_geometry")
     leaves |= header["parameters"]

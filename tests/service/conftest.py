@@ -13,7 +13,9 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,11 +28,14 @@ from onnx import numpy_helper
 from anchorflow_client import (
     AnchorBatch,
     AnchorRequest,
-    MapSpec,
+    AnswerSpec,
+    CostMapSpec,
+    LimitsSpec,
     ModelCard,
+    OdeSpec,
     RefineSpec,
-    SamplerSpec,
     TensorSpec,
+    TimeSpec,
 )
 from anchorflow_service.planning import PlanningService, ServiceLimits
 
@@ -113,12 +118,24 @@ def _write_bundle(folder: Path) -> None:
             "outputs": [_spec(value) for value in model.graph.output],
         }
     manifest = {
-        "format": 1,
+        "format": 2,
         "name": "tiny",
         "version": "1.2.3",
         "planner": "by-hand",
-        "inputs": entries["encode"]["inputs"],
-        "outputs": [{"name": "positions", "dtype": "float32", "shape": ["B", "N", 8, 2]}],
+        "request": {
+            "inputs": [
+                {"name": "cost_map", "dtype": "float32", "shape": ["B", "C", "H", "W"]},
+                {"name": "x_curr", "dtype": "float64", "shape": ["B", 6], "unit": "m"},
+            ]
+        },
+        "conditioning": {
+            "kind": "cost_map",
+            "channels": 3,
+            "H": 16,
+            "W": 16,
+            "limits": {"horizon_s": 7.0, "v_max": 2.0, "a_max": 3.0, "robot_radius": 0.25},
+            "adjustable": ["robot_radius"],
+        },
         "graphs": entries,
         "sampler": {
             "kind": "ode",
@@ -126,7 +143,8 @@ def _write_bundle(folder: Path) -> None:
             "schedule": [0.0, 0.5, 1.0],
             "prior": {"mean": "prior_mean", "basis": "prior_basis"},
         },
-        "refine": {
+        "finish": {
+            "kind": "spline",
             "smooth": True,
             "project": False,
             "safety_margin": 0.05,
@@ -135,12 +153,11 @@ def _write_bundle(folder: Path) -> None:
             "num_control_points": 12,
             "degree": 4,
         },
-        "T": T,
-        "D": 2,
-        "dt": 7.0 / (T - 1),
-        "limits": {"horizon_s": 7.0, "v_max": 2.0, "a_max": 3.0, "robot_radius": 0.25},
-        "adjustable": ["robot_radius"],
-        "map": {"H": 16, "W": 16, "channels": 3},
+        "time": {"steps": T, "first_s": 0.0, "dt": 7.0 / (T - 1)},
+        "answer": {
+            "components": ["x", "y"],
+            "arrays": ["velocities", "accelerations", "scores", "clearance", "safe"],
+        },
     }
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
 
@@ -199,18 +216,17 @@ CARD = ModelCard(
     sha256="ab" * 32,
     planner="lines",
     inputs=(TensorSpec("x_curr", "float32", ("B", 6), "m, m/s, m/s^2"),),
-    outputs=(TensorSpec("positions", "float32", ("B", "N", "T", "D"), "m"),),
-    T=16,
-    D=2,
-    horizon_s=8.0,
-    dt=8.0 / 15,
-    v_max=2.0,
-    a_max=3.0,
-    robot_radius=0.25,
-    map=MapSpec(H=64, W=64, channels=3),
-    sampler=SamplerSpec("rk4", (0.0, 0.5, 1.0)),
-    refine=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
-    adjustable=("robot_radius",),
+    conditioning=CostMapSpec(
+        channels=3,
+        H=64,
+        W=64,
+        limits=LimitsSpec(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25),
+        adjustable=("robot_radius",),
+    ),
+    sampler=OdeSpec("rk4", (0.0, 0.5, 1.0)),
+    finish=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
+    time=TimeSpec(steps=16, first_s=0.0, dt=8.0 / 15),
+    answer=AnswerSpec(("x", "y"), ("velocities", "accelerations", "scores", "clearance", "safe")),
 )
 
 
@@ -245,8 +261,8 @@ class StraightLines:
             arrays = {name: array[0] for name, array in arrays.items()}
         return self.before_answer(
             AnchorBatch(
-                **arrays,
-                dt=self.card.dt,
+                arrays=arrays,
+                dt=self.card.time.dt,
                 seed=request.seed or 0,
                 model=self.card.id,
                 timing_ms={"encode": 1.0, "sample": 2.0, "refine": 3.0, "total": 6.0},
@@ -255,7 +271,10 @@ class StraightLines:
 
     def _scene(self, request: AnchorRequest, scene: int, profile: np.ndarray) -> dict[str, Any]:
         start, goal = request.x_curr[scene, :2], request.x_goal[scene, :2]
-        fan = np.random.default_rng(request.seed).normal(size=(request.num_samples, 1, 1)) * 0.01
+        fan = (
+            np.random.default_rng(request.seed).normal(size=(request.num_samples or 64, 1, 1))
+            * 0.01
+        )
         line = profile[:, None, :, None] * (goal - start) + fan * profile[:, None, :, None]
         line[0] += start
         names = ("trajectories", "velocities", "accelerations")
@@ -276,7 +295,8 @@ def engine() -> StraightLines:
 @pytest.fixture
 def planning(engine: StraightLines) -> PlanningService:
     """A service, not yet open, over that engine and a second model; it plans one at a time."""
-    second = StraightLines(replace(CARD, name="bows", adjustable=()))
+    fixed = replace(CARD.cost_map, adjustable=())
+    second = StraightLines(replace(CARD, name="bows", conditioning=fixed))
     engines = {"lines": engine, "bows": second}
     return PlanningService(engines, default="lines", limits=ServiceLimits(threads=1))
 
@@ -291,3 +311,31 @@ def fields() -> dict[str, Any]:
         "num_samples": 4,
         "seed": 1,
     }
+
+
+class Gate:
+    """Holds an engine's answers back until it is opened."""
+
+    def __init__(self) -> None:
+        self.reached = threading.Event()
+        self.opened = threading.Event()
+
+    def __call__(self, batch: AnchorBatch) -> AnchorBatch:
+        self.reached.set()
+        assert self.opened.wait(20)
+        return batch
+
+
+@pytest.fixture
+def gate(engine: StraightLines) -> Iterator[Gate]:
+    """Stands before every answer of the default model of `planning`."""
+    engine.before_answer = gate = Gate()
+    yield gate
+    gate.opened.set()
+
+
+@pytest.fixture
+def background() -> Iterator[ThreadPoolExecutor]:
+    """For a request that is not waited for at once."""
+    with ThreadPoolExecutor(2) as executor:
+        yield executor

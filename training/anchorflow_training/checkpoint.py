@@ -23,6 +23,7 @@ class Checkpoint:
     evaluations: the validation judge's rows; pending: means since the last report
     scaler: the state of float16's loss scaling
     teacher: of a distilled student, which checkpoint it learnt from
+    planner: its name in the registry of planners
 
     The first seven are the whole of a checkpoint of the first format, which is still read.
     """
@@ -38,6 +39,7 @@ class Checkpoint:
     pending: dict[str, Any] = field(default_factory=dict)
     scaler: dict[str, Any] = field(default_factory=dict)
     teacher: dict[str, Any] = field(default_factory=dict)
+    planner: str = "flowmp"
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:

@@ -6,14 +6,15 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_models.registry import Planner, planner_named
 from anchorflow_training.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from anchorflow_training.settings import ConfigError, build
 
 
-def restore_model(checkpoint: Checkpoint) -> L2SafetyCFM:
+def restore_model(checkpoint: Checkpoint) -> Any:
     """The trained model with its averaged weights, ready to use; raises `CheckpointError`."""
-    model = create_l2_safety_cfm(saved_model_config(checkpoint.config))
+    planner, config = _planner(checkpoint), saved_model_config(checkpoint)
+    model = planner.create(config)
     try:
         model.load_state_dict(checkpoint.average)
     except RuntimeError as error:
@@ -21,20 +22,22 @@ def restore_model(checkpoint: Checkpoint) -> L2SafetyCFM:
     return model.eval()
 
 
-def saved_model_config(config: dict[str, Any]) -> L2Config:
+def saved_model_config(checkpoint: Checkpoint) -> Any:
     """The model's part of a checkpoint's configuration; what it does not name has its default."""
     try:
-        return build(L2Config, config["model"], source="checkpoint")
+        return build(_planner(checkpoint).config, checkpoint.config["model"], source="checkpoint")
     except ConfigError as error:
         raise CheckpointError(str(error)) from error
 
 
-def resumable(path: Path, model: L2Config) -> Checkpoint | None:
+def resumable(path: Path, model: Any) -> Checkpoint | None:
     """The checkpoint at `path`, if one is there; raises `CheckpointError` if of another model."""
     if not path.exists():
         return None
     saved = load_checkpoint(path)
-    then = saved_model_config(saved.config)
+    then = saved_model_config(saved)
+    if not isinstance(model, type(then)):
+        raise CheckpointError(f"{path}: expected a {saved.planner}, as it was trained")
     for name in (part.name for part in fields(model)):
         old, new = getattr(then, name), getattr(model, name)
         if old != new:
@@ -43,3 +46,10 @@ def resumable(path: Path, model: L2Config) -> Checkpoint | None:
                 "another folder begins a new run"
             )
     return saved
+
+
+def _planner(checkpoint: Checkpoint) -> Planner:
+    try:
+        return planner_named(checkpoint.planner)
+    except ValueError as error:
+        raise CheckpointError(str(error)) from error

@@ -17,7 +17,8 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models import L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_models import L2SafetyCFM
+from anchorflow_models.registry import planner_of
 from anchorflow_training.average import update_average
 from anchorflow_training.batches import Batch
 from anchorflow_training.checkpoint import Checkpoint, CheckpointError, save_checkpoint
@@ -200,12 +201,13 @@ class TrainingRun(ABC):
             pending=self.pending.state(),
             scaler=self.fabric.strategy.precision.state_dict(),
             teacher=self.learnt_from,
+            planner=planner_of(self.run_config.model).name,
         )
         save_checkpoint(path, checkpoint)
 
     def averaged_model(self) -> L2SafetyCFM:
         """A model with the averaged weights, on the CPU or GPU that trains."""
-        model = create_l2_safety_cfm(self.run_config.model)
+        model = self._created()
         model.load_state_dict(self.average)
         return model.to(self.fabric.device).eval()
 
@@ -258,7 +260,11 @@ class TrainingRun(ABC):
     def _new_model(self) -> L2SafetyCFM:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.run_config.batch.seed)
-            return create_l2_safety_cfm(self.run_config.model)
+            return self._created()
+
+    def _created(self) -> Any:
+        """A network of the run's configuration."""
+        return planner_of(self.run_config.model).create(self.run_config.model)
 
     def _resume(self, saved: Checkpoint) -> None:
         if saved.teacher != self.learnt_from:

@@ -1,4 +1,4 @@
-"""Who proposes anchors: a bundle's engine in this process, or straight lines."""
+"""Who proposes anchors beside a client: straight lines."""
 
 from __future__ import annotations
 
@@ -7,19 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from anchorflow_benchmarks.baselines import minimum_jerk
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelId
-from anchorflow_service.engine import Engine
-
-
-@dataclass(frozen=True)
-class EngineSource:
-    """An engine under the interface of a client."""
-
-    engine: Engine
-
-    def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Raises `InvalidRequest` where the engine refuses."""
-        return self.engine.plan(request)
+from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, ModelId
 
 
 @dataclass(frozen=True)
@@ -36,7 +24,8 @@ class LinesSource:
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
         """Only the first is straight; none knows whether it is safe."""
-        num, rng = request.num_samples, np.random.default_rng(request.seed)
+        num = request.num_samples or DEFAULT_NUM_SAMPLES
+        rng = np.random.default_rng(request.seed)
         start, goal = request.x_curr[0, :2], request.x_goal[0, :2]
         span = goal - start
         across = np.array([-span[1], span[0]]) / max(1e-6, float(np.linalg.norm(span)))
@@ -48,12 +37,14 @@ class LinesSource:
         dt = self.horizon_s / (self.steps - 1)
         velocities = np.gradient(paths, dt, axis=1)
         return AnchorBatch(
-            trajectories=paths.astype(np.float32),
-            velocities=velocities.astype(np.float32),
-            accelerations=np.gradient(velocities, dt, axis=1).astype(np.float32),
-            scores=-(size**2).sum(1).astype(np.float32),
-            clearance=np.zeros(num, np.float32),
-            safe=np.zeros(num, bool),
+            arrays={
+                "trajectories": paths.astype(np.float32),
+                "velocities": velocities,
+                "accelerations": np.gradient(velocities, dt, axis=1),
+                "scores": -(size**2).sum(1),
+                "clearance": np.zeros(num),
+                "safe": np.zeros(num, bool),
+            },
             dt=dt,
             seed=request.seed or 0,
             model=ModelId("lines", "1", ""),

@@ -13,7 +13,7 @@ from time import perf_counter, process_time
 
 import torch
 
-from anchorflow_benchmarks.closed_loop.anchor_sources import EngineSource, LinesSource
+from anchorflow_benchmarks.closed_loop.anchor_sources import LinesSource
 from anchorflow_benchmarks.closed_loop.drive import PLANNER, Drive, DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
@@ -25,6 +25,7 @@ from anchorflow_client.http import AnchorClient
 from anchorflow_client.planner import AnchorSource, Planner, PlannerConfig
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
+from anchorflow_service.local import LocalClient
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,7 @@ def _source(contender: Contender, config: ContestConfig) -> Iterator[AnchorSourc
     elif contender.anchors == "lines":
         yield LinesSource()
     elif config.url is None:
-        yield EngineSource(_engine(config.bundle, config.threads))
+        yield LocalClient(_engine(config.bundle, config.threads))
     else:
         with AnchorClient(config.url, timeout_s=1e-3 * config.planner.max_age_ms) as client:
             yield client

@@ -12,7 +12,7 @@ from time import perf_counter
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_benchmarks.turns import p50
 from anchorflow_client.codec import Payload
-from anchorflow_client.contract import AnchorRequest
+from anchorflow_client.contract import AnchorRequest, SamplerChoice, resolve_for_card
 from anchorflow_client.errors import DeadlineExceeded, Superseded
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.engine import Engine
@@ -27,8 +27,9 @@ Give = Callable[[PlanningService, AnchorRequest, float], Awaitable[float]]
 
 def release_table(engine: Engine, request: AnchorRequest, *, rounds: int) -> ResultTable:
     """Time from giving a request up to the next job on its lane, over the time of a step."""
-    steps = len((request.sampler or engine.card.sampler).schedule or ()) - 1
-    timings = [engine.plan(request, threads=1).timing_ms for _ in range(3)]
+    resolved = resolve_for_card(request, engine.card)
+    steps = len((request.sampler or SamplerChoice()).over(engine.card.ode).schedule) - 1
+    timings = [engine.plan(resolved, threads=1).timing_ms for _ in range(3)]
     whole_s = p50([timing["total"] for timing in timings]) / 1e3
     step_ms = p50([timing["sample"] for timing in timings]) / steps
     service = PlanningService({"it": engine}, default="it", limits=ServiceLimits(threads=1))

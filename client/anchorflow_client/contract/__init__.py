@@ -1,8 +1,19 @@
 """The contract: what goes into AnchorFlow and what comes out, for client and service alike."""
 
 from anchorflow_client.contract.batch import AnchorBatch
-from anchorflow_client.contract.card import MapSpec, ModelCard, ModelId, TensorSpec
+from anchorflow_client.contract.card import ModelCard, ModelId
 from anchorflow_client.contract.cost_map import CostMap
+from anchorflow_client.contract.inputs import EncodedImage
+from anchorflow_client.contract.kinds import (
+    AnswerSpec,
+    CostMapSpec,
+    LimitsSpec,
+    NoFinish,
+    TensorSpec,
+    TensorsSpec,
+    TimeSpec,
+    VocabularySpec,
+)
 from anchorflow_client.contract.ranges import (
     DEFAULT_NUM_SAMPLES,
     DEFAULT_STYLE,
@@ -15,10 +26,10 @@ from anchorflow_client.contract.ranges import (
 from anchorflow_client.contract.request import AnchorRequest
 from anchorflow_client.contract.resolve import ResolvedRequest, resolve_for_card
 from anchorflow_client.contract.sampling import (
+    OdeSpec,
     RefineChoice,
     RefineSpec,
     SamplerChoice,
-    SamplerSpec,
     WarmStart,
     uniform_schedule,
 )
@@ -33,16 +44,23 @@ __all__ = [
     "OCCUPIED",
     "AnchorBatch",
     "AnchorRequest",
+    "AnswerSpec",
     "CostMap",
-    "MapSpec",
+    "CostMapSpec",
+    "EncodedImage",
+    "LimitsSpec",
     "ModelCard",
     "ModelId",
+    "NoFinish",
+    "OdeSpec",
     "RefineChoice",
     "RefineSpec",
     "ResolvedRequest",
     "SamplerChoice",
-    "SamplerSpec",
     "TensorSpec",
+    "TensorsSpec",
+    "TimeSpec",
+    "VocabularySpec",
     "WarmStart",
     "resolve_for_card",
     "uniform_schedule",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,27 +21,25 @@ ARRAY_DTYPES: dict[str, type[np.generic]] = {
     "clearance": np.float32,
     "safe": np.bool_,
 }
-"""The arrays of an answer; all are read-only."""
+"""The arrays that any planner may give; `trajectories` alone is always there."""
+MOTIONS = ("trajectories", "velocities", "accelerations")
+"""Those of shape [N,T,D]; the others are [N]."""
+NEAR = 128.0
+"""m; trajectories that reach further from zero are float64, where float32 would round them by more
+than 8 µm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AnchorBatch:
-    """Anchors in the map's frame. Where the request was batched, a B axis leads every array."""
+    """Anchors in the request's frame. Where the request was batched, a B axis leads every array."""
 
-    trajectories: NDArray[np.float32]
-    """[N,T,D] m; the third of D = 3 is a heading in rad, its derivatives in rad/s and rad/s^2."""
-    velocities: NDArray[np.float32]
-    """[N,T,D] m/s."""
-    accelerations: NDArray[np.float32]
-    """[N,T,D] m/s^2."""
-    scores: NDArray[np.float32]
-    """[N], higher is better."""
-    clearance: NDArray[np.float32]
-    """[N] m beyond robot_radius, smallest along the path."""
-    safe: NDArray[np.bool_]
-    """[N], whether the path keeps robot_radius from every obstacle and stays on the map."""
+    arrays: Mapping[str, NDArray[Any]]
+    """Read-only, by name: those of ARRAY_DTYPES that the planner's card lists, then the extras
+    that the request asked for."""
     dt: float
     """s between two time steps."""
+    first_s: float = 0.0
+    """s from now to the first time step."""
     seed: int
     model: ModelId
     timing_ms: Mapping[str, float]
@@ -50,11 +50,12 @@ class AnchorBatch:
         """Freeze the arrays.
 
         Raises:
-            ValueError: the shapes do not belong together.
+            ValueError: there are no trajectories, or the shapes do not belong together.
         """
-        for name, dtype in ARRAY_DTYPES.items():
-            array = read_only(np.asarray(getattr(self, name), dtype=dtype))
-            object.__setattr__(self, name, array)
+        if "trajectories" not in self.arrays:
+            raise ValueError("trajectories: expected [N,T,D] or [B,N,T,D], got none")
+        arrays = {name: read_only(_typed(name, array)) for name, array in self.arrays.items()}
+        object.__setattr__(self, "arrays", MappingProxyType(arrays))
         self._check_shapes()
 
     def _check_shapes(self) -> None:
@@ -62,10 +63,51 @@ class AnchorBatch:
         if len(shape) not in (3, 4):
             raise ValueError(f"trajectories: expected [N,T,D] or [B,N,T,D], got {list(shape)}")
         for name in ARRAY_DTYPES:
-            want = shape if name in ("trajectories", "velocities", "accelerations") else shape[:-2]
-            came = getattr(self, name).shape
+            if name not in self.arrays:
+                continue
+            want = shape if name in MOTIONS else shape[:-2]
+            came = self.arrays[name].shape
             if came != want:
                 raise ValueError(f"{name}: expected shape {list(want)}, got {list(came)}")
+
+    @property
+    def trajectories(self) -> NDArray[np.floating]:
+        """[N,T,D] m; the third of D = 3 is a heading in rad, its derivatives in rad/s and rad/s^2.
+
+        float32; float64 where they reach further than NEAR from zero.
+        """
+        return self.arrays["trajectories"]
+
+    @property
+    def velocities(self) -> NDArray[np.float32]:
+        """[N,T,D] m/s. This and the next four raise `LookupError` where the planner gives none."""
+        return self._given("velocities")
+
+    @property
+    def accelerations(self) -> NDArray[np.float32]:
+        """[N,T,D] m/s^2."""
+        return self._given("accelerations")
+
+    @property
+    def scores(self) -> NDArray[np.float32]:
+        """[N], higher is better."""
+        return self._given("scores")
+
+    @property
+    def clearance(self) -> NDArray[np.float32]:
+        """[N] m beyond robot_radius, smallest along the path."""
+        return self._given("clearance")
+
+    @property
+    def safe(self) -> NDArray[np.bool_]:
+        """[N], whether the path keeps robot_radius from every obstacle and stays on the map."""
+        return self._given("safe")
+
+    def _given(self, name: str) -> NDArray[Any]:
+        if name not in self.arrays:
+            given = ", ".join(self.arrays)
+            raise LookupError(f"{name}: {self.model.name} gives none; it gives {given}")
+        return self.arrays[name]
 
     @property
     def batched(self) -> bool:
@@ -74,13 +116,27 @@ class AnchorBatch:
 
     @property
     def best(self) -> NDArray[np.intp] | np.intp:
-        """Index of the best safe anchor by score, of the best at all where none is safe; [B]."""
-        eligible = self.safe | ~self.safe.any(axis=-1, keepdims=True)
-        return np.where(eligible, self.scores, -np.inf).argmax(axis=-1)
+        """Index of the best safe anchor by score, of the best at all where none is safe; [B].
+
+        Without `safe` all count, and without `scores` the first is the best.
+        """
+        shape = self.trajectories.shape[:-2]
+        scores = self.arrays.get("scores", np.zeros(shape))
+        safe = self.arrays.get("safe", np.ones(shape, np.bool_))
+        eligible = safe | ~safe.any(axis=-1, keepdims=True)
+        return np.where(eligible, scores, -np.inf).argmax(axis=-1)
 
     @property
     def is_finite(self) -> bool:
         """Whether every number is finite, as all that is sent must be."""
-        numbers = (getattr(self, name) for name in ARRAY_DTYPES)
-        scalars = (self.dt, *self.timing_ms.values())
-        return all(np.isfinite(values).all() for values in (*numbers, scalars))
+        scalars = (self.dt, self.first_s, *self.timing_ms.values())
+        return all(np.isfinite(values).all() for values in (*self.arrays.values(), scalars))
+
+
+def _typed(name: str, array: Any) -> NDArray[Any]:
+    """An array in the type of the contract; an extra in its own."""
+    array = np.asarray(array)
+    if name == "trajectories" and array.dtype == np.float64 and np.abs(array).max(initial=0) > NEAR:
+        return array
+    dtype = ARRAY_DTYPES.get(name)
+    return array if dtype is None else np.asarray(array, dtype=dtype)

@@ -6,7 +6,21 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from anchorflow_client.contract.sampling import RefineSpec, SamplerSpec
+from anchorflow_client.contract.kinds import (
+    CONDITIONINGS,
+    FINISHES,
+    SAMPLERS,
+    AnswerSpec,
+    ConditioningSpec,
+    CostMapSpec,
+    FinishSpec,
+    SamplerSpec,
+    TensorSpec,
+    TimeSpec,
+    part_of,
+)
+from anchorflow_client.contract.sampling import OdeSpec
+from anchorflow_client.errors import InvalidRequest
 
 
 @dataclass(frozen=True)
@@ -18,41 +32,7 @@ class ModelId:
     sha256: str
 
 
-@dataclass(frozen=True)
-class TensorSpec:
-    """A tensor by name, type and axes."""
-
-    name: str
-    dtype: str
-    shape: tuple[str | int, ...]
-    """Axis letters (B, N, T, D, C, H, W) or fixed sizes."""
-    unit: str = ""
-    range: tuple[float | None, float | None] | None = None
-    """Least and greatest value; None is unbounded."""
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> TensorSpec:
-        """Read `asdict` back, lists in place of tuples included."""
-        limits = value.get("range")
-        return cls(
-            name=value["name"],
-            dtype=value["dtype"],
-            shape=tuple(value["shape"]),
-            unit=value.get("unit", ""),
-            range=None if limits is None else tuple(limits),
-        )
-
-
-@dataclass(frozen=True)
-class MapSpec:
-    """The grid that a model was trained on, to which the service brings the caller's."""
-
-    H: int
-    W: int
-    channels: int
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ModelCard:
     """All that a caller may want to know of a bundle before asking it."""
 
@@ -62,25 +42,12 @@ class ModelCard:
     """Of the manifest's bytes."""
     planner: str
     inputs: tuple[TensorSpec, ...]
-    outputs: tuple[TensorSpec, ...]
-    T: int
-    """Time steps of an anchor."""
-    D: int
-    """Dimensions of a position: 2 (x, y), or 3 (x, y, heading in rad)."""
-    horizon_s: float
-    dt: float
-    """s between two time steps: horizon_s / (T - 1)."""
-    v_max: float
-    """m/s in the plane; answers keep it."""
-    a_max: float
-    """m/s^2 in the plane; answers keep it."""
-    robot_radius: float
-    """m."""
-    map: MapSpec
+    """What a request brings, by name; each with a leading B, which one scene may leave out."""
+    conditioning: ConditioningSpec
     sampler: SamplerSpec
-    refine: RefineSpec
-    adjustable: tuple[str, ...] = ()
-    """Which of robot_radius, v_max, a_max and horizon_s a request may change."""
+    finish: FinishSpec
+    time: TimeSpec
+    answer: AnswerSpec
     quality: dict[str, Any] = field(default_factory=dict)
     training: dict[str, Any] = field(default_factory=dict)
 
@@ -89,27 +56,55 @@ class ModelCard:
         """Name, version and hash, as every answer carries them."""
         return ModelId(self.name, self.version, self.sha256)
 
+    @property
+    def T(self) -> int:
+        """Time steps of an anchor."""
+        return self.time.steps
+
+    @property
+    def D(self) -> int:
+        """Components of a position: 2 (x, y), or 3 with heading."""
+        return len(self.answer.components)
+
+    @property
+    def cost_map(self) -> CostMapSpec:
+        """The conditioning of a planner that is asked with a cost map.
+
+        Raises:
+            InvalidRequest: this planner is asked in another way.
+        """
+        if isinstance(self.conditioning, CostMapSpec):
+            return self.conditioning
+        names = ", ".join(spec.name for spec in self.inputs)
+        raise InvalidRequest(f"{self.name} takes no cost map; its inputs are {names}", "cost_map")
+
+    @property
+    def ode(self) -> OdeSpec:
+        """The sampler of a planner with a flow. Raises `InvalidRequest` where it has none."""
+        if isinstance(self.sampler, OdeSpec):
+            return self.sampler
+        raise InvalidRequest(f"{self.name} has no flow; it is a {self.sampler.kind}", "sampler")
+
     def to_dict(self) -> dict[str, Any]:
         """Plain types that any JSON writer takes."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> ModelCard:
-        """Read `to_dict` back; keys that this version does not know are left out.
+        """Read `to_dict` back; keys and kinds that this version does not know are passed over.
 
         Raises:
             KeyError, TypeError: a key is missing, or holds something else than the card's.
         """
         known = {item.name: value[item.name] for item in fields(cls) if item.name in value}
-        sampler = value["sampler"]
         return cls(
             **known
             | {
                 "inputs": tuple(map(TensorSpec.from_dict, value["inputs"])),
-                "outputs": tuple(map(TensorSpec.from_dict, value["outputs"])),
-                "map": MapSpec(**value["map"]),
-                "sampler": SamplerSpec(sampler["method"], tuple(sampler["schedule"])),
-                "refine": RefineSpec(**value["refine"]),
-                "adjustable": tuple(value.get("adjustable", ())),
+                "conditioning": part_of(value["conditioning"], CONDITIONINGS),
+                "sampler": part_of(value["sampler"], SAMPLERS),
+                "finish": part_of(value["finish"], FINISHES),
+                "time": TimeSpec(**value["time"]),
+                "answer": AnswerSpec.from_dict(value["answer"]),
             }
         )

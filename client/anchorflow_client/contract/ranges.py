@@ -57,6 +57,8 @@ MIN_MAP_CELLS, MAX_MAP_CELLS = 16, 512
 MAX_SCHEDULE_STEPS = 100
 MAX_WARM_START_STEPS = 1024
 MAX_TEXT_LENGTH = 128
+MAX_INPUT_TEXT_LENGTH = 64 * 1024
+"""Characters of an input that is a text, such as a prompt."""
 
 UNIT = Interval(0.0, 1.0)
 INSIDE_UNIT = Interval(0.0, 1.0, open_low=True, open_high=True)

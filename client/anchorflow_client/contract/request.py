@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract import ranges
 from anchorflow_client.contract.arrays import read_only, vectors
-from anchorflow_client.contract.checks import fields_of, integer, number, text
+from anchorflow_client.contract.checks import expected, fields_of, integer, number, text
 from anchorflow_client.contract.cost_map import CostMap
+from anchorflow_client.contract.inputs import Inputs, read_inputs
 from anchorflow_client.contract.ranges import Interval
 from anchorflow_client.contract.sampling import RefineChoice, SamplerChoice, WarmStart
 from anchorflow_client.errors import InvalidRequest
 
-REQUIRED_FIELDS = ("cost_map", "x_curr", "x_goal")
+MAP_FIELDS = ("cost_map", "x_curr", "x_goal")
+"""What makes a request one to a planner with a cost map; there all of them are required."""
+LIMIT_INTERVALS: dict[str, Interval] = {
+    "robot_radius": ranges.ROBOT_RADIUS,
+    "v_max": ranges.V_MAX,
+    "a_max": ranges.A_MAX,
+    "horizon_s": ranges.HORIZON,
+}
+"""The limits that a request may state; a card may fix them."""
 OPTIONAL_FIELDS = (
     "w_style",
+    "inputs",
+    "outputs",
     "num_samples",
-    "robot_radius",
-    "v_max",
-    "a_max",
-    "horizon_s",
+    *LIMIT_INTERVALS,
     "model",
     "seed",
     "sampler",
@@ -35,20 +43,12 @@ OPTIONAL_FIELDS = (
     "robot_id",
     "request_id",
 )
-FIELDS = REQUIRED_FIELDS + OPTIONAL_FIELDS
-
-LIMIT_INTERVALS: dict[str, Interval] = {
-    "robot_radius": ranges.ROBOT_RADIUS,
-    "v_max": ranges.V_MAX,
-    "a_max": ranges.A_MAX,
-    "horizon_s": ranges.HORIZON,
-}
-"""The limits that a request may state; a card may fix them."""
+FIELDS = MAP_FIELDS + OPTIONAL_FIELDS
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AnchorRequest:
-    """A request that holds together; None leaves a field to the model card. SI units, map frame."""
+@dataclass(frozen=True, eq=False)
+class MapScenes:
+    """The scenes of a request to a planner with a cost map, all with the same leading B."""
 
     cost_map: CostMap
     x_curr: NDArray[np.float64]
@@ -57,8 +57,25 @@ class AnchorRequest:
     """[B,2D] position in m, velocity in m/s."""
     w_style: NDArray[np.float64]
     """[B,3] safety, energy, smooth; sums to 1."""
-    num_samples: int = ranges.DEFAULT_NUM_SAMPLES
-    """N, anchors a scene."""
+
+    @property
+    def dim(self) -> int:
+        """D, components of a position: 2, or 3 with heading."""
+        return _dim_of(self.x_curr)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AnchorRequest:
+    """A request that holds together; None leaves a field to the model card. SI units."""
+
+    map_scenes: MapScenes | None = None
+    """For a planner with a cost map, in the map's frame."""
+    inputs: Inputs = field(default_factory=dict)
+    """For any other, by the names of its card's inputs; [B,…] once they are held against it."""
+    outputs: tuple[str, ...] = ()
+    """Extras of the card that are sent along."""
+    num_samples: int | None = None
+    """N, anchors a scene; of a fixed vocabulary the best N."""
     robot_radius: float | None = None
     """m."""
     v_max: float | None = None
@@ -75,6 +92,8 @@ class AnchorRequest:
     """Time left to the caller, counted from arrival."""
     robot_id: str | None = None
     """Who asks: a newer request of the same robot takes the place of one that is not answered."""
+    num_scenes: int = 1
+    """B."""
     batched: bool = False
     """False: there is one scene, and the answer has no B axis."""
     request_id: str | None = None
@@ -83,56 +102,81 @@ class AnchorRequest:
     def build(
         cls,
         *,
-        cost_map: CostMap | Mapping[str, Any],
-        x_curr: ArrayLike,
-        x_goal: ArrayLike,
+        cost_map: CostMap | Mapping[str, Any] | None = None,
+        x_curr: ArrayLike | None = None,
+        x_goal: ArrayLike | None = None,
         **optional: Any,
     ) -> AnchorRequest:
         """Check the fields of the JSON contract and bring them to their arrays.
 
         Args:
-            cost_map: a CostMap, or {"data", "resolution", "origin"}.
+            cost_map: a CostMap, or {"data", "resolution", "origin"}; None for a planner that is
+                asked with `inputs`.
             x_curr: [3D] or [B,3D]; its length says whether D is 2 or 3.
             x_goal: [2D] or [B,2D].
-            **optional: the further fields of this class; None stands for one that is left out.
+            **optional: the further fields of this class, and w_style [3] or [B,3]; None stands for
+                one that is left out.
 
         Raises:
             InvalidRequest: names the field by its JSON path, what was expected and what came.
         """
-        options = fields_of(optional, "", OPTIONAL_FIELDS)
-        scenes = _scenes(cost_map, x_curr, x_goal, options.get("w_style"))
-        request = cls(**scenes._asdict(), **_options(options, _dim_of(scenes.x_curr)))
+        on_map = {"cost_map": cost_map, "x_curr": x_curr, "x_goal": x_goal}
+        options = {
+            name: value
+            for name, value in fields_of(optional, "", OPTIONAL_FIELDS).items()
+            if value is not None
+        }
+        inputs = read_inputs(options.pop("inputs", {}))
+        style = options.pop("w_style", None)
+        if inputs and all(value is None for value in (*on_map.values(), style)):
+            return cls(inputs=inputs, **_options(options, dim=None))
+        fields_of(on_map, "", MAP_FIELDS, MAP_FIELDS)
+        scenes, batched = _scenes(cost_map, x_curr, x_goal, style)
+        request = cls(
+            map_scenes=scenes,
+            inputs=inputs,
+            num_scenes=len(scenes.x_curr),
+            batched=batched,
+            **_options(options, scenes.dim),
+        )
         _check_first_time(request)
         return request
 
     @classmethod
     def from_fields(cls, body: Any) -> AnchorRequest:
         """The same out of a parsed JSON body, from which fields may be missing or strange."""
-        return cls.build(**fields_of(body, "", FIELDS, REQUIRED_FIELDS))
+        return cls.build(**fields_of(body, "", FIELDS))
 
     @property
-    def num_scenes(self) -> int:
-        """B."""
-        return len(self.x_curr)
+    def on_map(self) -> MapScenes:
+        """The scenes of a planner with a cost map. Raises `InvalidRequest` where there are none."""
+        if self.map_scenes is None:
+            raise InvalidRequest("this field is required by a planner with a cost map", "cost_map")
+        return self.map_scenes
 
     @property
-    def dim(self) -> int:
-        """D, dimensions of a position: 2, or 3 with heading."""
-        return _dim_of(self.x_curr)
+    def cost_map(self) -> CostMap:
+        """Of `on_map`, as are the next three."""
+        return self.on_map.cost_map
+
+    @property
+    def x_curr(self) -> NDArray[np.float64]:
+        """[B,3D]."""
+        return self.on_map.x_curr
+
+    @property
+    def x_goal(self) -> NDArray[np.float64]:
+        """[B,2D]."""
+        return self.on_map.x_goal
+
+    @property
+    def w_style(self) -> NDArray[np.float64]:
+        """[B,3]."""
+        return self.on_map.w_style
 
     def field_values(self) -> dict[str, Any]:
         """All fields by name, not copied."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-
-class _Scenes(NamedTuple):
-    """The arrays of a request, all with the same leading B."""
-
-    cost_map: CostMap
-    x_curr: NDArray[np.float64]
-    x_goal: NDArray[np.float64]
-    w_style: NDArray[np.float64]
-    batched: bool
+        return {part.name: getattr(self, part.name) for part in fields(self)}
 
 
 def _dim_of(x_curr: NDArray[np.float64]) -> int:
@@ -140,7 +184,8 @@ def _dim_of(x_curr: NDArray[np.float64]) -> int:
     return x_curr.shape[-1] // ranges.STATE_FIELDS
 
 
-def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> _Scenes:
+def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapScenes, bool]:
+    """The scenes, and whether any of the arrays was batched."""
     cost_map = CostMap.from_fields(cost_map)
     state_sizes = (ranges.STATE_FIELDS * dim for dim in ranges.DIMENSIONS)
     x_curr = vectors(x_curr, "x_curr", ranges.STATE, *state_sizes)
@@ -159,7 +204,7 @@ def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> _Scenes:
     cost_map = CostMap(grid, cost_map.resolution, cost_map.origin)
     _check_on_free_cells(cost_map, start[:, :2], "x_curr")
     _check_on_free_cells(cost_map, goal[:, :2], "x_goal")
-    return _Scenes(cost_map, start, goal, style, batched=bool(batches))
+    return MapScenes(cost_map, start, goal, style), bool(batches)
 
 
 def _common_num_scenes(batches: Mapping[str, int]) -> int:
@@ -209,14 +254,21 @@ def _position(point: NDArray[np.float64], scene: int) -> str:
     return f"({point[0]:g}, {point[1]:g}) m of scene {scene}"
 
 
-def _options(options: Mapping[str, Any], dim: int) -> dict[str, Any]:
-    """Check the optional fields that need no scene beside D = `dim`."""
-    checks = _CHECK_OF_OPTION | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
-    return {
-        name: check(options[name])
-        for name, check in checks.items()
-        if options.get(name) is not None
-    }
+def _options(options: Mapping[str, Any], dim: int | None) -> dict[str, Any]:
+    """Check the optional fields that need no scene beside D = `dim`; None: there is no state."""
+    if dim is None and "warm_start" in options:
+        raise InvalidRequest("expected none for a planner without a cost map", "warm_start")
+    checks = _CHECK_OF_OPTION
+    if dim is not None:
+        checks = checks | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
+    return {name: checks[name](value) for name, value in options.items()}
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    """The extras that an answer shall hold, each once."""
+    if not isinstance(value, list | tuple):
+        raise expected("outputs", "a list of names", value)
+    return tuple(dict.fromkeys(text(name, "outputs") for name in value))
 
 
 _CHECK_OF_OPTION: dict[str, Callable[[Any], Any]] = {
@@ -225,6 +277,7 @@ _CHECK_OF_OPTION: dict[str, Callable[[Any], Any]] = {
         for name, interval in LIMIT_INTERVALS.items()
     },
     "num_samples": partial(integer, field="num_samples", interval=ranges.NUM_SAMPLES),
+    "outputs": _names,
     "model": partial(text, field="model"),
     "seed": partial(integer, field="seed", interval=ranges.SEED),
     "sampler": SamplerChoice.from_fields,

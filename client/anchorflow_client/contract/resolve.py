@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 import secrets
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from anchorflow_client.contract import ranges
 from anchorflow_client.contract.arrays import vector_shape
 from anchorflow_client.contract.card import ModelCard
-from anchorflow_client.contract.request import LIMIT_INTERVALS, AnchorRequest
-from anchorflow_client.contract.sampling import (
-    RefineChoice,
-    RefineSpec,
-    SamplerChoice,
+from anchorflow_client.contract.checks import choice
+from anchorflow_client.contract.inputs import bind
+from anchorflow_client.contract.kinds import (
+    CostMapSpec,
+    FinishSpec,
+    LimitsSpec,
     SamplerSpec,
+    VocabularySpec,
 )
+from anchorflow_client.contract.request import LIMIT_INTERVALS, MAP_FIELDS, AnchorRequest
+from anchorflow_client.contract.sampling import OdeSpec, RefineChoice, RefineSpec, SamplerChoice
 from anchorflow_client.errors import InvalidRequest
 
 DRAWN_SEED_BITS = 53
@@ -27,14 +31,13 @@ DRAWN_SEED_BITS = 53
 class ResolvedRequest(AnchorRequest):
     """A request in which nothing is left to the card."""
 
-    robot_radius: float = field()
-    v_max: float = field()
-    a_max: float = field()
-    horizon_s: float = field()
+    num_samples: int = field()
     model: str = field()
     seed: int = field()
-    sampler: SamplerSpec = field()
-    refine: RefineSpec = field()
+    sampler: SamplerSpec = field()  # pyright: ignore[reportIncompatibleVariableOverride]
+    refine: FinishSpec = field()  # pyright: ignore[reportIncompatibleVariableOverride]
+    limits: LimitsSpec | None = None
+    """What the anchors keep; None for a planner without a cost map."""
 
 
 def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest:
@@ -43,21 +46,42 @@ def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest
     A seed is drawn where none is given.
 
     Raises:
-        InvalidRequest: x_curr has another D than the card; robot_radius, v_max, a_max or horizon_s
-            differs from the card's, and the card does not list it as adjustable.
+        InvalidRequest: the inputs are not the card's; the request states what the card's
+            conditioning, sampler or finish has no use for, or what the card does not let change.
     """
-    _check_dim(request, card)
-    filled: dict[str, Any] = {name: _limit(name, request, card) for name in LIMIT_INTERVALS} | {
+    if isinstance(request, ResolvedRequest):
+        return request
+    for name in request.outputs:
+        choice(name, "outputs", card.answer.names)
+    filled: dict[str, Any] = {
+        "num_samples": _num_samples(request, card.sampler),
         "model": request.model or card.name,
         "seed": secrets.randbits(DRAWN_SEED_BITS) if request.seed is None else request.seed,
-        "sampler": (request.sampler or SamplerChoice()).over(card.sampler),
-        "refine": (request.refine or RefineChoice()).over(card.refine),
+        "sampler": _sampler(request, card),
+        "refine": _finish(request, card),
+        **_conditions(request, card),
     }
     return ResolvedRequest(**(request.field_values() | filled))
 
 
-def _check_dim(request: AnchorRequest, card: ModelCard) -> None:
-    if request.dim == card.D:
+def _conditions(request: AnchorRequest, card: ModelCard) -> dict[str, Any]:
+    """The fields by which the planner is asked, held against its card."""
+    if isinstance(card.conditioning, CostMapSpec):
+        _check_map_fields(request, card)
+        return {"limits": _limits(request, card, card.conditioning)}
+    _refuse_map_fields(request, card)
+    inputs, num_scenes, batched = bind(request.inputs, card.inputs)
+    return {"inputs": inputs, "num_scenes": num_scenes, "batched": batched}
+
+
+def _check_map_fields(request: AnchorRequest, card: ModelCard) -> None:
+    if request.inputs:
+        name = next(iter(request.inputs))
+        known = ", ".join(MAP_FIELDS)
+        raise InvalidRequest(
+            f"unknown to {card.name}, which is asked with {known}", f"inputs.{name}"
+        )
+    if request.on_map.dim == card.D:
         return
     size = request.x_curr.shape[1]
     got = f"[{request.num_scenes},{size}]" if request.batched else f"[{size}]"
@@ -66,12 +90,59 @@ def _check_dim(request: AnchorRequest, card: ModelCard) -> None:
     raise InvalidRequest(f"{expected}, got {got}", "x_curr")
 
 
-def _limit(name: str, request: AnchorRequest, card: ModelCard) -> float:
-    own, asked = getattr(card, name), getattr(request, name)
+def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:
+    """What only a planner with a cost map has a use for."""
+    named = {"cost_map": request.map_scenes, "warm_start": request.warm_start}
+    named |= {name: getattr(request, name) for name in LIMIT_INTERVALS}
+    for name, value in named.items():
+        if value is not None:
+            names = ", ".join(f"inputs.{spec.name}" for spec in card.inputs)
+            raise InvalidRequest(f"unknown to {card.name}, which is asked with {names}", name)
+
+
+def _num_samples(request: AnchorRequest, sampler: SamplerSpec) -> int:
+    """N: of a vocabulary at most its size."""
+    most = sampler.size if isinstance(sampler, VocabularySpec) else int(ranges.NUM_SAMPLES.high)
+    if request.num_samples is None:
+        return min(ranges.DEFAULT_NUM_SAMPLES, most)
+    if request.num_samples > most:
+        message = f"expected 1 to {most}, the trajectories that there are to choose from"
+        raise InvalidRequest(f"{message}, got {request.num_samples}", "num_samples")
+    return request.num_samples
+
+
+def _sampler(request: AnchorRequest, card: ModelCard) -> SamplerSpec:
+    if isinstance(card.sampler, OdeSpec):
+        return (request.sampler or SamplerChoice()).over(card.sampler)
+    if request.sampler is not None:
+        raise _not_chosen(card, "sampler", card.sampler.kind)
+    return card.sampler
+
+
+def _finish(request: AnchorRequest, card: ModelCard) -> FinishSpec:
+    if isinstance(card.finish, RefineSpec):
+        return (request.refine or RefineChoice()).over(card.finish)
+    if request.refine is not None:
+        raise _not_chosen(card, "refine", card.finish.kind)
+    return card.finish
+
+
+def _not_chosen(card: ModelCard, field: str, kind: str) -> InvalidRequest:
+    own = f"{card.name}, whose kind is {kind!r}"
+    return InvalidRequest(f"expected none, as nothing of it is a request's choice in {own}", field)
+
+
+def _limits(request: AnchorRequest, card: ModelCard, own: CostMapSpec) -> LimitsSpec:
+    limits = asdict(own.limits)
+    return LimitsSpec(**{name: _limit(name, request, card, limits[name]) for name in limits})
+
+
+def _limit(name: str, request: AnchorRequest, card: ModelCard, own: float) -> float:
+    asked = getattr(request, name)
     # Callers keep limits in float32: 0.3 must not be refused as 0.30000001.
     if asked is None or math.isclose(asked, own, rel_tol=1e-6):
         return own
-    if name in card.adjustable:
+    if name in card.cost_map.adjustable:
         return asked
     unit = LIMIT_INTERVALS[name].unit
     expected = f"expected {own:g} {unit}, which {card.name} {card.version} was made for"

@@ -5,8 +5,9 @@ A *choice* is what a request asks, where None leaves the card's own; a *spec* is
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,17 +48,23 @@ class SamplerChoice:
             schedule=None if schedule is None else _schedule(schedule),
         )
 
-    def over(self, card: SamplerSpec) -> SamplerSpec:
+    def over(self, card: OdeSpec) -> OdeSpec:
         """This choice, completed by the card's."""
-        return SamplerSpec(**(asdict(card) | given(self)))
+        return replace(card, **given(self))
 
 
 @dataclass(frozen=True)
-class SamplerSpec(SamplerChoice):
-    """A complete sampler: Butcher tableau by name, and schedule."""
+class OdeSpec(SamplerChoice):
+    """A complete solver of a flow: method by name, and schedule."""
 
     method: str = field()
     schedule: tuple[float, ...] = field()
+    kind: Literal["ode"] = "ode"
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> OdeSpec:
+        """Read `asdict` back."""
+        return cls(value["method"], tuple(value["schedule"]))
 
 
 @dataclass(frozen=True)
@@ -97,12 +104,12 @@ class RefineChoice:
 
     def over(self, card: RefineSpec) -> RefineSpec:
         """This choice, completed by the card's."""
-        return RefineSpec(**(asdict(card) | given(self)))
+        return replace(card, **given(self))
 
 
 @dataclass(frozen=True)
 class RefineSpec(RefineChoice):
-    """A complete refinement."""
+    """A complete refinement of splines."""
 
     smooth: bool = field()
     project: bool = field()
@@ -110,6 +117,7 @@ class RefineSpec(RefineChoice):
     guidance: float = field()
     barrier: bool = False
     certified_margin: float = 0.0
+    kind: Literal["spline"] = "spline"
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +152,9 @@ _REFINE_INTERVALS = {
 
 def given(choice: SamplerChoice | RefineChoice) -> dict[str, Any]:
     """The fields of a choice that are not left to the card."""
-    return {name: value for name, value in asdict(choice).items() if value is not None}
+    kind = SamplerChoice if isinstance(choice, SamplerChoice) else RefineChoice
+    asked = {part.name: getattr(choice, part.name) for part in fields(kind)}
+    return {name: value for name, value in asked.items() if value is not None}
 
 
 def _schedule(value: Any) -> tuple[float, ...]:

@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract.checks import choice, expected, fields_of, text
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.oip.datatypes import DTYPE_OF, name_of, to_wire
+from anchorflow_client.oip.datatypes import (
+    BYTES,
+    DATATYPES,
+    DTYPE_OF,
+    name_of,
+    texts_from_wire,
+    to_wire,
+)
 
 ALIGNMENT = 64
 """Bytes that the padded header is a multiple of, so that the tensors behind it are aligned."""
@@ -31,7 +38,7 @@ MAX_DIMENSIONS = 8
 
 Tensors = Mapping[str, NDArray[Any]]
 Datatypes = Mapping[str, Sequence[str]]
-"""The datatypes that a reader takes, by the name of the tensor."""
+"""The datatypes that a reader takes, by the name of the tensor; of any other name all of them."""
 
 
 def pack(fields: Mapping[str, Any], role: str, tensors: Tensors) -> Payload:
@@ -40,7 +47,7 @@ def pack(fields: Mapping[str, Any], role: str, tensors: Tensors) -> Payload:
     Args:
         fields: what the header says beside its tensors, in JSON's types.
         role: "inputs" or "outputs", the header's key for the tensors.
-        tensors: of float32, float64 or bool, in the order in which they are sent.
+        tensors: of a type of `datatypes`, in the order in which they are sent.
     """
     parts = [to_wire(tensor) for tensor in tensors.values()]
     entries = [
@@ -72,16 +79,15 @@ def unpack_header(payload: Payload) -> tuple[Mapping[str, Any], memoryview]:
 
 
 def unpack_tensors(
-    entries: Any, data: memoryview, role: str, known: Datatypes, *, take_strangers: bool = False
+    entries: Any, data: memoryview, role: str, known: Datatypes
 ) -> dict[str, NDArray[Any]]:
-    """The tensors that a header lists: read-only views of `data`, nothing copied.
+    """The tensors that a header lists: read-only views of `data`, only texts are copied.
 
     Args:
         entries: what stands under the header's `role`.
         data: the bytes behind the header.
         role: "inputs" or "outputs", for messages.
-        known: which tensors there may be, of which datatypes.
-        take_strangers: pass over tensors that are not known instead of refusing them.
+        known: of which datatypes a tensor may be.
 
     Raises:
         InvalidRequest: names the tensor, or "body" where the lengths do not add up.
@@ -96,11 +102,7 @@ def unpack_tensors(
         offset += entry.size
         if entry.name in tensors:
             raise InvalidRequest(f"expected one tensor of this name, got two in {role}", entry.name)
-        if entry.name in known:
-            tensors[entry.name] = entry.view(part, known[entry.name])
-        elif not take_strangers:
-            names = ", ".join(known)
-            raise InvalidRequest(f"unknown tensor {entry.name!r}; known are {names}", entry.field)
+        tensors[entry.name] = entry.view(part, known.get(entry.name, DATATYPES))
     if offset != len(data):
         came = f"{len(data)} bytes behind the header"
         raise InvalidRequest(f"expected {offset}, as its tensors declare, got {came}", "body")
@@ -134,21 +136,23 @@ class _Entry:
 
     def view(self, part: memoryview, datatypes: Sequence[str]) -> NDArray[Any]:
         """The tensor in `part`, whose shape, type and size agree."""
-        dtype = DTYPE_OF[choice(self.datatype, self.name, datatypes)]
-        shape = self.shape
+        datatype, shape = choice(self.datatype, self.name, datatypes), self.shape
         if not (isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS):
             raise expected(self.name, f"a shape of at most {MAX_DIMENSIONS} axes", shape)
         for size in shape:
             if not _is_count(size, at_least=1):
                 raise expected(self.name, "a shape of whole numbers from 1 on", size)
+        if len(part) != self.size:
+            raise InvalidRequest(f"expected {self.size} bytes, got {len(part)}", self.name)
+        if datatype == BYTES:
+            return texts_from_wire(part, shape, self.name)
         # Python's own integers: a product of lying axes overflows none.
+        dtype = DTYPE_OF[datatype]
         wanted = math.prod(shape) * dtype.itemsize
         if wanted != self.size:
             declared = f"a binary_data_size of {self.size}"
             what = f"{wanted} bytes for {self.datatype} {shape}"
             raise InvalidRequest(f"expected {what}, got {declared}", self.name)
-        if len(part) != self.size:
-            raise InvalidRequest(f"expected {self.size} bytes, got {len(part)}", self.name)
         return _array(part, dtype, self.name).reshape(shape)
 
 

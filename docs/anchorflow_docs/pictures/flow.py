@@ -26,7 +26,7 @@ def flow(stage: Stage) -> Drawing:
     """The same noise at five moments, and single anchors at all of them."""
     scene = stage.scene_with_ways(FAMILY, WAYS)
     sampler = {"method": "rk4", "schedule": {"uniform": STEPS}}
-    states = stage.engine.flow_states(stage.request(scene, sampler=sampler))
+    states = stage.flow_states(scene, sampler=sampler)
     answer = stage.plan(scene, sampler=sampler)
     moments = [states.positions[_index(states.times, t)] for t in TIMES]
     moments.append(answer.trajectories)

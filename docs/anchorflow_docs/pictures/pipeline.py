@@ -19,7 +19,7 @@ STEPS = ("the request", "encode", "sample: noise …", "… carried to t = 1", "
 def pipeline(stage: Stage) -> Drawing:
     """Five small panels with arrows between them."""
     scene = stage.scene_with_ways(FAMILY, WAYS)
-    states = stage.engine.flow_states(stage.request(scene)).positions
+    states = stage.flow_states(scene).positions
     to_goal = costs_to_go(scene)[1]
     answer = stage.plan(scene)
 

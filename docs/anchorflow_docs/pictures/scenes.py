@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, resolve_for_card
 from anchorflow_service.engine import Engine
+from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_training.data.homology import homology_classes, obstacle_points
 from anchorflow_training.scenes import Scene, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
@@ -74,12 +75,18 @@ class Stage:
 
     def plan(self, scene: Scene, **optional: Any) -> AnchorBatch:
         """The answer."""
-        return self.engine.plan(self.request(scene, **optional))
+        return self.engine.plan(resolve_for_card(self.request(scene, **optional), self.engine.card))
+
+    def flow_states(self, scene: Scene, **optional: Any) -> FlowStates:
+        """The states on the way to that answer."""
+        request = self.request(scene, **optional)
+        return self.engine.flow_states(resolve_for_card(request, self.engine.card))
 
     def _scenes(self, family: str) -> Iterator[Scene]:
         card = self.engine.card
         rng = np.random.default_rng([self.seed, FAMILIES.index(family)])
-        limits = MotionLimits(card.v_max, card.a_max, card.horizon_s)
+        own = card.cost_map.limits
+        limits = MotionLimits(own.v_max, own.a_max, own.horizon_s)
         while True:
             with suppress(SceneError):
                 yield draw_scene(rng, limits=limits)

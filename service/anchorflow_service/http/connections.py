@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 from dataclasses import dataclass
 
 import h11
@@ -19,9 +20,12 @@ from anchorflow_client.errors import InvalidRequest, Overloaded
 from anchorflow_service.http.body import discard_body
 from anchorflow_service.http.errors import error_answer
 from anchorflow_service.http.guard import HEALTH
+from anchorflow_service.http.places import ConnectionPlaces, source_of
 
 RESERVE = 64
 """Connections beyond the limit that are still heard, so that a probe gets through a crowd."""
+SHARE = 0.75
+"""Of the connections, for one address."""
 
 
 @dataclass(frozen=True)
@@ -29,27 +33,45 @@ class ConnectionLimits:
     """Bounds on sockets and on what has come over them."""
 
     max_connections: int = 512
-    """At a time; requests on further ones are `overloaded`, health excepted."""
+    """At a time. Where all of them have a request, those on further ones are `overloaded`, health
+    excepted; otherwise the one that has waited longest without a request is closed."""
+    max_per_address: int | None = None
+    """Of those, for one address; None: three quarters."""
     max_head_bytes: int = 16 * 2**10
     """Of a request line and its headers together."""
+    head_s: float = 10.0
+    """For a request line and headers to come in; then the connection is closed."""
     receive_s: float = 60.0
-    """For a whole request to come in; then the connection is closed."""
+    """For the body after them; then the connection is closed."""
+
+    def places(self) -> ConnectionPlaces[LimitedConnection]:
+        """Empty ones."""
+        share = math.ceil(SHARE * self.max_connections)
+        most = share if self.max_per_address is None else self.max_per_address
+        return ConnectionPlaces(
+            places=self.max_connections,
+            per_source=most,
+            reserve=RESERVE,
+            may_close=LimitedConnection.has_sent_all,
+        )
 
 
 class LimitedConnection(H11Protocol):
-    """One connection of a server; `limits` is set by the class that `limited` makes."""
+    """One connection of a server; `limited` makes the class, with the limits and the places."""
 
-    limits = ConnectionLimits()
+    limits: ConnectionLimits
+    places: ConnectionPlaces[LimitedConnection]
     _receiving: asyncio.TimerHandle | None = None
+    _receives_body = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Serve it, hear it and refuse, or close it, by how many there are."""
+        """Serve it, or hear it and refuse, by how many there are."""
         super().connection_made(transport)
-        beyond = len(self.connections) - self.limits.max_connections
-        if beyond > RESERVE:
-            transport.abort()
-            return
-        if beyond > 0:
+        source = None if self.client is None else source_of(self.client[0])
+        has_place, evicted = self.places.enter(self, source)
+        if evicted is not None:
+            evicted.transport.abort()
+        if not has_place:
             self.app = health_alone(self.app)  # type: ignore[assignment]
         self._watch()
 
@@ -58,8 +80,18 @@ class LimitedConnection(H11Protocol):
         super().data_received(data)
         self._watch()
 
+    def on_response_complete(self) -> None:
+        """Wait for the next request, or take it up where it has come already."""
+        super().on_response_complete()
+        if self.conn.their_state is h11.IDLE:
+            self._stop_watching()  # uvicorn limits the wait for the first byte
+        else:
+            self._watch()
+        self._note_place()
+
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop waiting."""
+        """Give the place back and stop waiting."""
+        self.places.leave(self)
         self._stop_watching()
         super().connection_lost(exc)
 
@@ -84,22 +116,41 @@ class LimitedConnection(H11Protocol):
             self.transport.write(self.conn.send(event) or b"")
         self.transport.close()
 
+    def has_sent_all(self) -> bool:
+        """Whether the client has what was written for it, as far as can be told from here."""
+        return self.transport.get_write_buffer_size() == 0
+
     def _watch(self) -> None:
-        """Count the time while a request is still coming in."""
-        if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
+        """Limit the time while a head or a body is still coming in."""
+        self._note_place()
+        receives_body = self.conn.their_state is h11.SEND_BODY
+        if not receives_body and self.conn.their_state is not h11.IDLE:
             self._stop_watching()
-        elif self._receiving is None:
-            self._receiving = self.loop.call_later(self.limits.receive_s, self.transport.abort)
+            return
+        if self._receiving is not None and receives_body == self._receives_body:
+            return
+        self._stop_watching()
+        limit_s = self.limits.receive_s if receives_body else self.limits.head_s
+        self._receives_body = receives_body
+        self._receiving = self.loop.call_later(limit_s, self.transport.abort)
 
     def _stop_watching(self) -> None:
         if self._receiving is not None:
             self._receiving.cancel()
             self._receiving = None
 
+    def _note_place(self) -> None:
+        """Whether it has a request is what its place depends on."""
+        if self.cycle is None or self.cycle.response_complete:
+            self.places.begin_waiting(self)
+        else:
+            self.places.begin_request(self)
+
 
 def limited(limits: ConnectionLimits) -> type[LimitedConnection]:
-    """The protocol for `uvicorn.Config(http=…)`, within these limits."""
-    return type("LimitedConnection", (LimitedConnection,), {"limits": limits})
+    """The protocol of one server for `uvicorn.Config(http=…)`, within these limits."""
+    attributes = {"limits": limits, "places": limits.places()}
+    return type("LimitedConnection", (LimitedConnection,), attributes)
 
 
 def health_alone(app: ASGIApp) -> ASGIApp:

@@ -14,7 +14,7 @@ from starlette.requests import Request
 from starlette.responses import Response
 
 from anchorflow_client.codec import Payload
-from anchorflow_client.contract import AnchorRequest, ResolvedRequest, resolve_for_card
+from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_service.http.answers import json_answer
@@ -32,7 +32,7 @@ DIGITS = 3
 class FlowEngine(Protocol):
     """An engine whose anchors come out of a flow that can be watched."""
 
-    def flow_states(self, request: AnchorRequest, /) -> FlowStates:
+    def flow_states(self, request: ResolvedRequest, /) -> FlowStates:
         """The states of a request's only scene at the times of its schedule. Blocks."""
         ...
 
@@ -63,7 +63,7 @@ def _check_size(request: ResolvedRequest) -> None:
     if request.num_samples > MAX_ANCHORS:
         got = f"expected at most {MAX_ANCHORS} in a replay, got {request.num_samples}"
         raise InvalidRequest(got, "num_samples")
-    steps = len(request.sampler.schedule) - 1
+    steps = len(request.sampler.schedule) - 1 if isinstance(request.sampler, OdeSpec) else 0
     if steps > MAX_STEPS:
         raise InvalidRequest(
             f"expected at most {MAX_STEPS} steps in a replay, got {steps}", "sampler.schedule"

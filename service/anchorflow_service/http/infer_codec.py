@@ -16,18 +16,24 @@ from numpy.typing import NDArray
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.contract.arrays import numbers
-from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.contract.checks import boolean, choice, expected, fields_of, number
+from anchorflow_client.contract.checks import (
+    boolean,
+    choice,
+    expected,
+    fields_of,
+    number,
+    text,
+)
+from anchorflow_client.contract.inputs import EVERY_NUMBER, texts
 from anchorflow_client.contract.ranges import BUDGET, Interval
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.oip.datatypes import DTYPE_OF, name_of, to_wire
+from anchorflow_client.oip.datatypes import BYTES, DATATYPES, DTYPE_OF, name_of, to_wire
 from anchorflow_client.oip.message import ALIGNMENT, unpack_header, unpack_tensors
 from anchorflow_client.oip.parameters import flatten, scalars
-from anchorflow_client.oip_codec import INPUTS, OUTPUTS, request_of
+from anchorflow_client.oip_codec import RESERVED, request_of, wanted_outputs
 from anchorflow_client.wire_fields import answer_fields
 from anchorflow_service.http.orjson_codec import dump, parse
 
-EVERY_NUMBER = Interval(-math.inf, math.inf)
 TIMEOUT = "timeout"
 """Triton's parameter for a budget, in microseconds."""
 
@@ -39,8 +45,10 @@ class InferCodec:
     """
 
     def __init__(self) -> None:
-        self._in_binary = dict.fromkeys(OUTPUTS, False)
-        """The outputs that are wanted, and whether in binary."""
+        self._wanted: dict[str, bool] = {}
+        """The outputs that were named, and whether in binary; none: all."""
+        self._in_binary = False
+        """Of outputs for which nothing else is said."""
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
         """A request out of untrusted bytes; all of them are JSON where no length is given.
@@ -55,8 +63,10 @@ class InferCodec:
         )
         header = fields_of(value, "", ("id", "parameters", "inputs", "outputs"), ("inputs",))
         leaves = scalars(header.get("parameters"))
-        in_binary = boolean(leaves.pop("binary_data_output", False), "binary_data_output")
-        self._in_binary = _wanted(header.get("outputs"), in_binary)
+        self._in_binary = boolean(leaves.pop("binary_data_output", False), "binary_data_output")
+        self._wanted = _wanted(header.get("outputs"), self._in_binary)
+        if self._wanted:
+            leaves["outputs"] = list(self._wanted)
         if TIMEOUT in leaves:
             timeout_ms = Interval(BUDGET.low, BUDGET.high * 1e3, "µs", open_low=True)
             leaves.setdefault("budget_ms", number(leaves.pop(TIMEOUT), TIMEOUT, timeout_ms) / 1e3)
@@ -67,16 +77,15 @@ class InferCodec:
         if not batch.is_finite:
             raise ValueError("the answer holds numbers that are not finite")
         leaves = flatten(answer_fields(batch))
-        tensors = {name: leaves.pop(name) for name in ARRAY_DTYPES}
-        parts = {
-            name: to_wire(tensors[name]) for name, in_binary in self._in_binary.items() if in_binary
-        }
+        tensors = {name: leaves.pop(name) for name in batch.arrays}
+        wanted = self._wanted or dict.fromkeys(tensors, self._in_binary)
+        parts = {name: to_wire(tensors[name]) for name, in_binary in wanted.items() if in_binary}
         header = {
             "model_name": leaves.pop("model.name"),
             "model_version": leaves.pop("model.version"),
             "id": leaves.pop("request_id") or "",
             "parameters": leaves,
-            "outputs": [_output(name, tensors[name], parts.get(name)) for name in self._in_binary],
+            "outputs": [_output(name, tensors[name], parts.get(name)) for name in wanted],
         }
         written = dump(header)
         if not parts:
@@ -86,17 +95,11 @@ class InferCodec:
 
 
 def _wanted(outputs: Any, in_binary: bool) -> dict[str, bool]:
-    """The outputs that a header asks for, all where it names none, and whether in binary."""
-    if not outputs:
-        return dict.fromkeys(OUTPUTS, in_binary)
-    if not isinstance(outputs, list):
-        raise expected("outputs", "a list of outputs", outputs)
+    """The outputs that a header names, and whether it wants them in binary."""
     wanted: dict[str, bool] = {}
-    for index, value in enumerate(outputs):
-        field = f"outputs[{index}]"
-        output = fields_of(value, field, ("name", "parameters"), ("name",))
-        name = choice(output["name"], f"{field}.name", OUTPUTS)
-        said = fields_of(output.get("parameters") or {}, f"{field}.parameters", ("binary_data",))
+    for index, name in enumerate(wanted_outputs(outputs) if outputs else ()):
+        field, value = f"outputs[{index}]", outputs[index]
+        said = fields_of(value.get("parameters") or {}, f"{field}.parameters", ("binary_data",))
         wanted[name] = boolean(said.get("binary_data", in_binary), f"{field}.binary_data")
     return wanted
 
@@ -107,7 +110,7 @@ def _tensors(inputs: Any, data: memoryview) -> Mapping[str, NDArray[Any]]:
         raise expected("inputs", "a list of tensors", inputs)
     in_json = [isinstance(value, Mapping) and "data" in value for value in inputs]
     behind = [value for value, inside in zip(inputs, in_json, strict=True) if not inside]
-    tensors = unpack_tensors(behind, data, "inputs", INPUTS)
+    tensors = unpack_tensors(behind, data, "inputs", RESERVED)
     for index, value in enumerate(inputs):
         if in_json[index]:
             name, tensor = _json_tensor(value, f"inputs[{index}]")
@@ -121,15 +124,34 @@ def _json_tensor(value: Any, field: str) -> tuple[str, NDArray[Any]]:
     """A tensor whose data, flat or nested, stand in the header."""
     names = ("name", "datatype", "shape", "data")
     entry = fields_of(value, field, names, required=names)
-    name = choice(entry["name"], f"{field}.name", INPUTS)
-    dtype = DTYPE_OF[choice(entry["datatype"], name, INPUTS[name])]
+    name = text(entry["name"], f"{field}.name")
+    datatype = choice(entry["datatype"], name, RESERVED.get(name, DATATYPES))
     shape = entry["shape"]
     if not isinstance(shape, list) or not all(type(size) is int and size > 0 for size in shape):
         raise expected(name, "a shape of whole numbers from 1 on", shape)
-    tensor = numbers(entry["data"], name, EVERY_NUMBER, str(shape))
+    if datatype == BYTES:
+        tensor = _texts(entry["data"], name)
+    else:
+        tensor = _exactly(numbers(entry["data"], name, EVERY_NUMBER, str(shape)), datatype, name)
     if tensor.size != math.prod(shape):
-        raise InvalidRequest(f"expected shape {shape}, got {tensor.size} numbers", name)
-    return name, tensor.reshape(shape).astype(dtype)
+        raise InvalidRequest(f"expected shape {shape}, got {tensor.size} elements", name)
+    return name, tensor.reshape(shape)
+
+
+def _exactly(values: NDArray[np.float64], datatype: str, name: str) -> NDArray[Any]:
+    """Numbers in the type that their sender names; only a float's digits may be lost."""
+    dtype = DTYPE_OF[datatype]
+    with np.errstate(invalid="ignore"):
+        tensor = values.astype(dtype)
+    if dtype.kind != "f" and not np.array_equal(tensor, values):
+        raise InvalidRequest(f"expected numbers that {datatype} holds, got others", name)
+    return tensor
+
+
+def _texts(value: Any, name: str) -> NDArray[Any]:
+    if not isinstance(value, list) or not all(isinstance(each, str) for each in value):
+        raise expected(name, "a flat list of strings", value)
+    return texts(value, name, (len(value),))
 
 
 def _output(name: str, tensor: NDArray[Any], part: memoryview | None) -> dict[str, Any]:

@@ -17,8 +17,13 @@ from fastapi import FastAPI
 from anchorflow_service.http.connections import ConnectionLimits, limited
 from anchorflow_service.planning import PlanningService
 
-BREAKING_OFF_S = 1.0
-"""For what is broken off to be told so."""
+ACCEPTED_AT_A_TIME = 32
+"""Connections that are accepted before those accepted before them are looked at again: so many more
+files than the limit on connections are open at most, whatever crowd comes."""
+QUEUED = 2048
+"""Connections that the kernel keeps until they are accepted."""
+CANCELLING_S = 1.0
+"""For those whose requests are cancelled to be told so."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +68,10 @@ class AnchorServer(uvicorn.Server):
                 access_log=False,
                 server_header=False,
                 proxy_headers=False,
+                backlog=ACCEPTED_AT_A_TIME,
                 h11_max_incomplete_event_size=limits.max_head_bytes,
-                # What is broken off by then is still answered.
-                timeout_graceful_shutdown=math.ceil(self._draining.drain_s + BREAKING_OFF_S),
+                # What is cancelled by then is still answered.
+                timeout_graceful_shutdown=math.ceil(self._draining.drain_s + CANCELLING_S),
                 ssl_context_factory=None if tls is None else (lambda *_: tls),
             )
         )
@@ -74,11 +80,13 @@ class AnchorServer(uvicorn.Server):
         """Open the application, then listen."""
         await self._opened.enter_async_context(self._app.router.lifespan_context(self._app))
         await super().startup(sockets)
+        for listener in sockets or ():
+            listener.listen(QUEUED)  # asyncio takes one number for the queue and for the tick
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Listen no more, answer what came, close the application."""
         loop = asyncio.get_running_loop()
-        loop.call_later(self._draining.drain_s, self._service.queue.break_off)
+        loop.call_later(self._draining.drain_s, self._service.queue.cancel_all)
         await super().shutdown(sockets)
         await self._opened.aclose()
 

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
 
 from anchorflow_client.codec import Payload
-from anchorflow_client.contract import ModelCard
-from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.contract.ranges import GOAL_FIELDS, NUM_STYLE, STATE_FIELDS
+from anchorflow_client.contract import CostMapSpec, ModelCard, TensorSpec
+from anchorflow_client.contract.batch import ARRAY_DTYPES, MOTIONS
 from anchorflow_client.errors import InvalidRequest, NotReady, UnknownModel
-from anchorflow_client.oip_codec import GEOMETRY, INPUTS, OUTPUTS
+from anchorflow_client.oip.datatypes import datatype_of
 from anchorflow_service.http.anchors import answer_to, header_length
 from anchorflow_service.http.answers import json_answer
 from anchorflow_service.http.body import read_body
@@ -81,31 +81,34 @@ def _check_encoding(request: Request) -> None:
 
 
 def _metadata(card: ModelCard) -> dict[str, Any]:
-    state, goal = STATE_FIELDS * card.D, GOAL_FIELDS * card.D
-    inputs = {
-        "cost_map": [ANY, ANY, ANY, ANY],
-        GEOMETRY: [ANY, 3],
-        "x_curr": [ANY, state],
-        "x_goal": [ANY, goal],
-        "w_style": [ANY, NUM_STYLE],
-        "warm_start": [ANY, ANY],
-        "schedule": [ANY],
-    }
-    anchors = [ANY, ANY, card.T, card.D]
-    outputs = {
-        name: anchors if name in ("trajectories", "velocities", "accelerations") else [ANY, ANY]
-        for name in ARRAY_DTYPES
-    }
     return {
         "name": card.name,
         "versions": [card.version],
         "platform": PLATFORM,
-        "inputs": [
-            {"name": name, "datatype": INPUTS[name][0], "shape": shape}
-            for name, shape in inputs.items()
-        ],
-        "outputs": [
-            {"name": name, "datatype": OUTPUTS[name][0], "shape": shape}
-            for name, shape in outputs.items()
-        ],
+        "inputs": [_tensor(spec) for spec in (*card.inputs, *_choices(card))],
+        "outputs": [*map(_tensor, _answer(card)), *map(_tensor, card.answer.extras)],
     }
+
+
+def _choices(card: ModelCard) -> list[TensorSpec]:
+    """Arrays that are no inputs of the planner, and may come along."""
+    if not isinstance(card.conditioning, CostMapSpec):
+        return []
+    return [
+        TensorSpec("warm_start", "float64", ("T", "S")),
+        TensorSpec("schedule", "float64", ("K",)),
+    ]
+
+
+def _answer(card: ModelCard) -> list[TensorSpec]:
+    motion = ("B", "N", card.T, card.D)
+    return [
+        TensorSpec(name, np.dtype(dtype).name, motion if name in MOTIONS else ("B", "N"))
+        for name, dtype in ARRAY_DTYPES.items()
+        if name in card.answer.names
+    ]
+
+
+def _tensor(spec: TensorSpec) -> dict[str, Any]:
+    shape = [axis if isinstance(axis, int) else ANY for axis in spec.shape]
+    return {"name": spec.name, "datatype": datatype_of(spec.dtype), "shape": shape}

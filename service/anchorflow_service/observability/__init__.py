@@ -3,6 +3,6 @@
 metrics     counts and durations, as Prometheus reads them
 collector   what is read off the service at the moment of asking
 exchanges   HTTP requests and what became of them
-tracing     OpenTelemetry spans; imported only where they are asked for
+spans       OpenTelemetry spans; imported only where they are asked for
 logs        one line a record, as text or as JSON
 """

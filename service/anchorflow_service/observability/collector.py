@@ -35,7 +35,7 @@ class ServiceCollector(Collector):
             "Age of the first in the queue; 0 where nobody waits.",
             queue.oldest_wait_s,
         )
-        yield GaugeMetricFamily("anchorflow_workers", "Engine calls at a time.", queue.workers)
+        yield GaugeMetricFamily("anchorflow_workers", "Engine calls at a time.", queue.num_lanes)
         yield GaugeMetricFamily(
             "anchorflow_threads", "Threads of the process, the engines' own included.", threads()
         )

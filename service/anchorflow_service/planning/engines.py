@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Protocol
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
+from anchorflow_client.contract import AnchorBatch, ModelCard, ResolvedRequest
 from anchorflow_client.errors import UnknownModel
 
 
-class Engine(Protocol):
+class PlanningEngine(Protocol):
     """A model that is ready to plan."""
 
     @property
@@ -20,9 +20,10 @@ class Engine(Protocol):
         ...
 
     def plan(
-        self, request: AnchorRequest, /, *, threads: int, check: Callable[[], object]
+        self, request: ResolvedRequest, /, *, threads: int, check: Callable[[], object]
     ) -> AnchorBatch:
-        """Anchors for every scene of the request. Blocks; several threads may call it.
+        """Anchors for every scene of a request that is resolved for the card. Blocks; several
+        threads may call it.
 
         The answer depends neither on `threads`, which it may keep busy, nor on what else is
         planned. `check` is called between steps; what it raises ends the work.
@@ -33,13 +34,13 @@ class Engine(Protocol):
         ...
 
 
-class Engines:
+class EngineRegistry:
     """Engines by model name, one of them the default; they may change while requests come.
 
     A request keeps the engine that it was given, so that a change fails none.
     """
 
-    def __init__(self, engines: Mapping[str, Engine], *, default: str) -> None:
+    def __init__(self, engines: Mapping[str, PlanningEngine], *, default: str) -> None:
         """Raises `ValueError` where the default is not among the engines."""
         if default not in engines:
             raise ValueError(f"the default model {default!r} is none of {sorted(engines)}")
@@ -50,7 +51,7 @@ class Engines:
         self._changing = threading.Lock()
         self._followers: list[Callable[[], None]] = []
 
-    def choose(self, model: str | None) -> Engine:
+    def choose(self, model: str | None) -> PlanningEngine:
         """The engine of that model, or the default. Raises `UnknownModel`."""
         name = self.default if model is None else model
         engine = self._engines.get(name)
@@ -60,7 +61,7 @@ class Engines:
             raise UnknownModel(f"expected a model that is served ({served}), got {which}", "model")
         return engine
 
-    def put(self, engine: Engine) -> None:
+    def put(self, engine: PlanningEngine) -> None:
         """From now on this engine answers for the model of its card."""
         with self._changing:
             self._engines = {**self._engines, engine.card.name: engine}

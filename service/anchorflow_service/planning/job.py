@@ -1,4 +1,4 @@
-"""A ticket: a job on its way through the queue, as long as somebody waits for it."""
+"""A job: work on its way through the queue, for as long as somebody waits for its result."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from anchorflow_service.planning.arrival import Arrival
 Result = TypeVar("Result")
 
 
-class CalledOff(AnchorFlowError):
+class JobCancelled(AnchorFlowError):
     """Nobody waits for this work any more; it ends the work and reaches no caller."""
 
 
 @dataclass(frozen=True)
-class Turn:
-    """What a job is told when its turn has come."""
+class JobContext:
+    """What the work is told when it begins."""
 
     queue_ms: float
     """How long it waited."""
@@ -31,11 +31,11 @@ class Turn:
     """To be called between steps; raises where nobody waits for the result any more."""
 
 
-class Ticket(Generic[Result]):
-    """A job that waits, is done by a lane, or is called off; whatever comes first ends it.
+class Job(Generic[Result]):
+    """Work that waits, is done by a lane or is cancelled; whichever comes first ends the job.
 
     Args:
-        job: does the work, on a lane's thread.
+        work: the function to run, on a lane's thread.
         arrival: when the caller asked.
         budget_ms: from then on; None: the caller waits as long as it takes.
         key: jobs of the same key may make up a batch; None: this one is alone.
@@ -43,7 +43,7 @@ class Ticket(Generic[Result]):
 
     def __init__(
         self,
-        job: Callable[[Turn], Result],
+        work: Callable[[JobContext], Result],
         arrival: Arrival,
         *,
         budget_ms: float | None = None,
@@ -54,10 +54,10 @@ class Ticket(Generic[Result]):
         self.key = key
         self.result: Future[Result] = Future()
         self.submitted = 0.0  # s, by the queue's clock
-        self._job = job
+        self._work = work
         self._lock = threading.Lock()
         self._stage = "in the queue"
-        # Else whoever stops waiting for the future would end it before `call_off` can.
+        # Else whoever stops waiting for the future would end it before `cancel` can.
         self.result.set_running_or_notify_cancel()
 
     @property
@@ -66,26 +66,26 @@ class Ticket(Generic[Result]):
         return self.result.done()
 
     def check(self) -> None:
-        """Raises `CalledOff` or `DeadlineExceeded` where nobody waits for the result any more."""
+        """Raises `JobCancelled`, `DeadlineExceeded` where nobody waits for the result any more."""
         if self.has_ended:
-            raise CalledOff
+            raise JobCancelled
         self.arrival.check(self.budget_ms, self._stage)
 
-    def call_off(self, error: Exception) -> None:
-        """End it with the error, unless it has ended; work on it stops at its next check."""
+    def cancel(self, error: Exception) -> None:
+        """End it with the error, unless it has ended; its work stops at the next check."""
         self._end(partial(self.result.set_exception, error))
 
-    def run_out(self) -> None:
-        """Call it off because its budget is spent."""
+    def expire(self) -> None:
+        """Cancel it because its budget is spent."""
         assert self.budget_ms is not None
-        self.call_off(self.arrival.exceeded(self.budget_ms, self._stage))
+        self.cancel(self.arrival.exceeded(self.budget_ms, self._stage))
 
-    def work(self, *, queue_ms: float, threads: int) -> bool:
-        """Do the job; whether it came to its end."""
+    def run(self, *, queue_ms: float, threads: int) -> bool:
+        """Do the work; whether it was completed."""
         try:
             self.check()
             self._stage = "while planning"
-            result = self._job(Turn(queue_ms, threads, self.check))
+            result = self._work(JobContext(queue_ms, threads, self.check))
         except BaseException as error:  # noqa: BLE001 - raised again by whoever asks for the result
             self._end(partial(self.result.set_exception, error))
             return False

@@ -7,42 +7,42 @@ from contextlib import contextmanager
 from typing import Any
 
 from anchorflow_client.errors import Superseded
-from anchorflow_service.planning.job import Ticket
+from anchorflow_service.planning.job import Job
 
 
-class Robots:
-    """The newest ticket of each robot, as long as it waits or is worked on.
+class LatestPerRobot:
+    """The newest job of each robot, as long as it waits or is worked on.
 
     Used on the event loop alone.
     """
 
     def __init__(self) -> None:
-        self._newest: dict[str, Ticket[Any]] = {}
+        self._newest: dict[str, Job[Any]] = {}
 
     def __len__(self) -> int:
         """Robots that wait for an answer."""
         return len(self._newest)
 
     @contextmanager
-    def newest(self, robot_id: str | None, ticket: Ticket[Any]) -> Iterator[None]:
-        """Inside, the ticket stands for its robot; the older one that stood there is called off.
+    def registered(self, robot_id: str | None, job: Job[Any]) -> Iterator[None]:
+        """Inside, the job stands for its robot; the older one that stood there is cancelled.
 
         Raises:
-            Superseded: the ticket is the older one, read later because it was longer.
+            Superseded: the job is the older one, read later because it was longer.
         """
         if robot_id is None:
             yield
             return
         standing = self._newest.get(robot_id)
         if standing is not None:
-            if standing.arrival.is_after(ticket.arrival):
+            if standing.arrival.is_after(job.arrival):
                 raise _superseded(robot_id)
-            standing.call_off(_superseded(robot_id))
-        self._newest[robot_id] = ticket
+            standing.cancel(_superseded(robot_id))
+        self._newest[robot_id] = job
         try:
             yield
         finally:
-            if self._newest.get(robot_id) is ticket:
+            if self._newest.get(robot_id) is job:
                 del self._newest[robot_id]
 
 

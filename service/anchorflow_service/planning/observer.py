@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from anchorflow_service.planning.service import Call
+from anchorflow_service.planning.call import Call
 
 ANSWERED = "ok"
 CANCELLED = "cancelled"

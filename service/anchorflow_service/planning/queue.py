@@ -1,9 +1,8 @@
 """The queue in front of the engines: admission, micro-batches, and the lanes that work on them.
 
-A lane is a thread that works on one request at a time; nothing blocks the event loop. A lane that
-gets free takes the oldest waiting request and with it, as a batch, those that fit to it. The lanes
-share a batch, one thread for each request; a request that finds other lanes idle has their threads
-too.
+A lane is a thread that works on one job at a time; nothing blocks the event loop. A lane that
+becomes free takes the oldest waiting job and with it, as a batch, those of the same key. The lanes
+share a batch, one job each; a job that finds other lanes idle has their threads too.
 """
 
 from __future__ import annotations
@@ -20,27 +19,27 @@ from typing import NamedTuple, TypeVar
 from anchorflow_client.errors import NotReady, Overloaded
 from anchorflow_service.cores import usable_cores
 from anchorflow_service.planning.arrival import Arrival
-from anchorflow_service.planning.job import CalledOff, Ticket, Turn
+from anchorflow_service.planning.job import Job, JobCancelled, JobContext
 from anchorflow_service.planning.limits import ServiceLimits
-from anchorflow_service.planning.service_time import Pace
-from anchorflow_service.planning.waiting import AnyTicket, WaitingLine
+from anchorflow_service.planning.service_time import ServiceTimeEstimate
+from anchorflow_service.planning.waiting import AnyJob, WaitingLine
 
 Result = TypeVar("Result")
 
 
 class _Assignment(NamedTuple):
-    ticket: AnyTicket
+    job: AnyJob
     threads: int
 
 
 class PlanningQueue:
-    """Works on as many tickets at a time as it has lanes, lets so many wait, refuses the rest.
+    """Works on as many jobs at a time as it has lanes, lets so many wait, refuses the rest.
 
     Open inside its `with` block only.
 
     Args:
         limits: bounds on waiting and on batches.
-        clock: seconds, for the time in the queue and the pace.
+        clock: seconds, for the time in the queue and the service time.
         on_batch: told the size of every batch, on a lane's thread.
     """
 
@@ -55,35 +54,35 @@ class PlanningQueue:
         self._on_batch = on_batch
         self._clock = clock
         self._num_threads = limits.threads or usable_cores()
-        self.workers = min(self._num_threads, limits.max_batch)
-        """Lanes."""
+        self.num_lanes = min(self._num_threads, limits.max_batch)
+        """Jobs that are worked on at a time."""
         self.in_flight = 0
         """Requests that hold a place: read, wait, or are worked on."""
-        self._pace = Pace(self.workers)
-        # Guards all that follows; lanes wait on it for tickets.
+        self._service_time = ServiceTimeEstimate(self.num_lanes)
+        # Guards all that follows; lanes wait on it for jobs.
         self._changed = threading.Condition()
         self._line = WaitingLine()
         self._batch: deque[_Assignment] = deque()
-        self._awaited: set[AnyTicket] = set()
-        self._idle_lanes = self._busy_lanes = 0
+        self._awaited: set[AnyJob] = set()
+        self._busy_lanes = 0
         self._lanes: list[threading.Thread] = []
         self._is_open = False
 
     @property
     def is_open(self) -> bool:
-        """Whether it takes tickets."""
+        """Whether it takes jobs."""
         return self._is_open
 
     @property
     def mean_service_s(self) -> float:
         """Running mean of the time that a request takes a lane; 0 before the first."""
-        return self._pace.mean_s
+        return self._service_time.mean_s
 
     @contextmanager
     def place(self, *, beyond: int = 0) -> Iterator[None]:
         """One of the places of those who wait or are worked on, as long as the block lasts.
 
-        beyond: so many more may be inside, to be read and perhaps refused by `work`
+        beyond: so many more may be inside, to be read and perhaps refused by `submit`
 
         Raises:
             NotReady: the queue is not open.
@@ -101,6 +100,12 @@ class PlanningQueue:
                 self.in_flight -= 1
 
     @property
+    def num_waiting(self) -> int:
+        """Jobs that somebody waits for and no lane has taken."""
+        with self._changed:
+            return self._line.count() + sum(1 for _ in self._left_in_batch())
+
+    @property
     def oldest_wait_s(self) -> float:
         """How long the oldest that no lane has taken has waited; 0 where nobody waits."""
         with self._changed:
@@ -108,61 +113,61 @@ class PlanningQueue:
             first = next(self._left_in_batch(), self._line.first)
             return 0.0 if first is None else self._clock() - first.submitted
 
-    async def run(self, job: Callable[[Turn], Result]) -> Result:
-        """What a job that is no request returns; it takes a place, and a lane to itself.
+    async def run(self, work: Callable[[JobContext], Result]) -> Result:
+        """What work that is no request returns; it takes a place, and a lane to itself.
 
         Raises:
             NotReady, Overloaded: as `place`.
         """
         with self.place():
-            return await self.work(Ticket(job, Arrival(clock=self._clock)))
+            return await self.submit(Job(work, Arrival(clock=self._clock)))
 
-    async def work(self, ticket: Ticket[Result]) -> Result:
-        """What the ticket's job returns; whoever cancels this calls the ticket off.
+    async def submit(self, job: Job[Result]) -> Result:
+        """What the job's work returns; whoever cancels this cancels the job.
 
         Raises:
             NotReady: the queue is closing.
-            Overloaded: too many wait, or likely take longer than the ticket's budget.
+            Overloaded: too many wait, or likely take longer than the job's budget.
             DeadlineExceeded: the budget ran out.
         """
         with self._changed:
             if not self._is_open:
                 raise NotReady("the service is stopping")
-            self._check_room(self._waiting() + self._busy_lanes)
-            self._check_worth_waiting(ticket)
-            ticket.submitted = self._clock()
-            self._line.add(ticket)
-            self._awaited.add(ticket)
+            self._check_room(self.num_waiting + self._busy_lanes)
+            self._check_worth_waiting(job)
+            job.submitted = self._clock()
+            self._line.add(job)
+            self._awaited.add(job)
             self._changed.notify()
         loop = asyncio.get_running_loop()
-        budget_ms = ticket.budget_ms
+        budget_ms = job.budget_ms
         alarm = (
             None
             if budget_ms is None
-            else loop.call_later(ticket.arrival.left_ms(budget_ms) / 1e3, ticket.run_out)
+            else loop.call_later(job.arrival.left_ms(budget_ms) / 1e3, job.expire)
         )
         try:
-            return await asyncio.wrap_future(ticket.result)
+            return await asyncio.wrap_future(job.result)
         finally:
             if alarm is not None:
                 alarm.cancel()
-            ticket.call_off(CalledOff())
+            job.cancel(JobCancelled())
             with self._changed:
-                self._line.discard(ticket)
-                self._awaited.discard(ticket)
+                self._line.discard(job)
+                self._awaited.discard(job)
 
-    def break_off(self) -> None:
+    def cancel_all(self) -> None:
         """Refuse all that waits and all that is worked on, as `not_ready`."""
         with self._changed:
             awaited = list(self._awaited)
-        for ticket in awaited:
-            ticket.call_off(NotReady("the service is stopping"))
+        for job in awaited:
+            job.cancel(NotReady("the service is stopping"))
 
     def __enter__(self) -> PlanningQueue:
         self._is_open = True
         self._lanes = [
             threading.Thread(target=self._work_on, name=f"planning-{lane}", daemon=True)
-            for lane in range(self.workers)
+            for lane in range(self.num_lanes)
         ]
         for lane in self._lanes:
             lane.start()
@@ -177,85 +182,78 @@ class PlanningQueue:
         """Refuse what waits, and wait for what is worked on."""
         with self._changed:
             self._is_open = False
-            left = [*self._line.clear(), *(assignment.ticket for assignment in self._batch)]
+            left = [*self._line.clear(), *(assignment.job for assignment in self._batch)]
             self._batch.clear()
             self._changed.notify_all()
-        for ticket in left:
-            ticket.call_off(NotReady("the service is stopping"))
+        for job in left:
+            job.cancel(NotReady("the service is stopping"))
         for lane in self._lanes:
             lane.join()
 
     def _work_on(self) -> None:
         """What a lane does, until the queue closes."""
         while (assignment := self._next()) is not None:
-            ticket, threads = assignment
+            job, threads = assignment
             began = self._clock()
-            was_done = ticket.work(queue_ms=(began - ticket.submitted) * 1e3, threads=threads)
+            was_done = job.run(queue_ms=(began - job.submitted) * 1e3, threads=threads)
             with self._changed:
                 self._busy_lanes -= 1
                 if was_done:
-                    self._pace.observe(self._clock() - began)
+                    self._service_time.observe(self._clock() - began)
 
     def _next(self) -> _Assignment | None:
-        """The next ticket for a lane; None once the queue is closed."""
+        """The next job for a lane; None once the queue is closed."""
         with self._changed:
-            self._idle_lanes += 1
-            try:
-                while not self._batch:
-                    if not self._is_open:
-                        return None
-                    wait_s = self._form_batch()
-                    if not self._batch:
-                        self._changed.wait(wait_s)
-                self._busy_lanes += 1
-                return self._batch.popleft()
-            finally:
-                self._idle_lanes -= 1
+            while not self._batch:
+                if not self._is_open:
+                    return None
+                wait_s = self._form_batch()
+                if not self._batch:
+                    self._changed.wait(wait_s)
+            self._busy_lanes += 1
+            return self._batch.popleft()
 
     def _form_batch(self) -> float | None:
         """Make the head of the line the batch; or say how long [s] others may still join it."""
-        tickets = self._line.batch(self._limits.max_batch)
-        if not tickets:
+        jobs = self._line.batch(self._limits.max_batch)
+        if not jobs:
             return None
-        waited_s = self._clock() - tickets[0].submitted
+        waited_s = self._clock() - jobs[0].submitted
         wait_s = self._limits.batch_wait_ms / 1e3 - waited_s
-        if len(tickets) < self._limits.max_batch and wait_s > 0:
+        if len(jobs) < self._limits.max_batch and wait_s > 0:
             return wait_s
-        self._line.remove(tickets)
-        self._on_batch(len(tickets))
-        threads = self._idle_lanes * self._num_threads // (self.workers * len(tickets))
-        self._batch.extend(_Assignment(ticket, max(1, threads)) for ticket in tickets)
-        # One for each ticket that this lane leaves, and one for what still waits.
-        self._changed.notify(len(tickets))
+        self._line.remove(jobs)
+        self._on_batch(len(jobs))
+        idle_lanes = self.num_lanes - self._busy_lanes
+        threads = idle_lanes * self._num_threads // (self.num_lanes * len(jobs))
+        self._batch.extend(_Assignment(job, max(1, threads)) for job in jobs)
+        # One for each job that this lane leaves, and one for what still waits.
+        self._changed.notify(len(jobs))
         return None
 
-    def _waiting(self) -> int:
-        """Those that somebody waits for and no lane has taken."""
-        return self._line.count() + sum(1 for _ in self._left_in_batch())
-
-    def _left_in_batch(self) -> Iterator[AnyTicket]:
+    def _left_in_batch(self) -> Iterator[AnyJob]:
         """Of those, the ones that have left the line as part of a batch."""
-        return (each.ticket for each in self._batch if not each.ticket.has_ended)
+        return (each.job for each in self._batch if not each.job.has_ended)
 
     def _check_room(self, held: int, max_waiting: int | None = None) -> None:
         """Raises `Overloaded` where so many already hold all places."""
-        waiting = held - self.workers
+        waiting = held - self.num_lanes
         if waiting >= (self._limits.max_waiting if max_waiting is None else max_waiting):
             raise self._overloaded(f"{waiting} requests wait already", held)
 
-    def _check_worth_waiting(self, ticket: AnyTicket) -> None:
-        """Raises `Overloaded` where those ahead and the ticket itself likely outlast its budget.
+    def _check_worth_waiting(self, job: AnyJob) -> None:
+        """Raises `Overloaded` where those ahead and the job itself likely outlast its budget.
 
-        Who has nobody ahead is never refused: it is his request that teaches the pace.
+        A job with nobody ahead is never refused: it is what the estimate learns from.
         """
-        ahead = self._waiting()
-        if ticket.budget_ms is None or not ahead:
+        ahead = self.num_waiting
+        if job.budget_ms is None or not ahead:
             return
-        likely_ms = self._pace.wait_s(ahead + self.workers) * 1e3
-        if likely_ms > ticket.arrival.left_ms(ticket.budget_ms):
+        likely_ms = self._service_time.wait_s(ahead + self.num_lanes) * 1e3
+        if likely_ms > job.arrival.left_ms(job.budget_ms):
             wait = f"{ahead} requests wait already, an answer would take about {likely_ms:.0f} ms"
-            raise self._overloaded(f"{wait} of a budget of {ticket.budget_ms:g} ms", ahead)
+            raise self._overloaded(f"{wait} of a budget of {job.budget_ms:g} ms", ahead)
 
     def _overloaded(self, message: str, ahead: int) -> Overloaded:
-        wait_s = self._pace.retry_after_s(ahead)
+        wait_s = self._service_time.retry_after_s(ahead)
         return Overloaded(f"{message}; try again in {wait_s} s", retry_after_s=wait_s)

@@ -7,60 +7,25 @@ import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from types import TracebackType
-from typing import Protocol
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import (
-    AnchorBatch,
     AnchorRequest,
-    ModelId,
     ResolvedRequest,
     resolve_for_card,
 )
 from anchorflow_client.errors import InternalError, InvalidRequest, RequestError
 from anchorflow_service.planning.arrival import Arrival
-from anchorflow_service.planning.engines import Engine, Engines
-from anchorflow_service.planning.job import Ticket, Turn
-from anchorflow_service.planning.latest_per_robot import Robots
+from anchorflow_service.planning.call import Call
+from anchorflow_service.planning.engines import EngineRegistry, PlanningEngine
+from anchorflow_service.planning.job import Job, JobContext
+from anchorflow_service.planning.latest_per_robot import LatestPerRobot
 from anchorflow_service.planning.limits import ServiceLimits
 from anchorflow_service.planning.observer import ANSWERED, CANCELLED, Observer
 from anchorflow_service.planning.queue import PlanningQueue
-
-
-class ServiceCodec(Protocol):
-    """The half of a codec that a service needs."""
-
-    def decode_request(self, payload: Payload) -> AnchorRequest:
-        """What a service received. Raises `InvalidRequest`."""
-        ...
-
-    def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """What a service sends. Raises `ValueError` where a number is not finite."""
-        ...
-
-
-@dataclass
-class Call:
-    """A request as its transport received it: the bytes, and what was said beside them."""
-
-    payload: Payload
-    codec: ServiceCodec
-    """Reads the request and writes the answer."""
-    arrival: Arrival
-    request_id: str
-    """Stands in where the request has none of its own, which takes its place once it is read."""
-    model: str | None = None
-    """The one that the address names, where it names one."""
-    budget_ms: float | None = None
-    """Said beside the bytes, and newer than the one inside them."""
-    transport: str = "http"
-    model_id: ModelId | None = field(default=None, init=False)
-    """Of the model that was chosen for it."""
-    timing_ms: Mapping[str, float] = field(default_factory=dict, init=False)
-    """Of its answer, by stage."""
 
 
 class PlanningService:
@@ -78,18 +43,18 @@ class PlanningService:
 
     def __init__(
         self,
-        engines: Mapping[str, Engine],
+        engines: Mapping[str, PlanningEngine],
         *,
         default: str,
         limits: ServiceLimits | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self.limits = limits or ServiceLimits()
-        self.engines = Engines(engines, default=default)
+        self.engines = EngineRegistry(engines, default=default)
         self.queue = PlanningQueue(self.limits, clock=clock, on_batch=self._batch_planned)
         self._observers: list[Observer] = []
         self._is_leaving = False
-        self._robots = Robots()
+        self._latest = LatestPerRobot()
         self._clock = clock
         # Parsing holds the interpreter's lock: a second reader would only get in the way.
         self._reader: ThreadPoolExecutor | None = None
@@ -121,8 +86,8 @@ class PlanningService:
             RequestError: the request is refused, or its budget is spent.
         """
         # A place first: whom the service has no room for costs it no reading. Unless robots are
-        # named: one of them may be inside already, and gives his older request's place to this one.
-        beyond = self.limits.max_waiting if self._robots else 0
+        # named: one of them may be inside already, and its older request makes room for this one.
+        beyond = self.limits.max_waiting if self._latest else 0
         with self._observed(call), self.queue.place(beyond=beyond):
             asked = await self._read(call)
             call.request_id = asked.request_id or call.request_id
@@ -130,14 +95,14 @@ class PlanningService:
             call.model_id = engine.card.id
             request = _with_call(resolve_for_card(asked, engine.card), call)
             call.arrival.check(request.budget_ms, "before planning")
-            ticket = Ticket(
+            job = Job(
                 partial(_plan, engine, request, call),
                 call.arrival,
                 budget_ms=request.budget_ms,
                 key=_batch_key(engine, request),
             )
-            with self._robots.newest(request.robot_id, ticket):
-                return await self.queue.work(ticket)
+            with self._latest.registered(request.robot_id, job):
+                return await self.queue.submit(job)
 
     def __enter__(self) -> PlanningService:
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="reading")
@@ -180,17 +145,19 @@ class PlanningService:
         return await loop.run_in_executor(self._reader, call.codec.decode_request, call.payload)
 
 
-def _plan(engine: Engine, request: ResolvedRequest, call: Call, turn: Turn) -> Payload:
+def _plan(
+    engine: PlanningEngine, request: ResolvedRequest, call: Call, context: JobContext
+) -> Payload:
     """What a lane does: plan, and write the answer too, which may hold millions of numbers."""
-    batch = engine.plan(request, threads=turn.threads, check=turn.check)
-    turn.check()
-    timing_ms = {**batch.timing_ms, "queue": turn.queue_ms, "total": call.arrival.elapsed_ms}
+    batch = engine.plan(request, threads=context.threads, check=context.check)
+    context.check()
+    timing_ms = {**batch.timing_ms, "queue": context.queue_ms, "total": call.arrival.elapsed_ms}
     call.timing_ms = timing_ms
     answer = replace(batch, timing_ms=timing_ms, request_id=request.request_id)
     return call.codec.encode_answer(answer)
 
 
-def _batch_key(engine: Engine, request: ResolvedRequest) -> Hashable:
+def _batch_key(engine: PlanningEngine, request: ResolvedRequest) -> Hashable:
     """Requests of the same key take about as long: same bundle, sampler, anchors and scenes."""
     tau = request.warm_start and request.warm_start.tau
     return (id(engine), request.sampler, tau, request.num_samples, request.num_scenes)

@@ -1,4 +1,4 @@
-"""The pace: how long a request takes, and therefore how long those behind it wait."""
+"""The service time: how long a request takes, and therefore how long those behind it wait."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ SMOOTHING = 0.2
 """Weight of the latest request in the running mean."""
 
 
-class Pace:
+class ServiceTimeEstimate:
     """A running mean of the time that a request takes a lane, and what follows from it."""
 
     def __init__(self, lanes: int) -> None:

@@ -1,62 +1,62 @@
-"""The line of waiting tickets, and the batch that stands at its head."""
+"""The line of waiting jobs, and the batch that stands at its head."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from anchorflow_service.planning.job import Ticket
+from anchorflow_service.planning.job import Job
 
-AnyTicket = Ticket[Any]
+AnyJob = Job[Any]
 
 
 class WaitingLine:
-    """Tickets in the order in which they came; not safe to share between threads by itself."""
+    """Jobs in the order in which they came; not safe to share between threads by itself."""
 
     def __init__(self) -> None:
-        self._tickets: list[AnyTicket] = []
+        self._jobs: list[AnyJob] = []
 
     def count(self) -> int:
-        """Tickets that still wait for something."""
-        return sum(not ticket.has_ended for ticket in self._tickets)
+        """Jobs that still wait for something."""
+        return sum(not job.has_ended for job in self._jobs)
 
     @property
-    def first(self) -> AnyTicket | None:
+    def first(self) -> AnyJob | None:
         """The oldest, where there is one."""
-        return self._tickets[0] if self._tickets else None
+        return self._jobs[0] if self._jobs else None
 
-    def add(self, ticket: AnyTicket) -> None:
+    def add(self, job: AnyJob) -> None:
         """At the end."""
-        self._tickets.append(ticket)
+        self._jobs.append(job)
 
-    def discard(self, ticket: AnyTicket) -> None:
+    def discard(self, job: AnyJob) -> None:
         """Take it out, if it still stands in the line."""
-        if ticket in self._tickets:
-            self._tickets.remove(ticket)
+        if job in self._jobs:
+            self._jobs.remove(job)
 
-    def batch(self, most: int) -> list[AnyTicket]:
-        """The oldest ticket and, up to `most` in all, those of its key that wait behind it.
+    def batch(self, most: int) -> list[AnyJob]:
+        """The oldest job and, up to `most` in all, those of its key that wait behind it.
 
-        They stay in the line. Tickets that have ended leave it, and those whose budget is spent
+        They stay in the line. Jobs that have ended leave it, and those whose budget is spent
         end here: no time goes into them.
         """
-        self._tickets = [ticket for ticket in self._tickets if _still_counts(ticket)]
-        if not self._tickets:
+        self._jobs = [job for job in self._jobs if _still_counts(job)]
+        if not self._jobs:
             return []
-        first, *others = self._tickets
+        first, *others = self._jobs
         alike = [other for other in others if first.key is not None and other.key == first.key]
         return [first, *alike[: most - 1]]
 
-    def remove(self, batch: list[AnyTicket]) -> None:
+    def remove(self, batch: list[AnyJob]) -> None:
         """Take a batch out."""
-        self._tickets = [ticket for ticket in self._tickets if ticket not in batch]
+        self._jobs = [job for job in self._jobs if job not in batch]
 
-    def clear(self) -> list[AnyTicket]:
+    def clear(self) -> list[AnyJob]:
         """Take out all."""
-        tickets, self._tickets = self._tickets, []
-        return tickets
+        jobs, self._jobs = self._jobs, []
+        return jobs
 
 
-def _still_counts(ticket: AnyTicket) -> bool:
-    if ticket.budget_ms is not None and not ticket.arrival.left_ms(ticket.budget_ms):
-        ticket.run_out()
-    return not ticket.has_ended
+def _still_counts(job: AnyJob) -> bool:
+    if job.budget_ms is not None and not job.arrival.left_ms(job.budget_ms):
+        job.expire()
+    return not job.has_ended

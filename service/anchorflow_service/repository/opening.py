@@ -7,13 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 
 from anchorflow_service.bundle import BundleError
-from anchorflow_service.planning import Engine
+from anchorflow_service.planning import PlanningEngine
 from anchorflow_service.repository.folders import BundleFolders, FoundBundle, RepositoryError
 
 logger = logging.getLogger(__name__)
 
 
-def open_all(folders: BundleFolders, open_engine: Callable[[Path], Engine]) -> dict[str, Engine]:
+def open_all(
+    folders: BundleFolders, open_engine: Callable[[Path], PlanningEngine]
+) -> dict[str, PlanningEngine]:
     """An engine for every model, by name: those of single folders first, in their order.
 
     Of a model that lies in the repository in several versions, the newest one that is whole is
@@ -23,7 +25,7 @@ def open_all(folders: BundleFolders, open_engine: Callable[[Path], Engine]) -> d
         BundleError: the bundle of a single folder is broken.
         RepositoryError: two single folders hold the same model, or there is nothing to serve.
     """
-    engines: dict[str, Engine] = {}
+    engines: dict[str, PlanningEngine] = {}
     for path in folders.single:
         engine = open_engine(path)
         if engine.card.name in engines:
@@ -39,7 +41,9 @@ def open_all(folders: BundleFolders, open_engine: Callable[[Path], Engine]) -> d
     return engines
 
 
-def _opened(found: FoundBundle, open_engine: Callable[[Path], Engine]) -> Engine | None:
+def _opened(
+    found: FoundBundle, open_engine: Callable[[Path], PlanningEngine]
+) -> PlanningEngine | None:
     try:
         if found.fault is not None:
             raise found.fault

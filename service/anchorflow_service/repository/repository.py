@@ -12,7 +12,7 @@ from anchorflow_client.contract import ModelCard
 from anchorflow_client.errors import AnchorFlowError, UnknownModel
 from anchorflow_service.bundle import BundleError
 from anchorflow_service.bundle.providers import ProviderError
-from anchorflow_service.planning import Engine, Engines
+from anchorflow_service.planning import EngineRegistry, PlanningEngine
 from anchorflow_service.repository.folders import BundleFolders, FoundBundle, RepositoryError
 
 READY, UNAVAILABLE = "READY", "UNAVAILABLE"
@@ -51,7 +51,10 @@ class Repository:
     """
 
     def __init__(
-        self, engines: Engines, folders: BundleFolders, open_engine: Callable[[Path], Engine]
+        self,
+        engines: EngineRegistry,
+        folders: BundleFolders,
+        open_engine: Callable[[Path], PlanningEngine],
     ) -> None:
         self._engines = engines
         self._folders = folders
@@ -112,7 +115,7 @@ class Repository:
             raise UnknownModel(f"expected a model of the repository, got {which!r}", "model")
         return found
 
-    def _open(self, found: FoundBundle) -> Engine:
+    def _open(self, found: FoundBundle) -> PlanningEngine:
         try:
             engine = self._open_engine(found.path)
             card = engine.card

@@ -176,4 +176,4 @@ class ZenohEndpoint:
 
     def _load(self) -> Load:
         queue = self._service.queue
-        return Load(queue.in_flight, queue.workers, queue.mean_service_s * 1e3)
+        return Load(queue.in_flight, queue.num_lanes, queue.mean_service_s * 1e3)

@@ -22,10 +22,10 @@ def test_a_sound_bundle_gives_its_card(tiny_bundle: Path) -> None:
     card = bundle.card
     assert (card.name, card.version, card.planner) == ("tiny", "1.2.3", "by-hand")
     assert card.sha256 == hashlib.sha256((tiny_bundle / "manifest.json").read_bytes()).hexdigest()
-    assert card.sampler.schedule == (0.0, 0.5, 1.0)
+    assert card.ode.schedule == (0.0, 0.5, 1.0)
     assert [spec.name for spec in card.inputs] == ["cost_map", "x_curr"]
-    assert card.inputs[0].shape == ("B", 3, "H", "W")
-    assert (card.T, card.D, card.dt, card.robot_radius) == (8, 2, 1.0, 0.25)
+    assert card.inputs[0].shape == ("B", "C", "H", "W")
+    assert (card.T, card.D, card.time.dt, card.cost_map.limits.robot_radius) == (8, 2, 1.0, 0.25)
 
 
 def test_the_written_manifest_reads_back(tiny_bundle: Path) -> None:

@@ -9,29 +9,32 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anchorflow_client.contract import AnchorRequest, ModelCard, TensorSpec, resolve_for_card
+from anchorflow_client.contract import AnchorRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine.conditioning.cost_map import SCENE_INPUTS, Scene, scenes_of
+from anchorflow_service.bundle import Bundle, load_bundle
+from anchorflow_service.engine.conditioning.cost_map import (
+    SCENE_INPUTS,
+    CostMapConditioning,
+    MapScene,
+)
 
 Build = Callable[..., AnchorRequest]
 
 
 @pytest.fixture
-def card(tiny_bundle: Path) -> ModelCard:
-    return load_bundle(tiny_bundle).card
+def tiny(tiny_bundle: Path) -> Bundle:
+    return load_bundle(tiny_bundle)
 
 
-def scenes(request: AnchorRequest, card: ModelCard) -> list[Scene]:
-    return scenes_of(resolve_for_card(request, card), card)
+def scenes(request: AnchorRequest, bundle: Bundle) -> list[MapScene]:
+    return CostMapConditioning(bundle.manifest).scenes(resolve_for_card(request, bundle.card))
 
 
 def test_every_input_has_the_shape_that_its_name_stands_for(
-    card: ModelCard, small_request: Build
+    tiny: Bundle, small_request: Build
 ) -> None:
-    (scene,) = scenes(small_request(), card)
-    specs = [TensorSpec(name, "float32", ()) for name in SCENE_INPUTS]
-    inputs = scene.inputs(specs)
+    (scene,) = scenes(small_request(), tiny)
+    inputs = scene.inputs(SCENE_INPUTS)
     assert {name: array.shape for name, array in inputs.items()} == {
         "cost_map": (1, 3, 16, 16),
         "map_geometry": (1, 3),
@@ -46,11 +49,16 @@ def test_every_input_has_the_shape_that_its_name_stands_for(
     np.testing.assert_allclose(inputs["w_style"], [[0.4, 0.3, 0.3]])
 
 
-def test_with_heading_the_map_sees_x_and_y_alone(card: ModelCard, small_request: Build) -> None:
+def with_heading(bundle: Bundle) -> Bundle:
+    answer = replace(bundle.card.answer, components=("x", "y", "heading"))
+    return replace(bundle, card=replace(bundle.card, answer=answer))
+
+
+def test_with_heading_the_map_sees_x_and_y_alone(tiny: Bundle, small_request: Build) -> None:
     states = {"x_curr": [-3.0, 0.1, 1.5] + [0.1] * 6, "x_goal": [3.0, 0.2, -9.0] + [0.0] * 3}
-    (turning,) = scenes(small_request(**states), replace(card, D=3))
-    (planar,) = scenes(small_request(), card)
-    inputs = turning.inputs([TensorSpec(name, "float32", ()) for name in ("x_curr", "x_goal")])
+    (turning,) = scenes(small_request(**states), with_heading(tiny))
+    (planar,) = scenes(small_request(), tiny)
+    inputs = turning.inputs(["x_curr", "x_goal"])
     assert {name: array.shape for name, array in inputs.items()} == {
         "x_curr": (1, 9),
         "x_goal": (1, 6),
@@ -58,47 +66,48 @@ def test_with_heading_the_map_sees_x_and_y_alone(card: ModelCard, small_request:
     np.testing.assert_array_equal(turning.cost_to_go, planar.cost_to_go)
 
 
-def test_only_what_the_manifest_lists_is_made(card: ModelCard, small_request: Build) -> None:
-    (scene,) = scenes(small_request(), card)
-    assert list(scene.inputs(card.inputs)) == ["cost_map", "x_curr"]
+def test_only_what_the_manifest_lists_is_made(tiny: Bundle, small_request: Build) -> None:
+    (scene,) = scenes(small_request(), tiny)
+    names = tiny.manifest.graphs["encode"].input_names
+    assert list(scene.inputs(names)) == ["cost_map", "x_curr"]
     assert "clearance_field" not in scene.__dict__
 
 
-def test_missing_channels_are_neutral(card: ModelCard, small_request: Build) -> None:
-    (scene,) = scenes(small_request(), card)
+def test_missing_channels_are_neutral(tiny: Bundle, small_request: Build) -> None:
+    (scene,) = scenes(small_request(), tiny)
     occupancy, traversability, risk = scene.cost_map
     assert occupancy.sum() == 4.0
     assert (traversability == 1.0).all()
     assert (risk == 0.0).all()
 
 
-def test_given_channels_are_kept(card: ModelCard, small_request: Build) -> None:
+def test_given_channels_are_kept(tiny: Bundle, small_request: Build) -> None:
     data = np.random.default_rng(0).random((3, 16, 16)) * 0.4
-    (scene,) = scenes(small_request(cost_map={"data": data, "resolution": 0.5}), card)
+    (scene,) = scenes(small_request(cost_map={"data": data, "resolution": 0.5}), tiny)
     np.testing.assert_array_equal(scene.cost_map, data.astype(np.float32))
 
 
-def test_more_channels_than_the_cards_are_refused(card: ModelCard, small_request: Build) -> None:
+def test_more_channels_than_the_cards_are_refused(tiny: Bundle, small_request: Build) -> None:
     request = small_request(cost_map={"data": np.zeros((4, 16, 16)), "resolution": 0.5})
     with pytest.raises(InvalidRequest, match=r"expected C from 1 to 3, .* got 4") as caught:
-        scenes(request, card)
+        scenes(request, tiny)
     assert caught.value.field == "cost_map.data"
 
 
-def test_clearance_is_measured_from_the_robots_edge(card: ModelCard, small_request: Build) -> None:
+def test_clearance_is_measured_from_the_robots_edge(tiny: Bundle, small_request: Build) -> None:
     """Cell (7, 4) is 2 cells of 0.5 m beside the obstacle, edge to centre 1.25 m."""
-    (scene,) = scenes(small_request(robot_radius=0.4), card)
+    (scene,) = scenes(small_request(robot_radius=0.4), tiny)
     assert scene.clearance_field[7, 4] == pytest.approx(1.25 - 0.4)
     assert scene.clearance_field[7, 7] < 0.0
 
 
 def test_each_scene_of_a_batch_sees_its_own_map_and_state(
-    card: ModelCard, small_request: Build
+    tiny: Bundle, small_request: Build
 ) -> None:
     maps = np.zeros((2, 1, 16, 16))
     maps[1, 0, 3, 3] = 1.0
     x_curr = [[-3.0, 0.1, 0.0, 0.0, 0.0, 0.0], [-2.0, 0.1, 0.0, 0.0, 0.0, 0.0]]
     request = small_request(cost_map={"data": maps, "resolution": 0.5}, x_curr=x_curr)
-    first, second = scenes(request, card)
+    first, second = scenes(request, tiny)
     assert (first.cost_map[0].sum(), second.cost_map[0].sum()) == (0.0, 1.0)
     assert (first.x_curr[0], second.x_curr[0]) == (-3.0, -2.0)

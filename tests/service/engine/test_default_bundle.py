@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, resolve_for_card
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 
@@ -36,7 +36,7 @@ def plan(engine: Engine, **changes: Any) -> AnchorBatch:
         "x_goal": [4.0, -0.2, 0.0, 0.0],
         "seed": 7,
     }
-    return engine.plan(AnchorRequest.build(**(request | changes)))
+    return engine.plan(resolve_for_card(AnchorRequest.build(**(request | changes)), engine.card))
 
 
 @pytest.fixture(scope="module")
@@ -58,10 +58,10 @@ def test_it_is_small_enough_to_ship() -> None:
 
 
 def test_its_card_tells_where_it_comes_from(engine: Engine) -> None:
-    assert (engine.card.T, engine.card.D, engine.card.horizon_s) == (64, 2, 8.0)
+    assert (engine.card.T, engine.card.D, engine.card.cost_map.limits.horizon_s) == (64, 2, 8.0)
     assert engine.card.training["steps"] >= 1000
     assert engine.card.training["data"]["scenes"] >= 1000
-    assert len(engine.card.sampler.schedule) == 9
+    assert len(engine.card.ode.schedule) == 9
 
 
 def test_most_anchors_are_safe_and_none_is_called_so_wrongly(anchors: AnchorBatch) -> None:

@@ -10,14 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.engine import Engine
+from anchorflow_service.engine.samplers.ode import OdeSampler
 
 Build = Callable[..., AnchorRequest]
 AS_SAMPLED = {"smooth": False, "project": False}
 ARRAYS = ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")
+
+
+def sampler_of(engine: Engine) -> OdeSampler:
+    assert isinstance(engine.sampler, OdeSampler)
+    return engine.sampler
+
+
+def plan(engine: Engine, request: AnchorRequest, **how: Any) -> AnchorBatch:
+    return engine.plan(resolve_for_card(request, engine.card), **how)
 
 
 @pytest.fixture
@@ -33,7 +43,7 @@ def assert_same_bytes(batch: AnchorBatch, other: AnchorBatch, *, scene: int | No
 
 
 def test_shapes_and_provenance(engine: Engine, small_request: Build) -> None:
-    batch = engine.plan(small_request(num_samples=5, request_id="r-1"))
+    batch = plan(engine, small_request(num_samples=5, request_id="r-1"))
     assert batch.trajectories.shape == batch.accelerations.shape == (5, 8, 2)
     assert batch.scores.shape == batch.safe.shape == (5,)
     assert batch.is_finite
@@ -42,7 +52,7 @@ def test_shapes_and_provenance(engine: Engine, small_request: Build) -> None:
 
 
 def test_both_ends_are_met_after_smoothing(engine: Engine, small_request: Build) -> None:
-    batch = engine.plan(small_request(refine={"smooth": True}))
+    batch = plan(engine, small_request(refine={"smooth": True}))
     np.testing.assert_allclose(batch.trajectories[:, 0], [[-3.0, 0.1]] * 20, atol=1e-5)
     np.testing.assert_allclose(batch.trajectories[:, -1], [[3.0, 0.2]] * 20, atol=1e-5)
 
@@ -52,7 +62,7 @@ def test_states_come_as_sampled_where_refinement_is_off(
 ) -> None:
     """The tiny flow adds the channel means: 4 of 256 cells occupied, all passable, no risk."""
     noise = np.random.Generator(np.random.PCG64(7)).standard_normal((20, 2), dtype=np.float32)
-    batch = engine.plan(small_request(refine=AS_SAMPLED))
+    batch = plan(engine, small_request(refine=AS_SAMPLED))
     start = np.array([-3.0 + 4 / 256, 0.1 + 1.0]) + 0.1 * noise[:, :1]
     np.testing.assert_allclose(batch.trajectories[:, 3], start, atol=2e-6)
     np.testing.assert_allclose(
@@ -63,18 +73,18 @@ def test_states_come_as_sampled_where_refinement_is_off(
 def test_same_seed_same_bytes_and_another_seed_differs(
     engine: Engine, small_request: Build
 ) -> None:
-    batch = engine.plan(small_request())
-    assert_same_bytes(batch, engine.plan(small_request()))
-    other = engine.plan(small_request(seed=8))
+    batch = plan(engine, small_request())
+    assert_same_bytes(batch, plan(engine, small_request()))
+    other = plan(engine, small_request(seed=8))
     assert (batch.trajectories != other.trajectories).any()
 
 
 def test_a_drawn_seed_is_echoed_and_repeats_the_answer(
     engine: Engine, small_request: Build
 ) -> None:
-    drawn = engine.plan(small_request(seed=None))
-    assert_same_bytes(drawn, engine.plan(small_request(seed=drawn.seed)))
-    assert engine.plan(small_request(seed=None)).seed != drawn.seed
+    drawn = plan(engine, small_request(seed=None))
+    assert_same_bytes(drawn, plan(engine, small_request(seed=drawn.seed)))
+    assert plan(engine, small_request(seed=None)).seed != drawn.seed
 
 
 def scene_fields(index: int) -> dict[str, Any]:
@@ -98,7 +108,7 @@ def test_a_scene_answers_the_same_alone_and_in_a_batch(
     def ask(fields: dict[str, Any]) -> AnchorBatch:
         cost_map = {"data": fields["data"], "resolution": 0.5}
         rest = {name: fields[name] for name in ("x_curr", "x_goal", "w_style")}
-        return engine.plan(small_request(cost_map=cost_map, refine=refine, **rest))
+        return plan(engine, small_request(cost_map=cost_map, refine=refine, **rest))
 
     together = ask(stacked)
     assert together.trajectories.shape == (3, 20, 8, 2)
@@ -108,7 +118,7 @@ def test_a_scene_answers_the_same_alone_and_in_a_batch(
 
 def test_plans_at_once_do_not_touch_each_other(engine: Engine, small_request: Build) -> None:
     requests = [small_request(seed=seed, num_samples=40) for seed in range(6)]
-    alone = [engine.plan(request) for request in requests]
+    alone = [plan(engine, request) for request in requests]
     with ThreadPoolExecutor(6) as pool:
         for one, other in zip(alone, pool.map(engine.plan, requests), strict=True):
             assert_same_bytes(one, other)
@@ -118,12 +128,12 @@ def test_the_requests_own_sampler_overrides_the_cards(engine: Engine, small_requ
     """Euler in one step sees 4 t³ at t = 0 only: nothing moves."""
     sampler = {"method": "euler", "schedule": {"uniform": 1}}
     x_curr = [-3.0, 0.1, 0.5, 0.0, 0.25, 0.0]
-    batch = engine.plan(small_request(sampler=sampler, refine=AS_SAMPLED, x_curr=x_curr))
+    batch = plan(engine, small_request(sampler=sampler, refine=AS_SAMPLED, x_curr=x_curr))
     np.testing.assert_array_equal(batch.accelerations, np.full((20, 8, 2), [0.25, 0.0]))
 
 
 def test_stages_make_up_the_total(engine: Engine, small_request: Build) -> None:
-    timing = engine.plan(small_request()).timing_ms
+    timing = plan(engine, small_request()).timing_ms
     assert list(timing) == ["queue", "encode", "sample", "refine", "total"]
     assert timing["queue"] == 0.0
     assert all(timing[stage] > 0.0 for stage in ("encode", "sample", "refine"))
@@ -133,7 +143,7 @@ def test_stages_make_up_the_total(engine: Engine, small_request: Build) -> None:
 def test_a_wider_robot_has_less_clearance(engine: Engine, small_request: Build) -> None:
     """The radius is adjustable on this card; it moves the clearance and nothing of the sample."""
     thin, wide = (
-        engine.plan(small_request(robot_radius=radius, refine=AS_SAMPLED)) for radius in (0.1, 0.4)
+        plan(engine, small_request(robot_radius=radius, refine=AS_SAMPLED)) for radius in (0.1, 0.4)
     )
     np.testing.assert_array_equal(thin.trajectories, wide.trajectories)
     assert (thin.clearance >= wide.clearance).all()
@@ -142,7 +152,6 @@ def test_a_wider_robot_has_less_clearance(engine: Engine, small_request: Build) 
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
-        ({"refine": {"guidance": 1.0}}, "refine.guidance"),
         ({"v_max": 1.0}, "v_max"),
         ({"x_curr": [-3.0, 0.1] + [0.0] * 7, "x_goal": [3.0, 0.2] + [0.0] * 4}, "x_curr"),
         ({"cost_map": {"data": np.zeros((4, 16, 16)), "resolution": 0.5}}, "cost_map.data"),
@@ -156,13 +165,13 @@ def test_what_cannot_be_honoured_is_refused_by_name(
     engine: Engine, small_request: Build, changes: dict[str, Any], field: str
 ) -> None:
     with pytest.raises(InvalidRequest) as caught:
-        engine.plan(small_request(**changes))
+        plan(engine, small_request(**changes))
     assert caught.value.field == field
 
 
 def test_another_model_is_unknown(engine: Engine, small_request: Build) -> None:
     with pytest.raises(UnknownModel, match="expected tiny, got huge"):
-        engine.plan(small_request(model="huge"))
+        plan(engine, small_request(model="huge"))
 
 
 def ask_in_turn(calls: list[float]) -> Callable[[], None]:
@@ -176,10 +185,10 @@ def test_an_answer_does_not_depend_on_the_threads_that_it_was_given(
     engine: Engine, small_request: Build, cuts_freely: bool, num_samples: int
 ) -> None:
     """Whether or not this machine's kernels let the engine choose how it cuts."""
-    engine._flow._cuts_freely = cuts_freely
+    sampler_of(engine).cuts_freely = cuts_freely
     request = small_request(num_samples=num_samples, refine={"smooth": True, "project": True})
 
-    assert_same_bytes(engine.plan(request, threads=1), engine.plan(request, threads=2))
+    assert_same_bytes(plan(engine, request, threads=1), plan(engine, request, threads=2))
 
 
 def test_where_cutting_changes_bytes_one_thread_makes_the_same_cuts(
@@ -190,10 +199,10 @@ def test_where_cutting_changes_bytes_one_thread_makes_the_same_cuts(
         "anchorflow_service.engine.samplers.ode.integrate",
         lambda _, x, **__: cuts.append(len(x)) or x,
     )
-    request = small_request(num_samples=20)
-    for engine._flow._cuts_freely in (True, False):
-        engine.plan(request, threads=1)
-        engine.plan(request, threads=2)
+    request, sampler = small_request(num_samples=20), sampler_of(engine)
+    for sampler.cuts_freely in (True, False):
+        plan(engine, request, threads=1)
+        plan(engine, request, threads=2)
 
     assert cuts[:1] == [20]
     assert sorted(cuts[1:3]) == [10, 10]
@@ -207,7 +216,7 @@ def test_it_asks_between_the_steps_whether_to_go_on(
 ) -> None:
     """Before each of the two stages, and after each of the two steps of each slice."""
     calls: list[float] = []
-    engine.plan(small_request(num_samples=16), threads=threads, check=ask_in_turn(calls))
+    plan(engine, small_request(num_samples=16), threads=threads, check=ask_in_turn(calls))
 
     assert len(calls) == 2 + 2 * threads
 
@@ -229,7 +238,7 @@ def test_what_the_check_raises_ends_the_work_at_that_step(
             raise EnoughError
 
     with pytest.raises(EnoughError):
-        engine.plan(small_request(num_samples=16), threads=threads, check=check)
+        plan(engine, small_request(num_samples=16), threads=threads, check=check)
     assert len(calls) <= allowed + threads  # each slice finds out by itself
 
 
@@ -239,7 +248,7 @@ def test_an_engine_that_fails_at_its_first_request_is_none(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("Non-zero status code returned while running Gather node")
 
-    monkeypatch.setattr("anchorflow_service.engine.samplers.ode.FlowSampler.integrate", fail)
+    monkeypatch.setattr("anchorflow_service.engine.samplers.ode.OdeSampler.integrate", fail)
     with pytest.raises(BundleError, match="the warm-up failed: Non-zero status") as caught:
         Engine(load_bundle(tiny_bundle), threads=1)
     assert caught.value.reason == "bundle: the warm-up failed"

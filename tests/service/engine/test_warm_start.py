@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from anchorflow_client.contract import AnchorRequest, ModelCard, WarmStart
+from anchorflow_client.contract import AnchorRequest, WarmStart
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine import Engine
 from anchorflow_service.engine.samplers.warm_start import warm_state
+from anchorflow_service.local import LocalClient
 
 HORIZON = 7.0
-
-
-@pytest.fixture
-def card(tiny_bundle: Path) -> ModelCard:
-    return load_bundle(tiny_bundle).card
 
 
 def parabola(steps: int) -> np.ndarray:
@@ -34,11 +27,9 @@ def parabola(steps: int) -> np.ndarray:
 
 @pytest.mark.parametrize("columns", [2, 4, 6])
 @pytest.mark.parametrize("steps", [4, 8, 31])
-def test_missing_derivatives_and_steps_are_filled(
-    card: ModelCard, steps: int, columns: int
-) -> None:
+def test_missing_derivatives_and_steps_are_filled(steps: int, columns: int) -> None:
     warm = WarmStart(parabola(steps)[:, :columns], tau=0.8)
-    got = warm_state(warm, card=card, horizon_s=HORIZON)
+    got = warm_state(warm, dim=2, num_steps=8, horizon_s=HORIZON)
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, parabola(8), atol=1e-5)
 
@@ -54,18 +45,18 @@ def turning(steps: int) -> np.ndarray:
 
 @pytest.mark.parametrize("columns", [3, 6, 9])
 def test_six_columns_are_velocities_too_where_the_card_has_a_heading(
-    card: ModelCard, columns: int
+    columns: int,
 ) -> None:
     warm = WarmStart(turning(31)[:, :columns], tau=0.8)
-    got = warm_state(warm, card=replace(card, D=3), horizon_s=HORIZON)
+    got = warm_state(warm, dim=3, num_steps=8, horizon_s=HORIZON)
     np.testing.assert_allclose(got, turning(8), atol=1e-5)
 
 
 @pytest.mark.parametrize("columns", [4, 5, 7, 8])
-def test_a_part_of_a_vector_is_refused(card: ModelCard, columns: int) -> None:
+def test_a_part_of_a_vector_is_refused(columns: int) -> None:
     warm = WarmStart(np.zeros((8, columns)), tau=0.8)
     with pytest.raises(InvalidRequest, match=rf"3, 6, 9 columns\), got {columns}") as caught:
-        warm_state(warm, card=replace(card, D=3), horizon_s=HORIZON)
+        warm_state(warm, dim=3, num_steps=8, horizon_s=HORIZON)
     assert caught.value.field == "warm_start.trajectory"
 
 
@@ -75,7 +66,7 @@ def test_the_flow_goes_on_from_tau(
     """x_tau = tau x_1 + (1 - tau) x_0, and the field's 4 t³ moves the rest: 1 - tau⁴."""
     tau = 0.75
     trajectory = parabola(8) * 0.1
-    batch = Engine(load_bundle(tiny_bundle), threads=1).plan(
+    batch = LocalClient.of(tiny_bundle, threads=1).plan_request(
         small_request(
             warm_start={"trajectory": trajectory, "tau": tau},
             refine={"smooth": False, "project": False},

@@ -60,7 +60,7 @@ def test_the_engine_gets_a_request_with_nothing_left_open(
 
     request = engine.seen[0]
     assert (request.robot_radius, request.v_max, request.horizon_s) == (0.4, 2.0, 8.0)
-    assert (request.sampler, request.refine) == (engine.card.sampler, engine.card.refine)
+    assert (request.sampler, request.refine) == (engine.card.sampler, engine.card.finish)
     assert request.seed == anchors.seed
 
 

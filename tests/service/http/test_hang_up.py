@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import socket
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlsplit
@@ -137,13 +136,13 @@ def test_who_hangs_up_in_the_queue_is_not_planned(
     outcomes: Outcomes,
     fields: dict[str, Any],
     listen: Callable[[FastAPI], str],
+    until: Any,
 ) -> None:
     url, body = listen(create_app(planning)), json.dumps(fields).encode()
     with post(url, "/anchors", body) as first:
         assert stepping.at_work.wait(PATIENCE_S)
         with post(url, "/anchors", body):
-            while planning.queue.in_flight < 2:
-                time.sleep(0.001)
+            until(lambda: planning.queue.in_flight == 2)
         assert outcomes.heard.wait(PATIENCE_S)
         stepping.step.release(8)
         assert b"200 OK" in first.recv(4096)

@@ -58,19 +58,6 @@ def test_a_second_signal_ends_the_notice(start: Start) -> None:
     assert running.has_stopped()
 
 
-class Blocked:
-    """Holds the engine until it is let go."""
-
-    def __init__(self) -> None:
-        self.begun = threading.Event()
-        self.go = threading.Event()
-
-    def __call__(self, batch: Any) -> Any:
-        self.begun.set()
-        assert self.go.wait(20)
-        return batch
-
-
 def in_the_background(client: AnchorClient, fields: dict[str, Any]) -> tuple[Any, list[Any]]:
     said: list[Any] = []
 
@@ -86,17 +73,16 @@ def in_the_background(client: AnchorClient, fields: dict[str, Any]) -> tuple[Any
 
 
 def test_what_runs_is_answered_before_it_stops(
-    start: Start, engine: Any, fields: dict[str, Any]
+    start: Start, gate: Any, fields: dict[str, Any]
 ) -> None:
-    engine.before_answer = blocked = Blocked()
     running = start(Draining(drain_s=20))
     with AnchorClient(running.url, timeout_s=20) as client:
         thread, said = in_the_background(client, fields)
-        assert blocked.begun.wait(20)
+        assert gate.reached.wait(20)
         tell_to_stop(running)
         assert not running.has_stopped(0.5)
 
-        blocked.go.set()
+        gate.opened.set()
         thread.join(20)
 
     assert said[0].seed == 1
@@ -104,17 +90,16 @@ def test_what_runs_is_answered_before_it_stops(
 
 
 def test_what_outlasts_the_drain_is_told_so(
-    start: Start, engine: Any, fields: dict[str, Any]
+    start: Start, gate: Any, fields: dict[str, Any]
 ) -> None:
-    engine.before_answer = blocked = Blocked()
     running = start(Draining(drain_s=0.3))
     with AnchorClient(running.url, timeout_s=20) as client:
         thread, said = in_the_background(client, fields)
-        assert blocked.begun.wait(20)
+        assert gate.reached.wait(20)
         tell_to_stop(running)
         thread.join(20)
 
-    blocked.go.set()
+    gate.opened.set()
     assert isinstance(said[0], NotReady)
     assert "stopping" in said[0].message
     assert running.has_stopped()

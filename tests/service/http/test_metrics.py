@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -134,7 +134,7 @@ def test_bundles_load_and_threads_stand_as_they_are(service: Any, planning: Any)
         assert value(samples, "anchorflow_bundle_info", **labels) == 1
     assert value(samples, "anchorflow_ready") == 1
     assert value(samples, "anchorflow_in_flight") == 0
-    assert value(samples, "anchorflow_workers") == planning.queue.workers
+    assert value(samples, "anchorflow_workers") == planning.queue.num_lanes
     assert value(samples, "anchorflow_threads") > 1
     assert value(samples, "process_open_fds") > 1
 
@@ -143,33 +143,28 @@ def test_bundles_load_and_threads_stand_as_they_are(service: Any, planning: Any)
 
 
 def test_the_age_of_the_oldest_in_the_queue_is_seen(
-    service: Any, engine: Any, planning: PlanningService, fields: dict[str, Any]
+    service: Any,
+    gate: Any,
+    planning: PlanningService,
+    fields: dict[str, Any],
+    background: ThreadPoolExecutor,
+    until: Any,
 ) -> None:
-    go, begun = threading.Event(), threading.Semaphore(0)
+    def oldest_wait_s() -> float:
+        return value(scraped(service), "anchorflow_oldest_wait_seconds")
 
-    def wait(batch: Any) -> Any:
-        begun.release()
-        assert go.wait(20)
-        return batch
+    assert planning.queue.num_lanes == 1
+    first = background.submit(service.post, fields)
+    assert gate.reached.wait(20)
+    second = background.submit(service.post, fields)
+    until(oldest_wait_s)
+    waited_s = oldest_wait_s()
+    until(lambda: oldest_wait_s() > waited_s)
+    assert value(scraped(service), "anchorflow_in_flight") == 2
 
-    engine.before_answer = wait
-    lanes = planning.queue.workers
-    asking = [threading.Thread(target=service.post, args=(fields,)) for _ in range(lanes + 1)]
-    for thread in asking[:-1]:
-        thread.start()
-        assert begun.acquire(timeout=20)
-    asking[-1].start()
-    deadline = time.monotonic() + 20
-    while not (waited := value(scraped(service), "anchorflow_oldest_wait_seconds")):
-        assert time.monotonic() < deadline
-    time.sleep(0.1)
-    assert value(scraped(service), "anchorflow_oldest_wait_seconds") >= waited + 0.1
-    assert value(scraped(service), "anchorflow_in_flight") == lanes + 1
-
-    go.set()
-    for thread in asking:
-        thread.join(20)
-    assert value(scraped(service), "anchorflow_oldest_wait_seconds") == 0
+    gate.opened.set()
+    assert [each.result(20).status_code for each in (first, second)] == [200, 200]
+    assert oldest_wait_s() == 0
 
 
 def test_another_transport_is_counted_under_its_name(

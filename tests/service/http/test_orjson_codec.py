@@ -22,12 +22,14 @@ from anchorflow_service.http.orjson_codec import OrjsonCodec
 def batch(paths: np.ndarray) -> AnchorBatch:
     per_anchor = paths[..., 0, 0]
     return AnchorBatch(
-        trajectories=paths,
-        velocities=paths[..., ::-1],  # not contiguous
-        accelerations=paths,
-        scores=per_anchor,
-        clearance=per_anchor,
-        safe=per_anchor > 0,
+        arrays={
+            "trajectories": paths,
+            "velocities": paths[..., ::-1],  # not contiguous
+            "accelerations": paths,
+            "scores": per_anchor,
+            "clearance": per_anchor,
+            "safe": per_anchor > 0,
+        },
         dt=8 / 63,
         seed=2**63 - 1,
         model=ModelId("lines", "1", "ab"),

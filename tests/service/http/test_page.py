@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client.contract import METHODS, AnchorRequest
+from anchorflow_client.contract import METHODS, AnchorRequest, resolve_for_card
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
@@ -234,7 +234,8 @@ def test_the_last_state_is_what_the_answer_is_made_of(
 ) -> None:
     engine = Engine(load_bundle(tiny_bundle), threads=1)
     untouched = {"refine": {"smooth": False, "project": False}}
-    request = AnchorRequest.from_fields(flow_fields | untouched)
+    asked = AnchorRequest.from_fields(flow_fields | untouched)
+    request = resolve_for_card(asked, engine.card)
 
     states = engine.flow_states(request)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
@@ -60,6 +60,7 @@ def service(stepping: SteppingEngine) -> PlanningService:
 
 
 Ask = Callable[..., "asyncio.Task[Any]"]
+UntilWaiting = Callable[[int], Awaitable[None]]
 
 
 @pytest.fixture
@@ -71,17 +72,18 @@ def ask(service: PlanningService, fields: dict[str, Any]) -> Ask:
     return start
 
 
-async def until(event: threading.Event) -> None:
+@pytest.fixture
+def until_waiting(service: PlanningService, until: Any) -> UntilWaiting:
+    """Until so many jobs wait for a lane."""
+    return lambda count: asyncio.to_thread(until, lambda: service.queue.num_waiting == count)
+
+
+async def happened(event: threading.Event) -> None:
     assert await asyncio.to_thread(event.wait, PATIENCE_S)
 
 
 async def until_at_work(stepping: SteppingEngine) -> None:
     assert await asyncio.to_thread(stepping.at_work.acquire, timeout=PATIENCE_S)
-
-
-async def until_waiting(service: PlanningService, count: int) -> None:
-    while service.queue._line.count() < count:
-        await asyncio.sleep(0.001)
 
 
 def test_who_hangs_up_frees_the_engine_at_the_next_step(
@@ -94,7 +96,7 @@ def test_who_hangs_up_frees_the_engine_at_the_next_step(
         await asyncio.wait([task])
         assert service.queue.in_flight == 0
         stepping.steps.release()
-        await until(stepping.left)
+        await happened(stepping.left)
 
     with service:
         asyncio.run(hang_up())
@@ -106,32 +108,32 @@ def test_a_spent_budget_is_told_at_once_and_frees_the_engine_at_the_next_step(
 ) -> None:
     """The caller hears it while the engine is still in the middle of its step."""
 
-    async def run_out() -> None:
+    async def expire() -> None:
         with pytest.raises(DeadlineExceeded, match="while planning"):
             await ask(budget_ms=1500)
         assert stepping.taken == 0
         stepping.steps.release()
-        await until(stepping.left)
+        await happened(stepping.left)
 
     with service:
-        asyncio.run(run_out())
+        asyncio.run(expire())
     assert stepping.taken == 1
 
 
 def test_a_budget_that_is_spent_in_the_queue_is_told_at_once_too(
     service: PlanningService, stepping: SteppingEngine, ask: Ask
 ) -> None:
-    async def run_out() -> None:
+    async def expire() -> None:
         first = ask()
         await until_at_work(stepping)
         with pytest.raises(DeadlineExceeded, match="in the queue"):
             await ask(budget_ms=1500)
-        assert service.queue._line.count() == 0
+        assert service.queue.num_waiting == 0
         stepping.steps.release(3)
         await first
 
     with service:
-        asyncio.run(run_out())
+        asyncio.run(expire())
     assert stepping.taken == 3  # none of them for the second
 
 
@@ -155,13 +157,13 @@ def test_a_newer_request_of_the_robot_supersedes_one_that_is_planned(
 
 
 def test_a_newer_request_of_the_robot_supersedes_one_that_waits(
-    service: PlanningService, stepping: SteppingEngine, ask: Ask
+    service: PlanningService, stepping: SteppingEngine, ask: Ask, until_waiting: UntilWaiting
 ) -> None:
     async def supersede() -> None:
         first = ask(robot_id="another")
         await until_at_work(stepping)
         older = ask(robot_id="r1")
-        await until_waiting(service, 1)
+        await until_waiting(1)
         newer = ask(robot_id="r1", seed=2)
         with pytest.raises(Superseded):
             await older
@@ -174,21 +176,22 @@ def test_a_newer_request_of_the_robot_supersedes_one_that_waits(
 
 
 def test_who_is_in_a_batch_that_no_lane_has_taken_still_waits(
-    service: PlanningService, stepping: SteppingEngine, ask: Ask
+    service: PlanningService, stepping: SteppingEngine, ask: Ask, until_waiting: UntilWaiting
 ) -> None:
     async def batch() -> None:
         first = ask()
         await until_at_work(stepping)
         waiting = [ask(), ask()]
-        await until_waiting(service, 2)
+        await until_waiting(2)
         stepping.steps.release(3)
         await first
         await until_at_work(stepping)  # one of the two; the other has left the line with it
-        assert service.queue._line.count() == 0
+        assert service.queue.num_waiting == 1
         assert service.queue.oldest_wait_s > 0.0
         for each in waiting:
             each.cancel()
         await asyncio.wait(waiting)
+        assert service.queue.num_waiting == 0
         assert service.queue.oldest_wait_s == 0.0
         stepping.steps.release()
 
@@ -197,13 +200,13 @@ def test_who_is_in_a_batch_that_no_lane_has_taken_still_waits(
 
 
 def test_who_leaves_makes_room(
-    service: PlanningService, stepping: SteppingEngine, ask: Ask
+    service: PlanningService, stepping: SteppingEngine, ask: Ask, until_waiting: UntilWaiting
 ) -> None:
     async def fill() -> None:
         first = ask()
         await until_at_work(stepping)
         waiting = [ask(), ask()]
-        await until_waiting(service, 2)
+        await until_waiting(2)
         with pytest.raises(Overloaded):
             await ask()
         for each in waiting:
@@ -218,13 +221,13 @@ def test_who_leaves_makes_room(
 
 
 def test_where_no_place_is_left_a_robot_has_that_of_its_older_request(
-    service: PlanningService, stepping: SteppingEngine, ask: Ask
+    service: PlanningService, stepping: SteppingEngine, ask: Ask, until_waiting: UntilWaiting
 ) -> None:
     async def fill() -> None:
         first = ask()
         await until_at_work(stepping)
         older, other = ask(robot_id="r1"), ask(robot_id="r2")
-        await until_waiting(service, 2)
+        await until_waiting(2)
         newer = ask(robot_id="r1", seed=2)
         with pytest.raises(Superseded):
             await older
@@ -240,13 +243,17 @@ def test_where_no_place_is_left_a_robot_has_that_of_its_older_request(
 
 
 def test_who_is_refused_a_place_costs_no_reading(
-    service: PlanningService, stepping: SteppingEngine, ask: Ask, monkeypatch: pytest.MonkeyPatch
+    service: PlanningService,
+    stepping: SteppingEngine,
+    ask: Ask,
+    until_waiting: UntilWaiting,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def refuse() -> None:
         first = ask()
         await until_at_work(stepping)
         waiting = [ask(), ask()]
-        await until_waiting(service, 2)
+        await until_waiting(2)
         monkeypatch.setattr(JsonCodec, "decode_request", None)
         with pytest.raises(Overloaded):
             await ask()

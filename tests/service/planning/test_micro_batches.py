@@ -12,6 +12,7 @@ from anchorflow_client import AnchorBatch, AnchorRequest, OipCodec
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
+from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import Call, Observer, PlanningService, ServiceLimits
 
 CODEC = OipCodec()
@@ -69,7 +70,7 @@ def answers(
 def test_together_they_get_the_bytes_that_each_gets_alone(engine: Engine, threads: int) -> None:
     requests = [request(caller) for caller in range(CALLERS)]
     # In binary a map's geometry is float32, so what is planned alone goes through the codec too.
-    alone = [engine.plan(CODEC.decode_request(CODEC.encode_request(each))) for each in requests]
+    alone = [LocalClient(engine).plan_request(each) for each in requests]
 
     together, sizes = answers(engine, ServiceLimits(threads=threads), requests)
 

@@ -30,7 +30,7 @@ def test_the_queue_lets_so_many_wait() -> None:
         *answered, refused = asyncio.run(fill(queue))
         assert answered == [True, True, True]
         assert isinstance(refused, Overloaded)
-        assert asyncio.run(queue.run(lambda turn: turn.queue_ms)) >= 0
+        assert asyncio.run(queue.run(lambda context: context.queue_ms)) >= 0
         assert queue.in_flight == 0
 
 
@@ -73,14 +73,14 @@ def test_a_closed_queue_is_not_ready() -> None:
 def test_closing_waits_for_what_runs_and_refuses_what_waits() -> None:
     reached, opened = threading.Event(), threading.Event()
 
-    def job(_: object) -> str:
+    def work(_: object) -> str:
         reached.set()
         assert opened.wait(PATIENCE_S)
         return "done"
 
     async def close() -> list[Any]:
         queue = PlanningQueue(ServiceLimits(threads=1)).__enter__()
-        jobs = [asyncio.ensure_future(queue.run(job)) for _ in range(2)]
+        jobs = [asyncio.ensure_future(queue.run(work)) for _ in range(2)]
         await asyncio.to_thread(reached.wait, PATIENCE_S)
         closing = asyncio.ensure_future(asyncio.to_thread(queue.__exit__, None, None, None))
         with pytest.raises(NotReady, match="stopping"):
@@ -117,7 +117,7 @@ def test_two_lanes_work_at_the_same_time() -> None:
 def test_there_is_a_lane_for_each_request_that_may_be_planned_at_a_time(
     limits: ServiceLimits, lanes: int
 ) -> None:
-    assert PlanningQueue(limits).workers == lanes
+    assert PlanningQueue(limits).num_lanes == lanes
 
 
 def test_who_is_alone_has_all_threads() -> None:
@@ -127,12 +127,7 @@ def test_who_is_alone_has_all_threads() -> None:
         ServiceLimits(threads=6, max_batch=4),
     ):
         with PlanningQueue(limits) as queue:
-            idle = threading.Event()
-            while not idle.is_set():  # a lane that has just been started is not yet idle
-                with queue._changed:
-                    if queue._idle_lanes == queue.workers:
-                        idle.set()
-            assert asyncio.run(queue.run(lambda turn: turn.threads)) == 6
+            assert asyncio.run(queue.run(lambda context: context.threads)) == 6
 
 
 @pytest.mark.parametrize(

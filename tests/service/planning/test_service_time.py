@@ -11,28 +11,28 @@ import pytest
 
 from anchorflow_client import Overloaded
 from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
-from anchorflow_service.planning.job import Ticket
-from anchorflow_service.planning.service_time import Pace
+from anchorflow_service.planning.job import Job
+from anchorflow_service.planning.service_time import ServiceTimeEstimate
 
 PATIENCE_S = 20
 
 
 def test_the_mean_forgets_slowly() -> None:
-    pace = Pace(lanes=1)
-    assert pace.mean_s == 0.0
-    pace.observe(1.0)
-    assert pace.mean_s == 1.0
-    pace.observe(2.0)
-    assert pace.mean_s == pytest.approx(1.2)
+    estimate = ServiceTimeEstimate(lanes=1)
+    assert estimate.mean_s == 0.0
+    estimate.observe(1.0)
+    assert estimate.mean_s == 1.0
+    estimate.observe(2.0)
+    assert estimate.mean_s == pytest.approx(1.2)
 
 
 def test_the_wait_is_the_time_of_those_ahead_over_the_lanes() -> None:
-    pace = Pace(lanes=2)
-    pace.observe(3.0)
+    estimate = ServiceTimeEstimate(lanes=2)
+    estimate.observe(3.0)
 
-    assert pace.wait_s(10) == pytest.approx(15.0)
-    assert pace.retry_after_s(10) == 15
-    assert pace.retry_after_s(0) == 1  # the least that a header can say
+    assert estimate.wait_s(10) == pytest.approx(15.0)
+    assert estimate.retry_after_s(10) == 15
+    assert estimate.retry_after_s(0) == 1  # the least that a header can say
 
 
 class Clock:
@@ -53,14 +53,14 @@ def clock() -> Clock:
 def taught(queue: PlanningQueue, clock: Clock, seconds: float) -> None:
     """One request that took so long has gone through."""
 
-    def job(_: object) -> None:
+    def work(_: object) -> None:
         clock.now += seconds
 
-    asyncio.run(queue.run(job))
+    asyncio.run(queue.run(work))
 
 
 def behind(queue: PlanningQueue, clock: Clock, *, waiting: int, budget_ms: float) -> Any:
-    """What comes of a ticket behind one in work and so many that wait."""
+    """What comes of a job behind one in work and so many that wait."""
     reached, opened = threading.Event(), threading.Event()
 
     def hold(_: object) -> None:
@@ -72,8 +72,8 @@ def behind(queue: PlanningQueue, clock: Clock, *, waiting: int, budget_ms: float
         await asyncio.to_thread(reached.wait, PATIENCE_S)
         ahead += [asyncio.ensure_future(queue.run(lambda _: None)) for _ in range(waiting)]
         await asyncio.sleep(0)
-        ticket: Ticket[str] = Ticket(lambda _: "done", Arrival(clock=clock), budget_ms=budget_ms)
-        mine = asyncio.ensure_future(queue.work(ticket))
+        job: Job[str] = Job(lambda _: "done", Arrival(clock=clock), budget_ms=budget_ms)
+        mine = asyncio.ensure_future(queue.submit(job))
         await asyncio.sleep(0)
         opened.set()
         await asyncio.gather(*ahead)
@@ -99,7 +99,7 @@ def test_who_cannot_be_answered_in_time_hears_it_at_once(clock: Clock) -> None:
     [
         (2.0, 3, 8_001.0),
         (2.0, 0, 500.0),  # nobody ahead: only by trying is it known
-        (0.0, 3, 500.0),  # no pace known yet
+        (0.0, 3, 500.0),  # no service time known yet
     ],
 )
 def test_who_may_be_answered_in_time_is_let_in(

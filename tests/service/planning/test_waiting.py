@@ -6,23 +6,23 @@ from collections.abc import Hashable
 
 from anchorflow_client import DeadlineExceeded
 from anchorflow_service.planning import Arrival
-from anchorflow_service.planning.job import CalledOff, Ticket
+from anchorflow_service.planning.job import Job, JobCancelled
 from anchorflow_service.planning.waiting import WaitingLine
 
 
-def ticket(key: Hashable = None, **more: float) -> Ticket[None]:
-    return Ticket(lambda _: None, Arrival(clock=lambda: 7.0), key=key, **more)
+def job(key: Hashable = None, **more: float) -> Job[None]:
+    return Job(lambda _: None, Arrival(clock=lambda: 7.0), key=key, **more)
 
 
-def line_of(*tickets: Ticket[None]) -> WaitingLine:
+def line_of(*jobs: Job[None]) -> WaitingLine:
     line = WaitingLine()
-    for each in tickets:
+    for each in jobs:
         line.add(each)
     return line
 
 
 def test_a_batch_is_the_oldest_and_those_of_its_key_in_order() -> None:
-    a1, b1, a2, b2, a3 = (ticket(key) for key in "ababa")
+    a1, b1, a2, b2, a3 = (job(key) for key in "ababa")
     line = line_of(a1, b1, a2, b2, a3)
 
     assert line.batch(16) == [a1, a2, a3]
@@ -35,7 +35,7 @@ def test_a_batch_is_the_oldest_and_those_of_its_key_in_order() -> None:
 
 
 def test_who_has_no_key_is_alone() -> None:
-    one, other = ticket(), ticket()
+    one, other = job(), job()
     line = line_of(one, other)
 
     assert line.batch(16) == [one]
@@ -48,9 +48,9 @@ def test_an_empty_line_has_no_batch() -> None:
 
 
 def test_who_was_called_off_takes_no_place() -> None:
-    gone, here = ticket("a"), ticket("a")
+    gone, here = job("a"), job("a")
     line = line_of(gone, here)
-    gone.call_off(CalledOff())
+    gone.cancel(JobCancelled())
 
     assert line.count() == 1
     assert line.batch(16) == [here]
@@ -58,8 +58,8 @@ def test_who_was_called_off_takes_no_place() -> None:
 
 def test_whose_budget_is_spent_is_told_and_takes_no_place() -> None:
     now = [7.0]
-    late: Ticket[None] = Ticket(lambda _: None, Arrival(clock=lambda: now[0]), budget_ms=50)
-    here = ticket("a")
+    late: Job[None] = Job(lambda _: None, Arrival(clock=lambda: now[0]), budget_ms=50)
+    here = job("a")
     line = line_of(late, here)
     now[0] = 7.06
 
@@ -70,7 +70,7 @@ def test_whose_budget_is_spent_is_told_and_takes_no_place() -> None:
 
 
 def test_who_leaves_may_do_so_twice() -> None:
-    here = ticket()
+    here = job()
     line = line_of(here)
     line.discard(here)
     line.discard(here)
@@ -79,8 +79,8 @@ def test_who_leaves_may_do_so_twice() -> None:
 
 
 def test_clearing_hands_out_all() -> None:
-    tickets = [ticket(), ticket()]
-    line = line_of(*tickets)
+    jobs = [job(), job()]
+    line = line_of(*jobs)
 
-    assert line.clear() == tickets
+    assert line.clear() == jobs
     assert line.count() == 0

@@ -16,7 +16,7 @@ import pytest
 from anchorflow_client.errors import UnknownModel
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
-from anchorflow_service.planning import Engines
+from anchorflow_service.planning import EngineRegistry
 from anchorflow_service.repository import BundleFolders, LoadError, ModelState, Repository
 
 Write = Callable[..., Path]
@@ -33,12 +33,12 @@ def folder(tmp_path: Path, write_bundle: Write) -> Path:
 
 
 @pytest.fixture
-def engines(folder: Path) -> Engines:
-    return Engines({"tiny": opened(folder)}, default="tiny")
+def engines(folder: Path) -> EngineRegistry:
+    return EngineRegistry({"tiny": opened(folder)}, default="tiny")
 
 
 @pytest.fixture
-def repository(engines: Engines, folder: Path) -> Repository:
+def repository(engines: EngineRegistry, folder: Path) -> Repository:
     return Repository(engines, BundleFolders(repository=folder.parent), opened)
 
 
@@ -47,7 +47,7 @@ def states(repository: Repository) -> dict[tuple[str, str], tuple[str, str]]:
 
 
 def test_a_bundle_that_was_written_anew_is_taken(
-    repository: Repository, engines: Engines, folder: Path, write_bundle: Write
+    repository: Repository, engines: EngineRegistry, folder: Path, write_bundle: Write
 ) -> None:
     before = engines.choose("tiny")
     write_bundle(folder, version="2.0")
@@ -61,7 +61,7 @@ def test_a_bundle_that_was_written_anew_is_taken(
 
 
 def test_another_model_beside_it(
-    repository: Repository, engines: Engines, folder: Path, write_bundle: Write
+    repository: Repository, engines: EngineRegistry, folder: Path, write_bundle: Write
 ) -> None:
     write_bundle(folder.parent / "more", name="other")
     assert states(repository)["other", "1.2.3"] == ("UNAVAILABLE", "not loaded")
@@ -85,7 +85,7 @@ def test_an_older_version_can_be_taken_back(
 
 
 def test_what_is_unloaded_is_not_served_and_can_come_back(
-    repository: Repository, engines: Engines
+    repository: Repository, engines: EngineRegistry
 ) -> None:
     repository.unload("tiny")
     with pytest.raises(UnknownModel, match=r"\(none at present\), got 'tiny'"):
@@ -171,7 +171,7 @@ BREAKS: dict[str, tuple[Callable[[Path], None], str]] = {
 
 @pytest.mark.parametrize("case", BREAKS)
 def test_what_is_broken_leaves_the_old_one_serving_and_says_why(
-    repository: Repository, engines: Engines, folder: Path, write_bundle: Write, case: str
+    repository: Repository, engines: EngineRegistry, folder: Path, write_bundle: Write, case: str
 ) -> None:
     break_it, reason = BREAKS[case]
     serving = engines.choose("tiny")
@@ -205,7 +205,7 @@ def test_a_bundle_of_the_same_version_that_was_not_taken_is_told_too(
 
 
 def test_an_engine_that_nobody_has_any_more_is_gone(
-    repository: Repository, engines: Engines
+    repository: Repository, engines: EngineRegistry
 ) -> None:
     old = weakref.ref(engines.choose("tiny"))
     repository.load("tiny")

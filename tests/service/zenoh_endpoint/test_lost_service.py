@@ -27,7 +27,7 @@ REPLICA = Path(__file__).parent / "programs" / "replica.py"
 LOST_S = 2.0
 TICK_S = 0.02
 PATIENCE_S = 60.0
-CONFIG = PlannerConfig(max_age_ms=500.0, period_ms=50.0)
+CONFIG = PlannerConfig(max_age_ms=1000.0, period_ms=50.0)
 
 
 class Moment(NamedTuple):
@@ -79,6 +79,7 @@ class Loop:
         return self.run(
             lambda: (
                 time.monotonic() >= end
+                and self.handed[-1].plan.last_error is not None
                 and [handed.plan.state for handed in self.handed[first:][-5:]] == expired
             )
         )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -123,6 +122,7 @@ def test_a_request_that_is_planned_when_its_model_goes_is_still_answered(
     planning: PlanningService,
     fields: dict[str, Any],
     caplog: pytest.LogCaptureFixture,
+    until: Any,
 ) -> None:
     """Even where the client has heard of it, and would ask somebody else by now."""
     reached, opened = threading.Event(), threading.Event()
@@ -140,8 +140,7 @@ def test_a_request_that_is_planned_when_its_model_goes_is_still_answered(
         planning.engines.remove("bows")
         with pytest.raises(UnknownModel):
             client.plan(**fields, model="bows")
-        while "a has not answered yet" not in caplog.text and not asked.done():
-            time.sleep(0.01)
+        until(lambda: "a has not answered yet" in caplog.text or asked.done())
         opened.set()
 
         assert asked.result(PATIENCE_S).model.name == "bows"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import socket
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -123,7 +122,7 @@ def test_a_wrong_password_is_refused(
 
 
 def test_who_was_let_in_before_is_not_said_to_be_denied(
-    start: Any, endpoint: str, fields: dict[str, Any]
+    start: Any, endpoint: str, fields: dict[str, Any], until: Any
 ) -> None:
     """A service that is started again listens before zenoh has mended the connection."""
     service = start("replica.py", endpoint, "a", 0.0, "listen")
@@ -133,8 +132,7 @@ def test_who_was_let_in_before_is_not_said_to_be_denied(
         service.kill()
         service.wait()
         with socket.create_server(("127.0.0.1", port)):  # and says nothing yet
-            while client.live():
-                time.sleep(0.01)
+            until(lambda: not client.live())
             with pytest.raises(ConnectionFailed, match="the connection broke and is not mended"):
                 client.plan(**fields)
 

@@ -14,7 +14,7 @@ from anchorflow_cli.distill import app as distill_app
 from anchorflow_cli.main import main
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine import Engine
+from anchorflow_service.local import LocalClient
 from anchorflow_training.batches import BatchConfig
 from anchorflow_training.config import TrainerConfig
 from anchorflow_training.config_file import read_config
@@ -65,10 +65,10 @@ def test_a_student_is_taught_exported_and_plans(
     said = command(out / "checkpoint.pt", "--out", bundle, name="export")
     assert said in ("", "0")
     card = load_bundle(bundle).card
-    assert (card.sampler.method, card.sampler.schedule) == ("euler", (0.0, 0.8, 1.0))
+    assert (card.ode.method, card.ode.schedule) == ("euler", (0.0, 0.8, 1.0))
     assert card.training["config"]["method"] == "direct"
     assert len(card.training["teacher"]["sha256"]) == 64
-    batch = Engine(load_bundle(bundle), threads=1).plan(
+    batch = LocalClient.of(bundle, threads=1).plan_request(
         AnchorRequest.build(
             cost_map={"data": np.zeros((1, 40, 40)), "resolution": 0.25},
             x_curr=[-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],

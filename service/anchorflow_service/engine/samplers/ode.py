@@ -1,4 +1,4 @@
-"""The flow sampler: anchors drawn by carrying noise along the exported vector field.
+"""The ode sampler: anchors drawn by carrying noise along the exported vector field.
 
     encode    once a scene                           -> context
     modulate  once a scene, for all its flow times   -> modulation [K,M]
@@ -9,24 +9,39 @@ What a graph needs of the others it takes by name.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import SamplerSpec
+from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.bundle.graphs import BoundGraph, open_graph
+from anchorflow_service.bundle.graphs import BoundGraph, WideGraph, open_graph
+from anchorflow_service.bundle.manifest import Manifest, OdeEntry
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
-from anchorflow_trajectory.ode.integrate import integrate
+from anchorflow_service.engine.conditioning.cost_map import MapScene
+from anchorflow_service.engine.parts import (
+    Check,
+    Context,
+    Samples,
+    Scene,
+    missing_roles,
+    unknown_names,
+)
+from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
+from anchorflow_service.engine.samplers.warm_start import renoised, warm_state
+from anchorflow_trajectory.guidance import Guidance
+from anchorflow_trajectory.ode.integrate import VectorField, integrate
 from anchorflow_trajectory.ode.method import method_named
-from anchorflow_trajectory.ode.schedule import stage_times
+from anchorflow_trajectory.ode.schedule import remaining, stage_strides, stage_times
 
 Array = NDArray[np.float32]
-Context = Mapping[str, Array]
 
+# What each role is fed besides the outputs of encode.
+OWN_INPUTS = {"modulate": ("times",), "field": ("x_t", "modulation")}
+OWN_OUTPUTS = {"modulate": ("modulation",), "field": ("dx_t",)}
 MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it brings
 
 
@@ -42,7 +57,7 @@ class FlowStates:
     positions: Array
 
 
-class FlowSampler:
+class OdeSampler:
     """The graphs of an "ode" bundle, opened; several threads may sample at once.
 
     The anchors do not look at each other, so they are cut into a slice a thread and each slice is
@@ -57,57 +72,101 @@ class FlowSampler:
 
     def __init__(self, bundle: Bundle, *, threads: int, provider: str = DEFAULT_PROVIDER) -> None:
         self._manifest = bundle.manifest
-        self._encode = open_graph(bundle, "encode", provider=provider)
-        self._encode_wide = (
-            open_graph(bundle, "encode", threads=threads, provider=provider)
-            if threads > 1
-            else self._encode
-        )
+        assert isinstance(bundle.manifest.sampler, OdeEntry)
+        self._prior = bundle.manifest.sampler.prior
+        self._encode = WideGraph(bundle, "encode", threads=threads, provider=provider)
         self._modulate = open_graph(bundle, "modulate", provider=provider)
         self._field = open_graph(bundle, "field", provider=provider)
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="anchorflow-field")
-        self._cuts_freely = False
+        self.cuts_freely = False
+        """Whether anchors give the same bytes in one piece and in slices, as `settle` found out.
+        Where they do not, samples are always cut as for all threads."""
 
-    def settle(self, inputs: Mapping[str, Array], *, seed: int) -> bool:
+    @staticmethod
+    def faults(manifest: Manifest) -> Iterator[str]:
+        """Roles that are missing, and inputs that no other graph gives."""
+        assert isinstance(manifest.sampler, OdeEntry)
+        if missing := list(missing_roles(manifest, ("encode", *OWN_INPUTS))):
+            yield from missing
+            return
+        context = manifest.graphs["encode"].output_names
+        for role, own in OWN_INPUTS.items():
+            graph, where = manifest.graphs[role], f"graphs.{role}.inputs"
+            yield from unknown_names(where, graph.input_names, (*own, *context))
+            yield from unknown_names(where, own, graph.input_names)
+            if graph.output_names != OWN_OUTPUTS[role]:
+                names = ", ".join(graph.output_names)
+                yield f"graphs.{role}.outputs: expected {OWN_OUTPUTS[role][0]}, got {names}"
+        if prior := manifest.sampler.prior:
+            yield from unknown_names("sampler.prior", (prior.mean, prior.basis), context)
+
+    def settle(self, scene: Scene) -> None:
         """Look whether these graphs give the same bytes on one thread and on many, in one piece
-        and in slices; the answer is kept.
-
-        Where they do not, which a machine's kernels decide, samples are always cut as for all
-        threads and encoded on one, so that no answer depends on how busy the service is.
+        and in slices, which a machine's kernels decide; so no answer depends on how busy the
+        service is.
         """
-        narrow, wide = self._encode(**inputs), self._encode_wide(**inputs)
-        noise = self.draw_noise(narrow, num_samples=MIN_SLICE * self._threads, seed=seed)
-        x = self.initial_state(narrow, noise)
-        field = self._field_over(narrow, SamplerSpec("euler", (0.0, 1.0)))
+        context = self._encode.settle(scene.inputs(self._encode.input_names))
+        count = MIN_SLICE * self._threads
+        noise = self.draw_noise(context, num_samples=count, seed=scene.request.seed)
+        x = self.initial_state(context, noise)
+        field = self._field_over(context, OdeSpec("euler", (0.0, 1.0)), None)
         whole = _evaluated(field(), x)
         cuts = [np.array_split(x, parts) for parts in range(2, self._threads + 1)]
-        self._cuts_freely = all(
-            np.array_equal(narrow[name], wide[name]) for name in narrow
-        ) and all(
+        self.cuts_freely = all(
             np.array_equal(whole, np.concatenate([_evaluated(field(), part) for part in cut]))
             for cut in cuts
         )
-        return self._cuts_freely
 
-    def encode(self, inputs: Mapping[str, Array], *, threads: int = 1) -> Context:
+    def encode(self, scene: Scene, *, threads: int = 1) -> Context:
         """What the other graphs need to know of a scene."""
-        wide = threads > 1 and self._cuts_freely
-        return (self._encode_wide if wide else self._encode)(**inputs)
+        return self._encode(scene.inputs(self._encode.input_names), threads=threads)
+
+    def sample(
+        self, scene: Scene, context: Context, *, threads: int, check: Check = lambda: None
+    ) -> Samples:
+        """States [N,T,S] at t = 1."""
+        x, spec = self._begin(scene, context)
+        guidance = guidance_of(self._manifest, scene, context)
+        return Samples(
+            self.integrate(context, x, spec, guidance=guidance, threads=threads, check=check)
+        )
+
+    def flow_states(self, scene: Scene) -> FlowStates:
+        """The states that `sample` passes through, noise and the last included."""
+        context = self.encode(scene)
+        x, spec = self._begin(scene, context)
+        states = self.states(context, x, spec, guidance=guidance_of(self._manifest, scene, context))
+        return FlowStates(np.array(spec.schedule), states[..., : self._manifest.D])
+
+    def _begin(self, scene: Scene, context: Context) -> tuple[Array, OdeSpec]:
+        """States [N,T,S] at the first time of the schedule that is left to run."""
+        request, spec = scene.request, scene.request.sampler
+        assert isinstance(spec, OdeSpec)
+        noise = self.draw_noise(context, num_samples=request.num_samples, seed=request.seed)
+        x = self.initial_state(context, noise)
+        if warm := request.warm_start:
+            assert isinstance(scene, MapScene)
+            steps, dim = self._state_shape[0], self._manifest.D
+            horizon_s = scene.limits.horizon_s
+            x_1 = warm_state(warm, dim=dim, num_steps=steps, horizon_s=horizon_s)
+            x = renoised(x_1, x, warm.tau)
+            spec = replace(spec, schedule=remaining(spec.schedule, warm.tau))
+        return x, spec
 
     def draw_noise(self, context: Context, *, num_samples: int, seed: int) -> Array:
         """Standard normal noise: [N,R] for the bundle's prior, [N,T,S] where it has none.
 
         A seed's first n anchors are the same whatever N is.
         """
-        prior = self._manifest.sampler.prior
+        prior = self._prior
         size = context[prior.basis].shape[1:2] if prior else self._state_shape
         generator = np.random.Generator(np.random.PCG64(seed))
         return generator.standard_normal((num_samples, *size), dtype=np.float32)
 
     def initial_state(self, context: Context, noise: Array) -> Array:
         """x_0 [N,T,S] = prior mean + noise · prior basis; the noise itself without a prior."""
-        prior = self._manifest.sampler.prior
+        prior = self._prior
         if prior is None:
             return noise
         spread = (noise @ context[prior.basis][0]).reshape(-1, *self._state_shape)
@@ -117,18 +176,20 @@ class FlowSampler:
         self,
         context: Context,
         x: Array,
-        sampler: SamplerSpec,
+        sampler: OdeSpec,
         *,
+        guidance: Guidance | None = None,
         threads: int | None = None,
         check: Callable[[], object] = lambda: None,
     ) -> Array:
         """The state at t = 1 [N,T,S] from x at the schedule's first time.
 
+        guidance: what corrects the field of this scene
         threads: to spread over; None: all of them
         check: called after every step of every slice; what it raises ends the work and is raised
         """
         schedule, method = sampler.schedule, method_named(sampler.method)
-        new_field = self._field_over(context, sampler)
+        new_field = self._field_over(context, sampler, guidance)
         threads = threads or self._threads
 
         def integrate_slice(part: Array) -> Array:
@@ -136,7 +197,8 @@ class FlowSampler:
                 new_field(), part, schedule=schedule, method=method, on_step=lambda _: check()
             )
 
-        most = threads if self._cuts_freely else self._threads
+        # The products of guidance round a row by the number of rows beside it.
+        most = threads if self.cuts_freely and guidance is None else self._threads
         slices = np.array_split(x, min(most, -(-len(x) // MIN_SLICE)))
         if threads == 1 or len(slices) == 1:
             return np.concatenate([integrate_slice(part) for part in slices])
@@ -144,11 +206,13 @@ class FlowSampler:
         wait(running)  # all of them: one that is left behind would keep a core busy unseen
         return np.concatenate([part.result() for part in running])
 
-    def states(self, context: Context, x: Array, sampler: SamplerSpec) -> Array:
+    def states(
+        self, context: Context, x: Array, sampler: OdeSpec, *, guidance: Guidance | None = None
+    ) -> Array:
         """The states at every time of the schedule [K,N,T,S]; x is the first of them."""
         visited = [x]
         integrate(
-            self._field_over(context, sampler)(),
+            self._field_over(context, sampler, guidance)(),
             x,
             schedule=sampler.schedule,
             method=method_named(sampler.method),
@@ -156,17 +220,27 @@ class FlowSampler:
         )
         return np.stack(visited)
 
-    def _field_over(self, context: Context, sampler: SamplerSpec) -> Callable[[], _ModulatedField]:
+    def _field_over(
+        self, context: Context, sampler: OdeSpec, guidance: Guidance | None
+    ) -> Callable[[], VectorField]:
         """Makes the vector field of a scene at the sampler's times, one for each thread."""
-        times = stage_times(method_named(sampler.method), sampler.schedule).times
+        method = method_named(sampler.method)
+        times = stage_times(method, sampler.schedule).times
         modulate_inputs = self._modulate.select({**context, "times": times})
         modulation = self._modulate(**modulate_inputs)["modulation"]
         field_inputs = self._field.select(context)
-        return lambda: _ModulatedField(self._field.bind(**field_inputs), modulation)
+
+        def new_field() -> VectorField:
+            field = _ModulatedField(self._field.bind(**field_inputs), modulation)
+            if guidance is None:
+                return field
+            return GuidedField(field, guidance, times, stage_strides(method, sampler.schedule))
+
+        return new_field
 
     @property
     def _state_shape(self) -> tuple[int, int]:
-        return self._manifest.T, self._manifest.state_size
+        return self._manifest.time.steps, self._manifest.state_size
 
 
 class _ModulatedField:
@@ -186,7 +260,7 @@ class _ModulatedField:
         )
 
 
-def _evaluated(field: _ModulatedField, x: Array) -> Array:
+def _evaluated(field: VectorField, x: Array) -> Array:
     """dx/dt at the first of the field's times."""
     slope = np.empty_like(x)
     field(x, 0, slope)

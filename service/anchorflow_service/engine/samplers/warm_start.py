@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import ModelCard, WarmStart
+from anchorflow_client.contract import WarmStart
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_trajectory.resample import resampled_states, whole_fields
 
 Array = NDArray[np.float32]
 
 
-def warm_state(warm_start: WarmStart, *, card: ModelCard, horizon_s: float) -> Array:
+def warm_state(warm_start: WarmStart, *, dim: int, num_steps: int, horizon_s: float) -> Array:
     """The trajectory as a state x_1 [T,S]: resampled to T steps, missing derivatives from splines.
 
     Raises:
@@ -20,14 +20,14 @@ def warm_state(warm_start: WarmStart, *, card: ModelCard, horizon_s: float) -> A
     """
     trajectory = warm_start.trajectory
     columns = trajectory.shape[1]
-    if not whole_fields(columns, card.D):
-        widths = ", ".join(str(card.D * blocks) for blocks in (1, 2, 3))
+    if not whole_fields(columns, dim):
+        widths = ", ".join(str(dim * blocks) for blocks in (1, 2, 3))
         raise InvalidRequest(
-            f"expected [T,{card.D}] of positions, with velocities or with accelerations too "
+            f"expected [T,{dim}] of positions, with velocities or with accelerations too "
             f"({widths} columns), got {columns} columns",
             "warm_start.trajectory",
         )
-    return resampled_states(trajectory, dim=card.D, num_steps=card.T, horizon_s=horizon_s)
+    return resampled_states(trajectory, dim=dim, num_steps=num_steps, horizon_s=horizon_s)
 
 
 def renoised(x_1: Array, x_0: Array, tau: float) -> Array:

@@ -11,12 +11,15 @@ import numpy as np
 
 from anchorflow_client import (
     AnchorBatch,
-    AnchorRequest,
-    MapSpec,
+    AnswerSpec,
+    CostMapSpec,
+    LimitsSpec,
     ModelCard,
+    OdeSpec,
     RefineSpec,
-    SamplerSpec,
+    TimeSpec,
 )
+from anchorflow_client.contract import ResolvedRequest
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.planning import PlanningService
@@ -32,32 +35,30 @@ class Sleeper:
         sha256="ab" * 32,
         planner="sleeper",
         inputs=(),
-        outputs=(),
-        T=4,
-        D=2,
-        horizon_s=3.0,
-        dt=1.0,
-        v_max=2.0,
-        a_max=3.0,
-        robot_radius=0.25,
-        map=MapSpec(H=64, W=64, channels=3),
-        sampler=SamplerSpec("rk4", (0.0, 1.0)),
-        refine=RefineSpec(smooth=False, project=False, safety_margin=0.0, guidance=0.0),
+        conditioning=CostMapSpec(3, 64, 64, LimitsSpec(3.0, 2.0, 3.0, 0.25)),
+        sampler=OdeSpec("rk4", (0.0, 1.0)),
+        finish=RefineSpec(smooth=False, project=False, safety_margin=0.0, guidance=0.0),
+        time=TimeSpec(4, 0.0, 1.0),
+        answer=AnswerSpec(
+            ("x", "y"), ("velocities", "accelerations", "scores", "clearance", "safe")
+        ),
     )
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
 
-    def plan(self, request: AnchorRequest, /, **_: object) -> AnchorBatch:
+    def plan(self, request: ResolvedRequest, /, **_: object) -> AnchorBatch:
         time.sleep(self.seconds)
         paths = np.zeros((request.num_samples, 4, 2), np.float32)
         return AnchorBatch(
-            trajectories=paths,
-            velocities=paths,
-            accelerations=paths,
-            scores=paths[:, 0, 0],
-            clearance=paths[:, 0, 0],
-            safe=np.ones(len(paths), bool),
+            arrays={
+                "trajectories": paths,
+                "velocities": paths,
+                "accelerations": paths,
+                "scores": paths[:, 0, 0],
+                "clearance": paths[:, 0, 0],
+                "safe": np.ones(len(paths), bool),
+            },
             dt=1.0,
             seed=request.seed or 0,
             model=self.card.id,

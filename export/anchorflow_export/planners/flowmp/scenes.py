@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from anchorflow_client.contract import AnchorRequest, ModelCard, resolve_for_card
-from anchorflow_service.engine.conditioning.cost_map import scenes_of
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning, MapScene
 
 CELLS_A_BLOB = 40  # one square obstacle for so many cells of the map
 
 
 def random_scenes(
-    card: ModelCard, *, scenes: int, height: int, width: int, seed: int
-) -> dict[str, Tensor]:
-    """The encode inputs of cluttered maps, by name and with a B axis of `scenes`."""
-    generator = np.random.default_rng(seed)
-    request = resolve_for_card(_random_request(card, scenes, (height, width), generator), card)
-    inputs = [scene.inputs(card.inputs) for scene in scenes_of(request, card)]
-    return {
-        name: torch.from_numpy(np.concatenate([one[name] for one in inputs])) for name in inputs[0]
-    }
+    bundle: Bundle, count: int, shape: tuple[int, int], *, seed: int
+) -> list[MapScene]:
+    """Cluttered maps of `shape` (H, W), as a request of `count` scenes brings them."""
+    generator, card = np.random.default_rng(seed), bundle.card
+    request = resolve_for_card(_random_request(card, count, shape, generator), card)
+    return CostMapConditioning(bundle.manifest).scenes(request)
+
+
+def stacked_inputs(bundle: Bundle, scenes: Sequence[MapScene]) -> dict[str, Tensor]:
+    """The encode inputs of scenes, by name and on a B axis."""
+    names = bundle.manifest.graphs["encode"].input_names
+    inputs = [scene.inputs(names) for scene in scenes]
+    return {name: torch.from_numpy(np.concatenate([one[name] for one in inputs])) for name in names}
 
 
 def _random_request(
@@ -30,7 +37,7 @@ def _random_request(
     resolution = 10.0 / max(shape)  # m/cell: maps of 10 m, whatever their cells
     extent = resolution * np.array(shape[::-1])
     origin = generator.uniform(-20.0, 20.0, 2)
-    maps = generator.random((scenes, card.map.channels, *shape), dtype=np.float32)
+    maps = generator.random((scenes, card.cost_map.channels, *shape), dtype=np.float32)
     maps[:, 0] = [_clutter(shape, generator) for _ in range(scenes)]
     ends = origin + generator.uniform(0.1, 0.9, (scenes, 2, 2)) * extent
     motion = generator.uniform(-1.0, 1.0, (scenes, 3 * card.D))

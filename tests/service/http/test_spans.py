@@ -17,7 +17,7 @@ from anchorflow_client import AnchorRequest
 from anchorflow_client.codec import Payload
 from anchorflow_client.json_codec import JsonCodec
 from anchorflow_service.http import create_app
-from anchorflow_service.observability.tracing import Tracing
+from anchorflow_service.observability.spans import Tracing
 from anchorflow_service.planning import Arrival, Call, PlanningService
 
 TRACE, PARENT = "0af7651916cd43dd8448eb211c80319c", "b7ad6b7169203331"

@@ -1,0 +1,157 @@
+"""The parts of a planner that its card names by kind: conditioning, sampler, finish.
+
+Each part says its `kind` and what a caller may want to know of it. A service's manifest is made of
+the same parts; a card of a later version may hold kinds that are not known here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal, TypeAlias
+
+from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
+
+
+@dataclass(frozen=True)
+class TensorSpec:
+    """A tensor by name, type and axes."""
+
+    name: str
+    dtype: str
+    """A numpy dtype by name, or "text"."""
+    shape: tuple[str | int, ...]
+    """Axis letters (B, N, T, D, C, H, W) or fixed sizes."""
+    unit: str = ""
+    range: tuple[float | None, float | None] | None = None
+    """Least and greatest value, both allowed; None is unbounded."""
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> TensorSpec:
+        """Read `asdict` back, lists in place of tuples included."""
+        limits = value.get("range")
+        return cls(
+            name=value["name"],
+            dtype=value["dtype"],
+            shape=tuple(value["shape"]),
+            unit=value.get("unit", ""),
+            range=None if limits is None else tuple(limits),
+        )
+
+
+@dataclass(frozen=True)
+class TimeSpec:
+    """When an anchor's poses are: `first_s + k dt`, k from 0 to `steps` - 1."""
+
+    steps: int
+    first_s: float
+    """0 where the first pose is the present one."""
+    dt: float
+    """s between two poses."""
+
+
+@dataclass(frozen=True)
+class AnswerSpec:
+    """What an answer holds beside its trajectories [N,T,D]."""
+
+    components: tuple[str, ...]
+    """Of a pose, such as x, y, heading: D of them."""
+    arrays: tuple[str, ...] = ()
+    """Which of velocities, accelerations, scores, clearance and safe are always there."""
+    extras: tuple[TensorSpec, ...] = ()
+    """What is sent along where a request's `outputs` name it."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all arrays that an answer may hold."""
+        return ("trajectories", *self.arrays, *(spec.name for spec in self.extras))
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> AnswerSpec:
+        """Read `asdict` back."""
+        extras = tuple(map(TensorSpec.from_dict, value.get("extras", ())))
+        return cls(tuple(value["components"]), tuple(value.get("arrays", ())), extras)
+
+
+@dataclass(frozen=True)
+class LimitsSpec:
+    """What the anchors of a cost-map planner keep, as far as a request says nothing else."""
+
+    horizon_s: float
+    v_max: float
+    """m/s in the plane."""
+    a_max: float
+    """m/s^2 in the plane."""
+    robot_radius: float
+    """m."""
+
+
+@dataclass(frozen=True)
+class CostMapSpec:
+    """Asked with a cost map, a state, a goal and a style."""
+
+    channels: int
+    """The most that a map may have."""
+    H: int
+    W: int
+    """The grid that the model was trained on; the service takes maps of other sizes too."""
+    limits: LimitsSpec
+    adjustable: tuple[str, ...] = ()
+    """Which of the limits a request may change."""
+    kind: Literal["cost_map"] = "cost_map"
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> CostMapSpec:
+        """Read `asdict` back."""
+        adjustable = tuple(value.get("adjustable", ()))
+        limits = LimitsSpec(**value["limits"])
+        return cls(value["channels"], value["H"], value["W"], limits, adjustable)
+
+
+@dataclass(frozen=True)
+class TensorsSpec:
+    """Asked with the tensors and texts that the card lists as inputs."""
+
+    kind: Literal["tensors"] = "tensors"
+
+
+@dataclass(frozen=True)
+class VocabularySpec:
+    """Chooses the best N of a fixed number of trajectories, which it may refine."""
+
+    size: int
+    """The most anchors that a request may ask for."""
+    kind: Literal["vocabulary"] = "vocabulary"
+
+
+@dataclass(frozen=True)
+class NoFinish:
+    """Anchors are answered as they were sampled."""
+
+    kind: Literal["none"] = "none"
+
+
+@dataclass(frozen=True)
+class UnknownPart:
+    """A part of a kind that this version does not know."""
+
+    kind: str
+
+
+ConditioningSpec: TypeAlias = CostMapSpec | TensorsSpec | UnknownPart
+SamplerSpec: TypeAlias = OdeSpec | VocabularySpec | UnknownPart
+FinishSpec: TypeAlias = RefineSpec | NoFinish | UnknownPart
+
+CONDITIONINGS: Mapping[str, type] = {"cost_map": CostMapSpec, "tensors": TensorsSpec}
+SAMPLERS: Mapping[str, type] = {"ode": OdeSpec, "vocabulary": VocabularySpec}
+FINISHES: Mapping[str, type] = {"spline": RefineSpec, "none": NoFinish}
+
+
+def part_of(value: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
+    """The part that a card's JSON holds; fields that this version does not know are left out."""
+    part = kinds.get(value["kind"])
+    if part is None:
+        return UnknownPart(value["kind"])
+    if hasattr(part, "from_dict"):
+        return part.from_dict(value)
+    return part(**{item.name: value[item.name] for item in fields(part) if item.name in value})

@@ -1,0 +1,105 @@
+"""What the exporter asks of a planner; each has an adapter in `planners/`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import onnx
+from torch import Tensor
+
+from anchorflow_client.contract import SamplerChoice, TensorSpec
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.manifest import (
+    AnswerEntry,
+    CostMapEntry,
+    NoFinishEntry,
+    OdeEntry,
+    SplineEntry,
+    TensorsEntry,
+    TimeEntry,
+    VocabularyEntry,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportChoices:
+    """What may be chosen at export; a planner that has no use for one of them leaves it.
+
+    sampler: over the planner's own default
+    noise_scale: spread of the noise; 1: as in training
+    robot_radius, safety_margin: m, defaults of the card
+    refine_steps: descents on each anchor
+    """
+
+    sampler: SamplerChoice = field(default_factory=SamplerChoice)
+    noise_scale: float = 1.0
+    robot_radius: float = 0.25
+    safety_margin: float = 0.1
+    refine_steps: int = 20
+
+
+@dataclass(frozen=True, eq=False)
+class TracedGraph:
+    """An ONNX graph and its signature."""
+
+    model: onnx.ModelProto
+    inputs: tuple[TensorSpec, ...]
+    outputs: tuple[TensorSpec, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannerParts:
+    """What a manifest says of the planner, beside its graphs.
+
+    inputs: of a request
+    """
+
+    inputs: tuple[TensorSpec, ...]
+    conditioning: CostMapEntry | TensorsEntry
+    sampler: OdeEntry | VocabularyEntry
+    finish: SplineEntry | NoFinishEntry
+    time: TimeEntry
+    answer: AnswerEntry
+
+
+@dataclass(frozen=True, eq=False)
+class GraphTrial:
+    """One call of a graph: what goes in, and what torch makes of it."""
+
+    what: str
+    role: str
+    inputs: Mapping[str, Tensor]
+    expected: Mapping[str, Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class SampleTrial:
+    """A whole sample: the engine's own, and torch's in a loop written the plain way."""
+
+    what: str
+    got: np.ndarray
+    expected: np.ndarray
+
+
+class PlannerAdapter(Protocol):
+    """A torch planner on its way to a bundle."""
+
+    @property
+    def parts(self) -> PlannerParts:
+        """What the manifest says of it."""
+        ...
+
+    def trace(self) -> Mapping[str, TracedGraph]:
+        """Its graphs by role. Raises `ExportError` where one cannot be traced."""
+        ...
+
+    def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
+        """Calls of every graph, at sizes other than those of the trace."""
+        ...
+
+    def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
+        """Samples of the written bundle by the card's own sampler, before the finish."""
+        ...

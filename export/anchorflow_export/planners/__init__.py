@@ -1,0 +1,12 @@
+"""One adapter a planner: its graphs, what its manifest says, and the trials that prove them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from anchorflow_export.adapter import ExportChoices, PlannerAdapter
+from anchorflow_export.planners.flowmp import flowmp_adapter
+
+ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {"flowmp": flowmp_adapter}
+"""By the name in the registry of planners: from a network to its adapter."""

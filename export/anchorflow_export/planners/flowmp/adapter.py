@@ -1,0 +1,215 @@
+"""FlowMP on its way to a bundle: three graphs, traced and tried at sizes that mean nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from anchorflow_client.contract import OdeSpec, TensorSpec
+from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
+from anchorflow_export.errors import ExportError
+from anchorflow_export.planners.flowmp.graphs import (
+    F32,
+    PRIOR_BASIS,
+    PRIOR_MEAN,
+    TIMES,
+    Context,
+    Encode,
+    Field,
+    FlowModel,
+    Modulate,
+    context_names,
+    encode_inputs,
+    encode_outputs,
+    unit_of,
+)
+from anchorflow_export.planners.flowmp.scenes import random_scenes, stacked_inputs
+from anchorflow_export.tracing import AXES, output_specs, trace
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.manifest import (
+    AnswerEntry,
+    CostMapEntry,
+    OdeEntry,
+    PriorEntry,
+    SplineEntry,
+    TimeEntry,
+)
+from anchorflow_service.engine.samplers.ode import OdeSampler
+from anchorflow_trajectory.ode.method import Method, method_named
+
+EXAMPLE_SIZES = {"B": 2, "N": 3, "K": 5, "H": 24, "W": 20}
+F64 = "float64"
+COMPONENTS = ("x", "y", "heading")
+ARRAYS = ("velocities", "accelerations", "scores", "clearance", "safe")
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Sizes that a graph is tried at; none is the one it was traced at."""
+
+    B: int
+    N: int
+    K: int
+    H: int
+    W: int
+
+
+TRIALS = (Trial(1, 1, 17, 64, 64), Trial(3, 5, 1, 16, 40), Trial(2, 64, 8, 97, 50))
+SAMPLE_TRIAL = Trial(2, 9, 0, 64, 48)  # N enough for two slices
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowMPAdapter:
+    """A flow model, and what a bundle of it answers where a request says nothing else.
+
+    T: time steps of an anchor; D: components of a pose
+    conditioning: with the grid that the model was trained on, and its limits
+    sampler, finish: what a request that leaves them open gets
+    """
+
+    model: FlowModel
+    T: int
+    D: int
+    conditioning: CostMapEntry
+    sampler: OdeSpec
+    finish: SplineEntry
+
+    @property
+    def parts(self) -> PlannerParts:
+        """A planner with a cost map, an "ode" sampler and a "spline" finish."""
+        D, limits = self.D, self.conditioning.limits
+        return PlannerParts(
+            inputs=(
+                TensorSpec("cost_map", F32, ("B", "C", "H", "W"), "", (0.0, 1.0)),
+                TensorSpec("map_geometry", F64, ("B", 3), "m, m, m/cell"),
+                TensorSpec("x_curr", F64, ("B", 3 * D), unit_of("m, m/s, m/s^2", D)),
+                TensorSpec("x_goal", F64, ("B", 2 * D), unit_of("m, m/s", D)),
+                TensorSpec("w_style", F64, ("B", 3), "", (0.0, None)),
+            ),
+            conditioning=self.conditioning,
+            sampler=OdeEntry(
+                method=self.sampler.method,
+                schedule=self.sampler.schedule,
+                prior=PriorEntry(mean=PRIOR_MEAN, basis=PRIOR_BASIS),
+            ),
+            finish=self.finish,
+            time=TimeEntry(steps=self.T, first_s=0.0, dt=limits.horizon_s / (self.T - 1)),
+            answer=AnswerEntry(components=COMPONENTS[:D], arrays=ARRAYS),
+        )
+
+    def trace(self) -> dict[str, TracedGraph]:
+        """encode, modulate and field.
+
+        Raises:
+            ExportError: a graph cannot be traced, or holds only for the examples' sizes.
+        """
+        model = self.model
+        inputs = encode_inputs(model, D=self.D, channels=self.conditioning.channels)
+        names = tuple(spec.name for spec in inputs)
+        encode = _trace(Encode(model, names), inputs, encode_outputs(model))
+        context = {spec.name: spec for spec in encode.outputs}
+
+        modulate_inputs = (TIMES, *_select(context, context_names(model, "modulate")))
+        modulate = _trace(Modulate(model), modulate_inputs, ("modulation",))
+
+        x_t = TensorSpec("x_t", F32, ("B", "N", self.T, 3 * self.D))
+        size = modulate.outputs[0].shape[-1]
+        one_time = TensorSpec("modulation", F32, ("B", size))
+        field_inputs = (x_t, one_time, *_select(context, context_names(model, "field")))
+        field_graph = _trace(Field(model), field_inputs, ("dx_t",))
+        return {"encode": encode, "modulate": modulate, "field": field_graph}
+
+    def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
+        """encode, modulate and field at several sizes, each fed from torch's own context."""
+        for seed, trial in enumerate(TRIALS):
+            yield from self._graph_trials(bundle, trial, seed)
+
+    def _graph_trials(self, bundle: Bundle, trial: Trial, seed: int) -> Iterator[GraphTrial]:
+        generator = torch.Generator().manual_seed(seed)
+        scenes = random_scenes(bundle, trial.B, (trial.H, trial.W), seed=seed)
+        inputs = stacked_inputs(bundle, scenes)
+        context = self.model.encode(**inputs)
+        yield GraphTrial(f"encode at {trial}", "encode", inputs, context)
+
+        times = torch.rand(trial.K, generator=generator).sort().values
+        modulation = self.model.modulate(times, context)
+        told = {**context, "times": times}
+        yield GraphTrial(f"modulate at {trial}", "modulate", told, {"modulation": modulation})
+
+        noise = torch.randn(trial.N, context[PRIOR_BASIS].shape[1], generator=generator)
+        x_t, one_time = _initial_state(context, noise), modulation[:, -1]
+        told = {**context, "x_t": x_t, "modulation": one_time}
+        expected = {"dx_t": self.model.field(x_t, one_time, context)}
+        yield GraphTrial(f"field at {trial}", "field", told, expected)
+
+    def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
+        """The card's sampler from the same noise: the plain torch loop and the engine's."""
+        trial, spec = SAMPLE_TRIAL, self.sampler
+        flow = OdeSampler(bundle, threads=2)
+        scenes = random_scenes(bundle, trial.B, (trial.H, trial.W), seed=len(TRIALS))
+        context = self.model.encode(**stacked_inputs(bundle, scenes))
+        for b, scene in enumerate(scenes):
+            encoded = flow.encode(scene)
+            noise = flow.draw_noise(encoded, num_samples=trial.N, seed=b)
+            state = flow.integrate(encoded, flow.initial_state(encoded, noise), spec)
+            expected = torch_sample(
+                self.model,
+                {name: tensor[b : b + 1] for name, tensor in context.items()},
+                _initial_state(context, torch.from_numpy(noise))[b : b + 1],
+                schedule=spec.schedule,
+                method=method_named(spec.method),
+            )
+            yield SampleTrial(f"sample of scene {b} at {trial}", state, expected[0].numpy())
+
+
+def torch_sample(
+    model: FlowModel,
+    context: Context,
+    x: Tensor,
+    *,
+    schedule: tuple[float, ...],
+    method: Method,
+) -> Tensor:
+    """The sampler written the plain way, one modulation an evaluation: x_0 -> x_1 [B,N,T,S]."""
+    before: list[Tensor] = []
+    for step, (start, end) in enumerate(pairwise(schedule)):
+        h, slopes = end - start, []
+        for row, c in zip(method.a_lower, method.c, strict=True):
+            point = x + sum((h * a * k for a, k in zip(row, slopes, strict=True)), 0.0)
+            modulation = model.modulate(torch.tensor([start + c * h]), context)[:, 0]
+            slopes.append(model.field(point, modulation, context))
+        before = [*slopes, *before]
+        x = x + sum(h * b * k for b, k in zip(method.weights(schedule, step), before, strict=False))
+    return x
+
+
+def _initial_state(context: Context, noise: Tensor) -> Tensor:
+    """x_0 [B,N,T,S] from noise [N,R]."""
+    mean = context[PRIOR_MEAN]
+    return mean[:, None] + (noise @ context[PRIOR_BASIS]).unflatten(-1, mean.shape[1:])
+
+
+def _trace(module: nn.Module, specs: tuple[TensorSpec, ...], outputs: Sequence[str]) -> TracedGraph:
+    traced = trace(module, [_example(spec) for spec in specs], inputs=specs, outputs=outputs)
+    return TracedGraph(traced, specs, output_specs(traced))
+
+
+def _example(spec: TensorSpec) -> Tensor:
+    """Random numbers of a tensor's shape."""
+    sizes = [EXAMPLE_SIZES[axis] if isinstance(axis, str) else axis for axis in spec.shape]
+    return torch.rand(sizes)
+
+
+def _select(context: Mapping[str, TensorSpec], names: Iterable[str]) -> list[TensorSpec]:
+    specs = [context[name] for name in names]
+    for spec in specs:
+        if unknown := [a for a in spec.shape if isinstance(a, str) and a not in AXES]:
+            raise ExportError(
+                f"context tensor {spec.name} has shape {[*spec.shape]}: "
+                f"{', '.join(unknown)} is neither a number nor one of {', '.join(AXES)}"
+            )
+    return specs

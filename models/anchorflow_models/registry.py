@@ -1,0 +1,52 @@
+"""The planners, by the name that configurations, checkpoints and bundles give them.
+
+A new planner is a folder with a configuration and a network, and a line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from torch import nn
+
+from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
+
+
+@dataclass(frozen=True)
+class Planner:
+    """A kind of planner.
+
+    config: dataclass of all that fixes its network's shape and units
+    create: a network of such a configuration, its weights drawn at random
+    """
+
+    name: str
+    config: type
+    create: Callable[[Any], nn.Module]
+
+
+PLANNERS: Mapping[str, Planner] = {
+    planner.name: planner for planner in (Planner("flowmp", L2Config, create_l2_safety_cfm),)
+}
+
+
+def planner_named(name: str) -> Planner:
+    """The planner of that name.
+
+    Raises:
+        ValueError: there is none; the message names those that there are.
+    """
+    if name not in PLANNERS:
+        raise ValueError(f"planner: expected one of {', '.join(PLANNERS)}, got {name!r}")
+    return PLANNERS[name]
+
+
+def planner_of(config: object) -> Planner:
+    """The planner whose configuration this is. Raises `ValueError` where it is nobody's."""
+    for planner in PLANNERS.values():
+        if isinstance(config, planner.config):
+            return planner
+    kinds = ", ".join(planner.config.__name__ for planner in PLANNERS.values())
+    raise ValueError(f"model: expected one of {kinds}, got a {type(config).__name__}")

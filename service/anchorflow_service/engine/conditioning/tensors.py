@@ -1,0 +1,68 @@
+"""Conditioning on tensors: what a request brings is what the graphs are fed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from anchorflow_client.contract import AnchorRequest, ResolvedRequest, TensorSpec
+from anchorflow_client.contract.inputs import TEXT
+from anchorflow_service.bundle.manifest import Manifest
+from anchorflow_service.engine.parts import Array, Arrays, unknown_names
+
+PROBE_AXIS = 32
+"""Size of an axis that the card leaves open."""
+
+
+class TensorConditioning:
+    """Scenes of named tensors."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._manifest = manifest
+
+    def faults(self) -> Iterator[str]:
+        """Inputs of encode that no request brings, or that it brings in another type."""
+        given = {spec.name: spec for spec in self._manifest.request.inputs}
+        encode = self._manifest.graphs["encode"]
+        yield from unknown_names("graphs.encode.inputs", encode.input_names, given)
+        for spec in encode.inputs:
+            if spec.name in given and spec.dtype != given[spec.name].dtype:
+                own = f"{spec.name} is {spec.dtype}"
+                yield f"graphs.encode.inputs: {own}, in request.inputs {given[spec.name].dtype}"
+
+    def scenes(self, request: ResolvedRequest) -> list[TensorScene]:
+        """The scenes of a request, whose inputs are bound to the card's."""
+        return [TensorScene(request, b) for b in range(request.num_scenes)]
+
+    def probe(self, *, num_samples: int) -> AnchorRequest:
+        """Zeros, or the nearest to them that the card allows."""
+        inputs = {spec.name: _probe(spec) for spec in self._manifest.request.inputs}
+        return AnchorRequest.build(inputs=inputs, num_samples=num_samples, seed=0)
+
+
+@dataclass(frozen=True)
+class TensorScene:
+    """One scene of a request."""
+
+    request: ResolvedRequest
+    index: int
+
+    def inputs(self, names: Iterable[str]) -> Arrays:
+        """The request's own, with a B axis of 1."""
+        own = slice(self.index, self.index + 1)
+        bound = {name: np.asarray(self.request.inputs[name]) for name in names}
+        return {name: np.ascontiguousarray(array[own]) for name, array in bound.items()}
+
+    def answered(self, arrays: Arrays) -> Arrays:
+        """As they are: the frame is the planner's own."""
+        return arrays
+
+
+def _probe(spec: TensorSpec) -> Array | str:
+    if spec.dtype == TEXT:
+        return "probe"
+    low, high = spec.range or (None, None)
+    shape = [size if isinstance(size, int) else PROBE_AXIS for size in spec.shape[1:]]
+    return np.full(shape, np.clip(0, low, high), dtype=spec.dtype)

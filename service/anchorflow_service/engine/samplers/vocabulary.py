@@ -1,0 +1,96 @@
+"""The vocabulary sampler: the best N of a fixed number of trajectories.
+
+    encode   the request's inputs     -> context, or all that follows
+    score    the context (optional)   -> trajectories [K,T,D], scores [K], extras
+
+Either graph may give any of them. Without scores the trajectories stand in the order of the graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.graphs import WideGraph
+from anchorflow_service.bundle.manifest import Manifest
+from anchorflow_service.engine.parts import (
+    Arrays,
+    Check,
+    Context,
+    Samples,
+    Scene,
+    missing_roles,
+    unknown_names,
+)
+
+TRAJECTORIES, SCORES = "trajectories", "scores"
+
+
+class VocabularySampler:
+    """The graphs of a "vocabulary" bundle, opened; several threads may sample at once.
+
+    Raises:
+        BundleError: a graph cannot be opened or its signature is not the manifest's.
+        ProviderError: the provider is not to be had.
+    """
+
+    def __init__(self, bundle: Bundle, *, threads: int, provider: str) -> None:
+        self._graphs = {
+            role: WideGraph(bundle, role, threads=threads, provider=provider)
+            for role in ("encode", "score")
+            if role in bundle.manifest.graphs
+        }
+        answer = bundle.manifest.answer
+        self._of_each = {spec.name for spec in answer.extras if spec.shape[1:2] == ("N",)}
+        self._extras = {spec.name for spec in answer.extras}
+
+    @staticmethod
+    def faults(manifest: Manifest) -> Iterator[str]:
+        """Roles, inputs and outputs that are missing."""
+        if missing := list(missing_roles(manifest, ("encode",))):
+            yield from missing
+            return
+        encode = manifest.graphs["encode"]
+        given = encode.output_names
+        if score := manifest.graphs.get("score"):
+            yield from unknown_names("graphs.score.inputs", score.input_names, given)
+            given += score.output_names
+        scores = [SCORES] if SCORES in manifest.answer.arrays else []
+        extras = [spec.name for spec in manifest.answer.extras]
+        yield from unknown_names("answer", [TRAJECTORIES, *scores, *extras], given)
+
+    def settle(self, scene: Scene) -> None:
+        """Look whether each graph gives the same bytes on one thread and on many."""
+        encode = self._graphs["encode"]
+        context = encode.settle(scene.inputs(encode.input_names))
+        if score := self._graphs.get("score"):
+            score.settle(score.select(context))
+
+    def encode(self, scene: Scene, *, threads: int) -> Context:
+        """What the first graph gives."""
+        encode = self._graphs["encode"]
+        return encode(scene.inputs(encode.input_names), threads=threads)
+
+    def sample(self, scene: Scene, context: Context, *, threads: int, check: Check) -> Samples:
+        """The best N by their scores, the best first."""
+        check()
+        given: Arrays = {**context}
+        if score := self._graphs.get("score"):
+            given |= score(score.select(context), threads=threads)
+            check()
+        trajectories = given[TRAJECTORIES][0]
+        scores = given[SCORES][0] if SCORES in given else None
+        best = _best(scores, len(trajectories), scene.request.num_samples)
+        arrays = {name: given[name][0] for name in self._extras}
+        arrays = {name: a[best] if name in self._of_each else a for name, a in arrays.items()}
+        if scores is not None:
+            arrays[SCORES] = scores[best]
+        return Samples(trajectories[best], arrays)
+
+
+def _best(scores: np.ndarray | None, size: int, count: int) -> np.ndarray:
+    """Indices [N] of the best, ties in the order of the graph."""
+    order = np.arange(size) if scores is None else np.argsort(-scores, kind="stable")
+    return order[:count]

@@ -1,0 +1,45 @@
+"""A client without a service: a bundle in this process, asked as one asks a server."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from anchorflow_client.base_client import BaseClient
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard, resolve_for_card
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_service.engine import Engine
+
+
+class LocalClient(BaseClient):
+    """Plans on the caller's thread.
+
+    with LocalClient.of(bundle) as client:
+        anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+
+    @classmethod
+    def of(cls, bundle: Path | str = DEFAULT_BUNDLE, *, threads: int | None = None) -> LocalClient:
+        """Over a bundle's folder. Raises `BundleError`."""
+        return cls(Engine(load_bundle(bundle), threads=threads))
+
+    def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+        """Anchors for a request that was built before."""
+        return self.engine.plan(resolve_for_card(request, self.engine.card))
+
+    def models(self) -> tuple[ModelCard, ...]:
+        """The bundle's card."""
+        return (self.engine.card,)
+
+    def live(self) -> bool:
+        """Always."""
+        return True
+
+    def ready(self) -> bool:
+        """Always."""
+        return True
+
+    def close(self) -> None:
+        """There is nothing to close."""
