@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import onnx
 import pytest
+from image_planner import write_image_bundle
 from onnx import numpy_helper
 
 from anchorflow_client import (
@@ -339,3 +340,14 @@ def background() -> Iterator[ThreadPoolExecutor]:
     """For a request that is not waited for at once."""
     with ThreadPoolExecutor(2) as executor:
         yield executor
+
+
+@pytest.fixture(scope="session")
+def _image_bundle_built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_image_bundle(tmp_path_factory.mktemp("image-bundle"))
+
+
+@pytest.fixture
+def image_bundle(_image_bundle_built: Path, tmp_path: Path) -> Path:
+    """The bundle of image_planner.py: a camera and the ego's status in, six trajectories out."""
+    return Path(shutil.copytree(_image_bundle_built, tmp_path / "image-bundle"))

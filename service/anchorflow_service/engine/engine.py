@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -107,8 +108,8 @@ class Engine:
     def _warm_up(self, bundle: Bundle) -> None:
         """Plan once. Raises `BundleError` where that fails or gives nonsense."""
         try:
-            asked = self._conditioning.probe(num_samples=PROBED)
-            probe = resolve_for_card(asked, self.card)
+            asked = resolve_for_card(self._conditioning.probe(), self.card)
+            probe = replace(asked, num_samples=min(PROBED, asked.num_samples))
             self.sampler.settle(self._scenes(probe)[0])
             batch = self.plan(probe)
         except Exception as error:  # onnxruntime's exceptions share no public base

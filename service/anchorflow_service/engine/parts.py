@@ -54,7 +54,7 @@ class Conditioning(Protocol):
         """The scenes of a request. Raises `InvalidRequest` for what the card does not tell."""
         ...
 
-    def probe(self, *, num_samples: int) -> AnchorRequest:
+    def probe(self) -> AnchorRequest:
         """A request that the planner can answer, to find out that a bundle works at all."""
         ...
 

@@ -63,7 +63,7 @@ class CostMapConditioning:
         near = _moved(request, reference) if reference.any() else request
         return [MapScene(near, b, most, reference) for b in range(request.num_scenes)]
 
-    def probe(self, *, num_samples: int) -> AnchorRequest:
+    def probe(self) -> AnchorRequest:
         """From one side of a free map to the other."""
         entry, dim = self._entry, self._manifest.D
         way = REACH * entry.limits.v_max * entry.limits.horizon_s  # m
@@ -77,7 +77,6 @@ class CostMapConditioning:
             },
             x_curr=[*start, *rest],
             x_goal=[*goal, *rest[:dim]],
-            num_samples=num_samples,
             seed=0,
         )
 

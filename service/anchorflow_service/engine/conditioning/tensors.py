@@ -36,10 +36,10 @@ class TensorConditioning:
         """The scenes of a request, whose inputs are bound to the card's."""
         return [TensorScene(request, b) for b in range(request.num_scenes)]
 
-    def probe(self, *, num_samples: int) -> AnchorRequest:
+    def probe(self) -> AnchorRequest:
         """Zeros, or the nearest to them that the card allows."""
         inputs = {spec.name: _probe(spec) for spec in self._manifest.request.inputs}
-        return AnchorRequest.build(inputs=inputs, num_samples=num_samples, seed=0)
+        return AnchorRequest.build(inputs=inputs, seed=0)
 
 
 @dataclass(frozen=True)

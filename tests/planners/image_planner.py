@@ -1,0 +1,142 @@
+"""A planner of the other kind, small enough to be worked out by hand: a camera image and the ego's
+status in, six of eight poses each out, the best first.
+
+    brightness = mean of the image / 255        speed = status[0]
+    trajectory k:  x = speed t,  y = (k - 2.5) t,  heading = 0.1 (k - 2.5),    t = 0.5 … 4.0 s
+    score k = -(5 brightness - k)²              so brightness chooses the trajectory
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+from onnx import numpy_helper
+
+K, T, D = 6, 8, 3
+HEIGHT, WIDTH = 16, 24
+TIMES = 0.5 * np.arange(1, T + 1, dtype=np.float32)
+
+ENCODE = """
+<ir_version: 10, opset_import: ["": 20]>
+encode (uint8[B,3,16,24] camera, float[B,4] ego_status)
+    => (float[B,1] brightness, float[B,1] speed, float[B,3,16,24] bev_semantics)
+<int64[3] all = {1, 2, 3}, int64[1] one = {1}, float white = {255.0},
+ int64[1] first = {0}, int64[1] second = {1}>
+{
+    pixels = Cast <to = 1> (camera)
+    bev_semantics = Div (pixels, white)
+    mean = ReduceMean <keepdims = 0> (bev_semantics, all)
+    brightness = Unsqueeze (mean, one)
+    speed = Slice (ego_status, first, second, one)
+}
+"""
+
+SCORE = """
+<ir_version: 10, opset_import: ["": 20]>
+score (float[B,1] brightness, float[B,1] speed)
+    => (float[B,6,8,3] trajectories, float[B,6] scores, float[B,6,2] goals)
+<float five = {5.0}, int64[2] spread = {2, 3}, int64[1] last = {7}, int64[1] eighth = {8},
+ int64[1] steps = {2}, int64[1] zero = {0}, int64[1] two = {2}, int64[1] parts = {3}>
+{
+    wide = Unsqueeze (speed, spread)
+    forward = Mul (wide, along)
+    trajectories = Add (forward, aside)
+    aim = Mul (brightness, five)
+    away = Sub (aim, order)
+    square = Mul (away, away)
+    scores = Neg (square)
+    ends = Slice (trajectories, last, eighth, steps)
+    flat = Squeeze (ends, steps)
+    goals = Slice (flat, zero, two, two)
+}
+"""
+
+
+def expected(brightness: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Trajectories [K,T,D] and scores [K], the best first."""
+    aside = np.arange(K) - 2.5
+    x = np.broadcast_to(speed * TIMES, (K, T))
+    y = aside[:, None] * TIMES
+    heading = np.broadcast_to(0.1 * aside[:, None], (K, T))
+    scores = -((5 * brightness - np.arange(K)) ** 2)
+    best = np.argsort(-scores, kind="stable")
+    return np.stack([x, y, heading], -1)[best], scores[best]
+
+
+def write_image_bundle(folder: Path) -> Path:
+    """The bundle, in a folder that is there."""
+    entries = {}
+    for role, model in _graphs().items():
+        data = model.SerializeToString()
+        (folder / f"{role}.onnx").write_bytes(data)
+        entries[role] = {
+            "file": f"{role}.onnx",
+            "sha256": hashlib.sha256(data).hexdigest(),
+            "opset": 20,
+            "inputs": [_spec(value) for value in model.graph.input],
+            "outputs": [_spec(value) for value in model.graph.output],
+        }
+    (folder / "manifest.json").write_text(json.dumps(_manifest(entries), indent=2))
+    return folder
+
+
+def _graphs() -> dict[str, onnx.ModelProto]:
+    graphs = {role: onnx.parser.parse_model(text) for role, text in ROLES.items()}
+    paths = expected(0.0, 1.0)[0]
+    along, aside = np.zeros((2, 1, K, T, D), np.float32)
+    along[..., 0], aside[..., 1:] = TIMES, paths[..., 1:]
+    constants = {"along": along, "aside": aside, "order": np.arange(K, dtype=np.float32)[None]}
+    for name, array in constants.items():
+        graphs["score"].graph.initializer.append(numpy_helper.from_array(array, name))
+    return graphs
+
+
+ROLES = {"encode": ENCODE, "score": SCORE}
+DTYPES = {1: "float32", 2: "uint8"}
+
+
+def _spec(value: onnx.ValueInfoProto) -> dict[str, Any]:
+    tensor = value.type.tensor_type
+    shape = [axis.dim_param or axis.dim_value for axis in tensor.shape.dim]
+    return {"name": value.name, "dtype": DTYPES[tensor.elem_type], "shape": shape}
+
+
+def _manifest(graphs: dict[str, Any]) -> dict[str, Any]:
+    camera = {"name": "camera", "dtype": "uint8", "shape": ["B", 3, HEIGHT, WIDTH]}
+    status = {
+        "name": "ego_status",
+        "dtype": "float32",
+        "shape": ["B", 4],
+        "unit": "m/s, m/s, m/s^2, m/s^2",
+        "range": [-60.0, 60.0],
+    }
+    return {
+        "format": 2,
+        "name": "tiny-camera",
+        "version": "1.0.0",
+        "planner": "by-hand",
+        "request": {"inputs": [camera, status]},
+        "conditioning": {"kind": "tensors"},
+        "sampler": {"kind": "vocabulary", "size": K},
+        "finish": {"kind": "none"},
+        "time": {"steps": T, "first_s": 0.5, "dt": 0.5},
+        "answer": {
+            "components": ["x", "y", "heading"],
+            "arrays": ["scores"],
+            "extras": [
+                {"name": "goals", "dtype": "float32", "shape": ["B", "N", 2], "unit": "m"},
+                {
+                    "name": "bev_semantics",
+                    "dtype": "float32",
+                    "shape": ["B", 3, HEIGHT, WIDTH],
+                    "range": [0.0, 1.0],
+                },
+            ],
+        },
+        "graphs": graphs,
+    }
