@@ -86,6 +86,16 @@ def test_what_is_near_is_moved_clear_and_the_ends_stay(barrier: ControlBarrier) 
     np.testing.assert_array_equal(corrected[..., fixed], control[..., fixed])
 
 
+def test_one_correction_after_another_frees_a_path_between_two_posts() -> None:
+    """A first one sees little but the post that is deeper in the way."""
+    occupied = np.zeros((64, 64), bool)
+    occupied[33:42, 18:22] = occupied[18:30, 42:46] = True
+    field = GridField(clearance_field(occupied, 0.1, 0.25), 0.1, np.zeros(2))
+    barrier, control = ControlBarrier(BASIS, field, 0.1), bows([0.0])
+    assert room(barrier, control)[0] < -0.2
+    assert room(barrier, barrier.corrected(control))[0] > 0.0
+
+
 def test_a_heading_stays(barrier: ControlBarrier) -> None:
     planar = bows([0.5, -0.5])
     heading = np.random.default_rng(1).normal(size=planar[:1].shape)

@@ -91,6 +91,19 @@ def test_what_is_safe_keeps_the_certified_margin(margin: float, barrier: bool) -
     assert distances(anchors.positions[anchors.safe]).min() >= margin
 
 
+@pytest.mark.parametrize(
+    ("safety_margin", "certified_margin", "aim"),
+    [(0.1, 0.0, 0.1), (0.0, 0.0, 0.0), (0.1, 0.2, 0.3), (0.0, 0.2, 0.3), (0.5, 0.2, 0.5)],
+)
+def test_the_descent_aims_beyond_what_is_certified(
+    safety_margin: float, certified_margin: float, aim: float
+) -> None:
+    spec = Spec(safety_margin=safety_margin, certified_margin=certified_margin)
+    clearance = clearance_field(occupied(), RESOLUTION, RADIUS)
+    fields = CostFields.of(occupied()[None], clearance, RESOLUTION, np.zeros(2))
+    assert REFINER.cost(fields, w_style=STYLE, spec=spec).margin == pytest.approx(aim, abs=1e-12)
+
+
 def test_without_a_certified_margin_less_is_kept_than_the_projection_aims_at() -> None:
     """Why there is one: this is what a caller of `safety_margin` cannot rely on."""
     anchors = refined(safety_margin=0.2)

@@ -26,7 +26,7 @@ from anchorflow_trajectory.spline import SplineBasis
 
 FloatArray = NDArray[np.floating]
 
-REACH = 0.25  # standard deviations of the prior
+REACH = 0.125  # standard deviations of the prior
 
 
 @dataclass(frozen=True, eq=False)
