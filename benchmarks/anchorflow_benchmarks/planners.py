@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.samplers import evaluations, parse_sampler, sampler_name
 from anchorflow_client.contract import (
     AnchorRequest,
@@ -19,8 +19,10 @@ from anchorflow_client.contract import (
 )
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
-from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
+
+NUM_SAMPLES = 64  # T of the baselines' anchors
 
 
 class Planner(Protocol):
@@ -36,7 +38,7 @@ class Planner(Protocol):
         """Of a vector field for a plan; None where there is no field."""
         ...
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         """All that a request costs happens in here: it is what is timed."""
         ...
 
@@ -53,12 +55,12 @@ class EnginePlanner:
     def evaluations(self) -> int:
         return evaluations(self.sampler)
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         request = request_of(scene, num=num, seed=seed, sampler=self.sampler)
         answer = self.engine.plan(resolve_for_card(request, self.engine.card))
         states = (answer.trajectories, answer.velocities, answer.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
-        return Anchors(position, velocity, acceleration, answer.dt, answer.safe)
+        return Proposals(position, velocity, acceleration, answer.dt, answer.safe)
 
 
 def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> AnchorRequest:
@@ -67,12 +69,17 @@ def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> Anchor
         cost_map=CostMap.build(scene.cost_map, scene.resolution, scene.origin),
         x_curr=scene.x_curr,
         x_goal=scene.x_goal,
-        w_style=scene.style,
+        w_style=scene.w_style,
         num_samples=num,
         robot_radius=scene.robot_radius,
         seed=seed,
         sampler=SamplerChoice(sampler.method, sampler.schedule),
     )
+
+
+def without_fields(scene: Scene) -> Scene:
+    """The scene before any of its fields was worked out: every request pays for them anew."""
+    return replace(scene)
 
 
 def engine_planners(

@@ -6,11 +6,10 @@ from collections.abc import Callable, Sequence
 from itertools import cycle
 from time import perf_counter
 
+from anchorflow_benchmarks.clients import Ask
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_benchmarks.turns import p50, p99, spare_the_collector, take_turns
-from anchorflow_client.contract import AnchorBatch, AnchorRequest
-
-Ask = Callable[[AnchorRequest], AnchorBatch]
+from anchorflow_client.contract import AnchorRequest
 
 ENGINE_STAGES = ("encode", "sample", "refine")
 IN_PROCESS = "in-process"

@@ -28,7 +28,7 @@ def occupied_at(row: int, column: int) -> list[Any]:
 def test_the_defaults_are_the_contracts(fields: dict[str, Any]) -> None:
     request = AnchorRequest.from_fields(fields)
 
-    assert request.num_samples == 64
+    assert request.num_samples is None
     assert not request.batched
     np.testing.assert_array_equal(request.w_style, [DEFAULT_STYLE])
     np.testing.assert_array_equal(request.cost_map.origin, [-5.0, -4.0])

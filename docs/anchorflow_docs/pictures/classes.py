@@ -7,10 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from anchorflow_docs.pictures.marks import draw_ends, draw_map, draw_paths
+from anchorflow_docs.pictures.marks import draw_ends, draw_map
 from anchorflow_docs.pictures.scenes import Stage, ways
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
 from anchorflow_training.data.homology import obstacle_points
+from anchorflow_trajectory.drawing import draw_paths
 
 FAMILY, WAYS = "forest", 4
 MOST = 6
@@ -22,7 +23,7 @@ def classes(stage: Stage) -> Drawing:
     scene = stage.scene_with_ways(FAMILY, WAYS)
     answer = stage.plan(scene)
     way_of = ways(scene, answer)
-    points = obstacle_points(scene.clearance, scene.resolution, scene.origin)
+    points = obstacle_points(scene.clearance_field, scene.resolution, scene.origin)
     count = min(int(way_of.max()) + 1, MOST)
 
     def draw(theme: Theme) -> Figure:

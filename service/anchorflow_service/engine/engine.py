@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.cores import usable_cores
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.finish import FINISHES
-from anchorflow_service.engine.parts import Arrays, Check, Sampler, Scene
+from anchorflow_service.engine.parts import Arrays, Check, ConditionedScene, Sampler
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
 from anchorflow_service.engine.timing import StageClock
@@ -44,7 +45,7 @@ class Engine:
         self.card: ModelCard = bundle.card
         self._threads = threads or usable_cores()
         self._conditioning = CONDITIONINGS[manifest.conditioning.kind](manifest)
-        for fault in (*kind.faults(manifest), *self._conditioning.faults()):
+        for fault in chain(kind.faults(manifest), self._conditioning.faults()):
             raise bundle.fault(fault)
         self.sampler: Sampler = kind(bundle, threads=self._threads, provider=provider)
         self._finish = FINISHES[manifest.finish.kind](manifest)
@@ -100,7 +101,7 @@ class Engine:
             raise InvalidRequest(f"expected a model with a flow, got {self.card.name}", "model")
         return self.sampler.flow_states(self._scenes(request)[0])
 
-    def _scenes(self, request: ResolvedRequest) -> Sequence[Scene]:
+    def _scenes(self, request: ResolvedRequest) -> Sequence[ConditionedScene]:
         if request.model != self.card.name:
             raise UnknownModel(f"expected {self.card.name}, got {request.model}", "model")
         return self._conditioning.scenes(request)
@@ -117,7 +118,9 @@ class Engine:
         if not batch.is_finite:
             raise BundleError(bundle.path, "the warm-up gave numbers that are not finite")
 
-    def _plan_scene(self, scene: Scene, clock: StageClock, threads: int, check: Check) -> Arrays:
+    def _plan_scene(
+        self, scene: ConditionedScene, clock: StageClock, threads: int, check: Check
+    ) -> Arrays:
         check()
         with clock.stage("encode"):
             context = self.sampler.encode(scene, threads=threads)

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from anchorflow_service.http.schemas import Text
 
+Datatype = Literal["FP32", "FP64", "INT64", "UINT8", "BOOL", "BYTES"]
 Scalar = bool | int | float | str
 Numbers = list[float] | list[list[float]] | list[list[list[float]]] | list[list[list[list[float]]]]
 
@@ -20,7 +21,7 @@ class MetadataTensorBody(BaseModel):
     """A tensor that a model takes or gives."""
 
     name: str
-    datatype: Literal["FP32", "FP64", "BOOL"]
+    datatype: Datatype
     shape: list[int] = Field(description="-1 for an axis of any length.")
 
 
@@ -44,12 +45,10 @@ class ModelReadyBody(BaseModel):
 class InferInputBody(_Body):
     """A tensor in JSON; in the binary form its data stand behind the header."""
 
-    name: Literal[
-        "cost_map", "map_geometry", "x_curr", "x_goal", "w_style", "warm_start", "schedule"
-    ]
-    datatype: Literal["FP32", "FP64"]
-    shape: list[Annotated[int, Field(ge=1)]] = Field(min_length=1, max_length=4)
-    data: Numbers = Field(description="In row-major order, flat or nested.")
+    name: Text = Field(description="Of the model's metadata.")
+    datatype: Datatype
+    shape: list[Annotated[int, Field(ge=1)]] = Field(max_length=8)
+    data: Numbers | list[str] = Field(description="In row-major order; numbers flat or nested.")
 
 
 class OutputParametersBody(_Body):
@@ -61,7 +60,7 @@ class OutputParametersBody(_Body):
 class InferOutputBody(_Body):
     """An output that is wanted."""
 
-    name: Literal["trajectories", "velocities", "accelerations", "scores", "clearance", "safe"]
+    name: Text = Field(description="Of the model's metadata.")
     parameters: OutputParametersBody | None = None
 
 

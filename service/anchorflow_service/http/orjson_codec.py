@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 import orjson
 
+from anchorflow_client.codec import Payload
+from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.json_codec import JsonCodec, not_json
+from anchorflow_service.http.images import with_pixels
 
 # What the standard library reads and orjson does not: NaN, Infinity, numbers beyond float64.
 _NOT_FINITE = re.compile(r"NaN|Infinity|[-\d]")
@@ -28,7 +31,11 @@ def parse(body: bytes) -> Any:
 
 
 class OrjsonCodec(JsonCodec):
-    """The contract as JSON, on the service's side."""
+    """The contract as JSON, on the service's side, where pictures are decoded."""
+
+    def decode_request(self, payload: Payload) -> AnchorRequest:
+        """A request out of untrusted bytes. Raises `InvalidRequest`."""
+        return with_pixels(super().decode_request(payload))
 
     def _dump(self, value: dict[str, Any]) -> bytes:
         return dump(value)

@@ -119,6 +119,29 @@ class WarmStartBody(_Body):
     )
 
 
+class ArrayBody(_Body):
+    """A tensor as the bytes that it is, little-endian, in row-major order."""
+
+    dtype: Literal["bool", "uint8", "int64", "float32", "float64"]
+    shape: list[Annotated[int, Field(ge=1)]] = Field(max_length=8)
+    base64: str
+
+
+class PngBody(_Body):
+    """A picture, decoded to uint8 [3,H,W]."""
+
+    png: str = Field(description="base64")
+
+
+class JpegBody(_Body):
+    """A picture, decoded to uint8 [3,H,W]."""
+
+    jpeg: str = Field(description="base64")
+
+
+InputBody = ArrayBody | PngBody | JpegBody | str | float | list[Any]
+"""An array, a picture, a text or nested lists of numbers; a list of strings is a batch."""
+
 EXAMPLE = {
     "cost_map": {"data": [[[0.0] * 16] * 16], "resolution": 0.5},
     "x_curr": [-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -129,7 +152,8 @@ EXAMPLE = {
 
 
 class AnchorRequestBody(_Body):
-    """A map, a state and a goal; everything else has a default. SI units, the map's frame.
+    """A map, a state and a goal in the map's frame, or the inputs that the model's card lists;
+    everything else has a default. SI units.
 
     A leading B on cost_map.data, x_curr, x_goal or w_style makes it a batch of scenes; a field
     without it is shared by all of them.
@@ -137,21 +161,31 @@ class AnchorRequestBody(_Body):
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [EXAMPLE]})
 
-    cost_map: CostMapBody
-    x_curr: State | Annotated[list[State], _BATCH] = Field(
+    cost_map: CostMapBody | None = Field(None, description="Of planners with a cost map, required.")
+    x_curr: State | Annotated[list[State], _BATCH] | None = Field(
+        None,
         description="[6] or [B,6]: p [m], v [m/s], a [m/s^2], each x and y; [9] or [B,9] for a "
         "model with D = 3: x, y and heading [rad], which runs on beyond pi; map and limits see "
-        "x and y alone."
+        "x and y alone.",
     )
-    x_goal: Goal | Annotated[list[Goal], _BATCH] = Field(
-        description="[4] or [B,4]: p [m], v [m/s]; [6] or [B,6] with heading."
+    x_goal: Goal | Annotated[list[Goal], _BATCH] | None = Field(
+        None, description="[4] or [B,4]: p [m], v [m/s]; [6] or [B,6] with heading."
     )
     w_style: Style | Annotated[list[Style], _BATCH] | None = Field(
         list(ranges.DEFAULT_STYLE),
         description="[3] or [B,3] at least 0: safety, energy, smooth; made to sum to 1.",
     )
+    inputs: dict[Text, InputBody] | None = Field(
+        None,
+        description="Of planners without a cost map: what their card lists, by name.",
+    )
+    outputs: list[Text] | None = Field(
+        None, description="Extras of the card that are sent along; none by default."
+    )
     num_samples: int | None = _within(
-        ranges.NUM_SAMPLES, "N, anchors a scene", default=ranges.DEFAULT_NUM_SAMPLES
+        ranges.NUM_SAMPLES,
+        "N, anchors a scene; of a fixed vocabulary the best N, at most its size",
+        default=ranges.DEFAULT_NUM_SAMPLES,
     )
     robot_radius: float | None = _within(
         ranges.ROBOT_RADIUS, "Radius of the robot; by default the card's", default=None
@@ -206,21 +240,29 @@ class TimingBody(BaseModel):
 
 
 class AnchorAnswerBody(BaseModel):
-    """N anchors a scene; a B axis leads every array where the request was batched."""
+    """N anchors a scene; a B axis leads every array where the request was batched.
+
+    The extras that `outputs` named stand beside these by their own names.
+    """
+
+    model_config = ConfigDict(extra="allow")
 
     trajectories: Tensor3 | Tensor4 = Field(
         description="[N,T,D] m; the third of D = 3 is a heading [rad]."
     )
-    velocities: Tensor3 | Tensor4 = Field(description="[N,T,D] m/s.")
-    accelerations: Tensor3 | Tensor4 = Field(description="[N,T,D] m/s^2.")
-    scores: Vector | Matrix = Field(description="[N], higher is better.")
-    clearance: Vector | Matrix = Field(
-        description="[N] m beyond robot_radius, smallest along the path."
+    velocities: Tensor3 | Tensor4 | None = Field(
+        None, description="[N,T,D] m/s; this and the next four where the model's card lists them."
     )
-    safe: list[bool] | list[list[bool]] = Field(
-        description="[N], whether the path keeps robot_radius from every obstacle."
+    accelerations: Tensor3 | Tensor4 | None = Field(None, description="[N,T,D] m/s^2.")
+    scores: Vector | Matrix | None = Field(None, description="[N], higher is better.")
+    clearance: Vector | Matrix | None = Field(
+        None, description="[N] m beyond robot_radius, smallest along the path."
+    )
+    safe: list[bool] | list[list[bool]] | None = Field(
+        None, description="[N], whether the path keeps robot_radius from every obstacle."
     )
     dt: float = Field(description="s between two time steps.")
+    first_s: float = Field(description="s from now to the first time step.")
     seed: int = Field(description="Give it again for the same anchors.")
     model: ModelIdBody
     timing_ms: TimingBody

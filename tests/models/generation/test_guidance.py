@@ -12,15 +12,14 @@ from torch import Tensor
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import (
-    Anchors,
+    AnchorTensors,
     GeneratorConfig,
     Guidance,
-    Scenes,
     TrajectoryGenerator,
+    encode_inputs,
+    requested_scenes,
 )
-from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
-from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.guidance import Guidance as ServedGuidance
 from anchorflow_trajectory.spline import spline_basis
 
@@ -32,7 +31,7 @@ def miss_of_via(states: Tensor) -> Tensor:
     return (states[:, :, states.shape[2] // 2, :2] - VIA).square().sum(-1)
 
 
-def states(anchors: Anchors) -> Tensor:
+def states(anchors: AnchorTensors) -> Tensor:
     return torch.cat([anchors.trajectories, anchors.velocities, anchors.accelerations], -1)[None]
 
 
@@ -49,9 +48,8 @@ def test_a_linear_cost_tilts_a_gaussian_as_in_closed_form(
     guided = generator.generate_with_guidance(
         *free_room.ends, seed=2, cost_fn=lambda x: (x * weight).sum((-2, -1)), scale=0.3
     )
-    context = flow.encode(
-        **Scenes.of(*free_room.ends, config=flow.config).encode_inputs(torch.device("cpu"))
-    )
+    scenes = requested_scenes(*free_room.ends, config=flow.config)
+    context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
     basis = context["prior_basis"][0]
     moved = -0.3 * (basis.T @ (basis @ weight.flatten())).reshape(1, 1, 32, 6)
     torch.testing.assert_close(
@@ -126,13 +124,12 @@ class SplineCost(torch.autograd.Function):
 def test_the_service_guides_as_this_does(gaussian_flow: Callable, room: Any, t: float) -> None:
     """The same cost in numpy, pulled back by hand, and here by autograd through the fit."""
     flow, basis = gaussian_flow(), spline_basis(32, 8.0, num_control_points=12)
-    _, x_curr, x_goal = (np.array(part, np.float32) for part in room.ends)
-    clearance = clearance_field(room.cost_map[0] > 0.5, 0.1, 0.25)
-    fields = CostFields.of(room.cost_map, clearance, 0.1, np.full(2, -4.0))
-    limits, style = MotionLimits(2.0, 3.0, 8.0), np.array([0.4, 0.3, 0.3], np.float32)
-    cost = TrajectoryCost(basis, fields, limits, style, 0.1)
-    scenes = Scenes.of(*room.ends, config=flow.config)
-    context = flow.encode(**scenes.encode_inputs(torch.device("cpu")))
+    (scene,) = scenes = requested_scenes(*room.ends, config=flow.config)
+    context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
+    parts = (scene.x_curr, scene.x_goal, scene.w_style)
+    x_curr, x_goal, w_style = (np.asarray(part, np.float32) for part in parts)
+    limits = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+    cost = TrajectoryCost(basis, scene.cost_fields, limits, w_style, 0.1)
 
     def cost_of(states: Tensor) -> Tensor:
         fixed = torch.from_numpy(basis.end_points(x_curr, x_goal))
@@ -144,8 +141,9 @@ def test_the_service_guides_as_this_does(gaussian_flow: Callable, room: Any, t: 
         parts = (ends[..., : basis.free.start], free, ends[..., basis.free.stop :])
         return SplineCost.apply(torch.cat(parts, -1), cost)[None]
 
-    noise = torch.randn(1, 6, flow.prior.rank, generator=torch.Generator().manual_seed(3))
-    x_t, field = flow.draw(noise, context), 0.1 * torch.randn(1, 6, 32, 6)
+    generator = torch.Generator().manual_seed(3)
+    x_t = flow.draw(torch.randn(1, 6, flow.prior.rank, generator=generator), context)
+    field = 0.1 * torch.randn(1, 6, 32, 6, generator=generator)
     scale = 1e-6  # below what the bound on a served step cuts
     expected = Guidance(cost_of, scale).guided(field, x_t, t, context["prior_basis"]) - field
     served = ServedGuidance.of(

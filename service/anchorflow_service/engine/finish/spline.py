@@ -5,7 +5,7 @@ from __future__ import annotations
 from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
-from anchorflow_service.engine.parts import Arrays, Samples, Scene
+from anchorflow_service.engine.parts import Arrays, ConditionedScene, Samples
 from anchorflow_trajectory.refine import Refiner
 
 
@@ -28,17 +28,16 @@ class SplineFinish:
     def __init__(self, manifest: Manifest) -> None:
         self._manifest = manifest
 
-    def finish(self, samples: Samples, scene: Scene) -> Arrays:
+    def finish(self, samples: Samples, scene: ConditionedScene) -> Arrays:
         """Anchors that meet both ends, and what they are worth."""
         assert isinstance(scene, MapScene)
         spec = scene.request.refine
         assert isinstance(spec, RefineSpec)
+        ends = scene.inputs(("x_curr", "x_goal", "w_style"))
         refined = refiner_of(self._manifest, scene).refine(
             samples.states,
-            scene.cost_fields,
-            x_curr=scene.x_curr,
-            x_goal=scene.x_goal,
-            w_style=scene.w_style,
+            scene.scene.cost_fields,
+            **{name: array[0] for name, array in ends.items()},
             spec=spec,
         )
         return {

@@ -11,14 +11,14 @@ from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, OdeEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish.spline import refiner_of
-from anchorflow_service.engine.parts import Context, Scene
+from anchorflow_service.engine.parts import ConditionedScene, Context
 from anchorflow_trajectory.guidance import Guidance
 from anchorflow_trajectory.ode.integrate import VectorField
 
 Array = NDArray[np.float32]
 
 
-def guidance_of(manifest: Manifest, scene: Scene, context: Context) -> Guidance | None:
+def guidance_of(manifest: Manifest, scene: ConditionedScene, context: Context) -> Guidance | None:
     """What the request of a scene adds to the field, on the cost and style of its finish.
 
     Without a prior, x_0 is standard normal in every number of a state.
@@ -30,11 +30,11 @@ def guidance_of(manifest: Manifest, scene: Scene, context: Context) -> Guidance 
     assert isinstance(manifest.sampler, OdeEntry)
     prior = manifest.sampler.prior
     size = manifest.time.steps * manifest.state_size
-    refiner = refiner_of(manifest, scene)
+    ends = {name: array[0] for name, array in scene.inputs(("x_curr", "x_goal")).items()}
+    (w_style,) = scene.inputs(("w_style",))["w_style"]
     return Guidance.of(
-        refiner.cost(scene.cost_fields, w_style=scene.w_style, spec=spec),
-        x_curr=scene.x_curr,
-        x_goal=scene.x_goal,
+        refiner_of(manifest, scene).cost(scene.scene.cost_fields, w_style=w_style, spec=spec),
+        **ends,
         prior_basis=context[prior.basis][0] if prior else np.eye(size, dtype=np.float32),
         scale=spec.guidance,
     )

@@ -1,0 +1,50 @@
+"""Pictures in JSON requests: PNG and JPEG files become the pixels that a planner's card lists."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from anchorflow_client.contract import AnchorRequest, EncodedImage
+from anchorflow_client.errors import InvalidRequest
+
+BROKEN = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)
+"""What Pillow raises of broken files, by their format."""
+MAX_PIXELS = 16 * 2**20
+"""Of one picture; a file of a few kB may unpack to gigabytes."""
+
+
+def with_pixels(request: AnchorRequest) -> AnchorRequest:
+    """The request with its pictures decoded. Raises `InvalidRequest`, which names the input."""
+    pictures = {
+        name: decoded(value, f"inputs.{name}.{value.format}")
+        for name, value in request.inputs.items()
+        if isinstance(value, EncodedImage)
+    }
+    return replace(request, inputs={**request.inputs, **pictures}) if pictures else request
+
+
+def decoded(image: EncodedImage, field: str) -> NDArray[np.uint8]:
+    """Pixels [3,H,W], RGB.
+
+    Raises:
+        InvalidRequest: it is no file of the format that it claims, it is broken, or it has more
+            than MAX_PIXELS, which is looked at before anything is decoded.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit is our own
+            with Image.open(io.BytesIO(image.data), formats=[image.format]) as picture:
+                width, height = picture.size
+                if width * height > MAX_PIXELS:
+                    most = f"a picture of at most {MAX_PIXELS} pixels"
+                    raise InvalidRequest(f"expected {most}, got {width} x {height}", field)
+                pixels = np.asarray(picture.convert("RGB"))
+    except BROKEN as error:
+        raise InvalidRequest(f"expected a {image.format} file, got {error}", field) from error
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
