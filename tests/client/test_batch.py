@@ -10,7 +10,6 @@ import pytest
 from anchorflow_client import AnchorBatch, ModelId
 from anchorflow_client.contract.batch import ARRAY_DTYPES, NEAR
 
-
 MODEL = ModelId("lines", "1", "ab")
 
 
