@@ -62,7 +62,7 @@ def test_a_sample_becomes_a_scene(tmp_path: Path) -> None:
     ways = cost_to_go(clearance, 0.1, np.zeros(2), *ends)
     np.testing.assert_allclose(rows["cost_to_go"][0], ways, rtol=1e-3)
     assert rows["states"].shape == (2, 1, STEPS, 6)
-    np.testing.assert_allclose(rows["states"][0, 0, :, 2], 2.0, atol=1e-4)
+    np.testing.assert_allclose(rows["states"][0, 0, :, 2], 2.0, atol=1e-6)
 
 
 def test_the_folder_tells_the_trainer_what_it_needs(tmp_path: Path) -> None:
@@ -153,9 +153,9 @@ def test_samples_without_a_map_get_an_empty_one(dim: int, tmp_path: Path) -> Non
     np.testing.assert_allclose(origin, -16 * resolution, rtol=1e-6)
     np.testing.assert_array_equal(rows["cost_map"][:, 0], 0)
     path = rows["states"][0, 0, :, :2]
-    np.testing.assert_allclose(path[[0, -1]], [[-2, 0], [2, 0]], atol=1e-3)
+    np.testing.assert_allclose(path[[0, -1]], [[-2, 0], [2, 0]], atol=1e-6)
     assert (np.abs(path) < 16 * resolution - 2).all()
-    np.testing.assert_allclose(np.diff(path[:, 0]), 0.2, atol=1e-4)
+    np.testing.assert_allclose(np.diff(path[:, 0]), 0.2, atol=1e-6)
     assert rows["x_curr"].shape == (2, 3 * dim)
     assert rows["x_goal"].shape == (2, 2 * dim)
 
