@@ -22,14 +22,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from anchorflow_models import L2Config, L2SafetyCFM
-from anchorflow_models.generation import Anchors, GeneratorConfig, TrajectoryGenerator
+from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_training.batches import BatchConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
-from anchorflow_training.scenes import Scene, SceneError, draw_scene
+from anchorflow_training.scenes import SceneError, draw_scene
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
 
 DRAWN = GeneratorConfig(num_samples=24, project=False)
 FINISHED = GeneratorConfig(num_samples=24)
@@ -98,14 +99,14 @@ def new_scenes(count: int, *, limits: MotionLimits, seed: int) -> list[Scene]:
 
 def anchors_in(
     scenes: Sequence[Scene], model: L2SafetyCFM, config: GeneratorConfig
-) -> list[Anchors]:
+) -> list[AnchorTensors]:
     generator = TrajectoryGenerator(model, config)
     return [
         generator.generate(
             scene.cost_map,
             scene.x_curr,
             scene.x_goal,
-            scene.style,
+            scene.w_style,
             resolution=scene.resolution,
             origin=scene.origin,
             robot_radius=scene.robot_radius,
@@ -115,7 +116,7 @@ def anchors_in(
     ]
 
 
-def draw(scenes: Sequence[Scene], rows: dict[str, list[Anchors]], path: Path) -> None:
+def draw(scenes: Sequence[Scene], rows: dict[str, list[AnchorTensors]], path: Path) -> None:
     """A row a planner, a column a scene; green anchors are safe."""
     size = 3.0 * len(scenes), 3.1 * len(rows)
     figure = Figure(figsize=size, layout="constrained")
@@ -127,7 +128,7 @@ def draw(scenes: Sequence[Scene], rows: dict[str, list[Anchors]], path: Path) ->
     figure.savefig(path, dpi=100)
 
 
-def draw_scene_with(axes: Axes, scene: Scene, anchors: Anchors) -> None:
+def draw_scene_with(axes: Axes, scene: Scene, anchors: AnchorTensors) -> None:
     x, y = scene.origin
     height, width = (n * scene.resolution for n in scene.cost_map.shape[1:])
     extent = (x, x + width, y, y + height)

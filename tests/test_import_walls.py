@@ -6,8 +6,10 @@ import ast
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping
 from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -34,7 +36,13 @@ WALLS: dict[str, set[str]] = {
         "yaml",  # ROS maps
         "PIL",
     },
-    "anchorflow_models": {"anchorflow_trajectory", "numpy", "torch", "torchdiffeq"},
+    "anchorflow_models": {
+        "anchorflow_client",
+        "anchorflow_trajectory",
+        "numpy",
+        "torch",
+        "torchdiffeq",
+    },
     "anchorflow_training": {
         "anchorflow_models",
         "anchorflow_trajectory",
@@ -115,6 +123,41 @@ def imported_packages(source: str) -> Iterator[str]:
             yield node.module.partition(".")[0]
 
 
+def imported_modules(source: str, known: Collection[str]) -> Iterator[str]:
+    """The modules of ours that a text imports, in functions and TYPE_CHECKING too."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in known)
+        elif isinstance(node, ast.ImportFrom) and node.module in known:
+            inner = (f"{node.module}.{alias.name}" for alias in node.names)
+            yield from (name if name in known else str(node.module) for name in inner)
+
+
+def import_circle(sources: Mapping[str, str], packages: Collection[str]) -> list[str]:
+    """Neighbours in one folder that import each other in a circle, if there are any.
+
+    What a folder's modules import counts as the folder's, wherever it reaches out of it; its own
+    `__init__` is a neighbour like any other.
+
+    sources: text by module; packages: those that are folders
+    """
+    neighbours: defaultdict[str, set[str]] = defaultdict(set)
+    for module, source in sources.items():
+        for other in set(imported_modules(source, sources)) - {module}:
+            here, there = (
+                [*name.split("."), *(["__init__"] if name in packages else [])]
+                for name in (module, other)
+            )
+            depth = next(i for i, (a, b) in enumerate(zip(here, there, strict=False)) if a != b)
+            end = depth + 1
+            neighbours[".".join(here[:end])].add(".".join(there[:end]))
+    try:
+        TopologicalSorter(neighbours).prepare()
+    except CycleError as circle:
+        return circle.args[1]
+    return []
+
+
 def forbidden_imports(source: str, package: str, *, module: str = "") -> set[str]:
     allowed = WALLS[package] | exception_of(module) | {package}
     return set(imported_packages(source)) - allowed - sys.stdlib_module_names
@@ -183,6 +226,32 @@ def test_a_forbidden_import_is_found(package: str, source: str, forbidden: set[s
     assert forbidden_imports(source, package) == forbidden
 
 
+@pytest.mark.parametrize("package", WALLS)
+def test_no_circle_of_imports(package: str) -> None:
+    paths = list(source_folder(package).rglob("*.py"))
+    folders = {module_name(path, package) for path in paths if path.name == "__init__.py"}
+    sources = {module_name(path, package): path.read_text() for path in paths}
+    assert import_circle(sources, folders) == []
+
+
+@pytest.mark.parametrize(
+    ("sources", "circle"),
+    [
+        ({"p": "from p.a import x", "p.a": "import p.b", "p.b": ""}, set()),
+        ({"p": "", "p.a": "import p.b", "p.b": "from p import a"}, {"p.a", "p.b"}),
+        ({"p": "", "p.a": "if TYPE_CHECKING:\n  import p.b", "p.b": "import p.a"}, {"p.a", "p.b"}),
+        ({"p": "from p.a import x", "p.a": "from p import x"}, {"p.__init__", "p.a"}),
+        # Two folders, although no file of theirs is in a circle.
+        (
+            {"p": "", "p.f.a": "import p.g.a", "p.g.a": "", "p.g.b": "import p.f.b", "p.f.b": ""},
+            {"p.f", "p.g"},
+        ),
+    ],
+)
+def test_a_circle_is_found(sources: dict[str, str], circle: set[str]) -> None:
+    assert set(import_circle(sources, {"p"})) == circle
+
+
 @pytest.mark.parametrize(
     ("module", "forbidden"),
     [
@@ -218,3 +287,10 @@ def test_the_networks_load_no_server() -> None:
 def test_loading_is_seen() -> None:
     """The probe above finds what a package does load."""
     assert {"numpy", "scipy"} <= loaded_packages("anchorflow_trajectory")
+
+
+def test_a_blocking_robot_does_not_load_an_event_loop() -> None:
+    """asyncio costs a seventh of the client's own import."""
+    program = "import sys, anchorflow_client; sys.exit('asyncio' in sys.modules)"
+
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -10,18 +10,15 @@ from numpy.typing import NDArray
 
 from anchorflow_benchmarks.anchors import Anchors
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.planners import Planner, limits_of
+from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, limits_of, without_fields
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
-from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import spline_basis
 
-NUM_SAMPLES = 64  # T
 EXPERT_STEPS = (60, 200)
 
 
@@ -40,7 +37,7 @@ class ExpertPlanner:
     def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
         config = ExpertConfig(num_samples=NUM_SAMPLES, tries=num, steps=self.steps)
         config = replace(config, paths=min(config.paths, num))
-        scene, rng = with_own_clearance(scene), np.random.default_rng(seed)
+        scene, rng = without_fields(scene), np.random.default_rng(seed)
         solution = solve(scene, config=config, limits=self.limits, rng=rng)
         basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
         return Anchors.of_spline(basis, solution.control, safe=solution.good)
@@ -90,7 +87,7 @@ class RefinedLinesPlanner:
     def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
         raw = self.lines.plan(scene, num=num, seed=seed)
         parts = (raw.positions, raw.velocities, raw.accelerations)
-        scene = with_own_clearance(scene)
+        scene = without_fields(scene)
         refiner = Refiner.of(
             self.lines.limits,
             num_steps=NUM_SAMPLES,
@@ -100,21 +97,15 @@ class RefinedLinesPlanner:
         )
         refined = refiner.refine(
             np.concatenate(parts, axis=-1, dtype=np.float32),
-            CostFields.of(scene.cost_map, scene.clearance, scene.resolution, scene.origin),
+            scene.cost_fields,
             x_curr=scene.x_curr,
             x_goal=scene.x_goal,
-            w_style=scene.style,
+            w_style=scene.w_style,
             spec=self.refine,
         )
         states = (refined.positions, refined.velocities, refined.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
         return Anchors(position, velocity, acceleration, raw.dt, refined.safe)
-
-
-def with_own_clearance(scene: Scene) -> Scene:
-    """The scene with its clearance worked out anew, as every request has to."""
-    clearance = clearance_field(scene.occupied, scene.resolution, scene.robot_radius)
-    return replace(scene, clearance=clearance)
 
 
 def minimum_jerk(num_samples: int) -> NDArray[np.float64]:

@@ -22,7 +22,7 @@ from anchorflow_client.base_client import BaseClient
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.errors import AnchorFlowError
 
-CLIENT_LOG = "anchorflow_client.zenoh_client.asking"
+CLIENT_LOG = "anchorflow_client.zenoh_client.failover"
 MOST_AT_A_TIME = 64
 
 

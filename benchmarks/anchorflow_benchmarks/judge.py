@@ -24,8 +24,8 @@ from scipy.spatial.distance import cdist
 
 from anchorflow_benchmarks.anchors import Anchors
 from anchorflow_benchmarks.grid_path import shortest_grid_path
-from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

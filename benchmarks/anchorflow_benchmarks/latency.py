@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.operations import PRODUCT_FLOPS, MatrixProduct, count_flops
-from anchorflow_benchmarks.plain_loop import Array, Arrays, OnnxField, integrate_plainly
+from anchorflow_benchmarks.plain_loop import Array, Arrays, OnnxField, sample_plainly
 from anchorflow_benchmarks.planners import request_of
 from anchorflow_benchmarks.report import ResultTable
 from anchorflow_benchmarks.samplers import evaluations, sampler_name
@@ -22,7 +22,7 @@ from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
 from anchorflow_service.engine.samplers.ode import OdeSampler
-from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.scene import Scene
 
 SEED = 1
 STAGES = ("encode", "sample", "refine", "total")
@@ -55,7 +55,7 @@ class Contest:
 def onnx_loop(bundle: Bundle, *, threads: int, repeat_inputs: bool = False) -> Loop:
     """The naive loop over a bundle's own graphs."""
     graphs = OnnxField(bundle, threads=threads, repeat_inputs=repeat_inputs)
-    return lambda inputs, x, sampler: integrate_plainly(graphs.of(inputs), x, sampler)
+    return lambda inputs, x, sampler: sample_plainly(graphs.of(inputs), x, sampler)
 
 
 def torch_loop(checkpoint: Path, *, threads: int) -> Loop:

@@ -6,8 +6,7 @@ asks for one flow time. The loop itself is the textbook's, with its temporary ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from itertools import pairwise
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,24 +16,16 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
 from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.ode.reference import PlainField, integrate_plainly
 
 Array = NDArray[np.float32]
 Arrays = Mapping[str, Array]
-Field = Callable[[Any, float], Any]
 
 
-def integrate_plainly(field: Field, x: Any, sampler: OdeSpec) -> Any:
+def sample_plainly(field: PlainField, x: Any, sampler: OdeSpec) -> Any:
     """x at t = 1 from x at t = 0 [N,T,S]; numpy arrays or torch tensors."""
-    method, before = method_named(sampler.method), []
-    for step, (start, end) in enumerate(pairwise(sampler.schedule)):
-        h, slopes = end - start, []
-        for row, c in zip(method.a_lower, method.c, strict=True):
-            moves = [h * a * k for a, k in zip(row, slopes, strict=True)]
-            slopes.append(field(x + sum(moves) if moves else x, start + c * h))
-        before = [*slopes, *before]
-        weights = method.weights(sampler.schedule, step)
-        x = x + sum(h * b * k for b, k in zip(weights, before, strict=False))
-    return x
+    method = method_named(sampler.method)
+    return integrate_plainly(field, x, schedule=sampler.schedule, method=method)
 
 
 class OnnxField:
@@ -50,7 +41,7 @@ class OnnxField:
         }
         self._repeat_inputs = repeat_inputs
 
-    def of(self, inputs: Arrays) -> Field:
+    def of(self, inputs: Arrays) -> PlainField:
         """The field of one scene, given the inputs of encode with a B axis of 1."""
 
         def field(x: Array, t: float) -> Array:

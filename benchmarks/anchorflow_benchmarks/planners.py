@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -19,8 +19,10 @@ from anchorflow_client.contract import (
 )
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
-from anchorflow_training.scenes import Scene
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
+
+NUM_SAMPLES = 64  # T of the baselines' anchors
 
 
 class Planner(Protocol):
@@ -67,12 +69,17 @@ def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> Anchor
         cost_map=CostMap.build(scene.cost_map, scene.resolution, scene.origin),
         x_curr=scene.x_curr,
         x_goal=scene.x_goal,
-        w_style=scene.style,
+        w_style=scene.w_style,
         num_samples=num,
         robot_radius=scene.robot_radius,
         seed=seed,
         sampler=SamplerChoice(sampler.method, sampler.schedule),
     )
+
+
+def without_fields(scene: Scene) -> Scene:
+    """The scene before any of its fields was worked out: every request pays for them anew."""
+    return replace(scene)
 
 
 def engine_planners(

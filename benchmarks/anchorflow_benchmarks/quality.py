@@ -14,7 +14,7 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.judge import MEASURES, SceneJudge, Verdict
 from anchorflow_benchmarks.planners import Planner
 from anchorflow_benchmarks.report import ResultTable, Row
-from anchorflow_training.scenes import Scene
+from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
 
 SEED = 1
@@ -34,7 +34,7 @@ STYLE_CHANGES = (("clear", "safe", "fast"), ("length", "safe", "fast"), ("jerk",
 class Plan:
     """What a planner answered for a scene: [N] anchors, their verdict, and the time in ms."""
 
-    scene: Scene
+    scene: FamilyScene
     anchors: Anchors
     verdict: Verdict
     ms: float
@@ -45,7 +45,7 @@ Plans = dict[str, list[Plan]]
 
 def judge_planners(
     planners: Sequence[Planner],
-    scenes: Sequence[Scene],
+    scenes: Sequence[FamilyScene],
     *,
     limits: MotionLimits,
     num: int,
@@ -99,7 +99,7 @@ def quality_row(planner: Planner, plans: Sequence[Plan], family: str = ALL) -> R
 
 def style_table(
     planners: Sequence[Planner],
-    scenes: Sequence[Scene],
+    scenes: Sequence[FamilyScene],
     *,
     limits: MotionLimits,
     num: int,
@@ -114,7 +114,7 @@ def style_table(
         judge = SceneJudge(scene, limits)
         for planner in planners:
             for name, style in STYLES.items():
-                styled = replace(scene, style=np.array(style, np.float32))
+                styled = replace(scene, w_style=np.array(style, np.float32))
                 verdict = judge.judge(planner.plan(styled, num=num, seed=SEED))
                 found[planner.name][name].append(verdict.measures)
         progress(1)

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]  # not everywhere
 
 from anchorflow_benchmarks.anchors import Anchors
-from anchorflow_benchmarks.baselines import NUM_SAMPLES, with_own_clearance
+from anchorflow_benchmarks.planners import NUM_SAMPLES, without_fields
 from anchorflow_training.expert.grid_paths import time_along
-from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import spline_basis
 
 FloatArray = NDArray[np.float32]
@@ -46,7 +45,7 @@ class RrtConnectPlanner:
     def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
         seed_generators(seed)
         straight = np.stack([scene.x_curr[:2], scene.x_goal[:2]])
-        space = _space(with_own_clearance(scene), self.margin)
+        space = _space(without_fields(scene), self.margin)
         paths, failures = [], 0
         for _ in range(num):
             path = _solved(space, straight) if failures < PATIENCE else None
@@ -70,7 +69,7 @@ def seed_generators(seed: int) -> None:
 
 def _space(scene: Scene, margin: float) -> base.SpaceInformation:
     """The map as OMPL sees it: the square around it, in which points are valid or not."""
-    size = np.array(scene.clearance.shape[::-1]) * scene.resolution
+    size = np.array(scene.occupied.shape[::-1]) * scene.resolution
     bounds = base.RealVectorBounds(2)  # its bindings set both axes at once
     bounds.setLow(float(scene.origin.min()))
     bounds.setHigh(float((scene.origin + size).max()))
@@ -85,11 +84,11 @@ def _space(scene: Scene, margin: float) -> base.SpaceInformation:
 
 def validity(scene: Scene, margin: float) -> Callable[[State], bool]:
     """Whether a state keeps the margin, looked up in a fine grid: OMPL asks thousands of times."""
-    field = GridField(scene.clearance, scene.resolution, scene.origin)
+    field = scene.cost_fields.clearance
     ends = np.stack([scene.x_curr[:2], scene.x_goal[:2]])
     margin = min(margin, float(field.sample(*ends.T).min()) - 1e-3)
     columns, rows = (
-        int(np.ceil(cells * scene.resolution / LOOKUP)) for cells in scene.clearance.shape[::-1]
+        int(np.ceil(cells * scene.resolution / LOOKUP)) for cells in scene.occupied.shape[::-1]
     )
     x, y = (
         (low + (np.arange(count) + 0.5) * LOOKUP).astype(np.float32)

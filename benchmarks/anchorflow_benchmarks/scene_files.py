@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_client.contract import DEFAULT_STYLE
-from anchorflow_training.scenes import Scene, SceneError, draw_scene
-from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_training.scenes import FamilyScene, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import with_neutral_channels
 
 DRAWN = "drawn"
 WITHOUT_FILE = f"{DRAWN}:60:0"
+CHANNELS = 3  # occupancy, traversability, risk
 HELD_OUT = 0x5EED  # keeps drawn scenes apart from those of a dataset of the same seed
 STYLE = np.array(DEFAULT_STYLE, np.float32)
 
@@ -32,7 +33,9 @@ def default_source() -> str:
     return str(path) if path.exists() else WITHOUT_FILE
 
 
-def load_scenes(source: str, *, limits: MotionLimits, limit: int | None = None) -> list[Scene]:
+def load_scenes(
+    source: str, *, limits: MotionLimits, limit: int | None = None
+) -> list[FamilyScene]:
     """Scenes of a file, or `drawn:COUNT:SEED`; at most `limit` of them, evenly spread.
 
     Raises:
@@ -45,7 +48,7 @@ def load_scenes(source: str, *, limits: MotionLimits, limit: int | None = None) 
     return scenes
 
 
-def read_scenes(path: Path) -> list[Scene]:
+def read_scenes(path: Path) -> list[FamilyScene]:
     """The scenes of a .npz file, each map centred on (0, 0).
 
     Its keys: occupancy uint8 [S, H, W/8], packed along its last axis, row 0 at the bottom;
@@ -69,7 +72,9 @@ def read_scenes(path: Path) -> list[Scene]:
         raise BenchmarkError(f"{path}: not a file of scenes ({error})") from error
 
 
-def draw_scenes(count: int, seed: int, *, limits: MotionLimits, cells: int = 96) -> list[Scene]:
+def draw_scenes(
+    count: int, seed: int, *, limits: MotionLimits, cells: int = 96
+) -> list[FamilyScene]:
     """Scenes of every family that training knows, none of which is in a dataset."""
     scenes = []
     for index in range(count):
@@ -80,11 +85,11 @@ def draw_scenes(count: int, seed: int, *, limits: MotionLimits, cells: int = 96)
             except SceneError:
                 continue
             break
-        scenes.append(replace(scene, style=STYLE))
+        scenes.append(replace(scene, w_style=STYLE))
     return scenes
 
 
-def _drawn(text: str, limits: MotionLimits) -> list[Scene]:
+def _drawn(text: str, limits: MotionLimits) -> list[FamilyScene]:
     try:
         count, seed = (int(number) for number in text.split(":"))
     except ValueError:
@@ -101,10 +106,15 @@ def _scene(
     radius: float,
     x_curr: NDArray[np.float32],
     x_goal: NDArray[np.float32],
-) -> Scene:
+) -> FamilyScene:
     """A scene whose ground is neutral but for its obstacles."""
-    occupancy = occupied.astype(np.float32)
-    cost_map = np.stack([occupancy, np.ones_like(occupancy), np.zeros_like(occupancy)])
-    origin = -0.5 * resolution * np.array(occupied.shape[::-1], np.float64)
-    clearance = clearance_field(occupied, resolution, radius)
-    return Scene(family, cost_map, resolution, origin, radius, x_curr, x_goal, STYLE, clearance)
+    return FamilyScene(
+        family=family,
+        cost_map=with_neutral_channels(occupied[None].astype(np.float32), CHANNELS),
+        resolution=resolution,
+        origin=-0.5 * resolution * np.array(occupied.shape[::-1], np.float64),
+        robot_radius=radius,
+        x_curr=x_curr,
+        x_goal=x_goal,
+        w_style=STYLE,
+    )

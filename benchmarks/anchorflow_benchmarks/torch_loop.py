@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.plain_loop import Arrays, Field, integrate_plainly
+from anchorflow_benchmarks.plain_loop import Arrays, sample_plainly
 from anchorflow_client.contract import OdeSpec
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.restore import restore_model
+from anchorflow_trajectory.ode.reference import PlainField
 
 
 class TorchLoop:
@@ -36,9 +37,9 @@ class TorchLoop:
     ) -> NDArray[np.float32]:
         """States at t = 1 [N,T,S] from x at t = 0, given the inputs of encode, B = 1."""
         tensors = {name: torch.from_numpy(array) for name, array in inputs.items()}
-        return integrate_plainly(self._field(tensors), torch.from_numpy(x), sampler).numpy()
+        return sample_plainly(self._field(tensors), torch.from_numpy(x), sampler).numpy()
 
-    def _field(self, inputs: dict[str, Tensor]) -> Field:
+    def _field(self, inputs: dict[str, Tensor]) -> PlainField:
         def field(x: Tensor, t: float) -> Tensor:
             encoded = self._model.encode(**inputs)
             context = {n: v.repeat_interleave(len(x), 0) for n, v in encoded.items()}

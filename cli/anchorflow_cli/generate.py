@@ -34,7 +34,7 @@ from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_models.generation import Anchors, GeneratorConfig, TrajectoryGenerator
+from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_models.generation.scenes import DEFAULT_ROBOT_RADIUS
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.restore import restore_model
@@ -169,7 +169,7 @@ def _schedule(text: str) -> str | tuple[float, ...]:
 
 
 def _answer(
-    anchors: Anchors, *, dt: float, seed: int, model: ModelId, milliseconds: float
+    anchors: AnchorTensors, *, dt: float, seed: int, model: ModelId, milliseconds: float
 ) -> AnchorBatch:
     arrays = {name: tensor.numpy() for name, tensor in vars(anchors).items()}
     return AnchorBatch(

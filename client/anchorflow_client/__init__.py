@@ -6,7 +6,7 @@ with AnchorClient("http://127.0.0.1:8000") as client:
     anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
 """
 
-from anchorflow_client.base_client import BaseClient
+from anchorflow_client.base_client import BaseAsyncClient, BaseClient
 from anchorflow_client.cancellation import Cancellation
 from anchorflow_client.codec import Codec, Payload
 from anchorflow_client.contract import (
@@ -48,13 +48,12 @@ from anchorflow_client.errors import (
     Unauthorized,
     UnknownModel,
 )
-from anchorflow_client.http import AnchorClient
+from anchorflow_client.http import AnchorClient, AsyncAnchorClient
+from anchorflow_client.http.transport import AsyncTransport, Transport
 from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
-from anchorflow_client.planner import Planner, PlannerConfig
-from anchorflow_client.planner_plan import Plan, PlanState
-from anchorflow_client.retry import RetryingClient
-from anchorflow_client.transport import Transport
+from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
+from anchorflow_client.retry import AsyncRetryingClient, RetryingClient
 
 __all__ = [
     "AnchorBatch",
@@ -62,6 +61,10 @@ __all__ = [
     "AnchorFlowError",
     "AnchorRequest",
     "AnswerSpec",
+    "AsyncAnchorClient",
+    "AsyncRetryingClient",
+    "AsyncTransport",
+    "BaseAsyncClient",
     "BaseClient",
     "Cancellation",
     "Cancelled",

@@ -1,60 +1,29 @@
-"""What every client of a service can do, whatever carries its requests."""
+"""What every client of a service can do, whatever carries its requests: blocking or async."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from abc import abstractmethod
+from collections.abc import Callable, Coroutine
 from types import TracebackType
 from typing import Any, TypeVar
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, ModelCard
-from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
+from anchorflow_client.plan_keywords import PlanKeywords
 
 Client = TypeVar("Client", bound="BaseClient")
+AsyncClient = TypeVar("AsyncClient", bound="BaseAsyncClient")
 
 
-class BaseClient(ABC):
+class BaseClient(PlanKeywords[AnchorBatch]):
     """Asks a service for anchors.
 
     Every method raises a `RequestError` where the service refuses and a `TransportError` where no
     answer of the contract comes; see `anchorflow_client.errors`.
     """
 
-    def plan(
-        self,
-        *,
-        cost_map: CostMap | Mapping[str, Any] | ArrayLike,
-        x_curr: ArrayLike,
-        x_goal: ArrayLike,
-        resolution: float | None = None,
-        origin: ArrayLike | None = None,
-        **optional: Any,
-    ) -> AnchorBatch:
-        """Anchors from a state to a goal.
-
-        Args:
-            cost_map: a CostMap, {"data", "resolution", "origin"}, or an array [H,W], [C,H,W] or
-                [B,C,H,W] in [0, 1] beside `resolution` and `origin`.
-            x_curr: [3D] or [B,3D] position, velocity, acceleration in m, m/s, m/s^2; D is the
-                model's: 2 (x, y) or 3 (x, y, heading in rad, which runs on beyond ±π).
-            x_goal: [2D] or [B,2D] position, velocity.
-            resolution: m/cell, with an array.
-            origin: [2] m, outer corner of cell (0, 0), with an array; None centres the map.
-            **optional: further fields of `AnchorRequest`, such as num_samples, seed, budget_ms.
-
-        Raises:
-            InvalidRequest: before anything is sent, where a field breaks the contract.
-        """
-        grid = _cost_map(cost_map, resolution, origin)
-        request = AnchorRequest.build(cost_map=grid, x_curr=x_curr, x_goal=x_goal, **optional)
-        return self.plan_request(request)
-
     @abstractmethod
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """The same for a request that was built before."""
+        """`plan` for a request that was built before."""
 
     @abstractmethod
     def models(self) -> tuple[ModelCard, ...]:
@@ -83,12 +52,47 @@ class BaseClient(ABC):
     ) -> None:
         self.close()
 
+    def _plan_built(self, build: Callable[[], AnchorRequest]) -> AnchorBatch:
+        return self.plan_request(build())
 
-def _cost_map(cost_map: Any, resolution: Any, origin: Any) -> CostMap | Mapping[str, Any]:
-    if isinstance(cost_map, CostMap | Mapping):
-        if resolution is not None or origin is not None:
-            raise InvalidRequest("expected resolution and origin inside this map only", "cost_map")
-        return cost_map
-    data = np.asarray(cost_map)
-    data = data[None] if data.ndim == 2 else data
-    return {"data": data, "resolution": resolution, "origin": origin}
+
+class BaseAsyncClient(PlanKeywords[Coroutine[Any, Any, AnchorBatch]]):
+    """The same for a program on an event loop, which may ask many things at the same time.
+
+    Where the task that awaits an answer is cancelled, nothing of its request goes on here. A client
+    belongs to the event loop that it is first used on.
+    """
+
+    @abstractmethod
+    async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+        """`plan` for a request that was built before."""
+
+    @abstractmethod
+    async def models(self) -> tuple[ModelCard, ...]:
+        """The cards of all bundles that are served, the default first."""
+
+    @abstractmethod
+    async def live(self) -> bool:
+        """Whether a service answers; False where nobody listens."""
+
+    @abstractmethod
+    async def ready(self) -> bool:
+        """Whether it takes requests now; False while it starts or stops, or nobody listens."""
+
+    @abstractmethod
+    async def aclose(self) -> None:
+        """Let go of the connections."""
+
+    async def __aenter__(self: AsyncClient) -> AsyncClient:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await self.aclose()
+
+    async def _plan_built(self, build: Callable[[], AnchorRequest]) -> AnchorBatch:
+        return await self.plan_request(build())

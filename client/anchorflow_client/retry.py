@@ -6,28 +6,16 @@ with RetryingClient(AnchorClient("http://127.0.0.1:8000"), patience_s=5.0) as cl
 
 from __future__ import annotations
 
-import logging
 import random
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
-from anchorflow_client.base_client import BaseClient
+from anchorflow_client.base_client import BaseAsyncClient, BaseClient
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
-from anchorflow_client.errors import (
-    ConnectionFailed,
-    NotReady,
-    Overloaded,
-    TimedOut,
-)
+from anchorflow_client.patience import RETRIED, Attempts, Patience
 
 Answer = TypeVar("Answer")
-
-RETRIED = (Overloaded, NotReady, ConnectionFailed, TimedOut)
-"""What the same request may not meet a moment later."""
-
-logger = logging.getLogger(__name__)
 
 
 class RetryingClient(BaseClient):
@@ -70,37 +58,26 @@ class RetryingClient(BaseClient):
         Raises:
             ValueError: a time is not above 0.
         """
-        times = {
-            "patience_s": patience_s,
-            "first_pause_s": first_pause_s,
-            "longest_pause_s": longest_pause_s,
-        }
-        for name, seconds in times.items():
-            if not seconds > 0.0:
-                raise ValueError(f"{name}: expected a number above 0, got {seconds}")
         self._client = client
-        self._patience_s = patience_s
-        self._first_pause_s = first_pause_s
-        self._longest_pause_s = longest_pause_s
-        self._clock = clock
+        self._patience = Patience(
+            patience_s=patience_s,
+            first_pause_s=first_pause_s,
+            longest_pause_s=longest_pause_s,
+            clock=clock,
+            draw=draw,
+        )
         self._sleep = sleep
-        self._draw = draw
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
         """Anchors for a request that was built before."""
-        budget_ms = request.budget_ms
-        if budget_ms is None:
-            return self._patiently(lambda _: self._client.plan_request(request), self._patience_s)
-
-        def attempt(passed_s: float) -> AnchorBatch:
-            left = replace(request, budget_ms=budget_ms - 1e3 * passed_s)
-            return self._client.plan_request(left if passed_s else request)
-
-        return self._patiently(attempt, min(self._patience_s, budget_ms / 1e3))
+        attempts = self._patience.attempts(request.budget_ms)
+        return self._patiently(
+            lambda: self._client.plan_request(attempts.what_is_left_of(request)), attempts
+        )
 
     def models(self) -> tuple[ModelCard, ...]:
         """The cards of all bundles that are served, the default first."""
-        return self._patiently(lambda _: self._client.models(), self._patience_s)
+        return self._patiently(self._client.models, self._patience.attempts())
 
     def live(self) -> bool:
         """Whether a service answers now; False where nobody listens."""
@@ -114,25 +91,79 @@ class RetryingClient(BaseClient):
         """Close the client beneath."""
         self._client.close()
 
-    def _patiently(self, attempt: Callable[[float], Answer], patience_s: float) -> Answer:
-        """What an attempt gives, which is told how many s have passed before it."""
-        start, passed_s, pauses = self._clock(), 0.0, self._pauses()
+    def _patiently(self, attempt: Callable[[], Answer], attempts: Attempts) -> Answer:
         while True:
             try:
-                return attempt(passed_s)
+                return attempt()
             except RETRIED as error:  # noqa: PERF203 - an attempt takes longer than the try
-                pause_s = max(next(pauses), getattr(error, "retry_after_s", None) or 0.0)
-                if self._clock() - start + pause_s >= patience_s:
-                    raise
-                logger.info("asking again in %.2f s: %s: %s", pause_s, type(error).__name__, error)
-                self._sleep(pause_s)
-                passed_s = self._clock() - start
-                if passed_s >= patience_s:  # it slept too long
-                    raise
+                self._sleep(attempts.pause_s_after(error))
+                attempts.go_on(error)
 
-    def _pauses(self) -> Iterator[float]:
-        longest_s = self._first_pause_s
+
+class AsyncRetryingClient(BaseAsyncClient):
+    """`RetryingClient` over an async client. A task that is cancelled asks no more."""
+
+    def __init__(
+        self,
+        client: BaseAsyncClient,
+        *,
+        patience_s: float = 10.0,
+        first_pause_s: float = 0.1,
+        longest_pause_s: float = 2.0,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], Awaitable[object]] | None = None,
+        draw: Callable[[], float] = random.random,
+    ) -> None:
+        """Asks nothing yet; the arguments are those of `RetryingClient`.
+
+        Raises:
+            ValueError: a time is not above 0.
+        """
+        self._client = client
+        self._patience = Patience(
+            patience_s=patience_s,
+            first_pause_s=first_pause_s,
+            longest_pause_s=longest_pause_s,
+            clock=clock,
+            draw=draw,
+        )
+        self._sleep = sleep or _sleep
+
+    async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+        """Anchors for a request that was built before."""
+        attempts = self._patience.attempts(request.budget_ms)
+        return await self._patiently(
+            lambda: self._client.plan_request(attempts.what_is_left_of(request)), attempts
+        )
+
+    async def models(self) -> tuple[ModelCard, ...]:
+        """The cards of all bundles that are served, the default first."""
+        return await self._patiently(self._client.models, self._patience.attempts())
+
+    async def live(self) -> bool:
+        """Whether a service answers now; False where nobody listens."""
+        return await self._client.live()
+
+    async def ready(self) -> bool:
+        """Whether it takes requests now; False while it starts or stops, or nobody listens."""
+        return await self._client.ready()
+
+    async def aclose(self) -> None:
+        """Close the client beneath."""
+        await self._client.aclose()
+
+    async def _patiently(
+        self, attempt: Callable[[], Awaitable[Answer]], attempts: Attempts
+    ) -> Answer:
         while True:
-            longest_s = min(longest_s, self._longest_pause_s)
-            yield longest_s * (0.5 + 0.5 * self._draw())
-            longest_s *= 2.0
+            try:
+                return await attempt()
+            except RETRIED as error:  # noqa: PERF203 - an attempt takes longer than the try
+                await self._sleep(attempts.pause_s_after(error))
+                attempts.go_on(error)
+
+
+async def _sleep(seconds: float) -> None:
+    import asyncio  # here, so that a blocking robot does not load it
+
+    await asyncio.sleep(seconds)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from anchorflow_benchmarks.scene_files import STYLE
-from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
 
 
@@ -21,13 +20,13 @@ def limits() -> MotionLimits:
 
 
 @pytest.fixture
-def scene() -> Callable[..., Scene]:
+def scene() -> Callable[..., FamilyScene]:
     """Makes a scene of 6.4 m from its occupied cells [H, W]: from (-2, 0) to (2, 0), at rest."""
 
-    def make(occupied: np.ndarray, *, family: str = "blocks") -> Scene:
+    def make(occupied: np.ndarray, *, family: str = "blocks") -> FamilyScene:
         resolution = 6.4 / len(occupied)
         occupancy = occupied.astype(np.float32)
-        return Scene(
+        return FamilyScene(
             family=family,
             cost_map=np.stack([occupancy, np.ones_like(occupancy), np.zeros_like(occupancy)]),
             resolution=resolution,
@@ -35,8 +34,7 @@ def scene() -> Callable[..., Scene]:
             robot_radius=0.25,
             x_curr=np.array([-2, 0, 0, 0, 0, 0], np.float32),
             x_goal=np.array([2, 0, 0, 0], np.float32),
-            style=STYLE,
-            clearance=clearance_field(occupied, resolution, 0.25),
+            w_style=STYLE,
         )
 
     return make

@@ -16,10 +16,10 @@ from anchorflow_benchmarks.baselines import (
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.judge import SceneJudge
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_training.scenes import Scene
+from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
 
-SceneMaker = Callable[..., Scene]
+SceneMaker = Callable[..., FamilyScene]
 
 
 def wall(gap: bool) -> np.ndarray:

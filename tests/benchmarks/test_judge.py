@@ -20,14 +20,14 @@ from anchorflow_benchmarks.judge import (
     swept_angles,
 )
 from anchorflow_benchmarks.scene_files import load_scenes
-from anchorflow_training.scenes import Scene
+from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import spline_basis
 
-SceneMaker = Callable[..., Scene]
+SceneMaker = Callable[..., FamilyScene]
 
 
-def random_anchors(scene: Scene, *, count: int, seed: int, size: float) -> Anchors:
+def random_anchors(scene: FamilyScene, *, count: int, seed: int, size: float) -> Anchors:
     """Splines from the scene's start to its goal, bent by about `size` m in each direction."""
     basis, rng = spline_basis(64, 8.0), np.random.default_rng(seed)
     rest = basis.rest_curve(scene.x_curr, scene.x_goal)
@@ -99,7 +99,7 @@ def test_it_agrees_on_public_scenes(
         )
 
 
-def straight(scene: Scene, offset: float = 0.0) -> Anchors:
+def straight(scene: FamilyScene, offset: float = 0.0) -> Anchors:
     """One anchor from start to goal, bent sideways by `offset` m."""
     basis = spline_basis(64, 8.0)
     control = basis.rest_curve(scene.x_curr, scene.x_goal)

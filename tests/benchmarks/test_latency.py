@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.latency import Contest, LatencyConfig, latency_tables, onnx_loop
-from anchorflow_benchmarks.plain_loop import integrate_plainly, repeated
+from anchorflow_benchmarks.plain_loop import repeated
 from anchorflow_benchmarks.samplers import parse_sampler
 from anchorflow_benchmarks.scene_files import draw_scenes
 from anchorflow_benchmarks.turns import LEAST, p50, p99, take_turns
-from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
-from anchorflow_training.scenes import Scene
+from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
 
 ONCE = LatencyConfig(counts=(3,), rounds=LEAST, budget_s=0.0, threads=1)
@@ -27,24 +24,8 @@ def bundle() -> Bundle:
 
 
 @pytest.fixture(scope="module")
-def scenes(limits: MotionLimits) -> list[Scene]:
+def scenes(limits: MotionLimits) -> list[FamilyScene]:
     return draw_scenes(1, 0, limits=limits, cells=32)
-
-
-def test_the_plain_loop_is_classical_rk4() -> None:
-    """On x' = x one step multiplies by the exponential's series up to h^4."""
-    x = integrate_plainly(lambda x, _: x, np.ones(2), OdeSpec("rk4", (0.0, 0.5, 1.0)))
-    step = sum(0.5**k / math.factorial(k) for k in range(5))
-
-    np.testing.assert_allclose(x, step**2)
-
-
-def test_the_plain_loop_asks_for_the_stages_times() -> None:
-    times: list[float] = []
-    integrate_plainly(
-        lambda x, t: times.append(t) or x, np.ones(1), OdeSpec("rk4", (0.0, 0.8, 1.0))
-    )
-    assert times == pytest.approx([0.0, 0.4, 0.4, 0.8, 0.8, 0.9, 0.9, 1.0])
 
 
 def test_what_is_repeated_is_copied() -> None:
@@ -53,7 +34,7 @@ def test_what_is_repeated_is_copied() -> None:
     assert out.strides[0] > 0
 
 
-def test_the_engine_and_its_loops_are_measured(bundle: Bundle, scenes: list[Scene]) -> None:
+def test_the_engine_and_its_loops_are_measured(bundle: Bundle, scenes: list[FamilyScene]) -> None:
     loops = {
         "ONNX loop": onnx_loop(bundle, threads=1),
         "inputs repeated": onnx_loop(bundle, threads=1, repeat_inputs=True),
@@ -70,7 +51,7 @@ def test_the_engine_and_its_loops_are_measured(bundle: Bundle, scenes: list[Scen
     assert {"total / ONNX loop", "total / inputs repeated"} <= set(ratio)
 
 
-def test_a_loop_that_does_other_work_is_found(bundle: Bundle, scenes: list[Scene]) -> None:
+def test_a_loop_that_does_other_work_is_found(bundle: Bundle, scenes: list[FamilyScene]) -> None:
     loops = {"lazy loop": lambda _inputs, x, _sampler: x}
     contest = Contest("small", bundle, parse_sampler("euler:uniform1", bundle.card), loops)
 

@@ -16,11 +16,12 @@ from anchorflow_benchmarks.planners import engine_planners
 from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_table
 from anchorflow_benchmarks.samplers import sampler_name
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_training.scenes import Scene
+from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import spline_basis
 
-SceneMaker = Callable[..., Scene]
+SceneMaker = Callable[..., FamilyScene]
 
 
 @dataclass
@@ -33,17 +34,18 @@ class Bows:
     log: list[str] = field(default_factory=list)
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        assert isinstance(scene, FamilyScene)
         self.asked.append((scene.family, num, seed))
         self.log.append(self.name)
         basis = spline_basis(64, 8.0)
         control = np.repeat(basis.rest_curve(scene.x_curr, scene.x_goal)[:, None], num, axis=1)
         bow = np.sin(np.linspace(0.0, np.pi, control[1, :, basis.free].shape[1]))
-        control[1, :, basis.free] += float(scene.style[0]) * bow
+        control[1, :, basis.free] += float(scene.w_style[0]) * bow
         return Anchors.of_spline(basis, control, safe=np.ones(num, bool))
 
 
 @pytest.fixture
-def scenes(scene: SceneMaker) -> list[Scene]:
+def scenes(scene: SceneMaker) -> list[FamilyScene]:
     blocked = np.zeros((32, 32), bool)
     blocked[:, 16] = True
     aside = np.zeros((32, 32), bool)
@@ -51,7 +53,9 @@ def scenes(scene: SceneMaker) -> list[Scene]:
     return [scene(aside, family="open"), scene(blocked, family="wall")]
 
 
-def test_planners_take_turns_with_the_same_seed(scenes: list[Scene], limits: MotionLimits) -> None:
+def test_planners_take_turns_with_the_same_seed(
+    scenes: list[FamilyScene], limits: MotionLimits
+) -> None:
     log: list[str] = []
     one, other = Bows("one", log=log), Bows("other", log=log)
     judge_planners([one, other], scenes, limits=limits, num=4)
@@ -70,7 +74,7 @@ def test_a_sampler_that_is_named_twice_is_one_planner() -> None:
 
 
 def test_a_table_over_all_and_one_for_each_family(
-    scenes: list[Scene], limits: MotionLimits
+    scenes: list[FamilyScene], limits: MotionLimits
 ) -> None:
     planner = Bows()
     plans = judge_planners([planner], scenes, limits=limits, num=4)
@@ -91,7 +95,7 @@ def test_a_table_over_all_and_one_for_each_family(
     assert wall.rows[0]["length"] != wall.rows[0]["length"]  # NaN
 
 
-def test_style_changes_are_seen_in_percent(scenes: list[Scene], limits: MotionLimits) -> None:
+def test_style_changes_are_seen_in_percent(scenes: list[FamilyScene], limits: MotionLimits) -> None:
     table = style_table([Bows()], scenes, limits=limits, num=4)
     row = table.rows[0]
 
@@ -102,7 +106,9 @@ def test_style_changes_are_seen_in_percent(scenes: list[Scene], limits: MotionLi
     assert float(row["jerk, fast to smooth"] or 0.0) > 0.0
 
 
-def test_numbers_that_are_not_finite_are_refused(scenes: list[Scene], limits: MotionLimits) -> None:
+def test_numbers_that_are_not_finite_are_refused(
+    scenes: list[FamilyScene], limits: MotionLimits
+) -> None:
     class Broken(Bows):
         def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
             anchors = super().plan(scene, num=num, seed=seed)
@@ -112,7 +118,9 @@ def test_numbers_that_are_not_finite_are_refused(scenes: list[Scene], limits: Mo
         judge_planners([Broken()], scenes, limits=limits, num=2)
 
 
-def test_pictures_are_drawn(scenes: list[Scene], limits: MotionLimits, tmp_path: Path) -> None:
+def test_pictures_are_drawn(
+    scenes: list[FamilyScene], limits: MotionLimits, tmp_path: Path
+) -> None:
     planner = Bows()
     plans = judge_planners([planner], scenes, limits=limits, num=4)
     tables = quality_tables([planner], plans)

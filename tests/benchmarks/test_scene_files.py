@@ -51,7 +51,7 @@ def test_a_file_is_read_as_it_was_written(scene_file: Callable[..., Path]) -> No
     assert first.origin.tolist() == [-4.0, -4.0]
     assert (first.resolution, first.robot_radius) == (0.5, 0.25)
     # The cell's centre is at (-1.25, -2.75): the robot's disc is a quarter cell inside its edge.
-    assert first.clearance[2, 6] == pytest.approx(0.0)
+    assert first.clearance_field[2, 6] == pytest.approx(0.0)
     assert not second.occupied.any()
     assert second.x_curr[2] == 1.0
 

@@ -136,7 +136,7 @@ def test_a_map_and_its_unknown_cells(checkpoint: Path, room: Path, tmp_path: Pat
     assert walled["clearance"].max() < free["clearance"].min()
     run(checkpoint, "--map", room, "--size", 8, "--goal", "3,3.5", "--unknown-is-free")
     ends = ("--checkpoint", checkpoint, "--start", "-1,0.5", "--goal", "3,3.5")
-    assert "x_goal: expected a cell that is not occupied" in failure(*ends, "--map", room)
+    assert "x_goal: expected a cell of occupancy below 0.5" in failure(*ends, "--map", room)
 
 
 def test_the_command_draws_what_the_generator_draws(checkpoint: Path, tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_what_cannot_be_is_one_line(checkpoint: Path, tmp_path: Path) -> None:
     assert "x_curr: expected [6]" in failure(
         "--checkpoint", checkpoint, "--start", "0,0,1", "--goal", "1,0,0"
     )
-    assert "x_curr: expected a point on the map" in failure(*asked, "--size", "1")
+    assert "x_curr: expected a position on the map" in failure(*asked, "--size", "1")
     assert "absent" in failure(*asked, "--out", tmp_path / "absent" / "anchors.npz")
     assert "absent.pt: not a checkpoint" in failure("--checkpoint", tmp_path / "absent.pt", *ENDS)
 

@@ -1,14 +1,18 @@
-"""A good request and a card, from which the tests depart."""
+"""A good request and a card, from which the tests depart; async clients as blocking ones."""
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
 from anchorflow_client import (
+    AnchorClient,
     AnswerSpec,
+    AsyncAnchorClient,
     CostMapSpec,
     LimitsSpec,
     ModelCard,
@@ -16,7 +20,9 @@ from anchorflow_client import (
     RefineSpec,
     TensorSpec,
     TimeSpec,
+    Transport,
 )
+from anchorflow_client.http.transport import HttpAnswer
 
 
 @pytest.fixture
@@ -51,3 +57,72 @@ def card() -> ModelCard:
         answer=AnswerSpec(("x", "y"), ("velocities", "scores", "safe")),
         quality={"any": 0.9},
     )
+
+
+class Blocking:
+    """An async client or transport with the methods of its blocking twin."""
+
+    def __init__(self, twin: Any, loop: asyncio.AbstractEventLoop) -> None:
+        self._twin = twin
+        self._loop = loop
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self._twin, {"close": "aclose"}.get(name, name))
+
+        def call(*told: Any, **options: Any) -> Any:
+            return self._loop.run_until_complete(method(*told, **options))
+
+        return call
+
+    def __enter__(self) -> Any:
+        assert self._loop.run_until_complete(self._twin.__aenter__()) is self._twin
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._loop.run_until_complete(self._twin.__aexit__(*error))
+
+
+@pytest.fixture
+def blocking() -> Iterator[Callable[[Any], Any]]:
+    """Runs an async client or transport on a loop that stands still between its calls."""
+    loop = asyncio.new_event_loop()
+    yield lambda twin: Blocking(twin, loop)
+    loop.close()
+
+
+class AsyncTwin:
+    """A blocking transport, where an async one is wanted."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    async def send(
+        self,
+        method: str,
+        path: str,
+        headers: Mapping[str, str],
+        body: bytes | None,
+        timeout_s: float,
+    ) -> HttpAnswer:
+        return self._transport.send(method, path, headers, body, timeout_s)
+
+    async def aclose(self) -> None:
+        self._transport.close()
+
+
+@pytest.fixture
+def async_twin() -> Callable[[Transport], AsyncTwin]:
+    """Makes an async transport of a blocking one that never waits."""
+    return AsyncTwin
+
+
+@pytest.fixture(params=["blocking", "async"])
+def make_client(request: pytest.FixtureRequest, blocking: Callable[[Any], Any]) -> Any:
+    """Makes the client of a blocking transport, and another time its async twin."""
+
+    def make(url: str, *, transport: Any, **options: Any) -> Any:
+        if request.param == "blocking":
+            return AnchorClient(url, transport=transport, **options)
+        return blocking(AsyncAnchorClient(url, transport=AsyncTwin(transport), **options))
+
+    return make

@@ -1,9 +1,9 @@
-"""The client over a transport that answers from a list."""
+"""The blocking and the async client over a transport that answers from a list."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import pytest
 
 from anchorflow_client import (
     AnchorClient,
+    AsyncAnchorClient,
     ConnectionFailed,
     CostMap,
     InternalError,
@@ -22,7 +23,9 @@ from anchorflow_client import (
     Overloaded,
     Payload,
 )
-from anchorflow_client.transport import HttpAnswer
+from anchorflow_client.http.transport import HttpAnswer
+
+Client = Callable[..., Any]
 
 ANSWER = {
     "trajectories": [[[0.0, 0.0], [1.0, 0.0]]],
@@ -72,12 +75,18 @@ class Broken(Canned):
         raise ConnectionFailed("nobody listens")
 
 
-def client(transport: Canned, **options: Any) -> AnchorClient:
-    options = {"codec": JsonCodec()} | options
-    return AnchorClient("http://robot:8000/base/", transport=transport, **options)
+@pytest.fixture
+def client(make_client: Callable[..., Any]) -> Client:
+    """Makes either client, of JSON unless told."""
+
+    def make(transport: Canned, **options: Any) -> Any:
+        options = {"codec": JsonCodec()} | options
+        return make_client("http://robot:8000/base/", transport=transport, **options)
+
+    return make
 
 
-def test_a_plan_is_one_post(fields: dict[str, Any]) -> None:
+def test_a_plan_is_one_post(client: Client, fields: dict[str, Any]) -> None:
     transport = Canned()
 
     anchors = client(transport, token="secret", timeout_s=2.0).plan(**fields, num_samples=1)
@@ -91,7 +100,7 @@ def test_a_plan_is_one_post(fields: dict[str, Any]) -> None:
     assert (anchors.seed, anchors.request_id, anchors.model.name) == (3, "r1", "lines")
 
 
-def test_binary_is_the_form_unless_one_is_told(fields: dict[str, Any]) -> None:
+def test_binary_is_the_form_unless_one_is_told(client: Client, fields: dict[str, Any]) -> None:
     answer = JsonCodec().decode_answer(Payload(json.dumps(ANSWER).encode()))
     binary = OipCodec().encode_answer(answer)
     length = str(binary.header_length)
@@ -107,7 +116,9 @@ def test_binary_is_the_form_unless_one_is_told(fields: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("shape", [(16, 20), (1, 16, 20), (2, 1, 16, 20)])
-def test_a_map_may_be_an_array(fields: dict[str, Any], shape: tuple[int, ...]) -> None:
+def test_a_map_may_be_an_array(
+    client: Client, fields: dict[str, Any], shape: tuple[int, ...]
+) -> None:
     transport = Canned()
     fields["cost_map"] = np.zeros(shape, bool)
 
@@ -118,14 +129,16 @@ def test_a_map_may_be_an_array(fields: dict[str, Any], shape: tuple[int, ...]) -
     assert (sent["resolution"], sent["origin"]) == (0.5, [-5.0, -4.0])
 
 
-def test_a_map_that_knows_its_place_takes_no_other(fields: dict[str, Any]) -> None:
+def test_a_map_that_knows_its_place_takes_no_other(client: Client, fields: dict[str, Any]) -> None:
     fields["cost_map"] = CostMap.build(np.zeros((1, 16, 20)), 0.5)
 
     with pytest.raises(InvalidRequest, match="cost_map"):
         client(Canned()).plan(**fields, resolution=0.1)
 
 
-def test_a_bad_field_is_refused_before_anything_is_sent(fields: dict[str, Any]) -> None:
+def test_a_bad_field_is_refused_before_anything_is_sent(
+    client: Client, fields: dict[str, Any]
+) -> None:
     transport = Canned()
 
     fields["x_goal"] = [0, 0]
@@ -134,7 +147,7 @@ def test_a_bad_field_is_refused_before_anything_is_sent(fields: dict[str, Any]) 
     assert transport.sent == []
 
 
-def test_a_refusal_is_raised_with_its_field(fields: dict[str, Any]) -> None:
+def test_a_refusal_is_raised_with_its_field(client: Client, fields: dict[str, Any]) -> None:
     refusal = {"error": {"code": "overloaded", "message": "full", "field": None}}
 
     with pytest.raises(Overloaded, match="full") as caught:
@@ -145,7 +158,7 @@ def test_a_refusal_is_raised_with_its_field(fields: dict[str, Any]) -> None:
 @pytest.mark.parametrize("body", [b"<html>Not found</html>", b"[]", b""])
 @pytest.mark.parametrize("status", [404, 501])
 def test_an_error_of_another_program_is_an_invalid_answer(
-    fields: dict[str, Any], status: int, body: bytes
+    client: Client, fields: dict[str, Any], status: int, body: bytes
 ) -> None:
     with pytest.raises(InvalidAnswer, match=f"status {status} without the contract's error JSON"):
         client(Canned(body, status)).plan(**fields)
@@ -156,19 +169,19 @@ def test_an_error_of_another_program_is_an_invalid_answer(
 )
 @pytest.mark.parametrize("status", [500, 502, 503, 504])
 def test_what_a_proxy_says_is_a_failed_connection(
-    fields: dict[str, Any], status: int, body: bytes
+    client: Client, fields: dict[str, Any], status: int, body: bytes
 ) -> None:
     """Behind it the service may be gone for a moment: the request may be sent again."""
     with pytest.raises(ConnectionFailed, match=f"status {status}, not in the service's own words"):
         client(Canned(body, status)).plan(**fields)
 
 
-def test_a_service_behind_a_proxy_that_does_not_reach_it_is_not_ready() -> None:
+def test_a_service_behind_a_proxy_that_does_not_reach_it_is_not_ready(client: Client) -> None:
     assert not client(Canned(b"<html>Bad gateway</html>", 502)).ready()
     assert not client(Canned(b"<html>Bad gateway</html>", 502)).live()
 
 
-def test_cards_are_read(card: ModelCard) -> None:
+def test_cards_are_read(client: Client, card: ModelCard) -> None:
     transport = Canned({"models": [card.to_dict() | {"ready": True}]})
 
     assert client(transport).models() == (card,)
@@ -176,12 +189,12 @@ def test_cards_are_read(card: ModelCard) -> None:
 
 
 @pytest.mark.parametrize("value", [{}, [], {"models": [{}]}, {"models": 3}, b"no"])
-def test_what_is_no_list_of_cards_is_an_invalid_answer(value: Any) -> None:
+def test_what_is_no_list_of_cards_is_an_invalid_answer(client: Client, value: Any) -> None:
     with pytest.raises(InvalidAnswer):
         client(Canned(value)).models()
 
 
-def test_health_is_a_yes_or_a_no() -> None:
+def test_health_is_a_yes_or_a_no(client: Client) -> None:
     not_ready = Canned({"error": {"code": "not_ready", "message": "", "field": None}}, 503)
 
     assert client(Canned({"ready": True})).ready()
@@ -190,14 +203,14 @@ def test_health_is_a_yes_or_a_no() -> None:
     assert not client(Broken()).live()
 
 
-def test_health_does_not_swallow_other_errors() -> None:
+def test_health_does_not_swallow_other_errors(client: Client) -> None:
     failed = Canned({"error": {"code": "internal", "message": "", "field": None}}, 500)
 
     with pytest.raises(InternalError):
         client(failed).ready()
 
 
-def test_leaving_the_block_closes_the_transport() -> None:
+def test_leaving_the_block_closes_the_transport(client: Client) -> None:
     transport = Canned()
 
     with client(transport):
@@ -206,6 +219,7 @@ def test_leaving_the_block_closes_the_transport() -> None:
 
 
 @pytest.mark.parametrize("url", ["robot:8000", "ftp://robot", "http://", "http://robot:port"])
-def test_a_strange_url_is_refused(url: str) -> None:
+@pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])
+def test_a_strange_url_is_refused(kind: Callable[[str], object], url: str) -> None:
     with pytest.raises(ValueError, match=r"http://|[Pp]ort"):
-        AnchorClient(url)
+        kind(url)

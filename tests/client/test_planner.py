@@ -23,8 +23,8 @@ from anchorflow_client import (
     TimedOut,
 )
 from anchorflow_client.planner import Planner, PlannerConfig
-from anchorflow_client.planner_plan import Plan, PlanState
-from anchorflow_client.planner_shift import shifted, states_of
+from anchorflow_client.planner.plan import Plan, PlanState
+from anchorflow_client.planner.shift import shifted, states_of
 
 VIEW: dict[str, Any] = {
     "cost_map": np.zeros((16, 16)),
@@ -252,6 +252,18 @@ def test_a_lost_server_is_asked_less_and_less_often() -> None:
     np.testing.assert_allclose(
         np.diff(asked_at), [0.101, 0.201, 0.401, 0.401, 0.401, 0.401], atol=1e-6
     )
+
+
+def test_a_server_may_be_lost_for_hours() -> None:
+    """2,000 doublings of a wait are more than a float holds."""
+    stage = Stage(PlannerConfig(max_age_ms=10.0, period_ms=1.0, longest_retry_ms=100.0))
+    for _ in range(2000):
+        stage.update()
+        stage.fail(ConnectionFailed("nobody listens"))
+        stage.update()
+        stage.now += 0.1
+
+    assert stage.planner.counts["failed"] == 2000
 
 
 def test_an_overloaded_service_is_left_alone_for_as_long_as_it_says(stage: Stage) -> None:

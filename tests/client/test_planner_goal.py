@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anchorflow_client import CostMap, InvalidRequest
-from anchorflow_client.planner_goal import local_goal
+from anchorflow_client.planner.local_goal import local_goal
 
 RESOLUTION = 0.25
 HERE = np.zeros(2)

@@ -8,7 +8,7 @@ import numpy as np
 
 from anchorflow_client import AnchorBatch, AnchorRequest, ConnectionFailed, ModelId
 from anchorflow_client.planner import Planner, PlannerConfig
-from anchorflow_client.planner_plan import Plan, PlanState
+from anchorflow_client.planner.plan import Plan, PlanState
 
 PATIENCE_S = 30.0  # of the test, for events that come at once
 

@@ -1,19 +1,22 @@
-"""The socket transport against servers that misbehave in one way each."""
+"""The socket transports, blocking and async, against servers that misbehave in one way each."""
 
 from __future__ import annotations
 
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 
 from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut
-from anchorflow_client.transport import SocketTransport
+from anchorflow_client.http.async_socket_transport import AsyncSocketTransport
+from anchorflow_client.http.socket_transport import SocketTransport
 
 OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nX-Kind: test\r\n\r\nok"
 Script = Callable[[socket.socket], None]
-Serve = Callable[..., SocketTransport]
+Reach = Callable[[int], Any]
+Serve = Callable[..., Any]
 
 
 def read_head(connection: socket.socket) -> bytes:
@@ -34,13 +37,26 @@ def answer_twice(connection: socket.socket) -> None:
     answer(connection)
 
 
+@pytest.fixture(params=["blocking", "async"])
+def reach(request: pytest.FixtureRequest, blocking: Callable[[Any], Any]) -> Reach:
+    """Makes a transport to a port of this machine."""
+
+    def make(port: int) -> Any:
+        url = f"http://127.0.0.1:{port}"
+        if request.param == "blocking":
+            return SocketTransport(url, connect_timeout_s=5)
+        return blocking(AsyncSocketTransport(url, connect_timeout_s=5, max_connections=2))
+
+    return make
+
+
 @pytest.fixture
-def serve() -> Iterator[Serve]:
+def serve(reach: Reach) -> Iterator[Serve]:
     """Accepts one connection for each script, lets it run and closes the connection."""
-    transports: list[SocketTransport] = []
+    transports: list[Any] = []
     threads: list[threading.Thread] = []
 
-    def start(*scripts: Script) -> SocketTransport:
+    def start(*scripts: Script) -> Any:
         listener = socket.create_server(("127.0.0.1", 0))
 
         def run() -> None:
@@ -52,8 +68,7 @@ def serve() -> Iterator[Serve]:
 
         threads.append(threading.Thread(target=run))
         threads[-1].start()
-        port = listener.getsockname()[1]
-        transports.append(SocketTransport(f"http://127.0.0.1:{port}", connect_timeout_s=5))
+        transports.append(reach(listener.getsockname()[1]))
         return transports[-1]
 
     yield start
@@ -64,7 +79,7 @@ def serve() -> Iterator[Serve]:
         assert not thread.is_alive()
 
 
-def get(transport: SocketTransport, timeout_s: float = 10) -> bytes:
+def get(transport: Any, timeout_s: float = 10) -> bytes:
     return transport.send("GET", "/", {}, None, timeout_s)[2]
 
 
@@ -86,6 +101,16 @@ def test_an_idle_connection_that_was_closed_is_opened_again(serve: Serve) -> Non
     assert [get(transport), get(transport)] == [b"ok", b"ok"]
 
 
+def test_a_connection_that_closes_as_it_is_asked_is_opened_again(serve: Serve) -> None:
+    def answer_once(connection: socket.socket) -> None:
+        answer(connection)
+        read_head(connection)
+
+    transport = serve(answer_once, answer)
+
+    assert [get(transport), get(transport)] == [b"ok", b"ok"]
+
+
 def test_it_is_opened_again_only_once(serve: Serve) -> None:
     transport = serve(answer, lambda _: None)
 
@@ -103,12 +128,12 @@ def test_a_server_that_hangs_times_out(serve: Serve) -> None:
     done.set()
 
 
-def test_nobody_listening_is_a_failed_connection() -> None:
+def test_nobody_listening_is_a_failed_connection(reach: Reach) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
 
     with pytest.raises(ConnectionFailed, match=str(port)):
-        get(SocketTransport(f"http://127.0.0.1:{port}", connect_timeout_s=5))
+        get(reach(port))
 
 
 def test_an_answer_that_breaks_off_is_a_failed_connection(serve: Serve) -> None:

@@ -27,7 +27,8 @@ from anchorflow_client import (
     TooLarge,
     TransportError,
 )
-from anchorflow_client.transport import HttpAnswer, SocketTransport
+from anchorflow_client.http.socket_transport import SocketTransport
+from anchorflow_client.http.transport import HttpAnswer
 from anchorflow_docs.messages import messages_of, wording
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine

@@ -9,9 +9,10 @@ from anchorflow_training.batches import BatchConfig, draw_batch, mirror
 from anchorflow_training.dataset import DTYPES, DatasetError, SceneDataset, open_dataset
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
-from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.clearance import GridField, clearance_field, path_clearance
+from anchorflow_trajectory.clearance import GridField, path_clearance
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.verify import verify
 
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
 CONFIG = DataConfig(scenes=6, seed=3, trajectories=8)
@@ -38,9 +39,9 @@ def test_kept_trajectories_are_good(dataset: SceneDataset) -> None:
         origin, resolution = np.split(scenes["map_geometry"][index], [2])
         field = GridField(scenes["clearance"][index], float(resolution[0]), origin)
         position, velocity, acceleration = np.split(states, 3, axis=-1)
-        assert path_clearance(field, position, max_step=0.05).min() > 0
-        assert np.linalg.norm(velocity, axis=-1).max() <= 1.03 * LIMITS.v_max
-        assert np.linalg.norm(acceleration, axis=-1).max() <= 1.04 * LIMITS.a_max
+        verdict = verify((position, velocity, acceleration), field, LIMITS)
+        assert verdict.clearance.min() > 0
+        assert verdict.feasible.all()
         x_curr, x_goal = scenes["x_curr"][index], scenes["x_goal"][index]
         np.testing.assert_allclose(states[:, 0], np.tile(x_curr, (8, 1)), atol=1e-3)
         np.testing.assert_allclose(states[:, -1, :4], np.tile(x_goal, (8, 1)), atol=1e-3)
@@ -53,15 +54,13 @@ def test_the_expert_passes_a_post_on_both_sides() -> None:
         np.float32
     )
     scene = Scene(
-        family="post",
         cost_map=cost_map,
         resolution=0.1,
         origin=np.zeros(2),
         robot_radius=0.25,
         x_curr=np.asarray([1.0, 4.8, 0, 0, 0, 0], np.float32),
         x_goal=np.asarray([8.6, 4.8, 0, 0], np.float32),
-        style=np.asarray([0.4, 0.3, 0.3], np.float32),
-        clearance=clearance_field(occupied, 0.1, 0.25),
+        w_style=np.asarray([0.4, 0.3, 0.3], np.float32),
     )
     solution = solve(scene, config=ExpertConfig(), limits=LIMITS, rng=np.random.default_rng(0))
     middle = solution.control[1, solution.good, 9]

@@ -114,6 +114,16 @@ def test_samples_that_do_not_fit_their_map_are_left_out(tmp_path: Path) -> None:
     assert (meta["scenes"], meta["left_out"]["collision"]) == (4, 0)
 
 
+def test_the_maps_edge_is_on_the_map(tmp_path: Path) -> None:
+    """As on the wire: the upper edge belongs to the last cell."""
+    positions = straight_lines([3.0])
+    positions[..., 0] = np.linspace(1.0, 6.0, STEPS)
+    path = l2_file(tmp_path / "l2.npz", [3.0], positions=positions)
+    kept = ImportConfig(scene=SceneOptions(RADIUS, keep_collisions=True))
+    meta = import_scenes(TrajectoryDataset(path), tmp_path / "out", kept)
+    assert (meta["scenes"], meta["left_out"]["off_map"]) == (1, 0)
+
+
 def test_a_margin_must_be_kept(tmp_path: Path) -> None:
     """The line at y = 1.5 passes 0.5 m from the wall, 0.3 m beyond the robot's radius."""
     path = l2_file(tmp_path / "l2.npz", [1.5, 1.5], safety_margins=np.array([0.2, 0.4]))

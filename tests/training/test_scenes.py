@@ -5,14 +5,14 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from anchorflow_training.scenes import Scene, SceneError, draw_scene
+from anchorflow_training.scenes import FamilyScene, SceneError, draw_scene
 from anchorflow_training.scenes.layouts import LAYOUTS, Canvas
 from anchorflow_trajectory.cost import MotionLimits
 
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
 
 
-def drawn(count: int) -> list[Scene]:
+def drawn(count: int) -> list[FamilyScene]:
     rng, scenes = np.random.default_rng(0), []
     while len(scenes) < count:
         with suppress(SceneError):
@@ -21,28 +21,28 @@ def drawn(count: int) -> list[Scene]:
 
 
 @pytest.fixture(scope="module")
-def scenes() -> list[Scene]:
+def scenes() -> list[FamilyScene]:
     return drawn(60)
 
 
-def test_both_ends_are_free_and_apart(scenes: list[Scene]) -> None:
+def test_both_ends_are_free_and_apart(scenes: list[FamilyScene]) -> None:
     for scene in scenes:
         for point in (scene.x_curr[:2], scene.x_goal[:2]):
             column, row = ((point - scene.origin) / scene.resolution).astype(int)
-            assert scene.clearance[row, column] > 0
+            assert scene.clearance_field[row, column] > 0
         assert np.linalg.norm(scene.x_goal[:2] - scene.x_curr[:2]) > 0.5
 
 
-def test_speeds_and_styles_are_in_range(scenes: list[Scene]) -> None:
+def test_speeds_and_styles_are_in_range(scenes: list[FamilyScene]) -> None:
     speeds = np.array([np.linalg.norm(s.x_curr[2:4]) for s in scenes])
     assert (speeds <= LIMITS.v_max).all()
     assert (speeds == 0).any()
     assert (speeds > 0.5).any()
-    styles = np.array([s.style for s in scenes])
+    styles = np.array([s.w_style for s in scenes])
     np.testing.assert_allclose(styles.sum(1), 1.0, atol=1e-5)
 
 
-def test_maps_differ_in_size_radius_and_family(scenes: list[Scene]) -> None:
+def test_maps_differ_in_size_radius_and_family(scenes: list[FamilyScene]) -> None:
     sizes = np.array([s.resolution * s.cost_map.shape[-1] for s in scenes])
     assert sizes.min() < 9
     assert sizes.max() > 13

@@ -24,6 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
+
+Row = dict[str, NDArray[Any]]
 
 DTYPES = {
     "cost_map": np.uint8,
@@ -35,6 +38,7 @@ DTYPES = {
     "w_style": np.float32,
     "states": np.float32,
 }
+MOST_FLOAT16 = float(np.finfo(np.float16).max)
 
 
 class DatasetError(Exception):
@@ -106,6 +110,21 @@ def open_dataset(path: Path) -> SceneDataset:
                 f"{file}: expected {np.dtype(dtype)} [{meta['scenes']}, ...], found {found}"
             )
     return SceneDataset(path, arrays, meta)
+
+
+def scene_row(scene: Scene, states: NDArray[np.float32]) -> Row:
+    """A scene and its trajectories' states [M, T, 3D] as a dataset keeps them."""
+    row = {
+        "cost_map": np.rint(scene.cost_map * 255),
+        "clearance": scene.clearance_field,
+        "cost_to_go": np.minimum(scene.cost_to_go, MOST_FLOAT16),
+        "map_geometry": scene.map_geometry,
+        "x_curr": scene.x_curr,
+        "x_goal": scene.x_goal,
+        "w_style": scene.w_style,
+        "states": states,
+    }
+    return {name: row[name].astype(dtype) for name, dtype in DTYPES.items()}
 
 
 def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray]:

@@ -17,29 +17,31 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from anchorflow_models import L2Config, L2SafetyCFM
+from anchorflow_models.generation.integrate import Stage, integrate
 from anchorflow_training.batches import encode_inputs
 from anchorflow_training.config import EvaluationConfig, JudgeConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_trajectory.clearance import GridField, path_clearance
+from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.ode.schedule import stage_times, uniform_schedule
+from anchorflow_trajectory.ode.tableau import MIDPOINT
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.verify import verify
 
 FloatArray = NDArray[np.float32]
+States = tuple[FloatArray, FloatArray, FloatArray]
 BoolArray = NDArray[np.bool_]
 
 # Model, encode's inputs, noise [1, N, R] -> states [B, N, T, S] at t = 1.
 Sampler = Callable[[L2SafetyCFM, Mapping[str, Tensor], Tensor], Tensor]
 
 CHUNK = 16  # scenes sampled at a time
-CHECK_STEP = 0.04  # m between the points at which a path's clearance is looked up
-# As the service's `safe`: a bilinear field and a reader's rounding differ by less than this share.
-FREE_SHARE_OF_CELL = 0.3
-SPEED_TOLERANCE, ACCELERATION_TOLERANCE = 1.02, 1.05
 REACHED = 0.1  # m from the goal
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What holds for each of N anchors, [N]."""
+    """What holds for each of N anchors, [N]; free and feasible as `verify` says it."""
 
     free: BoolArray
     reached: BoolArray
@@ -62,17 +64,12 @@ class JudgedScene:
     x_goal: FloatArray
 
 
-def judge(
-    states: Sequence[FloatArray], clearance: GridField, *, x_goal: FloatArray, config: L2Config
-) -> Verdict:
+def judge(states: States, clearance: GridField, *, x_goal: FloatArray, config: L2Config) -> Verdict:
     """Judge positions, velocities and accelerations [N, T, D] in SI and the map's frame."""
-    position, velocity, acceleration = states
-    room = path_clearance(clearance, position, max_step=CHECK_STEP)
-    free = room >= FREE_SHARE_OF_CELL * clearance.resolution
-    miss = np.linalg.norm(position[:, -1, :2] - x_goal[:2], axis=-1)
-    feasible = _largest(velocity) <= SPEED_TOLERANCE * config.v_max
-    feasible &= _largest(acceleration) <= ACCELERATION_TOLERANCE * config.a_max
-    return Verdict(free, miss <= REACHED, feasible)
+    limits = MotionLimits(v_max=config.v_max, a_max=config.a_max, horizon_s=config.horizon_s)
+    found = verify(states, clearance, limits)
+    miss = np.linalg.norm(states[0][:, -1, :2] - x_goal[:2], axis=-1)
+    return Verdict(found.free, miss <= REACHED, found.feasible)
 
 
 @torch.no_grad()
@@ -80,13 +77,14 @@ def sample(model: L2SafetyCFM, inputs: Mapping[str, Tensor], noise: Tensor, step
     """States [B, N, T, S] from noise [1, N, R] by equal midpoint steps."""
     context = model.encode(**inputs)
     x = model.draw(noise, context)
-    times = torch.linspace(0, 1, 2 * steps + 1, device=x.device)
+    schedule = uniform_schedule(steps)
+    times = torch.tensor(stage_times(MIDPOINT, schedule).times, device=x.device)
     modulation = model.modulate(times, context)
-    for step in range(steps):
-        start, middle = modulation[:, 2 * step], modulation[:, 2 * step + 1]
-        halfway = x + model.field(x, start, context) / (2 * steps)
-        x = x + model.field(halfway, middle, context) / steps
-    return x
+
+    def field(x_t: Tensor, stage: Stage) -> Tensor:
+        return model.field(x_t, modulation[:, stage.time_index], context)
+
+    return integrate(field, x, schedule=schedule, method=MIDPOINT)
 
 
 def flow_evaluator(dataset: SceneDataset, config: EvaluationConfig) -> Evaluator:
@@ -152,11 +150,6 @@ def _judged_scene(
     clearance = GridField(scene["clearance"], float(geometry[2]), geometry[:2].astype(np.float64))
     verdict = judge(states, clearance, x_goal=x_goal, config=config)
     return JudgedScene(states[0], verdict, scene["cost_map"], geometry, x_curr, x_goal)
-
-
-def _largest(vectors: FloatArray) -> FloatArray:
-    """Greatest planar length along each anchor: [N, T, D] -> [N]."""
-    return np.linalg.norm(vectors[..., :2], axis=-1).max(1)
 
 
 def _spread(positions: FloatArray) -> float:

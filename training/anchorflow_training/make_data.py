@@ -14,16 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from anchorflow_training.dataset import create_arrays
+from anchorflow_training.dataset import Row, create_arrays, scene_row
 from anchorflow_training.expert import ExpertConfig, solve
-from anchorflow_training.scenes import Scene, SceneError, draw_scene
+from anchorflow_training.scenes import SceneError, draw_scene
 from anchorflow_trajectory.cost import CostWeights, MotionLimits
-from anchorflow_trajectory.geodesic import cost_to_go
 from anchorflow_trajectory.spline import spline_basis
-
-Row = dict[str, NDArray]
 
 
 @dataclass(frozen=True)
@@ -109,22 +105,6 @@ def _solved_scene(task: tuple[DataConfig, int]) -> SceneRecord:
             break
         unsolved.append(scene.family)
     chosen = np.resize(rng.permutation(good), config.trajectories)
-    control = solution.control[:, chosen]
-    row = _row(scene, control, config)
-    return SceneRecord(row, scene.family, tuple(unsolved), len(good) / len(solution.good))
-
-
-def _row(scene: Scene, control: NDArray[np.float32], config: DataConfig) -> Row:
     basis = spline_basis(config.expert.num_samples, config.limits.horizon_s)
-    ends = scene.x_curr[:2], scene.x_goal[:2]
-    ways = cost_to_go(scene.clearance, scene.resolution, scene.origin, *ends)
-    return {
-        "cost_map": np.rint(scene.cost_map * 255).astype(np.uint8),
-        "clearance": scene.clearance.astype(np.float16),
-        "cost_to_go": ways.astype(np.float16),
-        "map_geometry": np.array([*scene.origin, scene.resolution], np.float32),
-        "x_curr": scene.x_curr,
-        "x_goal": scene.x_goal,
-        "w_style": scene.style,
-        "states": np.concatenate(basis.states(control), axis=-1),
-    }
+    row = scene_row(scene, np.concatenate(basis.states(solution.control[:, chosen]), axis=-1))
+    return SceneRecord(row, scene.family, tuple(unsolved), len(good) / len(solution.good))

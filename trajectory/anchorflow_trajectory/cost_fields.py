@@ -25,14 +25,16 @@ class CostFields:
     def of(
         cost_map: FloatArray, clearance: FloatArray, resolution: float, origin: FloatArray
     ) -> CostFields:
-        """Of a cost map [C, H, W] in [0, 1] whose clearance [H, W] is known.
-
-        CostFields is dear where it is risky or hard to pass, whichever is worse.
-        """
-        field = GridField(clearance, resolution, origin)
-        soft = np.zeros_like(clearance)
-        if len(cost_map) > TRAVERSABILITY:
-            soft = np.maximum(soft, 1.0 - cost_map[TRAVERSABILITY])
-        if len(cost_map) > RISK:
-            soft = np.maximum(soft, cost_map[RISK])
+        """Of a cost map [C, H, W] in [0, 1] whose clearance [H, W] is known."""
+        field, soft = GridField(clearance, resolution, origin), soft_cost(cost_map)
         return CostFields(field, GridField(soft, resolution, origin) if soft.any() else None)
+
+
+def soft_cost(cost_map: FloatArray) -> FloatArray:
+    """[H, W] in [0, 1] of a map [C, H, W]: risky or hard to pass, whichever is worse."""
+    soft = np.zeros(cost_map.shape[1:], np.float32)
+    if len(cost_map) > TRAVERSABILITY:
+        soft = np.maximum(soft, 1.0 - cost_map[TRAVERSABILITY])
+    if len(cost_map) > RISK:
+        soft = np.maximum(soft, cost_map[RISK])
+    return soft

@@ -1,4 +1,7 @@
-"""Is a trajectory safe? Clearance along the whole path, speed and acceleration at its samples."""
+"""Is a trajectory safe? Clearance along the whole path, speed and acceleration at its samples.
+
+The service's `safe`, the expert's `good` and the trainer's scores are this one verdict.
+"""
 
 from __future__ import annotations
 
@@ -21,26 +24,32 @@ SPEED_TOLERANCE, ACCELERATION_TOLERANCE = 1.02, 1.05
 
 @dataclass(frozen=True)
 class Verdict:
-    """clearance: [M] m beyond the robot's radius, smallest along the path; safe: [M]."""
+    """What holds for each of M trajectories, all [M].
+
+    clearance: m beyond the robot's radius, smallest along the path
+    free: clear of every obstacle and of the map's edge; feasible: within both limits
+    """
 
     clearance: FloatArray
-    safe: BoolArray
+    free: BoolArray
+    feasible: BoolArray
+
+    @property
+    def safe(self) -> BoolArray:
+        """Free and feasible."""
+        return self.free & self.feasible
 
 
 def verify(
-    states: tuple[FloatArray, FloatArray, FloatArray],
-    field: GridField,
-    limits: MotionLimits,
-    *,
-    check_step: float = CHECK_STEP,
+    states: tuple[FloatArray, FloatArray, FloatArray], field: GridField, limits: MotionLimits
 ) -> Verdict:
     """Judge positions, velocities and accelerations [M, T, D]."""
     position, velocity, acceleration = states
-    clearance = path_clearance(field, position, max_step=check_step)
-    safe = clearance >= SHARE_OF_CELL * field.resolution
-    safe &= _largest(velocity) <= SPEED_TOLERANCE * limits.v_max
-    safe &= _largest(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
-    return Verdict(clearance, safe)
+    clearance = path_clearance(field, position, max_step=CHECK_STEP)
+    free = clearance >= SHARE_OF_CELL * field.resolution
+    feasible = _largest(velocity) <= SPEED_TOLERANCE * limits.v_max
+    feasible &= _largest(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
+    return Verdict(clearance, free, feasible)
 
 
 def _largest(vectors: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from anchorflow_benchmarks.closed_loop.navigation_cost import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.world import GOAL_TOLERANCE, World
 from anchorflow_client.planner import Planner, PlannerConfig
-from anchorflow_client.planner_plan import Plan
+from anchorflow_client.planner.plan import Plan
 
 SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are looked for
 SLOWEST = 4.0  # times slower than it is, as which a robot may ask

@@ -11,9 +11,10 @@ from anchorflow_client.cancellation import Cancellation
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.errors import ConnectionFailed, TimedOut
 from anchorflow_client.oip_codec import OipCodec
-from anchorflow_client.zenoh_client.asking import Asking, Question
+from anchorflow_client.zenoh_client.attempt import Question
 from anchorflow_client.zenoh_client.connection import Connection
 from anchorflow_client.zenoh_client.deadline import Deadline
+from anchorflow_client.zenoh_client.failover import Failover
 from anchorflow_client.zenoh_client.network import Network
 from anchorflow_client.zenoh_client.settings import ZenohSettings
 from anchorflow_client.zenoh_messages import ReplicaInfo
@@ -74,12 +75,12 @@ class ZenohAnchorClient(BaseClient):
             model=request.model,
             deadline=deadline,
         )
-        asking = Asking(self._settled(deadline), question)
+        failover = Failover(self._settled(deadline), question)
         cancellations = [self._closing, *([] if cancellation is None else [cancellation])]
         with ExitStack() as stack:
             for each in cancellations:
-                stack.enter_context(each.watched_by(asking.cancel))
-            return self._codec.decode_answer(asking.run())
+                stack.enter_context(each.watched_by(failover.cancel))
+            return self._codec.decode_answer(failover.run())
 
     def models(self) -> tuple[ModelCard, ...]:
         """The cards of all bundles that are served, the default first."""

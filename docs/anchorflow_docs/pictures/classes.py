@@ -22,7 +22,7 @@ def classes(stage: Stage) -> Drawing:
     scene = stage.scene_with_ways(FAMILY, WAYS)
     answer = stage.plan(scene)
     way_of = ways(scene, answer)
-    points = obstacle_points(scene.clearance, scene.resolution, scene.origin)
+    points = obstacle_points(scene.clearance_field, scene.resolution, scene.origin)
     count = min(int(way_of.max()) + 1, MOST)
 
     def draw(theme: Theme) -> Figure:

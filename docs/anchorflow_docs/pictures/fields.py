@@ -13,9 +13,8 @@ from anchorflow_docs.pictures.marks import Array, draw_ends, draw_field, draw_ma
 from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
-from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.cost_fields import RISK, TRAVERSABILITY
-from anchorflow_trajectory.geodesic import cost_to_go
+from anchorflow_trajectory.cost_fields import soft_cost
+from anchorflow_trajectory.scene import Scene
 
 FAMILY, WAYS = "rooms", 2
 LINE_EVERY_M = 1.0
@@ -26,15 +25,17 @@ FARTHEST_SHARE = 0.98
 
 def fields(stage: Stage) -> Drawing:
     """Occupancy, soft costs, clearance, the geodesic cost from both ends, and the answer."""
-    scene = stage.scene_with_ways(FAMILY, WAYS, lambda scene: bool(soft_cost(scene).any()))
-    from_start, to_goal = costs_to_go(scene)
+    scene = stage.scene_with_ways(FAMILY, WAYS, lambda scene: bool(soft_cost(scene.cost_map).any()))
+    from_start, to_goal = scene.cost_to_go
     answer = stage.plan(scene)
 
     def draw(theme: Theme) -> Figure:
         figure, axes = plt.subplots(2, 3, figsize=(WIDTH, 5.9), layout="constrained")
         draw_map(axes[0, 0], scene, theme)
         draw_ends(axes[0, 0], scene, theme)
-        soft = draw_field(axes[0, 1], scene, soft_cost(scene), cmap=theme.costs, vmin=0, vmax=1)
+        soft = draw_field(
+            axes[0, 1], scene, soft_cost(scene.cost_map), cmap=theme.costs, vmin=0, vmax=1
+        )
         _draw_clearance(axes[0, 2], scene, theme)
         for axis, costs in zip(axes[1], (from_start, to_goal), strict=False):
             draw_costs(axis, scene, costs, theme)
@@ -56,20 +57,9 @@ def fields(stage: Stage) -> Drawing:
     return draw
 
 
-def soft_cost(scene: Scene) -> Array:
-    """[H,W] in [0, 1]: risky or hard to pass, whichever is worse."""
-    return np.maximum(1.0 - scene.cost_map[TRAVERSABILITY], scene.cost_map[RISK])
-
-
-def costs_to_go(scene: Scene) -> Array:
-    """[2,H,W] m, geodesic, from the start and to the goal."""
-    ends = scene.x_curr[:2], scene.x_goal[:2]
-    return cost_to_go(scene.clearance, scene.resolution, scene.origin, *ends)
-
-
 def draw_costs(axis: Axes, scene: Scene, costs: Array, theme: Theme) -> None:
     """A geodesic cost [H,W] where the robot's centre may be, with lines of equal cost."""
-    free = np.where(scene.clearance > 0, costs, np.nan)
+    free = np.where(scene.clearance_field > 0, costs, np.nan)
     top = float(np.nanquantile(free, FARTHEST_SHARE))
     draw_map(axis, scene, theme)
     image = draw_field(axis, scene, free, cmap=theme.field, vmin=0.0, vmax=top)
@@ -80,15 +70,17 @@ def draw_costs(axis: Axes, scene: Scene, costs: Array, theme: Theme) -> None:
 
 def _draw_clearance(axis: Axes, scene: Scene, theme: Theme) -> None:
     """Blue where there is room, red where the robot's disc would touch, and where it just does."""
-    most = float(np.abs(scene.clearance).max())
-    image = draw_field(axis, scene, scene.clearance, cmap=theme.room, vmin=-most, vmax=most)
-    axis.contour(*_centres(scene), scene.clearance, levels=[0.0], colors=theme.ink, linewidths=1.0)
+    most = float(np.abs(scene.clearance_field).max())
+    image = draw_field(axis, scene, scene.clearance_field, cmap=theme.room, vmin=-most, vmax=most)
+    axis.contour(
+        *_centres(scene), scene.clearance_field, levels=[0.0], colors=theme.ink, linewidths=1.0
+    )
     _bar(axis, image)
 
 
 def _centres(scene: Scene) -> tuple[Array, Array]:
     """x [W] and y [H] of the cells' centres, in m."""
-    height, width = scene.clearance.shape
+    height, width = scene.occupied.shape
     x, y = (
         origin + (np.arange(count) + 0.5) * scene.resolution
         for origin, count in zip(scene.origin, (width, height), strict=True)

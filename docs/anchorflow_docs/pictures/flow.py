@@ -12,7 +12,7 @@ from anchorflow_docs.pictures.marks import Array, draw_ends, draw_map, draw_path
 from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
-from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.scene import Scene
 
 FAMILY, WAYS = "forest", 4
 TIMES = (0.0, 0.5, 0.8, 1.0)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_docs.pictures.theme import Theme
-from anchorflow_training.scenes import Scene
+from anchorflow_trajectory.scene import Scene
 
 Array = NDArray[np.floating]
 

@@ -12,7 +12,8 @@ from anchorflow_client.contract import AnchorBatch
 from anchorflow_docs.pictures.marks import draw_anchors, draw_ends, draw_map
 from anchorflow_docs.pictures.scenes import FAMILIES, Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
-from anchorflow_training.scenes import Scene
+from anchorflow_training.scenes import FamilyScene
+from anchorflow_trajectory.scene import Scene
 
 FRONT = {"discs": 4, "rooms": 2, "forest": 3}
 """Families, and the ways that the anchors take at least."""
@@ -29,7 +30,9 @@ def anchors(stage: Stage) -> Drawing:
     return _sheet(stage, [stage.scene(family) for family in FAMILIES], rows=2, titled=True)
 
 
-def _sheet(stage: Stage, scenes: Sequence[Scene], *, rows: int, titled: bool = False) -> Drawing:
+def _sheet(
+    stage: Stage, scenes: Sequence[FamilyScene], *, rows: int, titled: bool = False
+) -> Drawing:
     answers = [stage.plan(scene) for scene in scenes]
     columns = len(scenes) // rows
 

@@ -6,7 +6,6 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from anchorflow_docs.pictures.fields import costs_to_go
 from anchorflow_docs.pictures.marks import draw_ends, draw_field, draw_map, draw_paths
 from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
@@ -20,7 +19,7 @@ def pipeline(stage: Stage) -> Drawing:
     """Five small panels with arrows between them."""
     scene = stage.scene_with_ways(FAMILY, WAYS)
     states = stage.flow_states(scene).positions
-    to_goal = costs_to_go(scene)[1]
+    to_goal = scene.cost_to_go[1]
     answer = stage.plan(scene)
 
     def draw(theme: Theme) -> Figure:
@@ -28,7 +27,7 @@ def pipeline(stage: Stage) -> Drawing:
         figure.get_layout_engine().set(wspace=0.12)  # type: ignore[union-attr]
         for axis in axes[[0, 2, 3]]:
             draw_map(axis, scene, theme)
-        farthest = to_goal[scene.clearance > 0].max()
+        farthest = to_goal[scene.clearance_field > 0].max()
         draw_field(axes[1], scene, to_goal, cmap=theme.field, vmax=farthest)
         for axis, paths in zip(axes[2:4], states[[0, -1]], strict=True):
             draw_paths(axis, paths, theme.ways[0], alpha=0.5, linewidths=0.7)

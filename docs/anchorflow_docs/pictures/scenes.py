@@ -14,8 +14,9 @@ from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, reso
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_training.data.homology import homology_classes, obstacle_points
-from anchorflow_training.scenes import Scene, SceneError, draw_scene
+from anchorflow_training.scenes import FamilyScene, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
 
 FAMILIES = ("rooms", "posts", "maze", "bug_traps", "city", "gaps", "discs", "forest")
 QUICK = {"method": "midpoint", "schedule": {"uniform": 2}}
@@ -27,10 +28,10 @@ FARTHEST = 5.0
 FINEST = 0.14
 """m/cell at most: in a larger scene a robot is a dot."""
 
-Wanted = Callable[[Scene], bool]
+Wanted = Callable[[FamilyScene], bool]
 
 
-def anything(_: Scene) -> bool:
+def anything(_: FamilyScene) -> bool:
     """Every scene will do."""
     return True
 
@@ -42,7 +43,7 @@ class Stage:
     engine: Engine
     seed: int
 
-    def scene(self, family: str, wanted: Wanted = anything) -> Scene:
+    def scene(self, family: str, wanted: Wanted = anything) -> FamilyScene:
         """The seed's first scene of a family that spans some metres and is `wanted`."""
         for scene in self._scenes(family):
             far = np.linalg.norm(scene.x_goal[:2] - scene.x_curr[:2]) > FARTHEST
@@ -50,10 +51,10 @@ class Stage:
                 return scene
         raise AssertionError("scenes never end")
 
-    def scene_with_ways(self, family: str, least: int, wanted: Wanted = anything) -> Scene:
+    def scene_with_ways(self, family: str, least: int, wanted: Wanted = anything) -> FamilyScene:
         """The first whose anchors are safe, and several of which take each of so many ways."""
 
-        def takes_them(scene: Scene) -> bool:
+        def takes_them(scene: FamilyScene) -> bool:
             if not wanted(scene):
                 return False
             answer = self.plan(scene, sampler=QUICK)
@@ -64,7 +65,7 @@ class Stage:
 
     def request(self, scene: Scene, **optional: Any) -> AnchorRequest:
         """What would be asked on a scene; the scene's own style unless told."""
-        fields = {"w_style": scene.style, "seed": 0} | optional
+        fields = {"w_style": scene.w_style, "seed": 0} | optional
         return AnchorRequest.build(
             cost_map=CostMap.build(scene.cost_map, scene.resolution, scene.origin),
             x_curr=scene.x_curr,
@@ -82,7 +83,7 @@ class Stage:
         request = self.request(scene, **optional)
         return self.engine.flow_states(resolve_for_card(request, self.engine.card))
 
-    def _scenes(self, family: str) -> Iterator[Scene]:
+    def _scenes(self, family: str) -> Iterator[FamilyScene]:
         card = self.engine.card
         rng = np.random.default_rng([self.seed, FAMILIES.index(family)])
         own = card.cost_map.limits
@@ -94,7 +95,7 @@ class Stage:
 
 def ways(scene: Scene, answer: AnchorBatch) -> NDArray[np.int64]:
     """The homology class of each anchor [N], from 0 up, the most taken first."""
-    points = obstacle_points(scene.clearance, scene.resolution, scene.origin)
+    points = obstacle_points(scene.clearance_field, scene.resolution, scene.origin)
     classes = homology_classes(answer.trajectories, points)
     rank_of = np.argsort(np.argsort(-np.bincount(classes), kind="stable"))
     return rank_of[classes]

@@ -10,8 +10,7 @@ from anchorflow_client.contract import AnchorBatch
 from anchorflow_docs.pictures.marks import Array, draw_best, draw_ends, draw_map, draw_paths
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
-from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.scene import Scene
 
 FAMILY, WAYS = "city", 2
 STYLES = {"safety": (0.8, 0.1, 0.1), "energy": (0.1, 0.8, 0.1), "smooth": (0.1, 0.1, 0.8)}
@@ -51,7 +50,7 @@ def _draw_profile(axes: Array, scene: Scene, answer: AnchorBatch, colour: str) -
         np.asarray(array[best], np.float64)
         for array in (answer.trajectories, answer.velocities, answer.accelerations)
     )
-    field = GridField(scene.clearance, scene.resolution, scene.origin)
+    field = scene.cost_fields.clearance
     time = np.arange(len(position)) * answer.dt
     profiles = (
         field.sample(*position[:, :2].T),

@@ -10,8 +10,7 @@ Three parts, which export as three graphs, because they depend on less and less:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -28,10 +27,6 @@ from anchorflow_models.flowmp.window import MapWindow
 from anchorflow_models.layers.embedding import PLACE_OCTAVES, fourier_places
 from anchorflow_models.layers.lookup import lookup
 
-if TYPE_CHECKING:  # the generation package is built on this module
-    from anchorflow_models.generation import GeneratorConfig
-    from anchorflow_models.generation.scenes import Numbers
-
 Context = dict[str, Tensor]
 
 CONDITION_WIDTH = 256
@@ -40,7 +35,11 @@ WINDOWS = {"features": 1.0, "wide_features": 2.0}  # context tensor: width of it
 
 
 class L2SafetyCFM(nn.Module):
-    """The whole planner. Everything that goes in or out is metric and in the cost map's frame."""
+    """The whole planner. Everything that goes in or out is metric and in the cost map's frame.
+
+    `anchorflow_models.generation` draws anchors from it: `TrajectoryGenerator`, or in one call
+    `generate_trajectory_anchors`.
+    """
 
     context_for_modulate: ClassVar = ("condition",)
 
@@ -191,39 +190,6 @@ class L2SafetyCFM(nn.Module):
         """x_0 [B, N, T, S] from standard normal noise [B or 1, N, R]."""
         mean = context["prior_mean"]
         return mean[:, None] + (noise @ context["prior_basis"]).unflatten(-1, mean.shape[1:])
-
-    def generate_trajectory_anchors(
-        self,
-        cost_map: Numbers,
-        x_curr: Numbers,
-        x_goal: Numbers,
-        w_style: Numbers | None = None,
-        num_samples: int = 64,
-        *,
-        config: GeneratorConfig | None = None,
-        **options: Any,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Trajectories, velocities and accelerations [B * N, T, D] in SI, scene after scene.
-
-        cost_map: [C, H, W] in [0, 1]; x_curr: [3D] p, v, a; x_goal: [2D] p, v; w_style: [3] safety,
-            energy, smooth; each with or without a B axis
-        config: how they are drawn and finished, but for num_samples; `GeneratorConfig`
-        options: resolution (0.1 m/cell), origin (m, [2]; the map's centre is (0, 0)), robot_radius
-            (0.25 m), seed, warm_start, guidance: of `TrajectoryGenerator.generate_batch`, which
-            also says which anchors are safe
-
-        Raises:
-            ValueError: a field is not that; the message names it.
-        """
-        from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator
-
-        settings = replace(config or GeneratorConfig(), num_samples=num_samples)
-        anchors = TrajectoryGenerator(self, settings).generate_batch(
-            cost_map, x_curr, x_goal, w_style, **options
-        )
-        states = anchors.trajectories, anchors.velocities, anchors.accelerations
-        trajectories, velocities, accelerations = (field.flatten(0, 1) for field in states)
-        return trajectories, velocities, accelerations
 
 
 def create_l2_safety_cfm(config: L2Config | None = None) -> L2SafetyCFM:

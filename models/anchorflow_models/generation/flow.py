@@ -12,7 +12,7 @@ from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.generation.barrier import Barrier
 from anchorflow_models.generation.config import ADAPTIVE, GeneratorConfig
 from anchorflow_models.generation.guidance import Guidance
-from anchorflow_models.generation.solver import Stage, integrate, integrate_adaptive
+from anchorflow_models.generation.integrate import Stage, integrate, integrate_adaptive
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from anchorflow_models.generation.anchors import Anchors
+from anchorflow_client.contract import WarmStart
+from anchorflow_models.generation.anchor_tensors import AnchorTensors
 from anchorflow_models.generation.barrier import Barrier
 from anchorflow_models.generation.checks import check
 from anchorflow_models.generation.clearance_map import ClearanceMap
@@ -22,12 +22,14 @@ from anchorflow_models.generation.scenes import (
     DEFAULT_RESOLUTION,
     DEFAULT_ROBOT_RADIUS,
     Numbers,
-    Scenes,
+    encode_inputs,
+    requested_scenes,
 )
-from anchorflow_models.generation.warm_start import WarmStart
+from anchorflow_models.generation.warm_start import noised
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ode.schedule import remaining
 from anchorflow_trajectory.refine import Refined, Refiner
+from anchorflow_trajectory.scene import Scene
 
 Seed = int | torch.Generator | None
 
@@ -50,12 +52,12 @@ class TrajectoryGenerator:
         w_style: Numbers | None = None,
         *,
         resolution: float = DEFAULT_RESOLUTION,
-        origin: ArrayLike | None = None,
+        origin: Numbers | None = None,
         robot_radius: float = DEFAULT_ROBOT_RADIUS,
         seed: Seed = None,
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
-    ) -> Anchors:
+    ) -> AnchorTensors:
         """Anchors [N, T, D] of one scene; SI units, in the cost map's frame.
 
         cost_map: [C, H, W] in [0, 1], occupancy first; channels left out are neutral
@@ -64,13 +66,15 @@ class TrajectoryGenerator:
         resolution: m/cell; origin: [2] m, outer corner of cell (0, 0), by default such that the
             map's centre is (0, 0); robot_radius: m
         seed: an int draws the noise that the service draws from it, a torch.Generator its own
-        warm_start: a plan to start from instead of noise alone
+        warm_start: a plan to start from instead of noise alone; the contract's
         guidance: a cost that the anchors shall keep low
 
         Raises:
-            ValueError: a field is not that; the message names it, what was expected and what came.
+            InvalidRequest: a field is not what the contract and the model take, as a service would
+                say it; the message names it, what was expected and what came.
+            ValueError: there is more than one scene.
         """
-        scenes = Scenes.of(
+        scenes = requested_scenes(
             cost_map,
             x_curr,
             x_goal,
@@ -91,18 +95,18 @@ class TrajectoryGenerator:
         w_style: Numbers | None = None,
         *,
         resolution: float = DEFAULT_RESOLUTION,
-        origin: ArrayLike | None = None,
+        origin: Numbers | None = None,
         robot_radius: float = DEFAULT_ROBOT_RADIUS,
         seed: Seed = None,
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
-    ) -> Anchors:
+    ) -> AnchorTensors:
         """Anchors [B, N, T, D] of several scenes: `generate` with a B axis before each array.
 
         An array without one is the same in every scene, and so is the noise. Maps of different
-        resolutions are batches of their own.
+        places or resolutions go to `sample`, which takes scenes.
         """
-        scenes = Scenes.of(
+        scenes = requested_scenes(
             cost_map,
             x_curr,
             x_goal,
@@ -124,7 +128,7 @@ class TrajectoryGenerator:
         cost_fn: Cost,
         scale: float,
         **options: Any,
-    ) -> Anchors:
+    ) -> AnchorTensors:
         """Anchors [N, T, D] of one scene, drawn as if exp(-scale cost) times as likely.
 
         cost_fn: states [1, N, T, 3D] -> costs [1, N], differentiable; options: of `generate`
@@ -135,34 +139,36 @@ class TrajectoryGenerator:
     @torch.no_grad()
     def sample(
         self,
-        scenes: Scenes,
+        scenes: Sequence[Scene],
         *,
         seed: Seed = None,
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
-    ) -> Anchors:
-        """Anchors [B, N, T, D] of scenes that are known whole."""
+    ) -> AnchorTensors:
+        """Anchors [B, N, T, D] of scenes whose maps have one size and all the model's channels."""
         states = self.sample_states(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
         per_scene = states.cpu().numpy()
-        finished = [self._finish(state, scenes, b) for b, state in enumerate(per_scene)]
+        finished = [
+            self._finish(state, scene) for state, scene in zip(per_scene, scenes, strict=True)
+        ]
         return _stacked(finished, states.device)
 
     @torch.no_grad()
     def sample_states(
         self,
-        scenes: Scenes,
+        scenes: Sequence[Scene],
         *,
         seed: Seed = None,
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
     ) -> Tensor:
         """States [B, N, T, 3D] as the flow leaves them: neither smoothed nor projected."""
-        inputs = scenes.encode_inputs(_device(self.model))
+        inputs = encode_inputs(scenes, _device(self.model))
         context = self.model.encode(**inputs)
         schedule = self.config.flow_times
         x = self.model.draw(self._noise(context, seed), context)
         if warm_start is not None:
-            x = warm_start.noised(x, self.model.config)
+            x = noised(x, warm_start, self.model.config)
             schedule = remaining(schedule, warm_start.tau)
         flow = SceneFlow(self.model, context, guidance, self._barrier(inputs))
         return flow.solve(x, self.config, schedule)
@@ -184,7 +190,7 @@ class TrajectoryGenerator:
         ends = torch.stack([inputs["x_curr"][:, :2], inputs["x_goal"][:, :2]], 1)
         return Barrier.of(clearance, margin=margin, rate=rate, ends=ends)
 
-    def _finish(self, state: np.ndarray, scenes: Scenes, b: int) -> Refined:
+    def _finish(self, state: np.ndarray, scene: Scene) -> Refined:
         config = self.model.config
         limits = MotionLimits(v_max=config.v_max, a_max=config.a_max, horizon_s=config.horizon_s)
         refiner = Refiner.of(
@@ -194,14 +200,9 @@ class TrajectoryGenerator:
             degree=config.degree,
             steps=self.config.refine_steps,
         )
-        return refiner.refine(
-            state,
-            scenes.cost_fields(b),
-            x_curr=scenes.x_curr[b],
-            x_goal=scenes.x_goal[b],
-            w_style=scenes.w_style[b],
-            spec=self.config,
-        )
+        told = scene.inputs(("x_curr", "x_goal", "w_style"))
+        ends_and_style = {name: array[0] for name, array in told.items()}
+        return refiner.refine(state, scene.cost_fields, **ends_and_style, spec=self.config)
 
 
 def _device(model: FlowPlanner) -> torch.device:
@@ -209,13 +210,13 @@ def _device(model: FlowPlanner) -> torch.device:
     return next((tensor.device for tensor in tensors), torch.device("cpu"))
 
 
-def _stacked(scenes: Sequence[Refined], device: torch.device) -> Anchors:
+def _stacked(scenes: Sequence[Refined], device: torch.device) -> AnchorTensors:
     def column(name: str) -> Tensor:
         arrays = np.stack([getattr(scene, name) for scene in scenes])
         kind = torch.bool if arrays.dtype == np.bool_ else torch.float32
         return torch.from_numpy(arrays).to(device, kind)
 
-    return Anchors(
+    return AnchorTensors(
         trajectories=column("positions"),
         velocities=column("velocities"),
         accelerations=column("accelerations"),

@@ -2,40 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 
+from anchorflow_client.contract import WarmStart
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_models.flowmp.config import L2Config
-from anchorflow_models.generation.checks import batched, check
+from anchorflow_models.generation.scenes import as_numpy
 from anchorflow_trajectory.resample import resampled_states, whole_fields
 
 
-@dataclass(frozen=True, eq=False)
-class WarmStart:
-    """trajectory: [T', D], [T', 2D] or [T', 3D] over the model's horizon: positions, then
-        velocities, then accelerations; [B, T', ...] for several scenes
-    tau: flow time in (0, 1) to start from; near 1 the anchors stay near the plan
+def noised(x_0: Tensor, warm_start: WarmStart, config: L2Config) -> Tensor:
+    """x_tau = tau x_1 + (1 - tau) x_0 [B, N, T, S], where x_1 is the plan.
+
+    The plan is the contract's [T', D], [T', 2D] or [T', 3D] over the model's horizon, of any time
+    steps, or [B, T', ...] where each scene has its own.
+
+    Raises:
+        InvalidRequest: the plan or tau is not that; the message names it.
     """
+    given = np.asarray(as_numpy(warm_start.trajectory))
+    plans = given if given.ndim == 3 else given[None]
+    if len(plans) not in (1, len(x_0)):
+        raise _refused(f"expected one plan, or {len(x_0)} as there are scenes, got {len(plans)}")
+    plans = np.stack([_checked(plan, warm_start.tau, config.dim) for plan in plans])
+    states = resampled_states(
+        plans, dim=config.dim, num_steps=config.num_steps, horizon_s=config.horizon_s
+    )
+    x_1 = torch.from_numpy(states).to(x_0)[:, None]
+    return warm_start.tau * x_1 + (1 - warm_start.tau) * x_0
 
-    trajectory: ArrayLike | Tensor
-    tau: float = 0.8
 
-    def __post_init__(self) -> None:
-        check("warm_start.tau", 0 < self.tau < 1, "a flow time in (0, 1)", self.tau)
+def _checked(plan: np.ndarray, tau: float, dim: int) -> np.ndarray:
+    checked = WarmStart.from_fields({"trajectory": plan, "tau": tau}, dim=dim).trajectory
+    columns = checked.shape[1]
+    if not whole_fields(columns, dim):
+        raise _refused(f"expected columns of {dim} a field, got {columns}")
+    return checked
 
-    def noised(self, x_0: Tensor, config: L2Config) -> Tensor:
-        """x_tau = tau x_1 + (1 - tau) x_0 [B, N, T, S], where x_1 is the plan."""
-        name, dim = "warm_start.trajectory", config.dim
-        plan = batched(name, self.trajectory, f"[T', {dim} to {3 * dim}]", (None, None))
-        scenes, steps, columns = plan.shape
-        check(name, whole_fields(columns, dim), f"columns of {dim} a field", columns)
-        check(name, steps >= 2, "2 time steps or more", steps)
-        check(name, scenes in (1, len(x_0)), f"B of 1 or {len(x_0)}", scenes)
-        states = resampled_states(
-            plan, dim=dim, num_steps=config.num_steps, horizon_s=config.horizon_s
-        )
-        x_1 = torch.from_numpy(states).to(x_0)[:, None]
-        return self.tau * x_1 + (1 - self.tau) * x_0
+
+def _refused(message: str) -> InvalidRequest:
+    return InvalidRequest(message, "warm_start.trajectory")

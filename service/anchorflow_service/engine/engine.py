@@ -15,7 +15,7 @@ from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.cores import usable_cores
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.finish import FINISHES
-from anchorflow_service.engine.parts import Arrays, Check, Sampler, Scene
+from anchorflow_service.engine.parts import Arrays, Check, ConditionedScene, Sampler
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
 from anchorflow_service.engine.timing import StageClock
@@ -101,7 +101,7 @@ class Engine:
             raise InvalidRequest(f"expected a model with a flow, got {self.card.name}", "model")
         return self.sampler.flow_states(self._scenes(request)[0])
 
-    def _scenes(self, request: ResolvedRequest) -> Sequence[Scene]:
+    def _scenes(self, request: ResolvedRequest) -> Sequence[ConditionedScene]:
         if request.model != self.card.name:
             raise UnknownModel(f"expected {self.card.name}, got {request.model}", "model")
         return self._conditioning.scenes(request)
@@ -118,7 +118,9 @@ class Engine:
         if not batch.is_finite:
             raise BundleError(bundle.path, "the warm-up gave numbers that are not finite")
 
-    def _plan_scene(self, scene: Scene, clock: StageClock, threads: int, check: Check) -> Arrays:
+    def _plan_scene(
+        self, scene: ConditionedScene, clock: StageClock, threads: int, check: Check
+    ) -> Arrays:
         check()
         with clock.stage("encode"):
             context = self.sampler.encode(scene, threads=threads)

@@ -26,7 +26,7 @@ Check = Callable[[], object]
 """Called between the steps of a request; what it raises ends the request."""
 
 
-class Scene(Protocol):
+class ConditionedScene(Protocol):
     """One scene of a request, in the frame that the graphs work in."""
 
     @property
@@ -50,7 +50,7 @@ class Conditioning(Protocol):
         """What keeps the graphs from being fed with what a request brings."""
         ...
 
-    def scenes(self, request: ResolvedRequest) -> Sequence[Scene]:
+    def scenes(self, request: ResolvedRequest) -> Sequence[ConditionedScene]:
         """The scenes of a request. Raises `InvalidRequest` for what the card does not tell."""
         ...
 
@@ -74,15 +74,17 @@ class Samples:
 class Sampler(Protocol):
     """How anchors are drawn; several threads may sample at once."""
 
-    def settle(self, scene: Scene) -> None:
+    def settle(self, scene: ConditionedScene) -> None:
         """Find out on a first scene what every answer must agree on, whatever its threads."""
         ...
 
-    def encode(self, scene: Scene, *, threads: int) -> Context:
+    def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
         """What is worked out once a scene."""
         ...
 
-    def sample(self, scene: Scene, context: Context, *, threads: int, check: Check) -> Samples:
+    def sample(
+        self, scene: ConditionedScene, context: Context, *, threads: int, check: Check
+    ) -> Samples:
         """The anchors of a scene; the same to the last bit on however many threads.
 
         check: called after every step; what it raises ends the work and is raised
@@ -93,7 +95,7 @@ class Sampler(Protocol):
 class Finish(Protocol):
     """What is done to samples before they are answered."""
 
-    def finish(self, samples: Samples, scene: Scene) -> Arrays:
+    def finish(self, samples: Samples, scene: ConditionedScene) -> Arrays:
         """The arrays of the contract, and those that the sampler gave, by name: [N,…]."""
         ...
 

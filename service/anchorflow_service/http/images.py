@@ -14,7 +14,7 @@ from anchorflow_client.contract import AnchorRequest, EncodedImage
 from anchorflow_client.errors import InvalidRequest
 
 BROKEN = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)
-"""What Pillow raises of broken files, by format and version; UnidentifiedImageError is an OSError."""
+"""What Pillow raises of broken files, by their format."""
 MAX_PIXELS = 16 * 2**20
 """Of one picture; a file of a few kB may unpack to gigabytes."""
 
@@ -45,13 +45,6 @@ def decoded(image: EncodedImage, field: str) -> NDArray[np.uint8]:
                     most = f"a picture of at most {MAX_PIXELS} pixels"
                     raise InvalidRequest(f"expected {most}, got {width} x {height}", field)
                 pixels = np.asarray(picture.convert("RGB"))
-    # What Pillow raises of broken files, by format and version.
-    except (
-        OSError,
-        UnidentifiedImageError,
-        ValueError,
-        SyntaxError,
-        Image.DecompressionBombError,
-    ) as error:
+    except BROKEN as error:
         raise InvalidRequest(f"expected a {image.format} file, got {error}", field) from error
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))

@@ -16,7 +16,7 @@ from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, Si
 from anchorflow_benchmarks.closed_loop.world import World
 from anchorflow_client import AnchorBatch, AnchorRequest, ConnectionFailed
 from anchorflow_client.planner import AnchorSource, Planner, PlannerConfig
-from anchorflow_client.planner_plan import PlanState
+from anchorflow_client.planner.plan import PlanState
 
 SMALL = MppiConfig(samples=64, steps=20)
 MAP = {"map_cells": 96, "map_resolution": 0.1}

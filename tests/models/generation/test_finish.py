@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_models.generation import Anchors, GeneratorConfig, TrajectoryGenerator
+from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_trajectory.spline import spline_basis
 
 BENT = torch.tensor([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])  # at every step, the ends too
 
 
 @pytest.fixture
-def finish(gaussian_flow: Callable, room: Any) -> Callable[..., Anchors]:
+def finish(gaussian_flow: Callable, room: Any) -> Callable[..., AnchorTensors]:
     """64 anchors of seed 0 on their way through the block, finished as the settings say."""
 
-    def finished(flow: dict | None = None, **settings: Any) -> Anchors:
+    def finished(flow: dict | None = None, **settings: Any) -> AnchorTensors:
         generator = TrajectoryGenerator(gaussian_flow(**flow or {}), GeneratorConfig(**settings))
         return generator.generate(*room.ends, seed=0)
 

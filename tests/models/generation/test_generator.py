@@ -11,7 +11,13 @@ import torch
 from torch import Tensor
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.generation import Anchors, GeneratorConfig, Scenes, TrajectoryGenerator
+from anchorflow_models.generation import (
+    AnchorTensors,
+    GeneratorConfig,
+    TrajectoryGenerator,
+    encode_inputs,
+    requested_scenes,
+)
 from anchorflow_trajectory.ode.method import METHODS
 from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times
 from anchorflow_trajectory.ode.tableau import RK4
@@ -19,7 +25,7 @@ from anchorflow_trajectory.ode.tableau import RK4
 SHIFT = torch.tensor([0.0, 0.5, 0.1, 0.0, 0.0, 0.2])
 
 
-def states(anchors: Anchors) -> Tensor:
+def states(anchors: AnchorTensors) -> Tensor:
     return torch.cat([anchors.trajectories, anchors.velocities, anchors.accelerations], -1)
 
 
@@ -39,8 +45,8 @@ def draw(gaussian_flow: Callable, free_room: Any, plain: dict) -> Callable[..., 
 def expected(gaussian_flow: Callable, free_room: Any) -> Tensor:
     """x_1 = x_0 + shift: the flow's own end, from the service's noise for seed 3."""
     flow = gaussian_flow(shift=SHIFT)
-    scenes = Scenes.of(*free_room.ends, config=flow.config)
-    context = flow.encode(**scenes.encode_inputs(torch.device("cpu")))
+    scenes = requested_scenes(*free_room.ends, config=flow.config)
+    context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
     size = 5, context["prior_basis"].shape[1]
     noise = np.random.Generator(np.random.PCG64(3)).standard_normal(size, dtype=np.float32)
     return flow.draw(torch.from_numpy(noise)[None], context)[0] + SHIFT

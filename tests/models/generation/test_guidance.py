@@ -11,11 +11,12 @@ from torch import Tensor
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import (
-    Anchors,
+    AnchorTensors,
     GeneratorConfig,
     Guidance,
-    Scenes,
     TrajectoryGenerator,
+    encode_inputs,
+    requested_scenes,
 )
 
 VIA = torch.tensor([0.0, 1.5])
@@ -26,7 +27,7 @@ def miss_of_via(states: Tensor) -> Tensor:
     return (states[:, :, states.shape[2] // 2, :2] - VIA).square().sum(-1)
 
 
-def states(anchors: Anchors) -> Tensor:
+def states(anchors: AnchorTensors) -> Tensor:
     return torch.cat([anchors.trajectories, anchors.velocities, anchors.accelerations], -1)[None]
 
 
@@ -43,9 +44,8 @@ def test_a_linear_cost_tilts_a_gaussian_as_in_closed_form(
     guided = generator.generate_with_guidance(
         *free_room.ends, seed=2, cost_fn=lambda x: (x * weight).sum((-2, -1)), scale=0.3
     )
-    context = flow.encode(
-        **Scenes.of(*free_room.ends, config=flow.config).encode_inputs(torch.device("cpu"))
-    )
+    scenes = requested_scenes(*free_room.ends, config=flow.config)
+    context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
     basis = context["prior_basis"][0]
     moved = -0.3 * (basis.T @ (basis @ weight.flatten())).reshape(1, 1, 32, 6)
     torch.testing.assert_close(

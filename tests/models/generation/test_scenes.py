@@ -1,4 +1,4 @@
-"""What a caller says of a scene, and what is refused."""
+"""A request in arrays or tensors becomes scenes, with the contract's checks."""
 
 from __future__ import annotations
 
@@ -8,39 +8,43 @@ import numpy as np
 import pytest
 import torch
 
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_models import L2Config
-from anchorflow_models.generation import Scenes
+from anchorflow_models.generation import encode_inputs, requested_scenes
 from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.scene import Scene
 
 CONFIG = L2Config()
+CPU = torch.device("cpu")
 X_CURR, X_GOAL = [-1.0, 0, 0, 0, 0, 0], [1.0, 0, 0, 0]
 
 
-def scenes(**changes: Any) -> Scenes:
+def scenes(**changes: Any) -> list[Scene]:
+    """On a map of 6 x 4 m round (0, 0) with an obstacle in one cell."""
     cost_map = np.zeros((1, 40, 60), np.float32)
     cost_map[0, 30, 30] = 1.0
     fields = {"cost_map": cost_map, "x_curr": X_CURR, "x_goal": X_GOAL, "config": CONFIG}
-    return Scenes.of(**(fields | changes))
+    return requested_scenes(**(fields | changes))
 
 
 def test_defaults_centre_the_map_and_fill_its_channels() -> None:
-    one = scenes()
-    np.testing.assert_allclose(one.origin, [[-3.0, -2.0]])
-    np.testing.assert_allclose(one.w_style, [[0.4, 0.3, 0.3]])
-    assert one.cost_map.shape == (1, 3, 40, 60)
-    assert (one.cost_map[0, 1] == 1).all()
-    assert not one.cost_map[0, 2].any()
-    inputs = one.encode_inputs(torch.device("cpu"))
+    (one,) = scenes()
+    np.testing.assert_allclose(one.origin, [-3.0, -2.0])
+    np.testing.assert_allclose(one.w_style, [0.4, 0.3, 0.3])
+    assert one.cost_map.shape == (3, 40, 60)
+    assert (one.cost_map[1] == 1).all()
+    assert not one.cost_map[2].any()
+    inputs = encode_inputs([one], CPU)
     torch.testing.assert_close(inputs["map_geometry"], torch.tensor([[-3.0, -2.0, 0.1]]))
 
 
 def test_resolution_origin_and_radius_are_heeded() -> None:
-    other = scenes(resolution=0.2, origin=[-2.0, -3.0], robot_radius=0.4)
+    (other,) = scenes(resolution=0.2, origin=[-2.0, -3.0], robot_radius=0.4)
     occupied = np.zeros((40, 60), bool)
     occupied[30, 30] = True
-    np.testing.assert_allclose(other.clearance[0], clearance_field(occupied, 0.2, 0.4))
+    np.testing.assert_allclose(other.clearance_field, clearance_field(occupied, 0.2, 0.4))
     # The goal's cell is where the cost to go is nothing.
-    row, column = np.unravel_index(other.cost_to_go[0, 1].argmin(), (40, 60))
+    row, column = np.unravel_index(other.cost_to_go[1].argmin(), (40, 60))
     assert (row, column) == (15, 15)
 
 
@@ -48,28 +52,52 @@ def test_what_has_no_scene_axis_is_the_same_in_every_scene() -> None:
     maps = np.zeros((3, 2, 40, 60), np.float32)
     several = scenes(cost_map=maps, x_goal=torch.tensor(X_GOAL), w_style=[[2, 1, 1]] * 3)
     assert len(several) == 3
-    assert several.x_goal.shape == (3, 4)
-    np.testing.assert_allclose(several.w_style, [[0.5, 0.25, 0.25]] * 3)
+    inputs = encode_inputs(several, CPU)
+    assert inputs["x_goal"].tolist() == [X_GOAL] * 3
+    assert inputs["w_style"].tolist() == [[0.5, 0.25, 0.25]] * 3
+    assert inputs["cost_map"].shape == (3, 3, 40, 60)
+
+
+def test_tensors_are_taken_and_gradients_left_behind() -> None:
+    given = torch.tensor(X_CURR, requires_grad=True)
+    (one,) = scenes(x_curr=given, cost_map=torch.zeros(1, 40, 60))
+    np.testing.assert_array_equal(one.x_curr, X_CURR)
+
+
+@pytest.mark.parametrize("corner", [(3.0, 2.0), (-3.0, -2.0), (3.0, -2.0)])
+def test_the_maps_edge_is_on_the_map(corner: tuple[float, float]) -> None:
+    """As on the wire: the upper edge belongs to the last cell."""
+    (one,) = scenes(x_goal=[*corner, 0, 0])
+    row, column = np.unravel_index(one.cost_to_go[1].argmin(), (40, 60))
+    assert (row, column) == (39 * (corner[1] > 0), 59 * (corner[0] > 0))
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "field", "message"),
     [
-        ({"x_curr": X_CURR[:4]}, r"x_curr: expected \[6\] or \[B, 6\], got \[4\]"),
-        ({"x_goal": [*X_GOAL[:3], np.nan]}, "x_goal: expected finite numbers"),
-        ({"x_goal": [9.0, 0, 0, 0]}, r"x_goal: expected a point on the map, 6 x 4 m from"),
-        ({"x_curr": [0.05, 1.05, 0, 0, 0, 0]}, "x_curr: expected a cell that is not occupied"),
-        ({"cost_map": np.zeros((40, 60))}, r"cost_map: expected \[C, H, W\] or \[B, C, H, W\]"),
-        ({"cost_map": np.zeros((4, 40, 60))}, "cost_map: expected C from 1 to 3, the model's"),
-        ({"cost_map": np.full((1, 40, 60), -0.1)}, r"cost_map: expected values in \[0, 1\]"),
-        ({"w_style": [1, -1, 1]}, "w_style: expected weights >= 0, not all 0"),
-        ({"w_style": [0, 0, 0]}, "w_style: expected weights >= 0, not all 0"),
-        ({"resolution": 0.0}, "resolution: expected m/cell above 0"),
-        ({"robot_radius": -0.1}, "robot_radius: expected 0 m or more"),
-        ({"origin": [1.0, 2.0, 3.0]}, r"origin: expected \[2\] or \[B, 2\]"),
-        ({"x_curr": [X_CURR] * 2, "x_goal": [X_GOAL] * 3}, "x_curr: expected B of 1 or 3, got 2"),
+        ({"x_curr": X_CURR[:4]}, "x_curr", r"shape \[6\] or \[B,6\], \[9\] or \[B,9\], got \[4\]"),
+        ({"x_curr": [-1.0] * 9, "x_goal": [1.0] * 6}, "x_curr", r"the model has D = 2, got \[9\]"),
+        ({"x_goal": [*X_GOAL[:3], np.nan]}, "x_goal", "finite numbers"),
+        ({"x_goal": [9.0, 0, 0, 0]}, "x_goal", "a position on the map"),
+        ({"x_curr": [0.05, 1.05, 0, 0, 0, 0]}, "x_curr", "a cell of occupancy below 0.5"),
+        ({"cost_map": np.zeros((40, 60))}, "cost_map.data", r"\[C,H,W\] or \[B,C,H,W\]"),
+        ({"cost_map": np.zeros((4, 40, 60))}, "cost_map.data", "C from 1 to 3, the model's, got 4"),
+        ({"cost_map": np.full((1, 40, 60), -0.1)}, "cost_map.data", r"numbers in \[0, 1\]"),
+        ({"w_style": [1, -1, 1]}, "w_style", r"numbers in \[0, 1e\+06\], got -1"),
+        ({"w_style": [0, 0, 0]}, "w_style", "a weight above 0, got only zeros"),
+        ({"resolution": 0.0}, "cost_map.resolution", r"in \(0, 100\] m/cell, got 0"),
+        ({"robot_radius": -0.1}, "robot_radius", r"in \[0, 5\] m, got -0.1"),
+        ({"origin": [1.0, 2.0, 3.0]}, "cost_map.origin", r"shape \[2\], got \[3\]"),
+        ({"x_curr": [X_CURR] * 2, "x_goal": [X_GOAL] * 3}, "x_goal", "B = 2 as in x_curr, got 3"),
     ],
 )
-def test_what_is_wrong_is_named(changes: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+def test_what_is_wrong_is_named(changes: dict, field: str, message: str) -> None:
+    with pytest.raises(InvalidRequest, match=message) as refusal:
         scenes(**changes)
+    assert refusal.value.field == field
+
+
+def test_maps_of_one_batch_have_one_size() -> None:
+    smaller = scenes(cost_map=np.zeros((1, 30, 60), np.float32))
+    with pytest.raises(ValueError, match="scenes: expected maps of one size"):
+        encode_inputs([*scenes(), *smaller], CPU)

@@ -1,4 +1,4 @@
-"""`L2SafetyCFM.generate_trajectory_anchors`: the generator, flattened."""
+"""`generate_trajectory_anchors`: the generator, flattened."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ import pytest
 import torch
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator
+from anchorflow_models.generation import (
+    GeneratorConfig,
+    TrajectoryGenerator,
+    generate_trajectory_anchors,
+)
 
 MAPS = np.zeros((2, 3, 48, 48), np.float32)
 MAPS[:, 1] = 1.0
@@ -30,7 +34,7 @@ def test_scenes_and_samples_share_an_axis(
     model = make_model(num_steps=32, num_control_points=12, **options)
     dim = model.config.dim
     config = GeneratorConfig(steps=2, refine_steps=3)
-    fields = model.generate_trajectory_anchors(MAPS, *ends(dim), STYLE, 4, config=config, seed=1)
+    fields = generate_trajectory_anchors(model, MAPS, *ends(dim), STYLE, 4, config=config, seed=1)
     assert [tuple(field.shape) for field in fields] == [(8, 32, dim)] * 3
     generator = TrajectoryGenerator(model, GeneratorConfig(num_samples=4, steps=2, refine_steps=3))
     anchors = generator.generate_batch(MAPS, *ends(dim), STYLE, seed=1)
@@ -44,12 +48,21 @@ def test_options_reach_the_generator(make_model: Callable[..., L2SafetyCFM]) -> 
     model = make_model(num_steps=32, num_control_points=12)
     config = GeneratorConfig(steps=2, project=False)
     x_curr, x_goal = ends(2)
-    here, *_ = model.generate_trajectory_anchors(
-        MAPS, x_curr, x_goal, num_samples=4, config=config, seed=1, resolution=0.2
+    here, *_ = generate_trajectory_anchors(
+        model, MAPS, x_curr, x_goal, num_samples=4, config=config, seed=1, resolution=0.2
     )
     x_curr[:, 0] += 10.0
     x_goal[:, 0] += 10.0
-    there, *_ = model.generate_trajectory_anchors(
-        MAPS, x_curr, x_goal, None, 4, config=config, seed=1, resolution=0.2, origin=[5.2, -4.8]
+    there, *_ = generate_trajectory_anchors(
+        model,
+        MAPS,
+        x_curr,
+        x_goal,
+        None,
+        4,
+        config=config,
+        seed=1,
+        resolution=0.2,
+        origin=[5.2, -4.8],
     )
     torch.testing.assert_close(there, here + torch.tensor([10.0, 0.0]), atol=1e-2, rtol=0)

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator, WarmStart
 from anchorflow_trajectory.ode.schedule import remaining, stage_times, uniform_schedule
@@ -91,20 +92,24 @@ def test_each_scene_may_have_its_own_plan(
     ("trajectory", "message"),
     [
         (np.zeros((5, 5)), "columns of 2 a field, got 5"),
-        (np.zeros((1, 2)), "2 time steps or more, got 1"),
-        (np.zeros((3, 5, 2)), "B of 1 or 1, got 3"),
+        (np.zeros((1, 2)), r"shape \[T,2\] to \[T,6\], got \[1, 2\]"),
+        (np.zeros((3, 5, 2)), "one plan, or 1 as there are scenes, got 3"),
         (np.full((5, 2), np.nan), "finite numbers"),
-        (np.zeros(5), r"\[T', 2 to 6\] or \[B, T', 2 to 6\], got \[5\]"),
+        (np.zeros(5), r"shape \[T,2\] to \[T,6\], got \[5\]"),
     ],
 )
 def test_what_is_no_plan_is_named(
     gaussian_flow: Callable, free_room: Any, trajectory: np.ndarray, message: str
 ) -> None:
     generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=2))
-    with pytest.raises(ValueError, match=rf"warm_start\.trajectory: expected {message}"):
-        generator.generate(*free_room.ends, warm_start=WarmStart(trajectory))
+    with pytest.raises(InvalidRequest, match=f"expected {message}") as refusal:
+        generator.generate(*free_room.ends, warm_start=WarmStart(trajectory, 0.8))
+    assert refusal.value.field == "warm_start.trajectory"
 
 
-def test_tau_is_inside_the_flow() -> None:
-    with pytest.raises(ValueError, match=r"warm_start\.tau: expected a flow time in"):
-        WarmStart(np.zeros((5, 2)), tau=1.0)
+def test_tau_is_inside_the_flow(
+    gaussian_flow: Callable, free_room: Any, detour: np.ndarray
+) -> None:
+    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=2))
+    with pytest.raises(InvalidRequest, match=r"warm_start\.tau: expected a number in \(0, 1\)"):
+        generator.generate(*free_room.ends, warm_start=WarmStart(detour, 1.0))

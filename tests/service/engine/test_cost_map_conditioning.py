@@ -12,11 +12,8 @@ import pytest
 from anchorflow_client.contract import AnchorRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import Bundle, load_bundle
-from anchorflow_service.engine.conditioning.cost_map import (
-    SCENE_INPUTS,
-    CostMapConditioning,
-    MapScene,
-)
+from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning, MapScene
+from anchorflow_trajectory.scene import SCENE_INPUTS
 
 Build = Callable[..., AnchorRequest]
 
@@ -63,19 +60,19 @@ def test_with_heading_the_map_sees_x_and_y_alone(tiny: Bundle, small_request: Bu
         "x_curr": (1, 9),
         "x_goal": (1, 6),
     }
-    np.testing.assert_array_equal(turning.cost_to_go, planar.cost_to_go)
+    np.testing.assert_array_equal(turning.scene.cost_to_go, planar.scene.cost_to_go)
 
 
 def test_only_what_the_manifest_lists_is_made(tiny: Bundle, small_request: Build) -> None:
     (scene,) = scenes(small_request(), tiny)
     names = tiny.manifest.graphs["encode"].input_names
     assert list(scene.inputs(names)) == ["cost_map", "x_curr"]
-    assert "clearance_field" not in scene.__dict__
+    assert "clearance_field" not in scene.scene.__dict__
 
 
 def test_missing_channels_are_neutral(tiny: Bundle, small_request: Build) -> None:
     (scene,) = scenes(small_request(), tiny)
-    occupancy, traversability, risk = scene.cost_map
+    occupancy, traversability, risk = scene.scene.cost_map
     assert occupancy.sum() == 4.0
     assert (traversability == 1.0).all()
     assert (risk == 0.0).all()
@@ -84,7 +81,7 @@ def test_missing_channels_are_neutral(tiny: Bundle, small_request: Build) -> Non
 def test_given_channels_are_kept(tiny: Bundle, small_request: Build) -> None:
     data = np.random.default_rng(0).random((3, 16, 16)) * 0.4
     (scene,) = scenes(small_request(cost_map={"data": data, "resolution": 0.5}), tiny)
-    np.testing.assert_array_equal(scene.cost_map, data.astype(np.float32))
+    np.testing.assert_array_equal(scene.scene.cost_map, data.astype(np.float32))
 
 
 def test_more_channels_than_the_cards_are_refused(tiny: Bundle, small_request: Build) -> None:
@@ -97,8 +94,8 @@ def test_more_channels_than_the_cards_are_refused(tiny: Bundle, small_request: B
 def test_clearance_is_measured_from_the_robots_edge(tiny: Bundle, small_request: Build) -> None:
     """Cell (7, 4) is 2 cells of 0.5 m beside the obstacle, edge to centre 1.25 m."""
     (scene,) = scenes(small_request(robot_radius=0.4), tiny)
-    assert scene.clearance_field[7, 4] == pytest.approx(1.25 - 0.4)
-    assert scene.clearance_field[7, 7] < 0.0
+    assert scene.scene.clearance_field[7, 4] == pytest.approx(1.25 - 0.4)
+    assert scene.scene.clearance_field[7, 7] < 0.0
 
 
 def test_each_scene_of_a_batch_sees_its_own_map_and_state(
@@ -109,5 +106,5 @@ def test_each_scene_of_a_batch_sees_its_own_map_and_state(
     x_curr = [[-3.0, 0.1, 0.0, 0.0, 0.0, 0.0], [-2.0, 0.1, 0.0, 0.0, 0.0, 0.0]]
     request = small_request(cost_map={"data": maps, "resolution": 0.5}, x_curr=x_curr)
     first, second = scenes(request, tiny)
-    assert (first.cost_map[0].sum(), second.cost_map[0].sum()) == (0.0, 1.0)
-    assert (first.x_curr[0], second.x_curr[0]) == (-3.0, -2.0)
+    assert (first.scene.cost_map[0].sum(), second.scene.cost_map[0].sum()) == (0.0, 1.0)
+    assert (first.scene.x_curr[0], second.scene.x_curr[0]) == (-3.0, -2.0)

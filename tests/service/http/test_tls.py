@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import ssl
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 import trustme
 from fastapi import FastAPI
 
+from anchorflow_client import AnchorBatch, AnchorClient, AsyncAnchorClient, ConnectionFailed
 from anchorflow_service.http.lifecycle import AnchorServer
 from anchorflow_service.http.tls import TlsError, tls_context
 from anchorflow_service.planning import PlanningService
@@ -62,6 +65,26 @@ def test_a_caller_who_trusts_the_authority_is_served(files: Files, behind: Behin
     assert status_of_health(port, trusting) == 200
     with pytest.raises(ssl.SSLCertVerificationError):
         status_of_health(port, ssl.create_default_context())
+
+
+def test_our_clients_trust_whom_the_system_trusts(
+    files: Files, behind: Behind, monkeypatch: pytest.MonkeyPatch, fields: dict[str, Any]
+) -> None:
+    url = f"https://localhost:{behind(tls_context(files.certificate, files.key))}"
+
+    async def ask() -> AnchorBatch:
+        async with AsyncAnchorClient(url, timeout_s=20) as client:
+            return await client.plan(**fields)
+
+    with AnchorClient(url) as client, pytest.raises(ConnectionFailed, match="CERTIFICATE_VERIFY"):
+        client.plan(**fields)
+    with pytest.raises(ConnectionFailed, match="CERTIFICATE_VERIFY"):
+        asyncio.run(ask())
+
+    monkeypatch.setenv("SSL_CERT_FILE", str(files.ca))
+    with AnchorClient(url, timeout_s=20) as client:
+        anchors = client.plan(**fields)
+    np.testing.assert_array_equal(asyncio.run(ask()).trajectories, anchors.trajectories)
 
 
 def test_old_versions_of_tls_are_refused(files: Files) -> None:

@@ -20,7 +20,7 @@ import pytest
 from anchorflow_benchmarks.zenoh_processes import Process, router_command, running
 from anchorflow_client import ConnectionFailed, PlannerConfig, TimedOut
 from anchorflow_client.planner import Planner
-from anchorflow_client.planner_plan import Plan, PlanState
+from anchorflow_client.planner.plan import Plan, PlanState
 from anchorflow_client.zenoh_client import ZenohAnchorClient
 
 REPLICA = Path(__file__).parent / "programs" / "replica.py"

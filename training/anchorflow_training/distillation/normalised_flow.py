@@ -13,11 +13,11 @@ import torch
 from torch import Tensor
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.generation.solver import Stage, integrate
+from anchorflow_models.generation.integrate import Stage, integrate
 from anchorflow_training.objective import METRIC
 from anchorflow_trajectory.ode.method import Method
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
-from anchorflow_trajectory.ode.tableau import EULER
+from anchorflow_trajectory.ode.tableau import EULER, MIDPOINT
 
 Context = dict[str, Tensor]
 
@@ -49,6 +49,16 @@ class NormalisedFlow:
             return self.velocity(z, times[stage.time_index, None])
 
         return integrate(field, z_0, schedule=schedule, method=method)
+
+    def stepped(self, z: Tensor, t: Tensor, stride: float) -> Tensor:
+        """z at t + stride from z [B, N, T, S] at t [B, N], by one midpoint step."""
+        schedule = (0.0, 1.0)  # of the step, in shares of its stride
+        shares = stage_times(MIDPOINT, schedule).times.tolist()
+
+        def field(z: Tensor, stage: Stage) -> Tensor:
+            return stride * self.velocity(z, t + stride * shares[stage.time_index])
+
+        return integrate(field, z, schedule=schedule, method=MIDPOINT)
 
     def in_si(self, z: Tensor) -> Tensor:
         """States in SI and the map's frame."""

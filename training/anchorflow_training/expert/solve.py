@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_training.expert.grid_paths import alternative_paths, time_along
-from anchorflow_training.scenes import Scene
-from anchorflow_trajectory.clearance import path_clearance
 from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
-from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.descent import descend, whitening
+from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.verify import verify
 
 FloatArray = NDArray[np.floating]
 
@@ -40,7 +39,7 @@ class ExpertConfig:
 class Solution:
     """Control points [D, M, K] of every try, with what they achieve.
 
-    cost: [M] J for the scene's style; clearance: [M] m; good: [M] free and within the limits
+    cost: [M] J for the scene's style; clearance: [M] m; good: [M] safe, as the service says it
     """
 
     control: FloatArray
@@ -54,17 +53,12 @@ def solve(
 ) -> Solution:
     """Try `config.tries` descents on the scene."""
     basis = spline_basis(config.num_samples, limits.horizon_s)
-    fields = CostFields.of(scene.cost_map, scene.clearance, scene.resolution, scene.origin)
-    cost = TrajectoryCost(basis, fields, limits, scene.style, config.margin)
+    cost = TrajectoryCost(basis, scene.cost_fields, limits, scene.w_style, config.margin)
     control = descend(
         cost, _guesses(scene, basis, config, rng), steps=config.steps, rate=config.rate
     )
-    position, velocity, acceleration = basis.states(control)
-    clearance = path_clearance(fields.clearance, position, max_step=0.05)
-    good = clearance >= 0.3 * scene.resolution
-    good &= np.linalg.norm(velocity, axis=-1).max(1) <= 1.02 * limits.v_max
-    good &= np.linalg.norm(acceleration, axis=-1).max(1) <= 1.03 * limits.a_max
-    return Solution(control, cost.value(control), clearance, good)
+    verdict = verify(basis.states(control), scene.cost_fields.clearance, limits)
+    return Solution(control, cost.value(control), verdict.clearance, verdict.safe)
 
 
 def _guesses(
@@ -73,7 +67,13 @@ def _guesses(
     """Disturbed splines along the grid paths, [D, tries, K]."""
     start, goal = scene.x_curr[:2], scene.x_goal[:2]
     paths = alternative_paths(
-        scene.clearance, scene.resolution, scene.origin, start, goal, count=config.paths, rng=rng
+        scene.clearance_field,
+        scene.resolution,
+        scene.origin,
+        start,
+        goal,
+        count=config.paths,
+        rng=rng,
     )
     timed = np.stack([time_along(path, basis.num_samples) for path in paths])
     seeds = basis.fit_positions(timed, scene.x_curr, scene.x_goal)

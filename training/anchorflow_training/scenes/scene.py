@@ -13,6 +13,7 @@ from anchorflow_training.scenes.layouts import LAYOUTS, BoolArray, Canvas
 from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.geodesic import grid_graph
+from anchorflow_trajectory.scene import Scene
 
 FloatArray = NDArray[np.floating]
 
@@ -21,32 +22,14 @@ class SceneError(Exception):
     """A layout left no room for a start and a goal; draw another."""
 
 
-@dataclass(frozen=True)
-class Scene:
-    """One planning problem, metric, in the map's frame.
-
-    cost_map: [3, H, W] in [0, 1]: occupancy, traversability, risk
-    origin: [2] m, outer corner of cell (0, 0); resolution: m/cell
-    x_curr: [6] p, v, a; x_goal: [4] p, v; style: [3] safety, energy, smooth, sums to 1
-    clearance: [H, W] m beyond robot_radius
-    """
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FamilyScene(Scene):
+    """A scene that knows its family, by which data and results are counted."""
 
     family: str
-    cost_map: FloatArray
-    resolution: float
-    origin: FloatArray
-    robot_radius: float
-    x_curr: FloatArray
-    x_goal: FloatArray
-    style: FloatArray
-    clearance: FloatArray
-
-    @property
-    def occupied(self) -> BoolArray:
-        return self.cost_map[0] >= 0.5
 
 
-def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: MotionLimits) -> Scene:
+def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: MotionLimits) -> FamilyScene:
     """A random scene on a `cells` x `cells` map; raises `SceneError` where the draw has no room."""
     families = list(LAYOUTS)
     shares = np.array([LAYOUTS[f][1] for f in families])
@@ -73,8 +56,16 @@ def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: MotionLimit
     if rng.random() < 0.3:
         x_goal[2:4] = _velocity(rng, clearance[goal], limits, span)
     cost_map = np.stack([occupied.astype(np.float32), *_ground(rng, cells)])
-    style = _style(rng)
-    return Scene(family, cost_map, resolution, origin, radius, x_curr, x_goal, style, clearance)
+    return FamilyScene(
+        family=family,
+        cost_map=cost_map,
+        resolution=resolution,
+        origin=origin,
+        robot_radius=radius,
+        x_curr=x_curr,
+        x_goal=x_goal,
+        w_style=_style(rng),
+    )
 
 
 def _oriented(

@@ -1,4 +1,4 @@
-"""The solver: one loop for every explicit method, without temporary arrays."""
+"""The fast integrator: one loop for every explicit method, without temporary arrays."""
 
 from __future__ import annotations
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -40,6 +39,7 @@ from anchorflow_service.bundle.manifest import (
 )
 from anchorflow_service.engine.samplers.ode import OdeSampler
 from anchorflow_trajectory.ode.method import Method, method_named
+from anchorflow_trajectory.ode.reference import integrate_plainly
 
 EXAMPLE_SIZES = {"B": 2, "N": 3, "K": 5, "H": 24, "W": 20}
 F64 = "float64"
@@ -175,16 +175,12 @@ def torch_sample(
     method: Method,
 ) -> Tensor:
     """The sampler written the plain way, one modulation an evaluation: x_0 -> x_1 [B,N,T,S]."""
-    before: list[Tensor] = []
-    for step, (start, end) in enumerate(pairwise(schedule)):
-        h, slopes = end - start, []
-        for row, c in zip(method.a_lower, method.c, strict=True):
-            point = x + sum((h * a * k for a, k in zip(row, slopes, strict=True)), 0.0)
-            modulation = model.modulate(torch.tensor([start + c * h]), context)[:, 0]
-            slopes.append(model.field(point, modulation, context))
-        before = [*slopes, *before]
-        x = x + sum(h * b * k for b, k in zip(method.weights(schedule, step), before, strict=False))
-    return x
+
+    def vector_field(x_t: Tensor, t: float) -> Tensor:
+        modulation = model.modulate(torch.tensor([t]), context)[:, 0]
+        return model.field(x_t, modulation, context)
+
+    return integrate_plainly(vector_field, x, schedule=schedule, method=method)
 
 
 def _initial_state(context: Context, noise: Tensor) -> Tensor:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import (
-    OCCUPIED,
     AnchorRequest,
     CostMap,
     LimitsSpec,
@@ -21,11 +19,8 @@ from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapEntry, Manifest
 from anchorflow_service.engine.parts import Arrays, unknown_names
-from anchorflow_trajectory import clearance, geodesic
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
-
-FloatArray = NDArray[np.float32]
+from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
 
 REACH = 0.3
 """Way of the probe from start to goal, as a share of what v_max covers in the horizon."""
@@ -34,7 +29,7 @@ MARGIN = 2.0
 
 
 class CostMapConditioning:
-    """Scenes of maps; manifests may list what a scene names in SCENE_INPUTS."""
+    """Scenes of maps; the graphs may be fed what a scene names in SCENE_INPUTS."""
 
     def __init__(self, manifest: Manifest) -> None:
         assert isinstance(manifest.conditioning, CostMapEntry)
@@ -61,7 +56,7 @@ class CostMapConditioning:
             )
         reference = _reference(request.cost_map)
         near = _moved(request, reference) if reference.any() else request
-        return [MapScene(near, b, most, reference) for b in range(request.num_scenes)]
+        return [MapScene(near, _scene(near, b, most), reference) for b in range(request.num_scenes)]
 
     def probe(self) -> AnchorRequest:
         """From one side of a free map to the other."""
@@ -83,22 +78,21 @@ class CostMapConditioning:
 
 @dataclass(frozen=True)
 class MapScene:
-    """One scene of a request, and the fields of its map, each worked out at most once.
+    """One scene of a request.
 
     request: in a frame in which float32 resolves the map
+    scene: what the request says of it, in that frame
     reference: [2] m, that frame's origin in the frame of the request as it came
     """
 
     request: ResolvedRequest
-    index: int
-    channels: int
+    scene: Scene
     reference: NDArray[np.float64]
 
     @property
     def limits(self) -> LimitsSpec:
         """What the anchors keep."""
-        assert self.request.limits is not None
-        return self.request.limits
+        return _limits(self.request)
 
     @property
     def motion_limits(self) -> MotionLimits:
@@ -106,65 +100,9 @@ class MapScene:
         limits = self.limits
         return MotionLimits(v_max=limits.v_max, a_max=limits.a_max, horizon_s=limits.horizon_s)
 
-    @property
-    def resolution(self) -> float:
-        """m/cell."""
-        return self.request.cost_map.resolution
-
-    @property
-    def origin(self) -> NDArray[np.float64]:
-        """[2] m, outer corner of cell (0, 0)."""
-        return self.request.cost_map.origin
-
-    @cached_property
-    def cost_map(self) -> FloatArray:
-        """[C,H,W] in [0, 1]; channels left out are neutral: 1 for traversability, else 0."""
-        given = self.request.cost_map.data[self.index]
-        cost_map = np.zeros((self.channels, *given.shape[1:]), np.float32)
-        cost_map[TRAVERSABILITY : TRAVERSABILITY + 1] = 1.0
-        cost_map[: len(given)] = given
-        return cost_map
-
-    @property
-    def map_geometry(self) -> FloatArray:
-        """[3]: origin x and y [m], resolution [m/cell]."""
-        return np.array([*self.origin, self.resolution], np.float32)
-
-    @cached_property
-    def clearance_field(self) -> FloatArray:
-        """[H,W] m beyond robot_radius at cell centres, negative inside obstacles."""
-        occupied = self.request.cost_map.occupancy[self.index] >= OCCUPIED
-        return clearance.clearance_field(occupied, self.resolution, self.limits.robot_radius)
-
-    @cached_property
-    def cost_to_go(self) -> FloatArray:
-        """[2,H,W] m, geodesic cost from the start and to the goal, whatever their headings."""
-        start, goal = self.request.x_curr[self.index, :2], self.request.x_goal[self.index, :2]
-        return geodesic.cost_to_go(self.clearance_field, self.resolution, self.origin, start, goal)
-
-    @property
-    def x_curr(self) -> FloatArray:
-        """[3D] p, v, a in m, m/s, m/s²; a heading in rad, rad/s, rad/s²."""
-        return self.request.x_curr[self.index].astype(np.float32)
-
-    @property
-    def x_goal(self) -> FloatArray:
-        """[2D] p, v."""
-        return self.request.x_goal[self.index].astype(np.float32)
-
-    @property
-    def w_style(self) -> FloatArray:
-        """[3] weights of safety, energy and smoothness; they sum to 1."""
-        return self.request.w_style[self.index].astype(np.float32)
-
-    @cached_property
-    def cost_fields(self) -> CostFields:
-        """The maps as the finish looks them up."""
-        return CostFields.of(self.cost_map, self.clearance_field, self.resolution, self.origin)
-
     def inputs(self, names: Iterable[str]) -> Arrays:
         """Those of SCENE_INPUTS that are named, with a B axis of 1."""
-        return {name: getattr(self, name)[None] for name in names}
+        return self.scene.inputs(names)
 
     def answered(self, arrays: Arrays) -> Arrays:
         """The same with trajectories back in the request's own frame, float64 where that is far."""
@@ -173,15 +111,23 @@ class MapScene:
         return arrays | {"trajectories": _displaced(arrays["trajectories"], self.reference)}
 
 
-SCENE_INPUTS = (
-    "cost_map",
-    "map_geometry",
-    "clearance_field",
-    "cost_to_go",
-    "x_curr",
-    "x_goal",
-    "w_style",
-)
+def _limits(request: ResolvedRequest) -> LimitsSpec:
+    assert request.limits is not None  # a card with a cost map has them
+    return request.limits
+
+
+def _scene(request: ResolvedRequest, index: int, channels: int) -> Scene:
+    """One of a request's scenes, on a map of all the model's channels."""
+    cost_map = request.cost_map
+    return Scene(
+        cost_map=with_neutral_channels(cost_map.data[index], channels),
+        resolution=cost_map.resolution,
+        origin=cost_map.origin,
+        robot_radius=_limits(request).robot_radius,
+        x_curr=request.x_curr[index],
+        x_goal=request.x_goal[index],
+        w_style=request.w_style[index],
+    )
 
 
 def _reference(cost_map: CostMap) -> NDArray[np.float64]:

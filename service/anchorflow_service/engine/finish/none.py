@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from anchorflow_service.bundle.manifest import Manifest
-from anchorflow_service.engine.parts import Arrays, Samples, Scene
+from anchorflow_service.engine.parts import Arrays, ConditionedScene, Samples
 
 
 class NoFinish:
@@ -12,6 +12,6 @@ class NoFinish:
     def __init__(self, manifest: Manifest) -> None:
         self._D = manifest.D
 
-    def finish(self, samples: Samples, scene: Scene) -> Arrays:  # noqa: ARG002 - a Finish's
+    def finish(self, samples: Samples, scene: ConditionedScene) -> Arrays:  # noqa: ARG002 - a Finish's
         """Trajectories [N,T,D], and what the sampler says of them."""
         return {"trajectories": samples.states[..., : self._D], **samples.arrays}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
-from anchorflow_service.engine.parts import Arrays, Samples, Scene
+from anchorflow_service.engine.parts import Arrays, ConditionedScene, Samples
 from anchorflow_trajectory.refine import Refiner
 
 
@@ -17,7 +17,7 @@ class SplineFinish:
         self._entry = manifest.finish
         self._num_steps = manifest.time.steps
 
-    def finish(self, samples: Samples, scene: Scene) -> Arrays:
+    def finish(self, samples: Samples, scene: ConditionedScene) -> Arrays:
         """Anchors that meet both ends, and what they are worth."""
         assert isinstance(scene, MapScene)
         spec, entry = scene.request.refine, self._entry
@@ -29,12 +29,11 @@ class SplineFinish:
             degree=entry.degree,
             steps=entry.steps,
         )
+        ends = scene.inputs(("x_curr", "x_goal", "w_style"))
         refined = refiner.refine(
             samples.states,
-            scene.cost_fields,
-            x_curr=scene.x_curr,
-            x_goal=scene.x_goal,
-            w_style=scene.w_style,
+            scene.scene.cost_fields,
+            **{name: array[0] for name, array in ends.items()},
             spec=spec,
         )
         return {

@@ -24,9 +24,9 @@ from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.parts import (
     Check,
+    ConditionedScene,
     Context,
     Samples,
-    Scene,
     missing_roles,
     unknown_names,
 )
@@ -99,7 +99,7 @@ class OdeSampler:
         if prior := manifest.sampler.prior:
             yield from unknown_names("sampler.prior", (prior.mean, prior.basis), context)
 
-    def settle(self, scene: Scene) -> None:
+    def settle(self, scene: ConditionedScene) -> None:
         """Look whether these graphs give the same bytes on one thread and on many, in one piece
         and in slices, which a machine's kernels decide; so no answer depends on how busy the
         service is.
@@ -116,25 +116,30 @@ class OdeSampler:
             for cut in cuts
         )
 
-    def encode(self, scene: Scene, *, threads: int = 1) -> Context:
+    def encode(self, scene: ConditionedScene, *, threads: int = 1) -> Context:
         """What the other graphs need to know of a scene."""
         return self._encode(scene.inputs(self._encode.input_names), threads=threads)
 
     def sample(
-        self, scene: Scene, context: Context, *, threads: int, check: Check = lambda: None
+        self,
+        scene: ConditionedScene,
+        context: Context,
+        *,
+        threads: int,
+        check: Check = lambda: None,
     ) -> Samples:
         """States [N,T,S] at t = 1."""
         x, spec = self._begin(scene, context)
         return Samples(self.integrate(context, x, spec, threads=threads, check=check))
 
-    def flow_states(self, scene: Scene) -> FlowStates:
+    def flow_states(self, scene: ConditionedScene) -> FlowStates:
         """The states that `sample` passes through, noise and the last included."""
         context = self.encode(scene)
         x, spec = self._begin(scene, context)
         states = self.states(context, x, spec)
         return FlowStates(np.array(spec.schedule), states[..., : self._manifest.D])
 
-    def _begin(self, scene: Scene, context: Context) -> tuple[Array, OdeSpec]:
+    def _begin(self, scene: ConditionedScene, context: Context) -> tuple[Array, OdeSpec]:
         """States [N,T,S] at the first time of the schedule that is left to run."""
         request, spec = scene.request, scene.request.sampler
         assert isinstance(spec, OdeSpec)

@@ -18,9 +18,9 @@ from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.parts import (
     Arrays,
     Check,
+    ConditionedScene,
     Context,
     Samples,
-    Scene,
     missing_roles,
     unknown_names,
 )
@@ -61,19 +61,21 @@ class VocabularySampler:
         extras = [spec.name for spec in manifest.answer.extras]
         yield from unknown_names("answer", [TRAJECTORIES, *scores, *extras], given)
 
-    def settle(self, scene: Scene) -> None:
+    def settle(self, scene: ConditionedScene) -> None:
         """Look whether each graph gives the same bytes on one thread and on many."""
         encode = self._graphs["encode"]
         context = encode.settle(scene.inputs(encode.input_names))
         if score := self._graphs.get("score"):
             score.settle(score.select(context))
 
-    def encode(self, scene: Scene, *, threads: int) -> Context:
+    def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
         """What the first graph gives."""
         encode = self._graphs["encode"]
         return encode(scene.inputs(encode.input_names), threads=threads)
 
-    def sample(self, scene: Scene, context: Context, *, threads: int, check: Check) -> Samples:
+    def sample(
+        self, scene: ConditionedScene, context: Context, *, threads: int, check: Check
+    ) -> Samples:
         """The best N by their scores, the best first."""
         check()
         given: Arrays = {**context}

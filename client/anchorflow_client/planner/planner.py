@@ -16,29 +16,27 @@ from __future__ import annotations
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, NamedTuple, Protocol
 
 from numpy.typing import ArrayLike
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap
-from anchorflow_client.errors import (
-    AnchorFlowError,
-    InvalidAnswer,
-    InvalidRequest,
-    Overloaded,
-    TimedOut,
+from anchorflow_client.contract import (
+    AnchorBatch,
+    AnchorRequest,
+    CostMap,
+    RefineChoice,
+    SamplerChoice,
+    WarmStart,
 )
-from anchorflow_client.planner_plan import Plan, PlanState
-from anchorflow_client.planner_request import (
-    AnchorInUse,
-    Observation,
-    RequestConfig,
-    build_request,
-)
+from anchorflow_client.errors import AnchorFlowError, InvalidAnswer, TimedOut
+from anchorflow_client.plan_keywords import map_fields
+from anchorflow_client.planner.config import PlannerConfig
+from anchorflow_client.planner.pacing import Pacing
+from anchorflow_client.planner.plan import Plan, PlanState
+from anchorflow_client.planner.request import AnchorInUse, Observation, build_request
 
 MAX_IN_FLIGHT = 2  # a request that hangs may be given up once before there is an answer again
 
@@ -51,27 +49,7 @@ class AnchorSource(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True)
-class PlannerConfig(RequestConfig):
-    """How often is asked, and how old a plan may grow."""
-
-    max_age_ms: float = 1000.0
-    """From when a plan is expired and a request is given up; also each request's budget_ms."""
-    period_ms: float = 100.0
-    """Least time between two requests."""
-    first_retry_ms: float = 100.0
-    """Wait after a failure; it doubles from one failure to the next."""
-    longest_retry_ms: float = 500.0
-
-    def __post_init__(self) -> None:
-        """Raises `ValueError` where a setting is out of range."""
-        super().__post_init__()
-        for name in ("max_age_ms", "period_ms", "first_retry_ms", "longest_retry_ms"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
-
-
-class Asking(NamedTuple):
+class RequestInFlight(NamedTuple):
     """A request on its way."""
 
     request_id: str
@@ -97,7 +75,7 @@ class Planner:
     def __init__(
         self,
         client: AnchorSource,
-        config: PlannerConfig = PlannerConfig(),
+        config: PlannerConfig | None = None,
         *,
         clock: Callable[[], float] = time.monotonic,
         executor: futures.Executor | None = None,
@@ -105,27 +83,26 @@ class Planner:
         """Asks nothing yet.
 
         Args:
-            client: answers; it should itself give up after about `config.max_age_ms`.
-            config: ages and periods.
+            client: answers; it should itself give up after about `max_age_ms`.
+            config: ages and periods; the defaults unless told.
             clock: the time in s.
             executor: where requests wait for their answer; a pool of two threads unless told.
         """
         self.counts: Counter[str] = Counter()
         self._client = client
-        self._config = config
+        self._config = config or PlannerConfig()
         self._clock = clock
         self._own_executor = executor is None
         self._executor = executor or futures.ThreadPoolExecutor(
             MAX_IN_FLIGHT, thread_name_prefix="anchorflow-planner"
         )
         self._run = secrets.token_hex(4)
-        self._asking: Asking | None = None
-        self._given_up: list[Asking] = []
+        self._in_flight: RequestInFlight | None = None
+        self._given_up: list[RequestInFlight] = []
         self._answer: Answer | None = None
         self._in_use: AnchorInUse | None = None
         self._last_error: AnchorFlowError | None = None
-        self._failures = 0
-        self._not_before = -float("inf")
+        self._pacing = Pacing(self._config)
 
     def update(
         self,
@@ -133,19 +110,34 @@ class Planner:
         cost_map: CostMap | Mapping[str, Any] | ArrayLike,
         x_curr: ArrayLike,
         x_goal: ArrayLike,
-        **optional: Any,
+        resolution: float | None = None,
+        origin: ArrayLike | None = None,
+        w_style: ArrayLike | None = None,
+        num_samples: int | None = None,
+        robot_radius: float | None = None,
+        v_max: float | None = None,
+        a_max: float | None = None,
+        horizon_s: float | None = None,
+        model: str | None = None,
+        seed: int | None = None,
+        sampler: SamplerChoice | Mapping[str, Any] | None = None,
+        refine: RefineChoice | Mapping[str, Any] | None = None,
+        warm_start: WarmStart | Mapping[str, Any] | None = None,
+        budget_ms: float | None = None,
+        robot_id: str | None = None,
+        outputs: Sequence[str] | None = None,
     ) -> Plan:
         """Show what the loop sees now and take the newest plan; returns at once.
 
         What is seen becomes a request where none is on its way and it is time for one; otherwise it
-        is forgotten.
+        is forgotten. What is not told of here is as in `AnchorClient.plan`.
 
         Args:
             cost_map: as in `AnchorClient.plan`; it may end before the goal.
             x_curr: [3D] position, velocity, acceleration in m, m/s, m/s^2.
             x_goal: [2D] position, velocity; may lie beyond the map.
-            **optional: resolution and origin of a map given as an array, and further fields of
-                `AnchorRequest`.
+            warm_start: to start from in place of the anchor in use.
+            budget_ms: of the request, in place of `max_age_ms`.
 
         Raises:
             InvalidRequest: an argument is no single vector. What else is wrong with a request is
@@ -154,9 +146,30 @@ class Planner:
         now = self._clock()
         self._collect(now)
         if self._is_due(now):
-            self._ask(
-                Observation.copied(now, cost_map=cost_map, x_curr=x_curr, x_goal=x_goal, **optional)
+            options = {
+                "w_style": w_style,
+                "num_samples": num_samples,
+                "robot_radius": robot_radius,
+                "v_max": v_max,
+                "a_max": a_max,
+                "horizon_s": horizon_s,
+                "model": model,
+                "seed": seed,
+                "sampler": sampler,
+                "refine": refine,
+                "warm_start": warm_start,
+                "budget_ms": budget_ms,
+                "robot_id": robot_id,
+                "outputs": outputs,
+            }
+            seen = Observation.copied(
+                now,
+                map_fields(cost_map, resolution, origin),
+                x_curr=x_curr,
+                x_goal=x_goal,
+                options=options,
             )
+            self._ask(seen)
         return self._plan(now)
 
     def follow(self, index: int) -> None:
@@ -169,8 +182,8 @@ class Planner:
 
     def wait(self, timeout_s: float) -> Plan:
         """Wait for the request on its way, at most so long: before the robot starts to move."""
-        if self._asking is not None:
-            futures.wait([self._asking.future], timeout=timeout_s)
+        if self._in_flight is not None:
+            futures.wait([self._in_flight.future], timeout=timeout_s)
         now = self._clock()
         self._collect(now)
         return self._plan(now)
@@ -197,18 +210,17 @@ class Planner:
         self.close()
 
     def _is_due(self, now: float) -> bool:
-        return (
-            self._asking is None and now >= self._not_before and len(self._given_up) < MAX_IN_FLIGHT
-        )
+        has_room = self._in_flight is None and len(self._given_up) < MAX_IN_FLIGHT
+        return has_room and self._pacing.is_due(now)
 
     def _ask(self, seen: Observation) -> None:
         request_id = f"{self._run}-{self.counts['asked']}"
         cold = self.counts["asked"] % self._config.cold_every == 0
         in_use = None if cold else self._in_use or self._best()
         self.counts["asked"] += 1
-        self._not_before = seen.seen_at + 1e-3 * self._config.period_ms
+        self._pacing.asked(seen.seen_at)
         future = self._executor.submit(self._answered, seen, request_id, in_use)
-        self._asking = Asking(request_id, seen.seen_at, future)
+        self._in_flight = RequestInFlight(request_id, seen.seen_at, future)
 
     def _answered(
         self, seen: Observation, request_id: str, in_use: AnchorInUse | None
@@ -230,50 +242,43 @@ class Planner:
 
     def _collect(self, now: float) -> None:
         """Take the answer that has come, or give up the request that has taken too long."""
-        finished = [asking for asking in self._given_up if asking.future.done()]
-        self.counts["dropped"] += len(finished)
-        self._given_up = [asking for asking in self._given_up if asking not in finished]
-        if self._asking is None:
+        hanging = [given_up for given_up in self._given_up if not given_up.future.done()]
+        self.counts["dropped"] += len(self._given_up) - len(hanging)
+        self._given_up = hanging
+        if self._in_flight is None:
             return
-        if self._too_old(self._asking.seen_at, now):
-            late = f"no answer to {self._asking.request_id} within {self._config.max_age_ms:g} ms"
+        if self._too_old(self._in_flight.seen_at, now):
+            asked, within = self._in_flight.request_id, f"{self._config.max_age_ms:g} ms"
             self._give_up()
-            self._failed(TimedOut(late), now)
-        elif self._asking.future.done():
-            asking, self._asking = self._asking, None
-            self._finish(asking, now)
+            self._failed(TimedOut(f"no answer to {asked} within {within}"), now)
+        elif self._in_flight.future.done():
+            finished, self._in_flight = self._in_flight, None
+            self._finish(finished, now)
 
-    def _finish(self, asking: Asking, now: float) -> None:
+    def _finish(self, finished: RequestInFlight, now: float) -> None:
         try:
-            batch = asking.future.result()
+            batch = finished.future.result()
         except AnchorFlowError as error:
             self._failed(error, now)
             return
-        if batch.request_id != asking.request_id:
-            wrong = f"expected the answer to {asking.request_id}, got that to {batch.request_id}"
+        if batch.request_id != finished.request_id:
+            wrong = f"expected the answer to {finished.request_id}, got that to {batch.request_id}"
             self._failed(InvalidAnswer(wrong), now)
             return
         self.counts["answered"] += 1
-        self._answer = Answer(asking.request_id, asking.seen_at, batch)
-        self._last_error, self._failures = None, 0
+        self._answer = Answer(finished.request_id, finished.seen_at, batch)
+        self._last_error = None
+        self._pacing.answered()
 
     def _failed(self, error: AnchorFlowError, now: float) -> None:
         self.counts["failed"] += 1
         self._last_error = error
-        if isinstance(error, InvalidRequest):
-            return  # the service is well, and the next view of the world may be too
-        wait_ms = min(
-            self._config.first_retry_ms * 2.0**self._failures, self._config.longest_retry_ms
-        )
-        if isinstance(error, Overloaded) and error.retry_after_s is not None:
-            wait_ms = max(wait_ms, 1e3 * error.retry_after_s)
-        self._failures += 1
-        self._not_before = max(self._not_before, now + 1e-3 * wait_ms)
+        self._pacing.failed(error, now)
 
     def _give_up(self) -> None:
-        if self._asking is not None:
-            self._given_up.append(self._asking)
-            self._asking = None
+        if self._in_flight is not None:
+            self._given_up.append(self._in_flight)
+            self._in_flight = None
 
     def _too_old(self, seen_at: float, now: float) -> bool:
         return 1e3 * (now - seen_at) > self._config.max_age_ms

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import queue
 import time
-from dataclasses import dataclass
 
 import zenoh
 
 from anchorflow_client.codec import Payload
-from anchorflow_client.contract.ranges import BUDGET
 from anchorflow_client.errors import (
     AnchorFlowError,
     Cancelled,
     ConnectionFailed,
-    InvalidAnswer,
     NotReady,
     Overloaded,
     RequestError,
@@ -25,51 +21,29 @@ from anchorflow_client.errors import (
     UnknownModel,
 )
 from anchorflow_client.keys import replica_anchors_key
-from anchorflow_client.zenoh_client.deadline import Deadline
-from anchorflow_client.zenoh_client.network import Network, translated
+from anchorflow_client.zenoh_client.attempt import (
+    SETTLE_S,
+    TIMEOUT,
+    Attempt,
+    Question,
+    answer_of,
+    refusal_of,
+)
+from anchorflow_client.zenoh_client.network import Network
 from anchorflow_client.zenoh_client.replicas import Choice
-from anchorflow_client.zenoh_messages import AnswerAttachment, Load, RequestAttachment
+from anchorflow_client.zenoh_messages import Load
 
-SETTLE_S = 0.3
-"""How long after a query came back empty the replica's death may take to be known."""
 HEDGE_SHARE = 0.5
 """Share of the time left after which a silent replica is no longer waited for alone."""
-TIMEOUT = b"Timeout"
-"""What zenoh itself replies when a query takes too long."""
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Question:
-    """What is asked."""
-
-    payload: Payload
-    content_type: str
-    request_id: str
-    model: str | None
-    deadline: Deadline
-
-
-@dataclass
-class _Attempt:
-    """One query on its way."""
-
-    replica: str
-    model: str
-    key: str
-    sent: float
-    patience_s: float
-    """How long it is waited for alone."""
-    cancellation: zenoh.CancellationToken
-    is_late: bool = False
 
 
 _Outcome = tuple[str, zenoh.Reply | None] | None
 """A replica, and its reply or None at its query's end; None alone: the caller gives up."""
 
 
-class Asking:
+class Failover:
     """Asks, and asks somebody else where that helps. Used once, by one thread."""
 
     def __init__(self, network: Network, question: Question) -> None:
@@ -77,9 +51,9 @@ class Asking:
         self._replicas = network.replicas
         self._question = question
         self._outcomes: queue.SimpleQueue[_Outcome] = queue.SimpleQueue()
-        self._open: dict[str, _Attempt] = {}
+        self._open: dict[str, Attempt] = {}
         self._tried: list[str] = []
-        self._empty: dict[str, _Attempt] = {}
+        self._empty: dict[str, Attempt] = {}
         self._refusal: RequestError | None = None
 
     def cancel(self) -> None:
@@ -105,7 +79,7 @@ class Asking:
             return answer
         finally:
             for attempt in list(self._open.values()):
-                attempt.cancellation.cancel()
+                attempt.cancel()
                 self._close(attempt, None, failed=attempt.is_late)
 
     def _step(self) -> Payload | None:
@@ -143,15 +117,15 @@ class Asking:
                 return
             raise self._verdict()
         patience_s = max(left_s * HEDGE_SHARE, 2e-3 * choice.expected_ms)
-        key = replica_anchors_key(choice.replica, choice.model)
-        cancellation = zenoh.CancellationToken()
-        attempt = _Attempt(
-            choice.replica, choice.model, key, time.monotonic(), patience_s, cancellation
+        name, key = choice.replica, replica_anchors_key(choice.replica, choice.model)
+        attempt = Attempt(name, choice.model, key, patience_s)
+        self._tried.append(name)
+        self._open[name] = attempt
+        self._replicas.begin(name)
+        logger.debug("request %s: asking %s", self._question.request_id, name)
+        attempt.send(
+            self._network.session, self._question, lambda reply: self._outcomes.put((name, reply))
         )
-        self._tried.append(choice.replica)
-        self._open[choice.replica] = attempt
-        self._replicas.begin(choice.replica)
-        self._send(attempt, left_s)
 
     def _choose(self) -> Choice | None:
         """The next replica. Raises `UnknownModel`."""
@@ -184,34 +158,6 @@ class Asking:
     def _hear_anew(self) -> None:
         self._network.hear_anew(min(SETTLE_S, self._question.deadline.left_s))
 
-    def _send(self, attempt: _Attempt, left_s: float) -> None:
-        question, name = self._question, attempt.replica
-        attachment = RequestAttachment(
-            header_length=question.payload.header_length,
-            request_id=question.request_id,
-            # Whatever becomes of this client, the service drops the request by its own clock.
-            budget_ms=min(left_s * 1e3, BUDGET.high),
-        )
-
-        def hand_over(reply: zenoh.Reply | None = None) -> None:
-            self._outcomes.put((name, reply))
-
-        logger.debug("request %s: asking %s", question.request_id, name)
-        # On zenoh's own thread, which a put does not hold up.
-        handler = zenoh.handlers.Callback(hand_over, hand_over, indirect=False)
-        with translated():
-            self._network.session.get(
-                attempt.key,
-                handler,
-                payload=question.payload.body,
-                encoding=question.content_type,
-                attachment=attachment.to_bytes(),
-                timeout=left_s + SETTLE_S,
-                express=True,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                cancellation_token=attempt.cancellation,
-            )
-
     def _patience_s(self) -> float:
         """Time until the latest attempt is no longer waited for alone."""
         if not self._open:
@@ -232,19 +178,18 @@ class Asking:
         for attempt in self._open.values():
             attempt.is_late, attempt.patience_s = True, float("inf")
 
-    def _read(self, attempt: _Attempt, sample: zenoh.Sample) -> Payload:
-        attachment = None if sample.attachment is None else sample.attachment.to_bytes()
-        said = AnswerAttachment.from_bytes(attachment)
-        self._close(attempt, said.load)
+    def _read(self, attempt: Attempt, sample: zenoh.Sample) -> Payload:
+        payload, load = answer_of(sample)
+        self._close(attempt, load)
         logger.debug(
             "request %s: %s answered in %.1f ms",
             self._question.request_id,
             attempt.replica,
             (time.monotonic() - attempt.sent) * 1e3,
         )
-        return Payload(sample.payload.to_bytes(), said.header_length)
+        return payload
 
-    def _read_refusal(self, attempt: _Attempt, error: zenoh.ReplyError | None) -> None:
+    def _read_refusal(self, attempt: Attempt, error: zenoh.ReplyError | None) -> None:
         """Notes why this replica does not answer. Raises what no other would answer better."""
         request_id, name = self._question.request_id, attempt.replica
         data = None if error is None else error.payload.to_bytes()
@@ -254,7 +199,7 @@ class Asking:
             if data is None:
                 self._empty[name] = attempt
             return
-        refusal = _refusal(data)
+        refusal = refusal_of(data)
         is_busy = isinstance(refusal, Overloaded | NotReady)
         self._close(attempt, None, failed=is_busy)
         if not is_busy and not isinstance(refusal, UnknownModel):
@@ -262,7 +207,7 @@ class Asking:
         logger.warning("request %s: %s refused: %s", request_id, name, refusal)
         self._refusal = refusal
 
-    def _close(self, attempt: _Attempt, load: Load | None, *, failed: bool = False) -> None:
+    def _close(self, attempt: Attempt, load: Load | None, *, failed: bool = False) -> None:
         del self._open[attempt.replica]
         self._replicas.end(attempt.replica, load, failed=failed)
 
@@ -287,11 +232,3 @@ class Asking:
         asked = ", ".join(self._tried) or "nobody"
         within = f"{self._question.deadline.timeout_s * 1e3:g} ms"
         return TimedOut(f"no answer within {within}; asked {asked}")
-
-
-def _refusal(data: bytes) -> RequestError:
-    """The service's own words. Raises `InvalidAnswer` where they are not the contract's."""
-    try:
-        return RequestError.from_dict(json.loads(data.decode()))
-    except (ValueError, RecursionError) as error:
-        raise InvalidAnswer(f"an error that is not the contract's: {data[:80]!r}") from error

@@ -1,4 +1,4 @@
-"""Orders of convergence, closed forms and tolerances of the torch solvers."""
+"""Orders of convergence, closed forms and tolerances of the torch integrators."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from anchorflow_models.generation.solver import Stage, integrate, integrate_adaptive
+from anchorflow_models.generation.integrate import Stage, integrate, integrate_adaptive
 from anchorflow_trajectory.ode.method import METHODS, Method
 from anchorflow_trajectory.ode.schedule import (
     EIGHT_STEP_SCHEDULE,

@@ -1,4 +1,4 @@
-"""The transport: HTTP over a socket, or whatever a test puts in its place."""
+"""HTTP over one socket that is kept open."""
 
 from __future__ import annotations
 
@@ -6,32 +6,8 @@ import http.client
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Protocol
-from urllib.parse import urlsplit
 
-from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut, TransportError
-
-HttpAnswer = tuple[int, Mapping[str, str], bytes]
-"""Status, headers with their names in lower case, body."""
-
-
-class Transport(Protocol):
-    """Carries one HTTP request at a time."""
-
-    def send(
-        self,
-        method: str,
-        path: str,
-        headers: Mapping[str, str],
-        body: bytes | None,
-        timeout_s: float,
-    ) -> HttpAnswer:
-        """The answer of whatever status. Raises `TransportError` where there is none."""
-        ...
-
-    def close(self) -> None:
-        """Let go of what it holds."""
-        ...
+from anchorflow_client.http.transport import HttpAnswer, address_of, translated, unreachable
 
 
 class SocketTransport:
@@ -46,9 +22,8 @@ class SocketTransport:
         Raises:
             ValueError: `url` is not http://host[:port] or https://host[:port].
         """
-        parts = urlsplit(url)
-        if parts.scheme not in _CONNECTIONS or not parts.hostname:
-            raise ValueError(f"expected http://host[:port] or https://host[:port], got {url!r}")
+        parts = address_of(url)
+        assert parts.hostname is not None
         self._url = url
         self._lock = threading.Lock()
         connection = _CONNECTIONS[parts.scheme]
@@ -101,21 +76,12 @@ class SocketTransport:
         try:
             yield
         except (OSError, http.client.HTTPException) as error:
-            translated = self._translated(error, timeout_s)
-            self._connection.close()
-            raise translated from error
-
-    def _translated(self, error: Exception, timeout_s: float) -> TransportError:
-        match error:
-            case TimeoutError() if self._connection.sock is None:
-                waited_s = self._connection.timeout
-                return TimedOut(f"{self._url} could not be reached within {waited_s:g} s")
-            case TimeoutError():
-                return TimedOut(f"{self._url} did not answer within {timeout_s:g} s")
-            case OSError() | http.client.IncompleteRead():
-                return ConnectionFailed(f"{self._url}: {error}")
-            case _:
-                return InvalidAnswer(f"{self._url} does not speak HTTP: {error!r}")
+            connection = self._connection
+            if isinstance(error, TimeoutError) and connection.sock is None:
+                assert connection.timeout is not None
+                raise unreachable(self._url, timeout_s=connection.timeout) from error
+            connection.close()
+            raise translated(error, self._url, timeout_s=timeout_s) from error
 
 
 _CONNECTIONS = {"http": http.client.HTTPConnection, "https": http.client.HTTPSConnection}

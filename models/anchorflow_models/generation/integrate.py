@@ -1,4 +1,4 @@
-"""Solvers in torch: one loop for the shared methods, and an adaptive method."""
+"""Integrators in torch: one loop for the shared methods, and an adaptive method."""
 
 from __future__ import annotations
 

@@ -10,38 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, WarmStart
-from anchorflow_client.contract.ranges import DEFAULT_TAU
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.planner_goal import local_goal
-from anchorflow_client.planner_shift import shifted, states_of
+from anchorflow_client.planner.config import PlannerConfig
+from anchorflow_client.planner.local_goal import local_goal
+from anchorflow_client.planner.shift import shifted, states_of
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class RequestConfig:
-    """What a `Planner` adds to what the loop sees."""
-
-    goal_clearance_m: float = 0.35
-    """Of the local goal, from obstacles and from the map's edge; at least the robot's radius."""
-    through_speed: float = 1.0
-    """m/s at a local goal that stands in for one beyond the map."""
-    warm_tau: float = DEFAULT_TAU
-    """Flow time at which a warm start enters, in (0, 1)."""
-    cold_every: int = 3
-    """Every so manieth request starts from noise, to find other ways; 1: all of them."""
-
-    def __post_init__(self) -> None:
-        """Raises `ValueError` where a setting is out of range."""
-        if not 0.0 < self.warm_tau < 1.0:
-            raise ValueError(f"warm_tau: expected a number in (0, 1), got {self.warm_tau}")
-        if self.cold_every < 1:
-            raise ValueError(f"cold_every: expected at least 1, got {self.cold_every}")
-        if not (self.goal_clearance_m >= 0.0 and self.through_speed >= 0.0):
-            raise ValueError(
-                "goal_clearance_m, through_speed: expected numbers from 0, "
-                f"got {self.goal_clearance_m}, {self.through_speed}"
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,27 +36,27 @@ class Observation:
     def copied(
         cls,
         seen_at: float,
+        cost_map: CostMap | Mapping[str, Any] | None,
         *,
-        cost_map: CostMap | Mapping[str, Any] | ArrayLike,
         x_curr: ArrayLike,
         x_goal: ArrayLike,
-        **options: Any,
+        options: Mapping[str, Any],
     ) -> Observation:
-        """A copy of the loop's own arrays; `cost_map` as in `AnchorClient.plan`."""
-        resolution, origin = options.pop("resolution", None), options.pop("origin", None)
-        if not isinstance(cost_map, CostMap | Mapping):
-            data = np.array(cost_map)
-            data = data[None] if data.ndim == 2 else data
-            cost_map = {"data": data, "resolution": resolution, "origin": origin}
-        elif resolution is not None or origin is not None:
-            raise InvalidRequest("expected resolution and origin inside this map only", "cost_map")
-        elif isinstance(cost_map, Mapping):
+        """A copy of the loop's own arrays; options that are None are left out.
+
+        Raises:
+            InvalidRequest: there is no map, or a state is no single vector.
+        """
+        if cost_map is None:
+            raise InvalidRequest("expected a map to plan on, got none", "cost_map")
+        if not isinstance(cost_map, CostMap):
             cost_map = {**cost_map, "data": np.array(cost_map.get("data"))}
         start, goal = np.array(x_curr, np.float64), np.array(x_goal, np.float64)
         for name, vector in (("x_curr", start), ("x_goal", goal)):
             if vector.ndim != 1:
                 raise InvalidRequest(f"expected one vector, got shape {list(vector.shape)}", name)
-        return cls(seen_at, cost_map, start, goal, options)
+        given = {name: value for name, value in options.items() if value is not None}
+        return cls(seen_at, cost_map, start, goal, given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +80,7 @@ class AnchorInUse:
 
 def build_request(
     seen: Observation,
-    config: RequestConfig,
+    config: PlannerConfig,
     *,
     request_id: str,
     budget_ms: float,

@@ -8,8 +8,10 @@ from torch import Tensor
 
 
 @dataclass(frozen=True, eq=False)
-class Anchors:
-    """N anchors of a scene in SI and the map's frame; a B axis leads where scenes were batched.
+class AnchorTensors:
+    """N anchors of a scene in SI and the map's frame, on the model's device.
+
+    A B axis leads where scenes were batched.
 
     trajectories, velocities, accelerations: [N, T, D] in m, m/s, m/s^2
     scores: [N], minus the expert's cost for the style; higher is better
@@ -25,6 +27,6 @@ class Anchors:
     clearance: Tensor
     safe: Tensor
 
-    def scene(self, index: int) -> Anchors:
+    def scene(self, index: int) -> AnchorTensors:
         """The anchors of one scene of a batch."""
-        return Anchors(*(getattr(self, field.name)[index] for field in fields(self)))
+        return AnchorTensors(*(getattr(self, field.name)[index] for field in fields(self)))

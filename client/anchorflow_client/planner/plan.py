@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_client.planner_shift import shifted, states_of
+from anchorflow_client.planner.shift import shifted, states_of
 
 
 class PlanState(Enum):

@@ -1,0 +1,16 @@
+"""A planner for control loops, and what it hands to them.
+
+planner      asks in the background and never makes the loop wait
+config       how often is asked, how old a plan may grow, how a request is filled in
+pacing       when the next request is due
+request      from what the loop sees to what is sent
+local_goal   where to plan to on a map that may end before the goal
+plan         the newest finished batch, and how good it still is
+shift        an anchor as it looks from a later moment
+"""
+
+from anchorflow_client.planner.config import PlannerConfig
+from anchorflow_client.planner.plan import Plan, PlanState
+from anchorflow_client.planner.planner import AnchorSource, Planner
+
+__all__ = ["AnchorSource", "Plan", "PlanState", "Planner", "PlannerConfig"]

@@ -1,0 +1,180 @@
+"""What the async transport does beyond the blocking one: several requests at the same time."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager, suppress
+
+import pytest
+
+from anchorflow_client import TimedOut
+from anchorflow_client.http.async_socket_transport import AsyncSocketTransport
+
+OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok"
+
+
+class Server:
+    """Answers every request when the test lets it, and counts connections."""
+
+    def __init__(self) -> None:
+        self.asked = asyncio.Semaphore(0)
+        self.heads: list[bytes] = []
+        self.may_answer = asyncio.Event()
+        self.hung_up = asyncio.Event()
+        self.connections = 0
+
+    async def __call__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.connections += 1
+        try:
+            while True:
+                self.heads.append(await reader.readuntil(b"\r\n\r\n"))
+                self.asked.release()
+                gone = asyncio.ensure_future(reader.read(1))
+                may = asyncio.ensure_future(self.may_answer.wait())
+                await asyncio.wait({gone, may}, return_when=asyncio.FIRST_COMPLETED)
+                if gone.done():
+                    may.cancel()
+                    break
+                gone.cancel()
+                await asyncio.wait({gone})
+                writer.write(OK)
+        except (asyncio.IncompleteReadError, ConnectionError):
+            pass
+        self.hung_up.set()
+        writer.close()
+
+
+@asynccontextmanager
+async def serving(max_connections: int = 8) -> AsyncIterator[tuple[Server, AsyncSocketTransport]]:
+    server = Server()
+    listening = await asyncio.start_server(server, "127.0.0.1", 0)
+    port = listening.sockets[0].getsockname()[1]
+    url = f"http://127.0.0.1:{port}"
+    transport = AsyncSocketTransport(url, connect_timeout_s=5, max_connections=max_connections)
+    yield server, transport
+    await transport.aclose()
+    listening.close()
+    await listening.wait_closed()
+
+
+async def get(transport: AsyncSocketTransport, timeout_s: float = 20) -> bytes:
+    return (await transport.send("GET", "/", {}, None, timeout_s))[2]
+
+
+def run(test: Callable[[], Awaitable[None]]) -> None:
+    async def bounded() -> None:
+        await asyncio.wait_for(test(), 60)
+
+    asyncio.run(bounded())
+
+
+def test_a_connection_for_each_request_and_all_are_kept() -> None:
+    async def test() -> None:
+        async with serving() as (server, transport):
+            asked = asyncio.gather(*(get(transport) for _ in range(4)))
+            for _ in range(4):
+                await server.asked.acquire()
+            server.may_answer.set()
+            assert await asked == [b"ok"] * 4
+            assert await asyncio.gather(*(get(transport) for _ in range(4))) == [b"ok"] * 4
+            assert server.connections == 4
+
+    run(test)
+
+
+def test_no_more_connections_than_places() -> None:
+    async def test() -> None:
+        async with serving(max_connections=2) as (server, transport):
+            asked = asyncio.gather(*(get(transport) for _ in range(6)))
+            for _ in range(2):
+                await server.asked.acquire()
+            server.may_answer.set()
+            assert await asked == [b"ok"] * 6
+            assert server.connections == 2
+
+    run(test)
+
+
+def test_a_place_that_is_given_up_is_free() -> None:
+    async def test() -> None:
+        async with serving(max_connections=1) as (server, transport):
+            first = asyncio.ensure_future(get(transport))
+            await server.asked.acquire()
+            second = asyncio.ensure_future(get(transport))
+            first.cancel()
+            await server.asked.acquire()
+            server.may_answer.set()
+            assert await second == b"ok"
+            assert first.cancelled()
+            assert server.hung_up.is_set()
+
+    run(test)
+
+
+def test_a_place_whose_request_times_out_is_free() -> None:
+    async def test() -> None:
+        async with serving(max_connections=1) as (server, transport):
+            with pytest.raises(TimedOut, match=r"within 0\.05 s"):
+                await get(transport, timeout_s=0.05)
+            server.may_answer.set()
+            assert await get(transport) == b"ok"
+
+    run(test)
+
+
+def test_a_head_is_that_of_the_blocking_client() -> None:
+    async def test() -> None:
+        async with serving() as (server, transport):
+            server.may_answer.set()
+            await transport.send("POST", "/a", {"X-Kind": "test"}, b"", 20)
+            first, *rest = server.heads[0].decode().rstrip().split("\r\n")
+            assert first == "POST /a HTTP/1.1"
+            told = dict(line.split(": ", 1) for line in rest)
+            assert told.pop("Host").startswith("127.0.0.1:")
+            assert told == {"Accept-Encoding": "identity", "Content-Length": "0", "X-Kind": "test"}
+
+    run(test)
+
+
+def test_a_header_cannot_end_its_line() -> None:
+    async def test() -> None:
+        async with serving() as (server, transport):
+            with pytest.raises(ValueError, match="Invalid header value"):
+                await transport.send("GET", "/", {"Authorization": "Bearer a\r\nX: y"}, None, 20)
+            assert server.connections == 0
+
+    run(test)
+
+
+def test_a_connection_whose_body_is_still_on_its_way_is_not_kept() -> None:
+    """What is left of it would be taken for the head of the next request."""
+
+    async def test() -> None:
+        heard, hung_up = asyncio.Event(), asyncio.Event()
+
+        async def refuse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await reader.readuntil(b"\r\n\r\n")
+            writer.write(b"HTTP/1.1 413 Too Large\r\nContent-Length: 2\r\n\r\nno")
+            await heard.wait()
+            with suppress(ConnectionError):
+                while not reader.at_eof():
+                    await reader.read(2**16)
+            hung_up.set()
+            writer.close()
+
+        async with await asyncio.start_server(refuse, "127.0.0.1", 0) as listening:
+            url = f"http://127.0.0.1:{listening.sockets[0].getsockname()[1]}"
+            transport = AsyncSocketTransport(url, connect_timeout_s=5, max_connections=1)
+            status, _, body = await transport.send("POST", "/", {}, bytes(2**24), 20)
+            assert (status, body) == (413, b"no")
+            heard.set()
+            await hung_up.wait()
+            await transport.aclose()
+
+    run(test)
+
+
+def test_at_least_one_place_is_needed() -> None:
+    with pytest.raises(ValueError, match="max_connections: expected at least 1, got 0"):
+        AsyncSocketTransport("http://robot", connect_timeout_s=5, max_connections=0)
