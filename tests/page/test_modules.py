@@ -32,7 +32,7 @@ def call(browser: Any, served: Any) -> Iterator[Callable[..., Any]]:
 def sample(call: Callable[..., Any], kind: str, number: int) -> np.ndarray:
     """[96, 96] whether a cell is occupied."""
     make = "(m, [kind, number]) => m.sampleMap(kind, number).occupancy()"
-    return np.array(call("samples", make, [kind, number]), bool)
+    return np.array(call("map/samples", make, [kind, number]), bool)
 
 
 def test_distances_are_those_of_scipy(call: Callable[..., Any]) -> None:
@@ -40,13 +40,13 @@ def test_distances_are_those_of_scipy(call: Callable[..., Any]) -> None:
     occupied = rng.random((20, 31)) < 0.05
     occupied[3, 4] = True
     make = """async (m, rows) => {
-        const { Grid } = await import("/page/js/grid.js");
+        const { Grid } = await import("/page/js/map/grid.js");
         const grid = new Grid(rows.length, rows[0].length, 0.2);
         rows.forEach((row, r) => row.forEach((cell, c) => grid.set(r, c, cell ? 1 : 0)));
         return Array.from(m.distanceField(grid));
     }"""
 
-    field = np.array(call("distance", make, occupied.tolist())).reshape(occupied.shape)
+    field = np.array(call("map/distance", make, occupied.tolist())).reshape(occupied.shape)
 
     between_centres = np.asarray(ndimage.distance_transform_edt(~occupied))
     np.testing.assert_allclose(field, 0.2 * np.maximum(between_centres - 0.5, 0), atol=1e-6)
@@ -65,7 +65,7 @@ def test_samples_repeat_and_differ(call: Callable[..., Any], kind: str) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_start_and_goal_stand_clear_and_are_joined(call: Callable[..., Any], kind: str) -> None:
     place = """async (m, [kind, number]) => {
-        const { placeEnds } = await import("/page/js/ends.js");
+        const { placeEnds } = await import("/page/js/map/ends.js");
         const { start, goal } = placeEnds(m.sampleMap(kind, number), { radius: 0.25, reach: 8 });
         return [[start.x, start.y], [goal.x, goal.y]];
     }"""
@@ -74,7 +74,7 @@ def test_start_and_goal_stand_clear_and_are_joined(call: Callable[..., Any], kin
         clear = 0.1 * (np.asarray(ndimage.distance_transform_edt(np.pad(~occupied, 0))) - 0.5)
         if not occupied.any():
             clear = np.full(occupied.shape, np.inf)
-        ends = np.array(call("samples", place, [kind, number]))
+        ends = np.array(call("map/samples", place, [kind, number]))
         (start, goal) = ((ends + 4.8) / 0.1).astype(int)[:, ::-1]
         regions = ndimage.label(clear > 0.25)[0]  # type: ignore[index]
 
@@ -98,7 +98,7 @@ def test_a_plan_runs_through_its_samples_and_is_smooth_between(call: Callable[..
     times = np.linspace(0, 4, 37)
 
     states = np.array(
-        call("plan", make, [cubic.tolist(), slope.tolist(), bend.tolist(), times.tolist()])
+        call("map/plan", make, [cubic.tolist(), slope.tolist(), bend.tolist(), times.tolist()])
     )
 
     # Cubic polynomials between the samples give a cubic motion back exactly.
@@ -113,7 +113,7 @@ def test_a_robot_that_brakes_comes_to_rest_within_its_limit(call: Callable[..., 
     }"""
     times = np.linspace(0, 2, 41)
 
-    x, y, vx, vy, ax, ay = np.array(call("plan", make, times.tolist())).T
+    x, y, vx, vy, ax, ay = np.array(call("map/plan", make, times.tolist())).T
 
     np.testing.assert_allclose(x, 1)
     np.testing.assert_allclose(vx, 0)
@@ -161,7 +161,8 @@ def test_curvature_is_that_of_a_circle(call: Callable[..., Any]) -> None:
         for (const tensor of Object.values(answer)) {
             tensor.values = Float32Array.from(tensor.values);
         }
-        const anchors = new m.Anchors(answer, { a_max: 3, v_max: 2, horizon_s: 8 });
+        const limits = { a_max: 3, v_max: 2, horizon_s: 8 };
+        const anchors = new m.Anchors(answer, { conditioning: { limits } });
         const [curvature, limit] = [anchors.curvature(0), anchors.curvatureLimit(0)];
         return [Array.from(curvature), Array.from(limit), anchors.length(0), anchors.trouble];
     }"""

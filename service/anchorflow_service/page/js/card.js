@@ -8,6 +8,8 @@ const MOST_NUMBERS = 4;
 export class CardPanel {
   /** Show the card of the bundle that is asked. */
   show(card) {
+    // Where there is no map to draw on, the card is what one has to read first.
+    byId("card-block").open = card.conditioning.kind !== "cost_map";
     byId("card-state").textContent = card.ready ? "ready" : "not ready";
     byId("card-state").dataset.ready = card.ready;
     const rows = [

@@ -49,7 +49,7 @@ export function drawAnchors(context, stage, show) {
   const inFocus = robot ? null : (focus ?? anchors.best);
   context.lineJoin = context.lineCap = "round";
   context.globalAlpha = stale ? 0.22 : focus === null ? 0.9 : 0.35;
-  context.lineWidth = 1.3;
+  context.lineWidth = stage.lineWidth;
   for (const n of [...anchors.order].reverse()) {
     if (n === inFocus && !stale) continue;
     if (bySpeed) drawBySpeed(context, stage, { anchors, screen, n });

@@ -11,9 +11,9 @@ const SCORE = { name: "Score", unit: "", value: ({ scores }, n) => scores[n] };
 const CLEARANCE = { name: "Clear", unit: "m", value: ({ clearance }, n) => clearance[n] };
 const TOP_SPEED = { name: "Top", unit: "m/s", value: (anchors, n) => anchors.greatest(anchors.speeds, n) };
 
-/** The columns of the table that the arrays of an answer can fill. */
-export function columnsOf({ scores, clearance, speeds }) {
-  return [scores && SCORE, clearance && CLEARANCE, LENGTH, speeds && TOP_SPEED].filter(Boolean);
+/** The columns of the table that the arrays of an answer can fill, with what tells of the way. */
+export function columnsOf({ scores, clearance, speeds }, way = [LENGTH]) {
+  return [scores && SCORE, clearance && CLEARANCE, ...way, speeds && TOP_SPEED].filter(Boolean);
 }
 
 /** Which anchor the figures are about: the one in focus, or the best. */

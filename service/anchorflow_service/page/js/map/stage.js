@@ -14,6 +14,8 @@ const ARROW_M_PER_MPS = 0.45;
 const ARROW_FOOT_PX = 13;
 
 export class Stage extends Surface {
+  /** px of an anchor. */
+  lineWidth = 1.3;
   /** What is drawn; set by others, who then call `draw()`. */
   show = {
     /** @type {?Anchors} */ anchors: null,

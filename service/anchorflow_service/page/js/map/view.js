@@ -26,6 +26,8 @@ const COLOURED = { score: "scores", speed: "velocities", clearance: "clearance" 
 
 export class MapView {
   active = false;
+  /** The question whose answer is shown, and the anchor that was clicked. */
+  shown = null;
   kept = null;
 
   constructor(planner, amount) {
@@ -104,7 +106,7 @@ export class MapView {
   async answered({ question, answer, sentAt }) {
     if (question.driven !== this.drive.active || this.replay.active) return;
     const anchors = new Anchors(answer, question.card);
-    this.question = question;
+    this.shown = question;
     this.bubble.clear();
     if (this.drive.active) this.drive.take(anchors, question);
     if (this.kept >= anchors.count) this.kept = null;
@@ -205,7 +207,7 @@ export class MapView {
     if (isOpen || !anchors) return;
     this.#press("replay", true, "Close");
     try {
-      await this.replay.begin(this.question, anchors);
+      await this.replay.begin(this.shown, anchors);
     } catch (error) {
       say(error.message);
       this.#press("replay", false, "Replay the flow");

@@ -11,12 +11,15 @@ const LEAST_M = 12;
 /** px between two lines of the grid, at least. */
 const LEAST_STRIDE_PX = 56;
 const STRIDES_M = [1, 2, 5, 10, 20, 50, 100, 200, 500];
-const POSE_PX = 3;
+const GRID_OPACITY = 0.4;
+const POSE_PX = 3.5;
 const HEADING_PX = 11;
 
 export class BirdsEye extends Surface {
   /** What is drawn, as `lines.js` takes it; `raster` lies below where its extent is known. */
   show = { anchors: null, raster: null, colourBy: "score", focus: null, step: null, stale: false, replayed: null, robot: null };
+  /** px of an anchor. */
+  lineWidth = 2;
   #middle = [0, 0];
   scale = 1;
 
@@ -86,17 +89,29 @@ export class BirdsEye extends Surface {
       const to = Math.floor((this.#middle[axis] + reach[axis]) / stride);
       for (let k = from; k <= to; k++) {
         const [left, top] = axis ? this.toScreen(0, k * stride) : this.toScreen(k * stride, 0);
-        context.strokeStyle = k ? colours.grid : colours.unknown;
+        context.strokeStyle = colours.unknown;
+        context.globalAlpha = k ? GRID_OPACITY : 1;
         context.beginPath();
         if (axis) context.rect(Math.round(left) + 0.5, 0, 0, this.height);
         else context.rect(0, Math.round(top) + 0.5, this.width, 0);
         context.stroke();
-        context.fillStyle = colours.soft;
-        context.textAlign = axis ? "center" : "left";
-        if (axis) context.fillText(k ? plain(k * stride) : "y [m]", left, this.height - 8);
-        else if (top < this.height - 24) context.fillText(k ? plain(k * stride) : "x [m]", 8, top - 5);
+        context.globalAlpha = 1;
+        this.#write(plain(k * stride), axis, axis ? left : top);
       }
     }
+    context.textAlign = "left";
+    context.fillText("x [m]", 8, 18);
+    context.textAlign = "right";
+    context.fillText("y [m]", this.width - 8, this.height - 8);
+  }
+
+  /** A number at a line of the grid, unless the axis' name stands there. */
+  #write(text, axis, at) {
+    const { context, height, width } = this;
+    context.fillStyle = this.colours.soft;
+    context.textAlign = axis ? "center" : "left";
+    if (axis && at > 40 && at < width - 60) context.fillText(text, at, height - 8);
+    if (!axis && at > 36 && at < height - 24) context.fillText(text, 8, at - 5);
   }
 
   /** Where the planner sits, looking up. */
@@ -134,8 +149,8 @@ export class BirdsEye extends Surface {
         context.lineTo(left - HEADING_PX * Math.sin(heading), top - HEADING_PX * Math.cos(heading));
         context.stroke();
       }
-      context.fillStyle = t === this.show.step ? colours.focus : colours.card;
-      context.strokeStyle = colours.outline;
+      context.fillStyle = t === this.show.step ? colours.focus : colours.ink;
+      context.strokeStyle = colours.map;
       context.beginPath();
       context.arc(left, top, t === this.show.step ? POSE_PX + 2 : POSE_PX, 0, 2 * Math.PI);
       context.fill();

@@ -10,7 +10,7 @@ export class ImageField {
 
   constructor(spec, id, onChange) {
     [, this.height, this.width] = axesOf(spec);
-    this.hint = `A picture, ${this.width} × ${this.height} pixels; black until you choose one.`;
+    this.hint = `A picture, ${this.width} × ${this.height} pixels; black until you choose one`;
     this.onChange = onChange;
     this.picture = make("canvas", { className: "thumbnail", width: this.width, height: this.height });
     this.context = this.picture.getContext("2d");
@@ -53,7 +53,7 @@ export class ImageField {
     const picture = await createImageBitmap(file);
     this.context.drawImage(picture, 0, 0, this.width, this.height);
     const fits = picture.width === this.width && picture.height === this.height;
-    this.note.textContent = `${file.name}, ${picture.width} × ${picture.height}${fits ? "" : `, drawn to ${this.width} × ${this.height}`}`;
+    this.note.textContent = `${picture.width} × ${picture.height} pixels${fits ? "" : `, drawn to ${this.width} × ${this.height}`}`;
     // A file of the right size goes as it is; what is drawn loses nothing more as PNG.
     if (fits && format) this.original = { [format]: base64(new Uint8Array(await file.arrayBuffer())) };
   }

@@ -63,7 +63,7 @@ export class Inputs {
     const wrong = make("p", { className: "wrong", role: "alert", hidden: true });
     this.#fields.set(spec.name, { field, wrong });
     const type = typeText({ dtype: spec.dtype, shape: axesOf(spec) });
-    const hint = [field.hint, limitsText(spec)].filter(Boolean).join(" ");
+    const hint = [field.hint, limitsText(spec)].filter(Boolean).join(": ");
     const label = make("label", { htmlFor: id }, spec.name, make("span", { className: "type" }, type));
     return make("div", { className: "input" }, label, field.control, make("p", { className: "hint" }, hint), wrong);
   }

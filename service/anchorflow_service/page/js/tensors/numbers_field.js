@@ -13,7 +13,7 @@ export class NumbersField {
     this.spec = spec;
     this.count = countOf(spec);
     const text = Array.from({ length: this.count }, () => neutral(spec)).join(", ");
-    this.hint = this.count === 1 ? "A number." : `${this.count} numbers.`;
+    this.hint = this.count === 1 ? "A number" : `${this.count} numbers`;
     this.control = make("input", { id, type: "text", value: text, autocomplete: "off", spellcheck: false });
     this.control.addEventListener("input", onChange);
   }

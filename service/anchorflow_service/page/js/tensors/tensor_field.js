@@ -8,7 +8,7 @@ export class TensorField {
 
   constructor(spec, id, onChange) {
     this.spec = spec;
-    this.hint = `${plain(neutral(spec))} everywhere, unless you paste JSON: lists, or {"dtype", "shape", "base64"}.`;
+    this.hint = `${plain(neutral(spec))} everywhere, unless you paste JSON: lists, or {"dtype", "shape", "base64"}`;
     this.control = make("textarea", { id, rows: 2, spellcheck: false, placeholder: `${plain(neutral(spec))} everywhere` });
     this.control.addEventListener("input", onChange);
   }

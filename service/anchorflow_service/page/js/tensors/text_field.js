@@ -4,7 +4,7 @@ import { make } from "../dom.js";
 
 export class TextField {
   static fits = (spec) => spec.dtype === "text";
-  hint = "A text.";
+  hint = "A text";
 
   constructor(spec, id, onChange) {
     this.control = make("textarea", { id, rows: 4, spellcheck: false });

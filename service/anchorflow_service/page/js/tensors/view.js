@@ -150,7 +150,7 @@ export class TensorView {
     showPoses(anchors, looked, step);
     showLegend(byId("birds-eye-legend"), anchors, colourBy);
     showBest(this.eye, anchors, {
-      columns: [...columnsOf(anchors), ...END],
+      columns: columnsOf(anchors, END),
       by: colourBy,
       focus: looked,
       onLook: (n) => this.#look(n, null),
