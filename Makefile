@@ -12,10 +12,10 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help serve toolkit test lint format bench docs image clean
+.PHONY: help serve toolkit test lint format bench docs walkthrough image clean
 
 help:  ## Show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 serve: $(VENV)/.service  ## Serve the default bundle at HOST and PORT (127.0.0.1, 8000); installs no torch
 	$(BIN)/anchorflow serve --host $(HOST) --port $(PORT)
@@ -41,6 +41,9 @@ bench: $(VENV)/.dev  ## Measure quality, latency and load into benchmarks/result
 
 docs: $(VENV)/.docs  ## Build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+walkthrough: $(VENV)/.dev  ## Type what the documentation prints, in a fresh checkout (ten minutes)
+	$(BIN)/python docs/walkthrough.py
 
 image:  ## Build the image with buildah, run it, ask it for anchors (as root; skips where it cannot)
 	docker/build_and_try.sh

@@ -30,6 +30,7 @@ from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.scenes import SceneError, draw_scene
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hide_ticks
 from anchorflow_trajectory.scene import Scene
 
 DRAWN = GeneratorConfig(num_samples=24, project=False)
@@ -129,16 +130,11 @@ def draw(scenes: Sequence[Scene], rows: dict[str, list[AnchorTensors]], path: Pa
 
 
 def draw_scene_with(axes: Axes, scene: Scene, anchors: AnchorTensors) -> None:
-    x, y = scene.origin
-    height, width = (n * scene.resolution for n in scene.cost_map.shape[1:])
-    extent = (x, x + width, y, y + height)
-    axes.imshow(scene.cost_map[0], cmap="Greys", origin="lower", extent=extent, vmin=0, vmax=1.4)
-    for positions, safe in zip(anchors.trajectories.cpu(), anchors.safe.cpu(), strict=True):
-        color = "tab:green" if safe else "tab:red"
-        axes.plot(positions[:, 0], positions[:, 1], color=color, linewidth=0.8)
-    axes.plot(*scene.x_curr[:2], "ko", markersize=4)
-    axes.plot(*scene.x_goal[:2], "k*", markersize=7)
-    axes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
+    draw_cells(axes, scene.cost_map[0], resolution=scene.resolution, origin=scene.origin)
+    colours = np.where(anchors.safe.cpu().numpy(), "tab:green", "tab:red")
+    draw_paths(axes, anchors.trajectories.cpu().numpy(), colours, linewidths=0.8)
+    draw_ends(axes, scene.x_curr, scene.x_goal, colours=("black", "black"), sizes=(4, 7))
+    hide_ticks(axes)
 
 
 @contextmanager

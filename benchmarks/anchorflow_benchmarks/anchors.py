@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Anchors:
+class Proposals:
     """positions, velocities, accelerations: [N, T, D] in m, m/s, m/s^2; dt: s between samples.
 
     safe: [N] what the planner promises, None where it promises nothing
@@ -31,10 +31,10 @@ class Anchors:
         control: NDArray[np.floating],
         *,
         safe: NDArray[np.bool_] | None = None,
-    ) -> Anchors:
+    ) -> Proposals:
         """The samples of control points [D, N, K]."""
         position, velocity, acceleration = (
             state.astype(np.float64) for state in basis.states(control)
         )
         dt = basis.horizon_s / (basis.num_samples - 1)
-        return Anchors(position, velocity, acceleration, dt, safe)
+        return Proposals(position, velocity, acceleration, dt, safe)

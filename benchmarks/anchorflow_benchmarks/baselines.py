@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, limits_of, without_fields
 from anchorflow_service.bundle import Bundle
@@ -34,13 +34,13 @@ class ExpertPlanner:
     def name(self) -> str:
         return f"expert, {self.steps} steps"
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         config = ExpertConfig(num_samples=NUM_SAMPLES, tries=num, steps=self.steps)
         config = replace(config, paths=min(config.paths, num))
         scene, rng = without_fields(scene), np.random.default_rng(seed)
         solution = solve(scene, config=config, limits=self.limits, rng=rng)
         basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
-        return Anchors.of_spline(basis, solution.control, safe=solution.good)
+        return Proposals.of_spline(basis, solution.control, safe=solution.good)
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class LinesPlanner:
     name: str = "lines with noise"
     evaluations: None = None
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
         start, span = scene.x_curr[:2], scene.x_goal[:2] - scene.x_curr[:2]
         along = minimum_jerk(NUM_SAMPLES)
@@ -64,7 +64,7 @@ class LinesPlanner:
         offset = self._bends(along, num, np.random.default_rng(seed))
         positions = start + along[:, None] * span + offset[..., None] * across
         control = basis.fit_positions(positions.astype(np.float32), scene.x_curr, scene.x_goal)
-        return Anchors.of_spline(basis, control)
+        return Proposals.of_spline(basis, control)
 
     def _bends(
         self, along: NDArray[np.float64], num: int, rng: np.random.Generator
@@ -84,7 +84,7 @@ class RefinedLinesPlanner:
     name: str = "lines with noise, refined"
     evaluations: None = None
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         raw = self.lines.plan(scene, num=num, seed=seed)
         parts = (raw.positions, raw.velocities, raw.accelerations)
         scene = without_fields(scene)
@@ -105,7 +105,7 @@ class RefinedLinesPlanner:
         )
         states = (refined.positions, refined.velocities, refined.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
-        return Anchors(position, velocity, acceleration, raw.dt, refined.safe)
+        return Proposals(position, velocity, acceleration, raw.dt, refined.safe)
 
 
 def minimum_jerk(num_samples: int) -> NDArray[np.float64]:

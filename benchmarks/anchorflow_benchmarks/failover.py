@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import logging
 import queue
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 
-from anchorflow_benchmarks.report import ResultTable, Row
-from anchorflow_benchmarks.turns import p50, p99
-from anchorflow_benchmarks.zenoh_processes import Process
+from anchorflow_benchmarks.clients import Outcomes
+from anchorflow_benchmarks.programs import Program
+from anchorflow_benchmarks.report import ResultTable, Row, tally
 from anchorflow_client.base_client import BaseClient
-from anchorflow_client.contract import AnchorRequest
+from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import AnchorFlowError
 
 CLIENT_LOG = "anchorflow_client.zenoh_client.failover"
@@ -36,16 +35,6 @@ class FailoverConfig:
     back_at: float = 0.5
     mid_answer_s: float = 0.01
     """How long after it was asked the replica is killed; it must take longer to answer."""
-
-
-@dataclass
-class Tally:
-    """What became of the requests."""
-
-    asked: int = 0
-    ms: list[float] = field(default_factory=list)
-    errors: Counter[str] = field(default_factory=Counter)
-    lock: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Witness(logging.Handler):
@@ -76,7 +65,7 @@ class Witness(logging.Handler):
 class Outcome:
     """A whole run."""
 
-    tally: Tally
+    outcomes: Outcomes
     seen: Witness
     killed: str
     after_return: Counter[str]
@@ -84,16 +73,15 @@ class Outcome:
 
     def tables(self, config: FailoverConfig) -> list[ResultTable]:
         """One line for all requests, one for each replica."""
-        tally, seen = self.tally, self.seen
-        lost = ", ".join(f"{name} {n}" for name, n in tally.errors.items()) or "none"
+        outcomes, seen = self.outcomes, self.seen
         whole: Row = {
-            "asked": tally.asked,
-            "answered": len(tally.ms),
-            "lost": sum(tally.errors.values()),
-            "errors": lost,
-            "p50 ms": p50(tally.ms),
-            "p99 ms": p99(tally.ms),
-            "longest ms": max(tally.ms),
+            "asked": len(outcomes.ms) + outcomes.failed,
+            "answered": len(outcomes.ms),
+            "lost": outcomes.failed,
+            "errors": tally(outcomes.errors),
+            "p50 ms": outcomes.p50_ms,
+            "p99 ms": outcomes.p99_ms,
+            "longest ms": outcomes.longest_ms,
         }
         rows: list[Row] = [
             {
@@ -112,17 +100,17 @@ class Outcome:
 
 def failover(
     client: BaseClient,
-    replicas: Sequence[Process],
+    replicas: Sequence[Program],
     request: AnchorRequest,
     config: FailoverConfig,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
     """Asks by the clock, kills the first replica that is asked at the set time, starts it again."""
     by_name = {replica.name: replica for replica in replicas}
-    tally = Tally()
+    outcomes = Outcomes()
     with witness() as seen, ThreadPoolExecutor(1) as executor:
         client.plan_request(request)  # the connection, not counted
-        asking = executor.submit(_ask_by_the_clock, client, request, config, tally)
+        asking = executor.submit(_ask_by_the_clock, client, request, config, outcomes)
         time.sleep(config.kill_at * config.seconds)
         killed = kill_in_mid_answer(by_name, seen, after_s=config.mid_answer_s)
         progress(f"killed {killed}")
@@ -131,7 +119,7 @@ def failover(
         progress(f"{killed} is back")
         before = Counter(seen.answered)
         asking.result()
-    return Outcome(tally, seen, killed, seen.answered - before)
+    return Outcome(outcomes, seen, killed, seen.answered - before)
 
 
 @contextmanager
@@ -148,7 +136,7 @@ def witness() -> Iterator[Witness]:
         log.setLevel(level)
 
 
-def kill_in_mid_answer(by_name: Mapping[str, Process], seen: Witness, *, after_s: float) -> str:
+def kill_in_mid_answer(by_name: Mapping[str, Program], seen: Witness, *, after_s: float) -> str:
     """Waits until a replica is asked, and kills it before it can have answered."""
     asked: queue.SimpleQueue[str] = queue.SimpleQueue()
     seen.on_asking = asked.put
@@ -160,28 +148,15 @@ def kill_in_mid_answer(by_name: Mapping[str, Process], seen: Witness, *, after_s
 
 
 def _ask_by_the_clock(
-    client: BaseClient, request: AnchorRequest, config: FailoverConfig, tally: Tally
+    client: BaseClient, request: AnchorRequest, config: FailoverConfig, outcomes: Outcomes
 ) -> None:
     """A request every tick, whether the one before is answered or not."""
     with ThreadPoolExecutor(MOST_AT_A_TIME) as executor:
         start = time.monotonic()
-        waiting: list[Future[None]] = []
+        waiting: list[Future[AnchorBatch]] = []
         for tick in range(int(config.hz * config.seconds)):
             time.sleep(max(0.0, start + tick / config.hz - time.monotonic()))
-            waiting.append(executor.submit(_ask, client, request, tally))
+            waiting.append(executor.submit(outcomes.ask, client.plan_request, request))
         for each in waiting:
-            each.result()
-
-
-def _ask(client: BaseClient, request: AnchorRequest, tally: Tally) -> None:
-    start, failed = time.perf_counter(), None
-    try:
-        client.plan_request(request)
-    except AnchorFlowError as error:
-        failed = error
-    with tally.lock:
-        tally.asked += 1
-        if failed is None:
-            tally.ms.append((time.perf_counter() - start) * 1e3)
-        else:
-            tally.errors[type(failed).__name__] += 1
+            with suppress(AnchorFlowError):  # it is among the outcomes
+                each.result()

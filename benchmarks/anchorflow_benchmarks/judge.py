@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial.distance import cdist
 
-from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.grid_path import shortest_grid_path
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
@@ -59,7 +59,7 @@ MEASURES = (
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Judgement:
     """What holds for each of N anchors of a scene, all [N].
 
     clearance: m beyond robot_radius, smallest along the path; below -robot_radius off the map
@@ -97,7 +97,7 @@ class SceneJudge:
     scene: Scene
     limits: MotionLimits
 
-    def judge(self, anchors: Anchors) -> Verdict:
+    def judge(self, anchors: Proposals) -> Judgement:
         """The verdict on all anchors of a plan."""
         position, velocity, acceleration = (
             np.asarray(a, np.float64)[..., :2]
@@ -114,7 +114,7 @@ class SceneJudge:
         coherent &= slip <= ACCELERATION_ERROR * self.limits.a_max
         length = np.linalg.norm(np.diff(position, axis=1), axis=-1).sum(1)
         jerk = np.linalg.norm(np.diff(acceleration, axis=1) / anchors.dt, axis=-1).mean(1)
-        verdict = Verdict(free, reached, feasible, coherent, clearance, length, jerk, {})
+        verdict = Judgement(free, reached, feasible, coherent, clearance, length, jerk, {})
         verdict.measures.update(self._measures(verdict, position, anchors.safe))
         return verdict
 
@@ -171,7 +171,7 @@ class SceneJudge:
         return reached & (np.linalg.norm(position[:, -1] - goal, axis=1) <= GOAL)
 
     def _measures(
-        self, verdict: Verdict, position: Array, safe: BoolArray | None
+        self, verdict: Judgement, position: Array, safe: BoolArray | None
     ) -> dict[str, float]:
         good = verdict.success
         names = ("success", "free", "reached", "feasible", "coherent")

@@ -5,34 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.quality import Plan
+from anchorflow_benchmarks.quality import JudgedPlan
 from anchorflow_benchmarks.report import Row
+from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hide_ticks, sheet
 
 PANEL_INCHES = 2.9
 COLUMNS = 4
 GOOD, BAD = "#1f6fb4", "#d1495b"
-START, GOAL = "#1b7f3b", "#c62828"
 
 
-def draw_scene_sheet(plans: Sequence[Plan], path: Path, *, title: str) -> None:
+def draw_scene_sheet(plans: Sequence[JudgedPlan], path: Path, *, title: str) -> None:
     """The worst and the typical scene of each family, by the share of anchors that succeed.
 
     Successes are blue, the others red. Raises `BenchmarkError` where `path` cannot be written.
     """
     panels = [panel for family in _families(plans) for panel in _telling(plans, family)]
-    columns = min(COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
-    figure = Figure((PANEL_INCHES * columns, PANEL_INCHES * rows + 0.4), layout="constrained")
-    axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
-    for place in axes[len(panels) :]:
-        place.set_axis_off()
-    for place, (label, plan) in zip(axes, panels, strict=False):
+    figure, axes = sheet(len(panels), columns=COLUMNS, inches=PANEL_INCHES, header=0.4)
+    for place, (label, plan) in zip(axes, panels, strict=True):
         _draw_plan(place, plan, label)
     figure.suptitle(title, fontsize=9)
     _save(figure, path)
@@ -58,11 +51,11 @@ def draw_quality_over_time(rows: Sequence[Row], path: Path) -> None:
     _save(figure, path)
 
 
-def _families(plans: Sequence[Plan]) -> list[str]:
+def _families(plans: Sequence[JudgedPlan]) -> list[str]:
     return sorted({plan.scene.family for plan in plans})
 
 
-def _telling(plans: Sequence[Plan], family: str) -> list[tuple[str, Plan]]:
+def _telling(plans: Sequence[JudgedPlan], family: str) -> list[tuple[str, JudgedPlan]]:
     """The worst scene of a family and the one in the middle, with what to call them."""
     numbered = [(i, plan) for i, plan in enumerate(plans) if plan.scene.family == family]
     ranked = sorted(numbered, key=lambda one: one[1].verdict.measures["success"])
@@ -75,30 +68,13 @@ def _telling(plans: Sequence[Plan], family: str) -> list[tuple[str, Plan]]:
     ]
 
 
-def _draw_plan(axes: Axes, plan: Plan, label: str) -> None:
+def _draw_plan(axes: Axes, plan: JudgedPlan, label: str) -> None:
     scene, good = plan.scene, plan.verdict.success
-    left, bottom = scene.origin
-    height, width = scene.occupied.shape
-    right, top = left + width * scene.resolution, bottom + height * scene.resolution
-    axes.imshow(
-        scene.occupied,
-        cmap="Greys",
-        vmin=0,
-        vmax=1.4,
-        origin="lower",
-        extent=(left, right, bottom, top),
-        interpolation="nearest",
-    )
-    for paths, color in (
-        (plan.anchors.positions[~good], BAD),
-        (plan.anchors.positions[good], GOOD),
-    ):
-        lines = list(paths[..., :2])
-        axes.add_collection(LineCollection(lines, colors=color, linewidths=0.7, alpha=0.7))
-    ends = ((scene.x_curr, START, "o"), (scene.x_goal, GOAL, "*"))
-    for (x, y, *_), color, marker in ends:
-        axes.plot(x, y, color=color, marker=marker, markersize=6, zorder=5)
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
+    draw_cells(axes, scene.occupied, resolution=scene.resolution, origin=scene.origin)
+    for kept, colour in ((~good, BAD), (good, GOOD)):
+        draw_paths(axes, plan.anchors.positions[kept], colour, linewidths=0.7, alpha=0.7)
+    draw_ends(axes, scene.x_curr, scene.x_goal)
+    hide_ticks(axes)
     axes.set_title(label, fontsize=7)
 
 

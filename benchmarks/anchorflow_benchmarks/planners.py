@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.samplers import evaluations, parse_sampler, sampler_name
 from anchorflow_client.contract import (
     AnchorRequest,
@@ -38,7 +38,7 @@ class Planner(Protocol):
         """Of a vector field for a plan; None where there is no field."""
         ...
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         """All that a request costs happens in here: it is what is timed."""
         ...
 
@@ -55,12 +55,12 @@ class EnginePlanner:
     def evaluations(self) -> int:
         return evaluations(self.sampler)
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         request = request_of(scene, num=num, seed=seed, sampler=self.sampler)
         answer = self.engine.plan(resolve_for_card(request, self.engine.card))
         states = (answer.trajectories, answer.velocities, answer.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
-        return Anchors(position, velocity, acceleration, answer.dt, answer.safe)
+        return Proposals(position, velocity, acceleration, answer.dt, answer.safe)
 
 
 def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> AnchorRequest:

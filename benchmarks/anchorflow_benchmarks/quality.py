@@ -9,9 +9,9 @@ from time import perf_counter
 
 import numpy as np
 
-from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.judge import MEASURES, SceneJudge, Verdict
+from anchorflow_benchmarks.judge import MEASURES, Judgement, SceneJudge
 from anchorflow_benchmarks.planners import Planner
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_training.scenes import FamilyScene
@@ -31,16 +31,16 @@ STYLE_CHANGES = (("clear", "safe", "fast"), ("length", "safe", "fast"), ("jerk",
 
 
 @dataclass(frozen=True)
-class Plan:
+class JudgedPlan:
     """What a planner answered for a scene: [N] anchors, their verdict, and the time in ms."""
 
     scene: FamilyScene
-    anchors: Anchors
-    verdict: Verdict
+    anchors: Proposals
+    verdict: Judgement
     ms: float
 
 
-Plans = dict[str, list[Plan]]
+Plans = dict[str, list[JudgedPlan]]
 
 
 def judge_planners(
@@ -68,7 +68,7 @@ def judge_planners(
             anchors = planner.plan(scene, num=num, seed=SEED)
             ms = (perf_counter() - start) * 1e3
             _check_finite(planner.name, anchors)
-            plans[planner.name].append(Plan(scene, anchors, judge.judge(anchors), ms))
+            plans[planner.name].append(JudgedPlan(scene, anchors, judge.judge(anchors), ms))
         progress(1)
     return plans
 
@@ -85,7 +85,7 @@ def quality_tables(planners: Sequence[Planner], plans: Plans) -> list[ResultTabl
     return tables
 
 
-def quality_row(planner: Planner, plans: Sequence[Plan], family: str = ALL) -> Row:
+def quality_row(planner: Planner, plans: Sequence[JudgedPlan], family: str = ALL) -> Row:
     """The measures of a planner's plans, averaged over the scenes that have one."""
     chosen = _of_family(plans, family)
     measures = [plan.verdict.measures for plan in chosen]
@@ -139,7 +139,7 @@ def _style_changes(styles: dict[str, list[dict[str, float]]]) -> dict[str, float
     return row | {"scenes": len(solved)}
 
 
-def _of_family(plans: Sequence[Plan], family: str) -> list[Plan]:
+def _of_family(plans: Sequence[JudgedPlan], family: str) -> list[JudgedPlan]:
     return [plan for plan in plans if family in (ALL, plan.scene.family)]
 
 
@@ -154,7 +154,7 @@ def _total(values: np.ndarray) -> int | None:
     return None if np.isnan(values).all() else int(np.nansum(values))
 
 
-def _check_finite(name: str, anchors: Anchors) -> None:
+def _check_finite(name: str, anchors: Proposals) -> None:
     arrays = (anchors.positions, anchors.velocities, anchors.accelerations)
     if not all(np.isfinite(array).all() for array in arrays):
         raise BenchmarkError(f"{name}: the answer holds numbers that are not finite")

@@ -127,6 +127,11 @@ def formatted(value: Cell) -> str:
     return str(value)
 
 
+def tally(counts: Mapping[str, int]) -> str:
+    """Counts as one cell: `deadline_exceeded 4, overloaded 12`, or none."""
+    return ", ".join(f"{name} {n}" for name, n in sorted(counts.items())) or "none"
+
+
 def _line(cells: Iterable[str]) -> str:
     return f"| {' | '.join(cells)} |"
 

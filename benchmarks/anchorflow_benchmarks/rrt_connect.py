@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]  # not everywhere
 
-from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.planners import NUM_SAMPLES, without_fields
 from anchorflow_training.expert.grid_paths import time_along
 from anchorflow_trajectory.cost import MotionLimits
@@ -42,7 +42,7 @@ class RrtConnectPlanner:
     name: str = "RRT-Connect (OMPL)"
     evaluations: None = None
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         seed_generators(seed)
         straight = np.stack([scene.x_curr[:2], scene.x_goal[:2]])
         space = _space(without_fields(scene), self.margin)
@@ -53,7 +53,7 @@ class RrtConnectPlanner:
             paths.append(straight if path is None else path)
         basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
         timed = np.stack([time_along(path, NUM_SAMPLES) for path in paths])
-        return Anchors.of_spline(basis, basis.fit_positions(timed, scene.x_curr, scene.x_goal))
+        return Proposals.of_spline(basis, basis.fit_positions(timed, scene.x_curr, scene.x_goal))
 
 
 _seeded: list[int] = []

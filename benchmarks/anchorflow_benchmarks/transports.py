@@ -6,11 +6,10 @@ from collections.abc import Callable, Sequence
 from itertools import cycle
 from time import perf_counter
 
+from anchorflow_benchmarks.clients import Ask
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_benchmarks.turns import p50, p99, spare_the_collector, take_turns
-from anchorflow_client.contract import AnchorBatch, AnchorRequest
-
-Ask = Callable[[AnchorRequest], AnchorBatch]
+from anchorflow_client.contract import AnchorRequest
 
 ENGINE_STAGES = ("encode", "sample", "refine")
 IN_PROCESS = "in-process"
@@ -32,8 +31,8 @@ def transport_table(
     """
     beside: dict[str, list[float]] = {name: [] for name in ways}
     calls = {name: _timed(ask, requests, beside[name]) for name, ask in ways.items()}
-    spare_the_collector()
-    times = take_turns(calls, rounds=rounds, budget_s=budget_s)
+    with spare_the_collector():
+        times = take_turns(calls, rounds=rounds, budget_s=budget_s)
     # The first call of each is not counted: caches and connections.
     spare = {name: p50(values[1:]) for name, values in beside.items()}
     rows: list[Row] = [

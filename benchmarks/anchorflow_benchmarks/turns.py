@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from time import perf_counter
 
 import numpy as np
@@ -32,13 +33,19 @@ def take_turns(
     return times
 
 
-def spare_the_collector() -> None:
-    """What has been imported and made so far is not looked at again by the garbage collector.
+@contextmanager
+def spare_the_collector() -> Iterator[None]:
+    """Within it the garbage collector does not look at what was imported and made before.
 
-    For timings of a client, which does not have to carry a benchmark's own modules.
+    For timings of a client, which does not have to carry a benchmark's own modules. What stayed
+    frozen would outlive the interpreter, and bindings that count their references say so.
     """
     gc.collect()
     gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def p50(values: list[float]) -> float:

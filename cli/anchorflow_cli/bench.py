@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +9,7 @@ import typer
 
 from anchorflow_benchmarks.baselines import BASELINES, ExpertPlanner, named_baselines
 from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.judged_bundles import open_bundle
 from anchorflow_benchmarks.latency import (
     Contest,
     LatencyConfig,
@@ -19,50 +18,34 @@ from anchorflow_benchmarks.latency import (
     onnx_loop,
     torch_loop,
 )
-from anchorflow_benchmarks.load import LoadConfig, in_process, load_table, over_http
-from anchorflow_benchmarks.machine import circumstances
 from anchorflow_benchmarks.planners import (
     Planner,
     bundle_names,
     engine_planners,
     limits_of,
-    request_of,
 )
 from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_table
-from anchorflow_benchmarks.report import Report
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import default_source, load_scenes
-from anchorflow_benchmarks.serving.served import served
-from anchorflow_cli import bench_closed_loop, bench_serving, bench_soak, bench_zenoh
-from anchorflow_cli.bench_output import progress, say, show_and_write, whole_numbers
+from anchorflow_cli import bench_closed_loop, bench_serving, bench_zenoh
+from anchorflow_cli.bench_options import (
+    RESULTS,
+    SCENES,
+    BundlesOption,
+    NumOption,
+    OutOption,
+    SamplersOption,
+    ScenesOption,
+    ThreadsOption,
+    whole_numbers,
+)
+from anchorflow_cli.bench_output import progress, report, say
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
-from anchorflow_client.json_codec import JsonCodec
-from anchorflow_client.oip_codec import OipCodec
-from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
+from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.cores import usable_cores
-from anchorflow_service.engine import Engine
-from anchorflow_service.http.orjson_codec import OrjsonCodec
 
 app = command_app()
-
-BundlesOption = Annotated[
-    list[Path] | None,
-    typer.Option("--bundle", help="Folder of a bundle; repeatable.", show_default="that ships"),
-]
-SCENES = "FILE|drawn:N:SEED"
-ScenesOption = Annotated[
-    str, typer.Option(metavar=SCENES, help="Scenes: a .npz file, or drawn ones.")
-]
-SamplersOption = Annotated[
-    str, typer.Option(metavar="A,B", help="card, rk4:8step, rk4:uniform8, midpoint:uniform2, …")
-]
-ThreadsOption = Annotated[
-    int | None, typer.Option(min=1, help="Threads of a request.", show_default="the cores")
-]
-OutOption = Annotated[Path, typer.Option(help="Folder that the results are written to.")]
-
-RESULTS = Path("benchmarks/results")
 
 
 @app.callback()
@@ -83,7 +66,7 @@ def quality(
         ),
     ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Scenes at most.")] = None,
-    num: Annotated[int, typer.Option(min=1, max=512, help="Anchors a scene.")] = 64,
+    num: NumOption = 64,
     samplers: SamplersOption = CARD,
     baselines: Annotated[
         str, typer.Option(metavar="A,B", help="Of expert, lines, rrt; none for no baselines.")
@@ -95,7 +78,7 @@ def quality(
     """Judge bundles and baselines on scenes; tables, JSON, Markdown and pictures."""
     with needs_extra("plot", who="anchorflow bench quality"):
         from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
-    bundles = [load_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
+    bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
     ours: list[Planner] = [*engine_planners(bundles, samplers.split(","), threads=threads)]
     names = [] if baselines == "none" else baselines.split(",")
     with needs_extra("bench", who="anchorflow bench quality --baselines rrt"):
@@ -110,7 +93,7 @@ def quality(
         with progress("styles", len(found)) as advance:
             tables.append(style_table(styled, found, limits=limits, num=num, progress=advance))
     about = {"scenes": f"{Path(source).name}, {len(found)} judged", "anchors a scene": str(num)}
-    show_and_write(Report("quality", "Quality", about | circumstances(), tables), out)
+    report("Quality", about, tables, out)
     draw_scene_sheet(plans[ours[0].name], out / "quality_scenes.png", title=ours[0].name)
     draw_quality_over_time(tables[0].rows, out / "quality_time.png")
 
@@ -135,7 +118,7 @@ def latency(
     out: OutOption = RESULTS,
 ) -> None:
     """Time a request in this process against plain loops and the machine's floor."""
-    bundles = [load_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
+    bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
     config = LatencyConfig(
         counts=whole_numbers(nums, "--nums"),
         rounds=rounds,
@@ -154,7 +137,7 @@ def latency(
     found = load_scenes(scenes, limits=limits_of(bundles[0]))
     tables = latency_tables(contests, found, config, progress=say)
     about = {"scenes": scenes, "threads": str(config.threads)}
-    show_and_write(Report("latency", "Latency", about | circumstances(), tables), out)
+    report("Latency", about, tables, out)
 
 
 def plain_loops(
@@ -170,54 +153,12 @@ def plain_loops(
     return loops
 
 
-@app.command()
-def load(
-    *,
-    url: Annotated[
-        str | None, typer.Option(help="A server on this machine.", show_default="one is started")
-    ] = None,
-    bundle: Annotated[Path, typer.Option(help="Folder of the bundle.")] = DEFAULT_BUNDLE,
-    clients: Annotated[str, typer.Option(metavar="N,N", help="Clients.")] = "1,4,16,64",
-    num: Annotated[int, typer.Option(min=1, max=512, help="Anchors a request.")] = 64,
-    sampler: Annotated[str, typer.Option(help="As --samplers of the other two.")] = CARD,
-    scenes: ScenesOption = "drawn:8:0",
-    seconds: Annotated[float, typer.Option(min=0.1, max=600, help="Of each level.")] = 10.0,
-    requests: Annotated[int, typer.Option(min=1, max=100_000, help="Of each level.")] = 2000,
-    out: OutOption = RESULTS,
-) -> None:
-    """Load a server on this machine, and the engine in this process, with closed-loop clients."""
-    opened = load_bundle(bundle)
-    config = LoadConfig(whole_numbers(clients, "--clients"), seconds, requests)
-    spec = parse_sampler(sampler, opened.card)
-    found = load_scenes(scenes, limits=limits_of(opened))
-    asked = [request_of(scene, num=num, seed=1, sampler=spec) for scene in found]
-    with server(bundle, url) as address:
-        ways = {
-            "in-process": in_process(Engine(opened)),
-            "HTTP JSON": over_http(address, OrjsonCodec()),
-            "HTTP JSON, standard library": over_http(address, JsonCodec()),
-            "HTTP binary": over_http(address, OipCodec()),
-        }
-        table = load_table(ways, asked, config, progress=say)
-    about = {"scenes": scenes, "anchors a request": str(num), "server": url or opened.card.name}
-    show_and_write(Report("load", "Load", about | circumstances(), [table]), out)
-
-
-@contextmanager
-def server(bundle: Path, url: str | None) -> Iterator[str]:
-    """The URL given, or that of a server of the bundle in a process of its own."""
-    if url is not None:
-        yield url
-        return
-    with served("--bundle", str(bundle)) as process:
-        yield process.url
-
-
+app.command()(bench_serving.load)
 app.command()(bench_zenoh.zenoh)
 app.command()(bench_zenoh.failover)
 app.command()(bench_serving.serving)
 app.command()(bench_serving.release)
 app.command()(bench_serving.swaps)
 app.command()(bench_serving.kill)
-app.command()(bench_soak.soak)
+app.command()(bench_serving.soak)
 app.command("closed-loop")(bench_closed_loop.closed_loop)

@@ -8,19 +8,26 @@ from typing import Annotated
 import typer
 
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.machine import circumstances
-from anchorflow_benchmarks.report import Report
+from anchorflow_benchmarks.judged_bundles import open_bundle
 from anchorflow_benchmarks.samplers import parse_sampler
-from anchorflow_cli.bench_output import progress, show_and_write, whole_numbers
+from anchorflow_cli.bench_options import (
+    RESULTS,
+    SCENES,
+    BundleOption,
+    NumOption,
+    OutOption,
+    SamplerOption,
+    ThreadsOption,
+    whole_numbers,
+)
+from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
-from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-
-RESULTS = Path("benchmarks/results")
+from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 
 def closed_loop(
     worlds: Annotated[
-        str, typer.Argument(metavar="FILE|drawn:N:SEED", help="Worlds: a .npz file, or drawn ones.")
+        str, typer.Argument(metavar=SCENES, help="Worlds: a .npz file, or drawn ones.")
     ],
     *,
     limit: Annotated[int, typer.Option(min=1, help="Worlds at most, evenly spread.")] = 50,
@@ -28,11 +35,9 @@ def closed_loop(
     motions: Annotated[
         str, typer.Option(metavar="K,K", help="That MPPI rolls out a tick, anchors included.")
     ] = "512",
-    num: Annotated[int, typer.Option(min=1, max=512, help="Anchors a request.")] = 64,
-    sampler: Annotated[
-        str, typer.Option(help="Of the served anchors: card, euler:uniform1, …")
-    ] = "midpoint:uniform2",
-    bundle: Annotated[Path, typer.Option(help="Folder of the bundle.")] = DEFAULT_BUNDLE,
+    num: NumOption = 64,
+    sampler: SamplerOption = "midpoint:uniform2",
+    bundle: BundleOption = DEFAULT_BUNDLE,
     url: Annotated[
         str | None, typer.Option(help="A service that answers in place of the bundle's engine.")
     ] = None,
@@ -43,10 +48,8 @@ def closed_loop(
     robot: Annotated[str, typer.Option(help="unicycle or double-integrator.")] = "unicycle",
     limit_s: Annotated[float, typer.Option(min=0.1, help="Simulated time of a run.")] = 50.0,
     workers: Annotated[int, typer.Option(min=1, help="Processes, one run each at a time.")] = 1,
-    threads: Annotated[
-        int | None, typer.Option(min=1, help="Threads of a request.", show_default="the cores")
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Folder that the results are written to.")] = RESULTS,
+    threads: ThreadsOption = None,
+    out: OutOption = RESULTS,
 ) -> None:
     """Drive a robot through worlds by MPPI alone, with straight lines, with served anchors."""
     with needs_extra("robot", who="anchorflow bench closed-loop"):
@@ -61,7 +64,7 @@ def closed_loop(
         from anchorflow_benchmarks.closed_loop.world import load_worlds
     if robot not in ROBOTS:
         raise BenchmarkError(f"--robot: expected {' or '.join(ROBOTS)}, got {robot!r}")
-    opened = load_bundle(bundle)
+    opened = open_bundle(bundle)
     spec = parse_sampler(sampler, opened.card)
     contenders = contenders_of(whole_numbers(motions, "--motions"), anchors=num)
     config = ContestConfig(
@@ -90,4 +93,4 @@ def closed_loop(
         "latency": "as measured" if latency_ms is None else f"{latency_ms:g} ms",
     }
     tables = contest_tables(results, [contender.name for contender in contenders])
-    show_and_write(Report("closed_loop", "Closed loop", about | circumstances(), tables), out)
+    report("Closed loop", about, tables, out)

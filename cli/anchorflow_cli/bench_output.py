@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,8 +10,8 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.report import Report
+from anchorflow_benchmarks.machine import circumstances
+from anchorflow_benchmarks.report import Report, ResultTable
 
 
 def say(line: str) -> None:
@@ -19,10 +19,18 @@ def say(line: str) -> None:
     typer.echo(line, err=True)
 
 
-def show_and_write(report: Report, folder: Path) -> None:
-    """The tables on the terminal and as files in the folder."""
-    report.show()
-    for path in report.write(folder):
+def report(
+    title: str, about: Mapping[str, str], tables: Sequence[ResultTable], folder: Path
+) -> None:
+    """The tables on the terminal and as files in the folder, with where they were measured.
+
+    Raises:
+        BenchmarkError: a file cannot be written.
+    """
+    name = title.lower().replace(" ", "_")
+    whole = Report(name, title, {**about, **circumstances()}, tables)
+    whole.show()
+    for path in whole.write(folder):
         say(str(path))
 
 
@@ -32,11 +40,3 @@ def progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=total)
         yield lambda done: bar.advance(task, done)
-
-
-def whole_numbers(text: str, option: str) -> list[int]:
-    """`1,16,64` as numbers above 0; raises `BenchmarkError`."""
-    parts = text.split(",")
-    if not all(part.isdecimal() and int(part) > 0 for part in parts):
-        raise BenchmarkError(f"{option}: expected whole numbers above 0 such as 1,16, got {text!r}")
-    return [int(part) for part in parts]

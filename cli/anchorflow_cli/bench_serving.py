@@ -1,38 +1,84 @@
-"""`anchorflow bench serving`, `release`, `swaps` and `kill`: a server under many callers."""
+"""`anchorflow bench load`, `serving`, `release`, `swaps`, `kill` and `soak`: a server's callers."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
-from anchorflow_benchmarks.machine import circumstances
-from anchorflow_benchmarks.planners import limits_of, request_of
-from anchorflow_benchmarks.report import Report
-from anchorflow_benchmarks.samplers import CARD, parse_sampler
-from anchorflow_benchmarks.scene_files import load_scenes
+from anchorflow_benchmarks.clients import over_http
+from anchorflow_benchmarks.judged_bundles import open_bundle
+from anchorflow_benchmarks.load import LoadConfig, in_process, load_table
+from anchorflow_benchmarks.programs import served
+from anchorflow_benchmarks.samplers import CARD
 from anchorflow_benchmarks.serving.crowd import CrowdConfig
 from anchorflow_benchmarks.serving.kills import KillConfig, kill_table
 from anchorflow_benchmarks.serving.micro_batches import batching_table
 from anchorflow_benchmarks.serving.release import release_table
 from anchorflow_benchmarks.serving.swaps import swap_table
-from anchorflow_cli.bench_output import say, show_and_write
-from anchorflow_client.contract import AnchorRequest
-from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
+from anchorflow_benchmarks.soak import SoakConfig, soak_table
+from anchorflow_cli.bench_options import (
+    RESULTS,
+    STUDENT,
+    BundleOption,
+    ClientsOption,
+    NumOption,
+    OutOption,
+    SamplerOption,
+    ScenesOption,
+    requests_on,
+    whole_numbers,
+)
+from anchorflow_cli.bench_output import report, say
+from anchorflow_client.json_codec import JsonCodec
+from anchorflow_client.oip_codec import OipCodec
+from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.engine import Engine
+from anchorflow_service.http.orjson_codec import OrjsonCodec
 
-BundleOption = Annotated[Path, typer.Option(help="Folder of the bundle.")]
-ScenesOption = Annotated[
-    str, typer.Option(metavar="FILE|drawn:N:SEED", help="Scenes: a .npz file, or drawn ones.")
-]
-NumOption = Annotated[int, typer.Option(min=1, max=512, help="Anchors a request.")]
-SamplerOption = Annotated[str, typer.Option(help="card, rk4:8step, midpoint:uniform2, …")]
-ClientsOption = Annotated[int, typer.Option(min=1, help="Closed-loop clients.")]
-OutOption = Annotated[Path, typer.Option(help="Folder that the results are written to.")]
-RESULTS = Path("benchmarks/results")
-STUDENT = DEFAULT_BUNDLE.parent / "student"
+
+def load(
+    *,
+    url: Annotated[
+        str | None, typer.Option(help="A server on this machine.", show_default="one is started")
+    ] = None,
+    bundle: BundleOption = DEFAULT_BUNDLE,
+    clients: Annotated[str, typer.Option(metavar="N,N", help="Clients.")] = "1,4,16,64",
+    num: NumOption = 64,
+    sampler: SamplerOption = CARD,
+    scenes: ScenesOption = "drawn:8:0",
+    seconds: Annotated[float, typer.Option(min=0.1, max=600, help="Of each level.")] = 10.0,
+    requests: Annotated[int, typer.Option(min=1, max=100_000, help="Of each level.")] = 2000,
+    out: OutOption = RESULTS,
+) -> None:
+    """Load a server on this machine, and the engine in this process, with closed-loop clients."""
+    opened = open_bundle(bundle)
+    config = LoadConfig(whole_numbers(clients, "--clients"), seconds, requests)
+    asked = requests_on(opened, scenes, num=num, sampler=sampler)
+    with _server(bundle, url) as address:
+        ways = {
+            "in-process": in_process(Engine(opened)),
+            "HTTP JSON": over_http(address, OrjsonCodec()),
+            "HTTP JSON, standard library": over_http(address, JsonCodec()),
+            "HTTP binary": over_http(address, OipCodec()),
+        }
+        table = load_table(ways, asked, config, progress=say)
+    about = {"scenes": scenes, "anchors a request": str(num), "server": url or opened.card.name}
+    report("Load", about, [table], out)
+
+
+@contextmanager
+def _server(bundle: Path, url: str | None) -> Iterator[str]:
+    """The URL given, or that of a server of the bundle in a process of its own."""
+    if url is not None:
+        yield url
+        return
+    with served("--bundle", str(bundle)) as server:
+        yield server.url
 
 
 def serving(
@@ -51,12 +97,11 @@ def serving(
     out: OutOption = RESULTS,
 ) -> None:
     """Throughput, latency and health of a server with micro-batches and without, by turns."""
-    opened = load_bundle(bundle)
+    opened = open_bundle(bundle)
     configs = [CrowdConfig(clients, seconds, budget) for budget in budgets or [None]]
-    requests = _requests(opened, scenes, num, sampler)
+    requests = requests_on(opened, scenes, num=num, sampler=sampler)
     table = batching_table(bundle, requests, configs, rounds=rounds, progress=say)
-    about = _about(opened, num, sampler) | {"scenes": scenes}
-    show_and_write(Report("serving", "Serving", about | circumstances(), [table]), out)
+    report("Serving", _about(opened, num, sampler) | {"scenes": scenes}, [table], out)
 
 
 def release(
@@ -68,11 +113,10 @@ def release(
     out: OutOption = RESULTS,
 ) -> None:
     """Time until an engine is free after a caller has gone, over that of a solver step."""
-    opened = load_bundle(bundle)
-    (request,) = _requests(opened, "drawn:1:0", num, sampler)
+    opened = open_bundle(bundle)
+    (request,) = requests_on(opened, "drawn:1:0", num=num, sampler=sampler)
     table = release_table(Engine(opened, threads=1), request, rounds=rounds)
-    report = Report("release", "Release", _about(opened, num, sampler) | circumstances(), [table])
-    show_and_write(report, out)
+    report("Release", _about(opened, num, sampler), [table], out)
 
 
 def swaps(
@@ -86,13 +130,12 @@ def swaps(
     out: OutOption = RESULTS,
 ) -> None:
     """Swap a bundle while clients ask, and count the requests that fail."""
-    opened = load_bundle(bundle)
-    requests = _requests(opened, "drawn:8:0", num, sampler)
+    opened = open_bundle(bundle)
+    requests = requests_on(opened, "drawn:8:0", num=num, sampler=sampler)
     config = CrowdConfig(clients, seconds)
     with TemporaryDirectory() as folder:
         table = swap_table(bundle, requests, config, swaps=count, folder=Path(folder), progress=say)
-    report = Report("swaps", "Swaps", _about(opened, num, sampler) | circumstances(), [table])
-    show_and_write(report, out)
+    report("Swaps", _about(opened, num, sampler), [table], out)
 
 
 def kill(
@@ -106,18 +149,38 @@ def kill(
     out: OutOption = RESULTS,
 ) -> None:
     """Kill workers, and Ray's replicas where it is there, and count the requests that fail."""
-    opened = load_bundle(bundle)
-    requests = _requests(opened, "drawn:8:0", num, sampler)
+    opened = open_bundle(bundle)
+    requests = requests_on(opened, "drawn:8:0", num=num, sampler=sampler)
     config = KillConfig(clients=clients, seconds=seconds, kills=count)
     table = kill_table(bundle, requests, config, progress=say)
-    report = Report("kills", "Kills", _about(opened, num, sampler) | circumstances(), [table])
-    show_and_write(report, out)
+    report("Kills", _about(opened, num, sampler), [table], out)
 
 
-def _requests(opened: Bundle, scenes: str, num: int, sampler: str) -> list[AnchorRequest]:
-    spec = parse_sampler(sampler, opened.card)
-    found = load_scenes(scenes, limits=limits_of(opened))
-    return [request_of(scene, num=num, seed=1, sampler=spec) for scene in found]
+def soak(
+    *,
+    bundle: BundleOption = DEFAULT_BUNDLE,
+    num: NumOption = 64,
+    sampler: SamplerOption = CARD,
+    requests: Annotated[int, typer.Option(min=10, help="In all, or fewer.")] = 10_000,
+    seconds: Annotated[float, typer.Option(min=1.0, help="In all, or less.")] = 3600.0,
+    scenes: ScenesOption = "drawn:8:0",
+    out: OutOption = RESULTS,
+) -> None:
+    """Ask a server of its own process again and again, and read what it holds."""
+    opened = open_bundle(bundle)
+    asked = requests_on(opened, scenes, num=num, sampler=sampler)
+    config = SoakConfig(requests=requests, seconds=seconds)
+    with served("--bundle", str(bundle)) as server:
+        connect = over_http(server.url, JsonCodec())
+        table = soak_table(
+            connect,
+            server.pid,
+            asked,
+            config,
+            progress=lambda done: say(f"{done} of {requests} requests"),
+        )
+    about = {"bundle": opened.card.name, "anchors a request": str(num), "scenes": scenes}
+    report("Soak", about, [table], out)
 
 
 def _about(opened: Bundle, num: int, sampler: str) -> dict[str, str]:

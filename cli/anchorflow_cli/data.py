@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -16,15 +15,15 @@ from rich.table import Table
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
-from anchorflow_client.errors import AnchorFlowError
+from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_training.data import TrajectoryDataset
 from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.inspection import Summary, inspect_scenes, inspect_trajectories
 from anchorflow_training.data.pose_files import read_poses
 from anchorflow_training.data.pose_trajectories import CutConfig, cut_trajectories
 from anchorflow_training.data.scene_import import ImportConfig, import_scenes
-from anchorflow_training.data.trajectory_dataset import TimeStepUnknown
-from anchorflow_training.dataset import DatasetError, open_dataset
+from anchorflow_training.data.time_step import TimeStepUnknown
+from anchorflow_training.dataset import open_dataset
 from anchorflow_training.make_data import DataConfig, make_dataset
 
 app = command_app()
@@ -32,7 +31,7 @@ app = command_app()
 CORES = os.cpu_count() or 1
 
 TrajectoryFile = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Trajectories: .npz, .npy, .h5 or .pkl.")
+    Path, typer.Argument(metavar="FILE", help="Trajectories: .npz, .npy, .h5, .pt or .pkl.")
 ]
 DtOption = Annotated[
     float | None, typer.Option(help="Time step [s]; by default what the file says.")
@@ -46,10 +45,6 @@ ResolutionOption = Annotated[
 PickleOption = Annotated[
     bool, typer.Option("--allow-pickle", help="Open a .pkl: it runs its author's code.")
 ]
-
-
-class DataError(AnchorFlowError):
-    """Data that a command cannot use."""
 
 
 @app.callback()
@@ -68,7 +63,7 @@ def make(
 ) -> None:
     """Draw random scenes and let the expert solve them."""
     config = DataConfig(scenes=scenes, trajectories=trajectories, seed=seed)
-    with Progress() as bar:
+    with one_line_errors(), Progress() as bar:
         task = bar.add_task("scenes", total=scenes)
         meta = make_dataset(out, config, workers=workers, progress=lambda n: bar.advance(task, n))
     Console().print(
@@ -93,7 +88,9 @@ def import_file(
     cells: Annotated[
         int, typer.Option(min=16, max=512, help="A side of the empty map of samples without one.")
     ] = SceneOptions.cells,
-    least_quality: Annotated[float, typer.Option(help="Leave out samples of less quality.")] = 0.0,
+    least_quality: Annotated[
+        float, typer.Option(help="Leave out samples of less quality, 0 to 1.")
+    ] = 0.0,
     keep_collisions: Annotated[
         bool, typer.Option("--keep-collisions", help="Keep samples that touch an obstacle.")
     ] = False,
@@ -101,13 +98,13 @@ def import_file(
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
 ) -> None:
     """Turn your own trajectories into a dataset to train on."""
-    config = ImportConfig(
-        v_max=v_max,
-        a_max=a_max,
-        least_quality=least_quality,
-        scene=SceneOptions(robot_radius, cells, keep_collisions),
-    )
     with one_line_errors():
+        config = ImportConfig(
+            v_max=v_max,
+            a_max=a_max,
+            least_quality=least_quality,
+            scene=SceneOptions(robot_radius, cells, keep_collisions),
+        )
         dataset = TrajectoryDataset(
             file, dt=dt, horizon_s=horizon_s, resolution=resolution, allow_pickle=allow_pickle
         )
@@ -124,6 +121,8 @@ def import_file(
         f"horizon {limits['horizon_s']:g} s; {meta['over_limits']} samples exceed them"
     )
     typer.echo(f"left out: {reasons or 'none'}")
+    if "quality" in dataset.arrays:
+        typer.echo("quality: what each sample counts in the loss")
     if meta["not_finite_rows"]:
         typer.echo(f"rows that are not finite: {', '.join(map(str, meta['not_finite_rows']))}")
 
@@ -188,8 +187,8 @@ def from_poses(
     ] = 10.0,
 ) -> None:
     """Cut ego-centred trajectories (x forward, y left) from recorded poses."""
-    if not (rate_hz > 0 and pose_rate_hz > 0):
-        raise typer.BadParameter("expected rates above 0 Hz")
+    if not (0 < rate_hz < math.inf and 0 < pose_rate_hz < math.inf):
+        raise typer.BadParameter("expected finite rates above 0 Hz")
     with one_line_errors():
         tracks = read_poses(poses, pose_rate_hz=pose_rate_hz)
         cut = cut_trajectories(tracks, CutConfig(steps, rate_hz, stride, heading))
@@ -200,15 +199,6 @@ def from_poses(
         f" with {sum(len(track.times) for track in tracks)} poses"
         + (f"; {cut.bad_poses} poses are not finite" if cut.bad_poses else "")
     )
-
-
-@contextmanager
-def one_line_errors() -> Iterator[None]:
-    """What is wrong with the data is the caller's to read, not a traceback's to bury."""
-    try:
-        yield
-    except DatasetError as error:
-        raise DataError(str(error)) from error
 
 
 def print_summary(summary: Summary) -> None:

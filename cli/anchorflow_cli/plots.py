@@ -15,9 +15,9 @@ from anchorflow_cli.options import Vector
 from anchorflow_cli.ros_map import RosMap
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_client.errors import AnchorFlowError
+from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths
 
 FREE, UNKNOWN, OCCUPIED = "white", "#c9ccd1", "#3b4048"
-START, GOAL = "#1b7f3b", "#c62828"
 
 
 class PlotError(AnchorFlowError):
@@ -36,41 +36,39 @@ def draw_anchors(
     axes = figure.add_subplot()
     draw_map(axes, ros_map)
     lines = draw_lines(axes, anchors)
-    draw_ends(axes, start, goal)
+    draw_ends(axes, start, goal, sizes=(12.0, 12.0), named=True, markeredgecolor="white")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_title(f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe", loc="left")
     figure.legend(loc="outside lower center", ncols=4, frameon=False)
     figure.colorbar(lines, ax=axes, label="score (higher is better)", extend="min", shrink=0.8)
+    save(figure, path, dpi=150)
+
+
+def save(figure: Figure, path: Path, *, dpi: int) -> None:
+    """Raises `PlotError` where `path` cannot be written or has no picture's suffix."""
     try:
-        figure.savefig(path, dpi=150)
+        figure.savefig(path, dpi=dpi)
     except (OSError, ValueError) as error:
         raise PlotError(f"{path}: {error}") from error
 
 
 def draw_map(axes: Axes, ros_map: RosMap) -> None:
     """Occupancy in grey, unknown cells in a grey of their own, in metres."""
-    height, width = ros_map.occupancy.shape
-    left, bottom = ros_map.origin
-    right, top = ros_map.origin + ros_map.resolution * np.array([width, height])
     shade = np.where(ros_map.unknown, 1, np.where(ros_map.occupancy >= 0.5, 2, 0))
-    axes.imshow(
-        shade,
-        cmap=ListedColormap([FREE, UNKNOWN, OCCUPIED]),
-        vmin=0,
-        vmax=2,
-        origin="lower",
-        extent=(left, right, bottom, top),
-        interpolation="nearest",
+    shades = ListedColormap([FREE, UNKNOWN, OCCUPIED])
+    draw_cells(
+        axes, shade, resolution=ros_map.resolution, origin=ros_map.origin, cmap=shades, vmax=2
     )
 
 
 def draw_lines(axes: Axes, anchors: AnchorBatch) -> LineCollection:
     """The anchors, worst first so that good ones lie on top; returns what the colours stand for."""
-    paths, scores, best = anchors.trajectories[:, :, :2], anchors.scores, anchors.best
+    paths, scores, best = anchors.trajectories, anchors.scores, anchors.best
     styles = np.where(anchors.safe, "solid", "dashed")
     order = np.argsort(scores)
-    lines = LineCollection(
-        list(paths[order]),
+    lines = draw_paths(
+        axes,
+        paths[order],
         array=scores[order],
         cmap="viridis",
         linewidths=1.2,
@@ -80,9 +78,8 @@ def draw_lines(axes: Axes, anchors: AnchorBatch) -> LineCollection:
     # The scores of anchors through walls would leave one colour to all the others.
     scale = scores[anchors.safe] if anchors.safe.any() else scores
     lines.set_clim(scale.min(), scale.max())
-    axes.add_collection(lines)
     axes.plot(
-        *paths[best].T,
+        *paths[best, :, :2].T,
         color=lines.to_rgba(scores[best]),
         linewidth=2.5,
         linestyle=styles[best],
@@ -92,18 +89,3 @@ def draw_lines(axes: Axes, anchors: AnchorBatch) -> LineCollection:
     if not anchors.safe.all():
         axes.plot([], [], color="grey", linestyle="dashed", label="not safe")
     return lines
-
-
-def draw_ends(axes: Axes, start: Vector, goal: Vector) -> None:
-    """Start and goal [2]."""
-    for point, color, marker, label in [(start, START, "o", "start"), (goal, GOAL, "*", "goal")]:
-        axes.plot(
-            *point,
-            color=color,
-            marker=marker,
-            markersize=12,
-            markeredgecolor="white",
-            linestyle="none",
-            label=label,
-            zorder=5,
-        )

@@ -21,11 +21,10 @@ from anchorflow_client.contract import (
     TimeSpec,
     WarmStart,
 )
-from anchorflow_docs.card_table import card_table
-from anchorflow_docs.dataclass_table import dataclass_section
-from anchorflow_docs.endpoint_table import endpoint_table
-from anchorflow_docs.error_tables import failures, refusals
-from anchorflow_docs.schema_table import answer_table, request_table
+from anchorflow_docs.dataclass_fields import dataclass_section, held_fields
+from anchorflow_docs.field_table import ANSWERED, HELD, SENT, field_table
+from anchorflow_docs.schema_fields import schema_fields
+from anchorflow_docs.service_tables import endpoints, failures, refusals
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
@@ -73,8 +72,9 @@ without it is shared by all of them.
 ## What a model fixes
 
 `robot_radius`, `v_max`, `a_max` and `horizon_s` may be stated by every request. One that the
-model's card does not list as `adjustable` has to be the card's own. These are the card's values of
-the bundle that ships; `GET /v2/models` tells them of any other.
+model's card does not list as `adjustable` has to be the card's own; what `sampler` and `refine`
+say is a default that any request may replace. This is the card of the bundle that ships, without
+its tensors, quality and training; `GET /v2/models` tells those of any other.
 
 {card}
 """
@@ -117,13 +117,18 @@ def reference_pages() -> dict[str, str]:
     """Markdown, and one JSON document, by their places below docs/."""
     openapi = _openapi()
     return {
-        "reference/http.md": HTTP.format(endpoints=endpoint_table(openapi)),
+        "reference/http.md": HTTP.format(endpoints=endpoints(openapi)),
         "reference/request.md": REQUEST.format(
-            fields=request_table(AnchorRequestBody), card=card_table(_card())
+            fields=field_table(schema_fields(AnchorRequestBody), SENT),
+            card=field_table(held_fields(_card()), HELD),
         ),
-        "reference/answer.md": ANSWER.format(fields=answer_table(AnchorAnswerBody)),
+        "reference/answer.md": ANSWER.format(
+            fields=field_table(schema_fields(AnchorAnswerBody), ANSWERED)
+        ),
         "reference/errors.md": ERRORS.format(
-            body=answer_table(ErrorBody), refusals=refusals(), failures=failures()
+            body=field_table(schema_fields(ErrorBody), ANSWERED),
+            refusals=refusals(),
+            failures=failures(),
         ),
         "reference/python.md": PYTHON.format(types="\n\n".join(map(dataclass_section, TYPES))),
         OPENAPI: json.dumps(openapi, indent=2),

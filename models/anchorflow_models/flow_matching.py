@@ -22,29 +22,61 @@ def interpolate(x_0: Tensor, x_1: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Weights of the velocity, acceleration and jerk terms against the position's 1."""
+    """Weights of the loss's terms.
 
-    lambda_vel: float = 0.5
-    lambda_acc: float = 0.25
-    lambda_jerk: float = 0.05
+    lambda_vel: of u, the velocity field, which moves positions
+    lambda_acc: of v, the acceleration field, which moves velocities
+    lambda_jerk: of w, the jerk field, which moves accelerations
+    lambda_roughness: of differences of w's error along the trajectory
+
+    Raises:
+        ValueError: a weight is below 0.
+    """
+
+    lambda_vel: float = 1.0
+    lambda_acc: float = 0.5
+    lambda_jerk: float = 0.25
+    lambda_roughness: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, weight in vars(self).items():
+            if weight < 0:
+                raise ValueError(f"{name}: expected at least 0, got {weight}")
 
 
 def flow_matching_loss(
-    predicted: Tensor, target: Tensor, weights: LossWeights
+    predicted: Tensor,
+    target: Tensor,
+    weights: LossWeights,
+    *,
+    sample_weights: Tensor | None = None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Weighted mean squared error of the three fields, and each term by itself.
+    """Weighted mean squared error of the fields u, v, w, and each term by itself, unweighted.
 
-    predicted, target: [B, N, T, 3D], normalised so that each field has unit spread. The jerk term
-    compares differences of the acceleration field along the trajectory.
+    predicted, target: [B, N, T, 3D], u, v, w after one another (or the states that they lead to),
+        normalised so that each has unit spread
+    sample_weights: [B, N], what each sample counts in every mean; about 1 on average
     """
-    error = predicted - target
-    position, velocity, acceleration = error.chunk(3, -1)
-    terms = {
-        "position": position.square().mean(),
-        "velocity": velocity.square().mean(),
-        "acceleration": acceleration.square().mean(),
-        "jerk": torch.diff(acceleration, dim=-2).square().mean(),
+    velocity, acceleration, jerk = (predicted - target).chunk(3, -1)
+    errors = {
+        "velocity_field": velocity,
+        "acceleration_field": acceleration,
+        "jerk_field": jerk,
+        "roughness": torch.diff(jerk, dim=-2),
     }
-    gains = (1.0, weights.lambda_vel, weights.lambda_acc, weights.lambda_jerk)
+    terms = {name: _mean_square(error, sample_weights) for name, error in errors.items()}
+    gains = (
+        weights.lambda_vel,
+        weights.lambda_acc,
+        weights.lambda_jerk,
+        weights.lambda_roughness,
+    )
     total = sum(g * term for g, term in zip(gains, terms.values(), strict=True))
     return torch.as_tensor(total), terms
+
+
+def _mean_square(error: Tensor, sample_weights: Tensor | None) -> Tensor:
+    squares = error.square()
+    if sample_weights is not None:
+        squares = squares * sample_weights[..., None, None]
+    return squares.mean()

@@ -1,13 +1,14 @@
 """The service on Ray Serve: replicas that come and go with the load, behind one address.
 
-    serve run anchorflow_service.ray_app:app bundle=/bundles/flowmp max_replicas=8 cpus=2
+    serve run anchorflow_service.ray_app:app max_replicas=8 cpus=2
 
 The HTTP contract is that of `anchorflow serve`; Ray's proxy routes, and Ray's own batching makes
 the micro-batches of a replica. `zenoh=tcp/HOST:7447` puts every replica on a zenoh network as well,
 each under keys of its own.
 """
 
-from __future__ import annotations
+# Not `from __future__ import annotations`: Ray's application builder makes `RaySettings` of the
+# command's words only where the annotation of `app` is the class itself.
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -113,7 +114,7 @@ def build_replica(settings: RaySettings) -> FastAPI:
     return create_app(service, endpoints=endpoints, tokens=tokens)
 
 
-def _zenoh_endpoint(service: PlanningService, router: str) -> ZenohEndpoint:
+def _zenoh_endpoint(service: PlanningService, router: str) -> "ZenohEndpoint":
     # Only here, because zenoh is an extra too.
     from anchorflow_client.zenoh_client import ZenohSettings
     from anchorflow_client.zenoh_client.session import open_session

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.grid_path import shortest_grid_path
 from anchorflow_benchmarks.judge import (
     SceneJudge,
@@ -27,7 +27,7 @@ from anchorflow_trajectory.spline import spline_basis
 SceneMaker = Callable[..., FamilyScene]
 
 
-def random_anchors(scene: FamilyScene, *, count: int, seed: int, size: float) -> Anchors:
+def random_anchors(scene: FamilyScene, *, count: int, seed: int, size: float) -> Proposals:
     """Splines from the scene's start to its goal, bent by about `size` m in each direction."""
     basis, rng = spline_basis(64, 8.0), np.random.default_rng(seed)
     rest = basis.rest_curve(scene.x_curr, scene.x_goal)
@@ -35,7 +35,7 @@ def random_anchors(scene: FamilyScene, *, count: int, seed: int, size: float) ->
     free = control[..., basis.free]
     free += rng.normal(0.0, size, (2, count, 1)) * np.sin(np.linspace(0.0, np.pi, free.shape[-1]))
     free += rng.normal(0.0, 0.05 * size, free.shape)
-    return Anchors.of_spline(basis, control.astype(np.float32))
+    return Proposals.of_spline(basis, control.astype(np.float32))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -99,12 +99,12 @@ def test_it_agrees_on_public_scenes(
         )
 
 
-def straight(scene: FamilyScene, offset: float = 0.0) -> Anchors:
+def straight(scene: FamilyScene, offset: float = 0.0) -> Proposals:
     """One anchor from start to goal, bent sideways by `offset` m."""
     basis = spline_basis(64, 8.0)
     control = basis.rest_curve(scene.x_curr, scene.x_goal)
     control[1, basis.free] += offset
-    return Anchors.of_spline(basis, control[:, None])
+    return Proposals.of_spline(basis, control[:, None])
 
 
 def test_a_straight_way_past_nothing_succeeds(scene: SceneMaker, limits: MotionLimits) -> None:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from anchorflow_benchmarks.linux_processes import descendants
 from anchorflow_benchmarks.planners import limits_of, request_of
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import load_scenes
 from anchorflow_benchmarks.serving import kills
 from anchorflow_benchmarks.serving.kills import KillConfig, kill_table
-from anchorflow_benchmarks.serving.processes import descendants
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 pytestmark = pytest.mark.skipif(

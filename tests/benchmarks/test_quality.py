@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anchorflow_benchmarks.anchors import Anchors
+from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
 from anchorflow_benchmarks.planners import engine_planners
@@ -33,7 +33,7 @@ class Bows:
     asked: list[tuple[str, int, int]] = field(default_factory=list)
     log: list[str] = field(default_factory=list)
 
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         assert isinstance(scene, FamilyScene)
         self.asked.append((scene.family, num, seed))
         self.log.append(self.name)
@@ -41,7 +41,7 @@ class Bows:
         control = np.repeat(basis.rest_curve(scene.x_curr, scene.x_goal)[:, None], num, axis=1)
         bow = np.sin(np.linspace(0.0, np.pi, control[1, :, basis.free].shape[1]))
         control[1, :, basis.free] += float(scene.w_style[0]) * bow
-        return Anchors.of_spline(basis, control, safe=np.ones(num, bool))
+        return Proposals.of_spline(basis, control, safe=np.ones(num, bool))
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_numbers_that_are_not_finite_are_refused(
     scenes: list[FamilyScene], limits: MotionLimits
 ) -> None:
     class Broken(Bows):
-        def plan(self, scene: Scene, *, num: int, seed: int) -> Anchors:
+        def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
             anchors = super().plan(scene, num=num, seed=seed)
             return replace(anchors, velocities=anchors.velocities * np.nan)
 

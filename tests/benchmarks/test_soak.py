@@ -5,34 +5,40 @@ from __future__ import annotations
 import mmap
 import os
 from collections.abc import Callable
-from contextlib import ExitStack
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.soak import MB, Held, SoakConfig, soak_table
-from anchorflow_client.contract import AnchorBatch, AnchorRequest
+from anchorflow_benchmarks.linux_processes import MB, Held
+from anchorflow_benchmarks.soak import SoakConfig, soak_table
+from anchorflow_client.contract import AnchorRequest, ModelId
 
 CONFIG = SoakConfig(requests=8, warm_up=2, readings=4)
 
 
-def soak(ask: Callable[[AnchorRequest], AnchorBatch]) -> list[dict]:
-    def connect(_: ExitStack) -> Callable[[AnchorRequest], AnchorBatch]:
-        return ask
+def soak(happens: Callable[[], object]) -> list[dict]:
+    """The rows of a soak of this process, in which this happens at every request."""
 
-    table = soak_table(connect, os.getpid(), ["request"], CONFIG)  # pyright: ignore[reportArgumentType]
+    def ask(_: AnchorRequest) -> Any:
+        happens()
+        return SimpleNamespace(model=ModelId("stub", "1", "0"))
+
+    requests: Any = ["request"]
+    table = soak_table(lambda _: ask, os.getpid(), requests, CONFIG)
     return [dict(row) for row in table.rows]
 
 
 def test_a_leak_shows() -> None:
     kept = []
 
-    def leak(_: AnchorRequest) -> None:
+    def leak() -> None:
         pages = mmap.mmap(-1, int(8 * MB))  # the allocator may have as much to spare
         pages.write(b"x" * len(pages))
         kept.append(pages)
 
-    rows = soak(leak)  # pyright: ignore[reportArgumentType]
+    rows = soak(leak)
     for pages in kept:
         pages.close()
     assert [row["requests"] for row in rows] == [0, 2, 4, 6, 8]
@@ -41,7 +47,7 @@ def test_a_leak_shows() -> None:
 
 def test_an_open_descriptor_shows() -> None:
     opened = []
-    rows = soak(lambda _: opened.append(os.dup(0)))  # pyright: ignore[reportArgumentType]
+    rows = soak(lambda: opened.append(os.dup(0)))
     for descriptor in opened:
         os.close(descriptor)
     assert rows[-1]["descriptors"] == rows[0]["descriptors"] + 8

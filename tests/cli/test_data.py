@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import subprocess
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from anchorflow_cli import main as cli
 from anchorflow_training.data import SyntheticTrajectoryDataset
@@ -70,6 +72,49 @@ def test_errors_are_one_line(file: Path, tmp_path: Path) -> None:
     assert data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1, "--allow-pickle") == 0
     assert "sheet.txt" in str(data("inspect", tmp_path / "d", "--out", tmp_path / "sheet.txt"))
     assert "expected KITTI" in str(data("from-poses", tmp_path / "none", tmp_path / "p.npz"))
+
+
+def test_wrong_words_are_one_line(file: Path, tmp_path: Path) -> None:
+    torch.save({"trajectories": torch.zeros(2, 9, 2), "horizon": 1.0}, tmp_path / "a.pt")
+    assert data("import", tmp_path / "a.pt", tmp_path / "d") == 0
+    assert "no such file" in str(data("inspect", tmp_path / "none"))
+    ends = ("--horizon-s", 8)
+    for words, said in (
+        (("import", file, file, *ends), "expected a folder to write to"),
+        (("import", file, tmp_path / "e", *ends, "--v-max", -1), "v_max: expected a finite number"),
+        (("import", file, tmp_path / "e", *ends, "--least-quality", 1), "quality: expected"),
+        (("make", file, "--scenes", 1, "--workers", 1), "expected a folder to write to"),
+    ):
+        answer = str(data(*words))
+        assert said in answer
+        assert "\n" not in answer
+
+
+@pytest.mark.parametrize(
+    ("info", "said"),
+    [
+        ({"x": 1}, "expected a list of objects"),
+        ([1], "expected a list of objects"),
+        ([{"image_path": "0.png", "batch_id": 1, "image_timestamp": "noon"}], "found 'noon'"),
+    ],
+)
+def test_a_wrong_index_of_poses_is_named(info: object, said: str, tmp_path: Path) -> None:
+    folder = tmp_path / "v" / "novatel_to_world"
+    folder.mkdir(parents=True)
+    (folder / "0.json").write_text("[]")
+    (tmp_path / "data_info.json").write_text(json.dumps(info))
+    answer = str(data("from-poses", tmp_path, tmp_path / "p.npz"))
+    assert "data_info.json: expected" in answer
+    assert said in answer
+    (tmp_path / "data_info.json").unlink()
+    assert "0.json: expected an object" in str(data("from-poses", tmp_path, tmp_path / "p.npz"))
+
+
+def test_a_rate_beyond_measure_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "00.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 60)
+    words = ("from-poses", tmp_path, tmp_path / "p.npz", "--rate-hz")
+    assert "rate_hz: expected above 0 and at most 1000 Hz" in str(data(*words, 1e9))
+    assert data(*words, "inf") == 2
 
 
 def test_drawing_names_its_extra(tmp_path: Path) -> None:

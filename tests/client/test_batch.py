@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from anchorflow_client import AnchorBatch, ModelId
+from anchorflow_client.contract.batch import ARRAY_DTYPES, NEAR
+
+MODEL = ModelId("lines", "1", "ab")
 
 
 def batch(**fields: Any) -> AnchorBatch:
@@ -21,10 +24,12 @@ def batch(**fields: Any) -> AnchorBatch:
         "safe": np.array([True, False, True]),
         "dt": 0.1,
         "seed": 7,
-        "model": ModelId("lines", "1", "ab"),
+        "model": MODEL,
         "timing_ms": {"total": 1.0},
     }
-    return AnchorBatch(**defaults | fields)
+    told = defaults | fields
+    arrays = {name: told.pop(name) for name in list(told) if name in ARRAY_DTYPES}
+    return AnchorBatch(arrays=arrays, **told)
 
 
 def test_the_best_is_the_best_of_the_safe() -> None:
@@ -68,3 +73,23 @@ def test_shapes_must_belong_together(field: str, shape: tuple[int, ...]) -> None
 def test_a_number_that_is_not_finite_is_seen(fields: dict[str, Any]) -> None:
     assert batch().is_finite
     assert not batch(**fields).is_finite
+
+
+def test_only_trajectories_have_to_be_there() -> None:
+    paths = np.zeros((3, 4, 2))
+    bare = AnchorBatch(
+        arrays={"trajectories": paths}, dt=0.5, first_s=0.5, seed=1, model=MODEL, timing_ms={}
+    )
+
+    assert bare.best == 0
+    with pytest.raises(LookupError, match="velocities: lines gives none; it gives trajectories"):
+        _ = bare.velocities
+    with pytest.raises(ValueError, match="trajectories: expected"):
+        AnchorBatch(arrays={"scores": np.zeros(3)}, dt=0.5, seed=1, model=MODEL, timing_ms={})
+
+
+@pytest.mark.parametrize(("reach", "dtype"), [(NEAR, np.float32), (2 * NEAR, np.float64)])
+def test_far_from_zero_trajectories_keep_their_digits(reach: float, dtype: type) -> None:
+    paths = np.full((3, 4, 2), reach + 0.0)
+
+    assert batch(trajectories=paths).trajectories.dtype == dtype

@@ -121,7 +121,7 @@ def test_the_header_is_the_protocols() -> None:
         "parameters": {"binary_data_size": 4 * 2 * 2 * 16 * 17},
     }
     assert (entries["map_geometry"]["datatype"], entries["map_geometry"]["shape"]) == (
-        "FP32",
+        "FP64",
         [2, 3],
     )
     sizes = sum(entry["parameters"]["binary_data_size"] for entry in header["inputs"])
@@ -195,15 +195,16 @@ def test_a_body_that_can_be_written_is_read_only_all_the_same() -> None:
     assert not grid.flags.writeable
 
 
-def test_a_maps_place_travels_as_float32_and_nothing_else_is_rounded() -> None:
-    fields = REQUEST_CONFIG["fields"] | {"x_curr": [1 / 3, 0.1, 1 / 7, 0.0, 0.0, 0.0]}
-    cost_map = {"data": np.zeros((1, 16, 16)), "resolution": 0.1, "origin": [-0.7, -0.8]}
-    request = AnchorRequest.build(cost_map=cost_map, **fields | {"x_goal": [0.3, 0.1, 0, 0]})
+def test_nothing_of_a_maps_place_is_rounded() -> None:
+    """In float32 a map in UTM coordinates would move by a quarter of a metre."""
+    fields = {"x_curr": [689124.5, 5400322.5, 1 / 7, 0, 0, 0], "x_goal": [689126.1, 5400323, 0, 0]}
+    cost_map = {"data": np.zeros((1, 16, 16)), "resolution": 0.7, "origin": [689123.4, 5400321.7]}
+    request = AnchorRequest.build(cost_map=cost_map, **fields)
 
     read = CODEC.decode_request(CODEC.encode_request(request))
 
-    assert read.cost_map.resolution == F32(0.1)
-    assert read.cost_map.origin.tolist() == np.array([-0.7, -0.8], F32).tolist()
+    assert read.cost_map.resolution == 0.7
+    assert read.cost_map.origin.tolist() == [689123.4, 5400321.7]
     np.testing.assert_array_equal(read.x_curr, request.x_curr)
     assert read.x_curr.dtype == F64
 
@@ -223,7 +224,7 @@ def test_a_later_services_answer_is_read() -> None:
 
 def test_an_answer_with_numbers_that_are_not_finite_is_not_sent() -> None:
     batch = golden_answer(ANSWER_CONFIG)
-    object.__setattr__(batch, "scores", batch.scores * F32(np.nan))
+    object.__setattr__(batch, "arrays", {**batch.arrays, "scores": batch.scores * F32(np.nan)})
 
     with pytest.raises(ValueError, match="not finite"):
         CODEC.encode_answer(batch)

@@ -115,7 +115,8 @@ BAD_HEADERS: dict[str, tuple[Edit, str, str]] = {
     "booleans": (entry(2, datatype="BOOL"), "cost_map", "got the string 'BOOL'"),
     "text": (entry(2, datatype="BYTES"), "cost_map", "got the string 'BYTES'"),
     "doubles": (entry(2, datatype="FP64"), "cost_map", "expected 2560 bytes for FP64"),
-    "unknown tensor": (entry(2, name="costs"), "inputs[2]", "unknown tensor 'costs'; known are"),
+    "misspelt tensor": (entry(2, name="costs"), "cost_map.data", "required"),
+    "text that is none": (entry(0, datatype="BYTES"), "x_curr", "one of FP32, FP64"),
     "unprintable name": (entry(2, name="\ud800"), "inputs[2].name", "printable ASCII"),
     "the same twice": (entry(1, name="x_curr"), "x_curr", "expected one tensor of this name"),
     "tensor is no object": (lambda header: header["inputs"].append(3), "inputs[4]", "got 3"),
@@ -133,7 +134,12 @@ BAD_HEADERS: dict[str, tuple[Edit, str, str]] = {
         "w_style",
         "expected 12 bytes, got 0",
     ),
-    "outputs asked by name": (lambda header: header.update(outputs=[]), "outputs", "unknown field"),
+    "outputs are no list": (lambda header: header.update(outputs={"a": 1}), "outputs", "a list of"),
+    "output without a name": (
+        lambda header: header.update(outputs=[{}]),
+        "outputs[0].name",
+        "required",
+    ),
     "nameless field": (lambda header: header.update({"": 1}), '""', "unknown field"),
     "outputs in JSON": (parameter("binary_data_output", False), "binary_data_output", "got false"),
     "id of another type": (lambda header: header.update(id=3), "request_id", "a string, got 3"),
@@ -264,7 +270,10 @@ BAD_ANSWERS: dict[str, tuple[Edit, str]] = {
         "soon",
     ),
     "timing is no object": (lambda header: header["parameters"].update(timing_ms=1), "timing_ms"),
-    "tensor renamed": (lambda header: header["outputs"][5].update(name="unsafe"), "safe missing"),
+    "tensor renamed": (
+        lambda header: header["outputs"][0].update(name="paths"),
+        "trajectories: expected",
+    ),
 }
 
 

@@ -28,7 +28,7 @@ def occupied_at(row: int, column: int) -> list[Any]:
 def test_the_defaults_are_the_contracts(fields: dict[str, Any]) -> None:
     request = AnchorRequest.from_fields(fields)
 
-    assert request.num_samples == 64
+    assert request.num_samples is None
     assert not request.batched
     np.testing.assert_array_equal(request.w_style, [DEFAULT_STYLE])
     np.testing.assert_array_equal(request.cost_map.origin, [-5.0, -4.0])
@@ -138,6 +138,8 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
         ("refine.smooth", 1, ["true or false", "1"]),
         ("refine.safety_margin", -1, ["[0, 5] m"]),
         ("refine.guidance", "x", ["a number"]),
+        ("refine.barrier", "yes", ["true or false", "'yes'"]),
+        ("refine.certified_margin", 6, ["[0, 5] m", "6"]),
         ("warm_start.tau", 1, ["(0, 1)", "1"]),
         ("warm_start.trajectory", [[0, 0, 0, 0, 0, 0, 0]] * 4, ["[T,2] to [T,6]", "[4, 7]"]),
         ("warm_start.trajectory", None, ["required"]),

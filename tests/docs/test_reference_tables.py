@@ -12,11 +12,12 @@ from anchorflow_client import RequestError, TransportError
 from anchorflow_client.contract import AnchorRequest, ranges
 from anchorflow_client.contract.request import FIELDS
 from anchorflow_docs import reference
-from anchorflow_docs.dataclass_table import dataclass_section, field_docstrings
-from anchorflow_docs.endpoint_table import endpoint_table
-from anchorflow_docs.error_tables import failures, refusals
+from anchorflow_docs.dataclass_fields import dataclass_section, field_docstrings, held_fields
+from anchorflow_docs.field_table import HELD, field_table
+from anchorflow_docs.field_table import Field as Row
 from anchorflow_docs.markdown import table
-from anchorflow_docs.schema_table import Row, fields_of
+from anchorflow_docs.schema_fields import schema_fields
+from anchorflow_docs.service_tables import endpoints, failures, refusals
 from anchorflow_service.http.schemas import AnchorAnswerBody, AnchorRequestBody
 
 
@@ -39,7 +40,7 @@ class Outer(BaseModel):
 
 
 def test_a_schema_becomes_rows() -> None:
-    assert fields_of(Outer) == [
+    assert schema_fields(Outer) == [
         Row("points", "`[2]` or `[B,2]`", "m", "required", "Where it is."),
         Row("method", '`"a"`, `"b"`', "", "", "One of two."),
         Row("inner", "object", "", "", "What is inside; and more."),
@@ -49,17 +50,17 @@ def test_a_schema_becomes_rows() -> None:
 
 
 def test_the_request_has_every_field_of_the_contract() -> None:
-    rows = {row.path: row for row in fields_of(AnchorRequestBody)}
+    rows = {row.path: row for row in schema_fields(AnchorRequestBody)}
 
     assert [path for path in rows if "." not in path] == list(FIELDS)
     assert rows["v_max"].allowed == f"(0, {ranges.V_MAX.high:g}] m/s"
-    assert rows["num_samples"].default == f"`{ranges.DEFAULT_NUM_SAMPLES}`"
+    assert rows["num_samples"].value == f"`{ranges.DEFAULT_NUM_SAMPLES}`"
 
 
 @pytest.mark.parametrize("model", [AnchorRequestBody, AnchorAnswerBody])
 def test_every_array_of_the_contract_says_its_shape(model: type[BaseModel]) -> None:
     """Where no shape is found, the kind is JSON's own: a list."""
-    unshaped = [row.path for row in fields_of(model) if "list" in row.kind]
+    unshaped = [row.path for row in schema_fields(model) if "list" in row.kind]
 
     assert unshaped in ([], ["sampler.schedule"])
 
@@ -71,7 +72,7 @@ def test_a_type_that_no_table_can_show_is_an_error() -> None:
         anything: object
 
     with pytest.raises(ValueError, match="expected a type"):
-        fields_of(Strange)
+        schema_fields(Strange)
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,33 @@ def test_a_dataclass_becomes_a_section() -> None:
     ]
 
 
+@dataclass(frozen=True)
+class Holder:
+    """Holds one of each."""
+
+    word: str
+    share: float
+    """Of the whole."""
+    times: tuple[float, ...]
+    inside: Base
+    listed: tuple[Base, ...]
+    is_there: bool = True
+
+
+def test_an_instance_becomes_rows_of_what_it_holds() -> None:
+    held = held_fields(Holder("a", 1 / 3, (0.0, 0.5, 1.0), Base(7), (Base(8),)))
+
+    assert field_table(held, HELD).split("\n") == [
+        "| field | value | meaning |",
+        "| --- | --- | --- |",
+        "| `word` | `a` |  |",
+        "| `share` | 0.3333 | Of the whole. |",
+        "| `times` | 0, 0.5, 1 |  |",
+        "| `inside.first` | 7 | Of all. |",
+        "| `is_there` | `true` |  |",
+    ]
+
+
 @pytest.mark.parametrize("kind", reference.TYPES)
 def test_docstrings_belong_to_fields(kind: type) -> None:
     assert set(field_docstrings(kind)) <= {field.name for field in fields(kind)}
@@ -148,6 +176,6 @@ def test_every_path_is_listed_with_its_statuses() -> None:
         }
     }
 
-    row = endpoint_table({"paths": paths}).split("\n")[-1]
+    row = endpoints({"paths": paths}).split("\n")[-1]
 
     assert row == "| `POST /anchors` | Plans. | 200, 422 |"

@@ -1,5 +1,7 @@
 """The path between noise and data, and the loss on it."""
 
+from dataclasses import fields
+
 import pytest
 import torch
 
@@ -16,17 +18,39 @@ def test_interpolation_runs_from_noise_to_data() -> None:
 
 def test_each_weight_scales_its_own_term() -> None:
     predicted, target = torch.randn(2, 3, 8, 6), torch.randn(2, 3, 8, 6)
-    position, velocity, acceleration = (predicted - target).chunk(3, -1)
-    weights = LossWeights(lambda_vel=2.0, lambda_acc=3.0, lambda_jerk=5.0)
-    total, terms = flow_matching_loss(predicted, target, weights)
-    expected = (
-        position.square().mean()
-        + 2.0 * velocity.square().mean()
-        + 3.0 * acceleration.square().mean()
-        + 5.0 * acceleration.diff(dim=-2).square().mean()
+    u, v, w = (predicted - target).chunk(3, -1)
+    expected = {
+        "velocity_field": u.square().mean(),
+        "acceleration_field": v.square().mean(),
+        "jerk_field": w.square().mean(),
+        "roughness": w.diff(dim=-2).square().mean(),
+    }
+    for name, term in zip(
+        ("lambda_vel", "lambda_acc", "lambda_jerk", "lambda_roughness"), expected, strict=True
+    ):
+        alone = {part.name: 0.0 for part in fields(LossWeights)} | {name: 2.0}
+        total, terms = flow_matching_loss(predicted, target, LossWeights(**alone))
+        torch.testing.assert_close(total, 2.0 * expected[term])
+        torch.testing.assert_close(terms, expected)
+
+
+def test_a_sample_counts_as_much_as_its_weight() -> None:
+    predicted, target = torch.randn(2, 3, 8, 6), torch.randn(2, 3, 8, 6)
+    shares = torch.tensor([[0.0, 2.0, 1.0], [1.0, 0.5, 1.5]])
+    weights = LossWeights()
+    total, terms = flow_matching_loss(predicted, target, weights, sample_weights=shares)
+    each = torch.stack(
+        [
+            flow_matching_loss(predicted[b, n], target[b, n], weights)[0]
+            for b in range(2)
+            for n in range(3)
+        ]
     )
-    torch.testing.assert_close(total, expected)
-    assert list(terms) == ["position", "velocity", "acceleration", "jerk"]
+    torch.testing.assert_close(total, (each * shares.flatten()).mean())
+    _, plain = flow_matching_loss(predicted, target, weights)
+    _, ones = flow_matching_loss(predicted, target, weights, sample_weights=torch.ones(2, 3))
+    torch.testing.assert_close(ones, plain)
+    assert terms.keys() == plain.keys()
 
 
 def test_a_perfect_field_costs_nothing() -> None:

@@ -31,10 +31,10 @@ def test_noise_already_meets_both_ends(model: L2SafetyCFM, scene: Scene) -> None
     context = model.encode(**scene)
     x_0 = model.draw(torch.randn(1, COUNT, model.prior.rank), context)
     torch.testing.assert_close(
-        x_0[:, :, 0], scene["x_curr"][:, None].repeat(1, COUNT, 1), atol=1e-3, rtol=0
+        x_0[:, :, 0], scene["x_curr"][:, None].repeat(1, COUNT, 1), atol=1e-5, rtol=0
     )
     torch.testing.assert_close(
-        x_0[:, :, -1, :4], scene["x_goal"][:, None].repeat(1, COUNT, 1), atol=1e-3, rtol=0
+        x_0[:, :, -1, :4], scene["x_goal"][:, None].repeat(1, COUNT, 1), atol=1e-5, rtol=0
     )
 
 
@@ -43,7 +43,7 @@ def test_si_and_normalised_units_are_inverse(model: L2SafetyCFM, scene: Scene) -
     x = model.draw(torch.randn(1, COUNT, model.prior.rank), context)
     state = model.prior.normalise(x, context["prior_mean"], context["units"])
     back = context["prior_mean"][:, None] + model.prior.to_si(state, context["si_units"])
-    torch.testing.assert_close(back, x, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(back, x, atol=1e-5, rtol=1e-5)
     assert 0.5 < state.std().item() < 2.0
 
 
@@ -53,7 +53,7 @@ def test_samples_and_scenes_do_not_touch_each_other(
     noise = torch.randn(1, COUNT, model.prior.rank)
     together = field_of(model, scene, noise)
     alone = field_of(model, {k: v[1:] for k, v in scene.items()}, noise[:, 2:3])
-    torch.testing.assert_close(together[1:, 2:3], alone, atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(together[1:, 2:3], alone, atol=1e-4, rtol=1e-4)
     assert together.abs().max() > 0.01
 
 
@@ -86,7 +86,7 @@ def test_the_field_turns_with_the_scene(
     other |= {k: turned(scene[k]) for k in ("x_curr", "x_goal")}
     noise = torch.randn(1, COUNT, model.prior.rank)
     expected = turned(field_of(model, scene, noise))
-    torch.testing.assert_close(field_of(model, other, noise), expected, atol=2e-3, rtol=2e-3)
+    torch.testing.assert_close(field_of(model, other, noise), expected, atol=1e-4, rtol=1e-4)
 
 
 def test_modulation_depends_on_time_and_scene(model: L2SafetyCFM, scene: Scene) -> None:

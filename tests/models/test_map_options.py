@@ -135,7 +135,7 @@ def test_each_window_is_looked_up_where_the_trajectory_is(
     tables = {name: frame.widened(width).window(64) for name, width in model.windows.items()}
     places = frame.centre[:, None] + torch.tensor([[0.5, -1.0], [-1.5, 0.7]])
     seen = model._seen(frame.place(places), tables)
-    torch.testing.assert_close(seen, torch.cat([places, places], -1), atol=1e-4, rtol=0)
+    torch.testing.assert_close(seen, torch.cat([places, places], -1), atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("channels", [1, 5])

@@ -1,7 +1,7 @@
 """A program: two replicas on Ray, retrying clients that ask without a pause, one replica killed.
 
 Prints a JSON line: answers, requests that failed, replicas that were alive before and after, and
-the models that answered.
+how many models answered.
 """
 
 from __future__ import annotations
@@ -9,60 +9,25 @@ from __future__ import annotations
 import json
 import socket
 import sys
-import threading
 import time
-from collections import Counter
 
 import numpy as np
 import ray  # pyright: ignore[reportMissingImports] - an extra that not every venv has
 from ray import serve  # pyright: ignore[reportMissingImports]
 
-from anchorflow_client import AnchorClient, AnchorFlowError, RetryingClient
+from anchorflow_benchmarks.clients import Outcomes, asking, retrying
+from anchorflow_client.contract import AnchorRequest, CostMap
 from anchorflow_service.ray_app import RaySettings, app
 
-CLIENTS = 3
+CALLERS = 3
 BEFORE_S, AFTER_S = 3.0, 12.0
 PATIENCE_S = 60.0
-
-
-class Asking:
-    """Clients that ask one request after the other."""
-
-    def __init__(self, url: str) -> None:
-        self.counts: Counter[str] = Counter()
-        self.models: set[str] = set()
-        self._url = url
-        self._stop = threading.Event()
-        self._threads = [threading.Thread(target=self._ask) for _ in range(CLIENTS)]
-        for thread in self._threads:
-            thread.start()
-
-    def stop(self) -> None:
-        """Wait for the answers that are still out."""
-        self._stop.set()
-        for thread in self._threads:
-            thread.join()
-
-    def _ask(self) -> None:
-        plain = AnchorClient(self._url, timeout_s=20)
-        with RetryingClient(plain, patience_s=PATIENCE_S) as client:
-            while not self._stop.is_set():
-                self._one_request(client)
-
-    def _one_request(self, client: RetryingClient) -> None:
-        try:
-            anchors = client.plan(
-                cost_map=np.zeros((64, 64)),
-                resolution=0.1,
-                x_curr=[-2.0, 0, 0, 0, 0, 0],
-                x_goal=[2.0, 0, 0, 0],
-                num_samples=8,
-            )
-        except AnchorFlowError as error:
-            self.counts[f"failed: {error!r}"] += 1
-        else:
-            self.counts["answered"] += 1
-            self.models.add(f"{anchors.model.name} {anchors.model.version}")
+REQUEST = AnchorRequest.build(
+    cost_map=CostMap.build(np.zeros((1, 64, 64)), 0.1),
+    x_curr=[-2.0, 0, 0, 0, 0, 0],
+    x_goal=[2.0, 0, 0, 0],
+    num_samples=8,
+)
 
 
 def replicas() -> list[str]:
@@ -79,17 +44,18 @@ def main() -> None:
     serve.start(http_options={"host": "127.0.0.1", "port": port})
     serve.run(app(RaySettings(min_replicas=2, max_replicas=2)))
     before = replicas()
-    asking = Asking(f"http://127.0.0.1:{port}")
-    time.sleep(BEFORE_S)
-    ray.kill(ray.get_actor(before[0], namespace="serve"))
-    time.sleep(AFTER_S)
-    asking.stop()
+    url, attempts = f"http://127.0.0.1:{port}", Outcomes()
+    connect = retrying(url, attempts, timeout_s=20.0, patience_s=PATIENCE_S)
+    with asking(connect, [REQUEST], callers=CALLERS, seconds=BEFORE_S + AFTER_S) as outcomes:
+        time.sleep(BEFORE_S)
+        ray.kill(ray.get_actor(before[0], namespace="serve"))
     after = replicas()
     told = {
         "replicas": [len(before), len(after)],
         "killed": before[0] not in after,
-        "counts": dict(asking.counts),
-        "models": sorted(asking.models),
+        "answers": len(outcomes.ms),
+        "failed": dict(outcomes.errors),
+        "models": len(outcomes.models),
     }
     sys.stdout.write(f"\n{json.dumps(told)}\n")
     serve.shutdown()

@@ -25,10 +25,12 @@ def test_no_request_is_lost_where_a_replica_is() -> None:
         env={**os.environ, "RAY_AUTH_MODE": "disabled"},
     )
     assert run.returncode == 0, run.stderr
-    told = json.loads(run.stdout.strip().splitlines()[-1])
+    # Ray's own processes may write to the same place until they have ended.
+    (line,) = (line for line in run.stdout.splitlines() if line.startswith("{"))
+    told = json.loads(line)
 
     assert told["replicas"][0] == 2
     assert told["killed"]
-    assert told["counts"].pop("answered") > 10
-    assert told["counts"] == {}
-    assert len(told["models"]) == 1
+    assert told["answers"] > 10
+    assert told["failed"] == {}
+    assert told["models"] == 1

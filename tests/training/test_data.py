@@ -43,8 +43,8 @@ def test_kept_trajectories_are_good(dataset: SceneDataset) -> None:
         assert verdict.clearance.min() > 0
         assert verdict.feasible.all()
         x_curr, x_goal = scenes["x_curr"][index], scenes["x_goal"][index]
-        np.testing.assert_allclose(states[:, 0], np.tile(x_curr, (8, 1)), atol=1e-3)
-        np.testing.assert_allclose(states[:, -1, :4], np.tile(x_goal, (8, 1)), atol=1e-3)
+        np.testing.assert_allclose(states[:, 0], np.tile(x_curr, (8, 1)), atol=2e-4)
+        np.testing.assert_allclose(states[:, -1, :4], np.tile(x_goal, (8, 1)), atol=2e-5)
 
 
 def test_the_expert_passes_a_post_on_both_sides() -> None:
@@ -86,7 +86,7 @@ def test_a_mirrored_scene_is_the_same_problem(dataset: SceneDataset) -> None:
         *origin, resolution = scenes["map_geometry"][0]
         field = GridField(scenes["clearance"][0], float(resolution), np.array(origin))
         scenes["found"] = path_clearance(field, scenes["states"][0], max_step=0.05)
-    np.testing.assert_allclose(batch["found"], mirrored["found"], atol=1e-3)
+    np.testing.assert_allclose(batch["found"], mirrored["found"], atol=1e-5)
     mirror(mirrored)
     np.testing.assert_allclose(mirrored["states"], batch["states"])
     np.testing.assert_allclose(mirrored["map_geometry"], batch["map_geometry"], atol=1e-5)
@@ -96,7 +96,7 @@ def test_a_broken_dataset_names_its_file(dataset: SceneDataset, tmp_path: Path) 
     for file in dataset.path.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     np.save(tmp_path / "x_goal.npy", np.zeros((2, 4)))
-    with pytest.raises(DatasetError, match=r"x_goal\.npy.*float32 \[6, \.\.\.\].*float64 \(2, 4\)"):
+    with pytest.raises(DatasetError, match=r"x_goal\.npy.*float32 \[6, \.\.\.\].*float64 \[2, 4\]"):
         open_dataset(tmp_path)
     (tmp_path / "dataset.json").unlink()
     with pytest.raises(DatasetError, match=r"dataset\.json"):

@@ -12,6 +12,7 @@ from typing import Literal
 import h5py
 import numpy as np
 import pytest
+import torch
 
 from anchorflow_training.data.array_source import H5Array, HeldArray, MappedArray
 from anchorflow_training.data.file_formats import open_arrays
@@ -28,10 +29,16 @@ def write_h5(path: Path) -> None:
         file.attrs["dt"] = 0.1
 
 
+def write_pt(path: Path) -> None:
+    tensors = {name: torch.tensor(values) for name, values in ARRAYS.items()}
+    torch.save(tensors | {"dt": 0.1}, path)
+
+
 WRITERS: dict[str, Callable[[Path], object]] = {
     "stored.npz": lambda path: np.savez(path, **ARRAYS),
     "packed.npz": lambda path: np.savez_compressed(path, **ARRAYS),
     "file.h5": write_h5,
+    "file.pt": write_pt,
     "file.pkl": lambda path: path.write_bytes(pickle.dumps(ARRAYS)),
 }
 
@@ -48,7 +55,13 @@ def test_every_format_gives_the_same_arrays(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(arrays["positions"].read(slice(4, 9)), POSITIONS[4:9])
     np.testing.assert_array_equal(arrays["quality"].read(some), QUALITY[some])
     assert float(arrays["dt"].read(())) == 0.1
-    assert arrays["positions"].on_disk == (name != "file.pkl")
+    assert arrays["positions"].on_disk == (name not in ("file.pt", "file.pkl"))
+
+
+def test_a_tensor_without_a_name_holds_positions(tmp_path: Path) -> None:
+    torch.save(torch.tensor(POSITIONS).bfloat16().requires_grad_(), tmp_path / "p.pth")
+    positions = open_arrays(tmp_path / "p.pth")["positions"]
+    np.testing.assert_allclose(positions.read(slice(None)), POSITIONS, rtol=1e-2)
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -147,6 +160,12 @@ def test_no_code_of_a_file_runs_unasked(tmp_path: Path) -> None:
         open_arrays(tmp_path / "bomb.pkl", allow_pickle=True)
 
 
+def test_a_torch_file_runs_no_code(tmp_path: Path) -> None:
+    torch.save({"positions": Bomb()}, tmp_path / "bomb.pt")
+    with pytest.raises(DatasetError, match=r"bomb\.pt: expected a dict of tensors.*found \S+$"):
+        open_arrays(tmp_path / "bomb.pt", allow_pickle=True)
+
+
 def test_a_pickle_of_unequal_lengths_names_the_array(tmp_path: Path) -> None:
     path = tmp_path / "ragged.pkl"
     path.write_bytes(pickle.dumps({"positions": [np.zeros((3, 2)), np.zeros((4, 2))]}))
@@ -157,10 +176,11 @@ def test_a_pickle_of_unequal_lengths_names_the_array(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("a.csv", b"1,2", r"a\.csv: expected \.npz, \.npy, \.h5 or \.pkl, found \.csv"),
+        ("a.csv", b"1,2", r"a\.csv: expected \.npz, \.npy, \.h5, \.pt or \.pkl, found \.csv"),
         ("a.npz", b"no zip", r"a\.npz: not an \.npz file"),
         ("a.npy", b"no array", r"a\.npy: not an array"),
         ("a.h5", b"no such thing", r"a\.h5"),
+        ("a.pt", b"1,2", r"a\.pt: expected a dict of tensors .* another file or a broken one$"),
     ],
 )
 def test_a_broken_file_is_named(name: str, content: bytes, said: str, tmp_path: Path) -> None:
@@ -170,9 +190,9 @@ def test_a_broken_file_is_named(name: str, content: bytes, said: str, tmp_path: 
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    for suffix in ("npy", "npz", "h5"):
-        with pytest.raises(DatasetError, match=rf"gone\.{suffix}"):
-            open_arrays(tmp_path / f"gone.{suffix}")
+    for name in ("gone.npy", "gone.npz", "gone.h5", "gone.pt", "gone"):
+        with pytest.raises(DatasetError, match=rf"{name}: there is no such file"):
+            open_arrays(tmp_path / name)
 
 
 def test_a_file_that_was_cut_off_is_named(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from anchorflow_training.batches import BatchConfig, draw_batch
 from anchorflow_training.data import DatasetError, SyntheticTrajectoryDataset, TrajectoryDataset
@@ -61,7 +62,7 @@ def test_a_sample_becomes_a_scene(tmp_path: Path) -> None:
     ways = cost_to_go(clearance, 0.1, np.zeros(2), *ends)
     np.testing.assert_allclose(rows["cost_to_go"][0], ways, rtol=1e-3)
     assert rows["states"].shape == (2, 1, STEPS, 6)
-    np.testing.assert_allclose(rows["states"][0, 0, :, 2], 2.0, atol=1e-4)
+    np.testing.assert_allclose(rows["states"][0, 0, :, 2], 2.0, atol=1e-6)
 
 
 def test_the_folder_tells_the_trainer_what_it_needs(tmp_path: Path) -> None:
@@ -152,9 +153,9 @@ def test_samples_without_a_map_get_an_empty_one(dim: int, tmp_path: Path) -> Non
     np.testing.assert_allclose(origin, -16 * resolution, rtol=1e-6)
     np.testing.assert_array_equal(rows["cost_map"][:, 0], 0)
     path = rows["states"][0, 0, :, :2]
-    np.testing.assert_allclose(path[[0, -1]], [[-2, 0], [2, 0]], atol=1e-3)
+    np.testing.assert_allclose(path[[0, -1]], [[-2, 0], [2, 0]], atol=1e-6)
     assert (np.abs(path) < 16 * resolution - 2).all()
-    np.testing.assert_allclose(np.diff(path[:, 0]), 0.2, atol=1e-4)
+    np.testing.assert_allclose(np.diff(path[:, 0]), 0.2, atol=1e-6)
     assert rows["x_curr"].shape == (2, 3 * dim)
     assert rows["x_goal"].shape == (2, 2 * dim)
 
@@ -165,6 +166,55 @@ def test_workers_write_the_same_bytes(tmp_path: Path) -> None:
         import_scenes(TrajectoryDataset(path), tmp_path / str(workers), workers=workers)
     for file in (tmp_path / "1").iterdir():
         assert file.read_bytes() == (tmp_path / "2" / file.name).read_bytes()
+
+
+def test_a_subclass_is_what_scenes_are_made_of(tmp_path: Path) -> None:
+    class Raised(TrajectoryDataset):
+        """Every trajectory half a metre higher, where the base class would read the file's."""
+
+        def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
+            sample = super().__getitem__(index)
+            return sample | {"positions": sample["positions"] + torch.tensor([0.0, 0.5])}
+
+    path = l2_file(tmp_path / "l2.npz", [2.0, 2.5])
+    meta = import_scenes(Raised(path), tmp_path / "out")
+    states = open_dataset(tmp_path / "out").arrays["states"]
+    np.testing.assert_allclose(states[:, 0, 0, 1], [2.5, 3.0], rtol=1e-6)
+    assert meta["statistics"]["positions"]["mean"] == pytest.approx([3.0, 2.75])
+
+
+@pytest.mark.parametrize("key", ["quality", "trajectory_quality"])
+def test_a_sample_s_quality_stands_beside_its_scene(key: str, tmp_path: Path) -> None:
+    path = l2_file(tmp_path / "l2.npz", [3.0, 2.0], **{key: np.array([0.25, 1.0])})
+    scenes = imported(path, tmp_path / "out")
+    np.testing.assert_array_equal(scenes.arrays["quality"], [[0.25], [1.0]])
+    plain = imported(l2_file(tmp_path / "b.npz", [3.0]), tmp_path / "out")
+    assert "quality" not in plain.arrays  # an earlier dataset's is not left lying there
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"v_max": -1.0}, r"v_max: expected a finite number above 0, got -1"),
+        ({"a_max": float("nan")}, r"a_max: .*got nan"),
+        ({"least_quality": 2.0}, r"least_quality: expected 0 to 1, got 2"),
+        ({"least_quality": 0.5}, r"p\.npz: quality: expected an array \[N\]"),
+    ],
+)
+def test_options_out_of_their_range_are_named(
+    options: dict[str, float], said: str, tmp_path: Path
+) -> None:
+    path = l2_file(tmp_path / "p.npz", [3.0])
+    with pytest.raises(DatasetError, match=said):
+        imported(path, tmp_path / "out", **options)
+
+
+def test_a_quality_of_nothing_and_a_folder_that_is_a_file_are_refused(tmp_path: Path) -> None:
+    path = l2_file(tmp_path / "l2.npz", [3.0, 2.0], quality=np.zeros(2))
+    with pytest.raises(DatasetError, match=r"l2\.npz: quality: expected more than 0.*2 samples"):
+        imported(path, tmp_path / "out")
+    with pytest.raises(DatasetError, match=r"l2\.npz: expected a folder to write to"):
+        imported(path, path)
 
 
 def test_what_the_file_does_not_say_is_asked_for(tmp_path: Path) -> None:

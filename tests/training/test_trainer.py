@@ -26,7 +26,12 @@ LOSSES = {
     "float32": (2.937804698944092, 2.9021236896514893, 2.6999881267547607),
     "bfloat16": (2.936742067337036, 2.908644199371338, 2.699213981628418),
 }
-TERMS = {"position": 1.5130559, "velocity": 1.7873889, "acceleration": 1.9685973, "jerk": 0.7780980}
+TERMS = {
+    "velocity_field": 1.5130559,
+    "acceleration_field": 1.7873889,
+    "jerk_field": 1.9685973,
+    "roughness": 0.7780980,
+}
 GRADIENT_NORM = 1.4930609
 
 

@@ -65,6 +65,7 @@ def test_values_are_converted_to_the_fields_types(values: dict[str, Any], expect
         ({"count": True}, "count: expected a whole number, got True"),
         ({"rate": "fast"}, "rate: expected a number, got 'fast'"),
         ({"rate": 1.0}, "rate: expected less than 1, got 1.0"),
+        ({"rate": "nan"}, "rate: expected a finite number, got 'nan'"),
         ({"rate": 0}, "rate: expected more than 0, got 0"),
         ({"on": "maybe"}, "on: expected true or false, got 'maybe'"),
         ({"inner": {"kind": "c"}}, "inner.kind: expected one of a, b, got 'c'"),
@@ -173,6 +174,9 @@ def test_print_config_prints_and_trains_nothing(
         (["--print-config", "--batch.scenes", "many"], "batch.scenes: expected a whole number"),
         ([], "--out: expected the folder of the run"),
         (["--config", "absent.yaml"], "absent.yaml"),
+        (["--flow.weights.lambda-vel", "-1"], "lambda_vel: expected at least 0, got -1"),
+        (["--held-out", "6", "--out", "run"], "held_out: expected less than 6"),
+        (["--out", __file__], "--out: expected a folder to write to"),
     ],
 )
 def test_a_wrong_command_is_one_line(

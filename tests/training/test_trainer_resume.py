@@ -16,8 +16,9 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config
+from anchorflow_models.flow_matching import LossWeights
 from anchorflow_training.batches import BatchConfig
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.checkpoint import FORMER_TERMS, CheckpointError, load_checkpoint
 from anchorflow_training.config import EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.provenance import provenance
@@ -114,7 +115,7 @@ def test_a_killed_run_loses_at_most_an_interval_and_its_curve_joins(
     fit_until(whole, last)
 
     assert [row["step"] for row in rows(out)] == list(range(1, last + 1))
-    for name in ("loss", "jerk", "learning_rate"):
+    for name in ("loss", "jerk_field", "learning_rate"):
         values = [[row[name] for row in rows(run.out)] for run in (resumed, whole)]
         np.testing.assert_allclose(*values, rtol=1e-3)
 
@@ -171,6 +172,31 @@ def test_a_checkpoint_of_the_first_format_is_restored_and_resumed(
     resumed = CFMTrainer(replace(CONFIG, steps=3), tiny_dataset, tmp_path)
     resumed.fit()
     assert [row["step"] for row in resumed.curve] == [1, 2, 3]
+
+
+def test_earlier_names_of_loss_terms_and_weights_are_translated(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    config = replace(CONFIG, steps=3, report_every=2, checkpoint_every=1)
+    run = CFMTrainer(config, tiny_dataset, tmp_path)
+    run.fit()
+    now = load_checkpoint(run.checkpoint_path)
+    saved = dict(vars(now))
+    former = {new: old for old, new in FORMER_TERMS.items()}
+    saved["curve"] = [{former.get(n, n): v for n, v in row.items()} for row in now.curve]
+    sums = {former.get(name, name): value for name, value in now.pending["sums"].items()}
+    saved["pending"] = {**now.pending, "sums": sums}
+    weights = {"lambda_vel": 0.5, "lambda_acc": 0.25, "lambda_jerk": 0.05}
+    saved["config"] = {**now.config, "flow": {**now.config["flow"], "weights": weights}}
+    torch.save(saved, run.checkpoint_path)
+
+    found = load_checkpoint(run.checkpoint_path)
+    assert found.curve == now.curve
+    assert found.pending == now.pending
+    assert found.config["flow"]["weights"] == asdict(LossWeights())
+    resumed = CFMTrainer(replace(config, steps=4), tiny_dataset, tmp_path)
+    resumed.fit()
+    assert [set(row) for row in resumed.curve] == [set(now.curve[0])] * 2
 
 
 def test_the_checkpoint_holds_the_whole_configuration(

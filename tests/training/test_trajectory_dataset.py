@@ -1,5 +1,6 @@
 """Trajectory datasets: derivatives, statistics, rows left out, batches, and clear errors."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,7 @@ def test_statistics_are_those_of_the_samples(
     np.testing.assert_allclose(found.max, good.max((0, 1)))
     assert dataset.statistics.count == COUNT - 1
     speed = np.linalg.norm(central_differences(good, 0.1), axis=-1).max(1)
-    np.testing.assert_allclose(dataset.peak_speed[dataset.rows], speed, rtol=1e-4)
+    np.testing.assert_allclose(dataset.peak_speed, speed, rtol=1e-4)
     assert TrajectoryStatistics.from_dict(dataset.statistics.to_dict()) == dataset.statistics
 
 
@@ -191,13 +192,13 @@ def test_synthetic_derivatives_belong_together(kind: str, dim: int) -> None:
     assert sample["positions"].shape == (16, 257, dim)
     # The heading of a curve that comes to a halt may jump; its plane does not.
     p, v, a = (sample[n][..., :2] for n in ("positions", "velocities", "accelerations"))
-    np.testing.assert_allclose(central_differences(p, 4 / 256), v, atol=0.02)
-    np.testing.assert_allclose(central_differences(v, 4 / 256), a, atol=0.1)
+    np.testing.assert_allclose(central_differences(p, 4 / 256), v, atol=2e-3)
+    np.testing.assert_allclose(central_differences(v, 4 / 256), a, atol=2e-3)
     if dim == 3:
         moving = np.linalg.norm(v, axis=-1) > 0.1
         ahead = np.stack([np.cos(sample["positions"][..., 2]), np.sin(sample["positions"][..., 2])])
         along = (v * np.moveaxis(ahead, 0, -1)).sum(-1) / np.linalg.norm(v, axis=-1)
-        np.testing.assert_allclose(along[moving], 1.0, atol=1e-3)
+        np.testing.assert_allclose(along[moving], 1.0, atol=1e-6)
     same = SyntheticTrajectoryDataset(kind, 16, num_steps=257, dim=dim, horizon_s=4.0, seed=5)
     np.testing.assert_array_equal(
         same.read(slice(None), np.float64)["positions"], sample["positions"]
@@ -238,7 +239,10 @@ def test_synthetic_kinds_are_named() -> None:
         ({"safety_margins": -np.ones(COUNT)}, r"safety_margins: expected values at least 0"),
         ({"resolution": 0.0}, r"resolution: expected values more than 0"),
         ({"dt": -1.0}, r"dt: expected seconds above 0, found -1"),
-        ({"horizon_s": 5.0}, r"expected horizon_s = dt \(T - 1\) = 0\.8 s, found 5 s"),
+        (
+            {"horizon_s": 5.0},
+            r"expected one time step.* found 0\.1 s from dt, 0\.625 s from horizon_s",
+        ),
         ({"positions": np.full((COUNT, STEPS, 2), np.nan)}, r"expected a row of finite numbers"),
         (
             {"positions": np.zeros((COUNT, STEPS, 2), "U3")},
@@ -266,6 +270,126 @@ def test_a_missing_time_step_is_asked_for(tmp_path: Path) -> None:
     assert TrajectoryDataset(tmp_path / "p.npy", dt=0.1).horizon_s == pytest.approx(0.8)
     arrays = {name: parabolas() for name in ("positions", "velocities", "accelerations")}
     assert TrajectoryDataset(saved(tmp_path / "all.npz", **arrays)).dt is None
+
+
+@pytest.mark.parametrize(
+    "implied",
+    [
+        {"horizon_s": 0.8},
+        {"horizon": 0.8},
+        {"horizon_s": np.full(COUNT, 0.8), "dt": np.array([0.1])},
+        {"times": 5.0 + 0.1 * np.arange(STEPS)},
+    ],
+    ids=["horizon_s", "horizon", "one each", "times"],
+)
+def test_positions_alone_are_differentiated_by_an_implied_step(
+    implied: dict[str, Any], tmp_path: Path
+) -> None:
+    positions = parabolas()
+    dataset = TrajectoryDataset(saved(tmp_path / "p.npz", positions=positions, **implied))
+    assert dataset.dt == pytest.approx(0.1)
+    assert dataset.ignored == ()
+    np.testing.assert_allclose(
+        dataset[0]["velocities"], central_differences(positions[0], 0.1), rtol=1e-4, atol=1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("implied", "said"),
+    [
+        ({"dt": 0.1 + 0.1 * np.arange(COUNT)}, r"dt: expected one value .* found 0\.1 to 1\.2 s"),
+        ({"times": np.arange(STEPS) ** 2}, r"times: .*evenly spaced, found steps of 1 to 15 s"),
+        ({"times": np.arange(STEPS), "dt": 0.1}, r"one time step.*0\.1 s from dt|1 s from times"),
+        ({"times": np.arange(STEPS - 1)}, r"times: expected \[9\].*found \[8\]"),
+    ],
+)
+def test_times_that_imply_no_step_are_refused(
+    implied: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DatasetError, match=said):
+        TrajectoryDataset(saved(tmp_path / "p.npz", positions=parabolas(), **implied))
+
+
+def test_other_names_of_the_same_arrays_are_taken(tmp_path: Path) -> None:
+    arrays = l2_arrays()
+    ours = TrajectoryDataset(saved(tmp_path / "a.npz", **arrays))
+    arrays["trajectories"] = arrays.pop("positions")
+    arrays["trajectory_quality"] = arrays.pop("quality")
+    theirs = TrajectoryDataset(saved(tmp_path / "b.npz", **arrays))
+    assert theirs.ignored == ()
+    torch.testing.assert_close(theirs[2], ours[2])
+    arrays["positions"] = arrays["trajectories"]
+    with pytest.raises(DatasetError, match=r"expected positions or trajectories, found both"):
+        TrajectoryDataset(saved(tmp_path / "c.npz", **arrays))
+
+
+class Doubled(TrajectoryDataset):
+    """Every trajectory at twice its size, by an attribute that the base class cannot know."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.scale = 2.0
+
+    def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
+        sample = super().__getitem__(index)
+        names = "positions", "velocities", "accelerations"
+        return sample | {name: self.scale * sample[name] for name in names}
+
+
+class DoubledBatches(Doubled):
+    """The same by batches, as torch documents `__getitems__`: a list of samples."""
+
+    def __getitems__(self, indices: Sequence[int]) -> Any:
+        return [self[index] for index in indices]
+
+
+@pytest.mark.parametrize("kind", [Doubled, DoubledBatches])
+def test_a_subclass_is_what_batches_and_statistics_are_made_of(
+    kind: type[Doubled], tmp_path: Path
+) -> None:
+    path = saved(tmp_path / "p.npz", **l2_arrays())
+    plain, doubled = TrajectoryDataset(path), kind(path)
+    theirs, ours = (
+        next(iter(create_dataloader(each, COUNT, shuffle=False))) for each in (plain, doubled)
+    )
+    torch.testing.assert_close(ours["velocities"], 2 * theirs["velocities"])
+    torch.testing.assert_close(ours["quality"], theirs["quality"])
+    np.testing.assert_allclose(
+        doubled.statistics.positions.std, 2 * np.array(plain.statistics.positions.std), rtol=1e-5
+    )
+    np.testing.assert_allclose(doubled.peak_speed, 2 * plain.peak_speed, rtol=1e-5)
+    normalised = next(iter(create_dataloader(doubled, COUNT, normalise=True)))
+    torch.testing.assert_close(
+        normalised["positions"].std((0, 1), correction=0), torch.ones(2), atol=1e-4, rtol=0
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"positions": torch.zeros(4, 2)}, r"positions: expected \[9, 2\].*found \[4, 2\]"),
+        ({"velocities": torch.full((9, 2), torch.nan)}, r"velocities: .*finite.*sample 0"),
+        ({"quality": torch.tensor(3.0)}, r"quality: expected values in \[0, 1\], found 3"),
+    ],
+)
+def test_what_a_subclass_makes_of_a_sample_is_checked(
+    changed: dict[str, torch.Tensor], said: str, tmp_path: Path
+) -> None:
+    class Wrong(TrajectoryDataset):
+        def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
+            return super().__getitem__(index) | changed
+
+    dataset = Wrong(saved(tmp_path / "p.npz", **l2_arrays()))
+    with pytest.raises(DatasetError, match=r"p\.npz, as Wrong returns it: " + said):
+        _ = dataset.statistics
+
+
+def test_a_row_whose_derivatives_overflow_is_left_out(tmp_path: Path) -> None:
+    positions = parabolas()
+    positions[4, 3] = 1e39  # finite, but not in float32
+    positions[6, ::2] = 1e300
+    dataset = TrajectoryDataset(saved(tmp_path / "p.npz", positions=positions, dt=0.1))
+    np.testing.assert_array_equal(dataset.left_out, [4, 6])
 
 
 def test_the_caller_goes_before_the_file(tmp_path: Path) -> None:

@@ -27,8 +27,8 @@ def test_ends_are_met_whatever_the_free_points(basis: SplineBasis, control: np.n
     position, velocity, acceleration = basis.states(control)
     start = np.concatenate([s[:, 0] for s in (position, velocity, acceleration)], -1)
     goal = np.concatenate([position[:, -1], velocity[:, -1]], -1)
-    np.testing.assert_allclose(start, np.tile(X_CURR, (5, 1)), atol=1e-4)
-    np.testing.assert_allclose(goal, np.tile(X_GOAL, (5, 1)), atol=1e-4)
+    np.testing.assert_allclose(start, np.tile(X_CURR, (5, 1)), atol=2e-5)
+    np.testing.assert_allclose(goal, np.tile(X_GOAL, (5, 1)), atol=2e-5)
 
 
 def test_velocity_and_acceleration_are_the_derivatives(control: np.ndarray) -> None:
@@ -36,10 +36,10 @@ def test_velocity_and_acceleration_are_the_derivatives(control: np.ndarray) -> N
     position, velocity, acceleration = fine.states(control.astype(np.float64))
     dt = 8.0 / 4000
     np.testing.assert_allclose(
-        np.gradient(position, dt, axis=1)[:, 1:-1], velocity[:, 1:-1], atol=5e-3
+        np.gradient(position, dt, axis=1)[:, 1:-1], velocity[:, 1:-1], atol=2e-3
     )
     np.testing.assert_allclose(
-        np.gradient(velocity, dt, axis=1)[:, 1:-1], acceleration[:, 1:-1], atol=2e-2
+        np.gradient(velocity, dt, axis=1)[:, 1:-1], acceleration[:, 1:-1], atol=1e-2
     )
 
 
@@ -47,12 +47,12 @@ def test_fit_returns_the_spline_that_made_the_states(
     basis: SplineBasis, control: np.ndarray
 ) -> None:
     state = np.concatenate(basis.states(control), -1)
-    np.testing.assert_allclose(basis.fit(state, X_CURR, X_GOAL), control, atol=2e-3)
+    np.testing.assert_allclose(basis.fit(state, X_CURR, X_GOAL), control, atol=1e-5)
 
 
 def test_fit_of_positions_alone(basis: SplineBasis, control: np.ndarray) -> None:
     position, _, _ = basis.states(control)
-    np.testing.assert_allclose(basis.fit_positions(position, X_CURR, X_GOAL), control, atol=5e-3)
+    np.testing.assert_allclose(basis.fit_positions(position, X_CURR, X_GOAL), control, atol=1e-5)
 
 
 def test_rest_curve_has_the_least_jerk(basis: SplineBasis, control: np.ndarray) -> None:
@@ -72,5 +72,5 @@ def test_a_third_dimension_is_carried_along() -> None:
     x_curr, x_goal = np.arange(9, dtype=np.float32), np.arange(6, dtype=np.float32)
     position, velocity, _ = basis.states(basis.rest_curve(x_curr, x_goal)[:, None])
     assert position.shape == (1, 32, 3)
-    np.testing.assert_allclose(position[0, 0], x_curr[:3], atol=1e-4)
-    np.testing.assert_allclose(velocity[0, -1], x_goal[3:], atol=1e-3)
+    np.testing.assert_allclose(position[0, 0], x_curr[:3], atol=1e-5)
+    np.testing.assert_allclose(velocity[0, -1], x_goal[3:], atol=1e-5)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.reflection import reflection
 from anchorflow_training.settings import setting
 
 Batch = dict[str, NDArray[np.float32]]
@@ -41,7 +42,10 @@ class BatchConfig:
 
 
 def draw_batch(dataset: SceneDataset, config: BatchConfig, index: int) -> Batch:
-    """Batch number `index`: the inputs of encode [B, ...] and states [B, N, T, S]."""
+    """Batch number `index`: the inputs of encode [B, ...] and states [B, N, T, S].
+
+    sample_weights [B, N], where the dataset has a quality, say what each counts in the loss.
+    """
     batch = dataset.batch(batch_scenes(len(dataset), config, index))
     rng = batch_rng(config, index)
     if rng.random() < 0.5 and config.mirror:
@@ -50,8 +54,14 @@ def draw_batch(dataset: SceneDataset, config: BatchConfig, index: int) -> Batch:
     chosen = [
         rng.permutation(np.resize(np.arange(states.shape[1]), config.samples)) for _ in states
     ]
-    states = np.take_along_axis(states, np.stack(chosen)[..., None, None], 1)
-    return encode_inputs(batch) | {"states": states}
+    picked = np.stack(chosen)
+    states = np.take_along_axis(states, picked[..., None, None], 1)
+    drawn = encode_inputs(batch) | {"states": states}
+    if dataset.mean_quality is not None:
+        # Their mean is 1 over the dataset, so that they leave the size of a step alone.
+        quality = np.take_along_axis(batch["quality"], picked, 1)
+        drawn["sample_weights"] = (quality / dataset.mean_quality).astype(np.float32)
+    return drawn
 
 
 def batch_scenes(total: int, config: BatchConfig, index: int) -> NDArray[np.int64]:
@@ -81,7 +91,7 @@ def mirror(batch: Batch) -> None:
     geometry[:, 1] = -(geometry[:, 1] + height * geometry[:, 2])
     for name, fields in (("x_curr", 3), ("x_goal", 2), ("states", 3)):
         dim = batch[name].shape[-1] // fields
-        batch[name] *= np.tile(np.array([1.0, -1.0, -1.0], np.float32)[:dim], fields)
+        batch[name] *= reflection(dim, fields=fields)
 
 
 def batches(dataset: SceneDataset, config: BatchConfig, indices: Iterable[int]) -> Generator[Batch]:

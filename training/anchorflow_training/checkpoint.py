@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
+
+# What checkpoints called a loss term, before terms and weights had the names of the fields u, v, w.
+FORMER_TERMS = {
+    "position": "velocity_field",
+    "velocity": "acceleration_field",
+    "acceleration": "jerk_field",
+    "jerk": "roughness",
+}
+FORMER_WEIGHTS = {
+    "lambda_vel": "lambda_acc",
+    "lambda_acc": "lambda_jerk",
+    "lambda_jerk": "lambda_roughness",
+}
 
 
 class CheckpointError(Exception):
@@ -51,8 +65,40 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint without running code from it; raises `CheckpointError`."""
+    """Read a checkpoint without running code from it; raises `CheckpointError`.
+
+    Loss terms and weights of earlier checkpoints come under the names that they have today.
+    """
     try:
-        return Checkpoint(**torch.load(path, map_location="cpu", weights_only=True))
+        saved = Checkpoint(**torch.load(path, map_location="cpu", weights_only=True))
     except Exception as error:
-        raise CheckpointError(f"{path}: not a checkpoint of this version ({error})") from error
+        said = str(error).split("\n", 1)[0]
+        raise CheckpointError(
+            f"{path}: not a checkpoint of this version ({type(error).__name__}: {said})"
+        ) from error
+    pending = dict(saved.pending)
+    if pending:
+        pending["sums"] = _renamed_terms(pending["sums"])
+    return replace(
+        saved,
+        config=_renamed_weights(saved.config),
+        curve=[_renamed_terms(row) for row in saved.curve],
+        pending=pending,
+    )
+
+
+def _renamed_terms(row: Mapping[str, float]) -> dict[str, float]:
+    return {FORMER_TERMS.get(name, name): value for name, value in row.items()}
+
+
+def _renamed_weights(config: Mapping[str, Any]) -> dict[str, Any]:
+    """A configuration with the weights of the loss, wherever they stand, under today's names."""
+    result = dict(config)
+    for name, value in config.items():
+        if not isinstance(value, Mapping):
+            continue
+        result[name] = _renamed_weights(value)
+        if name == "weights" and set(value) == set(FORMER_WEIGHTS):
+            former = {FORMER_WEIGHTS[each]: weight for each, weight in value.items()}
+            result[name] = {"lambda_vel": 1.0, **former}  # of the positions' part, it was fixed
+    return result

@@ -10,6 +10,7 @@ S scenes, M trajectories a scene, T samples, D dimensions, map [C, H, W]:
     x_goal        float32 [S, 2D]       p, v
     w_style       float32 [S, 3]        sums to 1
     states        float32 [S, M, T, 3D] the expert's p, v, a; a scene with fewer repeats them
+    quality       float32 [S, M]        in [0, 1], what a trajectory counts in the loss; optional
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +41,7 @@ DTYPES = {
     "states": np.float32,
 }
 MOST_FLOAT16 = float(np.finfo(np.float16).max)
+OPTIONAL_DTYPES = {"quality": np.float32}
 
 
 class DatasetError(Exception):
@@ -84,8 +87,36 @@ class SceneDataset:
                 f"found {found}"
             ) from error
 
+    @cached_property
+    def mean_quality(self) -> float | None:
+        """Over all trajectories; None where all count alike. Raises `DatasetError` if it is 0."""
+        if "quality" not in self.arrays:
+            return None
+        mean = float(self.arrays["quality"].mean(dtype=np.float64))
+        if not mean > 0:
+            raise DatasetError(
+                f"{self.path / 'quality.npy'}: expected more than 0 in some of {len(self)} scenes, "
+                "found 0 in all: none would count in the loss"
+            )
+        return mean
+
+    def check_finite(self, scenes: NDArray[np.int64]) -> None:
+        """Raise `DatasetError` naming the first of these scenes whose numbers are not finite."""
+        for name in ("states", "x_curr", "x_goal", "w_style", "map_geometry"):
+            finite = np.isfinite(self.arrays[name][scenes].reshape(len(scenes), -1)).all(1)
+            if not finite.all():
+                raise DatasetError(
+                    f"{self.path / name}.npy: expected finite numbers, found others in scene "
+                    f"{scenes[np.argmin(finite)]}"
+                )
+
     def batch(self, scenes: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
-        """The named arrays of some scenes in float32 and SI units; cost_map in [0, 1]."""
+        """The named arrays of some scenes in float32 and SI units; cost_map in [0, 1].
+
+        Raises:
+            DatasetError: a scene has a number that is not finite.
+        """
+        self.check_finite(scenes)
         rows = {name: array[scenes].astype(np.float32) for name, array in self.arrays.items()}
         rows["cost_map"] /= 255.0
         return rows
@@ -97,18 +128,15 @@ def open_dataset(path: Path) -> SceneDataset:
         meta = json.loads((path / "dataset.json").read_text())
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path / 'dataset.json'}: {error}") from error
-    arrays = {}
-    for name, dtype in DTYPES.items():
-        file = path / f"{name}.npy"
-        try:
-            arrays[name] = np.load(file, mmap_mode="r")
-        except (OSError, ValueError) as error:
-            raise DatasetError(f"{file}: {error}") from error
-        if arrays[name].dtype != dtype or len(arrays[name]) != meta["scenes"]:
-            found = f"{arrays[name].dtype} {arrays[name].shape}"
-            raise DatasetError(
-                f"{file}: expected {np.dtype(dtype)} [{meta['scenes']}, ...], found {found}"
-            )
+    scenes = meta.get("scenes") if isinstance(meta, dict) else None
+    if not isinstance(scenes, int):
+        raise DatasetError(f"{path / 'dataset.json'}: scenes: expected a number, found {scenes}")
+    arrays = {name: _opened(path, name, scenes) for name in DTYPES}
+    for name in OPTIONAL_DTYPES:
+        if (path / f"{name}.npy").exists():
+            arrays[name] = _opened(path, name, scenes)
+    _check_shapes(path, arrays)
+    _check_quality(path, arrays)
     return SceneDataset(path, arrays, meta)
 
 
@@ -127,19 +155,86 @@ def scene_row(scene: Scene, states: NDArray[np.float32]) -> Row:
     return {name: row[name].astype(dtype) for name, dtype in DTYPES.items()}
 
 
-def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray]:
-    """New writable `.npy` files under `path`, one an array of the dataset."""
-    path.mkdir(parents=True, exist_ok=True)
-    return {
-        name: np.lib.format.open_memmap(path / f"{name}.npy", "w+", dtype, shapes[name])
-        for name, dtype in DTYPES.items()
+def _opened(path: Path, name: str, scenes: int) -> NDArray:
+    file, dtype = path / f"{name}.npy", np.dtype((DTYPES | OPTIONAL_DTYPES)[name])
+    try:
+        array = np.load(file, mmap_mode="r")
+    except (EOFError, OSError, ValueError) as error:
+        raise DatasetError(f"{file}: {error}") from error
+    if array.dtype != dtype or not array.ndim or len(array) != scenes:
+        raise DatasetError(
+            f"{file}: expected {dtype} [{scenes}, ...], found {array.dtype} {list(array.shape)}"
+        )
+    return array
+
+
+def _check_shapes(path: Path, arrays: Mapping[str, NDArray]) -> None:
+    """Whether the arrays belong together; states and cost_map say what the others must be."""
+    for name, letters, divisor in (("states", "S, M, T, 3D", 3), ("cost_map", "S, C, H, W", 1)):
+        shape = arrays[name].shape
+        if len(shape) != 4 or 0 in shape or shape[-1] % divisor:
+            raise DatasetError(
+                f"{path / name}.npy: expected [{letters}], all above 0, found {list(shape)}"
+            )
+    scenes, trajectories, _, width = arrays["states"].shape
+    cells = arrays["cost_map"].shape[2:]
+    expected = {
+        "clearance": cells,
+        "cost_to_go": (2, *cells),
+        "map_geometry": (3,),
+        "x_curr": (width,),
+        "x_goal": (2 * width // 3,),
+        "w_style": (3,),
+        "quality": (trajectories,),
     }
+    for name, shape in expected.items():
+        if name in arrays and arrays[name].shape != (scenes, *shape):
+            raise DatasetError(
+                f"{path / name}.npy: expected {[scenes, *shape]} beside states "
+                f"{list(arrays['states'].shape)} and cost_map {list(arrays['cost_map'].shape)}, "
+                f"found {list(arrays[name].shape)}"
+            )
+
+
+def _check_quality(path: Path, arrays: Mapping[str, NDArray]) -> None:
+    if "quality" not in arrays:
+        return
+    quality, file = arrays["quality"], path / "quality.npy"
+    wrong = ~((quality >= 0) & (quality <= 1))
+    if wrong.any():
+        scene = int(np.argmax(wrong.any(1)))
+        raise DatasetError(
+            f"{file}: expected values in [0, 1], found {quality[scene][wrong[scene]][0]:g} "
+            f"in scene {scene}"
+        )
+
+
+def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray]:
+    """New writable `.npy` files under `path`, one for each array of `shapes`.
+
+    Raises:
+        DatasetError: `path` is no folder, or one that cannot be written.
+    """
+    arrays = {}
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        for name, dtype in (DTYPES | OPTIONAL_DTYPES).items():
+            file = path / f"{name}.npy"
+            if name in shapes:
+                arrays[name] = np.lib.format.open_memmap(file, "w+", dtype, shapes[name])
+            else:
+                file.unlink(missing_ok=True)  # of an earlier dataset in this folder
+    except OSError as error:
+        raise DatasetError(f"{path}: expected a folder to write to ({error})") from error
+    return arrays
 
 
 def shrink_arrays(path: Path, scenes: int) -> None:
     """Cut the files that `create_arrays` made to their first `scenes` rows, in place."""
-    for name in DTYPES:
+    for name in DTYPES | OPTIONAL_DTYPES:
         file = path / f"{name}.npy"
+        if name in OPTIONAL_DTYPES and not file.exists():
+            continue
         array = np.load(file, mmap_mode="r")
         header = {"descr": array.dtype.str, "fortran_order": False}
         rows, row_bytes, offset = array.shape[1:], array[:1].nbytes, array.offset

@@ -40,7 +40,7 @@ REACHED = 0.1  # m from the goal
 
 
 @dataclass(frozen=True)
-class Verdict:
+class AnchorChecks:
     """What holds for each of N anchors, [N]; free and feasible as `verify` says it."""
 
     free: BoolArray
@@ -57,19 +57,21 @@ class JudgedScene:
     """positions: [N, T, D] m; cost_map: [C, H, W]; map_geometry: [3]; x_curr: [3D]; x_goal: [2D]"""
 
     positions: FloatArray
-    verdict: Verdict
+    checks: AnchorChecks
     cost_map: FloatArray
     map_geometry: FloatArray
     x_curr: FloatArray
     x_goal: FloatArray
 
 
-def judge(states: States, clearance: GridField, *, x_goal: FloatArray, config: L2Config) -> Verdict:
+def judge(
+    states: States, clearance: GridField, *, x_goal: FloatArray, config: L2Config
+) -> AnchorChecks:
     """Judge positions, velocities and accelerations [N, T, D] in SI and the map's frame."""
     limits = MotionLimits(v_max=config.v_max, a_max=config.a_max, horizon_s=config.horizon_s)
     found = verify(states, clearance, limits)
     miss = np.linalg.norm(states[0][:, -1, :2] - x_goal[:2], axis=-1)
-    return Verdict(found.free, miss <= REACHED, found.feasible)
+    return AnchorChecks(found.free, miss <= REACHED, found.feasible)
 
 
 @torch.no_grad()
@@ -127,10 +129,10 @@ def scores(scenes: Sequence[JudgedScene]) -> dict[str, float]:
 
     any: share of scenes with a success; spread: m, how far anchors lie from their scene's mean
     """
-    verdicts = [scene.verdict for scene in scenes]
+    checks = [scene.checks for scene in scenes]
     names = ("success", "free", "reached", "feasible")
-    shares = {n: float(np.mean([getattr(v, n).mean() for v in verdicts])) for n in names}
-    some = float(np.mean([v.success.any() for v in verdicts]))
+    shares = {n: float(np.mean([getattr(v, n).mean() for v in checks])) for n in names}
+    some = float(np.mean([v.success.any() for v in checks]))
     spread = float(np.mean([_spread(scene.positions) for scene in scenes]))
     return {**shares, "any": some, "spread": spread}
 
@@ -148,8 +150,8 @@ def _judged_scene(
     x_curr, x_goal, geometry = scene["x_curr"], scene["x_goal"], scene["map_geometry"]
     states = basis.states(basis.fit(state, x_curr, x_goal))
     clearance = GridField(scene["clearance"], float(geometry[2]), geometry[:2].astype(np.float64))
-    verdict = judge(states, clearance, x_goal=x_goal, config=config)
-    return JudgedScene(states[0], verdict, scene["cost_map"], geometry, x_curr, x_goal)
+    checks = judge(states, clearance, x_goal=x_goal, config=config)
+    return JudgedScene(states[0], checks, scene["cost_map"], geometry, x_curr, x_goal)
 
 
 def _spread(positions: FloatArray) -> float:

@@ -17,9 +17,14 @@ def split(dataset: SceneDataset, config: RunConfig) -> tuple[SceneDataset, Scene
     held_out, path = config.evaluation.held_out, config.evaluation.dataset
     if held_out and path:
         raise ConfigError("evaluation: expected held_out or dataset, got both")
+    if held_out >= len(dataset):
+        raise ConfigError(
+            f"evaluation.held_out: expected less than {len(dataset)}, the scenes of "
+            f"{dataset.path}, got {held_out}"
+        )
     if len(dataset) - held_out < config.batch.scenes:
         raise ConfigError(
-            f"batch.scenes: expected at most {max(0, len(dataset) - held_out)}, the scenes of "
+            f"batch.scenes: expected at most {len(dataset) - held_out}, the scenes of "
             f"{dataset.path} less evaluation.held_out, got {config.batch.scenes}"
         )
     training, judged = dataset, open_dataset(Path(path)) if path else None

@@ -32,9 +32,9 @@ class FlowObjective(nn.Module):
     def forward(
         self, batch: Mapping[str, Tensor], noise: Tensor, t: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """batch: the inputs of encode [B, ...] and states [B, N, T, S]."""
+        """batch: inputs of encode [B, ...], states [B, N, T, S], sample_weights [B, N] if any."""
         model, inputs = self.model, dict(batch)
-        data = inputs.pop("states")
+        data, sample_weights = inputs.pop("states"), inputs.pop("sample_weights", None)
         context = model.encode(**inputs)
         with torch.autocast(data.device.type, enabled=False), torch.no_grad():
             context |= {name: context[name].float() for name in METRIC}
@@ -48,7 +48,9 @@ class FlowObjective(nn.Module):
             target = model.prior.normalise(target, torch.zeros_like(mean), units)
         modulation = model.modulate(t, context)
         predicted = model.normalised_field(x_t, state, modulation, context)
-        return flow_matching_loss(predicted.float(), target, self.config.weights)
+        return flow_matching_loss(
+            predicted.float(), target, self.config.weights, sample_weights=sample_weights
+        )
 
 
 def paired(x_0: Tensor, data: Tensor, dim: int) -> Tensor:

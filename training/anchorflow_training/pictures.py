@@ -13,7 +13,8 @@ from anchorflow_training.evaluation import JudgedScene
 
 LOG = logging.getLogger(__name__)
 
-SIZE = 3.0  # inches a scene, at 100 dots an inch
+SIZE, DOTS_PER_INCH = 3.0, 100  # of a scene's panel
+GOOD, BAD = "tab:green", "tab:red"
 
 
 def sample_picture(scenes: Sequence[JudgedScene]) -> NDArray[np.uint8] | None:
@@ -23,23 +24,24 @@ def sample_picture(scenes: Sequence[JudgedScene]) -> NDArray[np.uint8] | None:
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+
+        from anchorflow_trajectory import drawing
     except ModuleNotFoundError:
         LOG.warning("no sample picture: matplotlib is not installed (pip install matplotlib)")
         return None
-    figure = Figure(figsize=(SIZE * len(scenes), SIZE), dpi=100, layout="constrained")
+    figure, panels = drawing.sheet(len(scenes), columns=len(scenes), inches=SIZE)
+    figure.set_dpi(DOTS_PER_INCH)
     canvas = FigureCanvasAgg(figure)
-    for axes, scene in zip(figure.subplots(1, len(scenes), squeeze=False)[0], scenes, strict=True):
+    for axes, scene in zip(panels, scenes, strict=True):
         x, y, resolution = scene.map_geometry
-        height, width = scene.cost_map.shape[1:]
-        extent = (x, x + width * resolution, y, y + height * resolution)
-        axes.imshow(scene.cost_map[0], cmap="Greys", origin="lower", extent=extent, vmin=0, vmax=1)
-        for path, good in zip(scene.positions, scene.verdict.success, strict=True):
-            axes.plot(path[:, 0], path[:, 1], color="tab:green" if good else "tab:red", lw=0.8)
-        axes.plot(*scene.x_curr[:2], "ko", ms=4)
-        axes.plot(*scene.x_goal[:2], "k*", ms=7)
-        axes.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
-        axes.set_title(f"{scene.verdict.success.mean():.0%}", fontsize=8)
+        drawing.draw_cells(axes, scene.cost_map[0], resolution=resolution, origin=(x, y))
+        colours = np.where(scene.checks.success, GOOD, BAD)
+        drawing.draw_paths(axes, scene.positions, colours, linewidths=0.8)
+        drawing.draw_ends(
+            axes, scene.x_curr, scene.x_goal, colours=("black", "black"), sizes=(4, 7)
+        )
+        drawing.hide_ticks(axes)
+        axes.set_title(f"{scene.checks.success.mean():.0%}", fontsize=8)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 

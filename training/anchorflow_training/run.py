@@ -9,7 +9,7 @@ import itertools
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
@@ -26,6 +26,7 @@ from anchorflow_training.config import RunConfig
 from anchorflow_training.curve import Row, RunningMean
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.devices import make_fabric
+from anchorflow_training.divergence import check_finite
 from anchorflow_training.evaluation import Evaluator, JudgedScene, out_of_patience
 from anchorflow_training.held_out import split
 from anchorflow_training.learning_rate import rate_share
@@ -135,12 +136,16 @@ class TrainingRun(ABC):
         """Train to `config.steps` or until the judge sees no more progress.
 
         report: called in one process with the step and each new row of `curve` and `evaluations`
+
+        Raises:
+            DivergenceError: the loss or its gradient is not finite; the weights do not follow it.
         """
         config = self.run_config
         before = self.curve[-1]["seconds"] if self.curve else 0.0
         began = time.perf_counter() - before
         record = self._open_record() if self.leads else None
-        with closing(self.stream(self._indices())) as stream:
+        kept_open = closing(record) if record else nullcontext()
+        with kept_open, closing(self.stream(self._indices())) as stream:
             while self.step < config.steps and not self.stopped:
                 mark = time.perf_counter()
                 terms = self.train_step(list(itertools.islice(stream, config.accumulate)))
@@ -153,8 +158,6 @@ class TrainingRun(ABC):
                     self._evaluate(self.evaluator, record, report)
                 if self.step % config.checkpoint_every == 0 or last or self.stopped:
                     self.save(self.checkpoint_path)
-        if record:
-            record.close()
 
     def train_step(self, group: Sequence[Batch]) -> dict[str, Tensor]:
         """One optimiser step on `accumulate` batches; returns the loss, its terms and the norm."""
@@ -178,12 +181,19 @@ class TrainingRun(ABC):
             max_norm=config.gradient_clip,
             error_if_nonfinite=False,
         )
+        self._check_finite({**sums, "gradient_norm": torch.as_tensor(norm)})
         self.optimiser.step()
         self.optimiser.zero_grad(set_to_none=True)
         update_average(self.average, self.model, decay=config.ema_decay, step=self.step)
         self.step += 1
         course = {"learning_rate": torch.tensor(rate, dtype=torch.float64)}
         return {**sums, "gradient_norm": torch.as_tensor(norm), **course}
+
+    def _check_finite(self, terms: dict[str, Tensor]) -> None:
+        if self.fabric.strategy.precision.state_dict():
+            # The loss scaling of float16 skips a step whose gradient overflows, by itself.
+            terms.pop("gradient_norm")
+        check_finite(terms, step=self.step + 1, fabric=self.fabric, checkpoint=self.checkpoint_path)
 
     def save(self, path: Path) -> None:
         """Write the run as it stands; one process does."""

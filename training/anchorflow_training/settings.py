@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import types
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
@@ -153,6 +154,8 @@ def _scalar(value: Any, kind: type) -> Any:
             value = kind(value)
         except ValueError:
             raise ValueError(f"expected {_named(kind)}") from None
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError("expected a finite number")
     if not isinstance(value, kind):
         raise ValueError(f"expected {_named(kind)}")
     return value

@@ -12,8 +12,8 @@ from anchorflow_training.curve import Row
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.evaluation import Evaluator, JudgedScene, flow_evaluator, scores
 from anchorflow_training.objective import FlowObjective
+from anchorflow_training.prior_covariance import prior_covariance
 from anchorflow_training.run import Report, TrainingRun
-from anchorflow_training.statistics import prior_covariance
 
 __all__ = ["CFMTrainer", "FlowMatchingConfig", "Report", "TrainerConfig"]
 

@@ -23,9 +23,18 @@ STRIDE = 4  # samples between the points by which trajectories are compared
 
 
 def bisect_to_safe(
-    control: FloatArray, safe: BoolArray, basis: SplineBasis, field: GridField, limits: MotionLimits
+    control: FloatArray,
+    safe: BoolArray,
+    basis: SplineBasis,
+    field: GridField,
+    limits: MotionLimits,
+    *,
+    certified_margin: float = 0.0,
 ) -> FloatArray:
-    """Control points [D, M, K], those that are not `safe` [M] moved; unmoved where none is."""
+    """Control points [D, M, K], those that are not `safe` [M] moved; unmoved where none is.
+
+    certified_margin: m, with which `safe` was judged
+    """
     if safe.all() or not safe.any():
         return control
     positions = basis.states(control)[0]
@@ -36,7 +45,8 @@ def bisect_to_safe(
     for _ in range(ROUNDS):
         tried = 0.5 * (reached + beyond)
         mixture = nearest + tried[:, None] * away
-        good = verify(basis.states(mixture), field, limits).safe
+        states = basis.states(mixture)
+        good = verify(states, field, limits, certified_margin=certified_margin).safe
         reached, beyond = np.where(good, tried, reached), np.where(good, beyond, tried)
     moved = control.copy()
     moved[:, failed] = nearest + reached[:, None] * away

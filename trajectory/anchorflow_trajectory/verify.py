@@ -27,7 +27,8 @@ class Verdict:
     """What holds for each of M trajectories, all [M].
 
     clearance: m beyond the robot's radius, smallest along the path
-    free: clear of every obstacle and of the map's edge; feasible: within both limits
+    free: clear of every obstacle and of the map's edge by the certified margin
+    feasible: within both limits
     """
 
     clearance: FloatArray
@@ -41,15 +42,28 @@ class Verdict:
 
 
 def verify(
-    states: tuple[FloatArray, FloatArray, FloatArray], field: GridField, limits: MotionLimits
+    states: tuple[FloatArray, FloatArray, FloatArray],
+    field: GridField,
+    limits: MotionLimits,
+    *,
+    certified_margin: float = 0.0,
 ) -> Verdict:
-    """Judge positions, velocities and accelerations [M, T, D]."""
+    """Judge positions, velocities and accelerations [M, T, D].
+
+    certified_margin: m beyond the robot's radius that a safe path keeps from every obstacle and
+        from the map's edge; the share of a cell comes on top, so it holds for another reader too
+    """
     position, velocity, acceleration = states
     clearance = path_clearance(field, position, max_step=CHECK_STEP)
-    free = clearance >= SHARE_OF_CELL * field.resolution
+    free = clearance >= required_clearance(field, certified_margin)
     feasible = _largest(velocity) <= SPEED_TOLERANCE * limits.v_max
     feasible &= _largest(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
     return Verdict(clearance, free, feasible)
+
+
+def required_clearance(field: GridField, certified_margin: float) -> float:
+    """m of clearance in the field from which a path is certified to keep the margin."""
+    return certified_margin + SHARE_OF_CELL * field.resolution
 
 
 def _largest(vectors: FloatArray) -> FloatArray:

@@ -5,17 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import threading
-from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from time import perf_counter
+from dataclasses import dataclass, replace
 
+from anchorflow_benchmarks.clients import Outcomes, asking, over_http
 from anchorflow_client.contract import AnchorRequest
-from anchorflow_client.errors import AnchorFlowError, Overloaded
-from anchorflow_client.http import AnchorClient
 
-TIMEOUT_S = 120.0
 # In a process of its own: what is measured is the server's delay, not that of 64 threads here.
 PROBE = """
 import http.client, json, sys, time
@@ -44,72 +39,17 @@ class CrowdConfig:
     budget_ms: float | None = None
 
 
-@dataclass
-class Seen:
-    """What the crowd saw; its clients share it under its lock."""
-
-    answered_ms: list[float] = field(default_factory=list)
-    """From sending to the whole answer."""
-    versions: Counter[str] = field(default_factory=Counter)
-    """Of the models that answered."""
-    refused: Counter[str] = field(default_factory=Counter)
-    """By the code of the error."""
-    health_ms: list[float] = field(default_factory=list)
-    elapsed_s: float = 0.0
-    lock: threading.Lock = field(default_factory=threading.Lock)
-
-    @property
-    def per_second(self) -> float:
-        """Answers."""
-        return len(self.answered_ms) / self.elapsed_s
-
-    def late(self, budget_ms: float) -> int:
-        """Answers that came later than the budget and a tenth of it."""
-        return sum(ms > 1.1 * budget_ms for ms in self.answered_ms)
-
-
-def crowd(url: str, requests: Sequence[AnchorRequest], config: CrowdConfig) -> Seen:
-    """Let the crowd ask a server; a client that is told to come back later waits so long."""
-    seen = Seen()
+def crowd(
+    url: str, requests: Sequence[AnchorRequest], config: CrowdConfig
+) -> tuple[Outcomes, list[float]]:
+    """Let the crowd ask a server: what became of it, and how long [ms] the server's health took."""
     asked = [replace(request, budget_ms=config.budget_ms) for request in requests]
     host, port = url.removeprefix("http://").split(":")
     probe = (sys.executable, "-c", PROBE, host, port, str(config.seconds))
-    with subprocess.Popen(probe, stdout=subprocess.PIPE, text=True) as health:
-        start = perf_counter()
-        until = start + config.seconds
-        threads = [
-            threading.Thread(target=_client, args=(url, asked, turn, until, seen))
-            for turn in range(config.clients)
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        seen.elapsed_s = perf_counter() - start
+    with (
+        subprocess.Popen(probe, stdout=subprocess.PIPE, text=True) as health,
+        asking(over_http(url), asked, callers=config.clients, seconds=config.seconds) as outcomes,
+    ):
         assert health.stdout is not None
-        seen.health_ms = json.loads(health.stdout.read())
-    return seen
-
-
-def _client(
-    url: str, requests: Sequence[AnchorRequest], turn: int, until: float, seen: Seen
-) -> None:
-    with AnchorClient(url, timeout_s=TIMEOUT_S) as client:
-        while perf_counter() < until:
-            start = perf_counter()
-            try:
-                batch = client.plan_request(requests[turn % len(requests)])
-            except AnchorFlowError as error:
-                with seen.lock:
-                    seen.refused[getattr(error, "code", type(error).__name__)] += 1
-                if isinstance(error, Overloaded):
-                    _wait(min(error.retry_after_s or 0.0, until - perf_counter()))
-            else:
-                with seen.lock:
-                    seen.answered_ms.append((perf_counter() - start) * 1e3)
-                    seen.versions[batch.model.version] += 1
-            turn += 1
-
-
-def _wait(seconds: float) -> None:
-    threading.Event().wait(max(0.0, seconds))
+        health_ms = json.loads(health.stdout.read())
+    return outcomes, health_ms

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from anchorflow_benchmarks.report import ResultTable, Row
-from anchorflow_benchmarks.serving.crowd import CrowdConfig, Seen, crowd
-from anchorflow_benchmarks.serving.served import Served, served
+from anchorflow_benchmarks.clients import Outcomes
+from anchorflow_benchmarks.programs import Served, served
+from anchorflow_benchmarks.report import ResultTable, Row, tally
+from anchorflow_benchmarks.serving.crowd import CrowdConfig, crowd
 from anchorflow_benchmarks.turns import p50, p99
 from anchorflow_client.contract import AnchorRequest
 
@@ -24,35 +24,24 @@ WAYS: Mapping[str, tuple[str, ...]] = {
 class Rounds:
     """What the rounds of one way gave."""
 
+    outcomes: Outcomes = field(default_factory=Outcomes)
     per_second: list[float] = field(default_factory=list)
-    answered_ms: list[float] = field(default_factory=list)
     health_ms: list[float] = field(default_factory=list)
-    refused: Counter[str] = field(default_factory=Counter)
-    late: int = 0
     cpu_s: float = 0.0
 
-    def add(self, seen: Seen, *, budget_ms: float | None, cpu_s: float) -> None:
-        """One more round."""
-        self.per_second.append(seen.per_second)
-        self.answered_ms += seen.answered_ms
-        self.health_ms += seen.health_ms
-        self.refused += seen.refused
-        self.late += 0 if budget_ms is None else seen.late(budget_ms)
-        self.cpu_s += cpu_s
-
     def row(self, way: str, budget_ms: float | None) -> Row:
-        answered = len(self.answered_ms)
+        outcomes = self.outcomes
         return {
             "way": way,
             "budget ms": budget_ms,
-            "answers": answered,
+            "answers": len(outcomes.ms),
             "per second": p50(self.per_second),
-            "p50 ms": p50(self.answered_ms) if answered else None,
-            "p99 ms": p99(self.answered_ms) if answered else None,
-            "late": None if budget_ms is None else self.late,
-            "refused": ", ".join(f"{code} {n}" for code, n in self.refused.items()) or "none",
+            "p50 ms": outcomes.p50_ms,
+            "p99 ms": outcomes.p99_ms,
+            "late": None if budget_ms is None else outcomes.late(budget_ms),
+            "refused": tally(outcomes.errors),
             "health p99 ms": p99(self.health_ms),
-            "CPU ms": self.cpu_s * 1e3 / max(1, answered),
+            "CPU ms": self.cpu_s * 1e3 / max(1, len(outcomes.ms)),
         }
 
 
@@ -95,7 +84,10 @@ def _by_turns(
     for turn in range(rounds):
         for way, server in servers.items():
             progress(f"budget {config.budget_ms} ms, {way}, round {turn + 1} of {rounds}")
-            before = server.cpu_s
-            seen = crowd(server.url, requests, config)
-            results[way].add(seen, budget_ms=config.budget_ms, cpu_s=server.cpu_s - before)
+            result, before = results[way], server.cpu_s
+            outcomes, health_ms = crowd(server.url, requests, config)
+            result.cpu_s += server.cpu_s - before
+            result.outcomes += outcomes
+            result.per_second.append(outcomes.per_second)
+            result.health_ms += health_ms
     return results

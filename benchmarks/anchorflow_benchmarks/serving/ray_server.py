@@ -1,12 +1,14 @@
-"""A program: replicas of a bundle on Ray Serve, until its standard input ends.
+"""A program: replicas of a bundle on Ray Serve, until SIGTERM.
 
 python -m anchorflow_benchmarks.serving.ray_server BUNDLE REPLICAS
 """
 
 from __future__ import annotations
 
+import signal
 import socket
 import sys
+import threading
 from pathlib import Path
 
 import ray  # pyright: ignore[reportMissingImports] - an extra that not every venv has
@@ -22,8 +24,10 @@ def main(bundle: str, replicas: int) -> None:
     ray.init(num_cpus=replicas, include_dashboard=False, log_to_driver=False)
     serve.start(http_options={"host": "127.0.0.1", "port": port})
     serve.run(app(RaySettings(bundle=Path(bundle), min_replicas=replicas, max_replicas=replicas)))
+    ended = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: ended.set())  # in the place of Ray's own handler
     print(f"replicas at http://127.0.0.1:{port}", flush=True)
-    sys.stdin.read()
+    ended.wait()
     serve.shutdown()
     ray.shutdown()
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import http.client
 import json
 import shutil
-import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from time import perf_counter
 from urllib.parse import urlsplit
 
+from anchorflow_benchmarks.clients import asking, over_http
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.report import ResultTable
-from anchorflow_benchmarks.serving.crowd import CrowdConfig, Seen, crowd
-from anchorflow_benchmarks.serving.served import served
-from anchorflow_benchmarks.turns import p99
+from anchorflow_benchmarks.programs import served
+from anchorflow_benchmarks.report import ResultTable, tally
+from anchorflow_benchmarks.serving.crowd import CrowdConfig
 from anchorflow_client.contract import AnchorRequest
 
 VERSIONS = ("swap.1", "swap.2")
@@ -34,26 +34,23 @@ def swap_table(
     Raises:
         BenchmarkError: a swap was refused.
     """
-    name = _two_versions(bundle, folder)
+    name, swapped = _two_versions(bundle, folder), 0
     with served("--repository", str(folder)) as server:
-        seen: list[Seen] = []
-        asking = threading.Thread(target=lambda: seen.append(crowd(server.url, requests, config)))
-        asking.start()
-        done = 0
-        while done < swaps and asking.is_alive():
-            _load(server.url, name, VERSIONS[done % 2])
-            done += 1
-            progress(f"swap {done} of {swaps}")
-        asking.join()
-    (all_seen,) = seen
+        connect = over_http(server.url)
+        with asking(connect, requests, callers=config.clients, seconds=config.seconds) as outcomes:
+            until = perf_counter() + config.seconds
+            while swapped < swaps and perf_counter() < until:
+                _load(server.url, name, VERSIONS[swapped % 2])
+                swapped += 1
+                progress(f"swap {swapped} of {swaps}")
     row = {
-        "swaps": done,
+        "swaps": swapped,
         "clients": config.clients,
-        "answers": len(all_seen.answered_ms),
-        "failed": sum(all_seen.refused.values()),
-        "codes": ", ".join(f"{code} {n}" for code, n in all_seen.refused.items()) or "none",
-        "p99 ms": p99(all_seen.answered_ms),
-        "answered by": ", ".join(f"{v} {n}" for v, n in sorted(all_seen.versions.items())),
+        "answers": len(outcomes.ms),
+        "failed": outcomes.failed,
+        "codes": tally(outcomes.errors),
+        "p99 ms": outcomes.p99_ms,
+        "answered by": tally({model.version: n for model, n in outcomes.models.items()}),
     }
     return ResultTable("Swaps", [row], f"while the clients ask for {config.seconds:g} s")
 

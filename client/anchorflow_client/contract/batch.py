@@ -136,7 +136,7 @@ class AnchorBatch:
 def _typed(name: str, array: Any) -> NDArray[Any]:
     """An array in the type of the contract; an extra in its own."""
     array = np.asarray(array)
-    if name == "trajectories" and array.dtype == np.float64 and np.abs(array).max(initial=0) > NEAR:
-        return array
-    dtype = ARRAY_DTYPES.get(name)
-    return array if dtype is None else np.asarray(array, dtype=dtype)
+    dtype = ARRAY_DTYPES.get(name, array.dtype)
+    if name == "trajectories" and np.abs(array).max(initial=0.0) > NEAR:
+        dtype = np.float64
+    return np.asarray(array, dtype=dtype)

@@ -79,17 +79,21 @@ class RefineChoice:
     """m beyond robot_radius that the projection aims at."""
     guidance: float | None = None
     """Scale of the cost gradient inside the flow; 0 is off."""
+    barrier: bool | None = None
+    """Correct anchors that are still too near an obstacle by a control barrier."""
+    certified_margin: float | None = None
+    """m beyond robot_radius that every anchor called safe keeps."""
 
     @classmethod
     def from_fields(cls, value: Any) -> RefineChoice:
         """Check the JSON object."""
         if isinstance(value, RefineChoice):
             value = given(value)
-        names = ("smooth", "project", "safety_margin", "guidance")
+        names = ("smooth", "project", "safety_margin", "guidance", "barrier", "certified_margin")
         fields = {k: v for k, v in fields_of(value, "refine", names).items() if v is not None}
         checked: dict[str, Any] = {
             name: boolean(fields[name], f"refine.{name}")
-            for name in ("smooth", "project")
+            for name in ("smooth", "project", "barrier")
             if name in fields
         } | {
             name: number(fields[name], f"refine.{name}", interval)
@@ -111,6 +115,8 @@ class RefineSpec(RefineChoice):
     project: bool = field()
     safety_margin: float = field()
     guidance: float = field()
+    barrier: bool = False
+    certified_margin: float = 0.0
     kind: Literal["spline"] = "spline"
 
 
@@ -137,7 +143,11 @@ class WarmStart:
         )
 
 
-_REFINE_INTERVALS = {"safety_margin": ranges.SAFETY_MARGIN, "guidance": ranges.GUIDANCE}
+_REFINE_INTERVALS = {
+    "safety_margin": ranges.SAFETY_MARGIN,
+    "guidance": ranges.GUIDANCE,
+    "certified_margin": ranges.CERTIFIED_MARGIN,
+}
 
 
 def given(choice: SamplerChoice | RefineChoice) -> dict[str, Any]:

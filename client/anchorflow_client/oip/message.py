@@ -142,18 +142,17 @@ class _Entry:
         for size in shape:
             if not _is_count(size, at_least=1):
                 raise expected(self.name, "a shape of whole numbers from 1 on", size)
-        if len(part) != self.size:
-            raise InvalidRequest(f"expected {self.size} bytes, got {len(part)}", self.name)
-        if datatype == BYTES:
-            return texts_from_wire(part, shape, self.name)
         # Python's own integers: a product of lying axes overflows none.
-        dtype = DTYPE_OF[datatype]
-        wanted = math.prod(shape) * dtype.itemsize
+        wanted = self.size if datatype == BYTES else math.prod(shape) * DTYPE_OF[datatype].itemsize
         if wanted != self.size:
             declared = f"a binary_data_size of {self.size}"
             what = f"{wanted} bytes for {self.datatype} {shape}"
             raise InvalidRequest(f"expected {what}, got {declared}", self.name)
-        return _array(part, dtype, self.name).reshape(shape)
+        if len(part) != self.size:
+            raise InvalidRequest(f"expected {self.size} bytes, got {len(part)}", self.name)
+        if datatype == BYTES:
+            return texts_from_wire(part, shape, self.name)
+        return _array(part, DTYPE_OF[datatype], self.name).reshape(shape)
 
 
 def _is_count(value: Any, *, at_least: int) -> bool:

@@ -8,10 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from anchorflow_docs.pictures.marks import Array, draw_ends, draw_map, draw_paths
+from anchorflow_docs.pictures.marks import Array, draw_ends, draw_map
 from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
+from anchorflow_trajectory.drawing import draw_paths
 from anchorflow_trajectory.scene import Scene
 
 FAMILY, WAYS = "forest", 4

@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_docs.pictures.theme import Theme
+from anchorflow_trajectory import drawing
+from anchorflow_trajectory.drawing import draw_cells, draw_paths, hide_ticks
 from anchorflow_trajectory.scene import Scene
 
 Array = NDArray[np.floating]
@@ -26,36 +27,25 @@ def draw_map(axis: Axes, scene: Scene, theme: Theme) -> None:
 
 def draw_field(axis: Axes, scene: Scene, values: Array, **look: Any) -> Any:
     """A field [H,W] over the map; returns matplotlib's image, for a colour bar."""
-    height, width = np.array(values.shape) * scene.resolution
-    left, bottom = scene.origin
-    extent = (left, left + width, bottom, bottom + height)
-    image = axis.imshow(values, origin="lower", extent=extent, **look)
-    axis.set(xlim=extent[:2], ylim=extent[2:], xticks=[], yticks=[])
+    image = draw_cells(axis, values, resolution=scene.resolution, origin=scene.origin, **look)
+    hide_ticks(axis)
     axis.spines[:].set_visible(False)
     return image
 
 
 def draw_ends(axis: Axes, scene: Scene, theme: Theme) -> None:
     """Start and goal, with arrows where the robot moves there."""
-    for state, marker, size, colour in (
-        (scene.x_curr, "o", 8, theme.start),
-        (scene.x_goal, "*", 14, theme.goal),
-    ):
+    colours = (theme.start, theme.goal)
+    look = {"markeredgecolor": theme.page, "zorder": 6, "clip_on": False}  # some lie on the edge
+    drawing.draw_ends(axis, scene.x_curr, scene.x_goal, colours=colours, sizes=(8, 14), **look)
+    for state, colour in zip((scene.x_curr, scene.x_goal), colours, strict=True):
         (x, y), velocity = state[:2], state[2:4]
-        look = {"color": colour, "markeredgecolor": theme.page, "markersize": size}
-        axis.plot(x, y, marker, **look, zorder=6, clip_on=False)  # some lie on the map's edge
         if np.linalg.norm(velocity) > 0.1:
             end = (x + velocity[0] * 0.6, y + velocity[1] * 0.6)
             arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": 1.8, "shrinkA": 0}
             axis.annotate(
                 "", xytext=(x, y), xy=end, arrowprops=arrow, zorder=5, annotation_clip=False
             )
-
-
-def draw_paths(axis: Axes, paths: Array, colours: Any, **look: Any) -> None:
-    """Polylines [N,T,D], one colour each or the same for all."""
-    look = {"linewidths": 1.0, "capstyle": "round"} | look
-    axis.add_collection(LineCollection(list(paths[..., :2]), colors=colours, **look))
 
 
 def draw_anchors(axis: Axes, anchors: AnchorBatch, theme: Theme) -> None:

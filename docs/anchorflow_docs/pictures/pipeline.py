@@ -6,10 +6,11 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from anchorflow_docs.pictures.marks import draw_ends, draw_field, draw_map, draw_paths
+from anchorflow_docs.pictures.marks import draw_ends, draw_field, draw_map
 from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
+from anchorflow_trajectory.drawing import draw_paths
 
 FAMILY, WAYS = "bug_traps", 2
 STEPS = ("the request", "encode", "sample: noise …", "… carried to t = 1", "refine: the answer")

@@ -7,9 +7,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from anchorflow_client.contract import AnchorBatch
-from anchorflow_docs.pictures.marks import Array, draw_best, draw_ends, draw_map, draw_paths
+from anchorflow_docs.pictures.marks import Array, draw_best, draw_ends, draw_map
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
+from anchorflow_trajectory.drawing import draw_paths
 from anchorflow_trajectory.scene import Scene
 
 FAMILY, WAYS = "city", 2

@@ -5,9 +5,10 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from anchorflow_docs.pictures.marks import crop_to, draw_ends, draw_map, draw_paths
+from anchorflow_docs.pictures.marks import crop_to, draw_ends, draw_map
 from anchorflow_docs.pictures.scenes import Stage, ways
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
+from anchorflow_trajectory.drawing import draw_paths
 
 FAMILY, WAYS = "discs", 3
 TAUS = (0.5, 0.8, 0.95)

@@ -34,6 +34,8 @@ class GeneratorConfig:
         towards the nearest anchor that is safe
     safety_margin: m of clearance that projection and barrier aim at
     refine_steps: descents of the projection
+    barrier: correct finished anchors that are not clear enough by a control barrier
+    certified_margin: m of clearance that anchors called safe keep
     barrier_rate: of a control barrier that steers anchors clear while they are drawn: a shortfall
         of clearance falls as exp(-rate t); about 5 where it is wanted, None: off
 
@@ -52,6 +54,8 @@ class GeneratorConfig:
     safety_margin: float = 0.1
     refine_steps: int = 20
     barrier_rate: float | None = None
+    barrier: bool = False
+    certified_margin: float = 0.0
 
     def __post_init__(self) -> None:
         check("method", self.method in METHODS, f"one of {', '.join(METHODS)}", repr(self.method))
@@ -60,8 +64,9 @@ class GeneratorConfig:
             check(name, isinstance(value, int) and value >= 1, "a whole number of 1 or more", value)
         for name in ("rtol", "atol"):
             check(name, getattr(self, name) > 0, "a number above 0", getattr(self, name))
-        margin = self.safety_margin
-        check("safety_margin", 0 <= margin < float("inf"), "0 m or more", margin)
+        for name in ("safety_margin", "certified_margin"):
+            margin = getattr(self, name)
+            check(name, 0 <= margin < float("inf"), "0 m or more", margin)
         rate = self.barrier_rate
         check("barrier_rate", rate is None or 0 < rate < float("inf"), "a number above 0", rate)
         self._check_schedule()

@@ -171,13 +171,22 @@ class SplineEntry(Entry):
     project: bool
     safety_margin: NonNegativeFloat
     guidance: NonNegativeFloat
+    barrier: bool = False
+    certified_margin: NonNegativeFloat = 0.0
     steps: PositiveInt
     num_control_points: PositiveInt
     degree: PositiveInt
 
     def spec(self) -> RefineSpec:
         """What the card says of it."""
-        return RefineSpec(self.smooth, self.project, self.safety_margin, self.guidance)
+        return RefineSpec(
+            self.smooth,
+            self.project,
+            self.safety_margin,
+            self.guidance,
+            self.barrier,
+            self.certified_margin,
+        )
 
 
 class NoFinishEntry(Entry):

@@ -98,6 +98,14 @@ class RefineBody(_Body):
     guidance: float | None = _within(
         ranges.GUIDANCE, "Scale of the cost gradient inside the flow", default=None
     )
+    barrier: bool | None = Field(
+        None, description="Correct anchors that are still too near by a control barrier."
+    )
+    certified_margin: float | None = _within(
+        ranges.CERTIFIED_MARGIN,
+        "Distance beyond robot_radius that every anchor called safe keeps",
+        default=None,
+    )
 
 
 class WarmStartBody(_Body):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -18,6 +19,9 @@ from anchorflow_models.generation import (
     encode_inputs,
     requested_scenes,
 )
+from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
+from anchorflow_trajectory.guidance import Guidance as ServedGuidance
+from anchorflow_trajectory.spline import spline_basis
 
 VIA = torch.tensor([0.0, 1.5])
 
@@ -100,6 +104,60 @@ def test_the_cost_is_asked_about_the_end_of_the_flow() -> None:
     torch.testing.assert_close(asked[0], x_t + 0.75 * field)
     torch.testing.assert_close(guided, field)  # a prior that cannot move lets nothing be moved
     assert Guidance(cost, 1.0).guided(field, x_t, 1.0, basis) is field
+
+
+class SplineCost(torch.autograd.Function):
+    """A `TrajectoryCost` of control points [D, N, K], for autograd."""
+
+    @staticmethod
+    def forward(ctx: Any, control: Tensor, cost: TrajectoryCost) -> Tensor:
+        value, gradient = cost.value_and_gradient(control.detach().numpy())
+        ctx.gradient = torch.from_numpy(gradient)
+        return torch.from_numpy(value)
+
+    @staticmethod
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None]:
+        return slopes[0][None, :, None] * ctx.gradient, None
+
+
+@pytest.mark.parametrize("t", [0.0, 0.4, 0.9])
+def test_the_service_guides_as_this_does(gaussian_flow: Callable, room: Any, t: float) -> None:
+    """The same cost in numpy, pulled back by hand, and here by autograd through the fit."""
+    flow, basis = gaussian_flow(), spline_basis(32, 8.0, num_control_points=12)
+    (scene,) = scenes = requested_scenes(*room.ends, config=flow.config)
+    context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
+    parts = (scene.x_curr, scene.x_goal, scene.w_style)
+    x_curr, x_goal, w_style = (np.asarray(part, np.float32) for part in parts)
+    limits = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+    cost = TrajectoryCost(basis, scene.cost_fields, limits, w_style, 0.1)
+
+    def cost_of(states: Tensor) -> Tensor:
+        fixed = torch.from_numpy(basis.end_points(x_curr, x_goal))
+        per_field = states[0].unflatten(-1, (3, 2)).permute(3, 0, 2, 1).flatten(2)
+        free = per_field - (fixed @ torch.from_numpy(basis.stacked[:, :96]))[:, None]
+        free = free @ torch.from_numpy(basis.fit_matrix).T
+        count = len(states[0])
+        ends = fixed[:, None].expand(-1, count, -1)
+        parts = (ends[..., : basis.free.start], free, ends[..., basis.free.stop :])
+        return SplineCost.apply(torch.cat(parts, -1), cost)[None]
+
+    generator = torch.Generator().manual_seed(3)
+    x_t = flow.draw(torch.randn(1, 6, flow.prior.rank, generator=generator), context)
+    field = 0.1 * torch.randn(1, 6, 32, 6, generator=generator)
+    scale = 1e-6  # below what the bound on a served step cuts
+    expected = Guidance(cost_of, scale).guided(field, x_t, t, context["prior_basis"]) - field
+    served = ServedGuidance.of(
+        cost,
+        x_curr=x_curr,
+        x_goal=x_goal,
+        prior_basis=context["prior_basis"][0].numpy(),
+        scale=scale,
+    )
+    guided = np.zeros((6, 32, 6), np.float32)
+    x_1 = (x_t + (1 - t) * field)[0].numpy()  # so that a field of zeros leads to the same end
+    served.correct(guided, x_1, t, stride=0.125)
+    size = float(expected.abs().max())
+    np.testing.assert_allclose(guided, expected[0].numpy(), rtol=0, atol=1e-3 * size)
 
 
 def test_one_anchors_cost_does_not_move_another(

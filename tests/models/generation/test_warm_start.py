@@ -64,7 +64,7 @@ def test_the_flow_starts_at_tau_from_plan_and_noise(
     mean = generator.generate(*free_room.ends, seed=1).trajectories[0]
     x_tau = tau * torch.from_numpy(plan).float() + (1 - tau) * cold  # of this flow x_1 is x_0
     expected = mean + (x_tau - mean) / np.hypot(tau, 1 - tau)
-    torch.testing.assert_close(warm.trajectories, expected, atol=5e-3, rtol=0)
+    torch.testing.assert_close(warm.trajectories, expected, atol=5e-5, rtol=0)
 
 
 def test_each_scene_may_have_its_own_plan(

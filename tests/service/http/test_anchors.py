@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,7 @@ def test_the_engine_gets_a_request_with_nothing_left_open(
     anchors = client.plan(**fields | {"seed": None, "robot_radius": 0.4})
 
     request = engine.seen[0]
-    assert (request.robot_radius, request.v_max, request.horizon_s) == (0.4, 2.0, 8.0)
+    assert request.limits == replace(engine.card.cost_map.limits, robot_radius=0.4)
     assert (request.sampler, request.refine) == (engine.card.sampler, engine.card.finish)
     assert request.seed == anchors.seed
 

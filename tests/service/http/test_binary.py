@@ -89,12 +89,12 @@ def test_a_refusal_is_json_and_names_the_field(
     client: AnchorClient, service: Any, fields: dict[str, Any]
 ) -> None:
     payload = CODEC.encode_request(AnchorRequest.from_fields(fields))
-    cut = Payload(payload.body[:-8], payload.header_length)
+    cut = Payload(payload.body[:-8], payload.header_length)  # the map is what comes last
 
     answer = post(service, cut)
 
     assert answer.headers["content-type"] == "application/json"
-    assert answer.json()["error"]["field"] == "map_geometry"
+    assert answer.json()["error"]["field"] == "cost_map"
     with pytest.raises(InvalidRequest, match="v_max"):
         client.plan(**fields, v_max=9.0)
 

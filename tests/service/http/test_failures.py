@@ -18,11 +18,13 @@ def explode(_: AnchorBatch) -> AnchorBatch:
 
 
 def answer_nan(batch: AnchorBatch) -> AnchorBatch:
-    return replace(batch, trajectories=batch.trajectories * np.float32(np.nan))
+    broken = batch.trajectories * np.float32(np.nan)
+    return replace(batch, arrays={**batch.arrays, "trajectories": broken})
 
 
 def answer_infinite_clearance(batch: AnchorBatch) -> AnchorBatch:
-    return replace(batch, clearance=np.full_like(batch.clearance, np.inf))
+    broken = np.full_like(batch.clearance, np.inf)
+    return replace(batch, arrays={**batch.arrays, "clearance": broken})
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from anchorflow_benchmarks.failover import (
     kill_in_mid_answer,
     witness,
 )
-from anchorflow_benchmarks.zenoh_processes import Process, router_command, running
+from anchorflow_benchmarks.programs import Program, router_command, running
 from anchorflow_client import AnchorRequest, ConnectionFailed, TimedOut
 from anchorflow_client.zenoh_client import ZenohAnchorClient
 
@@ -28,18 +28,18 @@ SECONDS = float(os.environ.get("ANCHORFLOW_FAILOVER_SECONDS", "4"))
 """Of the run with a kill and a return; 60 for the whole of what is promised."""
 
 
-def replica(name: str, endpoint: str, answer_s: float) -> Process:
-    return Process(name, [sys.executable, str(REPLICA), endpoint, name, str(answer_s)])
+def replica(name: str, endpoint: str, answer_s: float) -> Program:
+    return Program(name, [sys.executable, str(REPLICA), endpoint, name, str(answer_s)])
 
 
 @pytest.fixture
-def router(endpoint: str) -> Iterator[Process]:
-    with running(Process("router", router_command(endpoint))) as router:
+def router(endpoint: str) -> Iterator[Program]:
+    with running(Program("router", router_command(endpoint))) as router:
         yield router
 
 
 @pytest.fixture
-def two(router: Process, endpoint: str) -> Iterator[list[Process]]:
+def two(router: Program, endpoint: str) -> Iterator[list[Program]]:
     """Replicas "a" and "b" behind the router, each of which takes 40 ms."""
     assert router.name == "router"
     with ExitStack() as stack:
@@ -52,14 +52,14 @@ def request_(fields: dict[str, Any]) -> AnchorRequest:
 
 
 def test_no_request_is_lost_while_a_replica_is_killed_and_comes_back(
-    two: list[Process], endpoint: str, request_: AnchorRequest
+    two: list[Program], endpoint: str, request_: AnchorRequest
 ) -> None:
     config = FailoverConfig(hz=20, seconds=SECONDS, mid_answer_s=0.01)
     with ZenohAnchorClient(endpoint, timeout_s=20) as client:
         outcome = failover(client, two, request_, config)
 
-    assert outcome.tally.errors == {}
-    assert outcome.tally.asked == len(outcome.tally.ms) == int(config.hz * config.seconds)
+    assert outcome.outcomes.errors == {}
+    assert len(outcome.outcomes.ms) == int(config.hz * config.seconds)
     assert outcome.seen.silent[outcome.killed] >= 1  # it was asked, and died over it
     assert outcome.after_return[outcome.killed] >= 1  # it answers again
     (other,) = {"a", "b"} - {outcome.killed}
@@ -67,7 +67,7 @@ def test_no_request_is_lost_while_a_replica_is_killed_and_comes_back(
 
 
 def test_a_budget_holds_for_the_failover_too(
-    router: Process, endpoint: str, fields: dict[str, Any], until: Any
+    router: Program, endpoint: str, fields: dict[str, Any], until: Any
 ) -> None:
     """The first replica dies over the request, the second has not the time for it."""
     assert router.name == "router"
@@ -86,7 +86,7 @@ def test_a_budget_holds_for_the_failover_too(
 
 
 def test_a_replica_that_hangs_is_not_waited_for_alone(
-    two: list[Process], endpoint: str, fields: dict[str, Any]
+    two: list[Program], endpoint: str, fields: dict[str, Any]
 ) -> None:
     """Stopped, it keeps its connection and its token, and answers nothing."""
     request = AnchorRequest.from_fields(fields | {"budget_ms": 6000})
@@ -105,7 +105,7 @@ def test_a_replica_that_hangs_is_not_waited_for_alone(
 
 
 def test_with_nobody_left_it_says_so(
-    two: list[Process], endpoint: str, fields: dict[str, Any]
+    two: list[Program], endpoint: str, fields: dict[str, Any]
 ) -> None:
     with ZenohAnchorClient(endpoint, timeout_s=20) as client:
         client.plan(**fields)

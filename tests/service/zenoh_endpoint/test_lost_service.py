@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from anchorflow_benchmarks.zenoh_processes import Process, router_command, running
+from anchorflow_benchmarks.programs import Program, router_command, running
 from anchorflow_client import ConnectionFailed, PlannerConfig, TimedOut
 from anchorflow_client.planner import Planner
 from anchorflow_client.planner.plan import Plan, PlanState
@@ -105,18 +105,18 @@ class Loop:
 
 
 @pytest.fixture(params=["behind a router", "alone"])
-def service(request: pytest.FixtureRequest, endpoint: str) -> Iterator[Process]:
+def service(request: pytest.FixtureRequest, endpoint: str) -> Iterator[Program]:
     """A replica in a process of its own, which takes 10 ms."""
     listens = ["listen"] if request.param == "alone" else []
     command = [sys.executable, str(REPLICA), endpoint, "a", "0.01", *listens]
     with ExitStack() as stack:
         if not listens:
-            stack.enter_context(running(Process("router", router_command(endpoint))))
-        yield stack.enter_context(running(Process("a", command)))
+            stack.enter_context(running(Program("router", router_command(endpoint))))
+        yield stack.enter_context(running(Program("a", command)))
 
 
 @pytest.fixture
-def loop(service: Process, endpoint: str) -> Iterator[Loop]:
+def loop(service: Program, endpoint: str) -> Iterator[Loop]:
     assert service.name == "a"
     timeout_s = 1e-3 * CONFIG.max_age_ms
     with ZenohAnchorClient(endpoint, timeout_s=timeout_s) as client, Planner(client, CONFIG) as it:
@@ -153,7 +153,7 @@ def check_loss(lost: list[Handed], asked_before: int) -> None:
     assert all(handed.number < asked_before for handed in lost)  # it was lost indeed
 
 
-def test_a_service_that_stands_still_for_2_s(service: Process, loop: Loop) -> None:
+def test_a_service_that_stands_still_for_2_s(service: Program, loop: Loop) -> None:
     loop.run_until_answered()
     loop.run_for(0.5)
     service.signal(signal.SIGSTOP)
@@ -167,7 +167,7 @@ def test_a_service_that_stands_still_for_2_s(service: Process, loop: Loop) -> No
     assert back[-1].plan.state is PlanState.FRESH
 
 
-def test_a_service_that_is_killed_and_started_again_after_2_s(service: Process, loop: Loop) -> None:
+def test_a_service_that_is_killed_and_started_again_after_2_s(service: Program, loop: Loop) -> None:
     loop.run_until_answered()
     loop.run_for(0.5)
     service.kill()

@@ -11,6 +11,7 @@ from anchorflow_trajectory.ode.schedule import (
     EIGHT_STEP_SCHEDULE,
     check_schedule,
     remaining,
+    stage_strides,
     stage_times,
     uniform_schedule,
 )
@@ -46,6 +47,13 @@ def test_stage_times_are_where_the_method_says(method: Method, schedule: tuple[f
 
 def test_euler_never_evaluates_at_the_end() -> None:
     assert stage_times(EULER, uniform_schedule(4)).times.tolist() == [0.0, 0.25, 0.5, 0.75]
+
+
+def test_a_stage_time_has_the_stride_of_the_longest_step_that_asks_there() -> None:
+    """RK4 asks at the ends and the middle of each step, and steps share their ends."""
+    strides = stage_strides(RK4, (0.0, 0.8, 0.9, 1.0))
+    assert strides == pytest.approx((0.8, 0.8, 0.8, 0.1, 0.1, 0.1, 0.1))
+    assert stage_strides(EULER, (0.0, 0.8, 1.0)) == pytest.approx((0.8, 0.2))
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,13 @@ N samples, T steps, D dimensions (x, y in m, and where D = 3 a heading in rad):
     goal_states     [N, 2D]    p, v        optional
     style_weights   [N, 3]     safety, energy, smooth; at least 0, not all 0; optional
     safety_margins  [N]        m beyond robot_radius that the trajectory keeps; optional
-    quality         [N]        in [0, 1]; optional
+    quality         [N]        in [0, 1], weighs the sample in the loss; optional
     resolution      [] or [N]  m/cell of the cost maps
     origin          [2] or [N, 2]  m, outer corner of cell (0, 0); default centres the map on (0, 0)
-    dt, horizon_s   []         s; horizon_s = dt (T - 1)
+    dt, horizon_s   [] or [N]  s; horizon_s = dt (T - 1), one for all samples
+    times           [T]        s, evenly spaced; implies dt
+
+Files of other tools say the same in other words, which `ALIASES` lists.
 """
 
 from __future__ import annotations
@@ -40,19 +43,33 @@ SAMPLE_ARRAYS = (
     "quality",
 )
 GEOMETRY_ARRAYS = ("resolution", "origin")  # one for all samples, or one each
-SCALARS = ("dt", "horizon_s")
+TIME_ARRAYS = ("dt", "horizon_s", "times")
+KNOWN_ARRAYS = (*SAMPLE_ARRAYS, *GEOMETRY_ARRAYS, *TIME_ARRAYS)
+ALIASES = {
+    "trajectories": "positions",
+    "trajectory_quality": "quality",
+    "horizon": "horizon_s",
+}
 
 LEAST_STEPS = 3  # a second difference needs three points
 LEAST_CELLS, MOST_CELLS = 16, 512  # a side of a map, as the service takes it
 MOST_CHANNELS = 8
 
 
+def by_own_names(path: Path, arrays: Mapping[str, ArraySource]) -> dict[str, ArraySource]:
+    """The arrays under the names above; raises `DatasetError` where one comes under two names."""
+    both = [f"{name} or {alias}" for alias, name in ALIASES.items() if {alias, name} <= set(arrays)]
+    if both:
+        raise DatasetError(f"{path}: expected {both[0]}, found both")
+    return {ALIASES.get(name, name): array for name, array in arrays.items()}
+
+
 def check_layout(path: Path, arrays: Mapping[str, ArraySource]) -> None:
     """Raises `DatasetError` naming the first array that is missing or has another shape."""
     if "positions" not in arrays:
         raise DatasetError(
-            f"{path}: positions: expected an array [N, T, D], found only "
-            f"{', '.join(sorted(arrays)) or 'nothing'}"
+            f"{path}: positions: expected an array [N, T, D] of this name, or trajectories, found "
+            + (f"only {', '.join(sorted(arrays))}" if arrays else "no array")
         )
     found = arrays["positions"].shape
     if len(found) != 3 or found[0] < 1 or found[1] < LEAST_STEPS or found[2] not in (2, 3):
@@ -70,8 +87,9 @@ def check_layout(path: Path, arrays: Mapping[str, ArraySource]) -> None:
         "quality": [(count,)],
         "resolution": [(), (count,)],
         "origin": [(2,), (count, 2)],
-        "dt": [()],
-        "horizon_s": [()],
+        "dt": [(), (1,), (count,)],
+        "horizon_s": [(), (1,), (count,)],
+        "times": [(found[1],)],
     }
     for name, shapes in expected.items():
         if name in arrays and arrays[name].shape not in shapes:
@@ -80,7 +98,7 @@ def check_layout(path: Path, arrays: Mapping[str, ArraySource]) -> None:
                 path, name, f"{choice} beside positions {list(found)}", arrays[name].shape
             )
     _check_maps(path, arrays, count)
-    for name in (*SAMPLE_ARRAYS, *GEOMETRY_ARRAYS, *SCALARS):
+    for name in KNOWN_ARRAYS:
         if name in arrays and arrays[name].dtype.kind not in "fiub":
             raise DatasetError(f"{path}: {name}: expected numbers, found {arrays[name].dtype}")
 
@@ -101,7 +119,7 @@ def _wrong_shape(path: Path, name: str, expected: str, found: tuple[int, ...]) -
     return DatasetError(f"{path}: {name}: expected {expected}, found {list(found)}")
 
 
-def check_values(path: Path, name: str, block: NDArray[Any], first_row: int) -> None:
+def check_values(path: Path | str, name: str, block: NDArray[Any], first_row: int) -> None:
     """Raises `DatasetError` naming the first row of a block that is out of range.
 
     block: rows from `first_row` on; those that are not finite are another matter and pass.

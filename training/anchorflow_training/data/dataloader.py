@@ -8,8 +8,8 @@ from typing import Any
 import torch
 from torch.utils.data import DataLoader
 
-from anchorflow_training.data.statistics import FIELDS, TrajectoryStatistics
-from anchorflow_training.data.trajectory_dataset import Sample, TrajectoryDataset
+from anchorflow_training.data.trajectory_dataset import Sample, TrajectoryDataset, stacked
+from anchorflow_training.data.trajectory_statistics import FIELDS, TrajectoryStatistics
 
 
 def create_dataloader(
@@ -22,7 +22,7 @@ def create_dataloader(
     drop_last: bool = False,
     workers: int = 0,
 ) -> DataLoader[Sample]:
-    """Batches of `batch_size` samples: what `dataset.read` names, as tensors [B, ...].
+    """Batches of `batch_size` samples: what a sample of the dataset names, as tensors [B, ...].
 
     seed: the order of every epoch follows from it and from the epochs before
     normalise: positions, velocities and accelerations by `dataset.statistics`
@@ -40,7 +40,7 @@ def create_dataloader(
 
 
 def _collate(statistics: TrajectoryStatistics | None, batch: Any) -> Sample:
-    # A batch comes stacked already, where torch's types say a list of samples.
+    batch = stacked(batch)
     if statistics is None:
         return batch
     scaled = {

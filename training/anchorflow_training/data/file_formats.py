@@ -1,11 +1,12 @@
-"""Files of named arrays: `.npy`, `.npz`, `.h5`, and `.pkl` for who asks for it.
+"""Files of named arrays: `.npy`, `.npz`, `.h5`, `.pt`, and `.pkl` for who asks for it.
 
-Nothing is read but the headers (a pickle apart, which has none); see `array_source`.
+Of the first three nothing is read but the headers; see `array_source`.
 """
 
 from __future__ import annotations
 
 import pickle
+import re
 import struct
 import zipfile
 from collections.abc import Callable
@@ -13,7 +14,9 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from anchorflow_training.data.array_source import (
     ArraySource,
@@ -30,7 +33,7 @@ LOCAL_HEADER = struct.Struct("<26xHH")  # of a zip member, up to the lengths of 
 
 
 def open_arrays(path: Path, *, allow_pickle: bool = False) -> Arrays:
-    """The arrays of a file by name; a `.npy` holds "positions".
+    """The arrays of a file by name; an array without a name is "positions".
 
     Raises:
         DatasetError: the file is missing, broken or of another kind, or a pickle that was not
@@ -41,7 +44,11 @@ def open_arrays(path: Path, *, allow_pickle: bool = False) -> Arrays:
         ".npz": _open_npz,
         ".h5": _open_h5,
         ".hdf5": _open_h5,
+        ".pt": _open_torch,
+        ".pth": _open_torch,
     }
+    if not path.exists():
+        raise DatasetError(f"{path}: there is no such file")
     suffix = path.suffix.lower()
     if suffix in (".pkl", ".pickle"):
         if not allow_pickle:
@@ -53,7 +60,7 @@ def open_arrays(path: Path, *, allow_pickle: bool = False) -> Arrays:
         openers[suffix] = _open_pickle
     if suffix not in openers:
         raise DatasetError(
-            f"{path}: expected .npz, .npy, .h5 or .pkl, found {suffix or 'no'} suffix"
+            f"{path}: expected .npz, .npy, .h5, .pt or .pkl, found {suffix or 'no'} suffix"
         )
     try:
         return openers[suffix](path)
@@ -127,19 +134,42 @@ def _open_h5(path: Path) -> Arrays:
     return arrays
 
 
+def _open_torch(path: Path) -> Arrays:
+    try:
+        found: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
+    except Exception as error:
+        # torch says at length how to run what else a file may hold, which nobody should.
+        held = re.search(r"GLOBAL ([\w.]+)", str(error))
+        found_instead = f", found {held[1]}" if held else ", found another file or a broken one"
+        raise DatasetError(
+            f"{path}: expected a dict of tensors and numbers that torch.save wrote{found_instead}"
+        ) from error
+    return _held(path, found)
+
+
 def _open_pickle(path: Path) -> Arrays:
     try:
         with path.open("rb") as stream:
             found: Any = pickle.load(stream)
     except Exception as error:
         raise DatasetError(f"{path}: cannot be unpickled ({error!r})") from error
-    if not isinstance(found, dict):
-        found = {"positions": found}
-    return {str(name): HeldArray(_one_array(path, name, value)) for name, value in found.items()}
+    return _held(path, found)
+
+
+def _held(path: Path, found: Any) -> Arrays:
+    """What a file held as one object: arrays by name, or the positions alone."""
+    named = found if isinstance(found, dict) else {"positions": found}
+    return {str(name): HeldArray(_one_array(path, name, value)) for name, value in named.items()}
 
 
 def _one_array(path: Path, name: str, value: Any) -> NDArray[Any]:
     try:
+        if isinstance(value, Tensor):
+            value = value.detach().cpu()
+            # numpy has no bfloat16.
+            return (value.float() if value.dtype == torch.bfloat16 else value).numpy()
         return np.asarray(value)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise DatasetError(f"{path}: {name}: not one array ({error})") from error

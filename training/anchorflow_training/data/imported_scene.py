@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_training.data.statistics import FIELDS
+from anchorflow_training.data.trajectory_statistics import FIELDS
 from anchorflow_training.dataset import Row, scene_row
 from anchorflow_trajectory.clearance import path_clearance
 from anchorflow_trajectory.scene import Scene, with_neutral_channels
@@ -78,7 +78,10 @@ def imported_scene(source: SceneSource) -> Row | str:
         clearance = path_clearance(scene.cost_fields.clearance, positions, max_step=CHECK_STEP)
         if clearance[0] < margin:
             return "collision"
-    return scene_row(scene, np.concatenate(fields, -1)[None])
+    row = scene_row(scene, np.concatenate(fields, -1)[None])
+    if "quality" in arrays:
+        row["quality"] = arrays["quality"].astype(np.float32).reshape(1)
+    return row
 
 
 def end_states(arrays: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray]:

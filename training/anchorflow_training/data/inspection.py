@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_training.data.homology import homology_classes, obstacle_points
-from anchorflow_training.data.statistics import FIELDS
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
+from anchorflow_training.data.trajectory_statistics import FIELDS
 from anchorflow_training.dataset import SceneDataset
 
 ROWS_AT_ONCE = 256
@@ -45,7 +45,7 @@ def inspect_trajectories(dataset: TrajectoryDataset) -> Summary:
     """Shapes and ranges of a trajectory file, and which rows are not finite."""
     arrays = []
     for name, array in dataset.arrays.items():
-        least, most = _extent(array.read(rows) for rows in _slices(len(dataset.peak_speed)))
+        least, most = _extent(array.read(rows) for rows in _slices(dataset.count))
         bad = dataset.not_finite.get(name)
         notes = [] if array.on_disk else ["in memory"]
         if bad is not None:
@@ -73,7 +73,7 @@ def inspect_trajectories(dataset: TrajectoryDataset) -> Summary:
         ("speed", dataset.peak_speed),
         ("acceleration", dataset.peak_acceleration),
     ):
-        half, nearly, most = np.quantile(peaks[dataset.rows], [0.5, 0.995, 1.0])
+        half, nearly, most = np.quantile(peaks, [0.5, 0.995, 1.0])
         facts.append(f"peak {name}: median {half:.3g}, 99.5 % {nearly:.3g}, greatest {most:.3g}")
     if dataset.ignored:
         facts.append(f"arrays that nothing reads: {', '.join(dataset.ignored)}")

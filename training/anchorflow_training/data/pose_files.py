@@ -111,11 +111,11 @@ def _drives(folder: Path, files: dict[str, Path], pose_rate_hz: float) -> dict[s
     info = folder.parent.parent / "data_info.json"
     frames: list[tuple[str, str, float]] = []
     if info.exists():
-        for entry in _json(info):
+        for entry in _entries(info):
             stem = Path(str(entry.get(f"calib_{NOVATEL}_path") or entry.get("image_path"))).stem
             if stem in files:
                 sequence = _first(info, entry, SEQUENCE_KEYS)
-                frames.append((sequence, stem, float(_first(info, entry, TIME_KEYS)) * SECONDS))
+                frames.append((sequence, stem, _microseconds(info, entry) * SECONDS))
     else:
         for stem in files:
             number = re.search(r"\d+$", stem)
@@ -134,6 +134,21 @@ def _drives(folder: Path, files: dict[str, Path], pose_rate_hz: float) -> dict[s
     return drives
 
 
+def _entries(info: Path) -> list[dict[str, Any]]:
+    found = _json(info)
+    if not isinstance(found, list) or not all(isinstance(entry, dict) for entry in found):
+        raise DatasetError(f"{info}: expected a list of objects, an entry a frame")
+    return found
+
+
+def _microseconds(info: Path, entry: dict[str, Any]) -> float:
+    text = _first(info, entry, TIME_KEYS)
+    try:
+        return float(text)
+    except ValueError as error:
+        raise DatasetError(f"{info}: expected a time in microseconds, found {text!r}") from error
+
+
 def _first(info: Path, entry: dict[str, Any], keys: Sequence[str]) -> str:
     for key in keys:
         if key in entry:
@@ -144,13 +159,17 @@ def _first(info: Path, entry: dict[str, Any], keys: Sequence[str]) -> str:
 def _novatel_pose(file: Path) -> NDArray[np.float64]:
     """[3, 4]: rotation and translation."""
     found = _json(file)
+    if not isinstance(found, dict):
+        raise DatasetError(f"{file}: expected an object with rotation and translation")
     parts = []
     for key, shape in (("rotation", (3, 3)), ("translation", (3, 1))):
         try:
             values = np.asarray(found[key], float)
-        except (KeyError, TypeError, ValueError) as error:
+        except KeyError as error:
+            raise DatasetError(f"{file}: {key}: expected {list(shape)}, found none") from error
+        except (TypeError, ValueError) as error:
             raise DatasetError(
-                f"{file}: {key}: expected numbers {list(shape)} ({error!r})"
+                f"{file}: {key}: expected numbers {list(shape)} ({error})"
             ) from error
         if values.size != np.prod(shape):
             raise DatasetError(f"{file}: {key}: expected {list(shape)}, found {list(values.shape)}")

@@ -20,6 +20,8 @@ FloatArray = NDArray[np.floating]
 LONGEST_GAP_S = 0.5
 """A longer silence parts a drive in two: nobody knows what the vehicle did in it."""
 
+FASTEST_HZ = 1000.0  # between recorded poses there is nothing more to be known
+
 
 @dataclass(frozen=True)
 class CutConfig:
@@ -82,6 +84,10 @@ def cut_trajectories(
     config = config or CutConfig()
     if config.steps < LEAST_STEPS:
         raise DatasetError(f"steps: expected at least {LEAST_STEPS}, got {config.steps}")
+    if not 0 < config.rate_hz <= FASTEST_HZ:
+        raise DatasetError(
+            f"rate_hz: expected above 0 and at most {FASTEST_HZ:g} Hz, got {config.rate_hz:g}"
+        )
     dt, windows, sequence, starts = 1.0 / config.rate_hz, [], [], []
     for index, track in enumerate(tracks):
         for began, poses in steady_pieces(track, config.rate_hz):
@@ -93,11 +99,13 @@ def cut_trajectories(
                 windows.append(ego_centred(orders[:, start : start + config.steps]))
                 sequence.append(index)
                 starts.append(began + start * dt)
+    bad_poses = sum(int((~np.isfinite(track.poses).all(1)).sum()) for track in tracks)
     if not windows:
         longest = max((len(track.times) for track in tracks), default=0)
         raise DatasetError(
             f"expected a drive of at least {config.steps} steps at {config.rate_hz:g} Hz without a "
             f"gap, found {len(tracks)} drives of at most {longest} poses"
+            + (f", {bad_poses} of them not finite" if bad_poses else "")
         )
     dim = 3 if config.heading else 2
     position, velocity, acceleration = np.moveaxis(np.stack(windows)[..., :dim], 1, 0)
@@ -109,7 +117,7 @@ def cut_trajectories(
         sequence=np.array(sequence),
         start_s=np.array(starts),
         sequence_names=tuple(track.name for track in tracks),
-        bad_poses=sum(int((~np.isfinite(t.poses).all(1)).sum()) for t in tracks),
+        bad_poses=bad_poses,
     )
 
 

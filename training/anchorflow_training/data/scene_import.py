@@ -32,12 +32,28 @@ class ImportConfig:
     v_max, a_max: m/s and m/s^2; by default what nearly all samples keep, rounded up
     least_quality: samples with less are left out
     scene: how a sample becomes a scene
+
+    Raises:
+        DatasetError: a value is out of its range.
     """
 
     v_max: float | None = None
     a_max: float | None = None
     least_quality: float = 0.0
     scene: SceneOptions = field(default_factory=SceneOptions)
+
+    def __post_init__(self) -> None:
+        for name in ("v_max", "a_max"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < np.inf:
+                raise DatasetError(f"{name}: expected a finite number above 0, got {value}")
+        if not 0 <= self.least_quality <= 1:
+            raise DatasetError(f"least_quality: expected 0 to 1, got {self.least_quality}")
+        if not 0 <= self.scene.robot_radius < np.inf:
+            raise DatasetError(
+                f"robot_radius: expected a finite number of at least 0, "
+                f"got {self.scene.robot_radius}"
+            )
 
 
 def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> MotionLimits:
@@ -52,9 +68,7 @@ def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> MotionLimits:
             "(--horizon-s, --dt), found neither"
         )
     v_max, a_max = (
-        rounded_up(float(np.quantile(peaks[dataset.rows], LIMIT_QUANTILE)))
-        if given is None
-        else given
+        rounded_up(float(np.quantile(peaks, LIMIT_QUANTILE))) if given is None else given
         for given, peaks in (
             (config.v_max, dataset.peak_speed),
             (config.a_max, dataset.peak_acceleration),
@@ -84,7 +98,7 @@ def import_scenes(
     safety margin are left out and counted; `progress` gets 1 a sample.
 
     Raises:
-        DatasetError: the file says too little, or nothing is left of it.
+        DatasetError: the file says too little, nothing is left of it, or `out` cannot be written.
     """
     config = config or ImportConfig()
     limits = limits_of(dataset, config)
@@ -105,6 +119,11 @@ def import_scenes(
                 written += 1
     if arrays is None:
         raise DatasetError(f"{dataset.path}: no sample is left to train on: {dict(left_out)}")
+    if "quality" in arrays and not arrays["quality"][:written].any():
+        raise DatasetError(
+            f"{dataset.path}: quality: expected more than 0 in some of the {written} samples that "
+            "are left, found 0 in all: none would count in the loss"
+        )
     shapes = {name: array.shape[1:] for name, array in arrays.items()}
     del arrays
     shrink_arrays(out, written)
@@ -121,7 +140,7 @@ def import_scenes(
         "source": _source_file(dataset.path),
         "left_out": dict(left_out),
         "not_finite_rows": dataset.left_out[:LISTED_ROWS].tolist(),
-        "over_limits": int(_over(dataset, limits).sum()),
+        "over_limits": _over_limits(dataset, limits),
         "statistics": dataset.statistics.to_dict(),
     }
     (out / "dataset.json").write_text(json.dumps(meta, indent=1))
@@ -138,12 +157,17 @@ def _sources(
     """Blocks of at most `size` samples of sufficient quality."""
     for start in range(0, len(dataset), size):
         samples = np.arange(start, min(start + size, len(dataset)))
-        block = dataset.read(samples, np.float64)
+        block = dataset.samples(samples, np.float64)
         geometry = dataset.map_geometry(samples)
         if "cost_maps" in block and geometry is None:
             raise DatasetError(
                 f"{dataset.path}: resolution: expected m/cell of the cost maps, [] or [N] "
                 "(--resolution), found none"
+            )
+        if config.least_quality and "quality" not in block:
+            raise DatasetError(
+                f"{dataset.path}: quality: expected an array [N] to hold --least-quality against, "
+                "found none"
             )
         good = block.get("quality", np.ones(len(samples))) >= config.least_quality
         left_out["low_quality"] += int((~good).sum())
@@ -167,10 +191,10 @@ def _mapper(workers: int) -> Iterator[Callable[..., Any]]:
         yield pool.map
 
 
-def _over(dataset: TrajectoryDataset, limits: MotionLimits) -> np.ndarray:
-    """[n] bool: samples that do not keep the limits."""
-    speed, acceleration = dataset.peak_speed, dataset.peak_acceleration
-    return ((speed > limits.v_max) | (acceleration > limits.a_max))[dataset.rows]
+def _over_limits(dataset: TrajectoryDataset, limits: MotionLimits) -> int:
+    """How many samples do not keep the limits."""
+    over = (dataset.peak_speed > limits.v_max) | (dataset.peak_acceleration > limits.a_max)
+    return int(over.sum())
 
 
 def _source_file(path: Path) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +11,22 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, default_collate
 
 from anchorflow_training.data.array_layout import (
     GEOMETRY_ARRAYS,
+    KNOWN_ARRAYS,
     SAMPLE_ARRAYS,
-    SCALARS,
+    by_own_names,
     check_layout,
     check_values,
 )
 from anchorflow_training.data.array_source import ArraySource, HeldArray, Rows, read_whole
 from anchorflow_training.data.derivatives import central_differences, unwrap_heading
 from anchorflow_training.data.file_formats import open_arrays
-from anchorflow_training.data.statistics import FIELDS, Surveyor, TrajectoryStatistics
+from anchorflow_training.data.survey import Survey, Surveyor
+from anchorflow_training.data.time_step import time_step
+from anchorflow_training.data.trajectory_statistics import FIELDS, TrajectoryStatistics
 from anchorflow_training.dataset import DatasetError
 
 Sample = dict[str, Tensor]
@@ -30,22 +34,21 @@ Sample = dict[str, Tensor]
 BLOCK_BYTES = 1 << 23  # of a file that are looked at together; bounds the memory of a pass
 
 
-class TimeStepUnknown(DatasetError):
-    """Derivatives are to be taken, and nobody says how far in time two steps lie apart."""
-
-
 class TrajectoryDataset(Dataset[Sample]):
-    """The samples of a `.npz`, `.npy`, `.h5` or `.pkl` file; `array_layout` lists its arrays.
+    """The samples of a trajectory file; `array_layout` lists its arrays.
 
     Opening makes one pass over the file, in blocks, for statistics and for rows with a NaN or an
     infinity. Those rows are left out: `len(dataset)` counts, and indices run over, the others.
+
+    A subclass may override `__getitem__` to change samples: batches, statistics, peaks and the
+    import of scenes then take what it returns.
 
     path: the file
     count: N of the file; rows: [n] rows of the file that are samples here; left_out: [m] the others
     not_finite: which rows of which array are not finite
     num_steps: T; dim: D; dt, horizon_s: s, None where neither the file nor the caller says
     statistics: mean, standard deviation and range of p, v, a over the samples
-    peak_speed, peak_acceleration: [N] greatest planar length along each row, m/s and m/s^2
+    peak_speed, peak_acceleration: [n] greatest planar length along each sample, m/s and m/s^2
     """
 
     def __init__(
@@ -81,49 +84,44 @@ class TrajectoryDataset(Dataset[Sample]):
         dt: float | None,
         horizon_s: float | None,
     ) -> None:
+        arrays = by_own_names(path, arrays)
         check_layout(path, arrays)
-        self.path, self.sources = path, arrays
+        self.path = path
         self.arrays = {name: arrays[name] for name in SAMPLE_ARRAYS if name in arrays}
-        known = (*SAMPLE_ARRAYS, *GEOMETRY_ARRAYS, *SCALARS)
-        self.ignored = tuple(name for name in arrays if name not in known)
+        self.ignored = tuple(name for name in arrays if name not in KNOWN_ARRAYS)
         self.count, self.num_steps, self.dim = self.arrays["positions"].shape
         self.geometry = {
             name: read_whole(arrays[name]) for name in GEOMETRY_ARRAYS if name in arrays
         }
-        self.dt = self._time_step(dt, horizon_s)
-        self._survey()
+        self.dt = time_step(path, arrays, num_steps=self.num_steps, dt=dt, horizon_s=horizon_s)
+        self._file_survey = self._surveyed_file()
 
     @property
     def horizon_s(self) -> float | None:
         return None if self.dt is None else self.dt * (self.num_steps - 1)
 
-    def _time_step(self, dt: float | None, horizon_s: float | None) -> float | None:
-        if dt is None and horizon_s is None:
-            dt, horizon_s = (
-                float(read_whole(self.sources[name])) if name in self.sources else None
-                for name in SCALARS
-            )
-        steps = self.num_steps - 1
-        for name, value in (("dt", dt), ("horizon_s", horizon_s)):
-            if value is not None and not 0 < value < np.inf:
-                raise DatasetError(f"{self.path}: {name}: expected seconds above 0, found {value}")
-        if dt is not None and horizon_s is not None and not np.isclose(dt * steps, horizon_s, 1e-4):
-            raise DatasetError(
-                f"{self.path}: expected horizon_s = dt (T - 1) = {dt * steps:g} s, "
-                f"found {horizon_s:g} s"
-            )
-        if dt is None and horizon_s is not None:
-            dt = horizon_s / steps
-        if dt is None and not {"velocities", "accelerations"} <= set(self.arrays):
-            raise TimeStepUnknown(
-                f"{self.path}: dt: expected the time step or horizon_s, in s (--dt, --horizon-s), "
-                "to differentiate the positions by, found neither"
-            )
-        return dt
+    @cached_property
+    def statistics(self) -> TrajectoryStatistics:
+        found = self._survey.statistics
+        assert found is not None  # opening refuses a file without a finite row
+        return found
 
-    def _survey(self) -> None:
+    @cached_property
+    def peak_speed(self) -> NDArray[np.float32]:
+        return self._survey.peak_speed[self._survey.finite]
+
+    @cached_property
+    def peak_acceleration(self) -> NDArray[np.float32]:
+        return self._survey.peak_acceleration[self._survey.finite]
+
+    @cached_property
+    def _survey(self) -> Survey:
+        """Of the samples; those of a subclass can be asked for once it is whole, not before."""
+        return self._surveyed_samples() if self._overridden else self._file_survey
+
+    def _surveyed_file(self) -> Survey:
         surveyor = Surveyor()
-        for rows in self._blocks():
+        for rows in self._blocks(self.count):
             block = {name: array.read(rows) for name, array in self.arrays.items()}
             for name, values in block.items():
                 check_values(self.path, name, values, rows.start)
@@ -137,15 +135,22 @@ class TrajectoryDataset(Dataset[Sample]):
         found = surveyor.result()
         if found.statistics is None:
             raise DatasetError(f"{self.path}: expected a row of finite numbers, found none")
-        self.statistics, self.not_finite = found.statistics, found.not_finite
-        self.peak_speed, self.peak_acceleration = found.peak_speed, found.peak_acceleration
+        self.not_finite = found.not_finite
         self.rows, self.left_out = np.flatnonzero(found.finite), np.flatnonzero(~found.finite)
+        return found
 
-    def _blocks(self) -> Iterator[slice]:
+    def _surveyed_samples(self) -> Survey:
+        surveyor = Surveyor()
+        for part in self._blocks(len(self)):
+            block = self.samples(range(part.start, part.stop), np.float64)
+            surveyor.add(part.start, block, [block[name] for name in FIELDS])
+        return surveyor.result()
+
+    def _blocks(self, count: int) -> Iterator[slice]:
         row_bytes = sum(a.dtype.itemsize * int(np.prod(a.shape[1:])) for a in self.arrays.values())
         step = max(1, BLOCK_BYTES // row_bytes)
-        for start in range(0, self.count, step):
-            yield slice(start, min(start + step, self.count))
+        for start in range(0, count, step):
+            yield slice(start, min(start + step, count))
 
     def _states(self, block: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.floating], ...]:
         """Positions, velocities and accelerations [n, T, D] of a block."""
@@ -161,7 +166,7 @@ class TrajectoryDataset(Dataset[Sample]):
     def read(
         self, samples: Rows, dtype: type[np.floating] = np.float32
     ) -> dict[str, NDArray[np.floating]]:
-        """Samples by index, in SI units; cost_maps in [0, 1].
+        """Samples by index as the file has them, in SI units; cost_maps in [0, 1].
 
         positions, velocities, accelerations [B, T, D], and the file's other arrays by their names.
         """
@@ -171,6 +176,45 @@ class TrajectoryDataset(Dataset[Sample]):
             block["cost_maps"] = block["cost_maps"] / np.float32(255)
         block |= dict(zip(FIELDS, self._states(block), strict=True))
         return {name: np.asarray(values, dtype) for name, values in block.items()}
+
+    def samples(
+        self, indices: Sequence[int] | NDArray[np.int64], dtype: type[np.floating] = np.float32
+    ) -> dict[str, NDArray[np.floating]]:
+        """Samples by index as training takes them: `read`, or what a subclass makes of it.
+
+        Raises:
+            DatasetError: a subclass returns something else than samples.
+        """
+        if not self._overridden:
+            return self.read(np.asarray(indices, np.int64), dtype)
+        found = stacked(self.__getitems__([int(index) for index in indices]))
+        batch = {name: np.asarray(values, dtype) for name, values in found.items()}
+        self._check_overridden(batch, indices)
+        return batch
+
+    @property
+    def _overridden(self) -> bool:
+        own = ("__getitem__", "__getitems__", "read")
+        return any(getattr(type(self), n) is not getattr(TrajectoryDataset, n) for n in own)
+
+    def _check_overridden(
+        self, batch: Mapping[str, NDArray[np.floating]], indices: Sequence[int] | NDArray[np.int64]
+    ) -> None:
+        where = f"{self.path}, as {type(self).__name__} returns it"
+        shape = len(indices), self.num_steps, self.dim
+        for name in FIELDS:
+            if name not in batch or batch[name].shape != shape:
+                found = list(batch[name].shape[1:]) if name in batch else "none"
+                raise DatasetError(
+                    f"{where}: {name}: expected {list(shape[1:])} in each sample, found {found}"
+                )
+        for name, values in batch.items():
+            bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(1))
+            if len(bad):
+                raise DatasetError(
+                    f"{where}: {name}: expected finite numbers in sample {indices[bad[0]]}"
+                )
+            check_values(where, name, values, int(indices[0]))
 
     def map_geometry(self, samples: Rows) -> NDArray[np.float64] | None:
         """[B, 3]: origin x, origin y [m], resolution [m/cell] of the maps; None if unsaid."""
@@ -188,11 +232,24 @@ class TrajectoryDataset(Dataset[Sample]):
         return len(self.rows)
 
     def __getitem__(self, index: int) -> Sample:
-        """One sample of `read`, without the B axis."""
-        batch = self.__getitems__([range(len(self))[index]])
-        return {name: values[0] for name, values in batch.items()}
+        """One sample as float32 tensors, without the B axis; a subclass may override it."""
+        found = self.read(self._index(index))
+        return {name: values[0] for name, values in _tensors(found).items()}
 
     def __getitems__(self, indices: Sequence[int]) -> Sample:
-        """A batch of `read` as tensors; torch's loader calls it with all indices of a batch."""
-        found = self.read(np.asarray(indices, np.int64))
-        return {name: torch.from_numpy(np.ascontiguousarray(a)) for name, a in found.items()}
+        """A batch [B, ...]; torch's loader calls it with all indices of a batch."""
+        if type(self).__getitem__ is not TrajectoryDataset.__getitem__:
+            return stacked([self[index] for index in indices])
+        return _tensors(self.read(np.asarray(indices, np.int64)))
+
+    def _index(self, index: int) -> NDArray[np.int64]:
+        return np.asarray([range(len(self))[index]], np.int64)
+
+
+def stacked(batch: Sample | list[Sample]) -> Sample:
+    """A batch as one sample [B, ...], where a subclass's `__getitems__` lists its samples."""
+    return default_collate(batch) if isinstance(batch, list) else batch
+
+
+def _tensors(arrays: Mapping[str, NDArray[np.floating]]) -> Sample:
+    return {name: torch.from_numpy(np.ascontiguousarray(a)) for name, a in arrays.items()}

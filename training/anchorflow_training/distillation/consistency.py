@@ -52,16 +52,17 @@ class ConsistencyObjective(nn.Module):
     def forward(
         self, batch: Mapping[str, Tensor], noise: Tensor, t: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """batch: the inputs of encode and states [B, N, T, S] in SI; noise: [B, N, R]; t: [B, N]"""
+        """batch: as of `FlowObjective`, states in SI; noise: [B, N, R]; t: [B, N]."""
         inputs = dict(batch)
-        states = inputs.pop("states")
+        states, sample_weights = inputs.pop("states"), inputs.pop("sample_weights", None)
         flow = NormalisedFlow.of(self.model, inputs)
         with torch.no_grad():
             teacher = NormalisedFlow.of(self.teacher, inputs)
             z_t = self._between(noise, states, t, teacher)
             h = 1.0 / self.intervals
             target = end_seen(flow, teacher.stepped(z_t, t, h), (t + h).clamp(max=1.0))
-        return flow_matching_loss(end_seen(flow, z_t, t), target, self.weights)
+        seen = end_seen(flow, z_t, t)
+        return flow_matching_loss(seen, target, self.weights, sample_weights=sample_weights)
 
     def _between(self, noise: Tensor, data: Tensor, t: Tensor, flow: NormalisedFlow) -> Tensor:
         """Normalised states between noise and data [B, N, T, S] in SI."""

@@ -17,6 +17,7 @@ from anchorflow_training.batches import (
 )
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.pairs import PairBank
+from anchorflow_training.reflection import reflection
 
 FloatArray = NDArray[np.float32]
 
@@ -45,7 +46,8 @@ class PairBatches:
         batch = self.dataset.batch(scenes)
         if mirrored:
             mirror(batch)
-            z_0, z_1 = _reflected(z_0), _reflected(z_1)
+            signs = reflection(self.dataset.dim, fields=3)
+            z_0, z_1 = z_0 * signs, z_1 * signs
         return encode_inputs(batch) | {"z_0": z_0, "z_1": z_1}
 
     def _pairs(self, scene: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
@@ -53,9 +55,3 @@ class PairBatches:
         every = np.resize(rng.permutation(self.bank.samples), self.config.samples)
         z_0 = np.tensordot(self.bank.noise(scene)[every], self.starts, 1)
         return z_0, self.bank.ends(scene)[every]
-
-
-def _reflected(states: FloatArray) -> FloatArray:
-    """[B, N, T, 3D] in the scene's axes, its x axis the mirror; a heading changes its sign too."""
-    dim = states.shape[-1] // 3
-    return states * np.tile(np.array([1.0, -1.0, -1.0], np.float32)[:dim], 3)

@@ -65,3 +65,13 @@ def stage_times(method: Method, schedule: Schedule) -> StageTimes:
     times = np.array(distinct, np.float32)
     times.flags.writeable = False
     return StageTimes(times, tuple(tuple(position[time] for time in step) for step in stages))
+
+
+def stage_strides(method: Method, schedule: Schedule) -> tuple[float, ...]:
+    """[K]: of each distinct stage time the length of the step, the longest where steps share it."""
+    stages = stage_times(method, schedule)
+    strides = [0.0] * len(stages.times)
+    for (start, end), step in zip(pairwise(schedule), stages.index, strict=True):
+        for k in step:
+            strides[k] = max(strides[k], end - start)
+    return tuple(strides)

@@ -30,10 +30,12 @@ from anchorflow_service.engine.parts import (
     missing_roles,
     unknown_names,
 )
+from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
 from anchorflow_service.engine.samplers.warm_start import renoised, warm_state
-from anchorflow_trajectory.ode.integrate import integrate
+from anchorflow_trajectory.guidance import Guidance
+from anchorflow_trajectory.ode.integrate import VectorField, integrate
 from anchorflow_trajectory.ode.method import method_named
-from anchorflow_trajectory.ode.schedule import remaining, stage_times
+from anchorflow_trajectory.ode.schedule import remaining, stage_strides, stage_times
 
 Array = NDArray[np.float32]
 
@@ -108,7 +110,7 @@ class OdeSampler:
         count = MIN_SLICE * self._threads
         noise = self.draw_noise(context, num_samples=count, seed=scene.request.seed)
         x = self.initial_state(context, noise)
-        field = self._field_over(context, OdeSpec("euler", (0.0, 1.0)))
+        field = self._field_over(context, OdeSpec("euler", (0.0, 1.0)), None)
         whole = _evaluated(field(), x)
         cuts = [np.array_split(x, parts) for parts in range(2, self._threads + 1)]
         self.cuts_freely = all(
@@ -130,13 +132,16 @@ class OdeSampler:
     ) -> Samples:
         """States [N,T,S] at t = 1."""
         x, spec = self._begin(scene, context)
-        return Samples(self.integrate(context, x, spec, threads=threads, check=check))
+        guidance = guidance_of(self._manifest, scene, context)
+        return Samples(
+            self.integrate(context, x, spec, guidance=guidance, threads=threads, check=check)
+        )
 
     def flow_states(self, scene: ConditionedScene) -> FlowStates:
         """The states that `sample` passes through, noise and the last included."""
         context = self.encode(scene)
         x, spec = self._begin(scene, context)
-        states = self.states(context, x, spec)
+        states = self.states(context, x, spec, guidance=guidance_of(self._manifest, scene, context))
         return FlowStates(np.array(spec.schedule), states[..., : self._manifest.D])
 
     def _begin(self, scene: ConditionedScene, context: Context) -> tuple[Array, OdeSpec]:
@@ -178,16 +183,18 @@ class OdeSampler:
         x: Array,
         sampler: OdeSpec,
         *,
+        guidance: Guidance | None = None,
         threads: int | None = None,
         check: Callable[[], object] = lambda: None,
     ) -> Array:
         """The state at t = 1 [N,T,S] from x at the schedule's first time.
 
+        guidance: what corrects the field of this scene
         threads: to spread over; None: all of them
         check: called after every step of every slice; what it raises ends the work and is raised
         """
         schedule, method = sampler.schedule, method_named(sampler.method)
-        new_field = self._field_over(context, sampler)
+        new_field = self._field_over(context, sampler, guidance)
         threads = threads or self._threads
 
         def integrate_slice(part: Array) -> Array:
@@ -195,7 +202,8 @@ class OdeSampler:
                 new_field(), part, schedule=schedule, method=method, on_step=lambda _: check()
             )
 
-        most = threads if self.cuts_freely else self._threads
+        # The products of guidance round a row by the number of rows beside it.
+        most = threads if self.cuts_freely and guidance is None else self._threads
         slices = np.array_split(x, min(most, -(-len(x) // MIN_SLICE)))
         if threads == 1 or len(slices) == 1:
             return np.concatenate([integrate_slice(part) for part in slices])
@@ -203,11 +211,13 @@ class OdeSampler:
         wait(running)  # all of them: one that is left behind would keep a core busy unseen
         return np.concatenate([part.result() for part in running])
 
-    def states(self, context: Context, x: Array, sampler: OdeSpec) -> Array:
+    def states(
+        self, context: Context, x: Array, sampler: OdeSpec, *, guidance: Guidance | None = None
+    ) -> Array:
         """The states at every time of the schedule [K,N,T,S]; x is the first of them."""
         visited = [x]
         integrate(
-            self._field_over(context, sampler)(),
+            self._field_over(context, sampler, guidance)(),
             x,
             schedule=sampler.schedule,
             method=method_named(sampler.method),
@@ -215,13 +225,23 @@ class OdeSampler:
         )
         return np.stack(visited)
 
-    def _field_over(self, context: Context, sampler: OdeSpec) -> Callable[[], _ModulatedField]:
+    def _field_over(
+        self, context: Context, sampler: OdeSpec, guidance: Guidance | None
+    ) -> Callable[[], VectorField]:
         """Makes the vector field of a scene at the sampler's times, one for each thread."""
-        times = stage_times(method_named(sampler.method), sampler.schedule).times
+        method = method_named(sampler.method)
+        times = stage_times(method, sampler.schedule).times
         modulate_inputs = self._modulate.select({**context, "times": times})
         modulation = self._modulate(**modulate_inputs)["modulation"]
         field_inputs = self._field.select(context)
-        return lambda: _ModulatedField(self._field.bind(**field_inputs), modulation)
+
+        def new_field() -> VectorField:
+            field = _ModulatedField(self._field.bind(**field_inputs), modulation)
+            if guidance is None:
+                return field
+            return GuidedField(field, guidance, times, stage_strides(method, sampler.schedule))
+
+        return new_field
 
     @property
     def _state_shape(self) -> tuple[int, int]:
@@ -245,7 +265,7 @@ class _ModulatedField:
         )
 
 
-def _evaluated(field: _ModulatedField, x: Array) -> Array:
+def _evaluated(field: VectorField, x: Array) -> Array:
     """dx/dt at the first of the field's times."""
     slope = np.empty_like(x)
     field(x, 0, slope)

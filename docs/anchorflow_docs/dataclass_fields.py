@@ -1,28 +1,64 @@
-"""A dataclass as a table: every field with its type, its default and the words under it."""
+"""The fields of a dataclass, or of one instance: type, default or value, the words under each."""
 
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
-from dataclasses import MISSING, Field, fields, is_dataclass
+import json
+from collections.abc import Iterator
 from textwrap import dedent
 from typing import Any
 
+from anchorflow_docs.field_table import TYPED, Field, field_table
 from anchorflow_docs.markdown import code, table
 
 
 def dataclass_section(kind: type) -> str:
     """Markdown of a dataclass: a heading, what it is, its fields and its properties."""
-    said = field_docstrings(kind)
-    parts = [f"## {kind.__name__}", first_paragraph(kind)]
-    rows = [
-        [code(field.name), code(str(field.type)), default_of(field), said.get(field.name, "")]
-        for field in fields(kind)
-    ]
-    parts.append(table(["field", "type", "default", "meaning"], rows))
+    parts = [f"## {kind.__name__}", first_paragraph(kind), field_table(class_fields(kind), TYPED)]
     if own := properties(kind):
         parts.append(table(["property", "type", "meaning"], own))
     return "\n\n".join(parts)
+
+
+def class_fields(kind: type) -> list[Field]:
+    """Its fields with their types and defaults."""
+    said = field_docstrings(kind)
+    return [
+        Field(
+            each.name,
+            kind=code(str(each.type)),
+            value=default_of(each),
+            meaning=said.get(each.name, ""),
+        )
+        for each in dataclasses.fields(kind)
+    ]
+
+
+def held_fields(instance: Any, prefix: str = "") -> Iterator[Field]:
+    """What an instance holds, and what is held inside it; lists of objects are left out."""
+    said = field_docstrings(type(instance))
+    for each in dataclasses.fields(instance):
+        value, path = getattr(instance, each.name), prefix + each.name
+        if dataclasses.is_dataclass(value):
+            yield from held_fields(value, f"{path}.")
+        elif (figure := _figure(value)) is not None:
+            yield Field(path, value=figure, meaning=said.get(each.name, ""))
+
+
+def _figure(value: Any) -> str | None:
+    """As JSON has it, in four figures; None for what is no figure, word or list of them."""
+    match value:
+        case bool() | None:
+            return code(json.dumps(value))
+        case int() | float():
+            return f"{value:.4g}" if isinstance(value, float) else str(value)
+        case str():
+            return code(value)
+        case tuple() if all(isinstance(each, (str, int, float)) for each in value):
+            return ", ".join(str(_figure(each)) for each in value)
+    return None
 
 
 def first_paragraph(thing: Any) -> str:
@@ -37,7 +73,7 @@ def field_docstrings(kind: type) -> dict[str, str]:
     """The string that stands under each field of a dataclass, those it inherits included."""
     said: dict[str, str] = {}
     for base in reversed(kind.__mro__):
-        if is_dataclass(base):
+        if dataclasses.is_dataclass(base):
             said |= _own_docstrings(base)
     return said
 
@@ -56,11 +92,11 @@ def _own_docstrings(kind: type) -> dict[str, str]:
     return said
 
 
-def default_of(field: Field[Any]) -> str:
+def default_of(field: dataclasses.Field[Any]) -> str:
     """As it would be typed; "required" where there is none."""
-    if field.default is not MISSING:
+    if field.default is not dataclasses.MISSING:
         return code(repr(field.default))
-    if field.default_factory is not MISSING:
+    if field.default_factory is not dataclasses.MISSING:
         return code(repr(field.default_factory()))
     return "required"
 

@@ -1,4 +1,4 @@
-"""A JSON schema as a table: every field by its path, with shape, range, unit and default."""
+"""The fields of a JSON schema by their paths, with shape, range, unit and default."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from anchorflow_docs.markdown import code, table
+from anchorflow_docs.field_table import Field
+from anchorflow_docs.markdown import code
 
 Schema = Mapping[str, Any]
 
@@ -24,52 +25,25 @@ UNIT = re.compile(r" \[([^\]]+)\](?=\.$)")
 LARGEST_SEED = 2**63 - 1
 
 
-@dataclass(frozen=True)
-class Row:
-    """One field."""
-
-    path: str
-    kind: str
-    """Its shape, where it is an array; else its type, or the values to choose from."""
-    allowed: str
-    """An interval with its unit; empty where the kind says all."""
-    default: str
-    meaning: str
-
-
-def request_table(model: type[BaseModel]) -> str:
-    """Markdown of all fields of what is sent, those of objects inside it under their paths."""
-    heads = ["field", "type or shape", "range, unit", "default", "meaning"]
-    return table(
-        heads, [[code(r.path), r.kind, r.allowed, r.default, r.meaning] for r in fields_of(model)]
-    )
-
-
-def answer_table(model: type[BaseModel]) -> str:
-    """The same of what comes back, where nothing has a default."""
-    heads = ["field", "type or shape", "unit", "meaning"]
-    return table(heads, [[code(r.path), r.kind, r.allowed, r.meaning] for r in fields_of(model)])
-
-
-def fields_of(model: type[BaseModel]) -> list[Row]:
+def schema_fields(model: type[BaseModel]) -> list[Field]:
     """The fields of a model, and of those inside it."""
     schema = model.model_json_schema()
-    return list(_rows(schema, schema.get("$defs", {}), ""))
+    return list(_fields(schema, schema.get("$defs", {}), ""))
 
 
-def _rows(schema: Schema, definitions: Schema, prefix: str) -> Iterator[Row]:
+def _fields(schema: Schema, definitions: Schema, prefix: str) -> Iterator[Field]:
     for name, field in schema.get("properties", {}).items():
         choices = _choices(field, definitions)
         said = _said(_own_words(choices) or field.get("description", ""))
-        yield Row(
+        yield Field(
             path=prefix + name,
             kind=SHAPES.sub(r"`\g<0>`", said.shape) or _kind(choices),
             allowed=f"{_interval(choices)} {said.unit}".strip(),
-            default=_default(field, is_required=name in schema.get("required", ())),
+            value=_default(field, is_required=name in schema.get("required", ())),
             meaning=said.rest,
         )
         for choice in choices:
-            yield from _rows(choice, definitions, f"{prefix}{name}.")
+            yield from _fields(choice, definitions, f"{prefix}{name}.")
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,61 @@
+"""What the commands that train share: options, the folder of a run, the run itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from anchorflow_cli.run_report import reported
+from anchorflow_training.config_file import config_text
+from anchorflow_training.run import TrainingRun
+from anchorflow_training.settings import ConfigError
+
+OutOption = Annotated[
+    Path | None, typer.Option(help="Folder of the run; one that is there is resumed.")
+]
+ConfigOption = Annotated[
+    Path | None, typer.Option(help="YAML file of settings; options go over it.")
+]
+PrintConfigOption = Annotated[
+    bool, typer.Option("--print-config", help="Print the whole configuration and stop.")
+]
+Bfloat16Option = Annotated[bool, typer.Option("--bfloat16", help="Short for --precision bfloat16.")]
+
+SHORT = {
+    "batch.scenes": "--scenes",
+    "batch.samples": "--samples",
+    "batch.seed": "--seed",
+    "evaluation.held_out": "--held-out",
+    "evaluation.patience": "--patience",
+}
+
+
+def given_settings(given: dict[str, Any], *, bfloat16: bool) -> dict[str, Any]:
+    """Settings of the command line by dotted path, short forms spelled out."""
+    return {"precision": "bfloat16", **given} if bfloat16 else given
+
+
+def run_folder(out: Path | None) -> Path:
+    """The folder of a run, which is made; raises `ConfigError` where it cannot be."""
+    if out is None:
+        raise ConfigError("--out: expected the folder of the run, got nothing")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out: expected a folder to write to, got {out} ({error})") from error
+    return out
+
+
+def carry_out(run: TrainingRun) -> None:
+    """Fit, with the configuration in the run's folder and reports on the way."""
+    if run.leads:
+        (run.out / "config.yaml").write_text(config_text(run.run_config))
+        if run.evaluator is None:
+            typer.echo("no scenes are held out (--held-out): nothing is evaluated", err=True)
+    with reported(run, run.run_config.steps) as report:
+        run.fit(report)
+    if run.leads:
+        why = ": no progress, stopped early" if run.stopped else ""
+        typer.echo(f"{run.checkpoint_path}: step {run.step}{why}")

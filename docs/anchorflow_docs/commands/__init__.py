@@ -1,0 +1,1 @@
+"""The commands that the documentation prints: found, and run as printed."""

@@ -1,0 +1,100 @@
+"""The commands that a page or a module's docstring prints for a reader to copy.
+
+In a page: each command of a fenced `sh` block, and what stands between backticks in a line. In a
+docstring: lines that are indented, and what stands between backticks. Words in capitals, brackets
+and `…` stand for something else: what has them tells how a command is made, and is none.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
+PRINTED_IN = ("README.md", "CONTRIBUTING.md", "*/**/*.md", "*/**/*.py")
+WITHOUT = ("tests", "site", "data", "runs", "bundles", "artefacts", ".venv")
+BLOCK = re.compile(r"^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE)
+# A heredoc goes to its end; a line that ends in a backslash goes on.
+ONE = re.compile(
+    r"^[^\n]*<<'(?P<end>\w+)'.*?^(?P=end)$|^(?:[^\n]*\\\n)*[^\n]*\S[^\n]*$",
+    re.DOTALL | re.MULTILINE,
+)
+INLINE = re.compile(r"`([^`\n]+)`")
+INDENTED = re.compile(r"^ {4,}(\S.*)$", re.MULTILINE)
+PROGRAM = re.compile(
+    r"([A-Z_]+=\S+ )*(\.venv/bin/)?(anchorflow|curl|docker|make|pip|pre-commit|python3?"
+    r"|serve run|tensorboard|zenohd) "
+)
+STANDS_FOR = re.compile(
+    r"…|\.\.\.|\[[^\]]* |\[--|(?<![\w=.$/'-])[A-Z_]{3,}(?![\w=])|(?<![\w=-])[A-Z]\b"
+)
+# A command's name in a sentence: `anchorflow plan`, `anchorflow bench kill`.
+NAME = re.compile(r"anchorflow( bench| data)?( [a-z-]+)?")
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a shell is given, and where it stands."""
+
+    place: str
+    text: str
+
+    @property
+    def name(self) -> str:
+        """Its first line, without its comment, on one line."""
+        joined = re.sub(r"\s*\\\n\s*", " ", self.text).partition("\n")[0]
+        return re.sub(r"\s+# .*$", "", joined)
+
+
+def printed() -> list[Command]:
+    """All that the project's pages and modules print."""
+    files = {path for pattern in PRINTED_IN for path in ROOT.glob(pattern)}
+    shown = [path for path in files if path.relative_to(ROOT).parts[0] not in WITHOUT]
+    return [command for path in sorted(shown) for command in commands_of(path)]
+
+
+def printed_texts() -> dict[str, str]:
+    """The same by their names."""
+    return {command.name: command.text for command in printed()}
+
+
+def commands_of(file: Path) -> Iterator[Command]:
+    """Those of a page, or of the docstring of a module."""
+    text = file.read_text(encoding="utf-8")
+    if file.suffix == ".py":
+        yield from _of_docstring(file, ast.get_docstring(ast.parse(text)) or "")
+    else:
+        yield from _of_page(file, text)
+
+
+def _of_page(file: Path, text: str) -> Iterator[Command]:
+    for block in BLOCK.finditer(text):
+        if block["language"] in ("sh", "bash", "console"):
+            for one in ONE.finditer(block["text"]):
+                yield Command(_place(file, text, block.start("text") + one.start()), one[0])
+    prose = BLOCK.sub(lambda block: "\n" * block[0].count("\n"), text)
+    for one in INLINE.finditer(prose):
+        if _to_copy(one[1]):
+            yield Command(_place(file, prose, one.start()), one[1])
+
+
+def _of_docstring(file: Path, text: str) -> Iterator[Command]:
+    for pattern in (INDENTED, INLINE):
+        for one in pattern.finditer(text):
+            if _to_copy(one[1]):
+                yield Command(_place(file, text, one.start()), one[1])
+
+
+def _to_copy(text: str) -> bool:
+    return (
+        PROGRAM.match(text) is not None
+        and STANDS_FOR.search(text) is None
+        and NAME.fullmatch(text) is None
+    )
+
+
+def _place(file: Path, text: str, at: int) -> str:
+    return f"{file.name}, line {text.count(chr(10), 0, at) + 1}"

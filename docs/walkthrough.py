@@ -1,0 +1,75 @@
+"""Type what the documentation prints in a fresh checkout, slow as it is: `make walkthrough`.
+
+Everything is installed, made and trained in a folder that is gone afterwards.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+from anchorflow_docs.commands.printed import ROOT, printed_texts
+from anchorflow_docs.commands.sessions import WALKTHROUGH
+from anchorflow_docs.commands.terminal import Loopback, Terminal, TerminalError
+
+# Of this process and of the make that started it; the checkout has an environment of its own.
+OWN = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "PYTHONPATH", "VIRTUAL_ENV")
+
+
+def main() -> None:
+    """All sessions, one after the other; the first that fails ends it with status 1."""
+    try:
+        Loopback().close()
+    except OSError as error:
+        sys.stdout.write(f"skipped: the walkthrough: no loopback of its own here: {error}\n")
+        return
+    texts = printed_texts()
+    environment = {name: value for name, value in os.environ.items() if name not in OWN}
+    environment["RAY_AUTH_MODE"] = "disabled"
+    with tempfile.TemporaryDirectory(prefix="anchorflow-walkthrough-") as name:
+        folder = Path(name, "anchorflow")
+        check_out(folder)
+        for session in WALKTHROUGH:
+            for make in session.given:
+                make(folder)
+            programs = folder / ".venv" / "bin"
+            try:
+                with Terminal(folder, programs=programs, env=environment) as terminal:
+                    for command in session.before:
+                        timed(terminal, command, command)
+                    for command in session.commands:
+                        timed(terminal, command, texts[command])
+            except TerminalError as error:
+                raise SystemExit(f"{session.name}: {error}") from error
+
+
+def check_out(folder: Path) -> None:
+    """A copy of what git knows of, and of what it would take up."""
+    listed = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    for path in filter(None, listed.stdout.split("\0")):
+        if (ROOT / path).is_file():  # one that was removed is listed until it is committed
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / path, folder / path)
+
+
+def timed(terminal: Terminal, name: str, text: str) -> None:
+    """Says what is typed, and how long it took."""
+    start = perf_counter()
+    terminal.type(text)
+    sys.stdout.write(f"{perf_counter() - start:6.1f} s  {name}\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""Every command that the documentation prints is run as printed, or the list says why it is not.
+
+The quick ones are run here, the slow ones by `make walkthrough`.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from collections import Counter
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import typer
+from typer.core import TyperGroup
+
+from anchorflow_cli.main import COMMANDS
+from anchorflow_docs.commands.printed import ROOT, commands_of, printed, printed_texts
+from anchorflow_docs.commands.sessions import BY_CI, NOT_HERE, QUICK, WALKTHROUGH, Session
+from anchorflow_docs.commands.terminal import Terminal, TerminalError
+
+RUN = {name for session in (*QUICK, *WALKTHROUGH) for name in session.commands}
+PRINTED = printed()
+TEXTS = printed_texts()
+
+
+def open_terminal(folder: Path) -> Terminal:
+    environment = {**os.environ, "RAY_AUTH_MODE": "disabled"}
+    try:
+        return Terminal(folder, programs=Path(sys.prefix, "bin"), env=environment)
+    except OSError as error:
+        pytest.skip(f"no loopback of one's own here: {error}")
+
+
+def test_every_printed_command_is_run_or_the_list_says_why_not() -> None:
+    accounts = Counter([*RUN, *BY_CI, *NOT_HERE])
+
+    assert {each.name: each.place for each in PRINTED if each.name not in accounts} == {}
+    assert [name for name in accounts if name not in TEXTS] == []
+    assert [name for name, times in accounts.items() if times > 1] == []
+
+
+def test_continuous_integration_types_its_own() -> None:
+    lines = (ROOT / ".ci" / "run").read_text().splitlines()
+
+    assert {*BY_CI} <= set(lines)
+
+
+@pytest.mark.parametrize("name", [name for name in NOT_HERE if name.startswith("anchorflow ")])
+def test_what_takes_too_long_has_options_that_there_are(name: str) -> None:
+    _, first, *rest = shlex.split(name)
+    command = typer.main.get_command(import_module(COMMANDS[first].module).app)
+    while isinstance(command, TyperGroup):
+        command = command.commands[rest.pop(0)]
+
+    command.make_context(first, rest)
+
+
+@pytest.mark.parametrize("session", QUICK, ids=lambda session: session.name)
+def test_a_session_goes_as_printed(session: Session, tmp_path: Path) -> None:
+    if session.needs is not None:
+        pytest.importorskip(session.needs, reason=f"{session.needs} is not installed")
+    for name in ("service", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    (tmp_path / ".venv").symlink_to(sys.prefix)
+    for make in session.given:
+        make(tmp_path)
+
+    with open_terminal(tmp_path) as terminal:
+        for text in (*session.before, *(TEXTS[name] for name in session.commands)):
+            terminal.type(text)
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Terminal:
+    return open_terminal(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("false | true", "ended with 1"),
+        ("""echo '{"error": {}}'""", "ended with 0"),
+        ("anchorflow serve --bundle nowhere", "nowhere/manifest.json: cannot be read"),
+        ("sleep 60 >/dev/null 2>&1 & :", "still running at the end"),
+    ],
+)
+def test_a_command_that_fails_is_seen(terminal: Terminal, text: str, says: str) -> None:
+    with pytest.raises(TerminalError, match=says), terminal:
+        terminal.type(text)
+
+
+def test_a_page_is_read_as_a_shell_reads_it(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "Say `make all`, `make OUT`, `anchorflow plan` or `--out`.\n\n"
+        "```sh\none  # why\ntwo \\\n    --three\n\ncat <<'PY' | four\nfive\nPY\n```\n"
+        "```python\nsix\n```\n"
+    )
+
+    assert [(each.name, each.place) for each in commands_of(page)] == [
+        ("one", "page.md, line 4"),
+        ("two --three", "page.md, line 5"),
+        ("cat <<'PY' | four", "page.md, line 8"),
+        ("make all", "page.md, line 1"),
+    ]
+    module = tmp_path / "module.py"
+    module.write_text('"""Does.\n\n    python -m module\n\nor `curl it`.\n"""\n')
+    assert [each.name for each in commands_of(module)] == ["python -m module", "curl it"]

@@ -1,0 +1,344 @@
+"""A planner without a cost map goes every way that one with a map goes.
+
+The camera planner of tests/planners/ over JSON, binary, zenoh and the Open Inference Protocol, in
+batches and through a swap.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import io
+import re
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from anyio.from_thread import start_blocking_portal
+from fastapi import FastAPI
+from image_planner import HEIGHT, WIDTH, K, expected
+from PIL import Image
+
+from anchorflow_client import AnchorBatch, AnchorClient, AnchorRequest, JsonCodec, OipCodec
+from anchorflow_client.contract import EncodedImage
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
+from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_service.http import create_app
+from anchorflow_service.http.images import MAX_PIXELS
+from anchorflow_service.local import LocalClient
+from anchorflow_service.planning import Call, PlanningService, ServiceLimits
+from anchorflow_service.repository import BundleFolders, Repository
+from anchorflow_service.zenoh_endpoint import ZenohEndpoint
+
+MODEL = "tiny-camera"
+SPEED = 3.0
+STATUS = np.array([SPEED, 0.0, 0.0, 0.0], np.float32)
+
+
+def picture(grey: int) -> np.ndarray:
+    return np.full((3, HEIGHT, WIDTH), grey, np.uint8)
+
+
+def encoded(grey: int, image_format: str = "PNG", size: tuple[int, int] = (WIDTH, HEIGHT)) -> bytes:
+    data = io.BytesIO()
+    Image.new("RGB", size, (grey, grey, grey)).save(data, image_format)
+    return data.getvalue()
+
+
+def assert_expected(anchors: AnchorBatch, grey: int, num_samples: int = K) -> None:
+    paths, scores = expected(grey / 255, SPEED)
+    np.testing.assert_allclose(anchors.trajectories, paths[:num_samples], atol=1e-5)
+    np.testing.assert_allclose(anchors.scores, scores[:num_samples], atol=1e-4)
+    assert (anchors.dt, anchors.first_s, anchors.model.name) == (0.5, 0.5, MODEL)
+
+
+@pytest.fixture
+def service_of_images(image_bundle: Path) -> PlanningService:
+    engine = LocalClient.of(image_bundle, threads=1).engine
+    return PlanningService({MODEL: engine}, default=MODEL, limits=ServiceLimits(threads=2))
+
+
+@pytest.fixture
+def app(service_of_images: PlanningService, image_bundle: Path) -> FastAPI:
+    def opened(folder: Path) -> Any:
+        return LocalClient.of(folder, threads=1).engine
+
+    repository = Repository(service_of_images.engines, BundleFolders([image_bundle]), opened)
+    return create_app(service_of_images, repository=repository)
+
+
+@pytest.fixture(params=[JsonCodec(), OipCodec()], ids=["json", "binary"])
+def client(request: pytest.FixtureRequest, service: Any) -> Iterator[AnchorClient]:
+    with AnchorClient("http://test", transport=service, codec=request.param) as client:
+        yield client
+
+
+def test_the_best_come_first(client: AnchorClient) -> None:
+    anchors = client.plan(inputs={"camera": picture(153), "ego_status": STATUS})
+
+    assert list(anchors.arrays) == ["trajectories", "scores"]
+    assert_expected(anchors, 153)
+    assert anchors.best == 0
+    with pytest.raises(LookupError, match="clearance: tiny-camera gives none"):
+        _ = anchors.clearance
+
+
+def test_num_samples_are_the_best_n(client: AnchorClient) -> None:
+    inputs = {"camera": picture(40), "ego_status": STATUS}
+    assert_expected(client.plan(inputs=inputs, num_samples=2), 40, num_samples=2)
+
+    with pytest.raises(InvalidRequest, match=r"num_samples: expected 1 to 6, .* got 7"):
+        client.plan(inputs=inputs, num_samples=7)
+
+
+def test_extras_come_where_they_are_asked_for(client: AnchorClient) -> None:
+    inputs = {"camera": picture(153), "ego_status": STATUS}
+    anchors = client.plan(inputs=inputs, num_samples=3, outputs=["goals", "bev_semantics"])
+
+    np.testing.assert_array_equal(anchors.arrays["goals"], anchors.trajectories[:, -1, :2])
+    np.testing.assert_allclose(anchors.arrays["bev_semantics"], picture(153) / 255, rtol=1e-6)
+    with pytest.raises(InvalidRequest, match=r"outputs: expected one of .*bev_semantics, got"):
+        client.plan(inputs=inputs, outputs=["depth"])
+
+
+def test_a_batch_equals_its_scenes_alone(client: AnchorClient) -> None:
+    greys = (0, 100, 200, 255)
+    cameras = np.stack([picture(grey) for grey in greys])
+    together = client.plan(inputs={"camera": cameras, "ego_status": STATUS}, num_samples=4)
+
+    assert together.trajectories.shape == (4, 4, 8, 3)
+    for scene, camera in enumerate(cameras):
+        alone = client.plan(inputs={"camera": camera, "ego_status": STATUS}, num_samples=4)
+        for name, array in alone.arrays.items():
+            assert together.arrays[name][scene].tobytes() == array.tobytes()
+
+
+def test_the_card_says_how_to_ask(client: AnchorClient) -> None:
+    (card,) = client.models()
+
+    assert [spec.name for spec in card.inputs] == ["camera", "ego_status"]
+    assert (card.conditioning.kind, card.sampler.kind, card.finish.kind) == (
+        "tensors",
+        "vocabulary",
+        "none",
+    )
+    assert (card.T, card.D, card.time.first_s) == (8, 3, 0.5)
+    with pytest.raises(InvalidRequest, match="tiny-camera takes no cost map; its inputs are cam"):
+        _ = card.cost_map
+
+
+ODD: dict[str, tuple[dict[str, Any], str]] = {
+    "missing": ({"ego_status": None}, "inputs.ego_status: this field is required"),
+    "unknown": ({"radar": [1.0]}, "inputs.radar: unknown field"),
+    "another dtype": (
+        {"camera": picture(3).astype(np.float32)},
+        r"inputs.camera: expected uint8 \[3,16,24\] or \[B,3,16,24\], got an array of float32",
+    ),
+    "another shape": (
+        {"camera": picture(3)[:, :8]},
+        r"inputs.camera: expected shape \[3,16,24\] .*got an array of uint8 and shape \[3, 8, 24\]",
+    ),
+    "seven numbers": (
+        {"ego_status": np.zeros(7, np.float32)},
+        r"inputs.ego_status: expected shape \[4\] or \[B,4\], got .* shape \[7\]",
+    ),
+    "not a number": (
+        {"ego_status": np.array([0, np.nan, 0, 0], np.float32)},
+        r"expected finite numbers, got nan at inputs.ego_status\[1\]",
+    ),
+    "out of range": (
+        {"ego_status": np.array([0, 0, 99, 0], np.float32)},
+        r"expected numbers in \[-60, 60\] .*got 99.0 at inputs.ego_status\[2\]",
+    ),
+    "text": ({"ego_status": "fast"}, "inputs.ego_status: expected float32, got text"),
+    "batches that differ": (
+        {"camera": np.stack([picture(1)] * 2), "ego_status": np.stack([STATUS] * 3)},
+        "inputs.ego_status: expected B = 2 as in inputs.camera, got 3",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ODD)
+def test_what_is_not_the_cards_is_refused_by_name(client: AnchorClient, case: str) -> None:
+    change, words = ODD[case]
+    inputs = {"camera": picture(3), "ego_status": STATUS, **change}
+    inputs = {name: value for name, value in inputs.items() if value is not None}
+
+    with pytest.raises(InvalidRequest, match=words) as caught:
+        client.plan(inputs=inputs)
+    assert caught.value.field in words
+
+
+@pytest.mark.parametrize(
+    ("fields", "field"),
+    [
+        ({"v_max": 3.0}, "v_max"),
+        ({"sampler": {"method": "rk4"}}, "sampler"),
+        ({"refine": {"smooth": True}}, "refine"),
+        ({"warm_start": {"trajectory": [[0, 0], [1, 1]]}}, "warm_start"),
+    ],
+)
+def test_what_this_planner_has_no_use_for_is_refused(
+    client: AnchorClient, fields: dict[str, Any], field: str
+) -> None:
+    with pytest.raises(InvalidRequest) as caught:
+        client.plan(inputs={"camera": picture(3), "ego_status": STATUS}, **fields)
+    assert caught.value.field == field
+
+
+def test_a_map_is_refused(client: AnchorClient) -> None:
+    with pytest.raises(InvalidRequest, match=r"cost_map: unknown to tiny-camera.* inputs\.camera"):
+        client.plan(
+            cost_map=np.zeros((16, 16)), resolution=0.5, x_curr=[0.0] * 6, x_goal=[1.0, 0, 0, 0]
+        )
+
+
+def post(service: Any, camera: Any, status: Any = (SPEED, 0, 0, 0)) -> Any:
+    return service.post({"inputs": {"camera": camera, "ego_status": status}, "num_samples": 1})
+
+
+@pytest.mark.parametrize("image_format", ["png", "jpeg"])
+def test_a_picture_may_be_a_file(service: Any, image_format: str) -> None:
+    data = encoded(153, image_format.upper())
+
+    answer = post(service, {image_format: base64.b64encode(data).decode()})
+
+    assert answer.status_code == 200, answer.text
+    np.testing.assert_allclose(answer.json()["scores"], [0.0], atol=1e-3)
+    with AnchorClient("http://test", transport=service, codec=JsonCodec()) as client:
+        image = EncodedImage(image_format, data)
+        anchors = client.plan(inputs={"camera": image, "ego_status": STATUS})
+    np.testing.assert_allclose(anchors.scores[0], 0.0, atol=1e-3)
+
+
+def base64_of(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+BAD_FILES: dict[str, tuple[Any, str]] = {
+    "no base64": ({"png": "%%%"}, "inputs.camera.png: expected base64"),
+    "no picture": ({"png": base64_of(b"GIF89a")}, "inputs.camera.png: expected a png file"),
+    "cut off": (
+        {"jpeg": base64_of(encoded(9, "JPEG", (400, 400))[:-300])},
+        "inputs.camera.jpeg: expected a jpeg file",
+    ),
+    "another format": (
+        {"png": base64_of(encoded(9, "JPEG"))},
+        "inputs.camera.png: expected a png file",
+    ),
+    "a bomb": (
+        {"png": base64_of(encoded(9, "PNG", (10_000, 10_000)))},
+        f"inputs.camera.png: expected a picture of at most {MAX_PIXELS} pixels, got 10000 x 10000",
+    ),
+    "short of bytes": (
+        {"dtype": "uint8", "shape": [3, 16, 24], "base64": base64_of(b"\0" * 5)},
+        r"inputs.camera.base64: expected 1152 bytes for uint8 \[3, 16, 24\], got 5",
+    ),
+    "a strange dtype": (
+        {"dtype": "object", "shape": [1], "base64": ""},
+        "inputs.camera.dtype: expected one of bool, uint8, int64, float32, float64",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_a_broken_picture_is_refused_by_name(service: Any, case: str) -> None:
+    camera, words = BAD_FILES[case]
+    answer = post(service, camera)
+
+    assert answer.status_code == 422, answer.text
+    error = answer.json()["error"]
+    assert re.match(words, error["message"])
+    assert error["field"] == words.partition(":")[0]
+
+
+def test_nested_lists_are_numbers_of_the_cards_type(service: Any) -> None:
+    answer = post(service, picture(153).tolist())
+    assert answer.status_code == 200
+    np.testing.assert_allclose(answer.json()["scores"], [0.0], atol=1e-5)
+
+    half = picture(153).astype(float)
+    half[0, 0, 0] = 0.5
+    refused = post(service, half.tolist()).json()["error"]
+    assert refused["field"] == "inputs.camera"
+    assert "expected uint8" in refused["message"]
+
+
+def test_zenoh_carries_pixels(service_of_images: PlanningService) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        endpoint = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    session = open_session(ZenohSettings(listen=(endpoint,)))
+    app = create_app(service_of_images, endpoints=[ZenohEndpoint(service_of_images, session)])
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
+        ZenohAnchorClient(endpoint, timeout_s=20) as client,
+    ):
+        inputs = {"camera": picture(153), "ego_status": STATUS}
+        assert_expected(client.plan(inputs=inputs), 153)
+        assert client.models()[0].inputs[0].dtype == "uint8"
+        with pytest.raises(InvalidRequest, match=r"inputs\.camera: this field is required"):
+            client.plan(inputs={"ego_status": STATUS})
+
+
+def test_any_client_of_the_protocol_may_ask(app: FastAPI, listen: Callable[[FastAPI], str]) -> None:
+    triton = pytest.importorskip("tritonclient.http", reason="tritonclient[http] is missing")
+    address = listen(app).removeprefix("http://")
+    with triton.InferenceServerClient(address, network_timeout=20.0) as client:
+        metadata = client.get_model_metadata(MODEL)
+        camera = triton.InferInput("camera", [3, HEIGHT, WIDTH], "UINT8")
+        camera.set_data_from_numpy(picture(153))
+        status = triton.InferInput("ego_status", [4], "FP32")
+        status.set_data_from_numpy(STATUS)
+        wanted = [triton.InferRequestedOutput(name) for name in ("trajectories", "goals")]
+        result = client.infer(MODEL, [camera, status], outputs=wanted)
+
+    inputs = {each["name"]: (each["datatype"], each["shape"]) for each in metadata["inputs"]}
+    assert inputs == {
+        "camera": ("UINT8", [-1, 3, HEIGHT, WIDTH]),
+        "ego_status": ("FP32", [-1, 4]),
+    }
+    outputs = {each["name"]: each["shape"] for each in metadata["outputs"]}
+    assert outputs["trajectories"] == [-1, -1, 8, 3]
+    assert (outputs["goals"], "safe" in outputs) == ([-1, -1, 2], False)
+    paths = expected(0.6, SPEED)[0]
+    np.testing.assert_allclose(result.as_numpy("trajectories"), paths, atol=1e-5)
+    np.testing.assert_array_equal(
+        result.as_numpy("goals"), result.as_numpy("trajectories")[:, -1, :2]
+    )
+    assert result.as_numpy("scores") is None
+
+
+def test_requests_at_once_make_batches(service_of_images: PlanningService) -> None:
+    """Four callers, each with an image of its own: everybody gets his own answer."""
+    greys = (0, 80, 160, 240)
+    codec = OipCodec()
+
+    async def ask(grey: int) -> AnchorBatch:
+        inputs = {"camera": picture(grey), "ego_status": STATUS}
+        payload = codec.encode_request(AnchorRequest.build(inputs=inputs))
+        call = Call(payload, codec, service_of_images.arrival(), f"r{grey}")
+        return codec.decode_answer(await service_of_images.answer(call))
+
+    async def ask_all() -> list[AnchorBatch]:
+        return await asyncio.gather(*map(ask, greys))
+
+    with service_of_images:
+        for grey, anchors in zip(greys, asyncio.run(ask_all()), strict=True):
+            assert_expected(anchors, grey)
+            assert anchors.request_id == f"r{grey}"
+
+
+def test_it_is_swapped_while_it_serves(service: Any, image_bundle: Path) -> None:
+    manifest = image_bundle / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('"1.0.0"', '"1.1.0"'))
+
+    loaded = service.request("POST", f"/v2/repository/models/{MODEL}/load")
+
+    assert loaded.status_code == 200, loaded.text
+    answer = post(service, picture(153).tolist()).json()
+    assert answer["model"]["version"] == "1.1.0"
