@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import ndimage
+
+from anchorflow_client.contract import TensorSpec
+from anchorflow_client.contract.inputs import bind, read_inputs
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
@@ -173,3 +177,74 @@ def test_curvature_is_that_of_a_circle(call: Callable[..., Any]) -> None:
     np.testing.assert_allclose(limit, 3 / 1.5**2, rtol=1e-5)
     assert length == pytest.approx(2 * 2.0, rel=2e-3)
     assert trouble == ""
+
+
+def test_x_is_up_and_y_is_to_the_left(call: Callable[..., Any]) -> None:
+    make = """(m) => {
+        const canvas = document.createElement("canvas");
+        document.body.append(canvas);
+        canvas.style.cssText = "width: 400px; height: 300px";
+        const eye = new m.BirdsEye(canvas);
+        return [[0, 0], [1, 0], [0, 1]].map(([x, y]) => eye.toScreen(x, y));
+    }"""
+
+    ego, ahead, left = np.array(call("tensors/birds_eye", make))
+
+    assert (ahead - ego)[0] == 0
+    assert (ahead - ego)[1] < 0
+    assert (left - ego)[0] < 0
+    assert (left - ego)[1] == 0
+
+
+@pytest.mark.parametrize("metres", [0.0, 5e6])
+def test_lines_lie_where_single_points_do(call: Callable[..., Any], metres: float) -> None:
+    points = metres + np.array([[0.0, 0.0], [3.0, -4.0], [-2.5, 7.0]])
+    make = """(m, [points, metres]) => {
+        const toScreen = (x, y) => [200 - 50 * (y - metres), 100 - 50 * (x - metres)];
+        return Array.from(m.toScreen({ toScreen }, Float64Array.from(points.flat())));
+    }"""
+
+    screen = np.array(call("lines", make, [points.tolist(), metres])).reshape(-1, 2)
+
+    expected = [200, 100] - 50 * (points - metres)[:, ::-1]
+    np.testing.assert_allclose(screen, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "limits", "value"),
+    [
+        ("float32", None, 0),
+        ("uint8", (3, None), 3),
+        ("int64", (None, -2), -2),
+        ("float64", (-1, 1), 0),
+        ("bool", None, 0),
+    ],
+)
+def test_an_input_that_is_left_alone_is_what_its_card_takes(
+    call: Callable[..., Any], dtype: str, limits: tuple[int | None, int | None] | None, value: int
+) -> None:
+    spec = TensorSpec("grid", dtype, ("B", 2, 70), range=limits)
+
+    sent = call("tensors/tensor", "(m, spec) => m.filled(spec)", asdict(spec))
+
+    bound, num_scenes, _ = bind(read_inputs({"grid": sent}), [spec])
+    assert num_scenes == 1
+    np.testing.assert_array_equal(bound["grid"], np.full((1, 2, 70), value))
+
+
+def test_the_strongest_class_of_a_picture_is_shown(call: Callable[..., Any]) -> None:
+    logits = np.random.default_rng(0).normal(size=(5, 4, 6))
+    palette = [[10 * k, 20 * k, 30 * k] for k in range(5)]
+    make = """(m, [logits, palette]) => {
+        const raster = new m.Raster({ range: null }, logits, palette);
+        const { width, height } = raster;
+        const { data } = raster.canvas.getContext("2d").getImageData(0, 0, width, height);
+        return [Array.from(data), raster.classes];
+    }"""
+
+    data, classes = call("tensors/raster", make, [logits.tolist(), palette])
+
+    strongest = logits.argmax(0)
+    shown = np.array(data).reshape(4, 6, 4)
+    np.testing.assert_array_equal(shown[..., :3], np.array(palette)[strongest])
+    assert classes == np.unique(strongest).tolist()

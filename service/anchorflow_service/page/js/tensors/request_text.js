@@ -11,9 +11,11 @@ export function toJson({ inputs, ...rest }) {
 /** The same request for Python. */
 export function toPython({ inputs, ...rest }) {
   const lines = Object.entries(inputs).map(([name, value]) => `            ${python(name)}: ${python(value)},\n`);
-  return `from anchorflow_client import AnchorClient
+  // The client's binary form carries pixels, and JSON alone carries files.
+  const [needed, codec] = Object.values(inputs).some(isFile) ? [", JsonCodec", ", codec=JsonCodec()"] : ["", ""];
+  return `from anchorflow_client import AnchorClient${needed}
 
-with AnchorClient("${serviceUrl()}") as client:
+with AnchorClient("${serviceUrl()}"${codec}) as client:
     anchors = client.plan(
         inputs={
 ${lines.join("")}        },
@@ -23,3 +25,5 @@ print(f"{len(anchors.trajectories)} anchors, the best:")
 print(anchors.trajectories[anchors.best])
 `;
 }
+
+const isFile = (value) => Boolean(value?.png ?? value?.jpeg);
