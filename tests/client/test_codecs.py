@@ -20,7 +20,8 @@ CODECS = [JsonCodec(), OipCodec()]
 def assert_same(left: Any, right: Any) -> None:
     """Equal field by field, to the last bit."""
     for field in dataclass_fields(left):
-        a, b = getattr(left, field.name), getattr(right, field.name)
+        a: Any = getattr(left, field.name)
+        b: Any = getattr(right, field.name)
         if isinstance(a, np.ndarray):
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype

@@ -17,7 +17,14 @@ from anchorflow_training.batches import BatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.config import EvaluationConfig, TrainerConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.evaluation import flow_evaluator, judge, out_of_patience, sample, scores
+from anchorflow_training.evaluation import (
+    States,
+    flow_evaluator,
+    judge,
+    out_of_patience,
+    sample,
+    scores,
+)
 from anchorflow_training.held_out import split
 from anchorflow_training.pictures import sample_picture
 from anchorflow_training.settings import ConfigError
@@ -43,12 +50,13 @@ def evaluated(dataset: SceneDataset, out: Path, **options: object) -> CFMTrainer
     return run
 
 
-def straight_lines(*, y: list[float], end: float = 2.0) -> list[np.ndarray]:
+def straight_lines(*, y: list[float], end: float = 2.0) -> States:
     """Positions, velocities and accelerations [N, T, 2] from x = -2 at 0.5 m/s, one line a y."""
     x = np.linspace(-2.0, end, MODEL.num_steps)
     position = np.stack([np.stack([x, np.full_like(x, line)], -1) for line in y])
     velocity = np.broadcast_to(np.array([0.5, 0.0], np.float32), position.shape)
-    return [each.astype(np.float32) for each in (position, velocity, np.zeros_like(position))]
+    still = np.zeros_like(position, np.float32)
+    return position.astype(np.float32), velocity.astype(np.float32), still
 
 
 @pytest.fixture
@@ -76,7 +84,7 @@ def test_an_anchor_is_feasible_within_both_limits(
     speed: float, acceleration: float, feasible: bool, clearance: GridField
 ) -> None:
     position, velocity, accelerations = straight_lines(y=[1.0])
-    states = [position, 0 * velocity, 0 * accelerations]
+    states = position, 0 * velocity, 0 * accelerations
     states[1][0, 10, 0], states[2][0, 20, 1] = speed, acceleration
     verdict = judge(states, clearance, x_goal=np.array([2, 1, 0, 0], np.float32), config=MODEL)
     assert verdict.feasible.tolist() == [feasible]
