@@ -284,3 +284,17 @@ def test_an_engine_without_a_flow_says_so(service: Any, fields: dict[str, Any]) 
     assert answer.status_code == 422
     assert answer.json()["error"]["field"] == "model"
     assert "lines" in answer.json()["error"]["message"]
+
+
+def test_a_planner_that_chooses_from_a_vocabulary_has_no_flow(
+    image_bundle: Path, run: Callable[..., Any]
+) -> None:
+    engine = Engine(load_bundle(image_bundle), threads=1)
+    service = run(create_app(PlanningService({"camera": engine}, default="camera")))
+    camera = np.zeros((3, 16, 24), int).tolist()
+
+    answer = post_flow(service, {"inputs": {"camera": camera, "ego_status": [1, 0, 0, 0]}})
+
+    assert answer.status_code == 422
+    assert answer.json()["error"]["field"] == "model"
+    assert "a model with a flow, got tiny-camera" in answer.json()["error"]["message"]

@@ -14,6 +14,7 @@ export class ImageField {
     this.onChange = onChange;
     this.picture = make("canvas", { className: "thumbnail", width: this.width, height: this.height });
     this.context = this.picture.getContext("2d");
+    this.context.imageSmoothingQuality = "high";
     this.file = make("input", { id, type: "file", accept: Object.keys(FORMATS).join() });
     this.file.addEventListener("change", () => this.#read(this.file.files[0]));
     this.note = make("p", { className: "hint" });
