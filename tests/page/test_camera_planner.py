@@ -213,6 +213,33 @@ def test_a_refused_input_is_explained_beside_it(camera: Any) -> None:
     assert not [url for url in sent if url.endswith("/anchors")]
 
 
+def test_a_file_that_is_no_picture_is_not_sent(camera: Any, tmp_path: Path) -> None:
+    (tmp_path / "notes.png").write_text("no picture")
+
+    camera.locate("#input-camera").set_input_files(tmp_path / "notes.png")
+
+    note = camera.locate(".picture .hint")
+    expect(note).to_have_text("notes.png: expected a PNG or JPEG picture.")
+    assert not pixels_of(plan(camera).asked["inputs"]["camera"]).any()
+
+
+def test_a_robot_stops_where_another_planner_is_chosen(
+    open_page: Callable[..., Any], served_both: Any
+) -> None:
+    visit = open_page(served_both.url)
+    visit.locate("#num").fill("4")
+    visit.answer(lambda: visit.locate("#drive").click(), lambda asked: asked["num_samples"] == 4)
+
+    visit.choose_camera()
+    asked = len(visit.requests)
+    visit.page.wait_for_timeout(500)
+
+    later = [request.url for request in visit.requests[asked:]]
+    assert not [url for url in later if url.endswith("/anchors")]
+    expect(visit.locate("#drive")).to_have_attribute("aria-pressed", "false")
+    assert visit.errors == []
+
+
 @pytest.fixture
 def patched(open_page: Callable[..., Any], served_both: Any) -> Callable[..., Any]:
     """Opens the page with the camera planner's card changed on its way."""
