@@ -1,0 +1,86 @@
+"""Rule-based drivers: what a learned planner has to beat, and the record itself.
+
+Each takes a window and gives poses [T, 3] of the rear axle in the ego's frame, at times in seconds.
+All but `human` look at the window's `view` alone.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.geometry import wrap_angle
+from anchorflow_driving.log import FRAME_S
+from anchorflow_driving.pdm.closed import pdm_closed
+from anchorflow_driving.pdm.traffic import seen_traffic
+from anchorflow_driving.window import Window
+
+Array = NDArray[np.float64]
+
+PLAN_TIMES = np.arange(1, 9) * 0.5
+"""s, of the 8 poses that the PDM score takes."""
+WAYPOINT_TIMES = np.arange(1, 46) * FRAME_S
+"""s, of 45 waypoints."""
+
+BRAKING = 3.0  # m/s²
+SHARPEST_CURVATURE = 0.2  # 1/m
+RETURN_S = 3.0  # in which an offset from the route fades
+
+
+class Driver(Protocol):
+    """A plan of a window; NaN where a driver does not plan that far."""
+
+    def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array: ...
+
+
+def human(window: Window, times: Array = PLAN_TIMES) -> Array:
+    """What was recorded: no planner, since it knows the future."""
+    return window.recorded(times)
+
+
+def constant_velocity(window: Window, times: Array = PLAN_TIMES) -> Array:
+    """Straight on at the present speed."""
+    return np.stack([window.view.state.speed * times, 0 * times, 0 * times], axis=-1)
+
+
+def route_constant_speed(window: Window, times: Array = PLAN_TIMES) -> Array:
+    """Along the route at the present speed; its offset from the route fades."""
+    view = window.view
+    start, left = view.route.project(np.zeros(2))
+    fading = np.maximum(0.0, 1 - times / RETURN_S)
+    poses = view.route.poses(start + view.state.speed * times, left * fading)
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return poses
+
+
+def stop(window: Window, times: Array = PLAN_TIMES) -> Array:
+    """Brakes to a halt along the present arc."""
+    state = window.view.state
+    time = np.minimum(times, state.speed / BRAKING)
+    distance = state.speed * time - BRAKING / 2 * time**2
+    curvature = np.clip(state.curvature, -SHARPEST_CURVATURE, SHARPEST_CURVATURE)
+    turn = curvature * distance
+    # Chord and direction of the arc; sinc holds where it is straight.
+    chord = distance * np.sinc(turn / 2 / np.pi)
+    return np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], axis=-1)
+
+
+def idm(window: Window, times: Array = PLAN_TIMES) -> Array:
+    """PDM-Closed among the others as seen now, perfectly; it plans 4 s."""
+    poses = pdm_closed(seen_traffic(window.view)).poses
+    step = np.rint(np.asarray(times) / FRAME_S).astype(int)
+    plan = np.full((len(step), 3), np.nan)
+    plan[step < len(poses)] = poses[step[step < len(poses)]]
+    plan[:, 2] = wrap_angle(plan[:, 2])
+    return plan
+
+
+DRIVERS: dict[str, Driver] = {
+    "human": human,
+    "idm": idm,
+    "route_constant_speed": route_constant_speed,
+    "constant_velocity": constant_velocity,
+    "stop": stop,
+}

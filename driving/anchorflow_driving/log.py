@@ -1,0 +1,272 @@
+"""The one format of recorded and simulated driving: an `.npz` without pickles.
+
+Metres, radians, seconds, in a map frame of the log's own: right-handed, heading counter-clockwise
+from x. K tracks, F frames, W windows; a family of polylines or polygons is its points and L + 1
+offsets, the k-th being points[offsets[k]:offsets[k + 1]].
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.errors import LogError
+
+FRAME_S = 0.1
+HISTORY_FRAMES = 20
+"""Recorded before a window's frame, at least."""
+FUTURE_FRAMES = 45
+"""Recorded after a window's frame, at least."""
+
+VEHICLE, PEDESTRIAN, CYCLIST, STATIC = range(4)
+COMMANDS = ("left", "straight", "right")
+
+Polylines = tuple[NDArray[np.float64], ...]
+"""Each [V, 2]."""
+
+# Field: dtype and shape. A letter is alike wherever it stands; n and m are the field's own.
+LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "name": ("str", ()),
+    "source": ("str", ()),
+    "licence": ("str", ()),
+    "city": ("str", ()),
+    "dt": ("float32", ()),
+    "track_type": ("uint8", ("K",)),
+    "track_size": ("float32", ("K", 2)),
+    "track_state": ("float32", ("K", "F", 5)),
+    "lane_points": ("float32", ("n", 2)),
+    "lane_offsets": ("int32", ("L+1",)),
+    "lane_intersection": ("bool", ("L",)),
+    "lane_edges": ("int32", ("n", 2)),
+    "centre_points": ("float32", ("n", 2)),
+    "centre_offsets": ("int32", ("L+1",)),
+    "drivable_points": ("float32", ("n", 2)),
+    "drivable_offsets": ("int32", ("n",)),
+    "crosswalk_points": ("float32", ("n", 2)),
+    "crosswalk_offsets": ("int32", ("n",)),
+    "line_points": ("float32", ("n", 2)),
+    "line_offsets": ("int32", ("S+1",)),
+    "line_solid": ("bool", ("S",)),
+    "window_ego": ("int32", ("W",)),
+    "window_frame": ("int32", ("W",)),
+    "window_command": ("uint8", ("W",)),
+    "window_speed_limit": ("float32", ("W",)),
+    "route_points": ("float32", ("n", 2)),
+    "route_offsets": ("int32", ("W+1",)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingLog:
+    """A recording of traffic on a map, and the windows of it that a planner is asked about.
+
+    Raises:
+        LogError: a field of another dtype, shape or range.
+    """
+
+    name: str
+    source: str
+    licence: str
+    city: str
+    dt: float  # s between frames, 0.1
+    track_type: NDArray[np.uint8]  # [K] VEHICLE, PEDESTRIAN, CYCLIST or STATIC; track 0 recorded
+    track_size: NDArray[np.float32]  # [K, 2] length, width
+    track_state: NDArray[np.float32]  # [K, F, 5] x, y, heading, vx, vy of the box's middle, or NaN
+    lane_points: NDArray[np.float32]  # polygons
+    lane_offsets: NDArray[np.int32]
+    lane_intersection: NDArray[np.bool_]  # [L] lies in a junction
+    lane_edges: NDArray[np.int32]  # [E, 2] the second lane follows the first
+    centre_points: NDArray[np.float32]  # the lanes' centrelines, in driving direction
+    centre_offsets: NDArray[np.int32]
+    drivable_points: NDArray[np.float32]  # rings; inside an odd number of them one may drive
+    drivable_offsets: NDArray[np.int32]
+    crosswalk_points: NDArray[np.float32]  # polygons
+    crosswalk_offsets: NDArray[np.int32]
+    line_points: NDArray[np.float32]  # painted lines
+    line_offsets: NDArray[np.int32]
+    line_solid: NDArray[np.bool_]  # [S]
+    window_ego: NDArray[np.int32]  # [W] track
+    window_frame: NDArray[np.int32]  # [W] now
+    window_command: NDArray[np.uint8]  # [W] index into COMMANDS
+    window_speed_limit: NDArray[np.float32]  # [W] m/s, NaN where unknown
+    route_points: NDArray[np.float32]  # a centreline a window
+    route_offsets: NDArray[np.int32]
+    path: str = "a log in memory"
+    """Where it was read, for messages."""
+
+    def __post_init__(self) -> None:
+        sizes: dict[str, int] = {}
+        for field in LAYOUT:
+            if field not in TEXTS:
+                self._check_layout(field, sizes)
+        for field in LAYOUT:
+            if field.endswith("_offsets"):
+                self._check_offsets(field)
+        self._check_values()
+        self._check_windows()
+
+    @property
+    def frames(self) -> int:
+        return self.track_state.shape[1]
+
+    @property
+    def windows(self) -> int:
+        return len(self.window_ego)
+
+    def polylines(self, family: str) -> Polylines:
+        """The polylines or polygons of lane, centre, drivable, crosswalk, line or route."""
+        points = getattr(self, f"{family}_points").astype(np.float64)
+        return (
+            tuple(np.split(points, getattr(self, f"{family}_offsets")[1:-1]))
+            if len(getattr(self, f"{family}_offsets")) > 1
+            else ()
+        )
+
+    def route(self, window: int) -> NDArray[np.float64]:
+        """[V, 2]"""
+        begin, end = self.route_offsets[window : window + 2]
+        return self.route_points[begin:end].astype(np.float64)
+
+    def refuse(self, field: str, expected: str, found: object) -> LogError:
+        return LogError(self.path, field, expected=expected, found=str(found))
+
+    def _check_layout(self, field: str, sizes: dict[str, int]) -> None:
+        dtype, axes = LAYOUT[field]
+        array = np.asarray(getattr(self, field), None if field != "dt" else np.float32)
+        if array.dtype != dtype:
+            raise self.refuse(field, dtype, array.dtype)
+        if array.ndim != len(axes):
+            raise self.refuse(field, _shape(axes), list(array.shape))
+        for axis, size in zip(axes, array.shape, strict=True):
+            if isinstance(axis, int):
+                fits = size == axis
+            elif axis == "n":
+                fits = True
+            else:
+                letter, more = axis[0], axis.endswith("+1")
+                fits = sizes.setdefault(letter, size - more) == size - more >= 0
+            if not fits:
+                known = ", ".join(f"{name} = {size}" for name, size in sizes.items())
+                raise self.refuse(field, f"{_shape(axes)} with {known}", list(array.shape))
+
+    def _check_offsets(self, field: str) -> None:
+        offsets = getattr(self, field)
+        points = len(getattr(self, field.replace("_offsets", "_points")))
+        if not (len(offsets) and offsets[0] == 0 and offsets[-1] == points):
+            ends = list(offsets[[0, -1]]) if len(offsets) else "none"
+            raise self.refuse(field, f"offsets from 0 to {points}", ends)
+        if (np.diff(offsets) < 2).any():
+            raise self.refuse(field, "at least two points each", int(np.diff(offsets).min()))
+
+    def _check_values(self) -> None:
+        if not np.isclose(self.dt, FRAME_S, atol=1e-6):
+            raise self.refuse("dt", f"{FRAME_S} s", self.dt)
+        if not (self.track_size > 0).all():
+            raise self.refuse("track_size", "lengths and widths above 0", self.track_size.min())
+        for field in (name for name in LAYOUT if name.endswith("_points")):
+            if not np.isfinite(getattr(self, field)).all():
+                raise self.refuse(field, "finite numbers", "NaN or infinity")
+        if np.isinf(self.track_state).any():
+            raise self.refuse("track_state", "finite numbers, or NaN where absent", "infinity")
+        absent = np.isnan(self.track_state)
+        if (absent.any(-1) != absent.all(-1)).any():
+            raise self.refuse("track_state", "NaN in all five numbers or in none", "some")
+        self._check_range("track_type", STATIC)
+        self._check_range("lane_edges", len(self.lane_intersection) - 1)
+
+    def _check_windows(self) -> None:
+        self._check_range("window_ego", len(self.track_type) - 1)
+        self._check_range("window_command", len(COMMANDS) - 1)
+        last = self.frames - 1 - FUTURE_FRAMES
+        self._check_range("window_frame", last, least=HISTORY_FRAMES)
+        for window, (ego, frame) in enumerate(zip(self.window_ego, self.window_frame, strict=True)):
+            needed = self.track_state[ego, frame - HISTORY_FRAMES : frame + FUTURE_FRAMES + 1]
+            if not np.isfinite(needed).all():
+                raise self.refuse(
+                    "track_state",
+                    f"the ego of window {window} from {HISTORY_FRAMES} frames before it to"
+                    f" {FUTURE_FRAMES} after",
+                    f"NaN in {int(np.isnan(needed).any(-1).sum())} of them",
+                )
+
+    def _check_range(self, field: str, most: int, *, least: int = 0) -> None:
+        values = getattr(self, field)
+        wrong = values[(values < least) | (values > most)]
+        if wrong.size:
+            raise self.refuse(field, f"{least} to {most}", wrong.flat[0])
+
+
+TEXTS = ("name", "source", "licence", "city")
+
+
+def read_log(path: Path | str) -> DrivingLog:
+    """A log of a file.
+
+    Raises:
+        LogError: the file cannot be read, or a field is missing or wrong.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            missing = [field for field in LAYOUT if field not in file.files]
+            if missing:
+                raise LogError(path, missing[0], expected="the field", found="none")
+            arrays = {field: _array(path, field, file) for field in LAYOUT}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise LogError(path, "file", expected="an .npz of arrays", found=str(error)) from error
+    values: dict[str, Any] = {}
+    for field, array in arrays.items():
+        values[field] = array
+        if not LAYOUT[field][1]:
+            expected = LAYOUT[field][0]
+            kind = "str" if array.dtype.kind == "U" else str(array.dtype)
+            if kind != expected or array.shape != ():
+                found = f"{kind} {list(array.shape)}"
+                raise LogError(path, field, expected=f"{expected} []", found=found)
+            values[field] = array.item()
+    return DrivingLog(**values, path=str(path))
+
+
+def write_log(log: DrivingLog, path: Path | str) -> None:
+    """Writes what `read_log` reads.
+
+    Raises:
+        LogError: the file cannot be written.
+    """
+    arrays: dict[str, Any] = {
+        field.name: getattr(log, field.name) for field in fields(log) if field.name in LAYOUT
+    }
+    arrays["dt"] = np.float32(log.dt)
+    try:
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, **arrays)
+    except OSError as error:
+        raise LogError(path, "file", expected="a place to write", found=str(error)) from error
+
+
+def read_logs(folder: Path | str) -> list[DrivingLog]:
+    """The logs of a folder, by file name.
+
+    Raises:
+        LogError: there is none, or one cannot be read.
+    """
+    paths = sorted(Path(folder).glob("*.npz"))
+    if not paths:
+        raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
+    return [read_log(path) for path in paths]
+
+
+def _array(path: Path | str, field: str, file: Mapping[str, NDArray]) -> NDArray:
+    try:
+        return file[field]
+    except ValueError as error:  # an array of objects, which only a pickle could hold
+        raise LogError(path, field, expected=LAYOUT[field][0], found=str(error)) from error
+
+
+def _shape(axes: tuple[str | int, ...]) -> str:
+    return f"[{', '.join(map(str, axes))}]"

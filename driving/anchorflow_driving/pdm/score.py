@@ -1,0 +1,61 @@
+"""PDMS = NC · DAC · (5·EP + 5·TTC + 2·C) / 12 of plans, tracked, among the recorded others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.geometry import out_of_frame
+from anchorflow_driving.pdm.closed import PdmClosed, pdm_closed
+from anchorflow_driving.pdm.rating import PdmScores, rate
+from anchorflow_driving.pdm.tracker import Motion, interpolate, track
+from anchorflow_driving.pdm.traffic import recorded_traffic
+from anchorflow_driving.window import Window
+
+Array = NDArray[np.float64]
+
+__all__ = ["PdmScorer", "PdmScores"]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What progress is measured against."""
+
+    plan: PdmClosed
+    progress: float  # m along the route x NC x DAC, among the recorded others
+
+
+class PdmScorer:
+    """Scores plans on one window; made once a window, as its reference is.
+
+    The others replay the record and react to nothing.
+    """
+
+    def __init__(self, window: Window) -> None:
+        self._traffic = recorded_traffic(window)
+        plan = pdm_closed(self._traffic.predicted())
+        self.reference = Reference(plan, float(rate(plan.motion, self._traffic).progress[0]))
+
+    def score(self, plans: Array) -> PdmScores:
+        """Scores [P] of plans [P, 8, 3] at 0.5 … 4.0 s or [P, 40, 3] at 0.1 … 4.0 s.
+
+        Poses (x, y, heading) of the rear axle in the ego's frame.
+
+        Raises:
+            ValueError: another shape, or numbers that are not finite.
+        """
+        return rate(self.motion(plans), self._traffic, best=self.reference.progress).scores
+
+    def motion(self, plans: Array) -> Motion:
+        """What the vehicle drives that follows the plans, in the log's frame."""
+        plans = np.asarray(plans, np.float64)
+        if plans.ndim != 3 or plans.shape[1:] not in ((8, 3), (40, 3)):
+            raise ValueError(f"plans: expected [P, 8, 3] or [P, 40, 3], got {list(plans.shape)}")
+        if not np.isfinite(plans).all():
+            raise ValueError("plans: expected finite numbers, got NaN or infinity")
+        traffic = self._traffic
+        poses = np.concatenate([np.zeros((len(plans), 1, 3)), plans], axis=1)
+        reference = interpolate(out_of_frame(poses, traffic.start.pose))
+        return track(reference, traffic.start, wheelbase=traffic.vehicle.wheelbase)

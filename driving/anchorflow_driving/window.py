@@ -1,0 +1,192 @@
+"""One question to a planner: an ego, a frame, a route and a command.
+
+Plans are poses of the ego's rear axle, in the frame of that axle now: x forward, y left, heading
+counter-clockwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.geometry import ahead_of, into_frame, wrap_angle
+from anchorflow_driving.log import COMMANDS, FRAME_S, HISTORY_FRAMES, DrivingLog, Polylines
+from anchorflow_driving.road import Road
+from anchorflow_driving.route import Route
+
+Array = NDArray[np.float64]
+
+REAR_AXLE = 0.2823
+"""Behind the middle of the box, in lengths: the proportions of the car that NAVSIM scores with."""
+WHEELBASE = 0.5968
+"""In lengths, likewise."""
+_SLOWEST_TURN = 1.0  # m/s; below it a curvature is noise
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A box and its axles, m."""
+
+    length: float
+    width: float
+
+    @property
+    def size(self) -> Array:
+        return np.array([self.length, self.width])
+
+    @property
+    def rear_axle(self) -> float:
+        """Behind the middle of the box."""
+        return REAR_AXLE * self.length
+
+    @property
+    def wheelbase(self) -> float:
+        return WHEELBASE * self.length
+
+    def middles(self, axle_poses: Array) -> Array:
+        """Poses [..., 3] of the box's middle from those of the rear axle."""
+        return ahead_of(axle_poses, self.rear_axle)
+
+
+@dataclass(frozen=True)
+class EgoState:
+    """How the ego moves now."""
+
+    pose: Array  # [3] of the rear axle, in the log's frame
+    speed: float  # m/s along the heading, not below 0
+    acceleration: float  # m/s² along the heading
+    curvature: float  # 1/m, positive to the left
+
+
+@dataclass(frozen=True, eq=False)
+class PlannerView:
+    """What a planner may see of a window: the past, the map, the route and the command.
+
+    All is in the ego's frame but `state.pose` and what `road` is asked about.
+    """
+
+    state: EgoState  # from the past alone
+    vehicle: Vehicle
+    ego: int  # track
+    tracks: (
+        Array  # [K, H + 1, 5] x, y, heading, vx, vy of the boxes' middles; the last frame is now
+    )
+    track_type: NDArray[np.uint8]  # [K]
+    track_size: Array  # [K, 2] length, width
+    route: Route
+    command: int  # index into COMMANDS
+    speed_limit: float  # m/s, NaN where unknown
+    road: Road
+    log_polylines: dict[str, Polylines]
+
+    def polylines(self, family: str) -> Polylines:
+        """The map's lanes, centres, drivable rings, crosswalks or lines."""
+        return tuple(into_frame(line, self.state.pose) for line in self.log_polylines[family])
+
+
+class Scenes:
+    """The windows of a log, which share what is made of its map."""
+
+    def __init__(self, log: DrivingLog) -> None:
+        self.log = log
+
+    def __len__(self) -> int:
+        return self.log.windows
+
+    def __iter__(self) -> Iterator[Window]:
+        return (Window(self, index) for index in range(len(self)))
+
+    def __getitem__(self, index: int) -> Window:
+        if not 0 <= index < len(self):
+            raise IndexError(f"{self.log.name} has windows 0 to {len(self) - 1}, not {index}")
+        return Window(self, index)
+
+    @cached_property
+    def road(self) -> Road:
+        return Road(self.log)
+
+    @cached_property
+    def map_polylines(self) -> dict[str, Polylines]:
+        families = ("lane", "centre", "drivable", "crosswalk", "line")
+        return {family: self.log.polylines(family) for family in families}
+
+
+class Window:
+    """A window with its recorded future: what a judge knows. A planner gets `view`."""
+
+    def __init__(self, scenes: Scenes, index: int) -> None:
+        log = scenes.log
+        self.log, self.index, self.road, self._scenes = log, index, scenes.road, scenes
+        self.ego, self.frame = int(log.window_ego[index]), int(log.window_frame[index])
+        self.command = int(log.window_command[index])
+        self.speed_limit = float(log.window_speed_limit[index])
+        length, width = log.track_size[self.ego].astype(float)
+        self.vehicle = Vehicle(float(length), float(width))
+        self._ego_track = log.track_state[self.ego].astype(np.float64)
+
+    @property
+    def command_name(self) -> str:
+        return COMMANDS[self.command]
+
+    @cached_property
+    def state(self) -> EgoState:
+        """The ego now, its rates by differences across now: where the score starts from."""
+        return self._state(self.frame - 1, self.frame + 1)
+
+    @cached_property
+    def route(self) -> Route:
+        """In the log's frame."""
+        return Route(self.log.route(self.index))
+
+    @cached_property
+    def view(self) -> PlannerView:
+        state = self._state(self.frame - 1, self.frame)
+        seen = slice(self.frame - HISTORY_FRAMES, self.frame + 1)
+        tracks = self.log.track_state[:, seen].astype(np.float64)
+        turned = np.array([0.0, 0.0, state.pose[2]])
+        return PlannerView(
+            state=state,
+            vehicle=self.vehicle,
+            ego=self.ego,
+            tracks=np.concatenate(
+                [into_frame(tracks[..., :3], state.pose), into_frame(tracks[..., 3:], turned)], -1
+            ),
+            track_type=self.log.track_type,
+            track_size=self.log.track_size.astype(np.float64),
+            route=Route(into_frame(self.log.route(self.index), state.pose)),
+            command=self.command,
+            speed_limit=self.speed_limit,
+            road=self.road,
+            log_polylines=self._scenes.map_polylines,
+        )
+
+    def recorded(self, times: Array) -> Array:
+        """Poses [T, 3] of the ego at times (s, whole frames), in its frame now; NaN past the end."""
+        frames = self.frame + np.rint(np.asarray(times) / FRAME_S).astype(int)
+        poses = np.full((len(frames), 3), np.nan)
+        known = frames < len(self._ego_track)
+        axle = self._axle(frames[known])
+        poses[known] = into_frame(axle, self.state.pose)
+        poses[known, 2] = wrap_angle(poses[known, 2])
+        return poses
+
+    def _axle(self, frames: NDArray[np.int_] | int) -> Array:
+        return ahead_of(self._ego_track[frames, :3], -self.vehicle.rear_axle)
+
+    def _state(self, before: int, after: int) -> EgoState:
+        now, elapsed = self._ego_track[self.frame], (after - before) * FRAME_S
+        heading, velocity = self._ego_track[:, 2], self._ego_track[:, 3:]
+        direction = np.stack([np.cos(heading), np.sin(heading)], -1)
+        along = (velocity * direction).sum(-1)
+        speed = max(0.0, float(along[self.frame]))
+        turn = float(wrap_angle(heading[after] - heading[before])) / elapsed
+        return EgoState(
+            pose=ahead_of(now[:3], -self.vehicle.rear_axle),
+            speed=speed,
+            acceleration=float(along[after] - along[before]) / elapsed,
+            curvature=turn / speed if speed > _SLOWEST_TURN else 0.0,
+        )
