@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WALLS: dict[str, set[str]] = {
     "anchorflow_client": {"numpy"},
     "anchorflow_trajectory": {"numpy", "scipy"},
+    "anchorflow_driving": {"anchorflow_client", "numpy", "scipy"},
     "anchorflow_service": {
         "anchorflow_client",
         "anchorflow_trajectory",
@@ -67,6 +68,7 @@ WALLS: dict[str, set[str]] = {
     },
     "anchorflow_benchmarks": {
         "anchorflow_client",
+        "anchorflow_driving",
         "anchorflow_service",
         "anchorflow_training",
         "anchorflow_trajectory",
@@ -216,6 +218,7 @@ def test_the_text_imports_only_what_the_wall_allows(package: str) -> None:
         ("anchorflow_service", "def late():\n    from torch import nn", {"torch"}),
         ("anchorflow_service", "import anchorflow_models.flowmp", {"anchorflow_models"}),
         ("anchorflow_models", "import onnxruntime as ort", {"onnxruntime"}),
+        ("anchorflow_driving", "import scipy, libsumo\nimport torch", {"libsumo", "torch"}),
         (
             "anchorflow_trajectory",
             "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import torch",
@@ -272,7 +275,8 @@ def test_the_client_and_the_service_load_no_zenoh() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", ["anchorflow_client", "anchorflow_trajectory", "anchorflow_service"]
+    "package",
+    ["anchorflow_client", "anchorflow_trajectory", "anchorflow_driving", "anchorflow_service"],
 )
 def test_loading_the_package_loads_nothing_heavy_beyond_its_wall(package: str) -> None:
     loaded = loaded_packages(package)

@@ -19,6 +19,7 @@ PACKAGES = (
     "client/anchorflow_client",
     "service/anchorflow_service",
     "trajectory/anchorflow_trajectory",
+    "driving/anchorflow_driving",
 )
 
 UNPICKLERS = {
@@ -61,7 +62,7 @@ def faults(source: str) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("path", sources(), ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_no_text_of_service_or_client_unpickles(path: Path) -> None:
+def test_no_text_that_reads_files_or_requests_unpickles(path: Path) -> None:
     assert list(faults(path.read_text())) == []
 
 

@@ -27,7 +27,7 @@ from anchorflow_benchmarks.planners import (
 from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_table
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import default_source, load_scenes
-from anchorflow_cli import bench_closed_loop, bench_serving, bench_zenoh
+from anchorflow_cli import bench_closed_loop, bench_drive, bench_serving, bench_zenoh
 from anchorflow_cli.bench_options import (
     RESULTS,
     SCENES,
@@ -161,4 +161,5 @@ app.command()(bench_serving.release)
 app.command()(bench_serving.swaps)
 app.command()(bench_serving.kill)
 app.command()(bench_serving.soak)
+app.command()(bench_drive.drive)
 app.command("closed-loop")(bench_closed_loop.closed_loop)

@@ -19,10 +19,13 @@ from anchorflow_driving.window import Window
 
 Array = NDArray[np.float64]
 
-PLAN_TIMES = np.arange(1, 9) * 0.5
+PLAN_TIMES: Array = np.arange(1, 9, dtype=np.float64) * 0.5
 """s, of the 8 poses that the PDM score takes."""
-WAYPOINT_TIMES = np.arange(1, 46) * FRAME_S
+WAYPOINT_TIMES: Array = np.arange(1, 46, dtype=np.float64) * FRAME_S
 """s, of 45 waypoints."""
+
+DENSE_TIMES: Array = np.arange(1, 41, dtype=np.float64) * FRAME_S
+"""s, of 40 poses, which the PDM score takes as well."""
 
 BRAKING = 3.0  # m/s²
 SHARPEST_CURVATURE = 0.2  # 1/m

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Booleans = NDArray[np.bool_]
 
 # Front left, front right, rear right, rear left, in half lengths and half widths.
 _CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
@@ -48,7 +49,7 @@ def box_corners(poses: Array, size: Array) -> Array:
     return out_of_frame(local, poses[..., None, :])
 
 
-def boxes_overlap(poses: Array, size: Array, other_poses: Array, other_size: Array) -> Array:
+def boxes_overlap(poses: Array, size: Array, other_poses: Array, other_size: Array) -> Booleans:
     """Whether boxes touch: no side of either separates them.
 
     poses: [..., 3] of the middles; size: [..., 2] length, width; all broadcast
@@ -61,7 +62,7 @@ def boxes_overlap(poses: Array, size: Array, other_poses: Array, other_size: Arr
     )
 
 
-def points_in_polygon(points: Array, polygon: Array) -> NDArray[np.bool_]:
+def points_in_polygon(points: Array, polygon: Array) -> Booleans:
     """Which points [M, 2] lie inside a polygon [V, 2], by the number of edges to their right."""
     x, y = points[:, :1], points[:, 1:]
     x0, y0 = polygon.T
@@ -78,7 +79,7 @@ def _headings(points: Array, turn: Array) -> list[Array]:
 
 def _within_sides(
     poses: Array, half: Array, other_poses: Array, other_half: Array, cos: Array, sin: Array
-) -> Array:
+) -> Booleans:
     """Whether the other box reaches between both pairs of parallel sides of a box."""
     offset = into_frame(other_poses[..., :2], poses)
     length, width = other_half[..., 0], other_half[..., 1]

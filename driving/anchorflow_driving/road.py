@@ -44,7 +44,7 @@ class Road:
 
     def in_junction(self, in_lanes: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Of what `in_lanes` says: [...] whether one of the lanes belongs to a junction."""
-        return in_lanes[self._junction].any(axis=0)
+        return np.asarray(in_lanes[self._junction].any(axis=0))
 
 
 class DrivableGrid:

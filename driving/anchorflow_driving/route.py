@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from anchorflow_driving.geometry import out_of_frame
 
@@ -33,7 +33,7 @@ class Route:
         self._edges = np.diff(self.points, axis=0)
         slope = np.gradient(self.points, self.arc_length, axis=0)
         self.heading = np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))
-        self._tree = cKDTree(self.points)
+        self._tree = KDTree(self.points)
 
     @property
     def length(self) -> float:

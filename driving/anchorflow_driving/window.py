@@ -165,7 +165,7 @@ class Window:
         )
 
     def recorded(self, times: Array) -> Array:
-        """Poses [T, 3] of the ego at times (s, whole frames), in its frame now; NaN past the end."""
+        """Poses [T, 3] of the ego in its frame now, at times (s); NaN beyond the record."""
         frames = self.frame + np.rint(np.asarray(times) / FRAME_S).astype(int)
         poses = np.full((len(frames), 3), np.nan)
         known = frames < len(self._ego_track)

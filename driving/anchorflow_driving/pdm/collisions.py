@@ -45,7 +45,8 @@ class Contacts:
 
     def first_of_each_track(self) -> Contacts:
         """The earliest of each plan with each track, the nearest look-ahead of that step."""
-        order = np.lexsort((self.ahead, self.step, self.track, self.plan))
+        keys = np.stack([self.ahead, self.step, self.track, self.plan])
+        order = np.asarray(np.lexsort(keys), np.intp)
         pair = np.stack([self.plan[order], self.track[order]])
         new = np.ones(len(order), bool)
         new[1:] = (np.diff(pair, axis=1) != 0).any(0)

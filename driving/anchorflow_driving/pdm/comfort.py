@@ -53,4 +53,5 @@ def felt(motion: Motion) -> dict[str, Array]:
 def _smoother(window: int, order: int, derivative: int) -> Array:
     """[T, T]: the filter is linear, so that it is what it makes of the unit rows."""
     unit = np.eye(STEPS + 1)
-    return savgol_filter(unit, window, order, deriv=derivative, delta=FRAME_S, axis=-1)
+    smoothed = savgol_filter(unit, window, order, deriv=derivative, delta=FRAME_S, axis=-1)
+    return np.asarray(smoothed, np.float64)

@@ -48,7 +48,7 @@ def rate(
     """Judges motions; progress against `best` (m x NC x DAC), or the best of the motions."""
     placement = Placement(motion, traffic.vehicle, traffic.road)
     nc, first_fault = no_collision(motion, traffic, placement)
-    dac = 1.0 - placement.off_road.any(-1)
+    dac = np.where(placement.off_road.any(axis=-1), 0.0, 1.0)
     progress = _progress(motion, traffic) * nc * dac
     top = np.maximum(progress, progress.max() if best is None else best)
     ep = np.where(top > free, progress / np.maximum(top, free), 1.0)

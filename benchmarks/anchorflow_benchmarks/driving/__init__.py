@@ -1,0 +1,1 @@
+"""Driving planners on recorded logs."""

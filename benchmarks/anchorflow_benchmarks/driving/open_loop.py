@@ -1,0 +1,196 @@
+"""Drivers on every window of some logs, open loop: nobody reacts to what they plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.report import ResultTable, Row
+from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, Driver
+from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog
+from anchorflow_driving.pdm import PdmScorer, PdmScores
+from anchorflow_driving.waypoints import collides
+from anchorflow_driving.window import Scenes, Window
+
+Array = NDArray[np.float64]
+
+NOTE = (
+    "Shares and scores from 0 to 1, distances in m. ADE and FDE over the 8 poses of 4 s; hit: share"
+    " of plans whose box, as 45 waypoints and untracked, overlaps another within 4.5 s; ms: median"
+    " time of a plan."
+)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Who is judged, at which poses: 8, or all 40 that a driver has."""
+
+    driver: Driver
+    times: Array = field(default_factory=lambda: PLAN_TIMES)
+
+
+# PDM-Closed plans 40 poses; as 8, it is what a planner of 8 could have answered.
+ENTRIES = {
+    **{name: Entry(driver) for name, driver in DRIVERS.items()},
+    "idm_40_poses": Entry(DRIVERS["idm"], DENSE_TIMES),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """One driver's plan of one window."""
+
+    log: str
+    window: int
+    source: str
+    command: str
+    plan: Array  # [8, 3] or [40, 3]
+    waypoints: Array | None  # [45, 2], of drivers that plan 4.5 s
+    figures: Mapping[str, float]
+    ms: float
+
+
+def named_drivers(names: Sequence[str]) -> dict[str, Entry]:
+    """Rule-based drivers by name.
+
+    Raises:
+        BenchmarkError: one is unknown.
+    """
+    for name in names:
+        if name not in ENTRIES:
+            raise BenchmarkError(f"expected drivers among {', '.join(ENTRIES)}, got {name!r}")
+    return {name: ENTRIES[name] for name in names}
+
+
+def judge_drivers(
+    drivers: Mapping[str, Entry],
+    logs: Iterable[DrivingLog],
+    *,
+    progress: Callable[[int], None] = lambda _: None,
+) -> dict[str, list[Judged]]:
+    """Every driver's plan of every window, judged; `progress` hears of each window."""
+    judged: dict[str, list[Judged]] = {name: [] for name in drivers}
+    for log in logs:
+        for window in Scenes(log):
+            for name, verdict in _judge_window(drivers, window).items():
+                judged[name].append(verdict)
+            progress(1)
+    return judged
+
+
+def drive_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
+    """All windows, by source, by command, and the PDMS by log."""
+    everything = next(iter(judged.values()), [])
+    sources = sorted({verdict.source for verdict in everything})
+    commands = [name for name in COMMANDS if any(v.command == name for v in everything)]
+    groups: list[tuple[str, Callable[[Judged], bool]]] = [("All windows", lambda _: True)]
+    groups += [(f"Source {name}", lambda v, name=name: v.source == name) for name in sources]
+    groups += [(f"Command {name}", lambda v, name=name: v.command == name) for name in commands]
+    tables = []
+    for title, belongs in groups:
+        count = sum(map(belongs, everything))
+        rows = [_row(name, [v for v in all_ if belongs(v)]) for name, all_ in judged.items()]
+        tables.append(ResultTable(f"{title} ({count})", rows, NOTE if not tables else ""))
+    return [*tables, _by_log(judged)]
+
+
+def write_plans(judged: Mapping[str, Sequence[Judged]], folder: Path) -> list[Path]:
+    """plans_DRIVER.npz of 8 poses and, of drivers that plan 4.5 s, waypoints_DRIVER.npz.
+
+    Keys: log [W] file name without suffix, window [W], trajectories [W, 8, 3] or [W, 45, 2].
+
+    Raises:
+        BenchmarkError: a file cannot be written.
+    """
+    written = []
+    for name, verdicts in judged.items():
+        plans = [v.plan for v in verdicts if len(v.plan) == len(PLAN_TIMES)]
+        if plans:
+            written.append(_write(folder / f"plans_{name}.npz", verdicts, plans))
+        waypoints = [v.waypoints for v in verdicts if v.waypoints is not None]
+        if waypoints:
+            written.append(_write(folder / f"waypoints_{name}.npz", verdicts, waypoints))
+    return written
+
+
+def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Judged]:
+    scorer, judged = PdmScorer(window), {}
+    for name, entry in drivers.items():
+        started = perf_counter()
+        plan = entry.driver(window, entry.times)
+        ms = 1e3 * (perf_counter() - started)
+        scores = scorer.score(plan[None])
+        waypoints = entry.driver(window, WAYPOINT_TIMES)[:, :2]
+        whole = bool(np.isfinite(waypoints).all())
+        hit = float(collides(window, waypoints)) if whole else float("nan")
+        judged[name] = Judged(
+            log=Path(window.log.path).stem,
+            window=window.index,
+            source=window.log.source,
+            command=window.command_name,
+            plan=plan,
+            waypoints=waypoints if whole else None,
+            figures={**_sub_scores(scores), **_distances(window, plan, entry.times), "hit": hit},
+            ms=ms,
+        )
+    return judged
+
+
+def _sub_scores(scores: PdmScores) -> dict[str, float]:
+    by_name = {
+        "NC": scores.nc,
+        "DAC": scores.dac,
+        "EP": scores.ep,
+        "TTC": scores.ttc,
+        "C": scores.c,
+        "PDMS": scores.pdms,
+    }
+    return {name: float(values[0]) for name, values in by_name.items()}
+
+
+def _distances(window: Window, plan: Array, times: Array) -> dict[str, float]:
+    at_plan_times = plan[np.searchsorted(times, PLAN_TIMES - FRAME_S / 2), :2]
+    away = np.linalg.norm(at_plan_times - window.recorded(PLAN_TIMES)[:, :2], axis=-1)
+    at = {f"L2 {second} s": float(away[2 * second - 1]) for second in (1, 2, 3, 4)}
+    return {"ADE": float(away.mean()), "FDE": float(away[-1]), **at}
+
+
+def _row(name: str, verdicts: Sequence[Judged]) -> Row:
+    figures = verdicts[0].figures if verdicts else {}
+    means = {key: float(np.mean([v.figures[key] for v in verdicts])) for key in figures}
+    return {"driver": name, **means, "ms": median(v.ms for v in verdicts) if verdicts else None}
+
+
+def _by_log(judged: Mapping[str, Sequence[Judged]]) -> ResultTable:
+    logs = dict.fromkeys(verdict.log for verdicts in judged.values() for verdict in verdicts)
+    rows: list[Row] = []
+    for log in logs:
+        of_log = {name: [v for v in all_ if v.log == log] for name, all_ in judged.items()}
+        count = len(next(iter(of_log.values())))
+        means = {
+            name: float(np.mean([v.figures["PDMS"] for v in verdicts]))
+            for name, verdicts in of_log.items()
+        }
+        rows.append({"log": log, "windows": count, **means})
+    return ResultTable("PDMS by log", rows, "Windows of one log overlap in time.")
+
+
+def _write(path: Path, verdicts: Sequence[Judged], trajectories: Sequence[Array]) -> Path:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(
+            path,
+            log=np.array([verdict.log for verdict in verdicts]),
+            window=np.array([verdict.window for verdict in verdicts]),
+            trajectories=np.stack(trajectories),
+        )
+    except OSError as error:
+        raise BenchmarkError(f"{path}: {error.strerror}") from error
+    return path
