@@ -59,7 +59,7 @@ class Placement:
     def __init__(self, motion: Motion, vehicle: Vehicle, road: Road) -> None:
         self._road, self._axle = road, motion.poses[..., :2]
         self._corners = box_corners(vehicle.middles(motion.poses), vehicle.size)
-        self.off_road = ~road.is_drivable(self._corners).all(-1)
+        self.off_road = np.asarray(~road.is_drivable(self._corners).all(axis=-1))
         """[P, T] a corner is not drivable."""
 
     def straddles(self, plan: Integers, step: Integers) -> NDArray[np.bool_]:

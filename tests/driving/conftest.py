@@ -1,0 +1,105 @@
+"""A made-up street: 300 m straight along x, two lanes of 4 m, one vehicle that drives on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_driving.log import VEHICLE, DrivingLog
+from anchorflow_driving.window import Scenes, Window
+
+FRAMES, NOW = 80, 20
+LENGTH, WIDTH = 5.0, 2.0
+
+
+@dataclass(frozen=True)
+class Other:
+    """Somebody at constant velocity; x and y of the middle at the window's frame."""
+
+    x: float
+    y: float
+    speed: float = 0.0
+    kind: int = VEHICLE
+    heading: float = 0.0
+    size: tuple[float, float] = (LENGTH, WIDTH)
+
+
+def straight_track(other: Other) -> np.ndarray:
+    t = (np.arange(FRAMES) - NOW) * 0.1
+    cos, sin = np.cos(other.heading), np.sin(other.heading)
+    columns = [
+        other.x + other.speed * t * cos,
+        other.y + other.speed * t * sin,
+        np.full(FRAMES, other.heading),
+        np.full(FRAMES, other.speed * cos),
+        np.full(FRAMES, other.speed * sin),
+    ]
+    return np.stack(columns, -1)
+
+
+def rectangle(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], np.float32)
+
+
+def family(name: str, lines: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    offsets = np.concatenate([[0], np.cumsum([len(line) for line in lines])]).astype(np.int32)
+    points = np.concatenate([*lines, np.zeros((0, 2))]).astype(np.float32)
+    return {f"{name}_points": points, f"{name}_offsets": offsets}
+
+
+def street_fields(ego: Other, others: Sequence[Other] = (), **changed: Any) -> dict[str, Any]:
+    everybody = [ego, *others]
+    centre = [np.array([[-100.0, y], [200.0, y]]) for y in (0.0, 4.0)]
+    fields = {
+        "name": "street",
+        "source": "made",
+        "licence": "none",
+        "city": "nowhere",
+        "dt": 0.1,
+        "track_type": np.array([each.kind for each in everybody], np.uint8),
+        "track_size": np.array([each.size for each in everybody], np.float32),
+        "track_state": np.stack([straight_track(each) for each in everybody]).astype(np.float32),
+        **family("lane", [rectangle(-100, -2, 200, 2), rectangle(-100, 2, 200, 6)]),
+        "lane_intersection": np.zeros(2, bool),
+        "lane_edges": np.zeros((0, 2), np.int32),
+        **family("centre", centre),
+        **family("drivable", [rectangle(-100, -2, 200, 6)]),
+        **family("crosswalk", []),
+        **family("line", [np.array([[-100.0, 2.0], [200.0, 2.0]])]),
+        "line_solid": np.zeros(1, bool),
+        "window_ego": np.zeros(1, np.int32),
+        "window_frame": np.full(1, NOW, np.int32),
+        "window_command": np.ones(1, np.uint8),
+        "window_speed_limit": np.full(1, 10.0, np.float32),
+        **family("route", centre[:1]),
+    }
+    return {**fields, **changed}
+
+
+@pytest.fixture(scope="session")
+def street() -> Callable[..., DrivingLog]:
+    """Makes the log: an ego at `speed` m/s in the right lane, others, fields that differ."""
+
+    def make(*others: Other, speed: float = 10.0, **changed: Any) -> DrivingLog:
+        return DrivingLog(**street_fields(Other(0.0, 0.0, speed), others, **changed))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def on_street(street: Callable[..., DrivingLog]) -> Callable[..., Window]:
+    """The one window of such a log."""
+
+    def make(*others: Other, **changed: Any) -> Window:
+        return Scenes(street(*others, **changed))[0]
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def other() -> type[Other]:
+    return Other
