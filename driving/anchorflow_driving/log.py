@@ -211,23 +211,15 @@ def read_log(path: Path | str) -> DrivingLog:
     Raises:
         LogError: the file cannot be read, or a field is missing or wrong.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [field for field in LAYOUT if field not in file.files]
-            if missing:
-                raise LogError(path, missing[0], expected="the field", found="none")
-            arrays = {field: _array(path, field, file) for field in LAYOUT}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise LogError(path, "file", expected="an .npz of arrays", found=str(error)) from error
-    values: dict[str, Any] = {}
-    for field, array in arrays.items():
-        values[field] = array
-        if not LAYOUT[field][1]:
-            expected = LAYOUT[field][0]
+    arrays = _read_arrays(path)
+    values: dict[str, Any] = dict(arrays)
+    for field, (dtype, axes) in LAYOUT.items():
+        if not axes:
+            array = arrays[field]
             kind = "str" if array.dtype.kind == "U" else str(array.dtype)
-            if kind != expected or array.shape != ():
+            if kind != dtype or array.shape != ():
                 found = f"{kind} {list(array.shape)}"
-                raise LogError(path, field, expected=f"{expected} []", found=found)
+                raise LogError(path, field, expected=f"{dtype} []", found=found)
             values[field] = array.item()
     return DrivingLog(**values, path=str(path))
 
@@ -259,6 +251,21 @@ def read_logs(folder: Path | str) -> list[DrivingLog]:
     if not paths:
         raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
     return [read_log(path) for path in paths]
+
+
+def _read_arrays(path: Path | str) -> dict[str, NDArray]:
+    """Every field's array, whatever it holds."""
+    try:
+        with Path(path).open("rb") as stream:
+            file = np.load(stream, allow_pickle=False)
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise ValueError("a single array")
+            missing = [field for field in LAYOUT if field not in file.files]
+            if missing:
+                raise LogError(path, missing[0], expected="the field", found="none")
+            return {field: _array(path, field, file) for field in LAYOUT}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise LogError(path, "file", expected="an .npz of arrays", found=str(error)) from error
 
 
 def _array(path: Path | str, field: str, file: Mapping[str, NDArray]) -> NDArray:

@@ -51,9 +51,9 @@ def test_angles_wrap() -> None:
         ((0, 2.99, np.pi / 2), True),
         ((0, 3.01, np.pi / 2), False),
         # The circles round both boxes meet; a diagonal side keeps them apart.
-        ((3.2, 2.2, -np.pi / 4), True),
+        ((3.2, 2.2, -np.pi / 4), False),
         ((3.2, 2.2, np.pi / 4), True),
-        ((3.4, 2.9, -np.pi / 4), False),
+        ((2.5, 1.8, -np.pi / 4), True),
     ],
 )
 def test_boxes_of_4_by_2(pose: tuple[float, float, float], touch: bool) -> None:

@@ -48,10 +48,6 @@ def test_polylines_are_told_apart(street: Street) -> None:
     assert log.route(0).tolist() == [[-100, 0], [200, 0]]
 
 
-def changed(key: str, change: Callable[[np.ndarray], Any]) -> Any:
-    return key, change
-
-
 def with_entry(index: Any, value: float) -> Callable[[np.ndarray], np.ndarray]:
     def change(array: np.ndarray) -> np.ndarray:
         array = array.copy()
@@ -73,14 +69,14 @@ def with_entry(index: Any, value: float) -> Callable[[np.ndarray], np.ndarray]:
         ("track_state", with_entry((0, 70, 2), np.nan), "in all five numbers or in none"),
         ("track_state", with_entry((0, 40), np.nan), "the ego of window 0"),
         ("track_state", with_entry((0, 40), np.inf), "found infinity"),
-        ("dt", lambda a: np.float32(0.5), "expected 0.1 s, found 0.5"),
-        ("dt", lambda a: np.float64(0.1), "expected float32 [], found float64 []"),
-        ("name", lambda a: np.array([1]), "expected str [], found int64 [1]"),
-        ("lane_offsets", lambda a: a[:-1], "expected offsets from 0 to 8"),
+        ("dt", lambda _: np.float32(0.5), "expected 0.1 s, found 0.5"),
+        ("dt", lambda _: np.float64(0.1), "expected float32 [], found float64 []"),
+        ("name", lambda _: np.array([1]), "expected str [], found int64 [1]"),
+        ("drivable_offsets", lambda a: a[:-1], "expected offsets from 0 to 4"),
         ("lane_offsets", with_entry(1, 8), "expected at least two points each, found 0"),
         ("lane_intersection", lambda a: a[:1], "with K = 1, F = 80, L = 2, found [1]"),
         ("lane_points", with_entry((0, 0), np.nan), "expected finite numbers"),
-        ("lane_edges", lambda a: np.array([[0, 2]], np.int32), "expected 0 to 1, found 2"),
+        ("lane_edges", lambda _: np.array([[0, 2]], np.int32), "expected 0 to 1, found 2"),
         ("window_ego", with_entry(0, 1), "expected 0 to 0, found 1"),
         ("window_frame", with_entry(0, 19), "expected 20 to 34, found 19"),
         ("window_frame", with_entry(0, 35), "expected 20 to 34, found 35"),
@@ -139,7 +135,7 @@ def test_a_single_array_is_no_log(tmp_path: Path) -> None:
     path = tmp_path / "broken.npz"
     path.write_bytes(buffer.getvalue())
 
-    with pytest.raises(LogError, match="file: expected an .npz of arrays"):
+    with pytest.raises(LogError, match=r"file: expected an \.npz of arrays"):
         read_log(path)
 
 
