@@ -36,7 +36,7 @@ def drive(
     windows = sum(log.windows for log in found)
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)
-    about = {"logs": f"{logs.name}, {len(found)} logs, {windows} windows"}
+    about = {"logs": f"{logs.name}: {len(found)} files, {windows} windows"}
     report("Drive", about, drive_tables(judged), out)
     for path in write_plans(judged, plans or out):
         say(str(path))

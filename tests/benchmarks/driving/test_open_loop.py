@@ -4,10 +4,122 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from anchorflow_benchmarks.driving.open_loop import drive_tables, judge_drivers, named_drivers
+from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_cli.main import main
+from anchorflow_driving.log import VEHICLE, DrivingLog, write_log
 
-RUN = ("bench", "drive", "--logs")
+FRAMES, NOW = 80, 20
+
+
+def family(name: str, *lines: list[tuple[float, float]]) -> dict[str, Any]:
+    offsets = np.cumsum([0, *map(len, lines)], dtype=np.int32)
+    points = np.array([point for line in lines for point in line], np.float32).reshape(-1, 2)
+    return {f"{name}_points": points, f"{name}_offsets": offsets}
+
+
+@pytest.fixture
+def log() -> DrivingLog:
+    """Two vehicles that pass each other on an empty square at 10 and 5 m/s: a window each."""
+    x = np.outer([10.0, -5.0], (np.arange(FRAMES) - NOW) * 0.1)
+    state = np.zeros((2, FRAMES, 5), np.float32)
+    state[..., 0], state[1, :, 1], state[1, :, 2] = x, 10.0, np.pi
+    state[..., 3] = [[10.0], [-5.0]]
+    square = [(-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0)]
+    return DrivingLog(
+        name="square",
+        source="made",
+        licence="none",
+        city="nowhere",
+        dt=0.1,
+        track_type=np.full(2, VEHICLE, np.uint8),
+        track_size=np.full((2, 2), (5.0, 2.0), np.float32),
+        track_state=state,
+        **family("lane", square),
+        lane_intersection=np.zeros(1, bool),
+        lane_edges=np.zeros((0, 2), np.int32),
+        **family("centre", square[:2]),
+        **family("drivable", square),
+        **family("crosswalk"),
+        **family("line"),
+        line_solid=np.zeros(0, bool),
+        window_ego=np.arange(2, dtype=np.int32),
+        window_frame=np.full(2, NOW, np.int32),
+        window_command=np.array([1, 2], np.uint8),
+        window_speed_limit=np.array([10.0, 5.0], np.float32),
+        **family("route", [(-100.0, 0.0), (100.0, 0.0)], [(100.0, 10.0), (-100.0, 10.0)]),
+    )
+
+
+def test_tables_tell_windows_apart_by_source_command_and_log(log: DrivingLog) -> None:
+    judged = judge_drivers(named_drivers(["human", "stop", "idm_40_poses"]), [log])
+
+    tables = {table.title: table.rows for table in drive_tables(judged)}
+
+    assert list(tables) == [
+        "All windows (2)",
+        "Source made (2)",
+        "Command straight (1)",
+        "Command right (1)",
+        "PDMS by log",
+    ]
+    human, stop, idm = tables["All windows (2)"]
+    assert human["PDMS"] == pytest.approx(1.0)
+    assert (human["ADE"], human["FDE"], human["hit"]) == (0, 0, 0)
+    assert idm["PDMS"] == pytest.approx(1.0)
+    assert str(idm["hit"]) == "nan"
+    # From v at 3 m/s² the record is v²/6 ahead where the vehicle stands, and goes on.
+    assert stop["FDE"] == pytest.approx(np.mean([40 - 100 / 6, 20 - 25 / 6]), abs=1e-3)
+    assert stop["L2 1 s"] == pytest.approx(1.5, abs=1e-3)
+    (right,) = [row for row in tables["Command right (1)"] if row["driver"] == "stop"]
+    assert right["FDE"] == pytest.approx(20 - 25 / 6, abs=1e-3)
+    assert tables["PDMS by log"][0]["windows"] == 2
+
+
+def test_an_unknown_driver_is_named() -> None:
+    with pytest.raises(BenchmarkError, match=r"among human, idm, .*, got 'chauffeur'"):
+        named_drivers(["human", "chauffeur"])
+
+
+def test_the_command_writes_tables_and_plans(
+    log: DrivingLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs, out = tmp_path / "logs", tmp_path / "out"
+    logs.mkdir()
+    write_log(log, logs / "by-file-name.npz")
+
+    with pytest.raises(SystemExit) as caught:
+        main(["bench", "drive", "--logs", str(logs), "--out", str(out)])
+
+    assert caught.value.code in (0, None)
+    assert "route_constant_speed" in capsys.readouterr().out
+    about = json.loads((out / "drive.json").read_text())["about"]
+    assert about["logs"] == "logs: 1 files, 2 windows"
+    assert {path.name for path in out.iterdir()} == {
+        "drive.json",
+        "drive.md",
+        *(f"plans_{name}.npz" for name in ("human", "idm", "stop")),
+        *(f"plans_{name}.npz" for name in ("constant_velocity", "route_constant_speed")),
+        *(f"waypoints_{name}.npz" for name in ("human", "stop")),
+        *(f"waypoints_{name}.npz" for name in ("constant_velocity", "route_constant_speed")),
+    }
+    with np.load(out / "plans_human.npz") as plans:
+        assert plans["log"].tolist() == ["by-file-name"] * 2
+        assert plans["window"].tolist() == [0, 1]
+        assert plans["trajectories"].shape == (2, 8, 3)
+    with np.load(out / "waypoints_stop.npz") as waypoints:
+        assert waypoints["trajectories"].shape == (2, 45, 2)
+
+
+def test_a_folder_without_logs_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["bench", "drive", "--logs", str(tmp_path), "--out", str(tmp_path)])
+
+    assert str(caught.value.code) == (
+        f"anchorflow bench: {tmp_path}: folder: expected logs (*.npz), found none"
+    )

@@ -9,7 +9,7 @@ from anchorflow_driving.pdm.comfort import BOUNDS, comfort, felt
 from anchorflow_driving.pdm.tracker import Motion, interpolate, reference_profiles, track
 from anchorflow_driving.window import EgoState
 
-TIME = np.arange(41) * 0.1
+TIME = np.arange(41, dtype=np.float64) * 0.1
 WHEELBASE = 3.0
 
 
