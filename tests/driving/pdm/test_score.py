@@ -54,8 +54,10 @@ def test_stopping_goes_as_far_as_its_brakes_say(on_street: OnStreet) -> None:
 
 
 def test_nobody_is_judged_by_progress_where_there_is_none(on_street: OnStreet, other) -> None:
-    window = on_street(other(5.5, 0.0), speed=0.0)
+    """4 m are free ahead: the reference uses some of them, which is too little to be judged by."""
+    window = on_street(other(9.0, 0.0), speed=0.0)
 
+    assert 1 < PdmScorer(window).reference.progress < 4
     assert score(window, np.zeros((8, 3)))["ep"] == 1
 
 
@@ -76,9 +78,12 @@ def test_a_plan_through_a_standing_box(
 
 
 def test_who_is_run_into_from_behind_is_not_at_fault(on_street: OnStreet, other) -> None:
+    """Nor where it changes lanes at that moment."""
     window = on_street(other(-12.0, 0.0, 14.0))
+    changing = np.stack([10 * PLAN_TIMES, 1.0 * PLAN_TIMES, np.full(8, 0.1)], -1)
 
-    assert score(window, constant_velocity(window))["nc"] == 1
+    for plan in (constant_velocity(window), changing):
+        assert score(window, plan)["nc"] == 1
 
 
 def test_who_stands_is_not_at_fault(on_street: OnStreet, other) -> None:
