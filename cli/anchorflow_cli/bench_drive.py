@@ -14,6 +14,7 @@ from anchorflow_benchmarks.driving.open_loop import (
     named_drivers,
     write_plans,
 )
+from anchorflow_benchmarks.driving.score_time import score_time_table
 from anchorflow_cli.bench_options import RESULTS, OutOption
 from anchorflow_cli.bench_output import progress, report, say
 from anchorflow_driving.log import read_logs
@@ -37,6 +38,6 @@ def drive(
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)
     about = {"logs": f"{logs.name}: {len(found)} files, {windows} windows"}
-    report("Drive", about, drive_tables(judged), out)
+    report("Drive", about, [*drive_tables(judged), score_time_table(found)], out)
     for path in write_plans(judged, plans or out):
         say(str(path))
