@@ -8,8 +8,10 @@ offsets, the k-th being points[offsets[k]:offsets[k + 1]].
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ COMMANDS = ("left", "straight", "right")
 Polylines = tuple[NDArray[np.float64], ...]
 """Each [V, 2]."""
 
+TEXTS = ("name", "source", "licence", "city")
 # Field: dtype and shape. A letter is alike wherever it stands; n and m are the field's own.
 LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "name": ("str", ()),
@@ -60,6 +63,11 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "route_points": ("float32", ("n", 2)),
     "route_offsets": ("int32", ("W+1",)),
 }
+
+
+# What numpy and zipfile raise over a damaged file; RuntimeError, of one that asks for a password or
+# for what zipfile cannot do.
+_UNREADABLE = (OSError, ValueError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,11 +130,8 @@ class DrivingLog:
     def polylines(self, family: str) -> Polylines:
         """The polylines or polygons of lane, centre, drivable, crosswalk, line or route."""
         points = getattr(self, f"{family}_points").astype(np.float64)
-        return (
-            tuple(np.split(points, getattr(self, f"{family}_offsets")[1:-1]))
-            if len(getattr(self, f"{family}_offsets")) > 1
-            else ()
-        )
+        offsets = getattr(self, f"{family}_offsets").tolist()
+        return tuple(points[begin:end] for begin, end in pairwise(offsets))
 
     def route(self, window: int) -> NDArray[np.float64]:
         """[V, 2]"""
@@ -167,8 +172,9 @@ class DrivingLog:
     def _check_values(self) -> None:
         if not np.isclose(self.dt, FRAME_S, atol=1e-6):
             raise self.refuse("dt", f"{FRAME_S} s", self.dt)
-        if not (self.track_size > 0).all():
-            raise self.refuse("track_size", "lengths and widths above 0", self.track_size.min())
+        if not ((self.track_size > 0) & np.isfinite(self.track_size)).all():
+            found = f"{self.track_size.min()} to {self.track_size.max()}"
+            raise self.refuse("track_size", "lengths and widths above 0", found)
         for field in (name for name in LAYOUT if name.endswith("_points")):
             if not np.isfinite(getattr(self, field)).all():
                 raise self.refuse(field, "finite numbers", "NaN or infinity")
@@ -185,6 +191,11 @@ class DrivingLog:
         self._check_range("window_command", len(COMMANDS) - 1)
         last = self.frames - 1 - FUTURE_FRAMES
         self._check_range("window_frame", last, least=HISTORY_FRAMES)
+        for window, route in enumerate(self.polylines("route")):
+            if not np.ptp(route, axis=0).any():
+                raise self.refuse(
+                    "route_points", "a route of some length", f"window {window}: none"
+                )
         for window, (ego, frame) in enumerate(zip(self.window_ego, self.window_frame, strict=True)):
             needed = self.track_state[ego, frame - HISTORY_FRAMES : frame + FUTURE_FRAMES + 1]
             if not np.isfinite(needed).all():
@@ -200,9 +211,6 @@ class DrivingLog:
         wrong = values[(values < least) | (values > most)]
         if wrong.size:
             raise self.refuse(field, f"{least} to {most}", wrong.flat[0])
-
-
-TEXTS = ("name", "source", "licence", "city")
 
 
 def read_log(path: Path | str) -> DrivingLog:
@@ -264,15 +272,18 @@ def _read_arrays(path: Path | str) -> dict[str, NDArray]:
             if missing:
                 raise LogError(path, missing[0], expected="the field", found="none")
             return {field: _array(path, field, file) for field in LAYOUT}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise LogError(path, "file", expected="an .npz of arrays", found=str(error)) from error
 
 
 def _array(path: Path | str, field: str, file: Mapping[str, NDArray]) -> NDArray:
     try:
-        return file[field]
+        array = file[field]
     except ValueError as error:  # an array of objects, which only a pickle could hold
         raise LogError(path, field, expected=LAYOUT[field][0], found=str(error)) from error
+    if not isinstance(array, np.ndarray):  # numpy gives the bytes of what is no array
+        raise LogError(path, field, expected="an array", found="other bytes")
+    return array
 
 
 def _shape(axes: tuple[str | int, ...]) -> str:

@@ -65,6 +65,7 @@ def with_entry(index: Any, value: float) -> Callable[[np.ndarray], np.ndarray]:
         ("track_type", lambda a: a[:, None], "expected [K], found [1, 1]"),
         ("track_size", lambda a: np.concatenate([a, a]), "found [2, 2]"),
         ("track_size", lambda a: 0 * a, "expected lengths and widths above 0"),
+        ("track_size", with_entry((0, 1), np.inf), "found 5.0 to inf"),
         ("track_type", with_entry(0, 4), "expected 0 to 3, found 4"),
         ("track_state", with_entry((0, 70, 2), np.nan), "in all five numbers or in none"),
         ("track_state", with_entry((0, 40), np.nan), "the ego of window 0"),
@@ -81,6 +82,7 @@ def with_entry(index: Any, value: float) -> Callable[[np.ndarray], np.ndarray]:
         ("window_frame", with_entry(0, 19), "expected 20 to 34, found 19"),
         ("window_frame", with_entry(0, 35), "expected 20 to 34, found 35"),
         ("window_command", with_entry(0, 3), "expected 0 to 2, found 3"),
+        ("route_points", lambda a: 0 * a, "expected a route of some length, found window 0"),
         ("route_offsets", lambda a: a[:1], "found [1]"),
     ],
 )
@@ -125,6 +127,25 @@ def test_what_is_no_log_is_said(tmp_path: Path, content: bytes) -> None:
 
     with pytest.raises(LogError, match=r"broken\.npz: file: expected an \.npz of arrays"):
         read_log(path)
+
+
+def test_a_damaged_file_is_said(street: Street, tmp_path: Path) -> None:
+    """Wherever its bytes were changed, a file is read or refused: never another error."""
+    path = tmp_path / "broken.npz"
+    write_log(street(), path)
+    sound, rng = path.read_bytes(), np.random.default_rng(0)
+    refused = 0
+    for _ in range(400):
+        body = bytearray(sound)
+        for place in rng.integers(0, len(body), 3):
+            body[place] ^= int(rng.integers(1, 256))
+        path.write_bytes(bytes(body))
+        try:
+            read_log(path)
+        except LogError:
+            refused += 1
+
+    assert refused > 200
 
 
 def test_a_single_array_is_no_log(tmp_path: Path) -> None:
