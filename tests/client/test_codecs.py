@@ -20,18 +20,17 @@ CODECS = [JsonCodec(), OipCodec()]
 def assert_same(left: Any, right: Any) -> None:
     """Equal field by field, to the last bit."""
     for field in dataclass_fields(left):
-        a: Any = getattr(left, field.name)
-        b: Any = getattr(right, field.name)
+        a, b = getattr(left, field.name), getattr(right, field.name)
         if isinstance(a, np.ndarray):
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype
         elif field.name in ("map_scenes", "cost_map", "warm_start") and a is not None:
             assert_same(a, b)
         elif field.name == "arrays":
-            assert list(a) == list(b)
-            for name in a:
-                np.testing.assert_array_equal(a[name], b[name])
-                assert a[name].dtype == b[name].dtype
+            assert list(left.arrays) == list(right.arrays)
+            for name, array in left.arrays.items():
+                np.testing.assert_array_equal(array, right.arrays[name])
+                assert array.dtype == right.arrays[name].dtype
         else:
             assert a == b, field.name
 

@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from image_planner import write_image_bundle
 
 from anchorflow_client import JsonCodec, Payload
 from anchorflow_client.contract import OCCUPIED
 from anchorflow_client.oip.message import unpack_header, unpack_tensors
 from anchorflow_client.oip.parameters import nest
 from anchorflow_client.oip_codec import PATH_OF_INPUT, RESERVED, OipCodec
+from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Page, Request, Response
@@ -99,6 +101,16 @@ class Served:
 def served() -> Iterator[Served]:
     """One service for all tests; whoever stops it starts it again."""
     served = Served()
+    served.start()
+    yield served
+    served.stop()
+
+
+@pytest.fixture(scope="session")
+def served_both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A service with the default bundle, and one that is asked with a camera image."""
+    camera = write_image_bundle(tmp_path_factory.mktemp("camera"))
+    served = Served("--bundle", str(DEFAULT_BUNDLE), "--bundle", str(camera))
     served.start()
     yield served
     served.stop()
@@ -182,6 +194,12 @@ class Visit:
             lambda asked: asked["x_goal"][:2] == pytest.approx([4.0, 0.0], abs=0.05),
         )
 
+    def choose_camera(self) -> None:
+        """Ask the camera planner from now on; returns when its first answer is shown."""
+        wait_for_text(self, "#summary", "anchors are safe")
+        self.locate("#bundle").select_option("tiny-camera")
+        wait_for_text(self, "#summary", "6 anchors")
+
     @staticmethod
     def occupied(asked: Any) -> np.ndarray:
         """[H,W] whether a cell of a request's map is an obstacle."""
@@ -259,6 +277,29 @@ def open_page(browser: Browser, served: Served) -> Iterator[Callable[..., Visit]
     yield open_with
     for context in contexts:
         context.close()
+
+
+@pytest.fixture
+def camera(open_page: Callable[..., Visit], served_both: Served) -> Iterator[Visit]:
+    """The page with the camera planner chosen, its first answer shown."""
+    visit = open_page(served_both.url)
+    visit.choose_camera()
+    yield visit
+    assert visit.errors == []
+
+
+@pytest.fixture
+def copied() -> Callable[[Visit, str], str]:
+    """Presses a button and gives what it put on the clipboard."""
+
+    def copy(visit: Visit, button: str) -> str:
+        visit.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        visit.locate("#scene-note").evaluate("note => { note.textContent = ''; }")
+        visit.locate(button).click()
+        wait_for_text(visit, "#scene-note", "Copied for")
+        return visit.page.evaluate("navigator.clipboard.readText()")
+
+    return copy
 
 
 @pytest.fixture

@@ -179,20 +179,6 @@ def test_a_saved_scene_is_a_request_and_opens_again(visit: Any, tmp_path: Path) 
     assert again.answered["trajectories"] == before.answered["trajectories"]
 
 
-@pytest.fixture
-def copied(visit: Any) -> Callable[[str], str]:
-    """Presses a button and gives what it put on the clipboard."""
-    visit.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
-
-    def copy(button: str) -> str:
-        visit.locate("#scene-note").evaluate("note => { note.textContent = ''; }")
-        visit.locate(button).click()
-        expect(visit.locate("#scene-note")).to_contain_text("Copied for")
-        return visit.page.evaluate("navigator.clipboard.readText()")
-
-    return copy
-
-
 def ask_for_few(visit: Any) -> Any:
     visit.locate("#num").fill("4")
     return visit.answer(
@@ -202,11 +188,11 @@ def ask_for_few(visit: Any) -> Any:
 
 
 def test_the_request_copied_for_python_runs_and_gives_the_same(
-    visit: Any, copied: Callable[[str], str]
+    visit: Any, copied: Callable[[Any, str], str]
 ) -> None:
     shown = ask_for_few(visit).answered
     program = (
-        copied("#copy-python")
+        copied(visit, "#copy-python")
         + "\nimport json\nprint('JSON', json.dumps(anchors.trajectories.tolist()))\n"
     )
 
@@ -221,12 +207,12 @@ def test_the_request_copied_for_python_runs_and_gives_the_same(
 
 @pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
 def test_the_request_copied_for_curl_runs_and_gives_the_same(
-    visit: Any, copied: Callable[[str], str]
+    visit: Any, copied: Callable[[Any, str], str]
 ) -> None:
     shown = ask_for_few(visit).answered
 
     run = subprocess.run(
-        ["bash", "-c", copied("#copy-curl")], check=True, capture_output=True, timeout=120
+        ["bash", "-c", copied(visit, "#copy-curl")], check=True, capture_output=True, timeout=120
     )
 
     paths = json.loads(run.stdout)["trajectories"]

@@ -25,17 +25,22 @@ class TensorSpec:
     unit: str = ""
     range: tuple[float | None, float | None] | None = None
     """Least and greatest value, both allowed; None is unbounded."""
+    extent: tuple[float, float, float, float] | None = None
+    """m, of a raster [B,…,H,W] seen from above, in the frame of the anchors: least and greatest x,
+    least and greatest y. Its first row lies at the greatest x, its first column at the greatest y.
+    """
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> TensorSpec:
         """Read `asdict` back, lists in place of tuples included."""
-        limits = value.get("range")
+        limits, extent = value.get("range"), value.get("extent")
         return cls(
             name=value["name"],
             dtype=value["dtype"],
             shape=tuple(value["shape"]),
             unit=value.get("unit", ""),
             range=None if limits is None else tuple(limits),
+            extent=None if extent is None else tuple(extent),
         )
 
 

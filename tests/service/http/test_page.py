@@ -112,13 +112,21 @@ def test_the_text_keeps_the_policy() -> None:
 
 def test_every_module_is_loaded_ahead_and_every_import_exists() -> None:
     index = text_of(FILES["/"])
-    preloaded = set(re.findall(r'rel="modulepreload" href="page/js/(\w+\.js)"', index))
-    modules = {path.name for path in FILES.values() if path.suffix == ".js"}
+    preloaded = set(re.findall(r'rel="modulepreload" href="([^"]+\.js)"', index))
+    modules = {url.removeprefix("/"): path for url, path in FILES.items() if path.suffix == ".js"}
 
-    assert preloaded == modules - {"app.js"}
+    assert preloaded == modules.keys() - {"page/js/app.js"}
+    for path in modules.values():
+        for name in re.findall(r'from "(\.[^"]+)"', text_of(path)):
+            assert (path.parent / name).resolve() in modules.values(), f"{path.name}: {name}"
+
+
+def test_what_planners_share_knows_nothing_of_their_kinds() -> None:
+    script = FOLDER / "js"
     for path in FILES.values():
-        for name in re.findall(r'from "\./([^"]+)"', text_of(path)):
-            assert name in modules, f"{path.name} imports {name}"
+        imported = set(re.findall(r'from "\.{1,2}/(map|tensors)/', text_of(path)))
+        if path != script / "app.js":
+            assert not imported, path
 
 
 def test_every_element_that_a_module_asks_for_exists() -> None:
@@ -276,3 +284,17 @@ def test_an_engine_without_a_flow_says_so(service: Any, fields: dict[str, Any]) 
     assert answer.status_code == 422
     assert answer.json()["error"]["field"] == "model"
     assert "lines" in answer.json()["error"]["message"]
+
+
+def test_a_planner_that_chooses_from_a_vocabulary_has_no_flow(
+    image_bundle: Path, run: Callable[..., Any]
+) -> None:
+    engine = Engine(load_bundle(image_bundle), threads=1)
+    service = run(create_app(PlanningService({"camera": engine}, default="camera")))
+    camera = np.zeros((3, 16, 24), int).tolist()
+
+    answer = post_flow(service, {"inputs": {"camera": camera, "ego_status": [1, 0, 0, 0]}})
+
+    assert answer.status_code == 422
+    assert answer.json()["error"]["field"] == "model"
+    assert "a model with a flow, got tiny-camera" in answer.json()["error"]["message"]

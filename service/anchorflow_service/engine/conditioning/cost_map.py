@@ -26,6 +26,8 @@ REACH = 0.3
 """Way of the probe from start to goal, as a share of what v_max covers in the horizon."""
 MARGIN = 2.0
 """Side of the probe's map, in such ways."""
+DIGITS = 8
+"""Of a position in m that are left of one that lies far from zero."""
 
 
 class CostMapConditioning:
@@ -131,27 +133,47 @@ def _scene(request: ResolvedRequest, index: int, channels: int) -> Scene:
 
 
 def _reference(cost_map: CostMap) -> NDArray[np.float64]:
-    """[2] m: where a frame begins in which float32 resolves the map; its centre, where it is far.
+    """[2] m: where a frame begins in which float32 resolves the map; zero where the map is near.
 
-    A map in UTM coordinates lies where float32 steps by half a metre.
+    A map in UTM coordinates lies where float32 steps by half a metre. Its frame begins at the
+    map's centre or at its corner, whichever is the rounder number: there callers have their zero
+    at home too, and get the same anchors to the last bit.
     """
-    extent = cost_map.extent
-    return np.zeros(2) if np.abs(extent).max() <= NEAR else extent.mean(axis=0)
+    corner, opposite = extent = cost_map.extent
+    if np.abs(extent).max() <= NEAR:
+        return np.zeros(2)
+    return min(np.round([0.5 * (corner + opposite), corner], 3), key=_decimals)
+
+
+def _decimals(numbers: NDArray[np.float64]) -> int:
+    """Digits behind the point, of numbers that have three at most."""
+    return next(k for k in range(4) if np.array_equal(np.round(numbers, k), numbers))
 
 
 def _moved(request: ResolvedRequest, reference: NDArray[np.float64]) -> ResolvedRequest:
     """The request in a frame that begins at the reference."""
     scenes, warm = request.on_map, request.warm_start
-    cost_map = replace(scenes.cost_map, origin=scenes.cost_map.origin - reference)
+    cost_map = replace(scenes.cost_map, origin=_near(scenes.cost_map.origin, reference))
     moved = replace(
         scenes,
         cost_map=cost_map,
-        x_curr=_displaced(scenes.x_curr, -reference),
-        x_goal=_displaced(scenes.x_goal, -reference),
+        x_curr=_near(scenes.x_curr, reference),
+        x_goal=_near(scenes.x_goal, reference),
     )
     if warm is not None:
-        warm = WarmStart(_displaced(warm.trajectory, -reference), warm.tau)
+        warm = WarmStart(_near(warm.trajectory, reference), warm.tau)
     return replace(request, map_scenes=moved, warm_start=warm)
+
+
+def _near(vectors: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors in the frame of the reference, without the digits that they lost to their distance.
+
+    A double steps by a nanometre at 5,000 km: what stood on the border of two cells would stand
+    in one of them, and start another search.
+    """
+    moved = _displaced(vectors, -reference)
+    moved[..., :2] = np.round(moved[..., :2], DIGITS) + 0.0  # no negative zero
+    return moved
 
 
 def _displaced(vectors: NDArray[np.floating], by: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,26 +4,50 @@
 const STANDSTILL = 0.05;
 
 export class Anchors {
-  /** @param {object} answer  as `plan` of wire.js gives it; `card`: of the bundle that answered */
+  /**
+   * @param {object} answer  arrays as {shape, values} by name, and dt, first_s, seed, timing
+   * @param {object} card  of the bundle that answered
+   */
   constructor(answer, card) {
-    const { trajectories, velocities, accelerations } = answer;
+    const { trajectories, velocities, accelerations, scores, clearance, safe } = answer;
     this.card = card;
+    /** What the anchors keep, where the card says it. */
+    this.limits = card.conditioning.limits;
     [this.count, this.steps] = trajectories.shape;
-    /** [N,T,2] m, flat; likewise m/s and m/s². A heading is left out. */
+    /** [N,T,2] m, flat; likewise m/s and m/s². A heading is left out. Null: not given. */
     this.positions = planar(trajectories);
-    this.velocities = planar(velocities);
-    this.accelerations = planar(accelerations);
-    /** [N,T] */
-    this.speeds = lengths(this.velocities);
-    this.pulls = lengths(this.accelerations);
-    const [scores, clearance] = [answer.scores, answer.clearance].map(({ values }) => Array.from(values));
-    const safe = Array.from(answer.safe.values, Boolean);
-    const { dt, seed, timing } = answer;
-    Object.assign(this, { scores, clearance, safe, dt, seed, timing });
+    this.velocities = velocities ? planar(velocities) : null;
+    this.accelerations = accelerations ? planar(accelerations) : null;
+    /** [N,T], or null. */
+    this.speeds = velocities ? lengths(this.velocities) : null;
+    this.pulls = accelerations ? lengths(this.accelerations) : null;
+    /** [N], or null. */
+    this.scores = scores ? Array.from(scores.values) : null;
+    this.clearance = clearance ? Array.from(clearance.values) : null;
+    /** [N]; all of them where nobody has looked. */
+    this.safe = Array.from({ length: this.count }, (_, n) => !safe || Boolean(safe.values[n]));
+    const { dt, first_s: first = 0, seed, timing } = answer;
+    Object.assign(this, { trajectories, dt, first, seed, timing });
     /** Safe ones first, then by score: the order in which one would take them. */
-    this.order = scores.map((_, n) => n).sort((a, b) => safe[b] - safe[a] || scores[b] - scores[a]);
+    this.order = this.safe.map((_, n) => n).sort((a, b) => this.safe[b] - this.safe[a] || this.#score(b) - this.#score(a));
     this.best = this.order[0];
-    this.numSafe = safe.filter(Boolean).length;
+    this.numSafe = this.safe.filter(Boolean).length;
+  }
+
+  #score(n) {
+    return this.scores ? this.scores[n] : 0;
+  }
+
+  /** [D], one of the [N,T] poses. */
+  pose(n, t) {
+    const dim = this.trajectories.shape[2];
+    const at = dim * (n * this.steps + t);
+    return Array.from(this.trajectories.values.slice(at, at + dim));
+  }
+
+  /** s from now to time step t. */
+  time(t) {
+    return this.first + t * this.dt;
   }
 
   /** Length of the way in m. */
@@ -52,13 +76,13 @@ export class Anchors {
 
   /** [T] 1/m, the curvature at which going round takes all of a_max; NaN where it stands still. */
   curvatureLimit(n) {
-    return this.#along(n, (_, speed) => (speed < STANDSTILL ? NaN : this.card.a_max / speed ** 2));
+    return this.#along(n, (_, speed) => (speed < STANDSTILL ? NaN : this.limits.a_max / speed ** 2));
   }
 
   /** Why no anchor is safe, in words; "" where one is. */
   get trouble() {
     if (this.numSafe) return "";
-    const { v_max: fastest, horizon_s: horizon } = this.card;
+    const { v_max: fastest, horizon_s: horizon } = this.limits;
     const fast = this.order.filter((n) => this.greatest(this.speeds, n) > fastest).length;
     if (fast > this.count / 2) return `the way is too long for ${horizon} s at ${fastest} m/s`;
     return "each comes too close to an obstacle or breaks a limit";
@@ -75,7 +99,7 @@ export class Anchors {
 /** x and y of [N,T,D], flat. */
 function planar({ shape: [count, steps, dim], values }) {
   if (dim === 2) return values;
-  return Float32Array.from({ length: 2 * count * steps }, (_, k) => values[dim * (k >> 1) + (k & 1)]);
+  return values.constructor.from({ length: 2 * count * steps }, (_, k) => values[dim * (k >> 1) + (k & 1)]);
 }
 
 function lengths(flat) {

@@ -23,6 +23,9 @@ export function makeSvg(tag, attributes = {}, text = "") {
 /** A number with so many digits and a true minus sign. */
 export const figure = (value, digits = 2) => value.toFixed(digits).replace("-", "−");
 
+/** A number with no more digits than it needs, three behind the point at most. */
+export const plain = (value) => String(Number(value.toFixed(3))).replace("-", "−");
+
 /** A number between low and high. */
 export const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 

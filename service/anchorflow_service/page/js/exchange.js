@@ -1,110 +1,60 @@
-/** Scenes in and out: the JSON of POST /anchors is the file format, so that a file can be sent as it is. */
+/** Requests for other programs: a line for a shell, the literals of Python, the clipboard. */
 
-import { Grid, OCCUPIED } from "./grid.js";
+import { byId, make } from "./dom.js";
 
-/** The scene as a file; one line a row of the map. */
-export function toJson(request) {
-  const rows = request.cost_map.data[0].map((row) => JSON.stringify(row)).join(",\n");
-  const { cost_map: { data, ...place }, ...rest } = request;
-  return `{"cost_map": {"data": [[\n${rows}]],\n${inner(place)}},\n${inner(rest)}}\n`;
-}
+/** The address of the service. */
+export const serviceUrl = () => new URL(".", document.baseURI).href.replace(/\/$/, "");
 
-const inner = (object) => JSON.stringify(object).slice(1, -1);
-
-/** {grid, ends, options} of a request's JSON. Throws an Error that names the field. */
-export function fromJson(text, card) {
-  let request;
-  try {
-    request = JSON.parse(text);
-  } catch (cause) {
-    throw new Error(`Expected a scene in JSON: ${cause.message}.`, { cause });
-  }
-  const state = numbers(request?.x_curr, "x_curr", 3 * card.D);
-  const goal = numbers(request?.x_goal, "x_goal", 2 * card.D);
-  const end = (values) => ({ x: values[0], y: values[1], vx: values[card.D], vy: values[card.D + 1] });
-  return { grid: readGrid(request.cost_map), ends: { start: end(state), goal: end(goal) }, options: readOptions(request) };
-}
-
-function numbers(values, field, count) {
-  const good = Array.isArray(values) && values.length === count && values.every(Number.isFinite);
-  if (!good) throw new Error(`${field}: expected ${count} numbers, got ${describe(values)}.`);
-  return values;
-}
-
-function describe(value) {
-  if (Array.isArray(value)) return `${value.length} values`;
-  return value === undefined ? "nothing" : JSON.stringify(value).slice(0, 40);
-}
-
-function readGrid(map) {
-  const channel = map?.data?.[0];
-  const good = Array.isArray(channel) && channel.length > 0 && channel.every((row) => row?.length === channel[0].length && Number.isFinite(row[0]));
-  if (!good) throw new Error("cost_map.data: expected [C,H,W], the occupancy in its first channel.");
-  if (!(map.resolution > 0)) throw new Error(`cost_map.resolution: expected more than 0 m, got ${describe(map.resolution)}.`);
-  const origin = map.origin && numbers(map.origin, "cost_map.origin", 2);
-  const grid = new Grid(channel.length, channel[0].length, map.resolution, origin ?? undefined);
-  channel.forEach((row, r) => row.forEach((value, c) => { if (value >= 0.5) grid.set(r, c, OCCUPIED); }));
-  return grid;
-}
-
-/** The options that a request gives; a schedule that is no uniform one is left to the bundle. */
-function readOptions({ w_style: style, num_samples: num, seed, robot_radius: radius, sampler, refine = {} }) {
-  const steps = sampler?.schedule?.uniform;
-  const sum = style?.reduce((a, b) => a + b);
-  const read = {
-    style: style?.map((weight) => weight / sum),
-    num,
-    seed,
-    radius,
-    sampler: steps ? (sampler.method ?? "rk4") : "card",
-    steps,
-    margin: refine.safety_margin,
-    smooth: refine.smooth,
-    project: refine.project,
-  };
-  return Object.fromEntries(Object.entries(read).filter(([, value]) => value !== undefined));
-}
-
-/** The same request for a shell. */
-export function toCurl(request) {
+/** A request in JSON, for a shell; nothing in it is the shell's. */
+export function toCurl(json) {
   const url = new URL("anchors", document.baseURI);
-  return `curl -s ${url} -H 'Content-Type: application/json' --data-binary @- <<'JSON'\n${toJson(request)}JSON\n`;
-}
-
-/** The same request for Python, with a map that one can read. */
-export function toPython(request) {
-  const { cost_map: map, ...rest } = request;
-  // Written as one sees it: the top line is the map's last row.
-  const lines = map.data[0].map((row) => row.map((cell) => (cell ? "#" : ".")).join("")).reverse();
-  const url = new URL(".", document.baseURI).href.replace(/\/$/, "");
-  const fields = Object.entries(rest).map(([name, value]) => `        ${name}=${python(value)},\n`);
-  return `import numpy as np
-from anchorflow_client import AnchorClient
-
-drawn = """
-${lines.join("\n")}
-""".split()
-# Row 0 of a map has the smallest y, so the drawing is turned over.
-occupancy = np.array([[cell == "#" for cell in row] for row in reversed(drawn)], float)
-
-with AnchorClient("${url}") as client:
-    anchors = client.plan(
-        cost_map=occupancy,
-        resolution=${python(map.resolution)},
-        origin=${python(map.origin)},
-${fields.join("")}    )
-
-print(f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe")
-print(anchors.trajectories[anchors.best])
-`;
+  return `curl -s ${url} -H 'Content-Type: application/json' --data-binary @- <<'JSON'\n${json}JSON\n`;
 }
 
 /** A value of JSON as Python writes it. */
-function python(value) {
+export function python(value) {
   if (typeof value === "boolean") return value ? "True" : "False";
   if (Array.isArray(value)) return `[${value.map(python).join(", ")}]`;
   if (value && typeof value === "object") {
-    return `{${Object.entries(value).map(([key, part]) => `"${key}": ${python(part)}`).join(", ")}}`;
+    return `{${Object.entries(value).map(([key, part]) => `${python(key)}: ${python(part)}`).join(", ")}}`;
   }
-  return JSON.stringify(value);
+  return value === null ? "None" : JSON.stringify(value);
+}
+
+/** Keyword arguments, a line each. */
+export function pythonArguments(fields, indent) {
+  return Object.entries(fields).map(([name, value]) => `${indent}${name}=${python(value)},\n`).join("");
+}
+
+/** The buttons that copy: `write.curl()` and `write.python()` give what is copied. */
+export function listenForCopies(isShown, write) {
+  const buttons = { "copy-curl": ["curl", write.curl], "copy-python": ["Python", write.python] };
+  for (const [id, [name, text]] of Object.entries(buttons)) {
+    byId(id).addEventListener("click", async () => {
+      if (!isShown()) return;
+      try {
+        await copy(text());
+        byId("scene-note").textContent = `Copied for ${name}.`;
+      } catch (error) {
+        byId("scene-note").textContent = error.message;
+      }
+    });
+  }
+}
+
+async function copy(text) {
+  try {
+    await navigator.clipboard.writeText(text);
+  } catch {
+    copyBySelection(text);
+  }
+}
+
+/** The clipboard is closed to pages that came over plain HTTP from another machine. */
+function copyBySelection(text) {
+  const field = make("textarea", { value: text, className: "unseen" });
+  document.body.append(field);
+  field.select();
+  document.execCommand("copy");
+  field.remove();
 }

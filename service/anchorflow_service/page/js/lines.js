@@ -1,6 +1,7 @@
 /** Anchors as lines: coloured, the ones that are not safe dashed, one of them in focus. */
 
 import { SHADES, shade } from "./colours.js";
+import { figure } from "./dom.js";
 
 const DASH = [5, 4];
 /** Share of the anchors below the scale's low end. */
@@ -8,10 +9,11 @@ const STRAGGLERS = 0.1;
 /** px from a line at which the pointer means it. */
 const NEAR_PX = 14;
 
-/** What the colours stand for: {low, high, unit, digits}. */
+/** What the colours stand for: {low, high, unit, digits}; null where they stand for nothing. */
 export function colourScale(anchors, by) {
-  if (by === "speed") return { low: 0, high: anchors.card.v_max, unit: "m/s", digits: 0 };
+  if (by === "speed") return anchors.speeds && { low: 0, high: anchors.limits.v_max, unit: "m/s", digits: 0 };
   const values = by === "score" ? anchors.scores : anchors.clearance;
+  if (!values) return null;
   // The scores of anchors through walls would leave one colour to all the others.
   const shown = anchors.numSafe ? values.filter((_, n) => anchors.safe[n]) : values;
   const sorted = [...shown].sort((a, b) => a - b);
@@ -22,23 +24,35 @@ export function colourScale(anchors, by) {
 
 /** The colour of a whole anchor. */
 export function anchorColour(stage, anchors, by, n) {
+  const scale = colourScale(anchors, by);
+  if (!scale) return stage.colours.accent;
   const values = { score: anchors.scores, clearance: anchors.clearance }[by];
   const value = values ? values[n] : anchors.greatest(anchors.speeds, n);
-  const { low, high } = colourScale(anchors, by);
-  return stage.colours.ramps[by][shade(value, low, high)];
+  return stage.colours.ramps[by][shade(value, scale.low, scale.high)];
+}
+
+/** Shows what the colours stand for in a legend; none where they stand for nothing. */
+export function showLegend(legend, anchors, by) {
+  const scale = colourScale(anchors, by);
+  legend.hidden = !scale;
+  if (!scale) return;
+  legend.dataset.by = by;
+  legend.firstElementChild.textContent = figure(scale.low, scale.digits);
+  legend.lastElementChild.textContent = `${figure(scale.high, scale.digits)} ${scale.unit}`.trim();
 }
 
 /** Draws them, worst first so that good ones lie on top. */
 export function drawAnchors(context, stage, show) {
   const { anchors, colourBy: by, focus, stale, replayed, robot } = show;
   const screen = toScreen(stage, replayed ?? anchors.positions);
+  const bySpeed = by === "speed" && anchors.speeds && !replayed;
   const inFocus = robot ? null : (focus ?? anchors.best);
   context.lineJoin = context.lineCap = "round";
   context.globalAlpha = stale ? 0.22 : focus === null ? 0.9 : 0.35;
-  context.lineWidth = 1.3;
+  context.lineWidth = stage.lineWidth;
   for (const n of [...anchors.order].reverse()) {
     if (n === inFocus && !stale) continue;
-    if (by === "speed" && !replayed) drawBySpeed(context, stage, { anchors, screen, n });
+    if (bySpeed) drawBySpeed(context, stage, { anchors, screen, n });
     else drawWhole(context, { anchors, screen, n, colour: anchorColour(stage, anchors, by, n) });
   }
   context.globalAlpha = 1;
@@ -46,7 +60,7 @@ export function drawAnchors(context, stage, show) {
   context.lineWidth = 6;
   drawWhole(context, { anchors, screen, n: inFocus, colour: stage.colours.outline });
   context.lineWidth = 3;
-  if (by === "speed" && !replayed) drawBySpeed(context, stage, { anchors, screen, n: inFocus });
+  if (bySpeed) drawBySpeed(context, stage, { anchors, screen, n: inFocus });
   else drawWhole(context, { anchors, screen, n: inFocus, colour: stage.colours.focus });
   if (show.step !== null && !replayed) drawStep(context, stage, screen, inFocus * anchors.steps + show.step);
 }
@@ -65,13 +79,16 @@ export function drawPath(context, stage, points) {
 }
 
 /** [N,T,2] in CSS pixels. */
-function toScreen(stage, positions) {
-  const [left0, top0] = stage.toScreen(0, 0);
-  const { scale } = stage;
+export function toScreen(stage, positions) {
+  // How a metre lies on the screen, seen from the first point: maps may lie far from zero.
+  const [x0, y0] = positions;
+  const [left0, top0] = stage.toScreen(x0, y0);
+  const [alongX, alongY] = [stage.toScreen(x0 + 1, y0), stage.toScreen(x0, y0 + 1)].map(([left, top]) => [left - left0, top - top0]);
   const screen = new Float32Array(positions.length);
   for (let k = 0; k < positions.length; k += 2) {
-    screen[k] = left0 + positions[k] * scale;
-    screen[k + 1] = top0 - positions[k + 1] * scale;
+    const [x, y] = [positions[k] - x0, positions[k + 1] - y0];
+    screen[k] = left0 + x * alongX[0] + y * alongY[0];
+    screen[k + 1] = top0 + x * alongX[1] + y * alongY[1];
   }
   return screen;
 }
@@ -89,7 +106,7 @@ function drawWhole(context, { anchors, screen, n, colour }) {
 function drawBySpeed(context, stage, { anchors, screen, n }) {
   const shades = stage.colours.ramps.speed;
   const first = n * anchors.steps;
-  const shadeAt = (t) => shade(anchors.speeds[first + t], 0, anchors.card.v_max * (1 + 1 / SHADES));
+  const shadeAt = (t) => shade(anchors.speeds[first + t], 0, anchors.limits.v_max * (1 + 1 / SHADES));
   context.setLineDash(anchors.safe[n] ? [] : DASH);
   let gone = 0;
   for (let t = 0; t + 1 < anchors.steps; ) {

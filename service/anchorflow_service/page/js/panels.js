@@ -6,10 +6,27 @@ import { byId, figure as number, make } from "./dom.js";
 const ROWS = 10;
 const STAGES = { queue: "queue", encode: "encode", sample: "sample", refine: "refine", way: "transfer, drawing" };
 
-/** "58 of 64 anchors are safe." and, where none is, why. */
-export function showSummary(anchors, scene) {
-  const { count, numSafe, trouble } = anchors;
-  const text = numSafe ? `${numSafe} of ${count} anchors are safe.` : `No anchor is safe: ${scene.tightEnd || trouble}.`;
+const LENGTH = { name: "Length", unit: "m", value: (anchors, n) => anchors.length(n) };
+const SCORE = { name: "Score", unit: "", value: ({ scores }, n) => scores[n] };
+const CLEARANCE = { name: "Clear", unit: "m", value: ({ clearance }, n) => clearance[n] };
+const TOP_SPEED = { name: "Top", unit: "m/s", value: (anchors, n) => anchors.greatest(anchors.speeds, n) };
+
+/** The columns of the table that the arrays of an answer can fill, with what tells of the way. */
+export function columnsOf({ scores, clearance, speeds }, way = [LENGTH]) {
+  return [scores && SCORE, clearance && CLEARANCE, ...way, speeds && TOP_SPEED].filter(Boolean);
+}
+
+/** Which anchor the figures are about: the one in focus, or the best. */
+export function nameAnchor(anchors, focus) {
+  const { best, safe, scores } = anchors;
+  const looked = focus ?? best;
+  byId("anchor-name").textContent = focus === null ? "Best anchor" : `Anchor ${focus}`;
+  const score = scores ? `score ${number(scores[looked])}` : "";
+  byId("anchor-figures").textContent = safe[looked] ? score : "not safe";
+}
+
+/** What has come back, in a sentence. */
+export function say(text) {
   // Said again only when it is news, so that a screen reader is not talked over.
   if (byId("summary").textContent !== text) byId("summary").textContent = text;
 }
@@ -35,18 +52,21 @@ export function showTimes(timing, screenMs) {
   byId("round-trip").textContent = `on screen in ${milliseconds(screenMs)}`;
 }
 
-/** The table; `onLook(n)` is told which anchor is looked at, null for none, `onKeep(n)` a click. */
-export function showBest(stage, anchors, { by, focus, onLook, onKeep }) {
-  const body = byId("best").tBodies[0];
+/**
+ * The table of the best; `columns` of it are {name, unit, value(anchors, n)}. `onLook(n)` is told
+ * which anchor is looked at, null for none, `onKeep(n)` a click.
+ */
+export function showBest(stage, anchors, { columns, by, focus, onLook, onKeep }) {
+  const body = bodyFor(columns, onLook, onKeep);
   const best = anchors.order.slice(0, ROWS);
+  byId("best-name").textContent = anchors.count > ROWS ? "Ten best" : "All anchors";
   while (body.rows.length > best.length) body.rows[body.rows.length - 1].remove();
   best.forEach((n, place) => {
-    const row = body.rows[place] ?? newRow(body, onLook, onKeep);
+    const row = body.rows[place] ?? newRow(body, columns.length);
     row.dataset.anchor = n;
     row.className = anchors.safe[n] ? "" : "unsafe";
     row.setAttribute("aria-current", n === focus);
-    const figures = [anchors.scores[n], anchors.clearance[n], anchors.length(n), anchors.greatest(anchors.speeds, n)];
-    figures.forEach((value, k) => { row.cells[k + 1].textContent = number(value); });
+    columns.forEach(({ value }, k) => { row.cells[k + 1].textContent = number(value(anchors, n)); });
     const button = row.cells[0].firstChild;
     button.lastChild.data = `${n}`;
     button.setAttribute("aria-label", `Anchor ${n}${anchors.safe[n] ? "" : ", not safe"}`);
@@ -54,17 +74,35 @@ export function showBest(stage, anchors, { by, focus, onLook, onKeep }) {
   });
 }
 
+/** Who is told of looks and clicks: the view that has filled the table last. */
+let listeners = {};
+
+/** The table's body, emptied where its columns are others than before. */
+function bodyFor(columns, onLook, onKeep) {
+  listeners = { onLook, onKeep };
+  const table = byId("best");
+  const names = columns.map(({ name }) => name).join();
+  if (table.dataset.columns === names) return table.tBodies[0];
+  table.dataset.columns = names;
+  const heads = [{ name: "Anchor", unit: "" }, ...columns].map(({ name, unit }) => {
+    return make("th", { scope: "col" }, name, ...(unit ? [make("span", { className: "unit" }, unit)] : []));
+  });
+  table.tHead.rows[0].replaceChildren(...heads);
+  table.tBodies[0].replaceChildren();
+  return table.tBodies[0];
+}
+
 /** A row is made once and filled again with every answer, so that focus stays where it is. */
-function newRow(body, onLook, onKeep) {
+function newRow(body, columns) {
   const row = body.insertRow();
   const button = make("button", { type: "button" }, make("i"), document.createTextNode(""));
-  row.append(make("td", {}, button), ...Array.from({ length: 4 }, () => make("td")));
+  row.append(make("td", {}, button), ...Array.from({ length: columns }, () => make("td")));
   const anchor = () => Number(row.dataset.anchor);
-  row.addEventListener("pointerenter", () => onLook(anchor()));
-  row.addEventListener("pointerleave", () => onLook(null));
-  button.addEventListener("focus", () => onLook(anchor()));
-  button.addEventListener("blur", () => onLook(null));
-  button.addEventListener("click", () => onKeep(anchor()));
+  row.addEventListener("pointerenter", () => listeners.onLook(anchor()));
+  row.addEventListener("pointerleave", () => listeners.onLook(null));
+  button.addEventListener("focus", () => listeners.onLook(anchor()));
+  button.addEventListener("blur", () => listeners.onLook(null));
+  button.addEventListener("click", () => listeners.onKeep(anchor()));
   return row;
 }
 

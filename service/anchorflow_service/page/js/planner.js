@@ -1,7 +1,6 @@
 /** Asks for anchors: one request in flight, the newest scene wins, and a stopped service is waited for. */
 
 import { Refusal, ask } from "./service.js";
-import { plan } from "./wire.js";
 
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 8_000;
@@ -20,7 +19,10 @@ export class Planner extends EventTarget {
   #busy = false;
   #wake = () => {};
 
-  /** `question()` gives {body, …} of the newest scene at the moment of sending; null: nothing. */
+  /**
+   * `question()` gives {body, send, …} of the newest scene at the moment of sending; without a body
+   * nothing is asked. `send(body)` brings the answer.
+   */
   constructor(question) {
     super();
     this.#question = question;
@@ -48,7 +50,7 @@ export class Planner extends EventTarget {
     while (this.#wanted) {
       this.#wanted = false;
       const question = this.#question();
-      if (question) await this.#put(question);
+      if (question.body) await this.#put(question);
     }
     this.#busy = false;
   }
@@ -56,7 +58,7 @@ export class Planner extends EventTarget {
   async #put(question) {
     const sentAt = performance.now();
     try {
-      const answer = await plan(question.body);
+      const answer = await question.send(question.body);
       this.#tell("answer", { question, answer, sentAt, receivedAt: performance.now() });
     } catch (error) {
       if (error instanceof Refusal && !error.passes) {

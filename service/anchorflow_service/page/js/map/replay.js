@@ -1,7 +1,7 @@
 /** The replay: how the flow carries noise to trajectories, and what the finish makes of them. */
 
-import { ask } from "./service.js";
-import { byId, make } from "./dom.js";
+import { ask } from "../service.js";
+import { byId, make } from "../dom.js";
 
 const PLAY_MS = 3200;
 /** Share of the bar that belongs to the flow; the rest is the finish. */

@@ -1,11 +1,13 @@
 /** Open, drop, save and copy scenes. */
 
-import { byId, make } from "./dom.js";
-import { fromJson, toCurl, toJson, toPython } from "./exchange.js";
+import { byId, make } from "../dom.js";
+import { listenForCopies, toCurl } from "../exchange.js";
 import { readMap } from "./maps.js";
+import { fromJson, toJson, toPython } from "./scene_json.js";
 
 export class Files {
-  constructor(scene, controls) {
+  /** `isShown()`: whether scenes are what the page is about. */
+  constructor(scene, controls, isShown) {
     Object.assign(this, { scene, controls });
     byId("open").addEventListener("click", () => byId("files").click());
     byId("files").addEventListener("change", () => {
@@ -13,8 +15,10 @@ export class Files {
       byId("files").value = "";
     });
     byId("save").addEventListener("click", () => this.#save());
-    byId("copy-curl").addEventListener("click", () => this.#copy(toCurl, "curl"));
-    byId("copy-python").addEventListener("click", () => this.#copy(toPython, "Python"));
+    listenForCopies(isShown, {
+      curl: () => toCurl(toJson(scene.request())),
+      python: () => toPython(scene.request()),
+    });
     this.#listenForDrops(byId("board"));
   }
 
@@ -40,7 +44,7 @@ export class Files {
     try {
       const json = files.find((file) => /\.json$/i.test(file.name));
       if (json) {
-        const { grid, ends, options } = fromJson(await json.text(), this.scene.card);
+        const { grid, ends, options } = fromJson(await json.text(), this.scene.dim);
         Object.assign(this.scene.options, options);
         this.#show(grid, ends, `${json.name} is open.`);
       } else if (files.some((file) => /\.(pgm|png|ya?ml)$/i.test(file.name))) {
@@ -68,27 +72,7 @@ export class Files {
     this.#say("Saved: the file is a request that POST /anchors takes.");
   }
 
-  async #copy(write, name) {
-    const text = write(this.scene.request());
-    try {
-      await navigator.clipboard.writeText(text);
-      this.#say(`Copied for ${name}.`);
-    } catch {
-      copyBySelection(text);
-      this.#say(`Copied for ${name}.`);
-    }
-  }
-
   #say(text) {
     byId("scene-note").textContent = text;
   }
-}
-
-/** The clipboard is closed to pages that came over plain HTTP from another machine. */
-function copyBySelection(text) {
-  const field = make("textarea", { value: text, className: "unseen" });
-  document.body.append(field);
-  field.select();
-  document.execCommand("copy");
-  field.remove();
 }

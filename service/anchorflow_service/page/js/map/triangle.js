@@ -1,6 +1,6 @@
 /** The style as a point in a triangle: how much each of its corners weighs. */
 
-import { byId } from "./dom.js";
+import { byId } from "../dom.js";
 
 const NAMES = ["safety", "energy", "smooth"];
 /** Corners in the drawing's own units, in the order of `w_style`. */

@@ -37,7 +37,7 @@ export class Drive {
     const now = performance.now();
     this.active = true;
     this.home = { ...this.scene.start };
-    this.#plan = new Stop(this.home, this.scene.card);
+    this.#plan = new Stop(this.home, this.scene.limits);
     this.#since = this.#heard = now;
     this.#answers = [];
     this.taken = 0;
@@ -59,7 +59,7 @@ export class Drive {
     const at = performance.now();
     const state = this.#state(at);
     const body = this.scene.request(state);
-    if (this.#holds && this.scene.card.D === 2) {
+    if (this.#holds && this.scene.dim === 2) {
       body.warm_start = { trajectory: this.#plan.rest((at - this.#since) / 1e3), tau: TAU };
     }
     return { body, at, plan: this.#plan, version: this.scene.version };
@@ -98,7 +98,7 @@ export class Drive {
 
   #brake(now) {
     if (this.#plan instanceof Stop) return;
-    this.#plan = new Stop(this.#state(now), this.scene.card);
+    this.#plan = new Stop(this.#state(now), this.scene.limits);
     this.#since = now;
   }
 

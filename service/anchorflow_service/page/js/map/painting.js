@@ -1,7 +1,7 @@
 /** Tools on the canvas: paint, erase and move obstacles, by pointer and by keyboard. */
 
 import { FREE, OCCUPIED } from "./grid.js";
-import { byId, clamp, showFill } from "./dom.js";
+import { byId, clamp, showFill } from "../dom.js";
 
 const TOOL_KEYS = { b: "paint", e: "erase", v: "move" };
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -136,8 +136,8 @@ export class Painting {
   }
 
   #shortcut(event) {
-    const typing = event.target.matches("input:not([type=range]):not([type=checkbox]):not([type=radio]), select");
-    if (typing || event.altKey) return;
+    const typing = event.target.matches("input:not([type=range]):not([type=checkbox]):not([type=radio]), select, textarea");
+    if (typing || event.altKey || !this.stage.width) return;
     if ((event.ctrlKey || event.metaKey) && event.key === "z") this.scene.undo();
     if (event.ctrlKey || event.metaKey) return;
     if (event.key in TOOL_KEYS) this.choose(TOOL_KEYS[event.key]);

@@ -1,6 +1,6 @@
 /** Start, goal and the tips of their velocity arrows: buttons over the canvas that one drags. */
 
-import { byId, clamp } from "./dom.js";
+import { byId, clamp } from "../dom.js";
 
 const STEP_M = 0.1;
 const STEP_MPS = 0.1;
@@ -80,7 +80,7 @@ export class Handles {
     const [dx, dy] = ARROWS[event.key].map((sign) => sign * times);
     if (isTip) {
       const [vx, vy] = [end.vx + dx * STEP_MPS, end.vy + dy * STEP_MPS];
-      const share = Math.min(1, this.scene.card.v_max / (Math.hypot(vx, vy) || 1));
+      const share = Math.min(1, this.scene.limits.v_max / (Math.hypot(vx, vy) || 1));
       [end.vx, end.vy] = [vx * share, vy * share];
     } else {
       [end.x, end.y] = this.scene.grid.inside(end.x + dx * STEP_M, end.y + dy * STEP_M);

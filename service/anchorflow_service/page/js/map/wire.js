@@ -3,7 +3,7 @@
  * with binary tensors. A JSON header, padded with spaces, and the tensors that it lists.
  */
 
-import { send } from "./service.js";
+import { send } from "../service.js";
 
 const ALIGNMENT = 64;
 const HEADER_LENGTH = "Inference-Header-Content-Length";

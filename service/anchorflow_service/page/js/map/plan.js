@@ -58,9 +58,10 @@ export class Plan {
 export class Stop {
   safe = false;
 
-  constructor(state, card) {
+  /** `limits`: of the card. */
+  constructor(state, limits) {
     const speed = Math.hypot(state.vx, state.vy);
-    const pull = BRAKING * card.a_max;
+    const pull = BRAKING * limits.a_max;
     Object.assign(this, { state, speed, pull, seconds: speed / pull });
   }
 

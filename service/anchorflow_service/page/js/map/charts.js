@@ -1,6 +1,6 @@
 /** Speed, acceleration and curvature of one anchor over time, each against its limit. */
 
-import { byId, make, makeSvg } from "./dom.js";
+import { byId, make, makeSvg } from "../dom.js";
 
 const WIDTH = 300;
 const HEIGHT = 72;
@@ -10,12 +10,16 @@ const MOST_CURVATURE = 4;
 
 /** Draws the charts of anchor n; `step` marks a time. */
 export function drawCharts(anchors, n, step) {
-  const { card, steps, dt } = anchors;
+  const { limits, steps, dt } = anchors;
+  if (!anchors.speeds || !anchors.pulls) {
+    byId("charts").replaceChildren();
+    return;
+  }
   const slice = (values) => values.subarray(n * steps, (n + 1) * steps);
   const constant = (value) => new Float64Array(steps).fill(value);
   const charts = [
-    { name: "Speed", unit: "m/s", values: slice(anchors.speeds), limit: constant(card.v_max), limitText: card.v_max, top: 1.15 * card.v_max },
-    { name: "Acceleration", unit: "m/s²", values: slice(anchors.pulls), limit: constant(card.a_max), limitText: card.a_max, top: 1.15 * card.a_max },
+    { name: "Speed", unit: "m/s", values: slice(anchors.speeds), limit: constant(limits.v_max), limitText: limits.v_max, top: 1.15 * limits.v_max },
+    { name: "Acceleration", unit: "m/s²", values: slice(anchors.pulls), limit: constant(limits.a_max), limitText: limits.a_max, top: 1.15 * limits.a_max },
     { name: "Curvature", unit: "1/m", values: anchors.curvature(n), limit: anchors.curvatureLimit(n), limitText: "a_max ⁄ v²", top: MOST_CURVATURE },
   ];
   const end = `${((steps - 1) * dt).toFixed(0)} s`;

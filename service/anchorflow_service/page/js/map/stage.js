@@ -4,8 +4,8 @@
  * Map and anchors are kept as pictures of their own and drawn again only when they have changed.
  */
 
-import { drawAnchors, drawPath } from "./lines.js";
-import { readColours } from "./colours.js";
+import { drawAnchors, drawPath } from "../lines.js";
+import { Surface } from "../surface.js";
 import { OCCUPIED, UNKNOWN } from "./grid.js";
 import { outline } from "./outline.js";
 
@@ -13,7 +13,9 @@ import { outline } from "./outline.js";
 const ARROW_M_PER_MPS = 0.45;
 const ARROW_FOOT_PX = 13;
 
-export class Stage {
+export class Stage extends Surface {
+  /** px of an anchor. */
+  lineWidth = 1.3;
   /** What is drawn; set by others, who then call `draw()`. */
   show = {
     /** @type {?Anchors} */ anchors: null,
@@ -33,35 +35,12 @@ export class Stage {
     /** {x, y, radius, value} m, of the brush. */
     brush: null,
   };
-  #drawn = [];
-  #requested = false;
 
   constructor(canvas, scene) {
-    this.canvas = canvas;
-    this.scene = scene;
-    this.context = canvas.getContext("2d");
-    this.ground = new OffscreenCanvas(1, 1);
-    this.lines = new OffscreenCanvas(1, 1);
-    this.colours = readColours();
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      this.colours = readColours();
-      this.redrawGround();
-      canvas.dispatchEvent(new Event("theme"));
-    });
-    new ResizeObserver(() => this.resize()).observe(canvas);
+    const [ground, lines] = [new OffscreenCanvas(1, 1), new OffscreenCanvas(1, 1)];
+    super(canvas, [ground, lines]);
+    Object.assign(this, { scene, ground, lines });
     this.resize();
-  }
-
-  resize() {
-    const density = Math.min(window.devicePixelRatio || 1, 2);
-    const { clientWidth: width, clientHeight: height } = this.canvas;
-    for (const canvas of [this.canvas, this.ground, this.lines]) {
-      canvas.width = Math.round(width * density);
-      canvas.height = Math.round(height * density);
-    }
-    Object.assign(this, { density, width, height });
-    this.redrawGround();
-    this.canvas.dispatchEvent(new Event("fit"));
   }
 
   /** CSS pixels a metre; the whole map fits, with a little air. */
@@ -101,11 +80,11 @@ export class Stage {
     const [dx, dy] = [left - footLeft, footTop - top];
     const length = Math.hypot(dx, dy);
     const speed = Math.max(0, length - 2 * ARROW_FOOT_PX) / (ARROW_M_PER_MPS * this.scale);
-    const share = Math.min(speed, this.scene.card.v_max) / (length || 1);
+    const share = Math.min(speed, this.scene.limits.v_max) / (length || 1);
     return [dx * share, dy * share];
   }
 
-  /** Draw before the next frame; the promise tells when that frame has been put on the screen. */
+  /** Draw anchors and what is on top; the promise tells when they have been put on the screen. */
   draw() {
     this.linesAreOld = true;
     return this.drawTop();
@@ -113,22 +92,18 @@ export class Stage {
 
   /** The same where map and anchors have stayed as they are. */
   drawTop() {
-    if (!this.#requested) {
-      this.#requested = true;
-      requestAnimationFrame(() => this.#paint());
-    }
-    return new Promise((resolve) => this.#drawn.push(resolve));
+    return this.request();
   }
 
   /** Draw the map again too. */
-  redrawGround() {
+  redraw() {
     this.groundIsOld = true;
     this.draw();
   }
 
-  #paint() {
-    this.#requested = false;
-    if (!this.scene.grid || !this.width) return;
+  /** Whether there was something to paint. */
+  paint() {
+    if (!this.scene.grid) return false;
     if (this.groundIsOld) this.#paintGround();
     if (this.linesAreOld) this.#paintLines();
     const { context, density, show } = this;
@@ -142,9 +117,7 @@ export class Stage {
     if (show.robot) this.#paintRobot(show.robot);
     else this.#paintArrow(this.scene.start, this.colours.start);
     if (show.brush) this.#paintBrush(show.brush);
-    const drawn = this.#drawn.splice(0);
-    // The frame after this one begins when this one has been shown.
-    requestAnimationFrame(() => drawn.forEach((resolve) => resolve(performance.now())));
+    return true;
   }
 
   #paintLines() {

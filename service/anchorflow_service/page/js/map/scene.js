@@ -25,10 +25,34 @@ export class Scene extends EventTarget {
   /** The card of the chosen bundle; its limits and defaults become the options'. */
   useCard(card) {
     this.card = card;
-    const { refine, robot_radius: radius } = card;
-    Object.assign(this.options, { radius, margin: refine.safety_margin, smooth: refine.smooth, project: refine.project });
-    this.options.sampler = "card";
-    if (!(this.evaluations <= FEW_EVALUATIONS)) Object.assign(this.options, { sampler: "midpoint", steps: 2 });
+    const { safety_margin: margin, smooth, project } = card.finish;
+    Object.assign(this.options, { radius: this.limits.robot_radius, margin, smooth, project, sampler: "card" });
+    if (this.hasFlow && !(this.evaluations <= FEW_EVALUATIONS)) Object.assign(this.options, { sampler: "midpoint", steps: 2 });
+  }
+
+  /** {horizon_s, v_max, a_max, robot_radius} of the bundle. */
+  get limits() {
+    return this.card.conditioning.limits;
+  }
+
+  /** D: 2 (x, y), or 3 with a heading. */
+  get dim() {
+    return this.card.answer.components.length;
+  }
+
+  /** Whether the anchors come out of a flow, whose solver can be chosen. */
+  get hasFlow() {
+    return this.card.sampler.kind === "ode";
+  }
+
+  /** Whether splines are fitted and pushed out of obstacles. */
+  get hasFinish() {
+    return this.card.finish.kind === "spline";
+  }
+
+  /** Whether a request may say the robot's radius. */
+  get takesRadius() {
+    return this.card.conditioning.adjustable.includes("robot_radius");
   }
 
   /** {method, steps} as asked, or the bundle's own. */
@@ -46,7 +70,7 @@ export class Scene extends EventTarget {
   /** Another map, with a start and a goal that fit it unless they are given. */
   useMap(grid, ends) {
     this.grid = grid;
-    const { horizon_s: horizon, v_max: fastest } = this.card;
+    const { horizon_s: horizon, v_max: fastest } = this.limits;
     const robot = { radius: this.options.radius, reach: COMFORTABLE * fastest * horizon };
     Object.assign(this, ends ?? placeEnds(grid, robot));
     this.#undo.length = 0;
@@ -100,16 +124,18 @@ export class Scene extends EventTarget {
       num_samples: options.num,
       model: card.name,
       seed: options.seed,
-      ...(card.adjustable.includes("robot_radius") && { robot_radius: options.radius }),
+      ...(this.takesRadius && { robot_radius: options.radius }),
       ...(options.sampler !== "card" && {
         sampler: { method: options.sampler, schedule: { uniform: options.steps } },
       }),
-      refine: { smooth: options.smooth, project: options.project, safety_margin: options.margin },
+      ...(this.hasFinish && {
+        refine: { smooth: options.smooth, project: options.project, safety_margin: options.margin },
+      }),
     };
   }
 
   /** [D] with the heading (or its rate) of a bundle that has one. */
   #vector(planar, heading) {
-    return [...planar, ...(this.card.D === 3 ? [heading] : [])].map((value) => Number(value.toFixed(4)));
+    return [...planar, ...(this.dim === 3 ? [heading] : [])].map((value) => Number(value.toFixed(4)));
   }
 }

@@ -1,0 +1,18 @@
+/** An input that is a text. */
+
+import { make } from "../dom.js";
+
+export class TextField {
+  static fits = (spec) => spec.dtype === "text";
+  hint = "A text";
+
+  constructor(spec, id, onChange) {
+    this.control = make("textarea", { id, rows: 4, spellcheck: false });
+    this.control.addEventListener("input", onChange);
+  }
+
+  /** As the contract's JSON has it. */
+  value() {
+    return this.control.value;
+  }
+}

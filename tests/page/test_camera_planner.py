@@ -1,0 +1,353 @@
+"""The page before a planner without a map: its card, its inputs, its anchors seen from above."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from image_planner import HEIGHT, TIMES, WIDTH, expected
+from PIL import Image
+
+from anchorflow_client.contract.inputs import read_inputs
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
+
+PATIENCE_MS = 60_000
+MAP_TOOLS = ("#canvas", "#board", "#brush", "#sample", "[data-handle=goal]", "#triangle")
+MAP_ACTS = ("#drive", "#replay", "#open", "#save", "#sampler", "#radius", "#margin", "#charts")
+REFUSED = "status of 422"
+CARD_WITH_MORE = [
+    {"name": "prompt", "dtype": "text", "shape": ["B"], "unit": "", "range": None},
+    {"name": "lidar", "dtype": "float32", "shape": ["B", 1, 9, 9], "unit": "", "range": [0.25, 1]},
+]
+
+
+def picture(folder: Path, *, width: int = WIDTH, height: int = HEIGHT) -> Path:
+    """A PNG file, red from left to right, green from top to bottom."""
+    row, column = np.mgrid[:height, :width]
+    red, green = 255 * column // width, 255 * row // height
+    pixels = np.stack([red, green, np.full_like(red, 90)], -1).astype(np.uint8)
+    file = folder / f"{width}x{height}.png"
+    Image.fromarray(pixels).save(file)
+    return file
+
+
+def pixels_of(sent: dict[str, str]) -> np.ndarray:
+    """[3,H,W] of an image as a request carries it."""
+    (data,) = sent.values()
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")).transpose(
+        2, 0, 1
+    )
+
+
+def plan(visit: Any) -> Any:
+    """The exchange that the button brings about."""
+    return visit.answer(lambda: visit.locate("#plan").click(), lambda asked: "inputs" in asked)
+
+
+def fill_in(visit: Any, file: Path, status: str) -> None:
+    visit.locate("#input-camera").set_input_files(file)
+    expect(visit.locate(".picture .hint")).to_contain_text("pixels")
+    visit.locate("#input-ego_status").fill(status)
+
+
+def test_it_shows_the_card_and_a_field_for_every_input(camera: Any) -> None:
+    fields = camera.locate("#inputs .input")
+
+    expect(fields).to_have_count(2)
+    expect(fields.nth(0)).to_contain_text("uint8 [3, 16, 24]")
+    expect(camera.locate("#input-camera")).to_have_attribute("type", "file")
+    expect(fields.nth(1)).to_contain_text("float32 [4]")
+    expect(fields.nth(1)).to_contain_text("m/s, m/s, m/s^2, m/s^2, −60 to 60")
+    expect(camera.locate("#card-state")).to_have_text("ready")
+    for text in (
+        "tiny-camera 1.0.0",
+        "camera uint8 [B, 3, 16, 24]",
+        "vocabulary: size 6",
+        "8 poses from 0.5 to 4 s, 0.5 s apart",
+        "trajectories [N, T, 3] of x, y, heading, scores",
+        "bev_semantics float32 [B, 3, 16, 24], 0 to 1",
+    ):
+        expect(camera.locate("#card")).to_contain_text(text)
+
+
+def test_there_are_no_tools_of_the_map(camera: Any) -> None:
+    for tool in (*MAP_TOOLS, *MAP_ACTS):
+        expect(camera.locate(tool)).to_be_hidden()
+    camera.page.keyboard.press("Control+z")
+    assert "cost_map" not in plan(camera).asked
+
+    camera.answer(
+        lambda: camera.locate("#bundle").select_option("flowmp-small"),
+        lambda asked: "cost_map" in asked,
+    )
+    expect(camera.locate("#summary")).to_contain_text("anchors are safe", timeout=PATIENCE_MS)
+    expect(camera.locate("#link-text")).to_contain_text("flowmp-small")
+    for tool in MAP_TOOLS:
+        expect(camera.locate(tool)).to_be_visible()
+    for tool in ("#birds-eye", "#inputs", "#plan", "#poses", "#raster-block"):
+        expect(camera.locate(tool)).to_be_hidden()
+
+
+def test_it_plans_with_what_was_filled_in(camera: Any, tmp_path: Path, artefacts: Path) -> None:
+    file = picture(tmp_path)
+    fill_in(camera, file, "8, 0.5 0;0")
+    expect(camera.locate("#summary")).to_have_text("What is asked has changed: plan again.")
+
+    told = plan(camera)
+
+    assert told.asked["inputs"] == {
+        "camera": {"png": base64.b64encode(file.read_bytes()).decode()},
+        "ego_status": [8, 0.5, 0, 0],
+    }
+    assert told.asked["num_samples"] == 6
+    assert told.asked["outputs"] == ["bev_semantics"]
+    brightness = pixels_of(told.asked["inputs"]["camera"]).mean() / 255
+    paths, scores = expected(brightness, 8.0)
+    np.testing.assert_allclose(told.answered["trajectories"], paths, atol=1e-5)
+    expect(camera.locate("#summary")).to_contain_text("6 anchors")
+    expect(camera.locate("#best tbody tr")).to_have_count(6)
+    expect(camera.locate("#best tbody tr").first).to_contain_text(
+        f"{scores[0]:.2f}".replace("-", "−")
+    )
+    rows = camera.locate("#poses tbody tr").all_inner_texts()
+    read = np.array([row.replace("−", "-").split() for row in rows], float)
+    np.testing.assert_allclose(read, np.column_stack([TIMES, paths[0]]), atol=0.005001)
+    camera.page.screenshot(path=artefacts / "camera.png")
+
+
+def test_every_anchor_is_drawn_where_it_leads(camera: Any, tmp_path: Path) -> None:
+    fill_in(camera, picture(tmp_path), "8, 0, 0, 0")
+    answered = plan(camera).answered
+    expect(camera.locate("#summary")).to_contain_text("6 anchors")
+    box = camera.locate("#birds-eye").bounding_box()
+
+    met: list[int] = []
+    for left in range(4, int(box["width"]) - 4, 4):
+        camera.page.mouse.move(box["x"] + left, box["y"] + 0.2 * box["height"])
+        name = camera.locate("#anchor-name").inner_text()
+        if name != "Best anchor" and int(name.split()[1]) not in met:
+            met.append(int(name.split()[1]))
+
+    # From left to right, that is from the greatest y to the smallest.
+    aside = np.array(answered["trajectories"])[:, -1, 1]
+    assert met == np.argsort(-aside).tolist()
+
+
+def test_a_picture_of_another_size_is_drawn_to_the_cards(camera: Any, tmp_path: Path) -> None:
+    fill_in(camera, picture(tmp_path, width=480, height=320), "1, 0, 0, 0")
+    expect(camera.locate(".picture .hint")).to_have_text("480 × 320 pixels, drawn to 24 × 16")
+
+    told = plan(camera)
+
+    assert told.status == 200
+    sent = pixels_of(told.asked["inputs"]["camera"])
+    assert sent.shape == (3, HEIGHT, WIDTH)
+    small = pixels_of({"png": base64.b64encode(picture(tmp_path).read_bytes()).decode()})
+    assert np.abs(sent.astype(int) - small).max() < 16
+
+
+def test_the_picture_that_the_planner_gives_stands_beside(camera: Any, tmp_path: Path) -> None:
+    fill_in(camera, picture(tmp_path), "1, 0, 0, 0")
+    sent = pixels_of(plan(camera).asked["inputs"]["camera"])
+    expect(camera.locate("#summary")).to_contain_text("6 anchors")
+
+    expect(camera.locate("#raster-note")).to_contain_text("does not say how many metres")
+    shown = camera.locate("#raster").evaluate(
+        "canvas => Array.from(canvas.getContext('2d')"
+        ".getImageData(0, 0, canvas.width, canvas.height).data)"
+    )
+    rgb = np.array(shown).reshape(HEIGHT, WIDTH, 4)[..., :3].transpose(2, 0, 1)
+    assert np.abs(rgb - sent.astype(int)).max() <= 1
+
+
+def test_extras_are_sent_along_where_one_wants_them(camera: Any) -> None:
+    camera.locate("#outputs input[value=goals]").check()
+    camera.locate("#outputs input[value=bev_semantics]").uncheck()
+
+    assert plan(camera).asked["outputs"] == ["goals"]
+
+    expect(camera.locate("#extras")).to_contain_text("goals [6, 2]")
+    expect(camera.locate("#raster-block")).to_be_hidden()
+
+
+def test_fewer_anchors_are_the_best_ones(camera: Any) -> None:
+    camera.locate("#num").fill("2")
+    camera.locate("#seed").fill("5")
+
+    told = plan(camera)
+
+    assert (told.asked["num_samples"], told.asked["seed"]) == (2, 5)
+    np.testing.assert_allclose(told.answered["trajectories"], expected(0.0, 0.0)[0][:2], atol=1e-6)
+    expect(camera.locate("#best tbody tr")).to_have_count(2)
+
+
+def test_a_refused_input_is_explained_beside_it(camera: Any) -> None:
+    field = camera.locate("#inputs .input").nth(1)
+    camera.locate("#input-ego_status").fill("61, 0, 0, 0")
+
+    refused = plan(camera)
+
+    assert refused.status == 422
+    expect(field.locator(".wrong")).to_have_text(refused.answered["error"]["message"])
+    camera.forget_errors(REFUSED)
+    asked = len(camera.requests)
+    camera.locate("#input-ego_status").fill("1, 2, three")
+    expect(field.locator(".wrong")).to_be_hidden()
+    camera.locate("#plan").click()
+    expect(field.locator(".wrong")).to_have_text("expected numbers, got three")
+    camera.locate("#input-ego_status").fill("1, 2")
+    camera.locate("#plan").click()
+    expect(field.locator(".wrong")).to_have_text("expected 4 numbers, got 2")
+    sent = [request.url for request in camera.requests[asked:]]
+    assert not [url for url in sent if url.endswith("/anchors")]
+
+
+def test_a_file_that_is_no_picture_is_not_sent(camera: Any, tmp_path: Path) -> None:
+    (tmp_path / "notes.png").write_text("no picture")
+
+    camera.locate("#input-camera").set_input_files(tmp_path / "notes.png")
+
+    note = camera.locate(".picture .hint")
+    expect(note).to_have_text("notes.png: expected a PNG or JPEG picture.")
+    assert not pixels_of(plan(camera).asked["inputs"]["camera"]).any()
+
+
+def test_a_robot_stops_where_another_planner_is_chosen(
+    open_page: Callable[..., Any], served_both: Any
+) -> None:
+    visit = open_page(served_both.url)
+    visit.locate("#num").fill("4")
+    visit.answer(lambda: visit.locate("#drive").click(), lambda asked: asked["num_samples"] == 4)
+
+    visit.choose_camera()
+    asked = len(visit.requests)
+    visit.page.wait_for_timeout(500)
+
+    later = [request.url for request in visit.requests[asked:]]
+    assert not [url for url in later if url.endswith("/anchors")]
+    expect(visit.locate("#drive")).to_have_attribute("aria-pressed", "false")
+    assert visit.errors == []
+
+
+@pytest.fixture
+def patched(open_page: Callable[..., Any], served_both: Any) -> Callable[..., Any]:
+    """Opens the page with the camera planner's card changed on its way."""
+
+    def open_with(change: Callable[[dict[str, Any]], None]) -> Any:
+        visit = open_page("about:blank")
+
+        def answer(route: Any) -> None:
+            told = route.fetch()
+            models = told.json()["models"]
+            change(models[1])
+            route.fulfill(response=told, json={"models": models[::-1]})
+
+        visit.page.route("**/v2/models", answer)
+        visit.page.goto(served_both.url)
+        return visit
+
+    return open_with
+
+
+def test_texts_and_tensors_have_fields_too(patched: Callable[..., Any]) -> None:
+    visit = patched(lambda card: card["inputs"].extend(CARD_WITH_MORE))
+    expect(visit.locate("#inputs .input")).to_have_count(4)
+    visit.locate("#input-prompt").fill('Turn "left" at the café\n')
+
+    inputs = plan(visit).asked["inputs"]
+
+    assert inputs["prompt"] == 'Turn "left" at the café\n'
+    read = read_inputs(inputs)["lidar"]
+    np.testing.assert_array_equal(read, np.full((1, 9, 9), 0.25, np.float32))  # type: ignore[arg-type]
+    visit.locate("#input-lidar").fill("[[[1, 2")
+    visit.locate("#plan").click()
+    expect(visit.locate("#inputs .input").nth(3).locator(".wrong")).to_contain_text("expected JSON")
+    visit.locate("#input-lidar").fill("[[[1, 2]]]")
+    assert plan(visit).asked["inputs"]["lidar"] == [[[1, 2]]]
+
+
+def test_a_picture_of_known_extent_lies_under_the_anchors(patched: Callable[..., Any]) -> None:
+    def place(card: dict[str, Any]) -> None:
+        card["answer"]["extras"][1]["extent"] = [0, 10, -4, 4]
+
+    visit = patched(place)
+    expect(visit.locate("#summary")).to_contain_text("6 anchors", timeout=PATIENCE_MS)
+    expect(visit.locate("#raster-block")).to_be_hidden()
+    with_picture = visit.locate("#birds-eye").screenshot()
+
+    visit.locate("#outputs input[value=bev_semantics]").uncheck()
+    plan(visit)
+
+    expect(visit.locate("#summary")).to_contain_text("6 anchors")
+    colours = [
+        np.asarray(Image.open(io.BytesIO(shot)).convert("L"), int)
+        for shot in (with_picture, visit.locate("#birds-eye").screenshot())
+    ]
+    # Ahead of the ego, where no anchor leads; as black as the image that nobody has chosen.
+    height, width = colours[0].shape
+    assert colours[0][height // 3, width // 2 + 30] < colours[1][height // 3, width // 2 + 30] - 60
+
+
+@pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
+def test_the_request_copied_for_curl_runs_and_gives_the_same(
+    camera: Any, copied: Callable[[Any, str], str], tmp_path: Path
+) -> None:
+    fill_in(camera, picture(tmp_path), "3, 0, 0, 0")
+    shown = plan(camera).answered
+
+    run = subprocess.run(
+        ["bash", "-c", copied(camera, "#copy-curl")], check=True, capture_output=True, timeout=120
+    )
+
+    answer = json.loads(run.stdout)
+    assert answer["trajectories"] == shown["trajectories"]
+    assert answer["bev_semantics"] == shown["bev_semantics"]
+
+
+def test_the_request_copied_for_python_runs_and_gives_the_same(
+    camera: Any, copied: Callable[[Any, str], str], tmp_path: Path
+) -> None:
+    fill_in(camera, picture(tmp_path), "3, 0, 0, 0")
+    shown = plan(camera).answered
+    program = (
+        copied(camera, "#copy-python")
+        + "\nimport json\nprint('JSON', anchors.trajectories.tolist())\n"
+    )
+
+    run = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=120
+    )
+
+    paths = json.loads(run.stdout.rpartition("JSON ")[2])
+    np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-5)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_is_enough(
+    open_page: Callable[..., Any], served_both: Any, artefacts: Path, scheme: str
+) -> None:
+    visit = open_page(
+        served_both.url,
+        viewport={"width": 390, "height": 844},
+        has_touch=True,
+        is_mobile=True,
+        device_scale_factor=2,
+        color_scheme=scheme,
+    )
+    visit.choose_camera()
+
+    assert plan(visit).status == 200
+    assert visit.page.evaluate("document.documentElement.scrollWidth") == 390
+    visit.page.screenshot(path=artefacts / f"camera-phone-{scheme}.png", full_page=True)
+    assert visit.errors == []

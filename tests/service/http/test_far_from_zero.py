@@ -1,0 +1,113 @@
+"""A scene in UTM coordinates is answered as the same scene at home, whatever carries it."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from anyio.from_thread import start_blocking_portal
+from fastapi import FastAPI
+
+from anchorflow_client import AnchorBatch, AnchorClient, JsonCodec, OipCodec
+from anchorflow_client.base_client import BaseClient
+from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
+from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.http import create_app
+from anchorflow_service.local import LocalClient
+from anchorflow_service.planning import PlanningService
+from anchorflow_service.zenoh_endpoint import ZenohEndpoint
+
+UTM = np.array([689123.4, 5400321.7])
+START, GOAL = np.array([0.6, 0.7]), np.array([9.2, 9.0])  # m from the corner
+CLOSE = 5e-3  # m
+
+
+@pytest.fixture(scope="module")
+def engine() -> Any:
+    return LocalClient.of(DEFAULT_BUNDLE.parent / "student", threads=2).engine
+
+
+@pytest.fixture
+def planning(engine: Any) -> PlanningService:
+    return PlanningService({engine.card.name: engine}, default=engine.card.name)
+
+
+@pytest.fixture
+def app(planning: PlanningService) -> FastAPI:
+    return create_app(planning)
+
+
+@pytest.fixture(params=["json", "binary", "zenoh"])
+def client(
+    request: pytest.FixtureRequest, app: FastAPI, planning: PlanningService
+) -> Iterator[BaseClient]:
+    if request.param != "zenoh":
+        codec = JsonCodec() if request.param == "json" else OipCodec()
+        service = request.getfixturevalue("run")(app)
+        with AnchorClient("http://test", transport=service, codec=codec) as http:
+            yield http
+        return
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        address = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    with start_blocking_portal() as portal, planning:
+        replica = ZenohEndpoint(planning, open_session(ZenohSettings(listen=(address,))))
+        with (
+            portal.wrap_async_context_manager(replica),
+            ZenohAnchorClient(address, timeout_s=30) as zenoh,
+        ):
+            yield zenoh
+
+
+def plan(client: BaseClient, place: np.ndarray, **changes: Any) -> AnchorBatch:
+    """The same clutter, wherever the corner of its map lies."""
+    draw = np.random.default_rng(4)
+    occupancy = np.zeros((1, 64, 64), np.float32)
+    for row, column in draw.integers(8, 52, (14, 2)):
+        occupancy[0, row : row + 5, column : column + 5] = 1.0
+    return client.plan(
+        cost_map=occupancy,
+        resolution=0.16,
+        origin=place,
+        x_curr=[*(place + START), 0.4, 0.2, 0.0, 0.0],
+        x_goal=[*(place + GOAL), 0.0, 0.0],
+        seed=3,
+        **changes,
+    )
+
+
+@pytest.mark.parametrize("corner", [0.0, -5.12], ids=["from the corner", "centred"])
+@pytest.mark.parametrize("warm", [False, True])
+def test_the_same_scene_in_utm_coordinates_is_answered_as_at_home(
+    client: BaseClient, corner: float, *, warm: bool
+) -> None:
+    def asked_at(place: np.ndarray) -> AnchorBatch:
+        line = place + np.round(np.linspace(START, GOAL, 20), 3)
+        return plan(client, place, **({"warm_start": {"trajectory": line}} if warm else {}))
+
+    home, far = asked_at(np.full(2, corner)), asked_at(UTM + corner)
+
+    assert home.trajectories.dtype == np.float32
+    assert far.trajectories.dtype == np.float64
+    np.testing.assert_allclose(far.trajectories - UTM, home.trajectories, atol=CLOSE)
+    np.testing.assert_allclose(far.velocities, home.velocities, atol=CLOSE)
+    np.testing.assert_array_equal(far.safe, home.safe)
+    assert home.safe.any()
+
+
+def test_a_resolution_that_float32_rounds_refuses_no_goal(client: BaseClient) -> None:
+    """A goal in the last cell of a map of 0.7 m cells is on the map for both ends of the wire."""
+    upper = 689123.4 + 16 * 0.7
+    anchors = client.plan(
+        cost_map=np.zeros((1, 16, 16), np.float32),
+        resolution=0.7,
+        origin=[689123.4, 0.0],
+        x_curr=[689124.0, 5.0, 0.0, 0.0, 0.0, 0.0],
+        x_goal=[upper - 1e-6, 5.0, 0.0, 0.0],
+        num_samples=2,
+    )
+
+    assert anchors.trajectories[0, -1, 0] == pytest.approx(upper, abs=1e-3)
