@@ -42,6 +42,8 @@ from anchorflow_cli.bench_options import (
 from anchorflow_cli.bench_output import progress, report, say
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
+from anchorflow_client.contract.checks import number
+from anchorflow_client.contract.ranges import GUIDANCE
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.cores import usable_cores
 
@@ -68,6 +70,9 @@ def quality(
     limit: Annotated[int | None, typer.Option(min=1, help="Scenes at most.")] = None,
     num: NumOption = 64,
     samplers: SamplersOption = CARD,
+    guidance: Annotated[
+        str, typer.Option(metavar="A,B", help="Scales of guidance by the cost; 0: none.")
+    ] = "0",
     baselines: Annotated[
         str, typer.Option(metavar="A,B", help="Of expert, lines, rrt; none for no baselines.")
     ] = ",".join(BASELINES),
@@ -79,7 +84,9 @@ def quality(
     with needs_extra("plot", who="anchorflow bench quality"):
         from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
     bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
-    ours: list[Planner] = [*engine_planners(bundles, samplers.split(","), threads=threads)]
+    ours: list[Planner] = [
+        *engine_planners(bundles, samplers.split(","), guidance=_scales(guidance), threads=threads)
+    ]
     names = [] if baselines == "none" else baselines.split(",")
     with needs_extra("bench", who="anchorflow bench quality --baselines rrt"):
         planners = [*ours, *named_baselines(names, bundles[0])]
@@ -96,6 +103,17 @@ def quality(
     report("Quality", about, tables, out)
     draw_scene_sheet(plans[ours[0].name], out / "quality_scenes.png", title=ours[0].name)
     draw_quality_over_time(tables[0].rows, out / "quality_time.png")
+
+
+def _scales(text: str) -> list[float]:
+    """Numbers from 0 on. Raises `BenchmarkError`."""
+    try:
+        scales = [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise BenchmarkError(f"--guidance: expected numbers like 0,0.1, got {text!r}") from error
+    for scale in scales:
+        number(scale, "refine.guidance", GUIDANCE)
+    return scales
 
 
 @app.command()
