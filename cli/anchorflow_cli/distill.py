@@ -39,7 +39,7 @@ SHORT = {
 
 
 @app.command()
-@with_options(DistillConfig, SHORT)
+@with_options([DistillConfig], SHORT)
 def distill(
     checkpoint: Annotated[Path, typer.Argument(help="The teacher: checkpoint.pt of a run.")],
     dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data` wrote.")],
@@ -55,7 +55,7 @@ def distill(
 ) -> None:
     """Teach a student its teacher's anchors; stop it any time and start it again."""
     with one_line_errors():
-        data, teacher = open_dataset(dataset), load_teacher(checkpoint)
+        teacher, data = load_teacher(checkpoint), open_dataset(dataset)
         base = {"model": asdict(teacher.model.config)}
         settings = layers(DistillConfig, base, config, given_settings(given, bfloat16=bfloat16))
         if print_config:

@@ -37,7 +37,7 @@ from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_models.generation.scenes import DEFAULT_ROBOT_RADIUS
 from anchorflow_training.checkpoint import load_checkpoint
-from anchorflow_training.restore import restore_model
+from anchorflow_training.restore import restore_flow
 
 app = command_app()
 
@@ -104,7 +104,7 @@ def generate(
             barrier_rate=barrier_rate,
         )
         saved = load_checkpoint(checkpoint)
-        model = restore_model(saved)
+        model = restore_flow(saved)
         began = time.perf_counter()
         anchors = TrajectoryGenerator(model, config).generate(
             seen.occupancy[None],
