@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import typer
 
 from anchorflow_cli.options import command_app
-from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_client.contract import SamplerChoice
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
@@ -57,9 +56,8 @@ def export(
     ] = False,
 ) -> None:
     """Trace a trained planner to ONNX, prove that both agree, and write the bundle."""
-    with one_line_errors():
-        saved = load_checkpoint(checkpoint)
-        model = restore_model(saved)
+    saved = load_checkpoint(checkpoint)
+    model = restore_model(saved)
     choices = ExportChoices(
         sampler=_sampler(method, schedule, student_schedule(saved)),
         noise_scale=noise_scale,

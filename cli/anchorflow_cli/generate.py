@@ -31,7 +31,6 @@ from anchorflow_cli.options import (
 )
 from anchorflow_cli.plan import table
 from anchorflow_cli.ros_map import RosMap, load_ros_map
-from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
@@ -92,7 +91,7 @@ def generate(
     seen = _seen(map_file, start, goal, size_m=size, unknown_is_free=unknown_is_free)
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     seed = secrets.randbelow(2**63) if seed is None else seed
-    with one_line_errors(), _value_errors():
+    with _value_errors():
         config = GeneratorConfig(
             method=method,
             schedule=_schedule(schedule),

@@ -21,7 +21,6 @@ from anchorflow_cli.training_command import (
     given_settings,
     run_folder,
 )
-from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_training.config_file import config_text, layers
 from anchorflow_training.planners import TRAININGS, training_of
 
@@ -46,12 +45,11 @@ def train(
     **given: Any,
 ) -> None:
     """Train a planner; stop it any time and start it again with the same words."""
-    with one_line_errors():
-        training = training_of(planner, config)
-        data = training.open_data(dataset)
-        base = {"model": training.model_settings(data)}
-        settings = layers(training.config, base, config, given_settings(given, bfloat16=bfloat16))
-        if print_config:
-            typer.echo(config_text(settings), nl=False)
-            return
-        carry_out(training.new_run(settings, data, run_folder(out)))
+    training = training_of(planner, config)
+    data = training.open_data(dataset)
+    base = {"model": training.model_settings(data)}
+    settings = layers(training.config, base, config, given_settings(given, bfloat16=bfloat16))
+    if print_config:
+        typer.echo(config_text(settings), nl=False)
+        return
+    carry_out(training.new_run(settings, data, run_folder(out)))

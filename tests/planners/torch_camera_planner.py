@@ -60,13 +60,14 @@ class CameraPlanner(nn.Module):
         self.register_buffer("times", torch.from_numpy(TIMES))
 
     def encode(self, camera: Tensor, ego_status: Tensor) -> Outputs:
-        """camera: uint8 [B,3,H,W]; ego_status: [B,4] -> brightness, speed [B,1], bev_semantics"""
+        """camera: uint8 [B,3,H,W]; ego_status: [B,4] -> brightness, speed, is_dark [B,1], BEV"""
         bev_semantics = camera.float() / 255
         brightness = bev_semantics.mean((1, 2, 3))[:, None]
         return {
             "brightness": brightness,
             "speed": ego_status[:, :1],
             "bev_semantics": bev_semantics,
+            "is_dark": brightness < 0.2,
         }
 
     def score(self, brightness: Tensor, speed: Tensor) -> Outputs:
@@ -137,9 +138,9 @@ class CameraAdapter:
         encode = trace(
             Encode(self.model),
             inputs=(CAMERA, STATUS),
-            outputs=("brightness", "speed", "bev_semantics"),
+            outputs=("brightness", "speed", "bev_semantics", "is_dark"),
         )
-        brightness, speed, _ = encode.outputs
+        brightness, speed, *_ = encode.outputs
         outputs = ("trajectories", "scores", "goals")
         score = trace(Score(self.model), inputs=(brightness, speed), outputs=outputs)
         return {"encode": encode, "score": score}

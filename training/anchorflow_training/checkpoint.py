@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.registry import UNNAMED
 
 # What checkpoints called a loss term, before terms and weights had the names of the fields u, v, w.
@@ -26,7 +27,7 @@ FORMER_WEIGHTS = {
 }
 
 
-class CheckpointError(Exception):
+class CheckpointError(AnchorFlowError):
     """A checkpoint cannot be read; the message names the file."""
 
 
