@@ -64,7 +64,7 @@ class ObstacleRays:
     def crossings(
         self, points: FloatArray, *, resolution: float, origin: FloatArray
     ) -> NDArray[np.int64]:
-        """Signed crossings [..., K] of polylines [..., T, 2] in m of the map's frame."""
+        """Signed crossings [..., T - 1, K] of each leg of polylines [..., T, 2] in m."""
         cells = (np.asarray(points, np.float64) - origin) / resolution
         x, y = cells[..., None, 0], cells[..., None, 1]
         right = (x > self.columns + 1.0).astype(np.int64)
@@ -72,11 +72,11 @@ class ObstacleRays:
         run = np.where(step == 0, 1.0, np.diff(x, axis=-2))
         share = (self.columns + 1.0 - x[..., :-1, :]) / run
         above = y[..., :-1, :] + share * np.diff(y, axis=-2) > self.rows + 0.5
-        return (step * above).sum(-2)
+        return step * above
 
     def signatures(
         self, paths: FloatArray, *, resolution: float, origin: FloatArray
     ) -> list[Signature]:
         """A signature for each of the polylines [N, T, 2] in m of the map's frame."""
-        crossings = self.crossings(paths, resolution=resolution, origin=origin)
+        crossings = self.crossings(paths, resolution=resolution, origin=origin).sum(-2)
         return [tuple(row) for row in crossings.tolist()]

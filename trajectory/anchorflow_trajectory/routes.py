@@ -93,11 +93,16 @@ def find_routes(
     for cells in Sheets.of(near, rays).routes(most):
         rows, columns = np.divmod(np.array(cells[1:-1], int), width)
         inner = (np.stack([columns, rows], -1) + 0.5) * resolution + origin
-        points = np.concatenate([np.reshape(start, (1, 2)), inner, np.reshape(goal, (1, 2))])
-        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-        crossings = rays.crossings(points, resolution=resolution, origin=origin)
-        routes.append(Route(points, length, tuple(crossings.tolist())))
+        points = np.concatenate([[start], inner, [goal]]).astype(np.float64)
+        length = polyline_length(points)
+        (signature,) = rays.signatures(points[None], resolution=resolution, origin=origin)
+        routes.append(Route(points, length, signature))
     return sorted(routes, key=lambda route: route.length)
+
+
+def polyline_length(points: FloatArray) -> float:
+    """m, through points [K, 2]."""
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
 def free_cells(clearance: FloatArray, ends: Sequence[int], *, slack: float) -> BoolArray:
