@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.ray_signature import ObstacleRays
-from anchorflow_trajectory.routes import SLACK, Route, polyline_length
+from anchorflow_trajectory.routes import Route, polyline_length
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
+# m of clearance that a chord keeps: more than the search asks, a spline needs room for its bends.
+CHORD_SLACK = 0.1
 LOOKS_A_CELL = 2.0  # points of a chord at which clearance is looked up
 
 
@@ -22,7 +24,7 @@ def pulled_tight(
     *,
     resolution: float,
     origin: FloatArray,
-    slack: float = SLACK,
+    slack: float = CHORD_SLACK,
 ) -> list[Route]:
     """The same routes along fewer points, no longer than before, the shortest first.
 
