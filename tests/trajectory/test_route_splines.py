@@ -126,3 +126,12 @@ def test_a_law_of_time_that_leaves_nothing_to_the_cruise_never_turns_back() -> N
 
     assert (np.diff(x) >= 0.0).all()
     assert (x[0], x[-1]) == (0.0, 1.0)
+
+
+def test_a_robot_that_is_on_its_way_and_is_to_pass_the_goal_keeps_its_speed() -> None:
+    x_curr = np.array([-3.0, 1.0, 0.75, 0, 0, 0], np.float32)
+    x_goal = np.array([3.0, 1.0, 0.75, 0], np.float32)
+    line = Route(np.array([[-3.0, 1.0], [3.0, 1.0]]), 6.0, ())
+    _, velocity, _ = BASIS.states(splines_along([line], BASIS, x_curr=x_curr, x_goal=x_goal))
+
+    np.testing.assert_allclose(velocity[0], np.tile([0.75, 0.0], (64, 1)), atol=1e-3)
