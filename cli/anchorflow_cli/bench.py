@@ -25,9 +25,10 @@ from anchorflow_benchmarks.planners import (
     limits_of,
 )
 from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_table
+from anchorflow_benchmarks.route_files import load_routes
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import default_source, load_scenes
-from anchorflow_cli import bench_closed_loop, bench_serving, bench_zenoh
+from anchorflow_cli import bench_closed_loop, bench_routes, bench_serving, bench_zenoh
 from anchorflow_cli.bench_options import (
     RESULTS,
     SCENES,
@@ -67,6 +68,14 @@ def quality(
             show_default="../shared/data/scenes_public.npz, or drawn:60:0 without it",
         ),
     ] = None,
+    routes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The scenes' known routes, a .npz file.",
+            show_default="they are searched",
+        ),
+    ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Scenes at most.")] = None,
     num: NumOption = 64,
     samplers: SamplersOption = CARD,
@@ -74,7 +83,7 @@ def quality(
         str, typer.Option(metavar="A,B", help="Scales of guidance by the cost; 0: none.")
     ] = "0",
     baselines: Annotated[
-        str, typer.Option(metavar="A,B", help="Of expert, lines, rrt; none for no baselines.")
+        str, typer.Option(metavar="A,B", help="Of expert, lines, routes, rrt; none for none.")
     ] = ",".join(BASELINES),
     style: Annotated[bool, typer.Option(help="Measure what a change of style changes.")] = True,
     threads: ThreadsOption = None,
@@ -92,8 +101,11 @@ def quality(
         planners = [*ours, *named_baselines(names, bundles[0])]
     limits, source = limits_of(bundles[0]), scenes or default_source()
     found = load_scenes(source, limits=limits, limit=limit)
+    known = routes and load_routes(routes, scenes=len(found), limit=limit)
     with progress("judging", len(found)) as advance:
-        plans = judge_planners(planners, found, limits=limits, num=num, progress=advance)
+        plans = judge_planners(
+            planners, found, limits=limits, num=num, routes=known or None, progress=advance
+        )
     tables = quality_tables(planners, plans)
     if style:
         styled = [*ours, *([ExpertPlanner(limits, 60)] if "expert" in names else [])]
@@ -171,6 +183,7 @@ def plain_loops(
     return loops
 
 
+app.command()(bench_routes.routes)
 app.command()(bench_serving.load)
 app.command()(bench_zenoh.zenoh)
 app.command()(bench_zenoh.failover)
