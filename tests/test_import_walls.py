@@ -45,6 +45,7 @@ WALLS: dict[str, set[str]] = {
         "torchdiffeq",
     },
     "anchorflow_training": {
+        "anchorflow_client",
         "anchorflow_models",
         "anchorflow_trajectory",
         "numpy",

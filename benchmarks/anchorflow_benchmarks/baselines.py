@@ -1,4 +1,4 @@
-"""What a bundle has to beat without a network: the expert by itself, and lines with noise."""
+"""What a bundle has to beat without a network: the expert, noisy lines, a search for routes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.finish import finished, refiner_of
 from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, limits_of, without_fields
+from anchorflow_benchmarks.routes_planner import DESCENTS, RoutesPlanner
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.refine import Refiner
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import spline_basis
 
@@ -87,25 +88,9 @@ class RefinedLinesPlanner:
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         raw = self.lines.plan(scene, num=num, seed=seed)
         parts = (raw.positions, raw.velocities, raw.accelerations)
-        scene = without_fields(scene)
-        refiner = Refiner.of(
-            self.lines.limits,
-            num_steps=NUM_SAMPLES,
-            num_control_points=self.refine.num_control_points,
-            degree=self.refine.degree,
-            steps=self.refine.steps,
-        )
-        refined = refiner.refine(
-            np.concatenate(parts, axis=-1, dtype=np.float32),
-            scene.cost_fields,
-            x_curr=scene.x_curr,
-            x_goal=scene.x_goal,
-            w_style=scene.w_style,
-            spec=self.refine,
-        )
-        states = (refined.positions, refined.velocities, refined.accelerations)
-        position, velocity, acceleration = (state.astype(np.float64) for state in states)
-        return Proposals(position, velocity, acceleration, raw.dt, refined.safe)
+        states = np.concatenate(parts, axis=-1, dtype=np.float32)
+        refiner = refiner_of(self.refine, self.lines.limits)
+        return finished(states, without_fields(scene), refiner, self.refine)
 
 
 def minimum_jerk(num_samples: int) -> NDArray[np.float64]:
@@ -127,6 +112,14 @@ def _lines(bundle: Bundle) -> list[Planner]:
     ]
 
 
+def _routes(bundle: Bundle) -> list[Planner]:
+    """None for a bundle whose finish is no spline."""
+    limits, finish = limits_of(bundle), bundle.manifest.finish
+    if not isinstance(finish, SplineEntry):
+        return []
+    return [RoutesPlanner(limits, finish, descents) for descents in DESCENTS]
+
+
 def _rrt(bundle: Bundle) -> list[Planner]:
     from anchorflow_benchmarks.rrt_connect import RrtConnectPlanner  # OMPL is not everywhere
 
@@ -136,6 +129,7 @@ def _rrt(bundle: Bundle) -> list[Planner]:
 BASELINES: dict[str, Callable[[Bundle], list[Planner]]] = {
     "expert": _expert,
     "lines": _lines,
+    "routes": _routes,
     "rrt": _rrt,
 }
 

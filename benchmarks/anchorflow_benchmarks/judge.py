@@ -14,6 +14,7 @@ All anchors of a scene are measured together; what depends on the map alone is w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -24,7 +25,9 @@ from scipy.spatial.distance import cdist
 
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.grid_path import shortest_grid_path
+from anchorflow_benchmarks.route_judge import ROUTE_MEASURES, RouteJudge
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.ray_signature import Signature
 from anchorflow_trajectory.scene import Scene
 
 Array = NDArray[np.float64]
@@ -55,6 +58,8 @@ MEASURES = (
     "spread",
     "duplicates",
     "unsafe_called_safe",
+    *ROUTE_MEASURES,
+    "duration",
 )
 
 
@@ -74,6 +79,10 @@ class Judgement:
         spread       m, standard deviation of the positions over the anchors, on average
         duplicates   share of the anchors that have another within 2 cm rms
         unsafe_called_safe   number of anchors promised to be safe that are not free
+        recall, first, found, distinct   of the successes, as `RouteJudge` tells them
+        duration     of the successes on average: s
+
+    routes: how many the scene has
     """
 
     free: BoolArray
@@ -84,6 +93,7 @@ class Judgement:
     length: Array
     jerk: Array
     measures: dict[str, float]
+    routes: int
 
     @property
     def success(self) -> BoolArray:
@@ -92,10 +102,14 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class SceneJudge:
-    """Judges anchors on one scene."""
+    """Judges anchors on one scene.
+
+    routes: the signatures of its routes, the shortest first; None to search for them
+    """
 
     scene: Scene
     limits: MotionLimits
+    routes: Sequence[Signature] | None = None
 
     def judge(self, anchors: Proposals) -> Judgement:
         """The verdict on all anchors of a plan."""
@@ -114,8 +128,13 @@ class SceneJudge:
         coherent &= slip <= ACCELERATION_ERROR * self.limits.a_max
         length = np.linalg.norm(np.diff(position, axis=1), axis=-1).sum(1)
         jerk = np.linalg.norm(np.diff(acceleration, axis=1) / anchors.dt, axis=-1).mean(1)
-        verdict = Judgement(free, reached, feasible, coherent, clearance, length, jerk, {})
+        routes = len(self.of_routes.listed)
+        verdict = Judgement(free, reached, feasible, coherent, clearance, length, jerk, {}, routes)
+        good = verdict.success
         verdict.measures.update(self._measures(verdict, position, anchors.safe))
+        verdict.measures.update(self.of_routes.measures(position[good]))
+        lasts = np.broadcast_to(anchors.dt * (position.shape[1] - 1), len(position))
+        verdict.measures["duration"] = float(lasts[good].mean()) if good.any() else np.nan
         return verdict
 
     def clearance(self, paths: Array) -> Array:
@@ -142,6 +161,13 @@ class SceneJudge:
             return np.full(fine.shape, NO_OBSTACLE)
         to_centre = np.asarray(distance_transform_edt(~fine))
         return np.maximum(to_centre - 0.5, 0.0) * self.scene.resolution / SUBCELLS
+
+    @cached_property
+    def of_routes(self) -> RouteJudge:
+        """The scene's routes, and which of them anchors take."""
+        centres = slice(SUBCELLS // 2, None, SUBCELLS)
+        room = self._distance[centres, centres] - self.scene.robot_radius
+        return RouteJudge(self.scene, room, self.routes)
 
     @cached_property
     def _obstacle_points(self) -> Array:

@@ -14,6 +14,7 @@ from anchorflow_client.contract import (
     AnchorRequest,
     CostMap,
     OdeSpec,
+    RefineChoice,
     SamplerChoice,
     resolve_for_card,
 )
@@ -45,11 +46,12 @@ class Planner(Protocol):
 
 @dataclass(frozen=True)
 class EnginePlanner:
-    """A bundle in this process, with one sampler."""
+    """A bundle in this process, with one sampler, guided by the cost as far as is asked for."""
 
     name: str
     engine: Engine
     sampler: OdeSpec
+    guidance: float = 0.0
 
     @property
     def evaluations(self) -> int:
@@ -57,6 +59,7 @@ class EnginePlanner:
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         request = request_of(scene, num=num, seed=seed, sampler=self.sampler)
+        request = replace(request, refine=RefineChoice(guidance=self.guidance))
         answer = self.engine.plan(resolve_for_card(request, self.engine.card))
         states = (answer.trajectories, answer.velocities, answer.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
@@ -83,9 +86,14 @@ def without_fields(scene: Scene) -> Scene:
 
 
 def engine_planners(
-    bundles: Sequence[Bundle], samplers: Sequence[str], *, threads: int | None = None
+    bundles: Sequence[Bundle],
+    samplers: Sequence[str],
+    *,
+    guidance: Sequence[float] = (0.0,),
+    threads: int | None = None,
 ) -> list[EnginePlanner]:
-    """Each bundle with each sampler; the names say the folder where two models share a name.
+    """Each bundle with each sampler and each scale of guidance; the names say the folder where two
+    models share a name.
 
     Raises:
         BundleError: a graph of a bundle cannot be opened.
@@ -93,12 +101,17 @@ def engine_planners(
     """
     names = bundle_names(bundles)
     return [
-        EnginePlanner(f"{name} {sampler_name(sampler)}", engine, sampler)
+        EnginePlanner(f"{name} {sampler_name(sampler)}{_guided(scale)}", engine, sampler, scale)
         for name, bundle in zip(names, bundles, strict=True)
         for engine in [Engine(bundle, threads=threads)]
         # The card's own may be named beside it.
         for sampler in dict.fromkeys(parse_sampler(text, bundle.card) for text in samplers)
+        for scale in guidance
     ]
+
+
+def _guided(scale: float) -> str:
+    return f" guidance {scale:g}" if scale else ""
 
 
 def bundle_names(bundles: Sequence[Bundle]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -16,9 +17,9 @@ from anchorflow_benchmarks.planners import Planner
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.ray_signature import Signature
 
 SEED = 1
-ALL = "all"
 COUNTS = ("unsafe_called_safe",)  # added up over the scenes; all else is averaged
 
 STYLES = {
@@ -49,9 +50,12 @@ def judge_planners(
     *,
     limits: MotionLimits,
     num: int,
+    routes: Sequence[Sequence[Signature]] | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Plans:
     """Every planner's plans by its name, scene by scene; `progress` gets 1 a finished scene.
+
+    routes: the known ones of each scene, the shortest first; None to search for them
 
     The planners take turns on each scene, so that a busy spell of the machine meets all of them.
 
@@ -61,8 +65,8 @@ def judge_planners(
     plans: Plans = {planner.name: [] for planner in planners}
     for planner in planners:
         planner.plan(scenes[0], num=num, seed=SEED)  # what is slow for once only
-    for scene in scenes:
-        judge = SceneJudge(scene, limits)
+    for scene, known in zip(scenes, routes or [None] * len(scenes), strict=True):
+        judge = SceneJudge(scene, limits, known)
         for planner in planners:
             start = perf_counter()
             anchors = planner.plan(scene, num=num, seed=SEED)
@@ -74,27 +78,40 @@ def judge_planners(
 
 
 def quality_tables(planners: Sequence[Planner], plans: Plans) -> list[ResultTable]:
-    """A table over all scenes and one for each family, a row a planner."""
+    """Over all scenes, those with a choice of routes and each family: a row a planner."""
     families = sorted({plan.scene.family for plan in next(iter(plans.values()))})
-    tables = []
-    for family in (ALL, *(families if len(families) > 1 else ())):
-        rows = [quality_row(planner, plans[planner.name], family) for planner in planners]
-        count = len(_of_family(plans[planners[0].name], family))
-        title = "All scenes" if family == ALL else f"Family {family}"
-        tables.append(ResultTable(f"{title} ({count})", rows))
-    return tables
+    titles: dict[str, Callable[[JudgedPlan], bool]] = {
+        "All scenes": lambda _: True,
+        "Scenes with a choice of routes": lambda plan: plan.verdict.routes > 1,
+    }
+    if len(families) > 1:
+        titles |= {f"Family {name}": partial(_is_of_family, name) for name in families}
+    tables = [quality_table(title, planners, plans, chosen) for title, chosen in titles.items()]
+    return [table for table in tables if table.rows]
 
 
-def quality_row(planner: Planner, plans: Sequence[JudgedPlan], family: str = ALL) -> Row:
+def quality_table(
+    title: str,
+    planners: Sequence[Planner],
+    plans: Plans,
+    chosen: Callable[[JudgedPlan], bool],
+) -> ResultTable:
+    """A row a planner, over the scenes that are chosen; without rows where none is."""
+    chosen_plans = [[plan for plan in plans[p.name] if chosen(plan)] for p in planners]
+    pairs = zip(planners, chosen_plans, strict=True)
+    rows = [quality_row(planner, some) for planner, some in pairs if some]
+    return ResultTable(f"{title} ({len(chosen_plans[0])})", rows)
+
+
+def quality_row(planner: Planner, plans: Sequence[JudgedPlan]) -> Row:
     """The measures of a planner's plans, averaged over the scenes that have one."""
-    chosen = _of_family(plans, family)
-    measures = [plan.verdict.measures for plan in chosen]
+    measures = [plan.verdict.measures for plan in plans]
     row: dict[str, str | float | int | None] = {"planner": planner.name}
     for name in MEASURES:
         values = np.array([measure[name] for measure in measures])
         row[name] = _total(values) if name in COUNTS else _mean(values)
     row["evaluations"] = planner.evaluations
-    return row | {"ms": float(np.median([plan.ms for plan in chosen]))}
+    return row | {"ms": float(np.median([plan.ms for plan in plans]))}
 
 
 def style_table(
@@ -139,8 +156,8 @@ def _style_changes(styles: dict[str, list[dict[str, float]]]) -> dict[str, float
     return row | {"scenes": len(solved)}
 
 
-def _of_family(plans: Sequence[JudgedPlan], family: str) -> list[JudgedPlan]:
-    return [plan for plan in plans if family in (ALL, plan.scene.family)]
+def _is_of_family(family: str, plan: JudgedPlan) -> bool:
+    return plan.scene.family == family
 
 
 def _mean(values: np.ndarray) -> float:

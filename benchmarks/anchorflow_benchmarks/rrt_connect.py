@@ -15,10 +15,10 @@ from ompl import base, geometric, util  # pyright: ignore[reportMissingImports] 
 
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.planners import NUM_SAMPLES, without_fields
-from anchorflow_training.expert.grid_paths import time_along
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.time_law import time_along
 
 FloatArray = NDArray[np.float32]
 State = Any  # two numbers; OMPL's stubs do not say that they can be indexed

@@ -6,6 +6,7 @@ import os
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from anchorflow_training.scenes import FamilyScene, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import with_neutral_channels
 
+Chosen = TypeVar("Chosen")
+
 DRAWN = "drawn"
 WITHOUT_FILE = f"{DRAWN}:60:0"
 CHANNELS = 3  # occupancy, traversability, risk
@@ -24,13 +27,15 @@ STYLE = np.array(DEFAULT_STYLE, np.float32)
 
 
 def default_source() -> str:
-    """scenes_public.npz of the data folder, or drawn scenes where it is missing.
-
-    The folder is ANCHORFLOW_SHARED_DATA, or ../shared/data beside the checkout.
-    """
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
-    path = Path(os.environ.get("ANCHORFLOW_SHARED_DATA", beside)) / "scenes_public.npz"
+    """scenes_public.npz of the data folder, or drawn scenes where it is missing."""
+    path = data_folder() / "scenes_public.npz"
     return str(path) if path.exists() else WITHOUT_FILE
+
+
+def data_folder() -> Path:
+    """ANCHORFLOW_SHARED_DATA, or ../shared/data beside the checkout."""
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
+    return Path(os.environ.get("ANCHORFLOW_SHARED_DATA", beside))
 
 
 def load_scenes(
@@ -43,9 +48,14 @@ def load_scenes(
     """
     kind, _, rest = source.partition(":")
     scenes = _drawn(rest, limits) if kind == DRAWN else read_scenes(Path(source))
-    if limit is not None and limit < len(scenes):
-        scenes = [scenes[i] for i in np.linspace(0, len(scenes) - 1, limit).astype(int)]
-    return scenes
+    return spread_evenly(scenes, limit)
+
+
+def spread_evenly(rows: list[Chosen], limit: int | None) -> list[Chosen]:
+    """At most `limit` of them, the first and the last included."""
+    if limit is None or limit >= len(rows):
+        return rows
+    return [rows[i] for i in np.linspace(0, len(rows) - 1, limit).astype(int)]
 
 
 def read_scenes(path: Path) -> list[FamilyScene]:

@@ -13,7 +13,7 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.plain_loop import Arrays, sample_plainly
 from anchorflow_client.contract import OdeSpec
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
-from anchorflow_training.restore import restore_model
+from anchorflow_training.restore import restore_flow
 from anchorflow_trajectory.ode.reference import PlainField
 
 
@@ -21,13 +21,13 @@ class TorchLoop:
     """A checkpoint's averaged weights, sampled the obvious way in eager float32.
 
     Raises:
-        BenchmarkError: the file is no checkpoint.
+        BenchmarkError: the file is no checkpoint of FlowMP.
     """
 
     def __init__(self, checkpoint: Path, *, threads: int) -> None:
         torch.set_num_threads(threads)
         try:
-            self._model = restore_model(load_checkpoint(checkpoint))
+            self._model = restore_flow(load_checkpoint(checkpoint))
         except CheckpointError as error:
             raise BenchmarkError(str(error)) from error
 

@@ -25,9 +25,16 @@ from anchorflow_benchmarks.planners import (
     limits_of,
 )
 from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_table
+from anchorflow_benchmarks.route_files import load_routes
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_benchmarks.scene_files import default_source, load_scenes
-from anchorflow_cli import bench_closed_loop, bench_drive, bench_serving, bench_zenoh
+from anchorflow_cli import (
+    bench_closed_loop,
+    bench_drive,
+    bench_routes,
+    bench_serving,
+    bench_zenoh,
+)
 from anchorflow_cli.bench_options import (
     RESULTS,
     SCENES,
@@ -42,6 +49,8 @@ from anchorflow_cli.bench_options import (
 from anchorflow_cli.bench_output import progress, report, say
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
+from anchorflow_client.contract.checks import number
+from anchorflow_client.contract.ranges import GUIDANCE
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.cores import usable_cores
 
@@ -65,11 +74,22 @@ def quality(
             show_default="../shared/data/scenes_public.npz, or drawn:60:0 without it",
         ),
     ] = None,
+    routes: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="The scenes' known routes, a .npz file.",
+            show_default="they are searched",
+        ),
+    ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Scenes at most.")] = None,
     num: NumOption = 64,
     samplers: SamplersOption = CARD,
+    guidance: Annotated[
+        str, typer.Option(metavar="A,B", help="Scales of guidance by the cost; 0: none.")
+    ] = "0",
     baselines: Annotated[
-        str, typer.Option(metavar="A,B", help="Of expert, lines, rrt; none for no baselines.")
+        str, typer.Option(metavar="A,B", help="Of expert, lines, routes, rrt; none for none.")
     ] = ",".join(BASELINES),
     style: Annotated[bool, typer.Option(help="Measure what a change of style changes.")] = True,
     threads: ThreadsOption = None,
@@ -79,14 +99,19 @@ def quality(
     with needs_extra("plot", who="anchorflow bench quality"):
         from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
     bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
-    ours: list[Planner] = [*engine_planners(bundles, samplers.split(","), threads=threads)]
+    ours: list[Planner] = [
+        *engine_planners(bundles, samplers.split(","), guidance=_scales(guidance), threads=threads)
+    ]
     names = [] if baselines == "none" else baselines.split(",")
     with needs_extra("bench", who="anchorflow bench quality --baselines rrt"):
         planners = [*ours, *named_baselines(names, bundles[0])]
     limits, source = limits_of(bundles[0]), scenes or default_source()
     found = load_scenes(source, limits=limits, limit=limit)
+    known = routes and load_routes(routes, scenes=len(found), limit=limit)
     with progress("judging", len(found)) as advance:
-        plans = judge_planners(planners, found, limits=limits, num=num, progress=advance)
+        plans = judge_planners(
+            planners, found, limits=limits, num=num, routes=known or None, progress=advance
+        )
     tables = quality_tables(planners, plans)
     if style:
         styled = [*ours, *([ExpertPlanner(limits, 60)] if "expert" in names else [])]
@@ -96,6 +121,17 @@ def quality(
     report("Quality", about, tables, out)
     draw_scene_sheet(plans[ours[0].name], out / "quality_scenes.png", title=ours[0].name)
     draw_quality_over_time(tables[0].rows, out / "quality_time.png")
+
+
+def _scales(text: str) -> list[float]:
+    """Numbers from 0 on. Raises `BenchmarkError`."""
+    try:
+        scales = [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise BenchmarkError(f"--guidance: expected numbers like 0,0.1, got {text!r}") from error
+    for scale in scales:
+        number(scale, "refine.guidance", GUIDANCE)
+    return scales
 
 
 @app.command()
@@ -153,6 +189,7 @@ def plain_loops(
     return loops
 
 
+app.command()(bench_routes.routes)
 app.command()(bench_serving.load)
 app.command()(bench_zenoh.zenoh)
 app.command()(bench_zenoh.failover)

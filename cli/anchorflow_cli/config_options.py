@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -13,13 +13,17 @@ from anchorflow_training.settings import Setting, choices, default_of, settings
 KINDS = {int: "INTEGER", float: "NUMBER"}
 
 
-def with_options(kind: type, short: Mapping[str, str]) -> Callable[[Callable], Callable]:
-    """Gives a command, which takes `**given`, an option for each leaf of a dataclass.
+def with_options(kinds: Sequence[type], short: Mapping[str, str]) -> Callable[[Callable], Callable]:
+    """Gives a command, which takes `**given`, an option for each leaf of any of the dataclasses.
 
-    `given` holds what the command line names, by dotted path.
+    `given` holds what the command line names, by dotted path; whether the one that is chosen has
+    such a leaf, it says itself when it is built.
     short: further names of options, by path
     """
-    leaves = {leaf.path.replace(".", "__"): leaf for leaf in settings(kind)}
+    leaves: dict[str, Setting] = {}
+    for leaf in (leaf for kind in kinds for leaf in settings(kind)):
+        name = leaf.path.replace(".", "__")
+        leaves[name] = _shared(leaves[name], leaf) if name in leaves else leaf
 
     def decorate(command: Callable) -> Callable:
         def run(**values: Any) -> None:
@@ -41,6 +45,16 @@ def with_options(kind: type, short: Mapping[str, str]) -> Callable[[Callable], C
 def option_name(path: str) -> str:
     """The option of a setting: "batch.scenes" is `--batch.scenes`."""
     return "--" + path.replace("_", "-")
+
+
+def _shared(one: Setting, other: Setting) -> Setting:
+    """The option of two leaves under one path: as far as they are not alike, text by default."""
+    return Setting(
+        one.path,
+        one.hint if one.hint == other.hint else str,
+        default_of(one) if default_of(one) == default_of(other) else "the planner's",
+        one.about or other.about,
+    )
 
 
 def _parameter(name: str, leaf: Setting, short: Mapping[str, str]) -> inspect.Parameter:

@@ -15,7 +15,6 @@ from rich.table import Table
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
-from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_training.data import TrajectoryDataset
 from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.inspection import Summary, inspect_scenes, inspect_trajectories
@@ -63,7 +62,7 @@ def make(
 ) -> None:
     """Draw random scenes and let the expert solve them."""
     config = DataConfig(scenes=scenes, trajectories=trajectories, seed=seed)
-    with one_line_errors(), Progress() as bar:
+    with Progress() as bar:
         task = bar.add_task("scenes", total=scenes)
         meta = make_dataset(out, config, workers=workers, progress=lambda n: bar.advance(task, n))
     Console().print(
@@ -98,21 +97,20 @@ def import_file(
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
 ) -> None:
     """Turn your own trajectories into a dataset to train on."""
-    with one_line_errors():
-        config = ImportConfig(
-            v_max=v_max,
-            a_max=a_max,
-            least_quality=least_quality,
-            scene=SceneOptions(robot_radius, cells, keep_collisions),
+    config = ImportConfig(
+        v_max=v_max,
+        a_max=a_max,
+        least_quality=least_quality,
+        scene=SceneOptions(robot_radius, cells, keep_collisions),
+    )
+    dataset = TrajectoryDataset(
+        file, dt=dt, horizon_s=horizon_s, resolution=resolution, allow_pickle=allow_pickle
+    )
+    with Progress() as bar:
+        task = bar.add_task("samples", total=len(dataset))
+        meta = import_scenes(
+            dataset, out, config, workers=workers, progress=lambda n: bar.advance(task, n)
         )
-        dataset = TrajectoryDataset(
-            file, dt=dt, horizon_s=horizon_s, resolution=resolution, allow_pickle=allow_pickle
-        )
-        with Progress() as bar:
-            task = bar.add_task("samples", total=len(dataset))
-            meta = import_scenes(
-                dataset, out, config, workers=workers, progress=lambda n: bar.advance(task, n)
-            )
     limits, left_out = meta["limits"], meta["left_out"]
     reasons = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in left_out.items() if n)
     typer.echo(f"{out}: {meta['scenes']} scenes, T {meta['num_steps']}, D {meta['dim']}")
@@ -143,20 +141,17 @@ def inspect(
     allow_pickle: PickleOption = False,
 ) -> None:
     """Print shapes, ranges and class counts; draw a sheet of scenes with --out."""
-    with one_line_errors():
-        if path.is_dir():
-            dataset = open_dataset(path)
-            summary = inspect_scenes(dataset, scenes=scenes)
-        else:
-            opened = partial(
-                TrajectoryDataset, path, resolution=resolution, allow_pickle=allow_pickle
-            )
-            try:
-                dataset = opened(dt=dt, horizon_s=horizon_s)
-            except TimeStepUnknown:
-                typer.echo("neither dt nor horizon_s is known: derivatives are per step")
-                dataset = opened(dt=1.0)
-            summary = inspect_trajectories(dataset)
+    if path.is_dir():
+        dataset = open_dataset(path)
+        summary = inspect_scenes(dataset, scenes=scenes)
+    else:
+        opened = partial(TrajectoryDataset, path, resolution=resolution, allow_pickle=allow_pickle)
+        try:
+            dataset = opened(dt=dt, horizon_s=horizon_s)
+        except TimeStepUnknown:
+            typer.echo("neither dt nor horizon_s is known: derivatives are per step")
+            dataset = opened(dt=1.0)
+        summary = inspect_trajectories(dataset)
     print_summary(summary)
     if out is not None:
         with needs_extra("plot", who="anchorflow data inspect --out"):
@@ -189,10 +184,9 @@ def from_poses(
     """Cut ego-centred trajectories (x forward, y left) from recorded poses."""
     if not (0 < rate_hz < math.inf and 0 < pose_rate_hz < math.inf):
         raise typer.BadParameter("expected finite rates above 0 Hz")
-    with one_line_errors():
-        tracks = read_poses(poses, pose_rate_hz=pose_rate_hz)
-        cut = cut_trajectories(tracks, CutConfig(steps, rate_hz, stride, heading))
-        cut.save(out)
+    tracks = read_poses(poses, pose_rate_hz=pose_rate_hz)
+    cut = cut_trajectories(tracks, CutConfig(steps, rate_hz, stride, heading))
+    cut.save(out)
     count, steps, dim = cut.positions.shape
     typer.echo(
         f"{out}: {count} trajectories, T {steps}, D {dim}, dt {cut.dt:g} s, of {len(tracks)} drives"

@@ -22,7 +22,6 @@ from anchorflow_cli.training_command import (
     given_settings,
     run_folder,
 )
-from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_training.config_file import config_text, layers
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.distillation.config import DistillConfig
@@ -39,7 +38,7 @@ SHORT = {
 
 
 @app.command()
-@with_options(DistillConfig, SHORT)
+@with_options([DistillConfig], SHORT)
 def distill(
     checkpoint: Annotated[Path, typer.Argument(help="The teacher: checkpoint.pt of a run.")],
     dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data` wrote.")],
@@ -54,20 +53,17 @@ def distill(
     **given: Any,
 ) -> None:
     """Teach a student its teacher's anchors; stop it any time and start it again."""
-    with one_line_errors():
-        data, teacher = open_dataset(dataset), load_teacher(checkpoint)
-        base = {"model": asdict(teacher.model.config)}
-        settings = layers(DistillConfig, base, config, given_settings(given, bfloat16=bfloat16))
-        if print_config:
-            typer.echo(config_text(settings), nl=False)
-            return
-        folder = run_folder(out)
-        teacher = teacher.widened(settings.teacher.noise_scale)
-        student = Distiller(
-            settings, data, folder, teacher=teacher, pairs=pairs or folder / "pairs"
-        )
-        student.prepare(_pairs_line if student.leads else lambda *_: None)
-        carry_out(student)
+    teacher, data = load_teacher(checkpoint), open_dataset(dataset)
+    base = {"model": asdict(teacher.model.config)}
+    settings = layers(DistillConfig, base, config, given_settings(given, bfloat16=bfloat16))
+    if print_config:
+        typer.echo(config_text(settings), nl=False)
+        return
+    folder = run_folder(out)
+    teacher = teacher.widened(settings.teacher.noise_scale)
+    student = Distiller(settings, data, folder, teacher=teacher, pairs=pairs or folder / "pairs")
+    student.prepare(_pairs_line if student.leads else lambda *_: None)
+    carry_out(student)
 
 
 def _pairs_line(done: int, blocks: int) -> None:

@@ -8,13 +8,12 @@ from typing import Annotated, Any
 import typer
 
 from anchorflow_cli.options import command_app
-from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_client.contract import SamplerChoice
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
-from anchorflow_export.planners import ADAPTERS
+from anchorflow_export.planners import adapter_of
 from anchorflow_export.quantization import quantize_field
-from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.checkpoint import Checkpoint, load_checkpoint
 from anchorflow_training.distillation.student import student_schedule
 from anchorflow_training.provenance import provenance
 from anchorflow_training.restore import restore_model
@@ -28,7 +27,9 @@ def export(
     checkpoint: Annotated[Path, typer.Argument(help="checkpoint.pt of a training run.")],
     *,
     out: Annotated[Path, typer.Option(help="Folder of the bundle.")],
-    name: Annotated[str, typer.Option(help="Name of the bundle.")] = "flowmp-small",
+    name: Annotated[
+        str | None, typer.Option(help="Name of the bundle.", show_default="flowmp-small, …")
+    ] = None,
     version: Annotated[str, typer.Option(help="Version of the bundle.")] = "0.1.0",
     method: Annotated[
         str | None,
@@ -55,9 +56,8 @@ def export(
     ] = False,
 ) -> None:
     """Trace a trained planner to ONNX, prove that both agree, and write the bundle."""
-    with one_line_errors():
-        saved = load_checkpoint(checkpoint)
-        model = restore_model(saved)
+    saved = load_checkpoint(checkpoint)
+    model = restore_model(saved)
     choices = ExportChoices(
         sampler=_sampler(method, schedule, student_schedule(saved)),
         noise_scale=noise_scale,
@@ -66,17 +66,23 @@ def export(
         refine_steps=refine_steps,
     )
     description = BundleDescription(
-        name=name,
+        name=name or _name(saved),
         version=version,
         planner=saved.planner,
         training={**provenance(saved), "noise_scale": noise_scale},
     )
-    adapter = ADAPTERS[saved.planner](model, choices)
+    adapter = adapter_of(saved.planner, model, choices)
     for difference in export_bundle(adapter, description, out=out):
         typer.echo(str(difference))
     if int8:
         typer.echo(str(quantize_field(out)))
-    typer.echo(f"{out}: {name} {version}")
+    typer.echo(f"{out}: {description.name} {version}")
+
+
+def _name(checkpoint: Checkpoint) -> str:
+    """The planner's, and its variant's where it has one: flowmp-small."""
+    variant = checkpoint.config["model"].get("variant")
+    return f"{checkpoint.planner}-{variant}" if variant else checkpoint.planner
 
 
 def _sampler(

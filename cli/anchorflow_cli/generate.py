@@ -31,13 +31,12 @@ from anchorflow_cli.options import (
 )
 from anchorflow_cli.plan import table
 from anchorflow_cli.ros_map import RosMap, load_ros_map
-from anchorflow_cli.training_errors import one_line_errors
 from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_models.generation.scenes import DEFAULT_ROBOT_RADIUS
 from anchorflow_training.checkpoint import load_checkpoint
-from anchorflow_training.restore import restore_model
+from anchorflow_training.restore import restore_flow
 
 app = command_app()
 
@@ -92,7 +91,7 @@ def generate(
     seen = _seen(map_file, start, goal, size_m=size, unknown_is_free=unknown_is_free)
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     seed = secrets.randbelow(2**63) if seed is None else seed
-    with one_line_errors(), _value_errors():
+    with _value_errors():
         config = GeneratorConfig(
             method=method,
             schedule=_schedule(schedule),
@@ -104,7 +103,7 @@ def generate(
             barrier_rate=barrier_rate,
         )
         saved = load_checkpoint(checkpoint)
-        model = restore_model(saved)
+        model = restore_flow(saved)
         began = time.perf_counter()
         anchors = TrajectoryGenerator(model, config).generate(
             seen.occupancy[None],

@@ -21,10 +21,8 @@ from anchorflow_cli.training_command import (
     given_settings,
     run_folder,
 )
-from anchorflow_cli.training_errors import one_line_errors
-from anchorflow_training.config_file import config_text, layered_config
-from anchorflow_training.dataset import open_dataset
-from anchorflow_training.trainer import CFMTrainer, TrainerConfig
+from anchorflow_training.config_file import config_text, layers
+from anchorflow_training.planners import TRAININGS, training_of
 
 app = command_app()
 
@@ -32,21 +30,26 @@ SHORT = {"model.variant": "--variant", **SHARED_SHORT}
 
 
 @app.command()
-@with_options(TrainerConfig, SHORT)
+@with_options([training.config for training in TRAININGS.values()], SHORT)
 def train(
     dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data` wrote.")],
     *,
+    planner: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(TRAININGS), help="Which.", show_default="the file's; flowmp"),
+    ] = None,
     out: OutOption = None,
     config: ConfigOption = None,
     print_config: PrintConfigOption = False,
     bfloat16: Bfloat16Option = False,
     **given: Any,
 ) -> None:
-    """Train the planner; stop it any time and start it again with the same words."""
-    with one_line_errors():
-        data = open_dataset(dataset)
-        settings = layered_config(data, config, given_settings(given, bfloat16=bfloat16))
-        if print_config:
-            typer.echo(config_text(settings), nl=False)
-            return
-        carry_out(CFMTrainer(settings, data, run_folder(out)))
+    """Train a planner; stop it any time and start it again with the same words."""
+    training = training_of(planner, config)
+    data = training.open_data(dataset)
+    base = {"model": training.model_settings(data)}
+    settings = layers(training.config, base, config, given_settings(given, bfloat16=bfloat16))
+    if print_config:
+        typer.echo(config_text(settings), nl=False)
+        return
+    carry_out(training.new_run(settings, data, run_folder(out)))

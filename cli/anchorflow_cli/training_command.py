@@ -52,7 +52,7 @@ def carry_out(run: TrainingRun) -> None:
     """Fit, with the configuration in the run's folder and reports on the way."""
     if run.leads:
         (run.out / "config.yaml").write_text(config_text(run.run_config))
-        if run.evaluator is None:
+        if not run.evaluates:
             typer.echo("no scenes are held out (--held-out): nothing is evaluated", err=True)
     with reported(run, run.run_config.steps) as report:
         run.fit(report)

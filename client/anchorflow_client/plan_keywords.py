@@ -70,7 +70,8 @@ class PlanKeywords(ABC, Generic[Answer]):
             model: name of the bundle that answers.
             seed: of the noise; the answer echoes it, and the same seed gives the same anchors.
             sampler: {"method", "schedule"}, the flow's solver and the times it visits.
-            refine: {"smooth", "project", "safety_margin", "guidance"}, how samples are finished.
+            refine: {"smooth", "project", "safety_margin", "guidance", "barrier",
+                "certified_margin"}, how samples are finished.
             warm_start: {"trajectory", "tau"}, a trajectory [T,D] to [T,3D] to start from.
             budget_ms: time left to the caller; who cannot answer within it drops the request.
             robot_id: who asks; a newer request of the same robot supersedes one that still waits.

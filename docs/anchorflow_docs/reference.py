@@ -12,15 +12,22 @@ from anchorflow_client.contract import (
     AnswerSpec,
     CostMap,
     CostMapSpec,
+    EncodedImage,
     LimitsSpec,
     ModelCard,
     ModelId,
+    NoFinish,
+    OdeSpec,
     RefineChoice,
+    RefineSpec,
     SamplerChoice,
     TensorSpec,
+    TensorsSpec,
     TimeSpec,
+    VocabularySpec,
     WarmStart,
 )
+from anchorflow_client.contract.request import MapScenes
 from anchorflow_docs.dataclass_fields import dataclass_section, held_fields
 from anchorflow_docs.field_table import ANSWERED, HELD, SENT, field_table
 from anchorflow_docs.schema_fields import schema_fields
@@ -33,7 +40,9 @@ from anchorflow_service.planning import PlanningService
 
 TYPES = (
     AnchorRequest,
+    MapScenes,
     CostMap,
+    EncodedImage,
     SamplerChoice,
     RefineChoice,
     WarmStart,
@@ -43,6 +52,11 @@ TYPES = (
     TensorSpec,
     CostMapSpec,
     LimitsSpec,
+    TensorsSpec,
+    OdeSpec,
+    VocabularySpec,
+    RefineSpec,
+    NoFinish,
     TimeSpec,
     AnswerSpec,
 )
@@ -60,28 +74,32 @@ The same as a machine reads it: [openapi.json](openapi.json), which a running se
 """
 REQUEST = """# The request
 
-The body of `POST /anchors` in JSON. Everything is in SI units and in the frame of the cost map. An
+The body of `POST /anchors` in JSON. A planner with a cost map needs `cost_map`, `x_curr` and
+`x_goal`; any other needs the `inputs` that its card lists, in one of [these
+forms](../wire.md#inputs-in-json). Everything is in SI units and in the frame of the cost map. An
 interval that begins with a round bracket leaves its end out. A field that is left out, or null,
 takes its default; a field that is not in this table is refused by name.
 
 {fields}
 
-A leading `B` on `cost_map.data`, `x_curr`, `x_goal` or `w_style` makes a batch of scenes; a field
-without it is shared by all of them.
+A leading `B` on `cost_map.data`, `x_curr`, `x_goal`, `w_style` or one of the `inputs` makes a batch
+of scenes; a field without it is shared by all of them.
 
 ## What a model fixes
 
-`robot_radius`, `v_max`, `a_max` and `horizon_s` may be stated by every request. One that the
-model's card does not list as `adjustable` has to be the card's own; what `sampler` and `refine`
-say is a default that any request may replace. This is the card of the bundle that ships, without
-its tensors, quality and training; `GET /v2/models` tells those of any other.
+A request to a planner with a cost map may state `robot_radius`, `v_max`, `a_max` and `horizon_s`.
+One that the model's card does not list as `adjustable` has to be the card's own. What the card says
+under `sampler` and `finish` is a default, which a request's `sampler` and `refine` may replace
+where their kinds are `ode` and `spline`. This is the card of the bundle that ships, without its
+tensors, quality and training; `GET /v2/models` tells those of any other.
 
 {card}
 """
 ANSWER = """# The answer
 
 What `POST /anchors` answers with status 200. Where the request was a batch, a `B` axis leads every
-array.
+array. `trajectories` are always there; of the other arrays, those that the model's card lists under
+`answer`. Extras that the request's `outputs` named stand beside them by their own names.
 
 {fields}
 """
@@ -107,7 +125,10 @@ PYTHON = """# Python types
 
 `anchorflow_client.contract`, which the service uses too. All of them are frozen; arrays are
 read-only. A field that is None is left to the model's card. One that says nothing here means what
-it means in [the request](request.md) or [the answer](answer.md).
+it means in [the request](request.md) or [the answer](answer.md). A card's `conditioning` is a
+`CostMapSpec` or a `TensorsSpec`, its `sampler` an `OdeSpec` or a `VocabularySpec`, its `finish` a
+`RefineSpec` or `NoFinish`; each has a `kind`, and a kind that the client does not know is an
+`UnknownPart`.
 
 {types}
 """

@@ -67,5 +67,7 @@ def _difference(
 ) -> Difference:
     if got.shape != expected.shape:
         raise ExportError(f"{what}: ONNX gives shape {got.shape}, torch {expected.shape}")
-    scale = max(1.0, float(np.abs(expected).max())) if relative else 1.0
-    return Difference(what, float(np.abs(got - expected).max()) / scale)
+    # Whole numbers and truth values too: bytes would wrap in their own type.
+    told, wanted = got.astype(np.float64), expected.astype(np.float64)
+    scale = max(1.0, float(np.abs(wanted).max())) if relative else 1.0
+    return Difference(what, float(np.abs(told - wanted).max()) / scale)

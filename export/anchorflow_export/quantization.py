@@ -17,6 +17,7 @@ from onnxruntime.quantization import QuantType, quantize_dynamic
 
 from anchorflow_client.contract import OdeSpec
 from anchorflow_export.bundle import into_place
+from anchorflow_export.errors import ExportError
 from anchorflow_export.parity import Difference
 from anchorflow_export.planners.flowmp.adapter import SAMPLE_TRIAL
 from anchorflow_export.planners.flowmp.scenes import random_scenes
@@ -34,8 +35,12 @@ def quantize_field(path: Path) -> Difference:
 
     Raises:
         BundleError: there is no sound bundle at that path, which stays what it is.
+        ExportError: the bundle draws its anchors without a field.
     """
     bundle = load_bundle(path)
+    if "field" not in bundle.manifest.graphs:
+        kind = bundle.manifest.sampler.kind
+        raise ExportError(f"int8: expected a bundle with a field, as of kind ode, got {kind}")
     with into_place(path) as folder:
         shutil.copytree(path, folder, dirs_exist_ok=True)
         entry = bundle.manifest.graphs["field"]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
 
 import onnx
 import torch
@@ -13,34 +16,45 @@ from torch import Tensor, nn
 from torch.export import Dim
 
 from anchorflow_client.contract import TensorSpec
+from anchorflow_export.adapter import TracedGraph
 from anchorflow_export.errors import ExportError
 
 OPSET = 20
 
-# The open axes and how far the contract lets them reach.
+
+@dataclass(frozen=True)
+class OpenAxis:
+    """An axis whose size a graph leaves open: its size in the trace, and how far it may reach."""
+
+    example: int
+    least: int = 1
+    most: int = 65536
+
+
+# Those that the contract bounds, and the sizes that keep them apart in a trace.
 AXES = {
-    "B": Dim("B", min=1, max=4096),
-    "N": Dim("N", min=1, max=65536),
-    "K": Dim("K", min=1, max=65536),
-    "H": Dim("H", min=16, max=512),
-    "W": Dim("W", min=16, max=512),
+    "B": OpenAxis(2, most=4096),
+    "N": OpenAxis(3),
+    "K": OpenAxis(5),
+    "H": OpenAxis(24, least=16, most=512),
+    "W": OpenAxis(20, least=16, most=512),
 }
+ANOTHER_AXIS = OpenAxis(7)
 
 
 def trace(
-    module: nn.Module,
-    examples: Sequence[Tensor],
-    *,
-    inputs: Sequence[TensorSpec],
-    outputs: Sequence[str],
-) -> onnx.ModelProto:
-    """The ONNX graph of a module whose forward takes *inputs.
+    module: nn.Module, *, inputs: Sequence[TensorSpec], outputs: Sequence[str]
+) -> TracedGraph:
+    """The ONNX graph of a module whose forward takes the inputs and gives the outputs in order.
 
-    examples: one for each input; every axis that is a letter in the input's spec is left open
+    Every axis that is a letter in an input's spec is left open.
 
     Raises:
-        ExportError: the module cannot be traced, or holds only for the sizes of the examples.
+        ExportError: the module cannot be traced, or holds only for the sizes of the trace.
     """
+    for spec in inputs:
+        _check_open_axes(spec)
+    examples = [random_tensor(spec) for spec in inputs]
     try:
         with torch.no_grad(), _quiet_exporter():
             program = torch.onnx.export(
@@ -50,7 +64,7 @@ def trace(
                 opset_version=OPSET,
                 input_names=[spec.name for spec in inputs],
                 output_names=list(outputs),
-                dynamic_shapes=(tuple(_open_axes(spec) for spec in inputs),),
+                dynamic_shapes=_dynamic_shapes(module, inputs),
                 external_data=False,
                 verbose=False,
             )
@@ -62,12 +76,36 @@ def trace(
     _check_axes(type(module).__name__, model, inputs)
     _forget_origin(model)
     onnx.checker.check_model(model, full_check=True)
-    return model
+    return TracedGraph(model, tuple(inputs), tuple(map(_spec, model.graph.output)))
 
 
-def output_specs(model: onnx.ModelProto) -> tuple[TensorSpec, ...]:
-    """The outputs of a graph; axes that depend on the inputs' are strings."""
-    return tuple(_spec(value) for value in model.graph.output)
+def random_tensor(
+    spec: TensorSpec,
+    sizes: Mapping[str, int] | None = None,
+    *,
+    generator: torch.Generator | None = None,
+) -> Tensor:
+    """Numbers of a tensor's type and range, spread evenly; from 0 to 1 where it has no bounds.
+
+    sizes: of open axes by letter; the others have those of a trace
+    """
+    known = {letter: axis.example for letter, axis in AXES.items()} | dict(sizes or {})
+    shape = [known.get(a, ANOTHER_AXIS.example) if isinstance(a, str) else a for a in spec.shape]
+    dtype = getattr(torch, spec.dtype)
+    low, high = _bounds(spec, dtype)
+    if dtype.is_floating_point:
+        return low + (high - low) * torch.rand(shape, dtype=dtype, generator=generator)
+    return torch.randint(int(low), int(high) + 1, shape, dtype=dtype, generator=generator)
+
+
+def _bounds(spec: TensorSpec, dtype: torch.dtype) -> tuple[float, float]:
+    """What is left open lies 1 from the bound that there is; a byte may be any."""
+    if spec.range is None and dtype == torch.uint8:
+        return 0, 255
+    low, high = spec.range or (None, None)
+    if low is None:
+        low = 0.0 if high is None else min(0.0, high - 1)
+    return low, low + 1 if high is None else high
 
 
 def _spec(value: onnx.ValueInfoProto) -> TensorSpec:
@@ -77,8 +115,31 @@ def _spec(value: onnx.ValueInfoProto) -> TensorSpec:
     return TensorSpec(value.name, dtype, shape)
 
 
+def _check_open_axes(spec: TensorSpec) -> None:
+    """An axis that an earlier graph computes, such as H//2, cannot be left open."""
+    for axis in spec.shape:
+        if isinstance(axis, str) and not axis.isidentifier():
+            raise ExportError(
+                f"tensor {spec.name} has shape {[*spec.shape]}: "
+                f"{axis} is neither a number nor the name of an axis"
+            )
+
+
+def _dynamic_shapes(module: nn.Module, inputs: Sequence[TensorSpec]) -> tuple[Any, ...]:
+    """As torch.export wants it, which takes the tensors of *inputs for one argument."""
+    shapes = tuple(_open_axes(spec) for spec in inputs)
+    taken = inspect.signature(module.forward).parameters.values()
+    starred = any(each.kind is inspect.Parameter.VAR_POSITIONAL for each in taken)
+    return (shapes,) if starred else shapes
+
+
 def _open_axes(spec: TensorSpec) -> dict[int, Dim]:
-    return {i: AXES[axis] for i, axis in enumerate(spec.shape) if isinstance(axis, str)}
+    return {i: _open(axis) for i, axis in enumerate(spec.shape) if isinstance(axis, str)}
+
+
+def _open(letter: str) -> Dim:
+    axis = AXES.get(letter, ANOTHER_AXIS)
+    return Dim(letter, min=axis.least, max=axis.most)
 
 
 def _check_axes(name: str, model: onnx.ModelProto, inputs: Sequence[TensorSpec]) -> None:

@@ -1,6 +1,7 @@
 """The planners, by the name that configurations, checkpoints and bundles give them.
 
-A new planner is a folder with a configuration and a network, and a line here.
+A new planner is a folder with a configuration and a network, and a line here; one more in
+`anchorflow_training.planners` to train it, one in `anchorflow_export.planners` to export it.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ PLANNERS: Mapping[str, Planner] = {
     planner.name: planner for planner in (Planner("flowmp", L2Config, create_l2_safety_cfm),)
 }
 
+UNNAMED = "flowmp"
+"""Whose the checkpoints and configuration files are that name no planner."""
+
 
 def planner_named(name: str) -> Planner:
     """The planner of that name.
@@ -41,12 +45,3 @@ def planner_named(name: str) -> Planner:
     if name not in PLANNERS:
         raise ValueError(f"planner: expected one of {', '.join(PLANNERS)}, got {name!r}")
     return PLANNERS[name]
-
-
-def planner_of(config: object) -> Planner:
-    """The planner whose configuration this is. Raises `ValueError` where it is nobody's."""
-    for planner in PLANNERS.values():
-        if isinstance(config, planner.config):
-            return planner
-    kinds = ", ".join(planner.config.__name__ for planner in PLANNERS.values())
-    raise ValueError(f"model: expected one of {kinds}, got a {type(config).__name__}")

@@ -39,6 +39,20 @@ def test_quality(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     }
 
 
+def test_routes(tmp_path: Path) -> None:
+    options = ("--scenes", "drawn:4:1", "--limit", "1", "--num", "4")
+    run("routes", *options, "--baselines", "routes", "--out", str(tmp_path))
+
+    found = tables(tmp_path / "routes.json")
+    rows = found["drawn:4:1 (1)"]
+    assert [row["planner"] for row in rows][2:] == [
+        f"routes + finish, {descents} descents" for descents in (0, 5, 10, 20, 60)
+    ]
+    assert {"recall", "first", "found", "distinct", "success", "any", "duration"} < rows[0].keys()
+    assert 0.0 < rows[-1]["recall"] <= 1.0
+    assert found["Search"][0]["routes"] >= 2.0
+
+
 def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
     options = ("--scenes", "drawn:1:1", "--num", "2", "--sampler", "euler:uniform1")
     run("load", *options, "--clients", "1", "--requests", "5", "--out", str(tmp_path))
@@ -61,6 +75,8 @@ def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
         (("quality", "--samplers", "rk4"), "'rk4'"),
         (("latency", "--checkpoint", "a.pt", "--checkpoint", "b.pt"), "at most one --checkpoint"),
         (("quality", "--scenes", "nowhere.npz"), "nowhere.npz: not a file of scenes"),
+        (("quality", "--routes", "nowhere.npz"), "nowhere.npz: not a file of routes"),
+        (("routes", "--routes", "a.npz"), "at most one --routes for each --scenes"),
     ],
 )
 def test_what_cannot_be_measured_is_one_line(

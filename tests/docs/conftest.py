@@ -1,4 +1,4 @@
-"""The pages, and a service of the default bundle that their programs ask."""
+"""The pages, and the services that their programs ask."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 import uvicorn
+from image_planner import write_image_bundle
 
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
@@ -29,8 +31,23 @@ def default_engine() -> Engine:
 @pytest.fixture(scope="session")
 def service_url(default_engine: Engine) -> Iterator[str]:
     """Where a service of that bundle listens, on a free port of this machine."""
-    name = default_engine.card.name
-    app = create_app(PlanningService({name: default_engine}, default=name))
+    with served(default_engine) as url:
+        yield url
+
+
+@pytest.fixture
+def url_of_both(default_engine: Engine, tmp_path: Path) -> Iterator[str]:
+    """The same with a planner that takes no cost map beside it."""
+    camera = Engine(load_bundle(write_image_bundle(tmp_path)), threads=1)
+    with served(default_engine, camera) as url:
+        yield url
+
+
+@contextmanager
+def served(*engines: Engine) -> Iterator[str]:
+    """Where a service of these listens; the first is the default."""
+    by_name = {engine.card.name: engine for engine in engines}
+    app = create_app(PlanningService(by_name, default=engines[0].card.name))
     server = uvicorn.Server(uvicorn.Config(app, log_level="warning", ws="none"))
     with socket.create_server(("127.0.0.1", 0)) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})

@@ -17,14 +17,14 @@ ADDRESS = "http://127.0.0.1:8000"
 
 
 @pytest.mark.parametrize("name", ["index.md", "clients.md", "planner.md"])
-def test_the_programs_of_a_page_run(name: str, service_url: str) -> None:
+def test_the_programs_of_a_page_run(name: str, url_of_both: str) -> None:
     seen: dict[str, Any] = {"__name__": "__main__"}
     programs = programs_of(DOCS / name)
 
     assert programs
     for program in programs:
         printed = StringIO()
-        code = compile(program.text.replace(ADDRESS, service_url), program.place, "exec")
+        code = compile(program.text.replace(ADDRESS, url_of_both), program.place, "exec")
         with redirect_stdout(printed):
             exec(code, seen)
         if program.prints is not None:

@@ -16,6 +16,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from image_planner import write_image_bundle
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.main import main
@@ -82,6 +83,16 @@ def test_a_refused_request(name: str, default_engine: Engine) -> None:
         LocalClient(default_engine).plan_request(AnchorRequest.from_fields(GOOD | REFUSED[name]))
 
     check(name, caught.value)
+
+
+def test_a_map_for_a_planner_without_one(tmp_path: Path) -> None:
+    with (
+        LocalClient.of(write_image_bundle(tmp_path), threads=1) as client,
+        pytest.raises(RequestError) as caught,
+    ):
+        client.plan(**GOOD)
+
+    check("map-for-another-planner", caught.value)
 
 
 def unknown_model(url: str) -> None:
@@ -228,6 +239,13 @@ def bundle_changed(folder: Path) -> None:
     load_bundle(mine)
 
 
+def bundle_of_another_format(folder: Path) -> None:
+    mine = shutil.copytree(DEFAULT_BUNDLE, folder / "bundles" / "mine")
+    manifest = json.loads((mine / "manifest.json").read_text())
+    (mine / "manifest.json").write_text(json.dumps(manifest | {"format": 1}))
+    load_bundle(mine)
+
+
 def port_taken(_: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         main(["serve", "--port", str(listener.getsockname()[1])])
@@ -242,6 +260,7 @@ AT_THE_START: dict[str, Callable[[Path], None]] = {
     "no-token": no_token,
     "bundle-missing": bundle_missing,
     "bundle-changed": bundle_changed,
+    "bundle-of-another-format": bundle_of_another_format,
     "port-taken": port_taken,
     "extra-missing": extra_missing,
 }
@@ -258,7 +277,7 @@ def test_a_start_that_fails(name: str, tmp_path: Path) -> None:
 def test_every_message_of_the_page_is_checked() -> None:
     checked = [*REFUSED, *OVER_HTTP, *IN_THE_QUEUE, *NO_ANSWER, *AT_THE_START]
 
-    assert sorted(checked) == sorted(MESSAGES)
+    assert sorted([*checked, "map-for-another-planner"]) == sorted(MESSAGES)
 
 
 def test_the_wording_is_what_is_compared() -> None:

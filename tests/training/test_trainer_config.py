@@ -16,7 +16,7 @@ from anchorflow_cli.main import main
 from anchorflow_cli.train import SHORT
 from anchorflow_cli.train import app as train_app
 from anchorflow_training.config import TrainerConfig
-from anchorflow_training.config_file import config_text, layered_config, read_config
+from anchorflow_training.config_file import config_text, layers, model_settings, read_config
 from anchorflow_training.dataset import SceneDataset, open_dataset
 from anchorflow_training.settings import ConfigError, build, setting, settings
 
@@ -78,10 +78,16 @@ def test_what_is_wrong_is_named_with_its_file(values: dict[str, Any], message: s
         build(Outer, values, source="file.yaml")
 
 
+def layered(
+    dataset: SceneDataset, file: Path | None = None, options: dict[str, Any] | None = None
+) -> TrainerConfig:
+    return layers(TrainerConfig, {"model": model_settings(dataset)}, file, options)
+
+
 def test_each_layer_goes_over_the_one_before(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
     file = tmp_path / "train.yaml"
     file.write_text("learning_rate: 1e-4\nbatch:\n  scenes: 4\n  samples: 2\n")
-    config = layered_config(tiny_dataset, file, {"batch.scenes": "3", "compile": True})
+    config = layered(tiny_dataset, file, {"batch.scenes": "3", "compile": True})
     assert config.learning_rate == 1e-4
     assert (config.batch.scenes, config.batch.samples) == (3, 2)
     assert config.compile
@@ -96,19 +102,19 @@ def test_the_model_has_the_datasets_shape_and_limits(
     limits = {"v_max": 1, "a_max": 1.5, "horizon_s": 4.0}
     (path / "dataset.json").write_text(json.dumps(meta | {"limits": limits}))
     dataset = open_dataset(path)
-    model = layered_config(dataset).model
+    model = layered(dataset).model
     assert (model.v_max, model.a_max, model.horizon_s) == (1.0, 1.5, 4.0)
     assert (model.num_steps, model.dim, model.map_channels) == (64, 2, 3)
-    assert layered_config(dataset, options={"model.v_max": "2"}).model.v_max == 2.0
+    assert layered(dataset, options={"model.v_max": "2"}).model.v_max == 2.0
 
 
 def test_the_printed_configuration_reads_back_as_itself(
     tiny_dataset: SceneDataset, tmp_path: Path
 ) -> None:
-    config = layered_config(tiny_dataset, options={"evaluation.held_out": "2", "ema_decay": "0.5"})
+    config = layered(tiny_dataset, options={"evaluation.held_out": "2", "ema_decay": "0.5"})
     file = tmp_path / "train.yaml"
     file.write_text(config_text(config))
-    assert layered_config(tiny_dataset, file) == config
+    assert layered(tiny_dataset, file) == config
 
 
 @pytest.mark.parametrize(
@@ -126,7 +132,7 @@ def test_a_wrong_file_is_named(
     file = tmp_path / "train.yaml"
     file.write_text(text)
     with pytest.raises(ConfigError, match=re.escape(message)):
-        layered_config(tiny_dataset, file)
+        layered(tiny_dataset, file)
     with pytest.raises(ConfigError, match=r"absent\.yaml"):
         read_config(tmp_path / "absent.yaml")
 

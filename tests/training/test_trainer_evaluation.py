@@ -21,11 +21,11 @@ from anchorflow_training.evaluation import (
     States,
     flow_evaluator,
     judge,
-    out_of_patience,
     sample,
     scores,
 )
 from anchorflow_training.held_out import split
+from anchorflow_training.patience import out_of_patience
 from anchorflow_training.pictures import sample_picture
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer

@@ -1,4 +1,4 @@
-"""What is called safe is safe, and a retreat makes safe what it can."""
+"""What is called safe is safe, and bisection makes safe what it can."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def safe_of(control: np.ndarray) -> np.ndarray:
     return verify(BASIS.states(control), post(), LIMITS).safe
 
 
-def test_retreat_moves_failures_to_the_safe_side_that_is_near() -> None:
+def test_bisection_moves_failures_to_the_safe_side_that_is_near() -> None:
     control = bows([1.4, -1.4, 0.5, -0.3])
     moved = bisect_to_safe(control, safe_of(control), BASIS, post(), LIMITS)
     assert safe_of(moved).all()
@@ -69,7 +69,7 @@ def test_retreat_moves_failures_to_the_safe_side_that_is_near() -> None:
 
 
 @pytest.mark.parametrize("heights", [[0.0, 0.1], [1.3, -1.3]])
-def test_retreat_leaves_all_as_it_is_where_none_or_all_are_safe(heights: list[float]) -> None:
+def test_bisection_leaves_all_as_it_is_where_none_or_all_are_safe(heights: list[float]) -> None:
     control = bows(heights)
     np.testing.assert_array_equal(
         bisect_to_safe(control, safe_of(control), BASIS, post(), LIMITS), control

@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.reflection import reflection
 from anchorflow_training.settings import setting
 
-Batch = dict[str, NDArray[np.float32]]
+Batch = dict[str, NDArray[Any]]
 
 # What a model's encode takes, by its own names.
 INPUTS = (

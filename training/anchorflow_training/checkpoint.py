@@ -10,6 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_models.registry import UNNAMED
+
 # What checkpoints called a loss term, before terms and weights had the names of the fields u, v, w.
 FORMER_TERMS = {
     "position": "velocity_field",
@@ -24,7 +27,7 @@ FORMER_WEIGHTS = {
 }
 
 
-class CheckpointError(Exception):
+class CheckpointError(AnchorFlowError):
     """A checkpoint cannot be read; the message names the file."""
 
 
@@ -53,7 +56,7 @@ class Checkpoint:
     pending: dict[str, Any] = field(default_factory=dict)
     scaler: dict[str, Any] = field(default_factory=dict)
     teacher: dict[str, Any] = field(default_factory=dict)
-    planner: str = "flowmp"
+    planner: str = UNNAMED
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:

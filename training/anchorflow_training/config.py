@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 from anchorflow_models import L2Config
 from anchorflow_models.flow_matching import LossWeights
@@ -49,7 +49,13 @@ class EvaluationConfig(JudgeConfig):
 
 @dataclass(frozen=True)
 class RunConfig:
-    """How long, how fast and on what; the rate climbs over `warmup`, then falls as a cosine."""
+    """How long, how fast and on what; the rate climbs over `warmup`, then falls as a cosine.
+
+    planner: its name in the registry of planners, which a subclass says
+    model: the planner's own configuration, of the class that the registry names
+    """
+
+    planner: ClassVar[str]
 
     steps: int = setting(12_000, "Optimiser steps in all.", least=1)
     learning_rate: float = setting(1e-3, "Peak learning rate.", above=0)
@@ -70,12 +76,15 @@ class RunConfig:
     tensorboard: bool = setting(True, "Write scalars and pictures for TensorBoard.")
     batch: BatchConfig = field(default_factory=BatchConfig)
     evaluation: JudgeConfig = field(default_factory=JudgeConfig)
-    model: L2Config = field(default_factory=L2Config)
+    model: Any = None
 
 
 @dataclass(frozen=True)
 class TrainerConfig(RunConfig):
-    """A run that learns a flow from data."""
+    """A run that learns FlowMP's flow from data."""
+
+    planner: ClassVar[str] = "flowmp"
 
     evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    model: L2Config = field(default_factory=L2Config)
     flow: FlowMatchingConfig = field(default_factory=FlowMatchingConfig)

@@ -16,26 +16,31 @@ from anchorflow_training.settings import ConfigError, build, checked, merged, ne
 
 Config = TypeVar("Config", bound=RunConfig)
 
+PLANNER = "planner"  # the key of a planner's name, beside the settings of its run
+
 
 def read_config(path: Path, kind: type[RunConfig] = TrainerConfig) -> dict[str, Any]:
     """The settings of a YAML file; raises `ConfigError` naming the file and the key."""
+    values = _read(path)
+    planner = values.pop(PLANNER, kind.planner)
+    if planner != kind.planner:
+        raise ConfigError(f"{path}: {PLANNER}: expected {kind.planner!r}, got {planner!r}")
+    return checked(kind, values, source=str(path))
+
+
+def planner_in(path: Path) -> str | None:
+    """The planner that a YAML file names, if it does; raises `ConfigError`."""
+    return _read(path).get(PLANNER)
+
+
+def _read(path: Path) -> dict[str, Any]:
     try:
         values = yaml.safe_load(path.read_text()) or {}
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: {error}") from error
     if not isinstance(values, Mapping):
         raise ConfigError(f"{path}: expected keys and values, got {type(values).__name__}")
-    return checked(kind, values, source=str(path))
-
-
-def layered_config(
-    dataset: SceneDataset, file: Path | None = None, options: Mapping[str, Any] | None = None
-) -> TrainerConfig:
-    """What the defaults, the dataset, the file and the options say, the later over the earlier.
-
-    options: by dotted path, `{"batch.scenes": 8}`
-    """
-    return layers(TrainerConfig, {"model": model_settings(dataset)}, file, options)
+    return dict(values)
 
 
 def layers(
@@ -44,7 +49,10 @@ def layers(
     file: Path | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> Config:
-    """A configuration of `base`, the file and the options over the defaults of its kind."""
+    """What the defaults, `base`, the file and the options say, the later over the earlier.
+
+    options: by dotted path, `{"batch.scenes": 8}`
+    """
     values = merged(base, read_config(file, kind)) if file else dict(base)
     for path, value in (options or {}).items():
         given = checked(kind, nested(path, value), source="command line")
@@ -53,14 +61,15 @@ def layers(
 
 
 def model_settings(dataset: SceneDataset) -> dict[str, Any]:
-    """What of the model's configuration a dataset fixes: shapes and limits."""
+    """What of FlowMP's configuration a dataset fixes: shapes and limits."""
     shapes = {name: getattr(dataset, name) for name in SHAPES}
     return {**shapes, **asdict(dataset.limits)}
 
 
 def config_text(config: RunConfig) -> str:
     """The whole configuration as the YAML that `read_config` reads."""
-    return yaml.safe_dump(_plain(asdict(config)), sort_keys=False)
+    named = {PLANNER: config.planner, **asdict(config)}
+    return yaml.safe_dump(_plain(named), sort_keys=False)
 
 
 def _plain(value: Any) -> Any:

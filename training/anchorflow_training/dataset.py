@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_client.errors import AnchorFlowError
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
@@ -44,7 +45,7 @@ MOST_FLOAT16 = float(np.finfo(np.float16).max)
 OPTIONAL_DTYPES = {"quality": np.float32}
 
 
-class DatasetError(Exception):
+class DatasetError(AnchorFlowError):
     """A dataset folder is not what it should be; the message names the file."""
 
 

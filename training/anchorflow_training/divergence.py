@@ -10,8 +10,10 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor
 
+from anchorflow_client.errors import AnchorFlowError
 
-class DivergenceError(Exception):
+
+class DivergenceError(AnchorFlowError):
     """A term of the loss is not finite; the message names the step and the term."""
 
 

@@ -137,13 +137,6 @@ def scores(scenes: Sequence[JudgedScene]) -> dict[str, float]:
     return {**shares, "any": some, "spread": spread}
 
 
-def out_of_patience(evaluations: Sequence[Mapping[str, float]], patience: int) -> bool:
-    """Whether the best success is `patience` evaluations old; never where patience is 0."""
-    successes = [row["success"] for row in evaluations]
-    since = len(successes) - 1 - successes.index(max(successes)) if successes else 0
-    return 0 < patience <= since
-
-
 def _judged_scene(
     state: FloatArray, scene: Mapping[str, FloatArray], basis: SplineBasis, config: L2Config
 ) -> JudgedScene:

@@ -6,8 +6,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from anchorflow_models import L2SafetyCFM
 from anchorflow_models.registry import Planner, planner_named
 from anchorflow_training.checkpoint import Checkpoint, CheckpointError, load_checkpoint
+from anchorflow_training.config import RunConfig
 from anchorflow_training.settings import ConfigError, build
 
 
@@ -22,6 +24,13 @@ def restore_model(checkpoint: Checkpoint) -> Any:
     return model.eval()
 
 
+def restore_flow(checkpoint: Checkpoint) -> L2SafetyCFM:
+    """FlowMP's flow, for what works with no other planner; raises `CheckpointError`."""
+    if checkpoint.planner != "flowmp":
+        raise CheckpointError(f"expected a checkpoint of flowmp, got one of {checkpoint.planner}")
+    return restore_model(checkpoint)
+
+
 def saved_model_config(checkpoint: Checkpoint) -> Any:
     """The model's part of a checkpoint's configuration; what it does not name has its default."""
     try:
@@ -30,22 +39,24 @@ def saved_model_config(checkpoint: Checkpoint) -> Any:
         raise CheckpointError(str(error)) from error
 
 
-def resumable(path: Path, model: Any) -> Checkpoint | None:
+def resumable(path: Path, config: RunConfig) -> Checkpoint | None:
     """The checkpoint at `path`, if one is there; raises `CheckpointError` if of another model."""
     if not path.exists():
         return None
     saved = load_checkpoint(path)
+    _check_same(path, "planner", saved.planner, config.planner)
     then = saved_model_config(saved)
-    if not isinstance(model, type(then)):
-        raise CheckpointError(f"{path}: expected a {saved.planner}, as it was trained")
-    for name in (part.name for part in fields(model)):
-        old, new = getattr(then, name), getattr(model, name)
-        if old != new:
-            raise CheckpointError(
-                f"{path}: expected model.{name} {old!r}, as it was trained, got {new!r}; "
-                "another folder begins a new run"
-            )
+    for name in (part.name for part in fields(config.model)):
+        _check_same(path, f"model.{name}", getattr(then, name), getattr(config.model, name))
     return saved
+
+
+def _check_same(path: Path, name: str, old: Any, new: Any) -> None:
+    if old != new:
+        raise CheckpointError(
+            f"{path}: expected {name} {old!r}, as it was trained, got {new!r}; "
+            "another folder begins a new run"
+        )
 
 
 def _planner(checkpoint: Checkpoint) -> Planner:

@@ -1,6 +1,7 @@
 """A training run: AdamW, warm-up and cosine, EMA, checkpoints, resume, evaluations.
 
-What is learnt, and from what, a subclass says: `CFMTrainer` for a flow, `Distiller` for a student.
+What is learnt, from what and how it is judged, a subclass says: `CFMTrainer` for a flow,
+`Distiller` for a student. `anchorflow_training.planners` names the one of each planner.
 """
 
 from __future__ import annotations
@@ -14,27 +15,27 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from anchorflow_models import L2SafetyCFM
-from anchorflow_models.registry import planner_of
+from anchorflow_models.registry import planner_named
 from anchorflow_training.average import update_average
 from anchorflow_training.batches import Batch
 from anchorflow_training.checkpoint import Checkpoint, CheckpointError, save_checkpoint
 from anchorflow_training.config import RunConfig
 from anchorflow_training.curve import Row, RunningMean
-from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.devices import make_fabric
 from anchorflow_training.divergence import check_finite
-from anchorflow_training.evaluation import Evaluator, JudgedScene, out_of_patience
-from anchorflow_training.held_out import split
 from anchorflow_training.learning_rate import rate_share
-from anchorflow_training.pictures import sample_picture
+from anchorflow_training.patience import out_of_patience
 from anchorflow_training.record import RunRecord
 from anchorflow_training.restore import resumable
 
 Report = Callable[[int, Row], None]
+Picture = NDArray[np.uint8]
+"""[height, width, 3]"""
 
 SEED_STRIDE = 1_000_003  # between the noise of one seed and of the next
 
@@ -58,15 +59,13 @@ class TrainingRun(ABC):
         CheckpointError: the folder's checkpoint is of another model or another teacher.
     """
 
-    def __init__(self, config: RunConfig, dataset: SceneDataset, out: Path) -> None:
+    def __init__(self, config: RunConfig, out: Path) -> None:
         self.run_config, self.out = config, out
         self.fabric = make_fabric(config)
-        self.dataset, held_out = split(dataset, config)
-        self.evaluator = self.new_evaluator(held_out) if held_out else None
         if config.threads:
             torch.set_num_threads(config.threads)
         self.fabric.launch()
-        saved = resumable(self.checkpoint_path, config.model)
+        saved = resumable(self.checkpoint_path, config)
         self.model = self._new_model()
         if saved is None:
             self.begin(self.model)
@@ -89,24 +88,30 @@ class TrainingRun(ABC):
             self._resume(saved)
 
     @abstractmethod
-    def begin(self, model: L2SafetyCFM) -> None:
+    def begin(self, model: Any) -> None:
         """Give a model of random weights what it begins with."""
 
     @abstractmethod
-    def new_objective(self, model: L2SafetyCFM) -> nn.Module:
+    def new_objective(self, model: Any) -> nn.Module:
         """The loss to train the model on, an `Objective`."""
-
-    @abstractmethod
-    def new_evaluator(self, held_out: SceneDataset) -> Evaluator:
-        """The validation judge."""
 
     @abstractmethod
     def stream(self, indices: Iterable[int]) -> Generator[Batch]:
         """The batches of these numbers, each the same whenever it is asked for."""
 
+    @property
     @abstractmethod
-    def scores(self, scenes: Sequence[JudgedScene]) -> Row:
-        """What judged scenes are worth; it has a `success`."""
+    def data(self) -> dict[str, Any]:
+        """What the checkpoint says of the data."""
+
+    @property
+    @abstractmethod
+    def evaluates(self) -> bool:
+        """Whether there is something held out to judge the model on."""
+
+    @abstractmethod
+    def evaluate(self, model: Any) -> tuple[Row, Picture | None]:
+        """What the model is worth on what is held out, which has a `success`, and how it looks."""
 
     @property
     def learnt_from(self) -> dict[str, Any]:
@@ -154,8 +159,8 @@ class TrainingRun(ABC):
                 last = self.step == config.steps
                 if self.step % config.report_every == 0:
                     self._report(record, report, seconds=time.perf_counter() - began)
-                if self.evaluator and (self.step % config.evaluation.every == 0 or last):
-                    self._evaluate(self.evaluator, record, report)
+                if self.evaluates and (self.step % config.evaluation.every == 0 or last):
+                    self._evaluate(record, report)
                 if self.step % config.checkpoint_every == 0 or last or self.stopped:
                     self.save(self.checkpoint_path)
 
@@ -202,7 +207,7 @@ class TrainingRun(ABC):
         checkpoint = Checkpoint(
             step=self.step,
             config=asdict(self.run_config),
-            data=dict(self.dataset.meta),
+            data=self.data,
             model=self.model.state_dict(),
             average=self.average,
             optimiser=self._optimiser.state_dict(),
@@ -211,11 +216,11 @@ class TrainingRun(ABC):
             pending=self.pending.state(),
             scaler=self.fabric.strategy.precision.state_dict(),
             teacher=self.learnt_from,
-            planner=planner_of(self.run_config.model).name,
+            planner=self.run_config.planner,
         )
         save_checkpoint(path, checkpoint)
 
-    def averaged_model(self) -> L2SafetyCFM:
+    def averaged_model(self) -> Any:
         """A model with the averaged weights, on the CPU or GPU that trains."""
         model = self._created()
         model.load_state_dict(self.average)
@@ -254,27 +259,25 @@ class TrainingRun(ABC):
             record.report(self.step, row)
             report(self.step, row)
 
-    def _evaluate(self, evaluator: Evaluator, record: RunRecord | None, report: Report) -> None:
-        row: Row = {}
-        scenes = evaluator.judged(self.averaged_model()) if record else []
-        row = self.fabric.broadcast(self.scores(scenes) if record else row)
+    def _evaluate(self, record: RunRecord | None, report: Report) -> None:
+        row, picture = self.evaluate(self.averaged_model()) if record else ({}, None)
+        row = self.fabric.broadcast(row)
         best = max((past["success"] for past in self.evaluations), default=-1.0)
         self.evaluations.append({"step": self.step, **row})
         if row["success"] > best:
             self.save(self.best_path)
         if record:
-            shown = scenes[: self.run_config.evaluation.pictures]
-            record.evaluation(self.step, row, sample_picture(shown) if shown else None)
+            record.evaluation(self.step, row, picture)
             report(self.step, row)
 
-    def _new_model(self) -> L2SafetyCFM:
+    def _new_model(self) -> Any:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.run_config.batch.seed)
             return self._created()
 
     def _created(self) -> Any:
         """A network of the run's configuration."""
-        return planner_of(self.run_config.model).create(self.run_config.model)
+        return planner_named(self.run_config.planner).create(self.run_config.model)
 
     def _resume(self, saved: Checkpoint) -> None:
         if saved.teacher != self.learnt_from:

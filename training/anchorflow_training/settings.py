@@ -9,6 +9,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from anchorflow_client.errors import AnchorFlowError
+
 Kind = TypeVar("Kind")
 
 WORDS = {"true": True, "false": False}
@@ -20,7 +22,7 @@ BOUNDS = {
 }
 
 
-class ConfigError(Exception):
+class ConfigError(AnchorFlowError):
     """A setting is unknown or not what it should be; the message names it and where it stood."""
 
 

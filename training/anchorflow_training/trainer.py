@@ -8,17 +8,18 @@ from pathlib import Path
 from anchorflow_models import L2SafetyCFM
 from anchorflow_training.batches import Batch, batches
 from anchorflow_training.config import FlowMatchingConfig, TrainerConfig
+from anchorflow_training.cost_map_run import CostMapRun
 from anchorflow_training.curve import Row
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.evaluation import Evaluator, JudgedScene, flow_evaluator, scores
 from anchorflow_training.objective import FlowObjective
 from anchorflow_training.prior_covariance import prior_covariance
-from anchorflow_training.run import Report, TrainingRun
+from anchorflow_training.run import Report
 
 __all__ = ["CFMTrainer", "FlowMatchingConfig", "Report", "TrainerConfig"]
 
 
-class CFMTrainer(TrainingRun):
+class CFMTrainer(CostMapRun):
     """Conditional flow matching on the expert's trajectories; `TrainingRun` says the rest."""
 
     def __init__(self, config: TrainerConfig, dataset: SceneDataset, out: Path) -> None:

@@ -185,9 +185,10 @@ NOT_HERE = {
     "make bench": MEASURES,
     "anchorflow bench quality": MEASURES,
     "anchorflow bench quality --bundle bundles/a --bundle bundles/b"
-    " --samplers card,rk4:8step,rk4:uniform8,midpoint:uniform2 --baselines expert,lines,rrt"
+    " --samplers card,rk4:8step,rk4:uniform8,midpoint:uniform2 --baselines expert,lines,routes,rrt"
     " --scenes ../shared/data/scenes_public.npz --limit 60": MEASURES,
     "anchorflow bench quality --bundle whole --bundle rounded": MEASURES,
+    "anchorflow bench routes": MEASURES,
     "anchorflow bench latency": MEASURES,
     "anchorflow bench latency --checkpoint runs/default/checkpoint.pt"
     " --samplers rk4:8step,card": MEASURES,

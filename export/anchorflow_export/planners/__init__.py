@@ -6,7 +6,15 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter
+from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.flowmp import flowmp_adapter
 
 ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {"flowmp": flowmp_adapter}
 """By the name in the registry of planners: from a network to its adapter."""
+
+
+def adapter_of(planner: str, model: Any, choices: ExportChoices) -> PlannerAdapter:
+    """The adapter of a planner's network. Raises `ExportError` where the planner has none."""
+    if planner not in ADAPTERS:
+        raise ExportError(f"planner: expected one of {', '.join(ADAPTERS)}, got {planner!r}")
+    return ADAPTERS[planner](model, choices)

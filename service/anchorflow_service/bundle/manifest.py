@@ -271,11 +271,6 @@ class Manifest(Entry):
         """Components of a position."""
         return len(self.answer.components)
 
-    @property
-    def state_size(self) -> int:
-        """S = 3D: position, velocity and acceleration of one time step."""
-        return 3 * self.D
-
     def card(self, *, sha256: str) -> ModelCard:
         """What callers see of it; sha256 is that of the manifest's bytes."""
         answer = self.answer

@@ -27,7 +27,7 @@ def anchors_router(service: PlanningService) -> APIRouter:
 
     @router.post("/anchors", tags=["anchors"], **ANCHORS_DOCUMENTATION)
     async def plan_anchors(request: Request) -> Response:
-        """Trajectories from a state to a goal over a cost map: N a scene, scored and checked."""
+        """Anchors over a cost map, or for the inputs that a model's card lists: N a scene."""
         arrival = service.arrival()
         body = await read_body(request, service.limits.max_body_bytes)
         payload = Payload(body, header_length(request))

@@ -29,6 +29,16 @@ def refusal(folder: Path) -> str:
         (("graphs",), {}, "a bundle of kind ode needs the role encode, field, modulate"),
         (("graphs", "field", "inputs", 1, "name"), "mean", "graphs.field.inputs: 'mean' is not"),
         (("graphs", "field", "outputs", 0, "name"), "dx", "outputs: expected dx_t, got dx"),
+        (
+            ("graphs", "field", "inputs", 0, "shape"),
+            ["B", "N", 9, 6],
+            "x_t has [9, 6] for [T,S], expected 8 and at least 2 numbers",
+        ),
+        (
+            ("graphs", "field", "inputs", 0, "shape"),
+            ["B", "N", 8, "S"],
+            "x_t has [8, 'S'] for [T,S]",
+        ),
         (("graphs", "encode", "inputs", 0, "name"), "camera", "graphs.encode.inputs: 'camera' is"),
     ],
 )

@@ -12,6 +12,7 @@ from torch import nn
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_training.batches import Batch, batches, prefetched
+from anchorflow_training.cost_map_run import CostMapRun
 from anchorflow_training.curve import Row
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import DistillConfig
@@ -25,13 +26,13 @@ from anchorflow_training.distillation.reflow import ReflowObjective
 from anchorflow_training.distillation.student import begin_as, check_student
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_training.evaluation import Evaluator, JudgedScene, scores
-from anchorflow_training.run import Report, TrainingRun
+from anchorflow_training.run import Report
 from anchorflow_training.settings import ConfigError
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import uniform_schedule
 
 
-class Distiller(TrainingRun):
+class Distiller(CostMapRun):
     """Teaches a student; `TrainingRun` says the rest.
 
     pairs: folder of the teacher's pairs, made there as far as they are missing

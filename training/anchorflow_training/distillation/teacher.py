@@ -10,7 +10,7 @@ from typing import Any
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_training.checkpoint import load_checkpoint
-from anchorflow_training.restore import restore_model
+from anchorflow_training.restore import restore_flow
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +42,10 @@ def load_teacher(path: Path) -> Teacher:
     """The averaged weights of a checkpoint.
 
     Raises:
-        CheckpointError: it is no checkpoint of this version.
+        CheckpointError: it is no checkpoint of this version, or of another planner.
     """
     checkpoint = load_checkpoint(path)
-    model = restore_model(checkpoint).requires_grad_(False)
+    model = restore_flow(checkpoint).requires_grad_(False)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     paired = checkpoint.config.get("flow", {}).get("optimal_transport", True)
     return Teacher(model, digest, checkpoint.step, paired)

@@ -46,17 +46,3 @@ def alternative_paths(
         used = gaussian_filter(used, SPREAD * max(base.shape))
         extra += used / used.max() * PENALTY * rng.uniform(0.5, 1.5)
     return paths
-
-
-def time_along(path: FloatArray, num_samples: int, *, ramp: float = 0.18) -> FloatArray:
-    """Positions [T, 2] along a polyline under a smooth law: raised-cosine ramps, then cruise.
-
-    ramp: share of the horizon spent speeding up, and as much slowing down.
-    """
-    tau = np.linspace(0.0, 1.0, num_samples)
-    speed = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(tau, 1.0 - tau) / ramp, 0.0, 1.0))
-    along = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    marks = np.concatenate([[0.0], np.cumsum(steps)])
-    at = along / along[-1] * marks[-1]
-    return np.stack([np.interp(at, marks, path[:, k]) for k in (0, 1)], -1).astype(np.float32)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_training.expert.grid_paths import alternative_paths, time_along
+from anchorflow_training.expert.grid_paths import alternative_paths
 from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
 from anchorflow_trajectory.descent import descend, whitening
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.time_law import time_along
 from anchorflow_trajectory.verify import verify
 
 FloatArray = NDArray[np.floating]

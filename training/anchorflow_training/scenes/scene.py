@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.sparse.csgraph import dijkstra
 
+from anchorflow_client.errors import AnchorFlowError
 from anchorflow_training.scenes.layouts import LAYOUTS, BoolArray, Canvas
 from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.cost import MotionLimits
@@ -18,7 +19,7 @@ from anchorflow_trajectory.scene import Scene
 FloatArray = NDArray[np.floating]
 
 
-class SceneError(Exception):
+class SceneError(AnchorFlowError):
     """A layout left no room for a start and a goal; draw another."""
 
 

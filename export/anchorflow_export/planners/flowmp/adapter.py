@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from anchorflow_client.contract import OdeSpec, TensorSpec
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
-from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.flowmp.graphs import (
     F32,
     PRIOR_BASIS,
@@ -27,7 +26,7 @@ from anchorflow_export.planners.flowmp.graphs import (
     unit_of,
 )
 from anchorflow_export.planners.flowmp.scenes import random_scenes, stacked_inputs
-from anchorflow_export.tracing import AXES, output_specs, trace
+from anchorflow_export.tracing import trace
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
     AnswerEntry,
@@ -41,7 +40,6 @@ from anchorflow_service.engine.samplers.ode import OdeSampler
 from anchorflow_trajectory.ode.method import Method, method_named
 from anchorflow_trajectory.ode.reference import integrate_plainly
 
-EXAMPLE_SIZES = {"B": 2, "N": 3, "K": 5, "H": 24, "W": 20}
 F64 = "float64"
 COMPONENTS = ("x", "y", "heading")
 ARRAYS = ("velocities", "accelerations", "scores", "clearance", "safe")
@@ -110,17 +108,17 @@ class FlowMPAdapter:
         model = self.model
         inputs = encode_inputs(model, D=self.D, channels=self.conditioning.channels)
         names = tuple(spec.name for spec in inputs)
-        encode = _trace(Encode(model, names), inputs, encode_outputs(model))
+        encode = trace(Encode(model, names), inputs=inputs, outputs=encode_outputs(model))
         context = {spec.name: spec for spec in encode.outputs}
 
-        modulate_inputs = (TIMES, *_select(context, context_names(model, "modulate")))
-        modulate = _trace(Modulate(model), modulate_inputs, ("modulation",))
+        modulate_inputs = (TIMES, *(context[name] for name in context_names(model, "modulate")))
+        modulate = trace(Modulate(model), inputs=modulate_inputs, outputs=("modulation",))
 
         x_t = TensorSpec("x_t", F32, ("B", "N", self.T, 3 * self.D))
         size = modulate.outputs[0].shape[-1]
         one_time = TensorSpec("modulation", F32, ("B", size))
-        field_inputs = (x_t, one_time, *_select(context, context_names(model, "field")))
-        field_graph = _trace(Field(model), field_inputs, ("dx_t",))
+        field_inputs = (x_t, one_time, *(context[name] for name in context_names(model, "field")))
+        field_graph = trace(Field(model), inputs=field_inputs, outputs=("dx_t",))
         return {"encode": encode, "modulate": modulate, "field": field_graph}
 
     def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
@@ -187,25 +185,3 @@ def _initial_state(context: Context, noise: Tensor) -> Tensor:
     """x_0 [B,N,T,S] from noise [N,R]."""
     mean = context[PRIOR_MEAN]
     return mean[:, None] + (noise @ context[PRIOR_BASIS]).unflatten(-1, mean.shape[1:])
-
-
-def _trace(module: nn.Module, specs: tuple[TensorSpec, ...], outputs: Sequence[str]) -> TracedGraph:
-    traced = trace(module, [_example(spec) for spec in specs], inputs=specs, outputs=outputs)
-    return TracedGraph(traced, specs, output_specs(traced))
-
-
-def _example(spec: TensorSpec) -> Tensor:
-    """Random numbers of a tensor's shape."""
-    sizes = [EXAMPLE_SIZES[axis] if isinstance(axis, str) else axis for axis in spec.shape]
-    return torch.rand(sizes)
-
-
-def _select(context: Mapping[str, TensorSpec], names: Iterable[str]) -> list[TensorSpec]:
-    specs = [context[name] for name in names]
-    for spec in specs:
-        if unknown := [a for a in spec.shape if isinstance(a, str) and a not in AXES]:
-            raise ExportError(
-                f"context tensor {spec.name} has shape {[*spec.shape]}: "
-                f"{', '.join(unknown)} is neither a number nor one of {', '.join(AXES)}"
-            )
-    return specs

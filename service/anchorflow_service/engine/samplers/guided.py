@@ -29,7 +29,7 @@ def guidance_of(manifest: Manifest, scene: ConditionedScene, context: Context) -
     assert isinstance(scene, MapScene)
     assert isinstance(manifest.sampler, OdeEntry)
     prior = manifest.sampler.prior
-    size = manifest.time.steps * manifest.state_size
+    size = manifest.time.steps * 3 * manifest.D  # position, velocity, acceleration
     ends = {name: array[0] for name, array in scene.inputs(("x_curr", "x_goal")).items()}
     (w_style,) = scene.inputs(("w_style",))["w_style"]
     return Guidance.of(

@@ -57,6 +57,13 @@ class FlowStates:
     positions: Array
 
 
+def state_shape(manifest: Manifest) -> tuple[int, int]:
+    """T and S of a flow's states, poses of D components first, as its field takes them."""
+    graph = manifest.graphs["field"]
+    steps, size = next(spec.shape[-2:] for spec in graph.inputs if spec.name == "x_t")
+    return steps, size  # pyright: ignore[reportReturnType] - `faults` looks for letters
+
+
 class OdeSampler:
     """The graphs of an "ode" bundle, opened; several threads may sample at once.
 
@@ -77,6 +84,7 @@ class OdeSampler:
         self._encode = WideGraph(bundle, "encode", threads=threads, provider=provider)
         self._modulate = open_graph(bundle, "modulate", provider=provider)
         self._field = open_graph(bundle, "field", provider=provider)
+        self._state_shape = state_shape(bundle.manifest)
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="anchorflow-field")
         self.cuts_freely = False
@@ -100,6 +108,11 @@ class OdeSampler:
                 yield f"graphs.{role}.outputs: expected {OWN_OUTPUTS[role][0]}, got {names}"
         if prior := manifest.sampler.prior:
             yield from unknown_names("sampler.prior", (prior.mean, prior.basis), context)
+        steps, size = state_shape(manifest)
+        if steps != manifest.time.steps or not isinstance(size, int) or size < manifest.D:
+            own = f"{[steps, size]} for [T,S]"
+            wanted = f"{manifest.time.steps} and at least {manifest.D} numbers"
+            yield f"graphs.field.inputs: x_t has {own}, expected {wanted}"
 
     def settle(self, scene: ConditionedScene) -> None:
         """Look whether these graphs give the same bytes on one thread and on many, in one piece
@@ -242,10 +255,6 @@ class OdeSampler:
             return GuidedField(field, guidance, times, stage_strides(method, sampler.schedule))
 
         return new_field
-
-    @property
-    def _state_shape(self) -> tuple[int, int]:
-        return self._manifest.time.steps, self._manifest.state_size
 
 
 class _ModulatedField:
