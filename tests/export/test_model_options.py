@@ -30,7 +30,7 @@ OPTION_SETS: dict[str, dict[str, Any]] = {
 def test_a_planner_with_options_exports(
     options: dict[str, Any], description: BundleDescription, tmp_path: Path
 ) -> None:
-    config = L2Config(map_size=16, map_channels=1, **options)
+    config = L2Config(map_size=16, map_channels=1, layers=1, **options)
     with torch.random.fork_rng():
         torch.manual_seed(0)
         model = create_l2_safety_cfm(config)
