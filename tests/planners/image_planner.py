@@ -8,7 +8,6 @@ status in, six of eight poses each out, the best first.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 import onnx
 from onnx import numpy_helper
+from written_graphs import write_graphs
 
 K, T, D = 6, 8, 3
 HEIGHT, WIDTH = 16, 24
@@ -70,17 +70,7 @@ def expected(brightness: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
 
 def write_image_bundle(folder: Path) -> Path:
     """The bundle, in a folder that is there."""
-    entries = {}
-    for role, model in _graphs().items():
-        data = model.SerializeToString()
-        (folder / f"{role}.onnx").write_bytes(data)
-        entries[role] = {
-            "file": f"{role}.onnx",
-            "sha256": hashlib.sha256(data).hexdigest(),
-            "opset": 20,
-            "inputs": [_spec(value) for value in model.graph.input],
-            "outputs": [_spec(value) for value in model.graph.output],
-        }
+    entries = write_graphs(folder, _graphs())
     (folder / "manifest.json").write_text(json.dumps(_manifest(entries), indent=2))
     return folder
 
@@ -97,13 +87,6 @@ def _graphs() -> dict[str, onnx.ModelProto]:
 
 
 ROLES = {"encode": ENCODE, "score": SCORE}
-DTYPES = {1: "float32", 2: "uint8"}
-
-
-def _spec(value: onnx.ValueInfoProto) -> dict[str, Any]:
-    tensor = value.type.tensor_type
-    shape = [axis.dim_param or axis.dim_value for axis in tensor.shape.dim]
-    return {"name": value.name, "dtype": DTYPES[tensor.elem_type], "shape": shape}
 
 
 def _manifest(graphs: dict[str, Any]) -> dict[str, Any]:

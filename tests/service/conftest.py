@@ -10,7 +10,6 @@ The means of occupancy, traversability and risk move (p_x, p_y, v_x) and once mo
 
 from __future__ import annotations
 
-import hashlib
 import json
 import shutil
 import threading
@@ -25,6 +24,7 @@ import onnx
 import pytest
 from image_planner import write_image_bundle
 from onnx import numpy_helper
+from written_graphs import write_graphs
 
 from anchorflow_client import (
     AnchorBatch,
@@ -100,24 +100,8 @@ def _graphs() -> dict[str, onnx.ModelProto]:
     return graphs
 
 
-def _spec(value: onnx.ValueInfoProto) -> dict[str, Any]:
-    axes = value.type.tensor_type.shape.dim
-    shape = [axis.dim_param or axis.dim_value for axis in axes]
-    return {"name": value.name, "dtype": "float32", "shape": shape}
-
-
 def _write_bundle(folder: Path) -> None:
-    entries = {}
-    for role, model in _graphs().items():
-        data = model.SerializeToString()
-        (folder / f"{role}.onnx").write_bytes(data)
-        entries[role] = {
-            "file": f"{role}.onnx",
-            "sha256": hashlib.sha256(data).hexdigest(),
-            "opset": 20,
-            "inputs": [_spec(value) for value in model.graph.input],
-            "outputs": [_spec(value) for value in model.graph.output],
-        }
+    entries = write_graphs(folder, _graphs())
     manifest = {
         "format": 2,
         "name": "tiny",
