@@ -89,11 +89,8 @@ class PlanningService:
         # named: one of them may be inside already, and its older request makes room for this one.
         beyond = self.limits.max_waiting if self._latest else 0
         with self._observed(call), self.queue.place(beyond=beyond):
-            asked = await self._read(call)
-            call.request_id = asked.request_id or call.request_id
-            engine = self.engines.choose(_model(call, asked))
-            call.model_id = engine.card.id
-            request = _with_call(resolve_for_card(asked, engine.card), call)
+            loop = asyncio.get_running_loop()
+            engine, request = await loop.run_in_executor(self._reader, self._read, call)
             call.arrival.check(request.budget_ms, "before planning")
             job = Job(
                 partial(_plan, engine, request, call),
@@ -139,10 +136,15 @@ class PlanningService:
         for observer in self._observers:
             observer.batch_planned(requests)
 
-    async def _read(self, call: Call) -> AnchorRequest:
-        """Megabytes of numbers take a while to check: off the event loop with them."""
-        loop = asyncio.get_running_loop()
-        return await loop.run_in_executor(self._reader, call.codec.decode_request, call.payload)
+    def _read(self, call: Call) -> tuple[PlanningEngine, ResolvedRequest]:
+        """What a call asks, of whom. Megabytes of numbers take a while to check, against the card
+        too: off the event loop with them.
+        """
+        asked = call.codec.decode_request(call.payload)
+        call.request_id = asked.request_id or call.request_id
+        engine = self.engines.choose(_model(call, asked))
+        call.model_id = engine.card.id
+        return engine, _with_call(resolve_for_card(asked, engine.card), call)
 
 
 def _plan(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -19,6 +20,7 @@ from anchorflow_client import (
     Payload,
     UnknownModel,
 )
+from anchorflow_client.contract import resolve_for_card
 from anchorflow_service.planning import Call, PlanningService
 
 CODEC = OipCodec()
@@ -124,3 +126,19 @@ def test_closed_it_is_not_ready(planning: PlanningService, fields: dict[str, Any
 def test_the_default_must_be_served(engine: Any) -> None:
     with pytest.raises(ValueError, match="'b' is none of"):
         PlanningService({"a": engine}, default="b")
+
+
+def test_a_request_meets_its_card_off_the_event_loop(
+    open_planning: PlanningService, fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Megabytes are held against it there, and health has to be answered meanwhile."""
+    threads: list[str] = []
+
+    def resolve(*given: Any) -> Any:
+        threads.append(threading.current_thread().name)
+        return resolve_for_card(*given)
+
+    monkeypatch.setattr("anchorflow_service.planning.service.resolve_for_card", resolve)
+    answer(open_planning, call(open_planning, fields))
+
+    assert [name.partition("_")[0] for name in threads] == ["reading"]

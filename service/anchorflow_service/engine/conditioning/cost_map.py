@@ -137,7 +137,8 @@ def _reference(cost_map: CostMap) -> NDArray[np.float64]:
 
     A map in UTM coordinates lies where float32 steps by half a metre. Its frame begins at the
     map's centre or at its corner, whichever is the rounder number: there callers have their zero
-    at home too, and get the same anchors to the last bit.
+    at home too. A map that is centred at home is answered as there; one that lies elsewhere is
+    worked on in another frame, whose rounding moves some of the anchors.
     """
     corner, opposite = extent = cost_map.extent
     if np.abs(extent).max() <= NEAR:
