@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.dataset import SceneDataset, own_time_states
 from anchorflow_training.reflection import reflection
 from anchorflow_training.settings import setting
 
@@ -25,10 +25,10 @@ INPUTS = (
     "cost_map",
     "map_geometry",
     "clearance_field",
-    "cost_to_go",
     "x_curr",
     "x_goal",
     "w_style",
+    "limits",
 )
 
 
@@ -43,26 +43,51 @@ class BatchConfig:
 
 
 def draw_batch(dataset: SceneDataset, config: BatchConfig, index: int) -> Batch:
-    """Batch number `index`: the inputs of encode [B, ...] and states [B, N, T, S].
+    """Batch number `index`: the inputs of encode [B, ...] and of `FlowObjective`.
 
-    sample_weights [B, N], where the dataset has a quality, say what each counts in the loss.
+    states, prior_mean: [B, N, T, S], each with the route that it follows [B, N]
+    starts: [B, N, R], where the dataset says with what each trajectory began
+    sample_weights: [B, N], where the dataset has a quality: what each counts in the loss
     """
     batch = dataset.batch(batch_scenes(len(dataset), config, index))
     rng = batch_rng(config, index)
     if rng.random() < 0.5 and config.mirror:
         mirror(batch)
-    states = batch["states"]
-    chosen = [
-        rng.permutation(np.resize(np.arange(states.shape[1]), config.samples)) for _ in states
-    ]
-    picked = np.stack(chosen)
-    states = np.take_along_axis(states, picked[..., None, None], 1)
-    drawn = encode_inputs(batch) | {"states": states}
+    count = batch["states"].shape[1]
+    picked = np.stack(
+        [rng.permutation(np.resize(np.arange(count), config.samples)) for _ in batch["states"]]
+    )
+    states, durations, route = (
+        np.take_along_axis(batch[name], _like(picked, batch[name]), 1)
+        for name in ("states", "durations", "route")
+    )
+    drawn = encode_inputs(batch) | {
+        "states": own_time_states(states, durations),
+        "prior_mean": prior_means(batch, route),
+        "route": route.astype(np.int64),
+    }
+    if "starts" in batch:
+        drawn["starts"] = np.take_along_axis(batch["starts"], picked[..., None], 1)
     if dataset.mean_quality is not None:
         # Their mean is 1 over the dataset, so that they leave the size of a step alone.
         quality = np.take_along_axis(batch["quality"], picked, 1)
         drawn["sample_weights"] = (quality / dataset.mean_quality).astype(np.float32)
     return drawn
+
+
+def prior_means(batch: Batch, route: NDArray[Any]) -> NDArray[np.float32]:
+    """[B, N, T, S]: the states along the route that each sample follows [B, N]."""
+    return np.take_along_axis(batch["route_states"], route[..., None, None].astype(np.int64), 1)
+
+
+def dealt_routes(batch: Batch, samples: int) -> NDArray[np.int64]:
+    """[B, N]: the routes of each scene in turn, as a service deals them out."""
+    counts = batch["route_states"].any((2, 3)).sum(1)
+    return np.arange(samples) % np.maximum(counts, 1)[:, None]
+
+
+def _like(picked: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
+    return picked.reshape(*picked.shape, *[1] * (values.ndim - 2))
 
 
 def batch_scenes(total: int, config: BatchConfig, index: int) -> NDArray[np.int64]:
@@ -86,13 +111,17 @@ def encode_inputs(batch: Batch) -> Batch:
 def mirror(batch: Batch) -> None:
     """Reflect scenes and trajectories in the x axis, in place; a heading changes its sign too."""
     height = batch["cost_map"].shape[-2]
-    for name in ("cost_map", "clearance", "cost_to_go"):
+    for name in ("cost_map", "clearance"):
         batch[name] = np.ascontiguousarray(np.flip(batch[name], -2))
     geometry = batch["map_geometry"]
     geometry[:, 1] = -(geometry[:, 1] + height * geometry[:, 2])
     for name, fields in (("x_curr", 3), ("x_goal", 2), ("states", 3)):
         dim = batch[name].shape[-1] // fields
         batch[name] *= reflection(dim, fields=fields)
+    batch["route_states"][..., :-1] *= reflection(dim, fields=3)
+    if "starts" in batch:
+        signs = np.repeat(reflection(dim), (batch["starts"].shape[-1] - 1) // dim)
+        batch["starts"][..., :-1] *= signs
 
 
 def batches(dataset: SceneDataset, config: BatchConfig, indices: Iterable[int]) -> Generator[Batch]:

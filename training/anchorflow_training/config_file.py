@@ -61,9 +61,8 @@ def layers(
 
 
 def model_settings(dataset: SceneDataset) -> dict[str, Any]:
-    """What of FlowMP's configuration a dataset fixes: shapes and limits."""
-    shapes = {name: getattr(dataset, name) for name in SHAPES}
-    return {**shapes, **asdict(dataset.limits)}
+    """What of FlowMP's configuration a dataset fixes."""
+    return {name: getattr(dataset, name) for name in SHAPES}
 
 
 def config_text(config: RunConfig) -> str:

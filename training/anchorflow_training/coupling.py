@@ -13,14 +13,19 @@ from scipy.optimize import linear_sum_assignment
 FloatArray = NDArray[np.float32]
 
 
-def couple(start: FloatArray, end: FloatArray) -> NDArray[np.int64]:
+def couple(start: FloatArray, end: FloatArray, *, groups: NDArray[np.integer]) -> NDArray[np.int64]:
     """For each scene, the order of `end` that brings it nearest to `start`: [B, N].
 
     start, end: [B, N, Q], points to be compared by squared distance.
+    groups: [B, N]; what stands in one stays in it.
     """
-    return np.stack(
-        [linear_sum_assignment(_distance(a, b))[1] for a, b in zip(start, end, strict=True)]
-    )
+    order = np.tile(np.arange(start.shape[1]), (len(start), 1))
+    for scene, labels in enumerate(groups):
+        for label in np.unique(labels):
+            own = np.flatnonzero(labels == label)
+            distance = _distance(start[scene, own], end[scene, own])
+            order[scene, own] = own[linear_sum_assignment(distance)[1]]
+    return order
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -4,12 +4,18 @@ S scenes, M trajectories a scene, T samples, D dimensions, map [C, H, W]:
 
     cost_map      uint8   [S, C, H, W]  255 is 1.0
     clearance     float16 [S, H, W]     m beyond robot_radius
-    cost_to_go    float16 [S, 2, H, W]  m, from the start and to the goal
     map_geometry  float32 [S, 3]        origin x, origin y in m, resolution in m/cell
     x_curr        float32 [S, 3D]       p, v, a
     x_goal        float32 [S, 2D]       p, v
     w_style       float32 [S, 3]        sums to 1
+    limits        float32 [S, 4]        v_max, a_max, robot_radius, horizon_s or 0 where it is open
+    route_states  float32 [S, R, T, 3D + 1]  along each route, as `Scene.route_states`; the
+                                        routes that a scene has less of are zero
     states        float32 [S, M, T, 3D] the expert's p, v, a; a scene with fewer repeats them
+    durations     float32 [S, M]        s that each trajectory lasts
+    route         uint8   [S, M]        the place of the route that each follows
+    starts        float32 [S, M, D F + 1]  what the expert's try began with, as
+                                        `RouteSplines.disturbance`; optional
     quality       float32 [S, M]        in [0, 1], what a trajectory counts in the loss; optional
 """
 
@@ -27,6 +33,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.routes import MOST
 from anchorflow_trajectory.scene import Scene
 
 Row = dict[str, NDArray[Any]]
@@ -34,15 +41,27 @@ Row = dict[str, NDArray[Any]]
 DTYPES = {
     "cost_map": np.uint8,
     "clearance": np.float16,
-    "cost_to_go": np.float16,
     "map_geometry": np.float32,
     "x_curr": np.float32,
     "x_goal": np.float32,
     "w_style": np.float32,
+    "limits": np.float32,
+    "route_states": np.float32,
     "states": np.float32,
+    "durations": np.float32,
+    "route": np.uint8,
 }
-MOST_FLOAT16 = float(np.finfo(np.float16).max)
-OPTIONAL_DTYPES = {"quality": np.float32}
+OPTIONAL_DTYPES = {"starts": np.float32, "quality": np.float32}
+FINITE = (
+    "states",
+    "durations",
+    "x_curr",
+    "x_goal",
+    "w_style",
+    "limits",
+    "map_geometry",
+    "route_states",
+)
 
 
 class DatasetError(AnchorFlowError):
@@ -103,7 +122,7 @@ class SceneDataset:
 
     def check_finite(self, scenes: NDArray[np.int64]) -> None:
         """Raise `DatasetError` naming the first of these scenes whose numbers are not finite."""
-        for name in ("states", "x_curr", "x_goal", "w_style", "map_geometry"):
+        for name in FINITE:
             finite = np.isfinite(self.arrays[name][scenes].reshape(len(scenes), -1)).all(1)
             if not finite.all():
                 raise DatasetError(
@@ -141,19 +160,43 @@ def open_dataset(path: Path) -> SceneDataset:
     return SceneDataset(path, arrays, meta)
 
 
-def scene_row(scene: Scene, states: NDArray[np.float32]) -> Row:
-    """A scene and its trajectories' states [M, T, 3D] as a dataset keeps them."""
+def scene_row(
+    scene: Scene,
+    states: NDArray[np.float32],
+    *,
+    durations: NDArray[np.floating],
+    route: NDArray[np.integer],
+) -> Row:
+    """A scene and its trajectories' states [M, T, 3D] as a dataset keeps them.
+
+    durations: [M] s; route: [M] the place of the route that each follows
+    """
+    routes = scene.route_states
     row = {
         "cost_map": np.rint(scene.cost_map * 255),
         "clearance": scene.clearance_field,
-        "cost_to_go": np.minimum(scene.cost_to_go, MOST_FLOAT16),
         "map_geometry": scene.map_geometry,
         "x_curr": scene.x_curr,
         "x_goal": scene.x_goal,
         "w_style": scene.w_style,
+        "limits": scene.limits,
+        "route_states": np.pad(routes, [(0, MOST - len(routes)), (0, 0), (0, 0)]),
         "states": states,
+        "durations": durations,
+        "route": route,
     }
     return {name: row[name].astype(dtype) for name, dtype in DTYPES.items()}
+
+
+def own_time_states(
+    states: NDArray[np.floating], durations: NDArray[np.floating]
+) -> NDArray[np.float32]:
+    """p, v, a [..., T, 3D] that last [...] s as the model's states [..., T, 3D + 1]."""
+    lasting = durations[..., None, None]
+    fields = np.split(states, 3, axis=-1)
+    scaled = [part * lasting**order for order, part in enumerate(fields)]
+    last = np.broadcast_to(np.log(lasting), (*states.shape[:-1], 1))
+    return np.concatenate([*scaled, last], -1, dtype=np.float32)
 
 
 def _opened(path: Path, name: str, scenes: int) -> NDArray:
@@ -177,16 +220,20 @@ def _check_shapes(path: Path, arrays: Mapping[str, NDArray]) -> None:
             raise DatasetError(
                 f"{path / name}.npy: expected [{letters}], all above 0, found {list(shape)}"
             )
-    scenes, trajectories, _, width = arrays["states"].shape
+    scenes, trajectories, steps, width = arrays["states"].shape
     cells = arrays["cost_map"].shape[2:]
     expected = {
         "clearance": cells,
-        "cost_to_go": (2, *cells),
         "map_geometry": (3,),
         "x_curr": (width,),
         "x_goal": (2 * width // 3,),
         "w_style": (3,),
+        "limits": (4,),
+        "route_states": (MOST, steps, width + 1),
+        "durations": (trajectories,),
+        "route": (trajectories,),
         "quality": (trajectories,),
+        "starts": (trajectories, *arrays["starts"].shape[2:]) if "starts" in arrays else (),
     }
     for name, shape in expected.items():
         if name in arrays and arrays[name].shape != (scenes, *shape):

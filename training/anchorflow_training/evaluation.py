@@ -16,24 +16,24 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from anchorflow_models import L2Config, L2SafetyCFM
+from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation.integrate import Stage, integrate
-from anchorflow_training.batches import encode_inputs
+from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
 from anchorflow_training.config import EvaluationConfig, JudgeConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ode.schedule import stage_times, uniform_schedule
 from anchorflow_trajectory.ode.tableau import MIDPOINT
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.spline import Ends, SplineBasis, spline_basis
 from anchorflow_trajectory.verify import verify
 
 FloatArray = NDArray[np.float32]
 States = tuple[FloatArray, FloatArray, FloatArray]
 BoolArray = NDArray[np.bool_]
 
-# Model, encode's inputs, noise [1, N, R] -> states [B, N, T, S] at t = 1.
-Sampler = Callable[[L2SafetyCFM, Mapping[str, Tensor], Tensor], Tensor]
+# Model, encode's inputs, noise [1, N, R], prior mean [B, N, T, S] -> [B, N, T, S] at t = 1.
+Sampler = Callable[[L2SafetyCFM, Mapping[str, Tensor], Tensor, Tensor], Tensor]
 
 CHUNK = 16  # scenes sampled at a time
 REACHED = 0.1  # m from the goal
@@ -65,26 +65,32 @@ class JudgedScene:
 
 
 def judge(
-    states: States, clearance: GridField, *, x_goal: FloatArray, config: L2Config
+    states: States, clearance: GridField, *, x_goal: FloatArray, limits: MotionLimits
 ) -> AnchorChecks:
     """Judge positions, velocities and accelerations [N, T, D] in SI and the map's frame."""
-    limits = MotionLimits(v_max=config.v_max, a_max=config.a_max, horizon_s=config.horizon_s)
     found = verify(states, clearance, limits)
     miss = np.linalg.norm(states[0][:, -1, :2] - x_goal[:2], axis=-1)
     return AnchorChecks(found.free, miss <= REACHED, found.feasible)
 
 
 @torch.no_grad()
-def sample(model: L2SafetyCFM, inputs: Mapping[str, Tensor], noise: Tensor, steps: int) -> Tensor:
+def sample(
+    model: L2SafetyCFM,
+    inputs: Mapping[str, Tensor],
+    noise: Tensor,
+    prior_mean: Tensor,
+    *,
+    steps: int,
+) -> Tensor:
     """States [B, N, T, S] from noise [1, N, R] by equal midpoint steps."""
     context = model.encode(**inputs)
-    x = model.draw(noise, context)
+    x = model.draw(noise, prior_mean, context)
     schedule = uniform_schedule(steps)
     times = torch.tensor(stage_times(MIDPOINT, schedule).times, device=x.device)
     modulation = model.modulate(times, context)
 
     def field(x_t: Tensor, stage: Stage) -> Tensor:
-        return model.field(x_t, modulation[:, stage.time_index], context)
+        return model.field(x_t, prior_mean, modulation[:, stage.time_index], context)
 
     return integrate(field, x, schedule=schedule, method=MIDPOINT)
 
@@ -107,7 +113,6 @@ class Evaluator:
         config, device = model.config, model.prior.spread.device
         basis = spline_basis(
             config.num_steps,
-            config.horizon_s,
             num_control_points=config.num_control_points,
             degree=config.degree,
         )
@@ -117,10 +122,12 @@ class Evaluator:
         for start in range(0, len(self.scenes), CHUNK):
             batch = self.dataset.batch(self.scenes[start : start + CHUNK])
             inputs = {n: torch.from_numpy(v).to(device) for n, v in encode_inputs(batch).items()}
-            states = self.sampler(model, inputs, noise.to(device)).cpu().numpy()
+            mean = prior_means(batch, dealt_routes(batch, self.config.samples))
+            drawn = self.sampler(model, inputs, noise.to(device), torch.from_numpy(mean).to(device))
+            states = drawn.cpu().numpy()
             for i, state in enumerate(states):
                 scene = {name: array[i] for name, array in batch.items()}
-                result.append(_judged_scene(state, scene, basis, config))
+                result.append(_judged_scene(state, scene, basis))
         return result
 
 
@@ -138,12 +145,15 @@ def scores(scenes: Sequence[JudgedScene]) -> dict[str, float]:
 
 
 def _judged_scene(
-    state: FloatArray, scene: Mapping[str, FloatArray], basis: SplineBasis, config: L2Config
+    state: FloatArray, scene: Mapping[str, FloatArray], basis: SplineBasis
 ) -> JudgedScene:
     x_curr, x_goal, geometry = scene["x_curr"], scene["x_goal"], scene["map_geometry"]
-    states = basis.states(basis.fit(state, x_curr, x_goal))
+    v_max, a_max, _, horizon_s = scene["limits"].tolist()
+    limits = MotionLimits(v_max, a_max, horizon_s or None)
+    duration = np.full(len(state), horizon_s) if horizon_s else np.exp(state[..., -1].mean(-1))
+    states = basis.states(basis.fit(state[..., :-1], Ends(x_curr, x_goal), duration))
     clearance = GridField(scene["clearance"], float(geometry[2]), geometry[:2].astype(np.float64))
-    checks = judge(states, clearance, x_goal=x_goal, config=config)
+    checks = judge(states, clearance, x_goal=x_goal, limits=limits)
     return JudgedScene(states[0], checks, scene["cost_map"], geometry, x_curr, x_goal)
 
 

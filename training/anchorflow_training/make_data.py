@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 
 from anchorflow_training.dataset import Row, create_arrays, scene_row
-from anchorflow_training.expert import ExpertConfig, solve
-from anchorflow_training.scenes import SceneError, draw_scene
+from anchorflow_training.expert import ExpertConfig, chosen_by_route, solve
+from anchorflow_training.scenes import RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost import CostWeights, MotionLimits
-from anchorflow_trajectory.spline import spline_basis
 
 
 @dataclass(frozen=True)
@@ -28,16 +27,18 @@ class DataConfig:
 
     scenes: S; trajectories: M kept a scene; cells: H = W of the maps
     least: a scene with fewer good trajectories is redrawn
+    without_choice: share of the draws with one route or none that are left out
+    limits: of the robot that is drawn most; robots: of the others
     """
 
     scenes: int
     seed: int = 0
-    trajectories: int = 16
+    trajectories: int = 24
     least: int = 3
     cells: int = 96
-    limits: MotionLimits = field(
-        default_factory=lambda: MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
-    )
+    without_choice: float = 0.5
+    limits: MotionLimits = field(default_factory=lambda: MotionLimits(v_max=2.0, a_max=3.0))
+    robots: RobotRanges = field(default_factory=RobotRanges)
     expert: ExpertConfig = field(default_factory=ExpertConfig)
 
 
@@ -79,6 +80,7 @@ def make_dataset(
         "num_steps": config.expert.num_samples,
         "dim": 2,
         "limits": asdict(config.limits),
+        "ranges": asdict(config.robots),
         "map": {"H": config.cells, "W": config.cells, "channels": 3},
         "config": asdict(config) | {"weights": asdict(CostWeights())},
         "families": dict(sorted(families.items())),
@@ -96,15 +98,22 @@ def _solved_scene(task: tuple[DataConfig, int]) -> SceneRecord:
     unsolved: list[str] = []
     while True:
         try:
-            scene = draw_scene(rng, cells=config.cells, limits=config.limits)
+            scene = draw_scene(
+                rng, cells=config.cells, limits=config.limits, robots=config.robots
+            )
         except SceneError:
             continue
-        solution = solve(scene, config=config.expert, limits=config.limits, rng=rng)
+        if len(scene.routes) < 2 and rng.random() < config.without_choice:
+            continue
+        solution = solve(scene, config=config.expert, rng=rng)
         good = np.flatnonzero(solution.good)
         if len(good) >= config.least:
             break
         unsolved.append(scene.family)
-    chosen = np.resize(rng.permutation(good), config.trajectories)
-    basis = spline_basis(config.expert.num_samples, config.limits.horizon_s)
-    row = scene_row(scene, np.concatenate(basis.states(solution.control[:, chosen]), axis=-1))
+    chosen = chosen_by_route(solution, config.trajectories, rng=rng)
+    splines = solution.splines[chosen]
+    states = np.concatenate(scene.basis.states(splines), axis=-1)
+    began = solution.began
+    row = scene_row(scene, states, durations=splines.duration, route=began.route[chosen])
+    row["starts"] = began.disturbance[chosen]
     return SceneRecord(row, scene.family, tuple(unsolved), len(good) / len(solution.good))

@@ -14,7 +14,7 @@ from anchorflow_training.coupling import couple
 from anchorflow_training.flow_time import draw_flow_times
 
 # Context in SI units, kept in float32.
-METRIC = ("prior_mean", "prior_basis", "frame", "units", "si_units")
+METRIC = ("prior_basis", "frame", "limits", "units", "si_units")
 
 
 class FlowObjective(nn.Module):
@@ -32,29 +32,31 @@ class FlowObjective(nn.Module):
     def forward(
         self, batch: Mapping[str, Tensor], noise: Tensor, t: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """batch: inputs of encode [B, ...], states [B, N, T, S], sample_weights [B, N] if any."""
+        """batch: inputs of encode [B, ...]; states and prior_mean [B, N, T, S], route [B, N];
+        starts [B, N, R] and sample_weights [B, N] if any."""
         model, inputs = self.model, dict(batch)
-        data, sample_weights = inputs.pop("states"), inputs.pop("sample_weights", None)
+        data, mean, route = (inputs.pop(name) for name in ("states", "prior_mean", "route"))
+        starts, sample_weights = (inputs.pop(name, None) for name in ("starts", "sample_weights"))
         context = model.encode(**inputs)
         with torch.autocast(data.device.type, enabled=False), torch.no_grad():
             context |= {name: context[name].float() for name in METRIC}
-            x_0 = model.draw(noise, context)
-            if self.config.optimal_transport:
-                x_0 = paired(x_0, data, model.config.dim)
+            x_0 = mean + model.prior.disturbed(starts) if starts is not None else None
+            if x_0 is None:
+                x_0 = model.draw(noise, mean, context)
+                if self.config.optimal_transport:
+                    x_0 = paired(x_0, data, route, model.config.dim)
             x_t, target = interpolate(x_0, data, t)
-            mean, units = context["prior_mean"], context["units"]
-            state = model.prior.normalise(x_t, mean, units)
-            # The prior's mean cancels in a difference.
-            target = model.prior.normalise(target, torch.zeros_like(mean), units)
+            state = model.prior.normalise(x_t - mean, context["units"])
+            target = model.prior.normalise(target, context["units"])
         modulation = model.modulate(t, context)
-        predicted = model.normalised_field(x_t, state, modulation, context)
+        predicted = model.normalised_field(x_t, state, mean, modulation, context)
         return flow_matching_loss(
             predicted.float(), target, self.config.weights, sample_weights=sample_weights
         )
 
 
-def paired(x_0: Tensor, data: Tensor, dim: int) -> Tensor:
-    """x_0 [B, N, T, S] reordered within each scene to lie near the data."""
-    points = (x[:, :, ::4, :dim].flatten(2).cpu().numpy() for x in (data, x_0))
-    order = torch.from_numpy(couple(*points)).to(x_0.device)
+def paired(x_0: Tensor, data: Tensor, route: Tensor, dim: int) -> Tensor:
+    """x_0 [B, N, T, S] reordered within each route [B, N] of a scene to lie near the data."""
+    points = [x[:, :, ::4, :dim].flatten(2).cpu().numpy() for x in (data, x_0)]
+    order = torch.from_numpy(couple(*points, groups=route.cpu().numpy())).to(x_0.device)
     return torch.take_along_dim(x_0, order[..., None, None], 1)

@@ -1,8 +1,8 @@
 """Bring trajectories that are still not safe back towards the nearest one that is.
 
-Every mixture of two trajectories meets both ends, and keeps a speed and an acceleration that both
-keep, so only obstacles stand between them: the mixture that goes furthest and is safe is found by
-bisection. It costs no alternative, because only trajectories that had failed are moved.
+Every mixture of two trajectories that rest at both ends meets these, and keeps a speed that both
+keep, so hardly more than obstacles stands between them: the mixture that goes furthest and is safe
+is found by bisection. It costs no alternative, because only trajectories that had failed are moved.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.spline import SplineBasis
+from anchorflow_trajectory.spline import Ends, SplineBasis, Splines
 from anchorflow_trajectory.verify import verify
 
 FloatArray = NDArray[np.floating]
@@ -20,40 +20,63 @@ BoolArray = NDArray[np.bool_]
 
 ROUNDS = 5
 STRIDE = 4  # samples between the points by which trajectories are compared
+ELSEWHERE = 1e6  # m^2 by which a trajectory of another route is further away
 
 
 def bisect_to_safe(
-    control: FloatArray,
+    splines: Splines,
     safe: BoolArray,
+    ends: Ends,
     basis: SplineBasis,
     field: GridField,
     limits: MotionLimits,
     *,
+    route: NDArray[np.intp],
     certified_margin: float = 0.0,
-) -> FloatArray:
-    """Control points [D, M, K], those that are not `safe` [M] moved; unmoved where none is.
+) -> Splines:
+    """The splines, those that are not `safe` [M] moved; unmoved where none is.
 
+    A failed one is brought to its nearest neighbour on its own route, and to one elsewhere only
+    where its route has none.
+
+    route: [M] the place of the route that each follows
     certified_margin: m, with which `safe` was judged
     """
     if safe.all() or not safe.any():
-        return control
-    positions = basis.states(control)[0]
+        return splines
+    positions = basis.states(splines)[0]
     failed, sound = np.flatnonzero(~safe), np.flatnonzero(safe)
-    nearest = control[:, sound[_nearest(positions[failed], positions[sound])]]
-    away = control[:, failed] - nearest
-    reached, beyond = np.zeros(len(failed), np.float32), np.ones(len(failed), np.float32)
+    away = route[failed, None] != route[sound]
+    nearest = splines[sound[_nearest(positions[failed], positions[sound], away)]]
+    lost = splines[failed]
+    reached, beyond = np.zeros(len(failed)), np.ones(len(failed))
     for _ in range(ROUNDS):
         tried = 0.5 * (reached + beyond)
-        mixture = nearest + tried[:, None] * away
-        states = basis.states(mixture)
-        good = verify(states, field, limits, certified_margin=certified_margin).safe
+        mixture = _mixed(nearest, lost, tried, ends, basis)
+        good = verify(
+            basis.states(mixture), field, limits, certified_margin=certified_margin
+        ).safe
         reached, beyond = np.where(good, tried, reached), np.where(good, beyond, tried)
-    moved = control.copy()
-    moved[:, failed] = nearest + reached[:, None] * away
-    return moved
+    return splines.replaced(failed, _mixed(nearest, lost, reached, ends, basis))
 
 
-def _nearest(points: FloatArray, others: FloatArray) -> NDArray[np.intp]:
-    """Index into `others` [Q, T, D] of the least mean squared distance from each of [P, T, D]."""
+def _mixed(
+    near: Splines, far: Splines, share: FloatArray, ends: Ends, basis: SplineBasis
+) -> Splines:
+    """What lies a share [M] of the way from one to the other, with both ends met."""
+    weight = share.astype(np.float32)[:, None]
+    control = near.control + weight * (far.control - near.control)
+    duration = near.duration + share * (far.duration - near.duration)
+    free = basis.free
+    fixed = basis.end_points(ends, duration)
+    fixed[..., free] = control[..., free]
+    return Splines(fixed, duration)
+
+
+def _nearest(points: FloatArray, others: FloatArray, away: BoolArray) -> NDArray[np.intp]:
+    """Index into `others` [Q, T, D] of the least mean squared distance from each of [P, T, D].
+
+    away: [P, Q], those to take only where there is no other
+    """
     a, b = (x[:, ::STRIDE].reshape(len(x), -1) for x in (points, others))
-    return ((b**2).sum(-1) - 2 * a @ b.T).argmin(1)
+    return ((b**2).sum(-1) - 2 * a @ b.T + ELSEWHERE * away).argmin(1)

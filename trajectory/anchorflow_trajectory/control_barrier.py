@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.descent import PLANE, whitening
-from anchorflow_trajectory.spline import SplineBasis
+from anchorflow_trajectory.spline import SplineBasis, Splines
 
 FloatArray = NDArray[np.floating]
 
@@ -44,17 +44,17 @@ class ControlBarrier:
     clearance: GridField
     margin: float
 
-    def corrected(self, control: FloatArray) -> FloatArray:
-        """Control points [D, M, K], those of anchors with h < 0 moved; both ends stay."""
+    def corrected(self, splines: Splines) -> Splines:
+        """The splines, control points of those with h < 0 moved; ends and durations stay."""
         free, root = self.basis.free, whitening(self.basis)
-        control = control.copy()
+        control = splines.control.copy()
         for _ in range(CORRECTIONS):
             h, gradient = self.value_and_gradient(control)
             direction = (gradient @ root) @ root.T
             variance = np.einsum("dmf,dmf->m", gradient, direction)
             share = RATE * np.maximum(-h, 0.0) / (variance + SLACK**2)
             control[PLANE, :, free] += share[:, None] * direction
-        return control
+        return Splines(control, splines.duration)
 
     def value_and_gradient(self, control: FloatArray) -> tuple[FloatArray, FloatArray]:
         """h [M] in m and its gradient [2, M, F] with respect to the free control points."""

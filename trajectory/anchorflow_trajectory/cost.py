@@ -1,13 +1,19 @@
 """The cost of a trajectory: hard limits, and the three styles that a caller weighs.
 
-    J = u_safety S + u_energy E + u_smooth M + H
+    J = B + u_safety S + u_energy E + u_smooth M + H
 
-    S  mean squared shortfall of clearance from a comfortable distance, and soft map costs
-    E  mean squared speed over v_max^2: short ways, no detours, no dashes
+    B  duration over the scene's reference time: whatever the style, nobody waits for ever
+    S  mean squared shortfall of clearance from a comfortable distance, soft map costs, and mean
+       squared speed: far from obstacles and slow
+    E  duration over the reference time, and mean squared p' over the square of the way that v_max
+       covers in it: quick and short
     M  mean squared jerk over a reference jerk^2
     H  hinges on clearance, speed and acceleration just inside their limits
-    u  the weights asked for, cubed and made to sum to 1 again: the corners and the middle of the
-       triangle stay, and what lies between leans clearly to one side
+    u  the weights asked for, raised to a power and made to sum to 1 again: the corners and the
+       middle of the triangle stay, and what lies between leans clearly to one side
+
+Speeds and accelerations count in shares of the limits, durations in shares of the reference time:
+a robot of half the speed and a quarter of the acceleration is asked the same in twice the time.
 
 Gradients are written out by hand: numpy on one core then takes well under a millisecond for 64
 trajectories of 64 samples.
@@ -16,39 +22,58 @@ trajectories of 64 samples.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.cost_fields import CostFields
-from anchorflow_trajectory.spline import SplineBasis
+from anchorflow_trajectory.spline import SplineBasis, Splines
 
 FloatArray = NDArray[np.floating]
+
+TURN = 4.0 / 3.0  # m in which a robot that may accelerate as it likes reaches its speed smoothly
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What every anchor keeps: speed [m/s] and acceleration [m/s^2], over the horizon [s]."""
+    """What every anchor keeps: speed [m/s] and acceleration [m/s^2].
+
+    horizon_s: s that every anchor lasts; None where each has its own duration
+    """
 
     v_max: float
     a_max: float
-    horizon_s: float
+    horizon_s: float | None = None
+
+    @property
+    def jerk_scale(self) -> float:
+        """m/s^3 that count as one: of a ramp to v_max at a_max, or over TURN if that is gentler."""
+        return min(self.a_max, self.v_max**2 / TURN) ** 2 / self.v_max
+
+    def least_time(self, length: float) -> float:
+        """s from rest to rest along a way of so many m, at the limits."""
+        if length * self.a_max > self.v_max**2:
+            return length / self.v_max + self.v_max / self.a_max
+        return 2.0 * (max(length, 0.0) / self.a_max) ** 0.5
 
 
 @dataclass(frozen=True)
 class CostWeights:
     """Gains of the terms; the defaults make each style visible in the expert's own data."""
 
+    time: float = 2.0
     safety: float = 10.0
-    energy: float = 8.0
-    smooth: float = 1.5
+    slow: float = 6.0
+    quick: float = 8.0
+    short: float = 4.0
+    smooth: float = 1.0
     collision: float = 400.0
-    speed: float = 60.0
-    acceleration: float = 60.0
+    speed: float = 240.0
+    acceleration: float = 540.0
     comfort: float = 0.6  # m of clearance from which more is worth nothing
-    jerk_scale: float = 3.0  # m/s^3
     contrast: float = 3.0  # power to which the style's weights are raised
-    limit_share: float = 0.95  # the hinges start at this share of v_max and a_max
+    limit_share: float = 0.97  # the hinges start at this share of v_max and a_max
 
     def stiffer(self, factor: float) -> CostWeights:
         """The same styles, with obstacles and limits that weigh `factor` times as much."""
@@ -59,12 +84,25 @@ class CostWeights:
             acceleration=factor * self.acceleration,
         )
 
+    def leaning(self, style: FloatArray) -> FloatArray:
+        """u of a style [3] or of styles [M, 3]: [3] or [3, M]."""
+        lean = style**self.contrast
+        return (lean / lean.sum(-1, keepdims=True)).T
+
+
+class Gradient(NamedTuple):
+    """Of J: by the control points [D, M, K], and by log duration [M] where those stay."""
+
+    control: FloatArray
+    log_duration: FloatArray
+
 
 @dataclass(frozen=True)
 class TrajectoryCost:
-    """Cost of control points [D, M, K] on one scene, with its gradient.
+    """Cost of splines on one scene, with its gradient.
 
     style: [3] or [M, 3], weights of safety, energy, smooth
+    reference_s: s that durations are measured by, the least that the shortest route takes
     margin: m of clearance that the hard hinge asks for
     """
 
@@ -72,33 +110,46 @@ class TrajectoryCost:
     fields: CostFields
     limits: MotionLimits
     style: FloatArray
+    reference_s: float
     margin: float = 0.05
     weights: CostWeights = CostWeights()
 
-    def value(self, control: FloatArray) -> FloatArray:
+    def value(self, splines: Splines) -> FloatArray:
         """J of each trajectory: [M]."""
-        return self.value_and_gradient(control)[0]
+        return self.value_and_gradient(splines)[0]
 
-    def value_and_gradient(self, control: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """J [M] and its gradient [D, M, K] with respect to the control points."""
-        samples = control @ self.basis.stacked
-        position, velocity, acceleration, jerk = _quarters(samples)
+    def value_and_gradient(self, splines: Splines) -> tuple[FloatArray, Gradient]:
+        """J [M] and its gradient."""
+        samples = splines.control @ self.basis.stacked
+        position, first, second, third = _quarters(samples)
         slope = np.empty_like(samples)
-        on_position, on_velocity, on_acceleration, on_jerk = _quarters(slope)
-        leaning = self.style**self.weights.contrast
-        safety, energy, smooth = (leaning / leaning.sum(-1, keepdims=True)).T[..., None]
+        on_position, on_first, on_second, on_third = _quarters(slope)
+        safety, energy, smooth = self.weights.leaning(self.style).astype(np.float32)[..., None]
         w, limits = self.weights, self.limits
+        duration = splines.duration.astype(np.float32)
+        pace = 1.0 / duration[:, None]
+        # Shares of the limits are p', p'' and p''' times these.
+        by_speed, by_acceleration = pace / limits.v_max, pace**2 / limits.a_max
+        by_jerk = pace**3 / limits.jerk_scale
+        by_way = np.float32(1.0 / (limits.v_max * self.reference_s))
 
-        cost = self._place(position, safety * w.safety, on_position)
-        cost += _squared(velocity, energy * (w.energy / limits.v_max**2), on_velocity)
-        cost += _squared(jerk, smooth * (w.smooth / w.jerk_scale**2), on_jerk)
-        speed_limit, acceleration_limit = (w.limit_share * m for m in (limits.v_max, limits.a_max))
-        cost += _excess(velocity, speed_limit, w.speed, on_velocity)
-        on_acceleration[...] = 0.0
-        cost += _excess(acceleration, acceleration_limit, w.acceleration, on_acceleration)
+        place = self._place(position, safety * w.safety, on_position)
+        slow_gain, short_gain = safety * w.slow * by_speed**2, energy * w.short * by_way**2
+        speeds = _squared(first, slow_gain + short_gain, on_first)
+        fast = _excess(first, by_speed, w.limit_share, w.speed, on_first)
+        on_second[...] = 0.0
+        hard = _excess(second, by_acceleration, w.limit_share, w.acceleration, on_second)
+        jerk = _squared(third, smooth * w.smooth * by_jerk**2, on_third)
 
         count = position.shape[-1]
-        return cost.sum(-1) / count, (slope @ self.basis.stacked.T) / count
+        gained = speeds * (-2.0 * slow_gain / (slow_gain + short_gain + 1e-30)) - 6.0 * jerk
+        gained -= fast.rate + 2.0 * hard.rate
+        later = (w.time + w.quick * energy[..., 0]) * duration / self.reference_s
+        gradient = Gradient(
+            (slope @ self.basis.stacked.T) / count, later + gained.sum(-1) / count
+        )
+        cost = place + speeds + fast.cost + hard.cost + jerk
+        return cost.sum(-1) / count + later, gradient
 
     def _place(self, position: FloatArray, safety: FloatArray, slope: FloatArray) -> FloatArray:
         """Cost [M, T] of where the samples lie; writes its derivatives into slope [D, M, T]."""
@@ -119,6 +170,13 @@ class TrajectoryCost:
         return cost
 
 
+class _Excess(NamedTuple):
+    """cost [M, T] beyond a limit, and what it gains a unit of log scale [M, T]."""
+
+    cost: FloatArray
+    rate: FloatArray
+
+
 def _quarters(stacked: FloatArray) -> list[FloatArray]:
     """Views of [..., 4 T]; np.split takes a tenth of the whole gradient's time."""
     count = stacked.shape[-1] // 4
@@ -131,10 +189,16 @@ def _squared(samples: FloatArray, gain: FloatArray, slope: FloatArray) -> FloatA
     return gain * np.einsum("dmt,dmt->mt", samples, samples)
 
 
-def _excess(samples: FloatArray, limit: float, gain: float, slope: FloatArray) -> FloatArray:
-    """gain * max(|samples| - limit, 0)^2 over the planar part; adds the derivative to slope."""
+def _excess(
+    samples: FloatArray, scale: FloatArray, share: float, gain: float, slope: FloatArray
+) -> _Excess:
+    """gain * max(|scale samples| - share, 0)^2 over the planar part; adds to slope [D, M, T].
+
+    scale: [M, 1]
+    """
     planar = samples[:2]
     size = np.sqrt(np.einsum("dmt,dmt->mt", planar, planar)) + 1e-9
-    excess = np.maximum(size - limit, 0.0)
-    slope[:2] += planar * (2.0 * gain * excess / size)
-    return gain * excess**2
+    scaled = size * scale
+    excess = np.maximum(scaled - share, 0.0)
+    slope[:2] += planar * (2.0 * gain * excess * scale / size)
+    return _Excess(gain * excess**2, 2.0 * gain * excess * scaled)

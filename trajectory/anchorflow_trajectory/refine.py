@@ -11,19 +11,21 @@ from numpy.typing import NDArray
 from anchorflow_trajectory.bisection import bisect_to_safe
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.control_barrier import BETWEEN, ControlBarrier
-from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
-from anchorflow_trajectory.cost_fields import CostFields
+from anchorflow_trajectory.cost import TrajectoryCost
 from anchorflow_trajectory.descent import descend
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.spline import Splines
 from anchorflow_trajectory.verify import required_clearance, verify
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 DESCENT_RATE = 0.3  # m, a first step on the control points
-# Where nothing is safe yet, further descents: a hard scene costs more time than an easy one.
+# What has failed is helped along its own way: all of it once, and again where a route has nothing
+# safe yet. A hard scene costs more time than an easy one.
 FURTHER_RATES = (0.15, 0.15, 0.15)
 STIFFER = 4.0  # by how much obstacles and limits then weigh more, from one to the next
+MOST_STRETCH = 3.0
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
@@ -61,6 +63,7 @@ class Refined:
     """Anchors of one scene.
 
     positions, velocities, accelerations: [N, T, D] in m, m/s, m/s^2
+    duration: [N] s
     scores: [N], minus the expert's cost for the requested style; higher is better
     clearance: [N] m beyond robot_radius, smallest along the path
     safe: [N], clear of every obstacle and of the map's edge by the certified margin, and within
@@ -70,6 +73,7 @@ class Refined:
     positions: FloatArray
     velocities: FloatArray
     accelerations: FloatArray
+    duration: FloatArray
     scores: FloatArray
     clearance: FloatArray
     safe: BoolArray
@@ -77,119 +81,158 @@ class Refined:
 
 @dataclass(frozen=True)
 class Refiner:
-    """How one bundle's anchors are finished.
+    """How the anchors of one scene are finished.
 
     steps: descents on the control points where a request asks to project; what is not safe then
-        is corrected by the barrier, if one is asked for, and brought back by bisection
+        is corrected by the barrier, if one is asked for, helped along its own way and brought back
+        by bisection
+    rate: m, of the first of them
     """
 
-    basis: SplineBasis
-    limits: MotionLimits
+    scene: Scene
     steps: int
+    rate: float = DESCENT_RATE
 
-    @staticmethod
-    def of(
-        limits: MotionLimits, *, num_steps: int, num_control_points: int, degree: int, steps: int
-    ) -> Refiner:
-        """A refiner for anchors of T = `num_steps` samples."""
-        basis = spline_basis(
-            num_steps, limits.horizon_s, num_control_points=num_control_points, degree=degree
-        )
-        return Refiner(basis, limits, steps)
+    def refine(self, states: FloatArray, route: NDArray[np.intp], spec: Refinement) -> Refined:
+        """Finish sampled states [N, T, 3D + 1]: p, p', p'' in own time, and log duration.
 
-    def refine(
-        self,
-        state: FloatArray,
-        fields: CostFields,
-        *,
-        x_curr: FloatArray,
-        x_goal: FloatArray,
-        w_style: FloatArray,
-        spec: Refinement,
-    ) -> Refined:
-        """Finish sampled states [N, T, 3D] of one scene.
+        Neither smoothed nor projected nor corrected, they are returned as they were sampled.
 
-        x_curr: [3D]; x_goal: [2D]; w_style: [3]; all SI, in the map's frame. Neither smoothed nor
-        projected nor corrected, the states are returned as they were sampled.
+        route: [N] the place of the route that each follows
         """
-        cost = self.cost(fields, w_style=w_style, spec=spec)
-        control = self.basis.fit(state, x_curr, x_goal)
-        field, ends = fields.clearance, (x_curr, x_goal)
-        certified = spec.certified_margin if self._attainable(spec, field, ends) else 0.0
+        scene = self.scene
+        cost = self.cost(spec)
+        splines = self.fitted(states)
+        field = scene.cost_fields.clearance
+        certified = spec.certified_margin if self._attainable(spec, field) else 0.0
         barrier = self._barrier(field, certified) if spec.barrier else None
         if spec.project:
-            control = self._project(cost, control, certified, barrier)
+            splines = self._project(cost, splines, route, certified, barrier)
         elif barrier is not None:
-            control, _ = self._corrected(control, field, certified, barrier)
+            splines, _ = self._corrected(splines, certified, barrier)
         if spec.project or spec.smooth or spec.barrier:
-            states = self.basis.states(control)
+            found = scene.basis.states(splines)
         else:
-            position, velocity, acceleration = np.split(state, 3, axis=-1)
-            states = position, velocity, acceleration
-        position, velocity, acceleration = (np.ascontiguousarray(s, np.float32) for s in states)
-        states = (position, velocity, acceleration)
-        verdict = verify(states, field, self.limits, certified_margin=spec.certified_margin)
-        scores = -cost.value(control)
-        return Refined(position, velocity, acceleration, scores, verdict.clearance, verdict.safe)
+            found = self._as_sampled(states, splines.duration)
+        position, velocity, acceleration = (np.ascontiguousarray(s, np.float32) for s in found)
+        verdict = verify(
+            (position, velocity, acceleration),
+            field,
+            scene.motion,
+            certified_margin=spec.certified_margin,
+        )
+        return Refined(
+            position,
+            velocity,
+            acceleration,
+            splines.duration,
+            -cost.value(splines),
+            verdict.clearance,
+            verdict.safe,
+        )
 
-    def cost(self, fields: CostFields, *, w_style: FloatArray, spec: Refinement) -> TrajectoryCost:
-        """What the projection descends, the scores tell and guidance follows; w_style: [3]."""
-        margin = spec.safety_margin
+    def cost(self, spec: Refinement) -> TrajectoryCost:
+        """What the projection descends, the scores tell and guidance follows."""
+        scene, margin = self.scene, spec.safety_margin
         if spec.certified_margin > 0.0:
             margin = max(margin, spec.certified_margin + AIM_BEYOND)
-        return TrajectoryCost(self.basis, fields, self.limits, w_style, margin)
+        return TrajectoryCost(
+            scene.basis, scene.cost_fields, scene.motion, scene.w_style, scene.reference_s, margin
+        )
+
+    def fitted(self, states: FloatArray) -> Splines:
+        """The splines nearest to states [N, T, 3D + 1]; they last as long as the horizon asks."""
+        scene, horizon_s = self.scene, self.scene.motion.horizon_s
+        duration = np.exp(states[..., -1].mean(-1, dtype=np.float64))
+        if horizon_s is not None:
+            duration = np.full(len(states), horizon_s)
+        return scene.basis.fit(states[..., :-1], scene.ends, duration)
+
+    @staticmethod
+    def _as_sampled(states: FloatArray, duration: FloatArray) -> list[FloatArray]:
+        fields = np.split(states[..., :-1], 3, axis=-1)
+        return [part / duration[:, None, None] ** order for order, part in enumerate(fields)]
 
     def _project(
         self,
         cost: TrajectoryCost,
-        control: FloatArray,
+        splines: Splines,
+        route: NDArray[np.intp],
         certified: float,
         barrier: ControlBarrier | None,
-    ) -> FloatArray:
-        """Descend, again where not one anchor has come out safe, and bring the failures back."""
-        field = cost.fields.clearance
-        for rate in (DESCENT_RATE, *FURTHER_RATES):
-            control = descend(cost, control, steps=self.steps, rate=rate)
-            control, safe = self._corrected(control, field, certified, barrier)
-            if safe.any():
-                return bisect_to_safe(
-                    control, safe, self.basis, field, self.limits, certified_margin=certified
-                )
+    ) -> Splines:
+        """Descend, help along its way what has failed, and bring back what then still fails."""
+        scene = self.scene
+        splines = descend(cost, splines, scene.ends, steps=self.steps, rate=self.rate)
+        splines, safe = self._corrected(splines, certified, barrier)
+        helped = ~safe
+        for rate in FURTHER_RATES:
+            if not helped.any():
+                break
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
-        return control
+            failed = np.flatnonzero(helped)
+            tried = descend(
+                cost, self._stretched(splines[failed]), scene.ends, steps=self.steps, rate=rate
+            )
+            tried, gained = self._corrected(self._stretched(tried), certified, barrier)
+            splines = splines.replaced(failed, tried)
+            safe[failed] = gained
+            helped = ~safe & ~np.isin(route, route[safe])
+        return bisect_to_safe(
+            splines,
+            safe,
+            scene.ends,
+            scene.basis,
+            cost.fields.clearance,
+            scene.motion,
+            route=route,
+            certified_margin=certified,
+        )
+
+    def _stretched(self, splines: Splines) -> Splines:
+        """The same ways, gone so slowly that they keep both limits, as far as the ends allow."""
+        scene, motion = self.scene, self.scene.motion
+        if motion.horizon_s is not None:
+            return splines
+        _, velocity, acceleration = scene.basis.states(splines)
+        speed, hardest = (
+            np.sqrt((vectors[..., :2] ** 2).sum(-1)).max(1) for vectors in (velocity, acceleration)
+        )
+        needed = np.maximum(speed / motion.v_max, (hardest / motion.a_max) ** 0.5)
+        duration = splines.duration * np.clip(needed, 1.0, MOST_STRETCH)
+        control = scene.basis.end_points(scene.ends, duration)
+        control[..., scene.basis.free] = splines.control[..., scene.basis.free]
+        return Splines(control, duration)
 
     def _corrected(
-        self,
-        control: FloatArray,
-        field: GridField,
-        certified: float,
-        barrier: ControlBarrier | None,
-    ) -> tuple[FloatArray, BoolArray]:
+        self, splines: Splines, certified: float, barrier: ControlBarrier | None
+    ) -> tuple[Splines, BoolArray]:
         """Those corrected that the barrier, if there is one, makes safe; and which then are."""
-        safe = self._safe(control, field, certified)
+        safe = self._safe(splines, certified)
         if barrier is None or safe.all():
-            return control, safe
-        corrected = barrier.corrected(control[:, ~safe])
-        gained = self._safe(corrected, field, certified)
-        control, failed = control.copy(), np.flatnonzero(~safe)
-        control[:, failed[gained]] = corrected[:, gained]
+            return splines, safe
+        failed = np.flatnonzero(~safe)
+        corrected = barrier.corrected(splines[failed])
+        gained = self._safe(corrected, certified)
         safe[failed[gained]] = True
-        return control, safe
+        return splines.replaced(failed[gained], corrected[gained]), safe
 
-    def _safe(self, control: FloatArray, field: GridField, certified: float) -> BoolArray:
-        states = self.basis.states(control)
-        return verify(states, field, self.limits, certified_margin=certified).safe
+    def _safe(self, splines: Splines, certified: float) -> BoolArray:
+        scene = self.scene
+        states = scene.basis.states(splines)
+        return verify(
+            states, scene.cost_fields.clearance, scene.motion, certified_margin=certified
+        ).safe
 
     def _barrier(self, field: GridField, certified: float) -> ControlBarrier:
-        return ControlBarrier(self.basis, field, required_clearance(field, certified) + BETWEEN)
+        return ControlBarrier(
+            self.scene.basis, field, required_clearance(field, certified) + BETWEEN
+        )
 
-    @staticmethod
-    def _attainable(
-        spec: Refinement, field: GridField, ends: tuple[FloatArray, FloatArray]
-    ) -> bool:
+    def _attainable(self, spec: Refinement, field: GridField) -> bool:
         """Whether both ends keep the certified margin themselves.
 
         Where one does not, no anchor is safe, and the projection does what it does without one.
         """
-        x, y = np.stack([end[:2] for end in ends], axis=1)
+        x, y = np.stack([self.scene.x_curr[:2], self.scene.x_goal[:2]], axis=1)
         return bool((field.sample(x, y) >= required_clearance(field, spec.certified_margin)).all())

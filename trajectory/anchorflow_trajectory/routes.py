@@ -31,9 +31,9 @@ from anchorflow_trajectory.route_graph import Moves, free_steps, summed_onward
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
-MOST = 8
-STRETCH = 1.25
-SLACK = 0.03  # m beyond robot_radius that a route keeps, so that a spline along it can
+MOST = 12
+STRETCH = 1.3
+SLACK = 0.02  # m beyond robot_radius that a route keeps, so that a spline along it can
 ROUNDING = 1e-6  # cells by which two sums of the same steps may differ
 
 

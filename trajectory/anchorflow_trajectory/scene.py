@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory import clearance, geodesic
+from anchorflow_trajectory import clearance
+from anchorflow_trajectory.cost import CostWeights, MotionLimits
 from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
+from anchorflow_trajectory.geodesic import cell_index
+from anchorflow_trajectory.route_shortening import pulled_tight
+from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
+from anchorflow_trajectory.routes import Route, find_routes
+from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basis
 
 FloatArray = NDArray[np.floating]
 
@@ -18,12 +24,14 @@ SCENE_INPUTS = (
     "cost_map",
     "map_geometry",
     "clearance_field",
-    "cost_to_go",
     "x_curr",
     "x_goal",
     "w_style",
+    "limits",
+    "route_states",
 )
 """What a network may be told of a scene, by the names of `Scene.inputs`."""
+NUM_STEPS = 64
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,6 +42,8 @@ class Scene:
     resolution: m/cell; origin: float64 [2] m, outer corner of cell (0, 0); robot_radius: m
     x_curr: [3D] p, v, a in m, m/s, m/s^2; x_goal: [2D] p, v; D = 3 adds a heading in rad
     w_style: [3] weights of safety, energy and smoothness, which sum to 1
+    motion: what anchors keep
+    basis: of the splines along the routes
     """
 
     cost_map: NDArray[np.float32]
@@ -43,6 +53,8 @@ class Scene:
     x_curr: FloatArray
     x_goal: FloatArray
     w_style: FloatArray
+    motion: MotionLimits
+    basis: SplineBasis = field(default_factory=lambda: spline_basis(NUM_STEPS))
 
     @cached_property
     def occupied(self) -> NDArray[np.bool_]:
@@ -54,11 +66,59 @@ class Scene:
         """[H, W] m beyond robot_radius at cell centres, negative inside obstacles."""
         return clearance.clearance_field(self.occupied, self.resolution, self.robot_radius)
 
+    @property
+    def ends(self) -> Ends:
+        """What every anchor meets."""
+        return Ends(self.x_curr, self.x_goal)
+
     @cached_property
-    def cost_to_go(self) -> NDArray[np.float32]:
-        """[2, H, W] m, geodesic cost from the start and to the goal, whatever their headings."""
-        start, goal = self.x_curr[:2], self.x_goal[:2]
-        return geodesic.cost_to_go(self.clearance_field, self.resolution, self.origin, start, goal)
+    def routes(self) -> list[Route]:
+        """The shortest ways round the obstacles, the shortest first; empty where none is free."""
+        grid = {"resolution": self.resolution, "origin": self.origin}
+        found = find_routes(
+            self.clearance_field, **grid, start=self.x_curr[:2], goal=self.x_goal[:2]
+        )
+        return pulled_tight(found, self.clearance_field, **grid)
+
+    @cached_property
+    def reference_s(self) -> float:
+        """s that durations are measured by: the least in which the shortest route can be gone."""
+        straight = float(np.linalg.norm(self.x_goal[:2] - self.x_curr[:2]))
+        way = self.routes[0].length if self.routes else straight
+        return self.motion.least_time(max(way, LEAST_WAY))
+
+    @cached_property
+    def route_splines(self) -> Splines:
+        """One along each route; the smoothest curve between both ends where there is none."""
+        leaning = CostWeights().leaning(self.w_style)
+        return splines_along(
+            self.routes or [self._straight],
+            self.basis,
+            self.ends,
+            limits=self.motion,
+            leaning=leaning,
+        )
+
+    @property
+    def _straight(self) -> Route:
+        points = np.stack([self.x_curr[:2], self.x_goal[:2]]).astype(np.float64)
+        return Route(points, float(np.linalg.norm(points[1] - points[0])), ())
+
+    @property
+    def route_states(self) -> NDArray[np.float32]:
+        """[R, T, 3D + 1]: p, p', p'' along each route in its own time [m], and log duration."""
+        splines = self.route_splines
+        states = self.basis.own_time_states(splines.control)
+        lasting = np.broadcast_to(np.log(splines.duration)[:, None, None], (*states.shape[:2], 1))
+        return np.concatenate([states, lasting], -1, dtype=np.float32)
+
+    @property
+    def limits(self) -> NDArray[np.float32]:
+        """[4]: v_max [m/s], a_max [m/s^2], robot_radius [m], horizon_s [s], 0 where it is open."""
+        motion = self.motion
+        return np.array(
+            [motion.v_max, motion.a_max, self.robot_radius, motion.horizon_s or 0.0], np.float32
+        )
 
     @cached_property
     def cost_fields(self) -> CostFields:
@@ -79,7 +139,7 @@ class Scene:
         upper = self.origin + self.resolution * np.array(self.occupied.shape[::-1])
         if not ((point >= self.origin) & (point <= upper)).all():
             return False
-        cell = geodesic.cell_index(point, self.origin, self.resolution, self.occupied.shape)
+        cell = cell_index(point, self.origin, self.resolution, self.occupied.shape)
         return not self.occupied.flat[cell]
 
 

@@ -1,9 +1,11 @@
 """Clamped uniform B-splines with fixed ends (de Boor, *A Practical Guide to Splines*, 1978).
 
-A trajectory is `p(t) = sum_k N_k(t) c_k` over the horizon. Its first three control points are set
-by the start's position, velocity and acceleration, its last two by the goal's position and
-velocity; the rest are free. Position, velocity and acceleration samples are linear in the control
-points, so they agree with one another exactly.
+A trajectory is `p(s) = sum_k N_k(s) c_k` over its own time s = t / d in [0, 1], where d is its
+duration. Its first three control points are set by the start's position, velocity and acceleration,
+its last two by the goal's position and velocity; the rest are free. Position, velocity and
+acceleration are linear in the control points, so they agree with one another exactly:
+
+    v = p' / d,    a = p'' / d^2
 
 Arrays are component first: control points are [D, M, K], samples [D, M, T] for M trajectories.
 """
@@ -21,17 +23,59 @@ FloatArray = NDArray[np.floating]
 
 START_POINTS = 3  # control points that the start's p, v, a determine
 GOAL_POINTS = 2  # control points that the goal's p, v determine
+END_ORDERS = np.array([0, 1, 2, 0, 1])  # of the derivatives that (p_0, v_0, a_0, p_T, v_T) are
+STEEPNESS = 6.0  # a curve's derivatives by its own time are so much larger from one to the next
+
+
+@dataclass(frozen=True, eq=False)
+class Splines:
+    """M trajectories: control points [D, M, K] in m, and how long each lasts, duration [M] in s."""
+
+    control: FloatArray
+    duration: FloatArray
+
+    def __len__(self) -> int:
+        return self.control.shape[1]
+
+    def __getitem__(self, chosen: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Splines:
+        """Those that are chosen."""
+        return Splines(self.control[:, chosen], self.duration[chosen])
+
+    def replaced(self, chosen: NDArray[np.intp], others: Splines) -> Splines:
+        """The same with others in the places that are chosen."""
+        control, duration = self.control.copy(), self.duration.copy()
+        control[:, chosen], duration[chosen] = others.control, others.duration
+        return Splines(control, duration)
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """Where trajectories begin and end: x_curr [3D] p, v, a and x_goal [2D] p, v, all SI."""
+
+    x_curr: FloatArray
+    x_goal: FloatArray
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing moves at either end."""
+        dim = len(self.x_goal) // 2
+        return not (self.x_curr[dim:].any() or self.x_goal[dim:].any())
+
+    def in_own_time(self, duration: FloatArray) -> FloatArray:
+        """[5, M, D]: p, p', p'' at s = 0 and p, p' at s = 1 of trajectories that last so long."""
+        ends = np.concatenate([self.x_curr.reshape(3, -1), self.x_goal.reshape(2, -1)])
+        return ends[:, None] * (duration ** END_ORDERS[:, None])[..., None]
 
 
 @dataclass(frozen=True, eq=False)
 class SplineBasis:
-    """Basis matrices of one horizon; build it with `spline_basis`.
+    """Basis matrices over a trajectory's own time; build it with `spline_basis`.
 
-    position, velocity, acceleration, jerk: [T, K] in 1, 1/s, 1/s^2, 1/s^3
-    ends: [K, 5], control points from (p_0, v_0, a_0, p_T, v_T) with every free point zero
+    position, velocity, acceleration, jerk: [T, K], of the derivatives by s of order 0 to 3
+    ends: [K, 5], control points from (p, p', p'') at s = 0 and (p, p') at s = 1 with every free
+        point zero
     """
 
-    horizon_s: float
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
@@ -53,32 +97,32 @@ class SplineBasis:
 
     @cached_property
     def stacked(self) -> FloatArray:
-        """[K, 4T]: position, velocity, acceleration and jerk in one product."""
+        """[K, 4T]: the four orders in one product."""
         rows = (self.position, self.velocity, self.acceleration, self.jerk)
         return np.ascontiguousarray(np.concatenate(rows).T)
 
     @cached_property
     def fit_matrix(self) -> FloatArray:
-        """[F, 3T]: least-squares free control points from weighted (p, v, a) residuals."""
-        weights = self._fit_weights
+        """[F, 3T]: least-squares free control points from weighted (p, p', p'') residuals."""
+        # All three then have about the same spread.
+        weights = np.repeat(STEEPNESS ** -np.arange(3.0), self.num_samples)
         rows = np.concatenate([self.position, self.velocity, self.acceleration])[:, self.free]
         return (np.linalg.pinv(rows * weights[:, None]) * weights).astype(np.float32)
 
-    @cached_property
-    def _fit_weights(self) -> FloatArray:
-        # Derivatives in units of the horizon: all three then have about the same spread.
-        scale = np.array([1.0, self.horizon_s / 6.0, (self.horizon_s / 6.0) ** 2], np.float32)
-        return np.repeat(scale, self.num_samples)
+    def end_points(self, ends: Ends, duration: FloatArray) -> FloatArray:
+        """Control points [D, M, K] that meet both ends in durations [M], free ones zero."""
+        fixed = np.einsum("ke,emd->dmk", self.ends, ends.in_own_time(duration))
+        return fixed.astype(np.float32)
 
-    def end_points(self, x_curr: FloatArray, x_goal: FloatArray) -> FloatArray:
-        """Control points that meet both ends, free ones zero: [D, K] from [3D] and [2D]."""
-        ends = np.concatenate([x_curr.reshape(3, -1), x_goal.reshape(2, -1)])
-        return (self.ends @ ends).T.astype(np.float32)
+    def end_slopes(self, ends: Ends, duration: FloatArray) -> FloatArray:
+        """Their derivatives by log duration, [D, M, K]."""
+        slopes = END_ORDERS[:, None, None] * ends.in_own_time(duration)
+        return np.einsum("ke,emd->dmk", self.ends, slopes).astype(np.float32)
 
-    def rest_curve(self, x_curr: FloatArray, x_goal: FloatArray) -> FloatArray:
-        """The smoothest curve between both ends (least integral of squared jerk): [D, K]."""
-        fixed = self.end_points(x_curr, x_goal)
-        return fixed + fixed @ self._rest_matrix
+    def rest_curves(self, ends: Ends, duration: FloatArray) -> Splines:
+        """The smoothest curves between both ends (least integral of squared jerk)."""
+        fixed = self.end_points(ends, duration)
+        return Splines(fixed + fixed @ self._rest_matrix, duration)
 
     @cached_property
     def _rest_matrix(self) -> FloatArray:
@@ -87,53 +131,55 @@ class SplineBasis:
         fill[:, free] = -np.linalg.solve(hessian[free, free], hessian[free]).T
         return fill.astype(np.float32)
 
-    def fit(self, state: FloatArray, x_curr: FloatArray, x_goal: FloatArray) -> FloatArray:
-        """Nearest control points [D, M, K] to states [M, T, 3D] among those that meet both ends."""
-        fixed = self.end_points(x_curr, x_goal)
-        trajectories, samples, size = state.shape
-        fields = state.reshape(trajectories, samples, 3, size // 3).transpose(3, 0, 2, 1)
-        fields = fields.reshape(size // 3, trajectories, 3 * samples)
-        control = np.repeat(fixed[:, None], trajectories, axis=1)
-        residual = fields - (fixed @ self.stacked[:, : 3 * samples])[:, None]
-        control[..., self.free] = residual @ self.fit_matrix.T
-        return control
+    def fit(self, states: FloatArray, ends: Ends, duration: FloatArray) -> Splines:
+        """Nearest splines that meet both ends to p, p', p'' in own time [M, T, 3D]."""
+        fixed = self.end_points(ends, duration)
+        fixed[..., self.free] = self.fit_free(states - self.own_time_states(fixed))
+        return Splines(fixed, duration)
 
-    def fit_positions(
-        self, positions: FloatArray, x_curr: FloatArray, x_goal: FloatArray
-    ) -> FloatArray:
-        """Nearest control points [D, M, K] to positions [M, T, D] alone, both ends met."""
-        fixed = self.end_points(x_curr, x_goal)
-        residual = positions.transpose(2, 0, 1) - (fixed @ self.position.T)[:, None]
-        control = np.repeat(fixed[:, None], len(positions), axis=1)
-        control[..., self.free] = residual @ self._position_fit.T
-        return control
+    def fit_free(self, states: FloatArray) -> FloatArray:
+        """Free control points [D, M, F] nearest to p, p', p'' [M, T, 3D] with fixed ones zero."""
+        trajectories, samples, size = states.shape
+        fields = states.reshape(trajectories, samples, 3, size // 3).transpose(3, 0, 2, 1)
+        return fields.reshape(size // 3, trajectories, 3 * samples) @ self.fit_matrix.T
+
+    def fit_positions(self, positions: FloatArray, ends: Ends, duration: FloatArray) -> Splines:
+        """Nearest splines that meet both ends to positions [M, T, D] alone."""
+        fixed = self.end_points(ends, duration)
+        residual = positions.transpose(2, 0, 1) - fixed @ self.position.T
+        fixed[..., self.free] = residual @ self._position_fit.T
+        return Splines(fixed, duration)
 
     @cached_property
     def _position_fit(self) -> FloatArray:
         return np.linalg.pinv(self.position[:, self.free]).astype(np.float32)
 
-    def states(self, control: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Positions, velocities and accelerations [M, T, D] of control points [D, M, K]."""
+    def own_time_states(self, control: FloatArray) -> FloatArray:
+        """p, p', p'' [M, T, 3D] of control points [D, M, K]."""
         samples = (control @ self.stacked[:, : 3 * self.num_samples]).transpose(1, 2, 0)
-        position, velocity, acceleration = np.split(samples, 3, axis=1)
-        return position, velocity, acceleration
+        return np.concatenate(np.split(samples, 3, axis=1), axis=-1)
+
+    def states(self, splines: Splines) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Positions, velocities and accelerations [M, T, D] in SI."""
+        samples = (splines.control @ self.stacked[:, : 3 * self.num_samples]).transpose(1, 2, 0)
+        position, first, second = np.split(samples, 3, axis=1)
+        pace = (1.0 / splines.duration)[:, None, None].astype(samples.dtype)
+        return position, first * pace, second * pace**2
 
 
 @lru_cache(maxsize=32)
-def spline_basis(
-    num_samples: int, horizon_s: float, *, num_control_points: int = 18, degree: int = 4
-) -> SplineBasis:
-    """Basis of a clamped uniform B-spline sampled at `num_samples` equal steps over the horizon."""
+def spline_basis(num_samples: int, *, num_control_points: int = 18, degree: int = 4) -> SplineBasis:
+    """Basis of a clamped uniform B-spline sampled at `num_samples` equal steps of its own time."""
     inner = np.linspace(0.0, 1.0, num_control_points - degree + 1)
     knots = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
     spline = BSpline(knots, np.eye(num_control_points), degree)
     times = np.linspace(0.0, 1.0, num_samples)
-    orders = [spline.derivative(k)(times) / horizon_s**k for k in range(4)]
+    orders = [spline.derivative(k)(times) for k in range(4)]
     position, velocity, acceleration, jerk = (order.astype(np.float32) for order in orders)
-    return SplineBasis(horizon_s, position, velocity, acceleration, jerk, _ends(orders))
+    return SplineBasis(position, velocity, acceleration, jerk, _ends(orders))
 
 
-def _ends(orders: list[NDArray[np.float64]]) -> FloatArray:
+def _ends(orders: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """[K, 5]: the fixed control points as functions of the end states."""
     position, velocity, acceleration, _ = orders
     count = position.shape[1]
@@ -141,4 +187,4 @@ def _ends(orders: list[NDArray[np.float64]]) -> FloatArray:
     fixed = [*range(START_POINTS), *range(count - GOAL_POINTS, count)]
     ends = np.zeros((count, len(fixed)))
     ends[fixed] = np.linalg.inv(rows[:, fixed])
-    return ends.astype(np.float32)
+    return ends

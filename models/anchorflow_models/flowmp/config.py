@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, replace
 
 
@@ -31,7 +30,6 @@ CHOICES = {
     "map_attention": (True, False),
 }
 LEAST = {"map_channels": 1, "map_size": 8, "feature_channels": 0, "degree": 3, "layers": 0}
-POSITIVE = ("horizon_s", "v_max", "a_max")
 MAP_STRIDE = 8  # the map encoder halves its window three times
 ENDS_FIX = 5  # control points that p_0, v_0, a_0, p_T, v_T determine
 
@@ -47,7 +45,6 @@ class L2Config:
     """Everything that fixes the network's shape and its units.
 
     num_steps: T; dim: D, where a third dimension is heading
-    horizon_s in s, v_max in m/s, a_max in m/s^2
     map_channels: C; map_size: cells a side of the window that the network looks at
     feature_channels: learned features to look up beside the window's own channels; 0: those alone
     steps_per_token: time steps that one transformer token covers; T need be no multiple of it
@@ -64,9 +61,6 @@ class L2Config:
     variant: str = "small"
     num_steps: int = 64
     dim: int = 2
-    horizon_s: float = 8.0
-    v_max: float = 2.0
-    a_max: float = 3.0
     map_channels: int = 3
     map_size: int = 64
     feature_channels: int = 16
@@ -86,9 +80,6 @@ class L2Config:
             check_choice(name, getattr(self, name), choices)
         for name, least in LEAST.items():
             _check(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")
-        for name in POSITIVE:
-            value = getattr(self, name)
-            _check(name, value, math.isfinite(value) and value > 0, "a finite number above 0")
         multiple = self.map_size % MAP_STRIDE == 0
         _check("map_size", self.map_size, multiple, f"a multiple of {MAP_STRIDE}")
         # The ends fix five control points, and a spline has more points than its degree.
@@ -104,8 +95,8 @@ class L2Config:
 
     @property
     def state_dim(self) -> int:
-        """S: position, velocity and acceleration."""
-        return 3 * self.dim
+        """S: position, its derivatives by the trajectory's own time, and log duration."""
+        return 3 * self.dim + 1
 
 
 def check_choice(name: str, value: object, choices: tuple[object, ...]) -> None:

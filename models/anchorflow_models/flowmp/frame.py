@@ -12,6 +12,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from anchorflow_trajectory.route_splines import LEAST_SPREAD, MOST_SPREAD, SPREAD_SHARE
+
 WINDOW_SHARE = 0.5
 WINDOW_MARGIN = 1.8  # m
 
@@ -46,6 +48,12 @@ class Frame:
     def unpack(packed: Tensor, dim: int) -> Frame:
         rotation, centre, half_size = packed.split([dim * dim, dim, 1], -1)
         return Frame(rotation.reshape(-1, dim, dim), centre, half_size[:, 0])
+
+    @property
+    def spread(self) -> Tensor:
+        """[B] m by which trajectories between these ends are disturbed: `usual_spread`."""
+        way = (self.half_size - WINDOW_MARGIN) / WINDOW_SHARE
+        return (SPREAD_SHARE * way).clamp(LEAST_SPREAD, MOST_SPREAD)
 
     def widened(self, factor: float) -> Frame:
         """The same axes around a window that is `factor` times as wide."""

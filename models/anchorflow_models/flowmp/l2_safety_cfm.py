@@ -1,10 +1,13 @@
-"""L2 safety-embedded conditional flow matching: cost map, state, goal and style in, anchors out.
+"""L2 safety-embedded conditional flow matching: cost map, state, goal, style and limits in.
 
 Three parts, which export as three graphs, because they depend on less and less:
 
     encode     the scene                  once a scene
     modulate   the scene and flow time    once a scene for all times of a schedule
     field      the scene, time and x_t    at every evaluation
+
+A state is p, p', p'' in the trajectory's own time, and its log duration (`prior` says it): its
+velocity is p' over the duration. Every anchor begins on a route of the scene, its prior mean.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models.flowmp.condition_encoder import ConditionEncoder
+from anchorflow_models.flowmp.condition_encoder import ConditionEncoder, Limits
 from anchorflow_models.flowmp.config import MAP_STRIDE, L2Config
 from anchorflow_models.flowmp.cost_map_encoder import CostMapEncoder, MapEncoding
 from anchorflow_models.flowmp.frame import Frame
@@ -30,7 +33,10 @@ from anchorflow_models.layers.lookup import lookup
 Context = dict[str, Tensor]
 
 CONDITION_WIDTH = 256
-RAW_CHANNELS = 5  # of the window, looked up beside the learned features
+ROUTE_CHANNELS = 7  # that tell of a step where its route leads
+PACE_CHANNELS = 4  # velocity and acceleration in shares of their limits
+STEEPNESS = (1 / 3, 1 / 20)  # p' and p'' of a route times these are of order one
+MOST_PACE = 4.0  # limits, beyond which a noisy state says no more
 WINDOWS = {"features": 1.0, "wide_features": 2.0}  # context tensor: width of its window
 
 
@@ -97,40 +103,41 @@ class L2SafetyCFM(nn.Module):
         """Names of the context tensors that `field` reads."""
         looked_up = tuple(self.windows) if self.config.map_lookup else ()
         asked = ("map_keys_values",) if self.config.map_attention else ()
-        return ("prior_mean", "frame", "units", "si_units", *looked_up, *asked)
+        return ("frame", "limits", "units", "si_units", *looked_up, *asked)
 
     def encode(
         self,
         cost_map: Tensor,
         map_geometry: Tensor,
         clearance_field: Tensor,
-        cost_to_go: Tensor,
         x_curr: Tensor,
         x_goal: Tensor,
         w_style: Tensor,
+        limits: Tensor,
     ) -> Context:
         """The scene as context tensors.
 
         cost_map: [B, C, H, W] in [0, 1]
         map_geometry: [B, 3] origin x, origin y in m, resolution in m/cell
         clearance_field: [B, H, W] m beyond the robot's radius
-        cost_to_go: [B, 2, H, W] m, from the start and to the goal
         x_curr: [B, 3D]; x_goal: [B, 2D]; w_style: [B, 3], sums to 1
+        limits: [B, 4] v_max in m/s, a_max in m/s^2, robot_radius in m, horizon_s in s or 0 where
+            every anchor has its own duration
         """
         dim = self.config.dim
         frame = Frame.between(x_curr[:, :dim], x_goal[:, :dim])
         maps = [
-            self.window(cost_map, map_geometry, clearance_field, cost_to_go, frame.widened(width))
+            self.window(cost_map, map_geometry, clearance_field, frame.widened(width))
             for width in self.windows.values()
         ]
         encoders = (self.cost_map_encoder, *self.wider_map_encoders)
         encodings = [encoder(one) for encoder, one in zip(encoders, maps, strict=True)]
         summary = torch.cat([encoding.summary for encoding in encodings], -1)
-        condition = self.condition_encoder(frame, x_curr, x_goal, w_style)
+        condition = self.condition_encoder(frame, x_curr, x_goal, w_style, limits)
         return {
-            "prior_mean": self.prior.mean(x_curr, x_goal),
-            "prior_basis": self.prior.basis(frame),
+            "prior_basis": self.prior.basis(frame, Limits.of(limits).horizon_s),
             "frame": frame.pack(),
+            "limits": limits,
             "units": self.prior.units(frame),
             "si_units": self.prior.si_units(frame),
             "condition": condition + self.map_summary(summary),
@@ -142,7 +149,7 @@ class L2SafetyCFM(nn.Module):
         context = {}
         if self.config.map_lookup:
             for name, one, encoding in zip(self.windows, maps, encodings, strict=True):
-                raw = one[:, :RAW_CHANNELS].permute(0, 2, 3, 1)
+                raw = one.permute(0, 2, 3, 1)
                 learned = [encoding.features] if encoding.features is not None else []
                 context[name] = torch.cat([*learned, raw], -1)
         if self.config.map_attention:
@@ -154,25 +161,54 @@ class L2SafetyCFM(nn.Module):
         """The vector field's shifts and scales [B, K, M] at flow times [K] or [B, K]."""
         return self.vector_field.modulate(context["condition"], times)
 
-    def field(self, x_t: Tensor, modulation: Tensor, context: Context) -> Tensor:
+    def field(
+        self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: Context
+    ) -> Tensor:
         """dx/dt [B, N, T, S] in SI at x_t [B, N, T, S].
 
+        prior_mean: [B, N, T, S], the route that each sample began on
         modulation: [B, M] where all samples share the flow time, [B, N, M] where each has its own.
         """
-        state = self.prior.normalise(x_t, context["prior_mean"], context["units"])
-        field = self.normalised_field(x_t, state, modulation, context)
+        state = self.prior.normalise(x_t - prior_mean, context["units"])
+        field = self.normalised_field(x_t, state, prior_mean, modulation, context)
         return self.prior.to_si(field, context["si_units"])
 
     def normalised_field(
-        self, x_t: Tensor, state: Tensor, modulation: Tensor, context: Context
+        self,
+        x_t: Tensor,
+        state: Tensor,
+        prior_mean: Tensor,
+        modulation: Tensor,
+        context: Context,
     ) -> Tensor:
         """The field of the normalised state; x_t in SI says where on the map to look."""
         batch, count, steps, _ = x_t.shape
         frame = Frame.unpack(context["frame"], self.config.dim)
         points = frame.place(x_t[..., :2].reshape(batch, count * steps, 2))
         seen = self._seen(points, context).reshape(batch, count, steps, -1)
+        limits = Limits.of(context["limits"])
+        told = self._told(x_t, prior_mean, frame, limits).reshape(batch, count, steps, -1)
         per_sample = modulation if modulation.ndim == 3 else modulation[:, None]
-        return self.vector_field(state, seen, per_sample, context.get("map_keys_values"))
+        return self.vector_field(
+            state, torch.cat([told, seen], -1), per_sample, context.get("map_keys_values")
+        )
+
+    def _told(self, x_t: Tensor, prior_mean: Tensor, frame: Frame, limits: Limits) -> Tensor:
+        """Where each step's route leads, and how near its limits it is: [B, N * T, 7 + 4]."""
+        dim = self.config.dim
+        turn = frame.rotation[:, :2, :2]
+        route, state = prior_mean.flatten(1, 2), x_t.flatten(1, 2)
+        place, *steeper = (route[..., k * dim : k * dim + 2] for k in range(3))
+        parts = [frame.place(place)]
+        by_size = turn / frame.half_size[:, None, None]
+        parts += [part @ (k * by_size) for part, k in zip(steeper, STEEPNESS, strict=True)]
+        parts.append(route[..., -1:] + torch.log(limits.v_max / frame.half_size)[:, None, None])
+        pace = torch.exp(-state[..., -1:])
+        for order, most in ((1, limits.v_max), (2, limits.a_max)):
+            vector = state[..., order * dim : order * dim + 2] * pace**order
+            share = (vector @ turn) / most[:, None, None]
+            parts.append(share.clamp(-MOST_PACE, MOST_PACE))
+        return torch.cat(parts, -1)
 
     def _seen(self, points: Tensor, context: Context) -> Tensor:
         """What the field is told at window coordinates [B, P, 2]: [B, P, F]."""
@@ -182,14 +218,15 @@ class L2SafetyCFM(nn.Module):
         return torch.cat(parts, -1)
 
     def _seen_channels(self) -> int:
-        looked_up = len(self.windows) * (self.config.feature_channels + RAW_CHANNELS)
+        looked_up = len(self.windows) * (self.config.feature_channels + self.window.channels)
         places = 4 * PLACE_OCTAVES if self.tells_places else 0
-        return places + (looked_up if self.config.map_lookup else 0)
+        told = ROUTE_CHANNELS + PACE_CHANNELS + places
+        return told + (looked_up if self.config.map_lookup else 0)
 
-    def draw(self, noise: Tensor, context: Context) -> Tensor:
-        """x_0 [B, N, T, S] from standard normal noise [B or 1, N, R]."""
-        mean = context["prior_mean"]
-        return mean[:, None] + (noise @ context["prior_basis"]).unflatten(-1, mean.shape[1:])
+    def draw(self, noise: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
+        """x_0 [B, N, T, S] from standard normal noise [B or 1, N, R] around [B, N, T, S]."""
+        spread = noise @ context["prior_basis"]
+        return prior_mean + spread.unflatten(-1, prior_mean.shape[2:])
 
 
 def create_l2_safety_cfm(config: L2Config | None = None) -> L2SafetyCFM:

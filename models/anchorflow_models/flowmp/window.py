@@ -9,30 +9,24 @@ from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.layers.lookup import lookup
 
 NEAR, FAR = 0.25, 1.0  # m, the two scales at which clearance is resolved
-DETOUR_LIMIT = 3.0  # window half sizes of detour from which a place is simply out of the way
 
 
 class MapWindow(nn.Module):
     """Resamples maps of any size to the window and scales them.
 
-    cost_map: [B, C, H, W] in [0, 1]; clearance: [B, H, W] m; cost_to_go: [B, 2, H, W] m
+    cost_map: [B, C, H, W] in [0, 1]; clearance: [B, H, W] m
     """
 
     def __init__(self, map_channels: int, size: int) -> None:
         super().__init__()
         self.size = size
-        self.channels = 5 + map_channels
+        self.channels = 2 + map_channels
 
     def forward(
-        self,
-        cost_map: Tensor,
-        map_geometry: Tensor,
-        clearance: Tensor,
-        cost_to_go: Tensor,
-        frame: Frame,
+        self, cost_map: Tensor, map_geometry: Tensor, clearance: Tensor, frame: Frame
     ) -> Tensor:
-        """[B, 5 + C, size, size]."""
-        maps = torch.cat([clearance[:, None], cost_to_go, cost_map], 1)
+        """[B, 2 + C, size, size]."""
+        maps = torch.cat([clearance[:, None], cost_map], 1)
         extent = map_geometry[:, 2, None, None, None] * torch.stack(
             [torch.full((), maps.shape[3]), torch.full((), maps.shape[2])]
         ).to(maps)
@@ -42,15 +36,5 @@ class MapWindow(nn.Module):
         seen = seen.transpose(1, 2).unflatten(2, (self.size, self.size))
         # Beyond the map's edge the robot's clearance goes on falling.
         beyond = ((points.abs() - 1).clamp(min=0) * extent / 2).sum(-1)
-        metres = seen[:, 0] - beyond
-        from_start, to_goal = (seen[:, 1:3] / frame.half_size[:, None, None, None]).unbind(1)
-        around = from_start + to_goal
-        detour = (around - around.amin((1, 2), keepdim=True)).clamp(max=DETOUR_LIMIT)
-        ways = [from_start.clamp(max=2 * DETOUR_LIMIT), to_goal.clamp(max=2 * DETOUR_LIMIT)]
-        scaled = [
-            torch.tanh(metres / NEAR),
-            torch.tanh(metres / FAR),
-            detour,
-            *(0.5 * w for w in ways),
-        ]
-        return torch.cat([torch.stack(scaled, 1), seen[:, 3:]], 1)
+        metres = seen[:, :1] - beyond[:, None]
+        return torch.cat([torch.tanh(metres / NEAR), torch.tanh(metres / FAR), seen[:, 1:]], 1)

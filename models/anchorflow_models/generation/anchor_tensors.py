@@ -17,7 +17,8 @@ class AnchorTensors:
     scores: [N], minus the expert's cost for the style; higher is better
     clearance: [N] m beyond the robot's radius, smallest along the path
     safe: [N] bool: the clearance was looked up along the whole path and found sufficient, and
-        speed and acceleration keep the model's limits
+        speed and acceleration keep their limits
+    durations: [N] s from the first to the last time step
     """
 
     trajectories: Tensor
@@ -26,6 +27,7 @@ class AnchorTensors:
     scores: Tensor
     clearance: Tensor
     safe: Tensor
+    durations: Tensor
 
     def scene(self, index: int) -> AnchorTensors:
         """The anchors of one scene of a batch."""

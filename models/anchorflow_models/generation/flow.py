@@ -30,26 +30,32 @@ class FlowPlanner(Protocol):
         cost_map: Tensor,
         map_geometry: Tensor,
         clearance_field: Tensor,
-        cost_to_go: Tensor,
         x_curr: Tensor,
         x_goal: Tensor,
         w_style: Tensor,
+        limits: Tensor,
     ) -> Context: ...
 
     def modulate(self, times: Tensor, context: Context) -> Tensor: ...
 
-    def field(self, x_t: Tensor, modulation: Tensor, context: Context) -> Tensor: ...
+    def field(
+        self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: Context
+    ) -> Tensor: ...
 
-    def draw(self, noise: Tensor, context: Context) -> Tensor: ...
+    def draw(self, noise: Tensor, prior_mean: Tensor, context: Context) -> Tensor: ...
 
 
 @dataclass(frozen=True, eq=False)
 class SceneFlow:
     """dx/dt in B scenes: the model's field, then guidance, then the barrier, which so has the
-    last word."""
+    last word.
+
+    prior_mean: [B, N, T, S], the route that each anchor begins on
+    """
 
     model: FlowPlanner
     context: Context
+    prior_mean: Tensor
     guidance: Guidance | None = None
     barrier: Barrier | None = None
 
@@ -71,7 +77,7 @@ class SceneFlow:
         self, x_t: Tensor, t: float, modulation: Tensor, *, stride: float | None
     ) -> Tensor:
         """dx/dt [B, N, T, S] at x_t and t; modulation: [B, M] of t; stride: None if adaptive."""
-        field = self.model.field(x_t, modulation, self.context)
+        field = self.model.field(x_t, self.prior_mean, modulation, self.context)
         basis = self.context["prior_basis"]
         if self.guidance is not None:
             field = self.guidance.guided(field, x_t, t, basis)

@@ -19,10 +19,13 @@ from anchorflow_models.generation.config import GeneratorConfig
 from anchorflow_models.generation.flow import Context, FlowPlanner, SceneFlow
 from anchorflow_models.generation.guidance import Cost, Guidance
 from anchorflow_models.generation.scenes import (
+    DEFAULT_MOTION,
     DEFAULT_RESOLUTION,
     DEFAULT_ROBOT_RADIUS,
     Numbers,
+    dealt_routes,
     encode_inputs,
+    prior_means,
     requested_scenes,
 )
 from anchorflow_models.generation.warm_start import noised
@@ -54,6 +57,7 @@ class TrajectoryGenerator:
         resolution: float = DEFAULT_RESOLUTION,
         origin: Numbers | None = None,
         robot_radius: float = DEFAULT_ROBOT_RADIUS,
+        motion: MotionLimits = DEFAULT_MOTION,
         seed: Seed = None,
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
@@ -65,6 +69,7 @@ class TrajectoryGenerator:
         w_style: [3] safety, energy, smooth; scaled to sum to 1, (0.4, 0.3, 0.3) by default
         resolution: m/cell; origin: [2] m, outer corner of cell (0, 0), by default such that the
             map's centre is (0, 0); robot_radius: m
+        motion: speed and acceleration to keep, and the horizon where durations are given
         seed: an int draws the noise that the service draws from it, a torch.Generator its own
         warm_start: a plan to start from instead of noise alone; the contract's
         guidance: a cost that the anchors shall keep low
@@ -83,6 +88,7 @@ class TrajectoryGenerator:
             resolution=resolution,
             origin=origin,
             robot_radius=robot_radius,
+            motion=motion,
         )
         check("B", len(scenes) == 1, "one scene (generate_batch takes several)", len(scenes))
         return self.sample(scenes, seed=seed, warm_start=warm_start, guidance=guidance).scene(0)
@@ -97,6 +103,7 @@ class TrajectoryGenerator:
         resolution: float = DEFAULT_RESOLUTION,
         origin: Numbers | None = None,
         robot_radius: float = DEFAULT_ROBOT_RADIUS,
+        motion: MotionLimits = DEFAULT_MOTION,
         seed: Seed = None,
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
@@ -115,6 +122,7 @@ class TrajectoryGenerator:
             resolution=resolution,
             origin=origin,
             robot_radius=robot_radius,
+            motion=motion,
         )
         return self.sample(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
 
@@ -131,7 +139,7 @@ class TrajectoryGenerator:
     ) -> AnchorTensors:
         """Anchors [N, T, D] of one scene, drawn as if exp(-scale cost) times as likely.
 
-        cost_fn: states [1, N, T, 3D] -> costs [1, N], differentiable; options: of `generate`
+        cost_fn: states [1, N, T, 3D + 1] -> costs [1, N], differentiable; options: of `generate`
         """
         guidance = Guidance(cost_fn, scale)
         return self.generate(cost_map, x_curr, x_goal, w_style, guidance=guidance, **options)
@@ -162,15 +170,17 @@ class TrajectoryGenerator:
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
     ) -> Tensor:
-        """States [B, N, T, 3D] as the flow leaves them: neither smoothed nor projected."""
-        inputs = encode_inputs(scenes, _device(self.model))
+        """States [B, N, T, 3D + 1] as the flow leaves them: neither smoothed nor projected."""
+        device = _device(self.model)
+        inputs = encode_inputs(scenes, device)
+        mean = prior_means(scenes, self.config.num_samples, device)
         context = self.model.encode(**inputs)
         schedule = self.config.flow_times
-        x = self.model.draw(self._noise(context, seed), context)
+        x = self.model.draw(self._noise(context, seed), mean, context)
         if warm_start is not None:
-            x = noised(x, warm_start, self.model.config)
+            x = noised(x, warm_start, scenes)
             schedule = remaining(schedule, warm_start.tau)
-        flow = SceneFlow(self.model, context, guidance, self._barrier(inputs))
+        flow = SceneFlow(self.model, context, mean, guidance, self._barrier(inputs))
         return flow.solve(x, self.config, schedule)
 
     def _noise(self, context: Context, seed: Seed) -> Tensor:
@@ -191,18 +201,8 @@ class TrajectoryGenerator:
         return Barrier.of(clearance, margin=margin, rate=rate, ends=ends)
 
     def _finish(self, state: np.ndarray, scene: Scene) -> Refined:
-        config = self.model.config
-        limits = MotionLimits(v_max=config.v_max, a_max=config.a_max, horizon_s=config.horizon_s)
-        refiner = Refiner.of(
-            limits,
-            num_steps=config.num_steps,
-            num_control_points=config.num_control_points,
-            degree=config.degree,
-            steps=self.config.refine_steps,
-        )
-        told = scene.inputs(("x_curr", "x_goal", "w_style"))
-        ends_and_style = {name: array[0] for name, array in told.items()}
-        return refiner.refine(state, scene.cost_fields, **ends_and_style, spec=self.config)
+        route = dealt_routes(scene, len(state))
+        return Refiner(scene, self.config.refine_steps).refine(state, route, self.config)
 
 
 def _device(model: FlowPlanner) -> torch.device:
@@ -223,4 +223,5 @@ def _stacked(scenes: Sequence[Refined], device: torch.device) -> AnchorTensors:
         scores=column("scores"),
         clearance=column("clearance"),
         safe=column("safe"),
+        durations=column("duration"),
     )

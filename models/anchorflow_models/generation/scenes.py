@@ -7,19 +7,23 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.generation.checks import check
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
+from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
 Numbers = ArrayLike | Tensor
 
+ENCODED = tuple(name for name in SCENE_INPUTS if name != "route_states")
 DEFAULT_RESOLUTION = 0.1  # m/cell
 DEFAULT_ROBOT_RADIUS = 0.25  # m
+DEFAULT_MOTION = MotionLimits(v_max=2.0, a_max=3.0)
 
 
 def requested_scenes(
@@ -32,12 +36,14 @@ def requested_scenes(
     resolution: float = DEFAULT_RESOLUTION,
     origin: Numbers | None = None,
     robot_radius: float = DEFAULT_ROBOT_RADIUS,
+    motion: MotionLimits = DEFAULT_MOTION,
 ) -> list[Scene]:
     """What a service is asked, as scenes for a model of this configuration.
 
     cost_map: [C, H, W], C up to the model's; channels left out are neutral
     x_curr: [3D]; x_goal: [2D]; w_style: [3], scaled to sum to 1, (0.4, 0.3, 0.3) by default
     origin: [2] m; by default the map's centre is (0, 0)
+    motion: what anchors keep, and how long they last where that is given
 
     Each but the origin may have a B axis; one without is the same in every scene.
 
@@ -66,6 +72,8 @@ def requested_scenes(
             x_curr=request.x_curr[b],
             x_goal=request.x_goal[b],
             w_style=request.w_style[b],
+            motion=motion,
+            basis=basis_of(config),
         )
         for b in range(request.num_scenes)
     ]
@@ -75,11 +83,29 @@ def encode_inputs(scenes: Sequence[Scene], device: torch.device) -> dict[str, Te
     """What a model's encode takes of B scenes, by name; their maps have one size."""
     sizes = {scene.cost_map.shape for scene in scenes}
     check("scenes", len(sizes) == 1, "maps of one size [C, H, W]", sorted(sizes))
-    inputs = [scene.inputs(SCENE_INPUTS) for scene in scenes]
+    inputs = [scene.inputs(ENCODED) for scene in scenes]
     return {
         name: torch.from_numpy(np.concatenate([one[name] for one in inputs])).to(device)
-        for name in SCENE_INPUTS
+        for name in ENCODED
     }
+
+
+def prior_means(scenes: Sequence[Scene], count: int, device: torch.device) -> Tensor:
+    """[B, N, T, S]: the routes of each scene, dealt out in turn to N = `count` anchors."""
+    dealt = [scene.route_states[dealt_routes(scene, count)] for scene in scenes]
+    return torch.from_numpy(np.stack(dealt)).to(device)
+
+
+def dealt_routes(scene: Scene, count: int) -> NDArray[np.intp]:
+    """[N], the place of the route that each anchor begins on."""
+    return np.arange(count) % len(scene.route_splines)
+
+
+def basis_of(config: L2Config) -> SplineBasis:
+    """The splines of a model's anchors."""
+    return spline_basis(
+        config.num_steps, num_control_points=config.num_control_points, degree=config.degree
+    )
 
 
 def as_numpy(value: Any) -> Any:

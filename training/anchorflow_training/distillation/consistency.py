@@ -54,22 +54,27 @@ class ConsistencyObjective(nn.Module):
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """batch: as of `FlowObjective`, states in SI; noise: [B, N, R]; t: [B, N]."""
         inputs = dict(batch)
-        states, sample_weights = inputs.pop("states"), inputs.pop("sample_weights", None)
-        flow = NormalisedFlow.of(self.model, inputs)
+        states, mean, route = (inputs.pop(name) for name in ("states", "prior_mean", "route"))
+        starts, sample_weights = (inputs.pop(name, None) for name in ("starts", "sample_weights"))
+        flow = NormalisedFlow.of(self.model, inputs, mean)
         with torch.no_grad():
-            teacher = NormalisedFlow.of(self.teacher, inputs)
-            z_t = self._between(noise, states, t, teacher)
+            teacher = NormalisedFlow.of(self.teacher, inputs, mean)
+            if starts is not None:
+                x_0 = mean + self.model.prior.disturbed(starts)
+            else:
+                x_0 = self._noise(noise, states, route, inputs["limits"], teacher)
+            z_t = teacher.normalised(interpolate(x_0, states, t)[0])
             h = 1.0 / self.intervals
             target = end_seen(flow, teacher.stepped(z_t, t, h), (t + h).clamp(max=1.0))
         seen = end_seen(flow, z_t, t)
         return flow_matching_loss(seen, target, self.weights, sample_weights=sample_weights)
 
-    def _between(self, noise: Tensor, data: Tensor, t: Tensor, flow: NormalisedFlow) -> Tensor:
-        """Normalised states between noise and data [B, N, T, S] in SI."""
-        x_0 = flow.in_si(started(self.model, noise))
-        if self.optimal_transport:
-            x_0 = paired(x_0, data, self.model.config.dim)
-        return flow.normalised(interpolate(x_0, data, t)[0])
+    def _noise(
+        self, noise: Tensor, data: Tensor, route: Tensor, limits: Tensor, flow: NormalisedFlow
+    ) -> Tensor:
+        """x_0 [B, N, T, S] in SI, paired with the data as the teacher's was."""
+        x_0 = flow.in_si(started(self.model, noise, limits))
+        return paired(x_0, data, route, self.model.config.dim) if self.optimal_transport else x_0
 
 
 def end_seen(flow: NormalisedFlow, z: Tensor, t: Tensor) -> Tensor:

@@ -28,8 +28,8 @@ class DirectObjective(nn.Module):
         return ()
 
     def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """batch: the inputs of encode, z_0 and z_1 [B, N, T, S]."""
+        """batch: the inputs of encode; z_0, z_1 and prior_mean [B, N, T, S]."""
         inputs = dict(batch)
-        z_0, z_1 = inputs.pop("z_0"), inputs.pop("z_1")
-        end = NormalisedFlow.of(self.model, inputs).carried(z_0, schedule=self.schedule)
+        z_0, z_1, mean = (inputs.pop(name) for name in ("z_0", "z_1", "prior_mean"))
+        end = NormalisedFlow.of(self.model, inputs, mean).carried(z_0, schedule=self.schedule)
         return flow_matching_loss(end, z_1, self.weights)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from anchorflow_training.batches import encode_inputs
+from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import TeacherConfig
 from anchorflow_training.distillation.normalised_flow import NormalisedFlow, started
@@ -53,13 +53,14 @@ def _ends(
     config: TeacherConfig,
 ) -> NDArray[np.float16]:
     """[scenes, N, T, S]"""
-    model, batch = teacher.model, encode_inputs(dataset.batch(scenes))
+    model, batch = teacher.model, dataset.batch(scenes)
     device = model.prior.spread.device
-    inputs = {name: torch.from_numpy(array).to(device) for name, array in batch.items()}
+    inputs = {n: torch.from_numpy(array).to(device) for n, array in encode_inputs(batch).items()}
+    mean = torch.from_numpy(prior_means(batch, dealt_routes(batch, bank.samples))).to(device)
     noise = np.stack([bank.noise(int(scene)) for scene in scenes])
     with torch.no_grad():
-        z_0 = started(model, torch.from_numpy(noise).to(device))
-        z_1 = NormalisedFlow.of(model, inputs).carried(
+        z_0 = started(model, torch.from_numpy(noise).to(device), inputs["limits"])
+        z_1 = NormalisedFlow.of(model, inputs, mean).carried(
             z_0, schedule=uniform_schedule(config.steps), method=method_named(config.method)
         )
     return z_1.half().cpu().numpy()

@@ -24,21 +24,26 @@ Context = dict[str, Tensor]
 
 @dataclass(frozen=True, eq=False)
 class NormalisedFlow:
-    """A model in B scenes."""
+    """A model in B scenes; prior_mean: [B, N, T, S], the route that each sample begins on."""
 
     model: L2SafetyCFM
     context: Context
+    prior_mean: Tensor
 
     @staticmethod
-    def of(model: L2SafetyCFM, inputs: Mapping[str, Tensor]) -> NormalisedFlow:
+    def of(
+        model: L2SafetyCFM, inputs: Mapping[str, Tensor], prior_mean: Tensor
+    ) -> NormalisedFlow:
         """inputs: of encode"""
         context = model.encode(**inputs)
-        return NormalisedFlow(model, context | {name: context[name].float() for name in METRIC})
+        context |= {name: context[name].float() for name in METRIC}
+        return NormalisedFlow(model, context, prior_mean)
 
     def velocity(self, z: Tensor, t: Tensor) -> Tensor:
         """dz/dt [B, N, T, S] at z and flow times t, [B, N] or [1] for all."""
         modulation = self.model.modulate(t, self.context)
-        field = self.model.normalised_field(self.in_si(z), z, modulation, self.context)
+        x_t = self.in_si(z)
+        field = self.model.normalised_field(x_t, z, self.prior_mean, modulation, self.context)
         return field.float()
 
     def carried(self, z_0: Tensor, *, schedule: Schedule, method: Method = EULER) -> Tensor:
@@ -63,38 +68,42 @@ class NormalisedFlow:
     def in_si(self, z: Tensor) -> Tensor:
         """States in SI and the map's frame."""
         with torch.autocast(z.device.type, enabled=False):
-            residual = self.model.prior.to_si(z.float(), self.context["si_units"])
-            return self.context["prior_mean"][:, None] + residual
+            return self.prior_mean + self.model.prior.to_si(z.float(), self.context["si_units"])
 
     def normalised(self, x: Tensor) -> Tensor:
         """The inverse of `in_si`."""
         with torch.autocast(x.device.type, enabled=False):
-            return self.model.prior.normalise(x, self.context["prior_mean"], self.context["units"])
+            return self.model.prior.normalise(x - self.prior_mean, self.context["units"])
 
 
 def start_states(model: L2SafetyCFM) -> Tensor:
     """[R, T, S]: the normalised state at t = 0 of each unit of noise, alike in every scene."""
-    prior = model.prior
-    states = torch.einsum("rdf,ftk->rtkd", prior.factor, prior.free)
-    return (states / prior.spread).flatten(2)
+    return model.prior.disturbed(model.prior.factor) / model.prior.spread
 
 
-def started(model: L2SafetyCFM, noise: Tensor) -> Tensor:
-    """z_0 [B, N, T, S] of noise [B, N, R]; in float32 under autocast too."""
+def started(model: L2SafetyCFM, noise: Tensor, limits: Tensor) -> Tensor:
+    """z_0 [B, N, T, S] of noise [B or 1, N, R]; in float32 under autocast too.
+
+    limits: [B, 4]; where they have a horizon, no duration is drawn
+    """
     with torch.autocast(noise.device.type, enabled=False):
-        return torch.tensordot(noise, start_states(model), 1)
+        drawn = torch.tensordot(noise, start_states(model), 1)
+        scale = drawn.new_ones(len(limits), drawn.shape[-1])
+        scale[:, -1] = (limits[:, 3] <= 0).to(drawn)
+        return drawn * scale[:, None, None]
 
 
 def drawn(
     model: L2SafetyCFM,
     inputs: Mapping[str, Tensor],
     noise: Tensor,
+    prior_mean: Tensor,
     *,
     schedule: Schedule,
     method: Method = EULER,
 ) -> Tensor:
     """States [B, N, T, S] in SI at t = 1 from noise [1, N, R]."""
     with torch.no_grad():
-        flow = NormalisedFlow.of(model, inputs)
-        z_0 = started(model, noise).expand(len(inputs["x_curr"]), -1, -1, -1)
+        flow = NormalisedFlow.of(model, inputs, prior_mean)
+        z_0 = started(model, noise, inputs["limits"])
         return flow.in_si(flow.carried(z_0, schedule=schedule, method=method))

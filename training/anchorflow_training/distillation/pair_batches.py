@@ -12,8 +12,10 @@ from anchorflow_training.batches import (
     BatchConfig,
     batch_rng,
     batch_scenes,
+    dealt_routes,
     encode_inputs,
     mirror,
+    prior_means,
 )
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.pairs import PairBank
@@ -32,7 +34,7 @@ class PairBatches:
     config: BatchConfig
 
     def draw(self, index: int) -> Batch:
-        """Batch number `index`: the inputs of encode, and z_0, z_1 [B, N, T, S].
+        """Batch number `index`: the inputs of encode; z_0, z_1 and prior_mean [B, N, T, S].
 
         Half of the batches are reflected, as in the teacher's training, where `mirror` says so.
         """
@@ -41,17 +43,22 @@ class PairBatches:
             batch_rng(self.config, index),
         )
         mirrored = bool(rng.random() < 0.5 and self.config.mirror)
-        pairs = [self._pairs(int(scene), rng) for scene in scenes]
-        z_0, z_1 = (np.stack(states) for states in zip(*pairs, strict=True))
+        samples = self.bank.samples
+        # Some of a scene's pairs, again where it has fewer than a batch wants.
+        picked = np.stack([np.resize(rng.permutation(samples), self.config.samples) for _ in scenes])
+        noise = np.stack([self.bank.noise(int(scene)) for scene in scenes])
+        ends = np.stack([self.bank.ends(int(scene)) for scene in scenes])
+        z_0 = np.tensordot(np.take_along_axis(noise, picked[..., None], 1), self.starts, 1)
+        z_1 = np.take_along_axis(ends, picked[..., None, None], 1)
         batch = self.dataset.batch(scenes)
+        z_0[..., -1] *= (batch["limits"][:, 3] <= 0)[:, None, None]
         if mirrored:
             mirror(batch)
-            signs = reflection(self.dataset.dim, fields=3)
+            signs = np.append(reflection(self.dataset.dim, fields=3), np.float32(1.0))
             z_0, z_1 = z_0 * signs, z_1 * signs
-        return encode_inputs(batch) | {"z_0": z_0, "z_1": z_1}
-
-    def _pairs(self, scene: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Some of a scene's pairs, again where it has fewer than a batch wants."""
-        every = np.resize(rng.permutation(self.bank.samples), self.config.samples)
-        z_0 = np.tensordot(self.bank.noise(scene)[every], self.starts, 1)
-        return z_0, self.bank.ends(scene)[every]
+        route = np.take_along_axis(dealt_routes(batch, samples), picked, 1)
+        return encode_inputs(batch) | {
+            "z_0": z_0,
+            "z_1": z_1,
+            "prior_mean": prior_means(batch, route),
+        }

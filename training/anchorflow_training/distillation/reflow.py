@@ -35,9 +35,9 @@ class ReflowObjective(nn.Module):
         return (torch.where(torch.rand(shape, generator=generator) < self.at_schedule, asked, t),)
 
     def forward(self, batch: Mapping[str, Tensor], t: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """batch: the inputs of encode, z_0 and z_1 [B, N, T, S]."""
+        """batch: the inputs of encode; z_0, z_1 and prior_mean [B, N, T, S]."""
         inputs = dict(batch)
-        z_0, z_1 = inputs.pop("z_0"), inputs.pop("z_1")
+        z_0, z_1, mean = (inputs.pop(name) for name in ("z_0", "z_1", "prior_mean"))
         z_t, target = interpolate(z_0, z_1, t)
-        predicted = NormalisedFlow.of(self.model, inputs).velocity(z_t, t)
+        predicted = NormalisedFlow.of(self.model, inputs, mean).velocity(z_t, t)
         return flow_matching_loss(predicted, target, self.weights)

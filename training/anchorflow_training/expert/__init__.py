@@ -1,5 +1,5 @@
-"""The expert: grid paths on several sides of the obstacles, polished by the service's descent."""
+"""The expert: tries along every route of a scene, polished by the service's descent."""
 
-from anchorflow_training.expert.solve import ExpertConfig, Solution, solve
+from anchorflow_training.expert.solve import ExpertConfig, Solution, chosen_by_route, solve
 
-__all__ = ["ExpertConfig", "Solution", "solve"]
+__all__ = ["ExpertConfig", "Solution", "chosen_by_route", "solve"]

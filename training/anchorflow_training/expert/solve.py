@@ -1,18 +1,18 @@
-"""Solve a scene: many tries, descended together, the good ones kept."""
+"""Solve a scene: many tries along each of its routes, descended together, the good ones kept."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_training.expert.grid_paths import alternative_paths
-from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
-from anchorflow_trajectory.descent import descend, whitening
+from anchorflow_trajectory.cost import TrajectoryCost
+from anchorflow_trajectory.descent import descend
+from anchorflow_trajectory.refine import STIFFER
+from anchorflow_trajectory.route_splines import STRETCH, RouteSplines, spread_round, usual_spread
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
-from anchorflow_trajectory.time_law import time_along
+from anchorflow_trajectory.spline import Splines
 from anchorflow_trajectory.verify import verify
 
 FloatArray = NDArray[np.floating]
@@ -22,69 +22,79 @@ FloatArray = NDArray[np.floating]
 class ExpertConfig:
     """How hard the expert tries.
 
-    tries: descents a scene, spread over `paths` grid paths; steps: of each descent
-    spread: standard deviation [m], at its widest, of the disturbance that tells tries on one path
-        apart
+    tries: descents a scene, dealt out in turn over its routes; steps: of each descent
+    tether: what keeps them apart, as `descend` says it
+    rounds: descents of what has failed, the last with the stiffest limits
     """
 
     num_samples: int = 64
-    tries: int = 32
-    paths: int = 6
-    steps: int = 100
+    tries: int = 40
+    steps: int = 60
     rate: float = 0.3
-    spread: float = 0.25
-    margin: float = 0.06
+    tether: float = 0.2
+    rounds: int = 2
+    margin: float = 0.08
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Control points [D, M, K] of every try, with what they achieve.
+    """Every try, with what it achieves.
 
+    began: what each began as
     cost: [M] J for the scene's style; clearance: [M] m; good: [M] safe, as the service says it
     """
 
-    control: FloatArray
+    splines: Splines
+    began: RouteSplines
     cost: FloatArray
     clearance: FloatArray
     good: NDArray[np.bool_]
 
 
-def solve(
-    scene: Scene, *, config: ExpertConfig, limits: MotionLimits, rng: np.random.Generator
-) -> Solution:
+def solve(scene: Scene, *, config: ExpertConfig, rng: np.random.Generator) -> Solution:
     """Try `config.tries` descents on the scene."""
-    basis = spline_basis(config.num_samples, limits.horizon_s)
-    cost = TrajectoryCost(basis, scene.cost_fields, limits, scene.w_style, config.margin)
-    control = descend(
-        cost, _guesses(scene, basis, config, rng), steps=config.steps, rate=config.rate
-    )
-    verdict = verify(basis.states(control), scene.cost_fields.clearance, limits)
-    return Solution(control, cost.value(control), verdict.clearance, verdict.safe)
-
-
-def _guesses(
-    scene: Scene, basis: SplineBasis, config: ExpertConfig, rng: np.random.Generator
-) -> FloatArray:
-    """Disturbed splines along the grid paths, [D, tries, K]."""
-    start, goal = scene.x_curr[:2], scene.x_goal[:2]
-    paths = alternative_paths(
-        scene.clearance_field,
-        scene.resolution,
-        scene.origin,
-        start,
-        goal,
-        count=config.paths,
+    tried = spread_round(
+        scene.route_splines,
+        scene.basis,
+        tries=config.tries,
         rng=rng,
+        spread=usual_spread(scene.ends),
+        stretch=STRETCH if scene.motion.horizon_s is None else 0.0,
     )
-    timed = np.stack([time_along(path, basis.num_samples) for path in paths])
-    seeds = basis.fit_positions(timed, scene.x_curr, scene.x_goal)
-    # The cheap paths get more tries than the dear ones.
-    shares = 0.75 ** np.arange(len(paths))
-    which = np.sort(rng.choice(len(paths), config.tries, p=shares / shares.sum()))
-    which[: len(paths)] = np.arange(len(paths))
-    control = seeds[:, which]
-    # Smooth, and small at both ends: a kink there takes the descent longest to iron out.
-    noise = rng.normal(0.0, config.spread, control[..., basis.free].shape) @ whitening(basis).T
-    noise[:, : len(paths)] = 0.0
-    control[..., basis.free] += noise
-    return control
+    fields, splines = scene.cost_fields, tried.splines
+    cost = stiffer = TrajectoryCost(
+        scene.basis, fields, scene.motion, scene.w_style, scene.reference_s, config.margin
+    )
+    failed = np.arange(config.tries)
+    for _ in range(config.rounds):
+        descended = descend(
+            stiffer,
+            splines[failed],
+            scene.ends,
+            steps=config.steps,
+            rate=config.rate,
+            tether=config.tether,
+        )
+        splines = splines.replaced(failed, descended)
+        verdict = verify(scene.basis.states(splines), fields.clearance, scene.motion)
+        failed = np.flatnonzero(~verdict.safe)
+        if not len(failed):
+            break
+        stiffer = replace(stiffer, weights=stiffer.weights.stiffer(STIFFER))
+    return Solution(
+        splines, tried, cost.value(splines), verdict.clearance, verdict.safe
+    )
+
+
+def chosen_by_route(
+    solution: Solution, count: int, *, rng: np.random.Generator
+) -> NDArray[np.intp]:
+    """`count` of the good tries, as many of each route as of any other; they repeat where few."""
+    good = np.flatnonzero(solution.good)
+    shuffled, route = rng.permutation(good), solution.began.route
+    # The n-th good try of a route comes before the n + 1-th of another.
+    order = np.zeros(len(shuffled), int)
+    for label in np.unique(route[shuffled]):
+        own = route[shuffled] == label
+        order[own] = np.arange(own.sum())
+    return np.resize(shuffled[np.argsort(order, kind="stable")], count)

@@ -1,5 +1,5 @@
 """Random scenes: a map, a robot's state and a goal, in the families that robots meet."""
 
-from anchorflow_training.scenes.scene import FamilyScene, SceneError, draw_scene
+from anchorflow_training.scenes.scene import FamilyScene, RobotRanges, SceneError, draw_scene
 
-__all__ = ["FamilyScene", "SceneError", "draw_scene"]
+__all__ = ["FamilyScene", "RobotRanges", "SceneError", "draw_scene"]

@@ -120,7 +120,8 @@ def gaps(canvas: Canvas) -> BoolArray:
             width = canvas.index(canvas.passage(0.1, 1.2))
             left = rng.integers(0, max(1, canvas.cells - width))
             filled[start : start + thickness, left : left + width] = False
-        at += rng.uniform(max(1.2, 4 * canvas.radius), 0.5 * canvas.size)
+        least = max(1.2, 4 * canvas.radius)
+        at += rng.uniform(least, max(least, 0.5 * canvas.size))
     return filled
 
 

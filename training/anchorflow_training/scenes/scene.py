@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,21 +30,47 @@ class FamilyScene(Scene):
     family: str
 
 
-def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: MotionLimits) -> FamilyScene:
-    """A random scene on a `cells` x `cells` map; raises `SceneError` where the draw has no room."""
+@dataclass(frozen=True)
+class RobotRanges:
+    """The robots and horizons that scenes are drawn for.
+
+    v_max: m/s; a_max: m/s^2; robot_radius: m; horizon_s: s
+    usual: share of scenes for the usual robot; fixed: share of scenes with a horizon
+    sizes: m, sides of the maps, (least, most) of the small, the usual and the wide
+    """
+
+    v_max: tuple[float, float] = (0.2, 6.0)
+    a_max: tuple[float, float] = (0.3, 8.0)
+    robot_radius: tuple[float, float] = (0.1, 0.6)
+    horizon_s: tuple[float, float] = (1.0, 120.0)
+    usual: float = 0.4
+    fixed: float = 0.2
+    sizes: tuple[tuple[float, float], ...] = ((3.0, 7.0), (7.0, 14.0), (14.0, 60.0))
+
+
+SIZE_SHARES = (0.2, 0.6, 0.2)
+LONGER = (1.15, 4.0)  # a horizon over the least time for the shortest route
+
+
+def draw_scene(
+    rng: np.random.Generator, *, cells: int = 96, limits: MotionLimits, robots: RobotRanges
+) -> FamilyScene:
+    """A random scene on a `cells` x `cells` map; raises `SceneError` where the draw has no room.
+
+    limits: of the usual robot; robots: what others may be like
+    """
     families = list(LAYOUTS)
     shares = np.array([LAYOUTS[f][1] for f in families])
     family = families[rng.choice(len(families), p=shares / shares.sum())]
-    size = float(
-        rng.choice(
-            [rng.uniform(5, 9), rng.uniform(8, 13), rng.uniform(12, 40)], p=[0.25, 0.55, 0.2]
-        )
-    )
-    radius = float(np.clip(rng.lognormal(np.log(0.25), 0.35), 0.1, 0.6))
+    size = float(rng.uniform(*robots.sizes[rng.choice(len(robots.sizes), p=SIZE_SHARES)]))
+    radius = float(np.clip(rng.lognormal(np.log(0.25), 0.35), *robots.robot_radius))
+    if rng.random() >= robots.usual:
+        v_max, a_max = (float(np.exp(rng.uniform(*np.log(r)))) for r in (robots.v_max, robots.a_max))
+        limits = MotionLimits(v_max, a_max)
     resolution = size / cells
     occupied = _oriented(rng, family, cells, resolution, radius)
     clearance = clearance_field(occupied, resolution, radius)
-    start, goal = _ends(rng, clearance, resolution, limits)
+    start, goal = _ends(rng, clearance, resolution)
     origin = np.full(2, -size / 2)
     x_curr, x_goal = np.zeros(6, np.float32), np.zeros(4, np.float32)
     for target, cell in ((x_curr, start), (x_goal, goal)):
@@ -53,11 +79,11 @@ def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: MotionLimit
     span = x_goal[:2] - x_curr[:2]
     if rng.random() < 0.5:
         x_curr[2:4] = _velocity(rng, clearance[start], limits, span)
-        x_curr[4:6] = rng.normal(0.0, 0.5, 2) * (rng.random() < 0.5)
+        x_curr[4:6] = rng.normal(0.0, limits.a_max / 6, 2) * (rng.random() < 0.5)
     if rng.random() < 0.3:
         x_goal[2:4] = _velocity(rng, clearance[goal], limits, span)
     cost_map = np.stack([occupied.astype(np.float32), *_ground(rng, cells)])
-    return FamilyScene(
+    scene = FamilyScene(
         family=family,
         cost_map=cost_map,
         resolution=resolution,
@@ -66,7 +92,13 @@ def draw_scene(rng: np.random.Generator, *, cells: int = 96, limits: MotionLimit
         x_curr=x_curr,
         x_goal=x_goal,
         w_style=_style(rng),
+        motion=limits,
     )
+    if rng.random() >= robots.fixed:
+        return scene
+    horizon_s = scene.reference_s * float(np.exp(rng.uniform(*np.log(LONGER))))
+    horizon_s = float(np.clip(horizon_s, *robots.horizon_s))
+    return replace(scene, motion=replace(limits, horizon_s=horizon_s))
 
 
 def _oriented(
@@ -86,16 +118,14 @@ def _oriented(
 
 
 def _ends(
-    rng: np.random.Generator, clearance: FloatArray, resolution: float, limits: MotionLimits
+    rng: np.random.Generator, clearance: FloatArray, resolution: float
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Start and goal cells (row, column), connected by a way that the horizon suffices for."""
+    """Start and goal cells (row, column), connected by a way."""
     # Some ends are snug against a wall, most are not.
     room = float(rng.choice([0.02, 0.1, 0.2]))
     open_cells = np.argwhere(clearance > room)
     if len(open_cells) < 20:
         raise SceneError("no open ground")
-    # A trapezoid of speed covers v_max * (horizon - v_max / a_max); keep a reserve for bends.
-    reach = 0.88 * limits.v_max * (limits.horizon_s - limits.v_max / limits.a_max)
     across = rng.random() < 0.5
     starts = open_cells
     if across:  # as in the common benchmarks: from one side of the map to the other
@@ -110,7 +140,7 @@ def _ends(
     straight = (
         np.hypot(*(np.indices(clearance.shape) - np.array(start)[:, None, None])) * resolution
     )
-    fit = (clearance > room) & np.isfinite(length) & (length < reach) & (straight > 1.0)
+    fit = (clearance > room) & np.isfinite(length) & (straight > 1.0)
     if across:
         fit &= np.indices(clearance.shape)[0] > 0.75 * len(clearance)
     goals = np.argwhere(fit)
@@ -130,7 +160,7 @@ def _velocity(
 ) -> FloatArray:
     """A velocity at an end of the way: mostly along it, slow where there is little room."""
     braking = np.sqrt(2 * 0.7 * limits.a_max * max(0.05, clearance + 0.15))
-    speed = rng.uniform(0.1, min(limits.v_max, braking))
+    speed = rng.uniform(0.05, 1.0) * min(limits.v_max, braking)
     angle = np.arctan2(span[1], span[0]) + rng.normal(0.0, 0.7)
     return speed * np.array([np.cos(angle), np.sin(angle)], np.float32)
 
