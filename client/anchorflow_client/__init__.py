@@ -10,6 +10,7 @@ from anchorflow_client.base_client import BaseAsyncClient, BaseClient
 from anchorflow_client.cancellation import Cancellation
 from anchorflow_client.codec import Codec, Payload
 from anchorflow_client.contract import (
+    STYLES,
     AnchorBatch,
     AnchorRequest,
     AnswerSpec,
@@ -53,9 +54,11 @@ from anchorflow_client.http.transport import AsyncTransport, Transport
 from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
+from anchorflow_client.resampling import ResampledAnchor, resample
 from anchorflow_client.retry import AsyncRetryingClient, RetryingClient
 
 __all__ = [
+    "STYLES",
     "AnchorBatch",
     "AnchorClient",
     "AnchorFlowError",
@@ -94,6 +97,7 @@ __all__ = [
     "RefineChoice",
     "RefineSpec",
     "RequestError",
+    "ResampledAnchor",
     "RetryingClient",
     "SamplerChoice",
     "Superseded",
@@ -108,4 +112,5 @@ __all__ = [
     "UnknownModel",
     "VocabularySpec",
     "WarmStart",
+    "resample",
 ]

@@ -38,6 +38,7 @@ from anchorflow_client import (
     TensorSpec,
     TimeSpec,
 )
+from anchorflow_client.contract import ResolvedRequest
 from anchorflow_service.planning import PlanningService, ServiceLimits
 
 T, S, R = 8, 6, 2
@@ -119,7 +120,7 @@ def _write_bundle(folder: Path) -> None:
             "H": 16,
             "W": 16,
             "limits": {"horizon_s": 7.0, "v_max": 2.0, "a_max": 3.0, "robot_radius": 0.25},
-            "adjustable": ["robot_radius"],
+            "ranges": {"robot_radius": [0.0, 5.0]},
         },
         "graphs": entries,
         "sampler": {
@@ -206,13 +207,25 @@ CARD = ModelCard(
         H=64,
         W=64,
         limits=LimitsSpec(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25),
-        adjustable=("robot_radius",),
+        ranges={"robot_radius": (0.0, 5.0)},
     ),
     sampler=OdeSpec("rk4", (0.0, 0.5, 1.0)),
     finish=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
     time=TimeSpec(steps=16, first_s=0.0, dt=8.0 / 15),
     answer=AnswerSpec(("x", "y"), ("velocities", "accelerations", "scores", "clearance", "safe")),
 )
+
+
+FREE_CARD = replace(
+    CARD,
+    conditioning=replace(
+        CARD.cost_map,
+        limits=replace(CARD.cost_map.limits, horizon_s=None),
+        ranges={"v_max": (0.1, 6.0), "horizon_s": (1.0, 60.0)},
+    ),
+    time=TimeSpec(steps=16, first_s=0.0, dt=None),
+)
+"""Of a planner whose anchors have their own durations."""
 
 
 def minimum_jerk(steps: int) -> np.ndarray:
@@ -247,7 +260,7 @@ class StraightLines:
         return self.before_answer(
             AnchorBatch(
                 arrays=arrays,
-                dt=self.card.time.dt,
+                dt=_time_steps(request, arrays["scores"].shape, self.card.T),
                 seed=request.seed or 0,
                 model=self.card.id,
                 timing_ms={"encode": 1.0, "sample": 2.0, "refine": 3.0, "total": 6.0},
@@ -271,6 +284,22 @@ class StraightLines:
         }
 
 
+def _time_steps(request: AnchorRequest, anchors: tuple[int, ...], steps: int) -> Any:
+    """The horizon's where there is one, else another for every anchor: 1 s, 1.1 s, 1.2 s …"""
+    assert isinstance(request, ResolvedRequest)
+    assert request.limits is not None
+    horizon_s = request.limits.horizon_s
+    if horizon_s is not None:
+        return horizon_s / (steps - 1)
+    return (1.0 + 0.1 * np.arange(np.prod(anchors)).reshape(anchors)) / (steps - 1)
+
+
+@pytest.fixture
+def free_engine() -> StraightLines:
+    """A model whose anchors have their own durations."""
+    return StraightLines(FREE_CARD)
+
+
 @pytest.fixture
 def engine() -> StraightLines:
     """The default model of `planning`."""
@@ -280,7 +309,7 @@ def engine() -> StraightLines:
 @pytest.fixture
 def planning(engine: StraightLines) -> PlanningService:
     """A service, not yet open, over that engine and a second model; it plans one at a time."""
-    fixed = replace(CARD.cost_map, adjustable=())
+    fixed = replace(CARD.cost_map, ranges={})
     second = StraightLines(replace(CARD, name="bows", conditioning=fixed))
     engines = {"lines": engine, "bows": second}
     return PlanningService(engines, default="lines", limits=ServiceLimits(threads=1))
