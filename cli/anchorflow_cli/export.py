@@ -9,6 +9,7 @@ import typer
 
 from anchorflow_cli.options import command_app
 from anchorflow_client.contract import SamplerChoice
+from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners import adapter_of
@@ -17,7 +18,9 @@ from anchorflow_training.checkpoint import Checkpoint, load_checkpoint
 from anchorflow_training.distillation.student import student_schedule
 from anchorflow_training.provenance import provenance
 from anchorflow_training.restore import restore_model
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ode.schedule import Schedule
+from anchorflow_trajectory.refine import DESCENT_RATE
 
 app = command_app()
 
@@ -51,6 +54,9 @@ def export(
         float, typer.Option(min=0.0, help="Clearance that the descent asks for [m].")
     ] = 0.1,
     refine_steps: Annotated[int, typer.Option(min=1, help="Descents on each anchor.")] = 20,
+    refine_rate: Annotated[
+        float, typer.Option(min=0.001, help="Of the first descent [m].")
+    ] = DESCENT_RATE,
     int8: Annotated[
         bool, typer.Option("--int8", help="The field's products in eight bits: faster, rounded.")
     ] = False,
@@ -61,9 +67,11 @@ def export(
     choices = ExportChoices(
         sampler=_sampler(method, schedule, student_schedule(saved)),
         noise_scale=noise_scale,
+        **_limits(saved),
         robot_radius=robot_radius,
         safety_margin=safety_margin,
         refine_steps=refine_steps,
+        refine_rate=refine_rate,
     )
     description = BundleDescription(
         name=name or _name(saved),
@@ -83,6 +91,15 @@ def _name(checkpoint: Checkpoint) -> str:
     """The planner's, and its variant's where it has one: flowmp-small."""
     variant = checkpoint.config["model"].get("variant")
     return f"{checkpoint.planner}-{variant}" if variant else checkpoint.planner
+
+
+def _limits(checkpoint: Checkpoint) -> dict[str, Any]:
+    """What the card says of limits, where the data of the planner tell of any."""
+    limits, ranges = (checkpoint.data.get(name) for name in ("limits", "ranges"))
+    found: dict[str, Any] = {"limits": MotionLimits(**limits)} if limits else {}
+    if ranges:
+        found["ranges"] = {n: tuple(ranges[n]) for n in LIMIT_INTERVALS if n in ranges}
+    return found
 
 
 def _sampler(

@@ -22,6 +22,10 @@ from anchorflow_service.bundle.manifest import (
     TimeEntry,
     VocabularyEntry,
 )
+from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.refine import DESCENT_RATE
+
+USUAL_LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,15 +34,20 @@ class ExportChoices:
 
     sampler: over the planner's own default
     noise_scale: spread of the noise; 1: as in training
+    limits: v_max, a_max and horizon_s of the card, None where each anchor has its own duration
+    ranges: least and greatest value of the limits that a request may set
     robot_radius, safety_margin: m, defaults of the card
-    refine_steps: descents on each anchor
+    refine_steps: descents on each anchor; refine_rate: m, of the first of them
     """
 
     sampler: SamplerChoice = field(default_factory=SamplerChoice)
     noise_scale: float = 1.0
+    limits: MotionLimits = USUAL_LIMITS
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     robot_radius: float = 0.25
     safety_margin: float = 0.1
     refine_steps: int = 20
+    refine_rate: float = DESCENT_RATE
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,8 +71,8 @@ def _moved(bundle: Bundle, rounded: Bundle) -> Difference:
     for seed, scene in enumerate(random_scenes(bundle, SCENES, (trial.H, trial.W), seed=0)):
         context = whole.encode(scene)
         noise = whole.draw_noise(context, num_samples=trial.N, seed=seed)
-        x_0 = whole.initial_state(context, noise)
-        states = [flow.integrate(context, x_0, spec) for flow in (whole, coarse)]
+        begun = whole.beginning(scene, context, noise)
+        states = [flow.integrate(context, begun, spec) for flow in (whole, coarse)]
         squares.append(((states[0] - states[1])[..., :D] ** 2).sum(-1).mean())
     return Difference("samples moved by, rms [m]", float(np.sqrt(np.mean(squares))))
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.cost import TrajectoryCost
-from anchorflow_trajectory.spline import SplineBasis
+from anchorflow_trajectory.spline import Ends
 
 FloatArray = NDArray[np.floating]
 
@@ -31,40 +31,20 @@ REACH = 0.125  # standard deviations of the prior
 
 @dataclass(frozen=True, eq=False)
 class Guidance:
-    """Guidance in one scene; build it with `of`. Several threads may correct at once.
+    """Guidance in one scene. Several threads may correct at once.
 
+    ends: that anchors meet
+    prior_basis: [R, T*(3D + 1)], the prior's rows in SI units
     scale: anchors are drawn as if those of cost J were exp(-scale J) times as likely
-    ends: [D, K], control points of the fit to a state of zeros
-    fit: [T*3D, D*F], free control points from flattened states, beside those of `ends`
-    prior_basis: [R, T*3D], the prior's rows in SI units
-    to_prior: [D*F, R], the gradient in the prior's coordinates from that on free control points
     """
 
     cost: TrajectoryCost
-    scale: float
-    ends: FloatArray
-    fit: FloatArray
+    ends: Ends
     prior_basis: FloatArray
-    to_prior: FloatArray
-
-    @staticmethod
-    def of(
-        cost: TrajectoryCost,
-        *,
-        x_curr: FloatArray,
-        x_goal: FloatArray,
-        prior_basis: FloatArray,
-        scale: float,
-    ) -> Guidance:
-        """x_curr: [3D]; x_goal: [2D]; prior_basis: [R, T*3D]."""
-        dim = len(x_goal) // 2
-        zeros = np.zeros((1, cost.basis.num_samples, 3 * dim), np.float32)
-        ends = cost.basis.fit(zeros, x_curr, x_goal)[:, 0]
-        fit = _flat_fit(cost.basis, dim)
-        return Guidance(cost, scale, ends, fit, prior_basis, fit.T @ prior_basis.T)
+    scale: float
 
     def correct(self, field: FloatArray, x_t: FloatArray, t: float, *, stride: float) -> None:
-        """Make the field u [N, T, 3D] at x_t [N, T, 3D] and flow time t the guided one, in place.
+        """Make the field u [N, T, 3D + 1] at x_t and flow time t the guided one, in place.
 
         From t = 1 on there is nothing left to decide, and it stays as it is.
 
@@ -75,26 +55,29 @@ class Guidance:
             return
         change = np.multiply(field, remaining, dtype=np.float32)
         change += x_t  # x̂_1
-        flat = change.reshape(len(field), -1)
-        slope = self._slope(flat)
+        slope = self._slope(change) @ self.prior_basis.T
         slope *= self.scale * remaining / (t**2 + remaining**2)
         size = np.sqrt(np.einsum("nr,nr->n", slope, slope))
         slope *= np.minimum(1.0, REACH / np.maximum(stride * size, 1e-12))[:, None]
-        np.matmul(slope, self.prior_basis, out=flat)
+        np.matmul(slope, self.prior_basis, out=change.reshape(len(field), -1))
         field -= change
 
     def _slope(self, states: FloatArray) -> FloatArray:
-        """∇J of flattened states [N, T*3D] in the prior's coordinates: [N, R]."""
-        count, free = len(states), self.cost.basis.free
-        control = np.repeat(self.ends[:, None], count, axis=1)
-        moved = (states @ self.fit).reshape(count, len(control), -1)
-        control[..., free] += moved.transpose(1, 0, 2)
-        _, gradient = self.cost.value_and_gradient(control)
-        return gradient[..., free].transpose(1, 0, 2).reshape(count, -1) @ self.to_prior
-
-
-def _flat_fit(basis: SplineBasis, dim: int) -> FloatArray:
-    """[T*3D, D*F]: the linear part of `basis.fit`, for states flattened as they are."""
-    per_field = basis.fit_matrix.reshape(-1, 3, basis.num_samples)
-    flat = np.einsum("kft,de->tfdek", per_field, np.eye(dim, dtype=np.float32))
-    return flat.reshape(3 * dim * basis.num_samples, -1)
+        """∇J of states [N, T, 3D + 1]: [N, T*(3D + 1)]."""
+        basis, horizon_s = self.cost.basis, self.cost.limits.horizon_s
+        duration = np.exp(states[..., -1].mean(-1, dtype=np.float64))
+        if horizon_s is not None:
+            duration = np.full(len(states), horizon_s)
+        splines = basis.fit(states[..., :-1], self.ends, duration)
+        _, gradient = self.cost.value_and_gradient(splines)
+        fields = gradient.control[..., basis.free] @ basis.fit_matrix  # [D, N, 3T]
+        count, steps = states.shape[:2]
+        slope = np.zeros_like(states)
+        slope[..., :-1] = (
+            fields.reshape(-1, count, 3, steps).transpose(1, 3, 2, 0).reshape(count, steps, -1)
+        )
+        if horizon_s is None:
+            ending = basis.end_slopes(self.ends, duration)
+            along = gradient.log_duration + np.einsum("dmk,dmk->m", gradient.control, ending)
+            slope[..., -1] = along[:, None] / steps
+        return slope.reshape(count, -1)

@@ -20,6 +20,7 @@ from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basi
 
 FloatArray = NDArray[np.floating]
 
+ROUTE_STATES = "route_states"
 SCENE_INPUTS = (
     "cost_map",
     "map_geometry",
@@ -28,7 +29,7 @@ SCENE_INPUTS = (
     "x_goal",
     "w_style",
     "limits",
-    "route_states",
+    ROUTE_STATES,
 )
 """What a network may be told of a scene, by the names of `Scene.inputs`."""
 NUM_STEPS = 64

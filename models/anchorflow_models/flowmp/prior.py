@@ -102,8 +102,8 @@ class TrajectoryPrior(nn.Module):
     def _noise_states(self, size: Tensor) -> Tensor:
         """[B, R, T, S] in the scene's axes; size: [B] m"""
         states = self.disturbed(self.factor)
-        scale = torch.ones(len(size), states.shape[-1], device=states.device)
-        scale[:, :-1] = size[:, None]
+        lengths = size[:, None].expand(-1, states.shape[-1] - 1)
+        scale = torch.cat([lengths, torch.ones_like(size)[:, None]], -1)
         return states * scale[:, None, None]
 
     def _diagonal(self, turn: Tensor) -> Tensor:

@@ -40,6 +40,7 @@ from anchorflow_client.oip_codec import RESERVED
 from anchorflow_service.bundle.conditioning import CostMapEntry, Entry, TensorsEntry
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import check_schedule
+from anchorflow_trajectory.refine import DESCENT_RATE
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
@@ -84,9 +85,11 @@ class RequestEntry(Entry):
 
 
 class PriorEntry(Entry):
-    """The encode outputs that turn noise [N,R] into x_0 = mean + noise · basis.
+    """What turns noise [N,R] into x_0 = mean + noise · basis.
 
-    mean: name of [B,T,S]; basis: name of [B,R,T*S]
+    mean: name of [B,T,S] that encode gives; or of [B,M,T,S] that a scene has, the M components of
+        a mixture over which the anchors are dealt out in turn
+    basis: name of [B,R,T*S] that encode gives
     """
 
     mean: str
@@ -118,7 +121,10 @@ class VocabularyEntry(Entry):
 
 
 class SplineEntry(Entry):
-    """Splines that meet both ends: the card's defaults, and the spline they are finished on."""
+    """Splines that meet both ends: the card's defaults, and the spline they are finished on.
+
+    steps: descents of the projection; rate: m, of the first of them
+    """
 
     kind: Literal["spline"] = "spline"
     smooth: bool
@@ -128,6 +134,7 @@ class SplineEntry(Entry):
     barrier: bool = False
     certified_margin: NonNegativeFloat = 0.0
     steps: PositiveInt
+    rate: PositiveFloat = DESCENT_RATE
     num_control_points: PositiveInt
     degree: PositiveInt
 

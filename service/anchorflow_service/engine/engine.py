@@ -15,7 +15,7 @@ from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.cores import usable_cores
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.finish import FINISHES
-from anchorflow_service.engine.parts import Arrays, Check, ConditionedScene, Sampler
+from anchorflow_service.engine.parts import DT, Arrays, Check, ConditionedScene, Sampler
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
 from anchorflow_service.engine.timing import StageClock
@@ -79,9 +79,11 @@ class Engine:
         with clock.stage("total"):
             scenes = self._scenes(request)
             answers = [self._plan_scene(scene, clock, threads, check) for scene in scenes]
+        arrays = _stacked(answers, batched=request.batched)
+        dt = arrays.pop(DT, self.card.time.dt)
         return AnchorBatch(
-            arrays=_stacked(answers, batched=request.batched),
-            dt=self._dt(request),
+            arrays=arrays,
+            dt=dt,
             first_s=self.card.time.first_s,
             seed=request.seed,
             model=self.card.id,
@@ -132,18 +134,12 @@ class Engine:
         asked = scene.request.outputs
         extras = [spec.name for spec in self.card.answer.extras if spec.name in asked]
         names = ("trajectories", *self.card.answer.arrays, *extras)
-        return scene.answered({name: finished[name] for name in names})
-
-    def _dt(self, request: ResolvedRequest) -> float:
-        """The card's; over a horizon of the request's own, its share of that."""
-        limits, own = request.limits, self.card
-        if limits is None or limits.horizon_s == own.cost_map.limits.horizon_s:
-            return own.time.dt
-        return limits.horizon_s / (own.T - 1)
+        timed = {DT: finished[DT]} if DT in finished else {}
+        return scene.answered({name: finished[name] for name in names} | timed)
 
 
 def _stacked(scenes: Sequence[Arrays], *, batched: bool) -> Arrays:
     """The arrays of an answer: those of the scenes on a B axis, or of the only one without."""
     if not batched:
-        return scenes[0]
+        return {**scenes[0]}
     return {name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]}

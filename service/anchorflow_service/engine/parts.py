@@ -22,6 +22,8 @@ from anchorflow_service.bundle.manifest import Manifest
 Array = NDArray[Any]
 Arrays = dict[str, Array]
 Context = Mapping[str, Array]
+DT = "dt"
+"""Among the arrays of a finish: [N] s between two time steps, where anchors have their own."""
 Check = Callable[[], object]
 """Called between the steps of a request; what it raises ends the request."""
 
@@ -64,10 +66,12 @@ class Samples:
     """Anchors as a sampler draws them.
 
     states: [N,T,S], poses of D components first
+    route: [N] the place of the route that each began on; all 0 where the prior knows of none
     arrays: what the graphs say of them beside, by name, such as scores [N]
     """
 
     states: NDArray[np.float32]
+    route: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     arrays: Mapping[str, Array] = field(default_factory=dict)
 
 

@@ -16,12 +16,12 @@ DEFAULT_SAMPLER = OdeSpec("rk4", uniform_schedule(8))
 
 def flowmp_adapter(model: L2SafetyCFM, choices: ExportChoices) -> FlowMPAdapter:
     """The adapter of a trained network, whose noise gets the spread that is asked for."""
-    config = model.config
+    config, asked = model.config, choices.limits
     model.prior.widen(choices.noise_scale)
     limits = LimitsEntry(
-        horizon_s=config.horizon_s,
-        v_max=config.v_max,
-        a_max=config.a_max,
+        horizon_s=asked.horizon_s,
+        v_max=asked.v_max,
+        a_max=asked.a_max,
         robot_radius=choices.robot_radius,
     )
     return FlowMPAdapter(
@@ -42,6 +42,7 @@ def flowmp_adapter(model: L2SafetyCFM, choices: ExportChoices) -> FlowMPAdapter:
             safety_margin=choices.safety_margin,
             guidance=0.0,
             steps=choices.refine_steps,
+            rate=choices.refine_rate,
             num_control_points=config.num_control_points,
             degree=config.degree,
         ),

@@ -13,7 +13,6 @@ from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, Tra
 from anchorflow_export.planners.flowmp.graphs import (
     F32,
     PRIOR_BASIS,
-    PRIOR_MEAN,
     TIMES,
     Context,
     Encode,
@@ -25,7 +24,7 @@ from anchorflow_export.planners.flowmp.graphs import (
     encode_outputs,
     unit_of,
 )
-from anchorflow_export.planners.flowmp.scenes import random_scenes, stacked_inputs
+from anchorflow_export.planners.flowmp.scenes import dealt_means, random_scenes, stacked_inputs
 from anchorflow_export.tracing import trace
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
@@ -36,9 +35,10 @@ from anchorflow_service.bundle.manifest import (
     SplineEntry,
     TimeEntry,
 )
-from anchorflow_service.engine.samplers.ode import OdeSampler
+from anchorflow_service.engine.samplers.ode import PRIOR_MEAN, OdeSampler
 from anchorflow_trajectory.ode.method import Method, method_named
 from anchorflow_trajectory.ode.reference import integrate_plainly
+from anchorflow_trajectory.scene import ROUTE_STATES
 
 F64 = "float64"
 COMPONENTS = ("x", "y", "heading")
@@ -92,10 +92,14 @@ class FlowMPAdapter:
             sampler=OdeEntry(
                 method=self.sampler.method,
                 schedule=self.sampler.schedule,
-                prior=PriorEntry(mean=PRIOR_MEAN, basis=PRIOR_BASIS),
+                prior=PriorEntry(mean=ROUTE_STATES, basis=PRIOR_BASIS),
             ),
             finish=self.finish,
-            time=TimeEntry(steps=self.T, first_s=0.0, dt=limits.horizon_s / (self.T - 1)),
+            time=TimeEntry(
+                steps=self.T,
+                first_s=0.0,
+                dt=limits.horizon_s and limits.horizon_s / (self.T - 1),
+            ),
             answer=AnswerEntry(components=COMPONENTS[:D], arrays=ARRAYS),
         )
 
@@ -114,10 +118,14 @@ class FlowMPAdapter:
         modulate_inputs = (TIMES, *(context[name] for name in context_names(model, "modulate")))
         modulate = trace(Modulate(model), inputs=modulate_inputs, outputs=("modulation",))
 
-        x_t = TensorSpec("x_t", F32, ("B", "N", self.T, 3 * self.D))
+        x_t, prior_mean = (
+            TensorSpec(name, F32, ("B", "N", self.T, 3 * self.D + 1))
+            for name in ("x_t", PRIOR_MEAN)
+        )
         size = modulate.outputs[0].shape[-1]
         one_time = TensorSpec("modulation", F32, ("B", size))
-        field_inputs = (x_t, one_time, *(context[name] for name in context_names(model, "field")))
+        told = (context[name] for name in context_names(model, "field"))
+        field_inputs = (x_t, prior_mean, one_time, *told)
         field_graph = trace(Field(model), inputs=field_inputs, outputs=("dx_t",))
         return {"encode": encode, "modulate": modulate, "field": field_graph}
 
@@ -139,9 +147,10 @@ class FlowMPAdapter:
         yield GraphTrial(f"modulate at {trial}", "modulate", told, {"modulation": modulation})
 
         noise = torch.randn(trial.N, context[PRIOR_BASIS].shape[1], generator=generator)
-        x_t, one_time = _initial_state(context, noise), modulation[:, -1]
-        told = {**context, "x_t": x_t, "modulation": one_time}
-        expected = {"dx_t": self.model.field(x_t, one_time, context)}
+        mean, one_time = dealt_means(scenes, trial.N), modulation[:, -1]
+        x_t = _initial_state(context, mean, noise)
+        told = {**context, "x_t": x_t, PRIOR_MEAN: mean, "modulation": one_time}
+        expected = {"dx_t": self.model.field(x_t, mean, one_time, context)}
         yield GraphTrial(f"field at {trial}", "field", told, expected)
 
     def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
@@ -153,11 +162,14 @@ class FlowMPAdapter:
         for b, scene in enumerate(scenes):
             encoded = flow.encode(scene)
             noise = flow.draw_noise(encoded, num_samples=trial.N, seed=b)
-            state = flow.integrate(encoded, flow.initial_state(encoded, noise), spec)
+            state = flow.integrate(encoded, flow.beginning(scene, encoded, noise), spec)
+            mean = dealt_means([scene], trial.N)
+            own = {name: tensor[b : b + 1] for name, tensor in context.items()}
             expected = torch_sample(
                 self.model,
-                {name: tensor[b : b + 1] for name, tensor in context.items()},
-                _initial_state(context, torch.from_numpy(noise))[b : b + 1],
+                own,
+                _initial_state(own, mean, torch.from_numpy(noise)),
+                mean,
                 schedule=spec.schedule,
                 method=method_named(spec.method),
             )
@@ -168,6 +180,7 @@ def torch_sample(
     model: FlowModel,
     context: Context,
     x: Tensor,
+    prior_mean: Tensor,
     *,
     schedule: tuple[float, ...],
     method: Method,
@@ -176,12 +189,11 @@ def torch_sample(
 
     def vector_field(x_t: Tensor, t: float) -> Tensor:
         modulation = model.modulate(torch.tensor([t]), context)[:, 0]
-        return model.field(x_t, modulation, context)
+        return model.field(x_t, prior_mean, modulation, context)
 
     return integrate_plainly(vector_field, x, schedule=schedule, method=method)
 
 
-def _initial_state(context: Context, noise: Tensor) -> Tensor:
-    """x_0 [B,N,T,S] from noise [N,R]."""
-    mean = context[PRIOR_MEAN]
-    return mean[:, None] + (noise @ context[PRIOR_BASIS]).unflatten(-1, mean.shape[1:])
+def _initial_state(context: Context, mean: Tensor, noise: Tensor) -> Tensor:
+    """x_0 [B,N,T,S] from prior means [B,N,T,S] and noise [N,R]."""
+    return mean + (noise @ context[PRIOR_BASIS]).unflatten(-1, mean.shape[2:])

@@ -22,19 +22,21 @@ class FlowModel(Protocol):
 
     @property
     def encode(self) -> Callable[..., Context]:
-        """Some of ENCODE_INPUTS by name -> prior_mean [B,T,S], prior_basis [B,R,T*S], context."""
+        """Some of ENCODE_INPUTS by name -> prior_basis [B,R,T*S], context."""
         ...
 
     def modulate(self, times: Tensor, context: Context) -> Tensor:
         """Flow times [K] -> modulation [B,K,M]."""
         ...
 
-    def field(self, x_t: Tensor, modulation: Tensor, context: Context) -> Tensor:
-        """States [B,N,T,S] and the modulation of one time [B,M] -> dx/dt [B,N,T,S]."""
+    def field(
+        self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: Context
+    ) -> Tensor:
+        """States and prior means [B,N,T,S], modulation of one time [B,M] -> dx/dt [B,N,T,S]."""
         ...
 
 
-PRIOR_MEAN, PRIOR_BASIS = "prior_mean", "prior_basis"
+PRIOR_BASIS = "prior_basis"
 
 F32 = "float32"
 ENCODE_INPUTS = {
@@ -43,10 +45,10 @@ ENCODE_INPUTS = {
         TensorSpec("cost_map", F32, ("B", "C", "H", "W"), "", (0.0, 1.0)),
         TensorSpec("map_geometry", F32, ("B", 3), "m, m, m/cell"),
         TensorSpec("clearance_field", F32, ("B", "H", "W"), "m"),
-        TensorSpec("cost_to_go", F32, ("B", 2, "H", "W"), "m", (0.0, None)),
         TensorSpec("x_curr", F32, ("B", "3D"), "m, m/s, m/s^2"),
         TensorSpec("x_goal", F32, ("B", "2D"), "m, m/s"),
         TensorSpec("w_style", F32, ("B", 3), "", (0.0, 1.0)),
+        TensorSpec("limits", F32, ("B", 4), "m/s, m/s^2, m, s", (0.0, None)),
     )
 }
 TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
@@ -62,7 +64,7 @@ def encode_inputs(model: FlowModel, *, D: int, channels: int) -> tuple[TensorSpe
 def encode_outputs(model: FlowModel) -> tuple[str, ...]:
     """The prior, and what the other two graphs take of the context; each once."""
     context = (*context_names(model, "modulate"), *context_names(model, "field"))
-    return tuple(dict.fromkeys((PRIOR_MEAN, PRIOR_BASIS, *context)))
+    return tuple(dict.fromkeys((PRIOR_BASIS, *context)))
 
 
 def context_names(model: FlowModel, role: str) -> tuple[str, ...]:
@@ -108,13 +110,13 @@ class Modulate(nn.Module):
 
 
 class Field(nn.Module):
-    """x_t [B,N,T,S], modulation [B,M] and the context -> dx_t [B,N,T,S]."""
+    """x_t and prior_mean [B,N,T,S], modulation [B,M] and the context -> dx_t [B,N,T,S]."""
 
     def __init__(self, model: FlowModel) -> None:
         super().__init__()
         self.model = model
 
     def forward(self, *inputs: Tensor) -> Tensor:
-        x_t, modulation, *context = inputs
+        x_t, prior_mean, modulation, *context = inputs
         names = context_names(self.model, "field")
-        return self.model.field(x_t, modulation, dict(zip(names, context, strict=True)))
+        return self.model.field(x_t, prior_mean, modulation, dict(zip(names, context, strict=True)))

@@ -11,6 +11,7 @@ from torch import Tensor
 from anchorflow_client.contract import AnchorRequest, ModelCard, resolve_for_card
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning, MapScene
+from anchorflow_trajectory.scene import ROUTE_STATES
 
 CELLS_A_BLOB = 40  # one square obstacle for so many cells of the map
 
@@ -29,6 +30,13 @@ def stacked_inputs(bundle: Bundle, scenes: Sequence[MapScene]) -> dict[str, Tens
     names = bundle.manifest.graphs["encode"].input_names
     inputs = [scene.inputs(names) for scene in scenes]
     return {name: torch.from_numpy(np.concatenate([one[name] for one in inputs])) for name in names}
+
+
+def dealt_means(scenes: Sequence[MapScene], count: int) -> Tensor:
+    """Prior means [B,N,T,S]: the routes of each scene, dealt out in turn to N = `count` anchors."""
+    components = [scene.inputs((ROUTE_STATES,))[ROUTE_STATES][0] for scene in scenes]
+    dealt = [each[np.arange(count) % len(each)] for each in components]
+    return torch.from_numpy(np.stack(dealt))
 
 
 def _random_request(

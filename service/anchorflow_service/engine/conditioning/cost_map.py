@@ -16,13 +16,14 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.bundle.manifest import CostMapEntry, Manifest
+from anchorflow_service.bundle.manifest import CostMapEntry, Manifest, SplineEntry
 from anchorflow_service.engine.parts import Arrays, unknown_names
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
+from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
-REACH = 0.3
-"""Way of the probe from start to goal, as a share of what v_max covers in the horizon."""
+REACH = 2.0
+"""Way of the probe from start to goal, in s at v_max."""
 MARGIN = 2.0
 """Side of the probe's map, in such ways."""
 DIGITS = 8
@@ -36,6 +37,7 @@ class CostMapConditioning:
         assert isinstance(manifest.conditioning, CostMapEntry)
         self._manifest = manifest
         self._entry = manifest.conditioning
+        self._basis = _basis_of(manifest)
 
     def faults(self) -> Iterator[str]:
         """Inputs of encode that no scene has."""
@@ -57,12 +59,29 @@ class CostMapConditioning:
             )
         reference = _reference(request.cost_map)
         near = _moved(request, reference) if reference.any() else request
-        return [MapScene(near, _scene(near, b, most), reference) for b in range(request.num_scenes)]
+        return [
+            MapScene(near, self._scene(near, b), reference) for b in range(request.num_scenes)
+        ]
+
+    def _scene(self, request: ResolvedRequest, index: int) -> Scene:
+        """One of a request's scenes, on a map of all the model's channels."""
+        cost_map, limits = request.cost_map, _limits(request)
+        return Scene(
+            cost_map=with_neutral_channels(cost_map.data[index], self._entry.channels),
+            resolution=cost_map.resolution,
+            origin=cost_map.origin,
+            robot_radius=limits.robot_radius,
+            x_curr=request.x_curr[index],
+            x_goal=request.x_goal[index],
+            w_style=request.w_style[index],
+            motion=MotionLimits(limits.v_max, limits.a_max, limits.horizon_s),
+            basis=self._basis,
+        )
 
     def probe(self) -> AnchorRequest:
         """From one side of a free map to the other."""
         entry, dim = self._entry, self._manifest.D
-        way = REACH * entry.limits.v_max * entry.limits.horizon_s  # m
+        way = REACH * entry.limits.v_max  # m
         rest = np.zeros(2 * dim)
         start, goal = np.zeros(dim), np.zeros(dim)
         start[0], goal[0] = -way / 2, way / 2
@@ -95,12 +114,6 @@ class MapScene:
         """What the anchors keep."""
         return _limits(self.request)
 
-    @property
-    def motion_limits(self) -> MotionLimits:
-        """The same without the robot's radius."""
-        limits = self.limits
-        return MotionLimits(v_max=limits.v_max, a_max=limits.a_max, horizon_s=limits.horizon_s)
-
     def inputs(self, names: Iterable[str]) -> Arrays:
         """Those of SCENE_INPUTS that are named, with a B axis of 1."""
         return self.scene.inputs(names)
@@ -112,23 +125,19 @@ class MapScene:
         return arrays | {"trajectories": _displaced(arrays["trajectories"], self.reference)}
 
 
+def _basis_of(manifest: Manifest) -> SplineBasis:
+    """The splines of the finish, along which routes are laid too."""
+    entry, steps = manifest.finish, manifest.time.steps
+    if not isinstance(entry, SplineEntry):
+        return spline_basis(steps)
+    return spline_basis(
+        steps, num_control_points=entry.num_control_points, degree=entry.degree
+    )
+
+
 def _limits(request: ResolvedRequest) -> LimitsSpec:
     assert request.limits is not None  # a card with a cost map has them
     return request.limits
-
-
-def _scene(request: ResolvedRequest, index: int, channels: int) -> Scene:
-    """One of a request's scenes, on a map of all the model's channels."""
-    cost_map = request.cost_map
-    return Scene(
-        cost_map=with_neutral_channels(cost_map.data[index], channels),
-        resolution=cost_map.resolution,
-        origin=cost_map.origin,
-        robot_radius=_limits(request).robot_radius,
-        x_curr=request.x_curr[index],
-        x_goal=request.x_goal[index],
-        w_style=request.w_style[index],
-    )
 
 
 def _reference(cost_map: CostMap) -> NDArray[np.float64]:

@@ -5,21 +5,15 @@ from __future__ import annotations
 from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
-from anchorflow_service.engine.parts import Arrays, ConditionedScene, Samples
+from anchorflow_service.engine.parts import DT, Arrays, ConditionedScene, Samples
 from anchorflow_trajectory.refine import Refiner
 
 
 def refiner_of(manifest: Manifest, scene: MapScene) -> Refiner:
-    """The splines of a manifest whose finish is one, over the scene's limits."""
+    """How a manifest whose finish is one of splines finishes the anchors of a scene."""
     entry = manifest.finish
     assert isinstance(entry, SplineEntry)
-    return Refiner.of(
-        scene.motion_limits,
-        num_steps=manifest.time.steps,
-        num_control_points=entry.num_control_points,
-        degree=entry.degree,
-        steps=entry.steps,
-    )
+    return Refiner(scene.scene, entry.steps, entry.rate)
 
 
 class SplineFinish:
@@ -33,13 +27,7 @@ class SplineFinish:
         assert isinstance(scene, MapScene)
         spec = scene.request.refine
         assert isinstance(spec, RefineSpec)
-        ends = scene.inputs(("x_curr", "x_goal", "w_style"))
-        refined = refiner_of(self._manifest, scene).refine(
-            samples.states,
-            scene.scene.cost_fields,
-            **{name: array[0] for name, array in ends.items()},
-            spec=spec,
-        )
+        refined = refiner_of(self._manifest, scene).refine(samples.states, samples.route, spec)
         return {
             "trajectories": refined.positions,
             "velocities": refined.velocities,
@@ -47,5 +35,6 @@ class SplineFinish:
             "scores": refined.scores,
             "clearance": refined.clearance,
             "safe": refined.safe,
+            DT: refined.duration / (self._manifest.time.steps - 1),
             **samples.arrays,
         }

@@ -29,12 +29,10 @@ def guidance_of(manifest: Manifest, scene: ConditionedScene, context: Context) -
     assert isinstance(scene, MapScene)
     assert isinstance(manifest.sampler, OdeEntry)
     prior = manifest.sampler.prior
-    size = manifest.time.steps * 3 * manifest.D  # position, velocity, acceleration
-    ends = {name: array[0] for name, array in scene.inputs(("x_curr", "x_goal")).items()}
-    (w_style,) = scene.inputs(("w_style",))["w_style"]
-    return Guidance.of(
-        refiner_of(manifest, scene).cost(scene.scene.cost_fields, w_style=w_style, spec=spec),
-        **ends,
+    size = manifest.time.steps * (3 * manifest.D + 1)
+    return Guidance(
+        refiner_of(manifest, scene).cost(spec),
+        scene.scene.ends,
         prior_basis=context[prior.basis][0] if prior else np.eye(size, dtype=np.float32),
         scale=spec.guidance,
     )

@@ -4,7 +4,9 @@
     modulate  once a scene, for all its flow times   -> modulation [K,M]
     field     at each stage of each step             -> dx/dt [N,T,S]
 
-What a graph needs of the others it takes by name.
+What a graph needs of the others it takes by name. Where the prior is a mixture, its components
+are a scene's own, the anchors are dealt out over them in turn, and the field may ask for each
+anchor's own as `prior_mean`.
 """
 
 from __future__ import annotations
@@ -31,18 +33,34 @@ from anchorflow_service.engine.parts import (
     unknown_names,
 )
 from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
-from anchorflow_service.engine.samplers.warm_start import renoised, warm_state
+from anchorflow_service.engine.samplers.warm_start import renoised
 from anchorflow_trajectory.guidance import Guidance
 from anchorflow_trajectory.ode.integrate import VectorField, integrate
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import remaining, stage_strides, stage_times
+from anchorflow_trajectory.scene import ROUTE_STATES
 
 Array = NDArray[np.float32]
 
-# What each role is fed besides the outputs of encode.
+PRIOR_MEAN = "prior_mean"
+# What each role is fed besides the outputs of encode, and what it may ask for beside that.
 OWN_INPUTS = {"modulate": ("times",), "field": ("x_t", "modulation")}
+OPTIONAL_INPUTS = {"modulate": (), "field": (PRIOR_MEAN,)}
 OWN_OUTPUTS = {"modulate": ("modulation",), "field": ("dx_t",)}
 MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it brings
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """N anchors before the flow.
+
+    x: [N,T,S]; route: [N] the component of the prior that each began on
+    mean: [N,T,S], that component; None where the prior has none
+    """
+
+    x: Array
+    route: NDArray[np.intp]
+    mean: Array | None
 
 
 @dataclass(frozen=True)
@@ -101,13 +119,15 @@ class OdeSampler:
         context = manifest.graphs["encode"].output_names
         for role, own in OWN_INPUTS.items():
             graph, where = manifest.graphs[role], f"graphs.{role}.inputs"
-            yield from unknown_names(where, graph.input_names, (*own, *context))
+            known = (*own, *OPTIONAL_INPUTS[role], *context)
+            yield from unknown_names(where, graph.input_names, known)
             yield from unknown_names(where, own, graph.input_names)
             if graph.output_names != OWN_OUTPUTS[role]:
                 names = ", ".join(graph.output_names)
                 yield f"graphs.{role}.outputs: expected {OWN_OUTPUTS[role][0]}, got {names}"
         if prior := manifest.sampler.prior:
-            yield from unknown_names("sampler.prior", (prior.mean, prior.basis), context)
+            yield from unknown_names("sampler.prior", (prior.basis,), context)
+            yield from unknown_names("sampler.prior", (prior.mean,), (*context, ROUTE_STATES))
         steps, size = state_shape(manifest)
         if steps != manifest.time.steps or not isinstance(size, int) or size < manifest.D:
             own = f"{[steps, size]} for [T,S]"
@@ -122,13 +142,17 @@ class OdeSampler:
         context = self._encode.settle(scene.inputs(self._encode.input_names))
         count = MIN_SLICE * self._threads
         noise = self.draw_noise(context, num_samples=count, seed=scene.request.seed)
-        x = self.initial_state(context, noise)
-        field = self._field_over(context, OdeSpec("euler", (0.0, 1.0)), None)
-        whole = _evaluated(field(), x)
-        cuts = [np.array_split(x, parts) for parts in range(2, self._threads + 1)]
+        begun = self.beginning(scene, context, noise)
+        x, field = begun.x, self._field_over(context, OdeSpec("euler", (0.0, 1.0)), None)
+        whole = _evaluated(field(begun.mean), x)
         self.cuts_freely = all(
-            np.array_equal(whole, np.concatenate([_evaluated(field(), part) for part in cut]))
-            for cut in cuts
+            np.array_equal(
+                whole,
+                np.concatenate(
+                    [_evaluated(field(part.mean), part.x) for part in _cut(begun, parts)]
+                ),
+            )
+            for parts in range(2, self._threads + 1)
         )
 
     def encode(self, scene: ConditionedScene, *, threads: int = 1) -> Context:
@@ -144,33 +168,32 @@ class OdeSampler:
         check: Check = lambda: None,
     ) -> Samples:
         """States [N,T,S] at t = 1."""
-        x, spec = self._begin(scene, context)
+        begun, spec = self._begin(scene, context)
         guidance = guidance_of(self._manifest, scene, context)
-        return Samples(
-            self.integrate(context, x, spec, guidance=guidance, threads=threads, check=check)
+        states = self.integrate(
+            context, begun, spec, guidance=guidance, threads=threads, check=check
         )
+        return Samples(states, begun.route)
 
     def flow_states(self, scene: ConditionedScene) -> FlowStates:
         """The states that `sample` passes through, noise and the last included."""
         context = self.encode(scene)
-        x, spec = self._begin(scene, context)
-        states = self.states(context, x, spec, guidance=guidance_of(self._manifest, scene, context))
+        begun, spec = self._begin(scene, context)
+        guidance = guidance_of(self._manifest, scene, context)
+        states = self.states(context, begun, spec, guidance=guidance)
         return FlowStates(np.array(spec.schedule), states[..., : self._manifest.D])
 
-    def _begin(self, scene: ConditionedScene, context: Context) -> tuple[Array, OdeSpec]:
-        """States [N,T,S] at the first time of the schedule that is left to run."""
+    def _begin(self, scene: ConditionedScene, context: Context) -> tuple[Beginning, OdeSpec]:
+        """The anchors at the first time of the schedule that is left to run."""
         request, spec = scene.request, scene.request.sampler
         assert isinstance(spec, OdeSpec)
         noise = self.draw_noise(context, num_samples=request.num_samples, seed=request.seed)
-        x = self.initial_state(context, noise)
+        begun = self.beginning(scene, context, noise)
         if warm := request.warm_start:
             assert isinstance(scene, MapScene)
-            steps, dim = self._state_shape[0], self._manifest.D
-            horizon_s = scene.limits.horizon_s
-            x_1 = warm_state(warm, dim=dim, num_steps=steps, horizon_s=horizon_s)
-            x = renoised(x_1, x, warm.tau)
+            begun = replace(begun, x=renoised(warm, begun.x, begun.route, scene.scene))
             spec = replace(spec, schedule=remaining(spec.schedule, warm.tau))
-        return x, spec
+        return begun, spec
 
     def draw_noise(self, context: Context, *, num_samples: int, seed: int) -> Array:
         """Standard normal noise: [N,R] for the bundle's prior, [N,T,S] where it has none.
@@ -182,25 +205,30 @@ class OdeSampler:
         generator = np.random.Generator(np.random.PCG64(seed))
         return generator.standard_normal((num_samples, *size), dtype=np.float32)
 
-    def initial_state(self, context: Context, noise: Array) -> Array:
-        """x_0 [N,T,S] = prior mean + noise · prior basis; the noise itself without a prior."""
-        prior = self._prior
+    def beginning(self, scene: ConditionedScene, context: Context, noise: Array) -> Beginning:
+        """x_0 = prior mean + noise · prior basis; the noise itself without a prior."""
+        prior, first = self._prior, np.zeros(len(noise), np.intp)
         if prior is None:
-            return noise
+            return Beginning(noise, first, None)
         spread = (noise @ context[prior.basis][0]).reshape(-1, *self._state_shape)
-        return context[prior.mean] + spread
+        if prior.mean in context:
+            return Beginning(context[prior.mean] + spread, first, None)
+        (components,) = scene.inputs((prior.mean,))[prior.mean]
+        route = np.arange(len(noise)) % len(components)
+        mean = components[route]
+        return Beginning(mean + spread, route, mean)
 
     def integrate(
         self,
         context: Context,
-        x: Array,
+        begun: Beginning,
         sampler: OdeSpec,
         *,
         guidance: Guidance | None = None,
         threads: int | None = None,
         check: Callable[[], object] = lambda: None,
     ) -> Array:
-        """The state at t = 1 [N,T,S] from x at the schedule's first time.
+        """The states at t = 1 [N,T,S] of anchors at the schedule's first time.
 
         guidance: what corrects the field of this scene
         threads: to spread over; None: all of them
@@ -210,14 +238,18 @@ class OdeSampler:
         new_field = self._field_over(context, sampler, guidance)
         threads = threads or self._threads
 
-        def integrate_slice(part: Array) -> Array:
+        def integrate_slice(part: Beginning) -> Array:
             return integrate(
-                new_field(), part, schedule=schedule, method=method, on_step=lambda _: check()
+                new_field(part.mean),
+                part.x,
+                schedule=schedule,
+                method=method,
+                on_step=lambda _: check(),
             )
 
         # The products of guidance round a row by the number of rows beside it.
         most = threads if self.cuts_freely and guidance is None else self._threads
-        slices = np.array_split(x, min(most, -(-len(x) // MIN_SLICE)))
+        slices = _cut(begun, min(most, -(-len(begun.x) // MIN_SLICE)))
         if threads == 1 or len(slices) == 1:
             return np.concatenate([integrate_slice(part) for part in slices])
         running = [self._pool.submit(integrate_slice, part) for part in slices]
@@ -225,13 +257,18 @@ class OdeSampler:
         return np.concatenate([part.result() for part in running])
 
     def states(
-        self, context: Context, x: Array, sampler: OdeSpec, *, guidance: Guidance | None = None
+        self,
+        context: Context,
+        begun: Beginning,
+        sampler: OdeSpec,
+        *,
+        guidance: Guidance | None = None,
     ) -> Array:
-        """The states at every time of the schedule [K,N,T,S]; x is the first of them."""
-        visited = [x]
+        """The states at every time of the schedule [K,N,T,S]; the first are those begun with."""
+        visited = [begun.x]
         integrate(
-            self._field_over(context, sampler, guidance)(),
-            x,
+            self._field_over(context, sampler, guidance)(begun.mean),
+            begun.x,
             schedule=sampler.schedule,
             method=method_named(sampler.method),
             on_step=lambda state: visited.append(state.copy()),
@@ -240,16 +277,20 @@ class OdeSampler:
 
     def _field_over(
         self, context: Context, sampler: OdeSpec, guidance: Guidance | None
-    ) -> Callable[[], VectorField]:
-        """Makes the vector field of a scene at the sampler's times, one for each thread."""
+    ) -> Callable[[Array | None], VectorField]:
+        """Makes the vector field of a scene at the sampler's times, one for each thread's anchors.
+
+        It takes their prior means [N,T,S], if there are any.
+        """
         method = method_named(sampler.method)
         times = stage_times(method, sampler.schedule).times
         modulate_inputs = self._modulate.select({**context, "times": times})
         modulation = self._modulate(**modulate_inputs)["modulation"]
         field_inputs = self._field.select(context)
 
-        def new_field() -> VectorField:
-            field = _ModulatedField(self._field.bind(**field_inputs), modulation)
+        def new_field(mean: Array | None) -> VectorField:
+            own = self._field.select({} if mean is None else {PRIOR_MEAN: mean[None]})
+            field = _ModulatedField(self._field.bind(**field_inputs, **own), modulation)
             if guidance is None:
                 return field
             return GuidedField(field, guidance, times, stage_strides(method, sampler.schedule))
@@ -272,6 +313,13 @@ class _ModulatedField:
             {"x_t": x[None], "modulation": self._modulation[:, time_index]},
             outputs={"dx_t": out[None]},
         )
+
+
+def _cut(begun: Beginning, parts: int) -> list[Beginning]:
+    """The anchors in parts of about the same size."""
+    means = [None] * parts if begun.mean is None else np.array_split(begun.mean, parts)
+    xs, routes = np.array_split(begun.x, parts), np.array_split(begun.route, parts)
+    return [Beginning(*part) for part in zip(xs, routes, means, strict=True)]
 
 
 def _evaluated(field: VectorField, x: Array) -> Array:

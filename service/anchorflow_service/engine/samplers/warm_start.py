@@ -7,18 +7,20 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import WarmStart
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_trajectory.resample import resampled_states, whole_fields
+from anchorflow_trajectory.resample import whole_fields
+from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.warm_start import warm_states
 
 Array = NDArray[np.float32]
 
 
-def warm_state(warm_start: WarmStart, *, dim: int, num_steps: int, horizon_s: float) -> Array:
-    """The trajectory as a state x_1 [T,S]: resampled to T steps, missing derivatives from splines.
+def renoised(warm_start: WarmStart, x_0: Array, route: NDArray[np.intp], scene: Scene) -> Array:
+    """x_tau = tau x_1 + (1 - tau) x_0, [N,T,S], where x_1 is the trajectory on its own route.
 
     Raises:
         InvalidRequest: its columns are not whole positions, velocities and accelerations.
     """
-    trajectory = warm_start.trajectory
+    trajectory, dim = warm_start.trajectory, len(scene.x_goal) // 2
     columns = trajectory.shape[1]
     if not whole_fields(columns, dim):
         widths = ", ".join(str(dim * blocks) for blocks in (1, 2, 3))
@@ -27,9 +29,5 @@ def warm_state(warm_start: WarmStart, *, dim: int, num_steps: int, horizon_s: fl
             f"({widths} columns), got {columns} columns",
             "warm_start.trajectory",
         )
-    return resampled_states(trajectory, dim=dim, num_steps=num_steps, horizon_s=horizon_s)
-
-
-def renoised(x_1: Array, x_0: Array, tau: float) -> Array:
-    """x_tau = tau x_1 + (1 - tau) x_0, [N,T,S]."""
-    return np.float32(tau) * x_1 + np.float32(1.0 - tau) * x_0
+    x_1 = warm_states(scene, trajectory, route, dt=warm_start.dt)
+    return np.float32(warm_start.tau) * x_1 + np.float32(1.0 - warm_start.tau) * x_0
