@@ -67,6 +67,7 @@ def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(
     tiny: Bundle, small_request: Build
 ) -> None:
     far = np.array([5000.0, -3000.0])
+    start, goal = far + (-3.0, 0.1), far + (3.0, 0.2)
     map_there = {
         "data": small_request().cost_map.data[0],
         "resolution": 0.5,
@@ -74,9 +75,9 @@ def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(
     }
     there = small_request(
         cost_map=map_there,
-        x_curr=[*far + [-3.0, 0.1], 0.5, 0.0, 0.0, 0.0],
-        x_goal=[*far + [3.0, 0.2], 0.0, 0.0],
-        warm_start={"trajectory": [far + [-3.0, 0.1], far + [3.0, 0.2]], "tau": 0.7, "dt": 0.4},
+        x_curr=[*start, 0.5, 0.0, 0.0, 0.0],
+        x_goal=[*goal, 0.0, 0.0],
+        warm_start={"trajectory": [start, goal], "tau": 0.7, "dt": 0.4},
     )
 
     (scene,) = scenes(there, tiny)
