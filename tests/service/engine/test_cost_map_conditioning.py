@@ -67,7 +67,7 @@ def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(
     tiny: Bundle, small_request: Build
 ) -> None:
     far = np.array([5000.0, -3000.0])
-    start, goal = far + (-3.0, 0.1), far + (3.0, 0.2)
+    start, goal = far + np.array([[-3.0, 0.1], [3.0, 0.2]])
     map_there = {
         "data": small_request().cost_map.data[0],
         "resolution": 0.5,
