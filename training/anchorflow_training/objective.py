@@ -14,7 +14,7 @@ from anchorflow_training.coupling import couple
 from anchorflow_training.flow_time import draw_flow_times
 
 # Context in SI units, kept in float32.
-METRIC = ("prior_basis", "frame", "limits", "units", "si_units")
+METRIC = ("prior_basis", "frame", "motion_limits", "units", "si_units")
 
 
 class FlowObjective(nn.Module):

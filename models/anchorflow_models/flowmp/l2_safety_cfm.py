@@ -103,7 +103,7 @@ class L2SafetyCFM(nn.Module):
         """Names of the context tensors that `field` reads."""
         looked_up = tuple(self.windows) if self.config.map_lookup else ()
         asked = ("map_keys_values",) if self.config.map_attention else ()
-        return ("frame", "limits", "units", "si_units", *looked_up, *asked)
+        return ("frame", "motion_limits", "units", "si_units", *looked_up, *asked)
 
     def encode(
         self,
@@ -137,7 +137,7 @@ class L2SafetyCFM(nn.Module):
         return {
             "prior_basis": self.prior.basis(frame, Limits.of(limits).horizon_s),
             "frame": frame.pack(),
-            "limits": limits,
+            "motion_limits": limits[:, :2],
             "units": self.prior.units(frame),
             "si_units": self.prior.si_units(frame),
             "condition": condition + self.map_summary(summary),
@@ -186,25 +186,27 @@ class L2SafetyCFM(nn.Module):
         frame = Frame.unpack(context["frame"], self.config.dim)
         points = frame.place(x_t[..., :2].reshape(batch, count * steps, 2))
         seen = self._seen(points, context).reshape(batch, count, steps, -1)
-        limits = Limits.of(context["limits"])
-        told = self._told(x_t, prior_mean, frame, limits).reshape(batch, count, steps, -1)
+        told = self._told(x_t, prior_mean, frame, context["motion_limits"]).reshape(batch, count, steps, -1)
         per_sample = modulation if modulation.ndim == 3 else modulation[:, None]
         return self.vector_field(
             state, torch.cat([told, seen], -1), per_sample, context.get("map_keys_values")
         )
 
-    def _told(self, x_t: Tensor, prior_mean: Tensor, frame: Frame, limits: Limits) -> Tensor:
+    def _told(
+        self, x_t: Tensor, prior_mean: Tensor, frame: Frame, motion_limits: Tensor
+    ) -> Tensor:
         """Where each step's route leads, and how near its limits it is: [B, N * T, 7 + 4]."""
         dim = self.config.dim
+        v_max, a_max = motion_limits.unbind(-1)
         turn = frame.rotation[:, :2, :2]
         route, state = prior_mean.flatten(1, 2), x_t.flatten(1, 2)
         place, *steeper = (route[..., k * dim : k * dim + 2] for k in range(3))
         parts = [frame.place(place)]
         by_size = turn / frame.half_size[:, None, None]
         parts += [part @ (k * by_size) for part, k in zip(steeper, STEEPNESS, strict=True)]
-        parts.append(route[..., -1:] + torch.log(limits.v_max / frame.half_size)[:, None, None])
+        parts.append(route[..., -1:] + torch.log(v_max / frame.half_size)[:, None, None])
         pace = torch.exp(-state[..., -1:])
-        for order, most in ((1, limits.v_max), (2, limits.a_max)):
+        for order, most in ((1, v_max), (2, a_max)):
             vector = state[..., order * dim : order * dim + 2] * pace**order
             share = (vector @ turn) / most[:, None, None]
             parts.append(share.clamp(-MOST_PACE, MOST_PACE))

@@ -33,7 +33,7 @@ def flowmp_adapter(model: L2SafetyCFM, choices: ExportChoices) -> FlowMPAdapter:
             H=config.map_size,
             W=config.map_size,
             limits=limits,
-            ranges={"robot_radius": (0.0, 5.0)},
+            ranges=dict(choices.ranges),
         ),
         sampler=choices.sampler.over(DEFAULT_SAMPLER),
         finish=SplineEntry(
