@@ -33,6 +33,7 @@ from anchorflow_trajectory.spline import SplineBasis, Splines
 FloatArray = NDArray[np.floating]
 
 TURN = 4.0 / 3.0  # m in which a robot that may accelerate as it likes reaches its speed smoothly
+DEEP = 0.25  # m of intrusion, about a robot's size, beyond which the hinge grows linearly
 
 
 @dataclass(frozen=True)
@@ -145,9 +146,7 @@ class TrajectoryCost:
         gained = speeds * (-2.0 * slow_gain / (slow_gain + short_gain + 1e-30)) - 6.0 * jerk
         gained -= fast.rate + 2.0 * hard.rate
         later = (w.time + w.quick * energy[..., 0]) * duration / self.reference_s
-        gradient = Gradient(
-            (slope @ self.basis.stacked.T) / count, later + gained.sum(-1) / count
-        )
+        gradient = Gradient((slope @ self.basis.stacked.T) / count, later + gained.sum(-1) / count)
         cost = place + speeds + fast.cost + hard.cost + jerk
         return cost.sum(-1) / count + later, gradient
 
@@ -157,8 +156,7 @@ class TrajectoryCost:
         clearance, along_x, along_y = self.fields.clearance.sample_with_gradient(x, y)
         hard = np.maximum(self.margin - clearance, 0.0)
         lack = np.maximum(1.0 - clearance / self.weights.comfort, 0.0)
-        # Beyond one robot-sized intrusion the hinge grows linearly: a deep start must not explode.
-        deep = np.minimum(hard, 0.25)
+        deep = np.minimum(hard, DEEP)  # a deep start must not explode
         cost = self.weights.collision * deep * (2.0 * hard - deep) + safety * lack**2
         rate = -2.0 * (self.weights.collision * deep + safety / self.weights.comfort * lack)
         slope[0], slope[1], slope[2:] = rate * along_x, rate * along_y, 0.0

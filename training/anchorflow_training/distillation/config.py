@@ -48,6 +48,12 @@ class DistillConfig(RunConfig):
     at_schedule: float = setting(
         0.5, "reflow: share of samples at the schedule's own times.", least=0, most=1
     )
+    cost_weight: float = setting(
+        0.0, "direct: of log(1 + J), J the cost that the finish begins with.", least=0
+    )
+    cost_margin: float = setting(
+        0.1, "direct: m of clearance that J asks for, as the finish does.", least=0
+    )
     intervals: int = setting(8, "consistency: intervals that [0, 1] is cut into.", least=1)
     weights: LossWeights = field(default_factory=LossWeights)
     teacher: TeacherConfig = field(default_factory=TeacherConfig)

@@ -15,6 +15,7 @@ from anchorflow_training.batches import Batch, batches, prefetched
 from anchorflow_training.cost_map_run import CostMapRun
 from anchorflow_training.curve import Row
 from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.distillation.anchor_cost import AnchorCost
 from anchorflow_training.distillation.config import DistillConfig
 from anchorflow_training.distillation.consistency import ConsistencyObjective
 from anchorflow_training.distillation.direct import DirectObjective
@@ -73,7 +74,13 @@ class Distiller(CostMapRun):
                 model, schedule=schedule, at_schedule=config.at_schedule, weights=weights
             )
         if config.method == "direct":
-            return DirectObjective(model, schedule=schedule, weights=weights)
+            return DirectObjective(
+                model,
+                schedule=schedule,
+                weights=weights,
+                cost=self._anchor_cost,
+                cost_weight=config.cost_weight,
+            )
         return ConsistencyObjective(
             model,
             self.teacher.model,
@@ -141,6 +148,11 @@ class Distiller(CostMapRun):
     def fit(self, report: Report = lambda *_: None) -> None:
         self.prepare()
         super().fit(report)
+
+    @property
+    def _anchor_cost(self) -> AnchorCost | None:
+        config = self.config
+        return AnchorCost(config.model, margin=config.cost_margin) if config.cost_weight else None
 
     @cached_property
     def _judged_teacher(self) -> list[JudgedScene]:

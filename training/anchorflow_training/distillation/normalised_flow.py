@@ -31,9 +31,7 @@ class NormalisedFlow:
     prior_mean: Tensor
 
     @staticmethod
-    def of(
-        model: L2SafetyCFM, inputs: Mapping[str, Tensor], prior_mean: Tensor
-    ) -> NormalisedFlow:
+    def of(model: L2SafetyCFM, inputs: Mapping[str, Tensor], prior_mean: Tensor) -> NormalisedFlow:
         """inputs: of encode"""
         context = model.encode(**inputs)
         context |= {name: context[name].float() for name in METRIC}

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.flow_matching import LossWeights, flow_matching_loss, interpolate
 from anchorflow_training.distillation.normalised_flow import NormalisedFlow
+from anchorflow_training.distillation.pair_batches import PAIRED
 from anchorflow_trajectory.ode.schedule import Schedule
 
 
@@ -35,9 +36,9 @@ class ReflowObjective(nn.Module):
         return (torch.where(torch.rand(shape, generator=generator) < self.at_schedule, asked, t),)
 
     def forward(self, batch: Mapping[str, Tensor], t: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """batch: the inputs of encode; z_0, z_1 and prior_mean [B, N, T, S]."""
+        """batch: as of `PairBatches`; t: [B, N]."""
         inputs = dict(batch)
-        z_0, z_1, mean = (inputs.pop(name) for name in ("z_0", "z_1", "prior_mean"))
+        z_0, z_1, mean, _ = (inputs.pop(name) for name in PAIRED)
         z_t, target = interpolate(z_0, z_1, t)
         predicted = NormalisedFlow.of(self.model, inputs, mean).velocity(z_t, t)
         return flow_matching_loss(predicted, target, self.weights)
