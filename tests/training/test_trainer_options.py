@@ -67,6 +67,7 @@ def base(tiny_dataset_path: Path, tmp_path_factory: pytest.TempPathFactory) -> C
         ("flow.weights.lambda_acc", 2.0),
         ("flow.weights.lambda_jerk", 2.0),
         ("flow.weights.lambda_roughness", 2.0),
+        ("flow.weights.lambda_duration", 2.0),
     ],
 )
 def test_the_option_changes_what_is_learnt(
