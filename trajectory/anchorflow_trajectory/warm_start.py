@@ -29,7 +29,7 @@ def warm_states(
     means = scene.route_states
     dim, steps = len(scene.x_goal) // 2, means.shape[1]
     place = resampled_states(trajectory, dim=dim, num_steps=steps, horizon_s=1.0)[:, :2]
-    nearest = int(((means[..., :2] - place) ** 2).sum((1, 2)).argmin())
+    nearest = nearest_route(means, place)
     duration = (
         scene.motion.horizon_s or float(np.exp(means[nearest, 0, -1]))
         if dt is None
@@ -41,3 +41,12 @@ def warm_states(
     states = means[route]
     states[route == nearest] = warm
     return states.astype(np.float32)
+
+
+def nearest_route(route_states: FloatArray, positions: FloatArray) -> int:
+    """The place of the route that positions [T, D] follow most nearly, at equal own time.
+
+    route_states: [R, T, 3D + 1]
+    """
+    apart = route_states[..., :2] - positions[:, :2]
+    return int((apart**2).sum((1, 2)).argmin())
