@@ -28,6 +28,7 @@ class LossWeights:
     lambda_acc: of v, the acceleration field, which moves velocities
     lambda_jerk: of w, the jerk field, which moves accelerations
     lambda_roughness: of differences of w's error along the trajectory
+    lambda_duration: of the log duration's field
 
     Raises:
         ValueError: a weight is below 0.
@@ -37,6 +38,7 @@ class LossWeights:
     lambda_acc: float = 0.5
     lambda_jerk: float = 0.25
     lambda_roughness: float = 0.05
+    lambda_duration: float = 0.25
 
     def __post_init__(self) -> None:
         for name, weight in vars(self).items():
@@ -51,18 +53,21 @@ def flow_matching_loss(
     *,
     sample_weights: Tensor | None = None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Weighted mean squared error of the fields u, v, w, and each term by itself, unweighted.
+    """Weighted mean squared error of the fields, and each term by itself, unweighted.
 
-    predicted, target: [B, N, T, 3D], u, v, w after one another (or the states that they lead to),
-        normalised so that each has unit spread
+    predicted, target: [B, N, T, 3D + 1], u, v, w and the log duration's field after one another (or
+        the states that they lead to), normalised so that each has unit spread
     sample_weights: [B, N], what each sample counts in every mean; about 1 on average
     """
-    velocity, acceleration, jerk = (predicted - target).chunk(3, -1)
+    error = predicted - target
+    dim = error.shape[-1] // 3
+    velocity, acceleration, jerk, duration = error.split([dim, dim, dim, 1], -1)
     errors = {
         "velocity_field": velocity,
         "acceleration_field": acceleration,
         "jerk_field": jerk,
         "roughness": torch.diff(jerk, dim=-2),
+        "duration_field": duration,
     }
     terms = {name: _mean_square(error, sample_weights) for name, error in errors.items()}
     gains = (
@@ -70,6 +75,7 @@ def flow_matching_loss(
         weights.lambda_acc,
         weights.lambda_jerk,
         weights.lambda_roughness,
+        weights.lambda_duration,
     )
     total = sum(g * term for g, term in zip(gains, terms.values(), strict=True))
     return torch.as_tensor(total), terms

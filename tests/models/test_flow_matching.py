@@ -9,25 +9,27 @@ from anchorflow_models.flow_matching import LossWeights, flow_matching_loss, int
 
 
 def test_interpolation_runs_from_noise_to_data() -> None:
-    x_0, x_1 = torch.randn(2, 3, 8, 6), torch.randn(2, 3, 8, 6)
+    x_0, x_1 = torch.randn(2, 3, 8, 7), torch.randn(2, 3, 8, 7)
     for t, expected in ((0.0, x_0), (1.0, x_1), (0.25, 0.75 * x_0 + 0.25 * x_1)):
         x_t, target = interpolate(x_0, x_1, torch.full((2, 3), t))
         torch.testing.assert_close(x_t, expected)
         torch.testing.assert_close(target, x_1 - x_0)
 
 
-def test_each_weight_scales_its_own_term() -> None:
-    predicted, target = torch.randn(2, 3, 8, 6), torch.randn(2, 3, 8, 6)
-    u, v, w = (predicted - target).chunk(3, -1)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_each_weight_scales_its_own_term(dim: int) -> None:
+    predicted, target = torch.randn(2, 2, 3, 8, 3 * dim + 1)
+    error = predicted - target
+    u, v, w = (error[..., k * dim : (k + 1) * dim] for k in range(3))
     expected = {
         "velocity_field": u.square().mean(),
         "acceleration_field": v.square().mean(),
         "jerk_field": w.square().mean(),
         "roughness": w.diff(dim=-2).square().mean(),
+        "duration_field": error[..., -1].square().mean(),
     }
-    for name, term in zip(
-        ("lambda_vel", "lambda_acc", "lambda_jerk", "lambda_roughness"), expected, strict=True
-    ):
+    names = ("lambda_vel", "lambda_acc", "lambda_jerk", "lambda_roughness", "lambda_duration")
+    for name, term in zip(names, expected, strict=True):
         alone = {part.name: 0.0 for part in fields(LossWeights)} | {name: 2.0}
         total, terms = flow_matching_loss(predicted, target, LossWeights(**alone))
         torch.testing.assert_close(total, 2.0 * expected[term])
@@ -35,7 +37,7 @@ def test_each_weight_scales_its_own_term() -> None:
 
 
 def test_a_sample_counts_as_much_as_its_weight() -> None:
-    predicted, target = torch.randn(2, 3, 8, 6), torch.randn(2, 3, 8, 6)
+    predicted, target = torch.randn(2, 3, 8, 7), torch.randn(2, 3, 8, 7)
     shares = torch.tensor([[0.0, 2.0, 1.0], [1.0, 0.5, 1.5]])
     weights = LossWeights()
     total, terms = flow_matching_loss(predicted, target, weights, sample_weights=shares)
@@ -54,5 +56,5 @@ def test_a_sample_counts_as_much_as_its_weight() -> None:
 
 
 def test_a_perfect_field_costs_nothing() -> None:
-    target = torch.randn(1, 2, 8, 6)
+    target = torch.randn(1, 2, 8, 7)
     assert flow_matching_loss(target, target, LossWeights())[0].item() == pytest.approx(0.0)
