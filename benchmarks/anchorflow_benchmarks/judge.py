@@ -24,7 +24,7 @@ from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial.distance import cdist
 
 from anchorflow_benchmarks.anchors import Proposals
-from anchorflow_benchmarks.grid_path import shortest_grid_path
+from anchorflow_benchmarks.grid_path import shortest_way
 from anchorflow_benchmarks.route_judge import ROUTE_MEASURES, RouteJudge
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ray_signature import Signature
@@ -180,15 +180,7 @@ class SceneJudge:
     @cached_property
     def _shortest(self) -> float:
         """m; NaN where the grid has no way."""
-        scene, ends = self.scene, (self.scene.x_curr[:2], self.scene.x_goal[:2])
-        cells = [((end - scene.origin) / scene.resolution).astype(int)[::-1] for end in ends]
-        if scene.occupied.any():
-            distance = np.asarray(distance_transform_edt(~scene.occupied)) * scene.resolution
-            passable = distance > scene.robot_radius
-        else:
-            passable = np.ones(scene.occupied.shape, bool)
-        start, goal = (np.clip(c, 0, np.array(passable.shape) - 1) for c in cells)
-        return shortest_grid_path(passable, tuple(start), tuple(goal)) * scene.resolution
+        return shortest_way(self.scene)
 
     def _reached(self, position: Array, velocity: Array) -> BoolArray:
         x_curr, goal = self.scene.x_curr, self.scene.x_goal[:2]

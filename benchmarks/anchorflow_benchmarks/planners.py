@@ -10,18 +10,20 @@ import numpy as np
 
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.samplers import evaluations, parse_sampler, sampler_name
+from anchorflow_benchmarks.scene_files import CHANNELS
 from anchorflow_client.contract import (
     AnchorRequest,
     CostMap,
     OdeSpec,
     RefineChoice,
+    ResolvedRequest,
     SamplerChoice,
     resolve_for_card,
 )
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.scene import Scene, with_neutral_channels
 
 NUM_SAMPLES = 64  # T of the baselines' anchors
 
@@ -77,6 +79,21 @@ def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> Anchor
         robot_radius=scene.robot_radius,
         seed=seed,
         sampler=SamplerChoice(sampler.method, sampler.schedule),
+    )
+
+
+def scene_of(request: ResolvedRequest) -> Scene:
+    """What a request for a single scene asks: `request_of` the other way round."""
+    assert request.limits is not None  # of a card with a cost map
+    cost_map = request.cost_map
+    return Scene(
+        cost_map=with_neutral_channels(cost_map.data[0], CHANNELS),
+        resolution=cost_map.resolution,
+        origin=cost_map.origin,
+        robot_radius=request.limits.robot_radius,
+        x_curr=request.x_curr[0],
+        x_goal=request.x_goal[0],
+        w_style=request.w_style[0],
     )
 
 

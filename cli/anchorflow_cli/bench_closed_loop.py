@@ -12,7 +12,6 @@ from anchorflow_benchmarks.judged_bundles import open_bundle
 from anchorflow_benchmarks.samplers import parse_sampler
 from anchorflow_cli.bench_options import (
     RESULTS,
-    SCENES,
     BundleOption,
     NumOption,
     OutOption,
@@ -24,10 +23,12 @@ from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
+WORLDS = "FILE|drawn:N:SEED|forests:N:SEED"
+
 
 def closed_loop(
     worlds: Annotated[
-        str, typer.Argument(metavar=SCENES, help="Worlds: a .npz file, or drawn ones.")
+        str, typer.Argument(metavar=WORLDS, help="Worlds: a .npz file (scenes too), or drawn ones.")
     ],
     *,
     limit: Annotated[int, typer.Option(min=1, help="Worlds at most, evenly spread.")] = 50,
@@ -51,7 +52,7 @@ def closed_loop(
     threads: ThreadsOption = None,
     out: OutOption = RESULTS,
 ) -> None:
-    """Drive a robot through worlds by MPPI alone, with straight lines, with served anchors."""
+    """Drive a robot by MPPI alone, with lines, with routes and a finish, with served anchors."""
     with needs_extra("robot", who="anchorflow bench closed-loop"):
         from anchorflow_benchmarks.closed_loop.contest import (
             ContestConfig,
@@ -61,7 +62,7 @@ def closed_loop(
         from anchorflow_benchmarks.closed_loop.drive import DriveConfig
         from anchorflow_benchmarks.closed_loop.robots import ROBOTS
         from anchorflow_benchmarks.closed_loop.scoring import contest_tables
-        from anchorflow_benchmarks.closed_loop.world import load_worlds
+        from anchorflow_benchmarks.closed_loop.world_sources import load_worlds
     if robot not in ROBOTS:
         raise BenchmarkError(f"--robot: expected {' or '.join(ROBOTS)}, got {robot!r}")
     opened = open_bundle(bundle)

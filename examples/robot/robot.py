@@ -22,7 +22,7 @@ from anchorflow_benchmarks.closed_loop.drive import PLANNER, Drive, DriveConfig,
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
-from anchorflow_benchmarks.closed_loop.world import load_worlds
+from anchorflow_benchmarks.closed_loop.world_sources import load_worlds
 from anchorflow_client import AnchorClient, AnchorFlowError, Planner
 from anchorflow_client.base_client import BaseClient
 
@@ -116,7 +116,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--zenoh", metavar="ENDPOINT", help="ask over zenoh, tcp/127.0.0.1:7447")
     parser.add_argument("--alone", action="store_true", help="MPPI without anchors")
     parser.add_argument("--robot", choices=sorted(ROBOTS), default="unicycle")
-    parser.add_argument("--worlds", metavar="FILE|drawn:N:SEED", default="drawn:10:0")
+    parser.add_argument(
+        "--worlds", metavar="FILE|drawn:N:SEED|forests:N:SEED", default="drawn:10:0"
+    )
     parser.add_argument("--world", type=int, default=0, help="which of them")
     parser.add_argument("--seed", type=int, default=0, help="of lidar noise and MPPI's samples")
     parser.add_argument("--num", type=int, default=64, help="anchors a request")

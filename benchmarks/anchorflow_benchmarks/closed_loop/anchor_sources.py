@@ -1,4 +1,4 @@
-"""Who proposes anchors beside a client: straight lines."""
+"""Who proposes anchors beside a client: straight lines, and a search for routes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from anchorflow_benchmarks.baselines import minimum_jerk
-from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, ModelId
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.planners import limits_of, scene_of
+from anchorflow_benchmarks.routes_planner import RoutesPlanner
+from anchorflow_client.contract import (
+    DEFAULT_NUM_SAMPLES,
+    AnchorBatch,
+    AnchorRequest,
+    ModelId,
+    resolve_for_card,
+)
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.manifest import SplineEntry
 
 
 @dataclass(frozen=True)
@@ -48,6 +59,48 @@ class LinesSource:
             dt=dt,
             seed=request.seed or 0,
             model=ModelId("lines", "1", ""),
+            timing_ms={},
+            request_id=request.request_id,
+        )
+
+
+@dataclass(frozen=True)
+class RoutesSource:
+    """Splines along the routes that a search finds on the request's map, finished as a bundle's.
+
+    What a bundle's answer is without its network.
+    """
+
+    bundle: Bundle
+    finish: SplineEntry
+
+    @staticmethod
+    def of(bundle: Bundle) -> RoutesSource:
+        """Raises `BenchmarkError` where the bundle's finish is no spline."""
+        finish = bundle.manifest.finish
+        if not isinstance(finish, SplineEntry):
+            raise BenchmarkError(
+                f"{bundle.card.name}: expected a bundle whose finish is a spline, got "
+                f"{finish.kind!r}"
+            )
+        return RoutesSource(bundle, finish)
+
+    def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+        """To the limits that the request and the card agree on. Raises `InvalidRequest`."""
+        asked = resolve_for_card(request, self.bundle.card)
+        planner = RoutesPlanner(limits_of(self.bundle), self.finish, self.finish.steps)
+        anchors = planner.plan(scene_of(asked), num=asked.num_samples, seed=asked.seed)
+        assert anchors.safe is not None  # the finish tells
+        return AnchorBatch(
+            arrays={
+                "trajectories": anchors.positions,
+                "velocities": anchors.velocities,
+                "accelerations": anchors.accelerations,
+                "safe": anchors.safe,
+            },
+            dt=anchors.dt,
+            seed=asked.seed,
+            model=ModelId("routes", "1", ""),
             timing_ms={},
             request_id=request.request_id,
         )
