@@ -10,6 +10,7 @@ from anchorflow_client.base_client import BaseAsyncClient, BaseClient
 from anchorflow_client.cancellation import Cancellation
 from anchorflow_client.codec import Codec, Payload
 from anchorflow_client.contract import (
+    STYLES,
     AnchorBatch,
     AnchorRequest,
     AnswerSpec,
@@ -56,6 +57,7 @@ from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
 from anchorflow_client.retry import AsyncRetryingClient, RetryingClient
 
 __all__ = [
+    "STYLES",
     "AnchorBatch",
     "AnchorClient",
     "AnchorFlowError",

@@ -26,6 +26,8 @@ from anchorflow_client.wire_fields import answer_fields, answer_of, request_fiel
 
 GEOMETRY = "map_geometry"
 """[3] or [B,3]: origin x and y in m, resolution in m/cell; FP64, as maps may lie far from zero."""
+TIME_STEP = "dt"
+"""Of an answer: a parameter where it is one number, a tensor FP64 [N] where each has its own."""
 
 PATH_OF_INPUT = {
     "x_curr": "x_curr",
@@ -40,6 +42,7 @@ RESERVED = {**dict.fromkeys(PATH_OF_INPUT, FLOATS), GEOMETRY: FLOATS}
 OUTPUTS: Datatypes = {
     **{name: (name_of(np.dtype(dtype)),) for name, dtype in ARRAY_DTYPES.items()},
     "trajectories": FLOATS,
+    TIME_STEP: FLOATS,
 }
 INPUTS = "inputs."
 
@@ -80,7 +83,7 @@ class OipCodec:
         if not batch.is_finite:
             raise ValueError("the answer holds numbers that are not finite")
         leaves = flatten(answer_fields(batch))
-        tensors: dict[str, NDArray[Any]] = {name: leaves.pop(name) for name in batch.arrays}
+        tensors = {name: leaves.pop(name) for name in answer_tensors(batch)}
         header = {
             "model_name": leaves.pop("model.name"),
             "model_version": leaves.pop("model.version"),
@@ -101,6 +104,8 @@ class OipCodec:
             leaves = scalars(header.get("parameters"))
             for name, key in (("model.name", "model_name"), ("model.version", "model_version")):
                 _put(leaves, name, header.get(key))
+            if TIME_STEP in tensors:
+                _put(leaves, TIME_STEP, tensors.pop(TIME_STEP))
             fields = nest(leaves)
         except InvalidRequest as error:  # the reader's words for both directions
             raise InvalidAnswer(f"not an answer of the contract: {error}") from error
@@ -125,6 +130,11 @@ def request_of(
     if request_id is not None:
         _put(leaves, "request_id", request_id)
     return AnchorRequest.from_fields(nest(leaves))
+
+
+def answer_tensors(batch: AnchorBatch) -> list[str]:
+    """The fields of an answer that are tensors; all others are parameters."""
+    return [*batch.arrays, *([TIME_STEP] if np.ndim(batch.dt) else [])]
 
 
 def wanted_outputs(outputs: Any) -> list[str]:

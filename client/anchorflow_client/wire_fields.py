@@ -58,14 +58,16 @@ def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
 def answer_of(fields: Any, arrays: Mapping[str, Any] | None = None) -> AnchorBatch:
     """An answer out of untrusted fields.
 
-    arrays: where they came apart from the fields; None: all lists among the fields are arrays
+    arrays: where they came apart from the fields; None: all lists among the fields are arrays,
+        but for dt, which is a number or a list
 
     Raises:
         InvalidAnswer: they are not the contract's, or hold numbers that are not finite.
     """
     try:
         if arrays is None:
-            arrays = {name: value for name, value in fields.items() if isinstance(value, list)}
+            lists = {name: value for name, value in fields.items() if isinstance(value, list)}
+            arrays = {name: value for name, value in lists.items() if name != "dt"}
         batch = _answer(fields, arrays)
         finite = batch.is_finite
     except UNREADABLE as error:
@@ -83,7 +85,7 @@ def _map_fields(cost_map: CostMap, *, batched: bool) -> dict[str, Any]:
 
 
 def _warm_start_fields(warm_start: WarmStart) -> dict[str, Any]:
-    return {"trajectory": warm_start.trajectory, "tau": warm_start.tau}
+    return {name: value for name, value in vars(warm_start).items() if value is not None}
 
 
 def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch:
@@ -93,7 +95,7 @@ def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch
         raise TypeError(f"expected strings in model, got {names!r:.200}")
     return AnchorBatch(
         arrays={name: _array(name, value) for name, value in arrays.items()},
-        dt=float(fields["dt"]),
+        dt=_array("dt", fields["dt"]).astype(np.float64),
         first_s=float(fields.get("first_s", 0.0)),
         seed=int(fields["seed"]),
         model=ModelId(*names),
@@ -104,6 +106,7 @@ def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch
 
 def _array(name: str, value: Any) -> NDArray[Any]:
     array = np.asarray(value)
-    if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and name in ARRAY_DTYPES):
+    own = name in ARRAY_DTYPES or name == "dt"
+    if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and own):
         raise TypeError(f"expected numbers in {name}, got {array.dtype}")
     return array

@@ -49,7 +49,7 @@ def card() -> ModelCard:
             H=64,
             W=64,
             limits=LimitsSpec(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25),
-            adjustable=("robot_radius",),
+            ranges={"robot_radius": (0.1, 0.6)},
         ),
         sampler=OdeSpec("rk4", (0.0, 0.5, 1.0)),
         finish=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),

@@ -13,7 +13,8 @@ from torch.nn import functional as F
 from anchorflow_client.contract import OdeSpec
 from anchorflow_export.bundle import BundleDescription
 from anchorflow_export.planners.flowmp import FlowMPAdapter
-from anchorflow_service.bundle.manifest import CostMapEntry, LimitsEntry, SplineEntry
+from anchorflow_service.bundle.conditioning import CostMapEntry, LimitsEntry
+from anchorflow_service.bundle.manifest import SplineEntry
 
 T, D, S, R, WIDTH = 8, 2, 6, 5, 16
 
@@ -107,7 +108,7 @@ def adapted() -> Callable[..., FlowMPAdapter]:
             "T": T,
             "D": D,
             "conditioning": CostMapEntry(
-                channels=3, H=H, W=W, limits=limits, adjustable=("robot_radius",)
+                channels=3, H=H, W=W, limits=limits, ranges={"robot_radius": (0.0, 5.0)}
             ),
             "sampler": OdeSpec("rk4", (0.0, 0.8, 0.9, 1.0)),
             "finish": SplineEntry(

@@ -119,7 +119,7 @@ def _write_bundle(folder: Path) -> None:
             "H": 16,
             "W": 16,
             "limits": {"horizon_s": 7.0, "v_max": 2.0, "a_max": 3.0, "robot_radius": 0.25},
-            "adjustable": ["robot_radius"],
+            "ranges": {"robot_radius": [0.0, 5.0]},
         },
         "graphs": entries,
         "sampler": {
@@ -206,7 +206,7 @@ CARD = ModelCard(
         H=64,
         W=64,
         limits=LimitsSpec(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25),
-        adjustable=("robot_radius",),
+        ranges={"robot_radius": (0.0, 5.0)},
     ),
     sampler=OdeSpec("rk4", (0.0, 0.5, 1.0)),
     finish=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
@@ -280,7 +280,7 @@ def engine() -> StraightLines:
 @pytest.fixture
 def planning(engine: StraightLines) -> PlanningService:
     """A service, not yet open, over that engine and a second model; it plans one at a time."""
-    fixed = replace(CARD.cost_map, adjustable=())
+    fixed = replace(CARD.cost_map, ranges={})
     second = StraightLines(replace(CARD, name="bows", conditioning=fixed))
     engines = {"lines": engine, "bows": second}
     return PlanningService(engines, default="lines", limits=ServiceLimits(threads=1))

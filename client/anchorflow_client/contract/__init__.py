@@ -16,7 +16,6 @@ from anchorflow_client.contract.kinds import (
 )
 from anchorflow_client.contract.ranges import (
     DEFAULT_NUM_SAMPLES,
-    DEFAULT_STYLE,
     EIGHT_STEP_SCHEDULE,
     MAX_MAP_CELLS,
     METHODS,
@@ -33,6 +32,7 @@ from anchorflow_client.contract.sampling import (
     WarmStart,
     uniform_schedule,
 )
+from anchorflow_client.contract.styles import DEFAULT_STYLE, STYLES
 
 __all__ = [
     "DEFAULT_NUM_SAMPLES",
@@ -42,6 +42,7 @@ __all__ = [
     "METHODS",
     "MIN_MAP_CELLS",
     "OCCUPIED",
+    "STYLES",
     "AnchorBatch",
     "AnchorRequest",
     "AnswerSpec",

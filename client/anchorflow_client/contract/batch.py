@@ -36,8 +36,8 @@ class AnchorBatch:
     arrays: Mapping[str, NDArray[Any]]
     """Read-only, by name: those of ARRAY_DTYPES that the planner's card lists, then the extras
     that the request asked for."""
-    dt: float
-    """s between two time steps."""
+    dt: float | NDArray[np.float64]
+    """s between two time steps: one number where all anchors are alike, else [N], read-only."""
     first_s: float = 0.0
     """s from now to the first time step."""
     seed: int
@@ -50,12 +50,14 @@ class AnchorBatch:
         """Freeze the arrays.
 
         Raises:
-            ValueError: there are no trajectories, or the shapes do not belong together.
+            ValueError: there are no trajectories, the shapes do not belong together, or a time
+                step is not above 0.
         """
         if "trajectories" not in self.arrays:
             raise ValueError("trajectories: expected [N,T,D] or [B,N,T,D], got none")
         arrays = {name: read_only(_typed(name, array)) for name, array in self.arrays.items()}
         object.__setattr__(self, "arrays", MappingProxyType(arrays))
+        object.__setattr__(self, "dt", _time_step(self.dt))
         self._check_shapes()
 
     def _check_shapes(self) -> None:
@@ -69,6 +71,9 @@ class AnchorBatch:
             came = self.arrays[name].shape
             if came != want:
                 raise ValueError(f"{name}: expected shape {list(want)}, got {list(came)}")
+        if np.ndim(self.dt) and np.shape(self.dt) != shape[:-2]:
+            want, came = list(shape[:-2]), list(np.shape(self.dt))
+            raise ValueError(f"dt: expected a number or shape {want}, got {came}")
 
     @property
     def trajectories(self) -> NDArray[np.floating]:
@@ -103,6 +108,12 @@ class AnchorBatch:
         """[N], whether the path keeps robot_radius from every obstacle and stays on the map."""
         return self._given("safe")
 
+    @property
+    def durations(self) -> NDArray[np.float64]:
+        """[N] s from the first to the last time step, dt (T - 1); always an array."""
+        *anchors, steps, _ = self.trajectories.shape
+        return read_only(np.broadcast_to(np.asarray(self.dt) * (steps - 1), anchors))
+
     def _given(self, name: str) -> NDArray[Any]:
         if name not in self.arrays:
             given = ", ".join(self.arrays)
@@ -129,8 +140,17 @@ class AnchorBatch:
     @property
     def is_finite(self) -> bool:
         """Whether every number is finite, as all that is sent must be."""
-        scalars = (self.dt, self.first_s, *self.timing_ms.values())
-        return all(np.isfinite(values).all() for values in (*self.arrays.values(), scalars))
+        scalars = (self.first_s, *self.timing_ms.values())
+        numbers = (*self.arrays.values(), self.dt, scalars)
+        return all(np.isfinite(values).all() for values in numbers)
+
+
+def _time_step(dt: Any) -> float | NDArray[np.float64]:
+    """One number as a float, several as a read-only array."""
+    steps = np.asarray(dt, dtype=np.float64)
+    if (steps <= 0.0).any():
+        raise ValueError(f"dt: expected s above 0, got {steps.min():g}")
+    return read_only(steps) if steps.ndim else float(steps)
 
 
 def _typed(name: str, array: Any) -> NDArray[Any]:

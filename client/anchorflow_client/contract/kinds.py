@@ -7,7 +7,7 @@ the same parts; a card of a later version may hold kinds that are not known here
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal, TypeAlias
 
 from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
@@ -51,8 +51,8 @@ class TimeSpec:
     steps: int
     first_s: float
     """0 where the first pose is the present one."""
-    dt: float
-    """s between two poses."""
+    dt: float | None
+    """s between two poses; None: each anchor has its own, which the answer tells."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,8 @@ class AnswerSpec:
 class LimitsSpec:
     """What the anchors of a cost-map planner keep, as far as a request says nothing else."""
 
-    horizon_s: float
+    horizon_s: float | None
+    """s from an anchor's first pose to its last; None: each anchor has its own duration."""
     v_max: float
     """m/s in the plane."""
     a_max: float
@@ -101,16 +102,17 @@ class CostMapSpec:
     W: int
     """The grid that the model was trained on; the service takes maps of other sizes too."""
     limits: LimitsSpec
-    adjustable: tuple[str, ...] = ()
-    """Which of the limits a request may change."""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """The limits that a request may set, each between the least and the greatest for which the
+    model was trained; any other is the model's own."""
     kind: Literal["cost_map"] = "cost_map"
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> CostMapSpec:
         """Read `asdict` back."""
-        adjustable = tuple(value.get("adjustable", ()))
         limits = LimitsSpec(**value["limits"])
-        return cls(value["channels"], value["H"], value["W"], limits, adjustable)
+        ranges = {name: (low, high) for name, (low, high) in value.get("ranges", {}).items()}
+        return cls(value["channels"], value["H"], value["W"], limits, ranges)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,6 @@ NUM_STYLE = 3
 """Weights of `w_style`: safety, energy, smooth."""
 
 DEFAULT_NUM_SAMPLES = 64
-DEFAULT_STYLE = (0.4, 0.3, 0.3)
 DEFAULT_TAU = 0.8
 
 EIGHT_STEP_SCHEDULE = (0.0, 0.8, 0.85, 0.9, 0.92, 0.94, 0.96, 0.98, 1.0)
@@ -70,6 +69,7 @@ ROBOT_RADIUS = Interval(0.0, 5.0, "m")
 V_MAX = Interval(0.0, 100.0, "m/s", open_low=True)
 A_MAX = Interval(0.0, 1000.0, "m/s^2", open_low=True)
 HORIZON = Interval(0.0, 600.0, "s", open_low=True)
+TIME_STEP = Interval(0.0, 600.0, "s", open_low=True)
 SAFETY_MARGIN = Interval(0.0, 5.0, "m")
 CERTIFIED_MARGIN = Interval(0.0, 5.0, "m")
 GUIDANCE = Interval(0.0, 100.0)

@@ -17,6 +17,7 @@ from anchorflow_client.contract.cost_map import CostMap
 from anchorflow_client.contract.inputs import Inputs, read_inputs
 from anchorflow_client.contract.ranges import Interval
 from anchorflow_client.contract.sampling import RefineChoice, SamplerChoice, WarmStart
+from anchorflow_client.contract.styles import DEFAULT_STYLE, STYLES
 from anchorflow_client.errors import InvalidRequest
 
 MAP_FIELDS = ("cost_map", "x_curr", "x_goal")
@@ -27,7 +28,7 @@ LIMIT_INTERVALS: dict[str, Interval] = {
     "a_max": ranges.A_MAX,
     "horizon_s": ranges.HORIZON,
 }
-"""The limits that a request may state; a card may fix them."""
+"""The limits that a request may state; a card says between what."""
 OPTIONAL_FIELDS = (
     "w_style",
     "inputs",
@@ -83,6 +84,7 @@ class AnchorRequest:
     a_max: float | None = None
     """m/s^2."""
     horizon_s: float | None = None
+    """s, of every anchor; None: the card's or, where that has none, each anchor's own."""
     model: str | None = None
     seed: int | None = None
     sampler: SamplerChoice | None = None
@@ -114,8 +116,8 @@ class AnchorRequest:
                 asked with `inputs`.
             x_curr: [3D] or [B,3D]; its length says whether D is 2 or 3.
             x_goal: [2D] or [B,2D].
-            **optional: the further fields of this class, and w_style [3] or [B,3]; None stands for
-                one that is left out.
+            **optional: the further fields of this class, and w_style, a name of STYLES, [3] or
+                [B,3]; None stands for one that is left out.
 
         Raises:
             InvalidRequest: names the field by its JSON path, what was expected and what came.
@@ -193,7 +195,7 @@ def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapS
         "cost_map.data": cost_map.data,
         "x_curr": x_curr,
         "x_goal": vectors(x_goal, "x_goal", ranges.STATE, ranges.GOAL_FIELDS * _dim_of(x_curr)),
-        "w_style": _style(ranges.DEFAULT_STYLE if w_style is None else w_style),
+        "w_style": _style(DEFAULT_STYLE if w_style is None else w_style),
     }
     batches = {name: len(array) for name, array in arrays.items() if array.ndim in (2, 4)}
     num_scenes = _common_num_scenes(batches)
@@ -219,7 +221,12 @@ def _common_num_scenes(batches: Mapping[str, int]) -> int:
 
 
 def _style(value: Any) -> NDArray[np.float64]:
-    """Weights made to sum to 1."""
+    """Weights made to sum to 1; a name stands for those of its style."""
+    if isinstance(value, str):
+        if value not in STYLES:
+            names = ", ".join(STYLES)
+            raise expected("w_style", f"weights [3] or [B,3], or one of {names}", value)
+        value = STYLES[value]
     weights = vectors(value, "w_style", ranges.STYLE_WEIGHT, ranges.NUM_STYLE)
     total = weights.sum(axis=-1, keepdims=True)
     if not (total > 0).all():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import secrets
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from anchorflow_client.contract import ranges
@@ -20,7 +20,13 @@ from anchorflow_client.contract.kinds import (
     VocabularySpec,
 )
 from anchorflow_client.contract.request import LIMIT_INTERVALS, MAP_FIELDS, AnchorRequest
-from anchorflow_client.contract.sampling import OdeSpec, RefineChoice, RefineSpec, SamplerChoice
+from anchorflow_client.contract.sampling import (
+    OdeSpec,
+    RefineChoice,
+    RefineSpec,
+    SamplerChoice,
+    WarmStart,
+)
 from anchorflow_client.errors import InvalidRequest
 
 DRAWN_SEED_BITS = 53
@@ -37,7 +43,8 @@ class ResolvedRequest(AnchorRequest):
     sampler: SamplerSpec = field()  # pyright: ignore[reportIncompatibleVariableOverride]
     refine: FinishSpec = field()  # pyright: ignore[reportIncompatibleVariableOverride]
     limits: LimitsSpec | None = None
-    """What the anchors keep; None for a planner without a cost map."""
+    """What the anchors keep, its horizon_s None where each has its own duration; None for a
+    planner without a cost map."""
 
 
 def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest:
@@ -68,7 +75,8 @@ def _conditions(request: AnchorRequest, card: ModelCard) -> dict[str, Any]:
     """The fields by which the planner is asked, held against its card."""
     if isinstance(card.conditioning, CostMapSpec):
         _check_map_fields(request, card)
-        return {"limits": _limits(request, card, card.conditioning)}
+        limits = _limits(request, card, card.conditioning)
+        return {"limits": limits, "warm_start": _warm_start(request.warm_start, limits)}
     _refuse_map_fields(request, card)
     inputs, num_scenes, batched = bind(request.inputs, card.inputs)
     return {"inputs": inputs, "num_scenes": num_scenes, "batched": batched}
@@ -133,17 +141,32 @@ def _not_chosen(card: ModelCard, field: str, kind: str) -> InvalidRequest:
 
 
 def _limits(request: AnchorRequest, card: ModelCard, own: CostMapSpec) -> LimitsSpec:
-    limits = asdict(own.limits)
-    return LimitsSpec(**{name: _limit(name, request, card, limits[name]) for name in limits})
+    limits: dict[str, Any] = asdict(own.limits)
+    for name, limit in limits.items():
+        limits[name] = _limit(name, request, card, limit)
+    return LimitsSpec(**limits)
 
 
-def _limit(name: str, request: AnchorRequest, card: ModelCard, own: float) -> float:
+def _limit(name: str, request: AnchorRequest, card: ModelCard, own: float | None) -> float | None:
     asked = getattr(request, name)
     # Callers keep limits in float32: 0.3 must not be refused as 0.30000001.
-    if asked is None or math.isclose(asked, own, rel_tol=1e-6):
+    if asked is None or (own is not None and math.isclose(asked, own, rel_tol=1e-6)):
         return own
-    if name in card.cost_map.adjustable:
-        return asked
-    unit = LIMIT_INTERVALS[name].unit
-    expected = f"expected {own:g} {unit}, which {card.name} {card.version} was made for"
-    raise InvalidRequest(f"{expected} and its card does not let change, got {asked:g}", name)
+    made_for, unit = f"which {card.name} {card.version}", LIMIT_INTERVALS[name].unit
+    if name not in card.cost_map.ranges:
+        only = "none, as each anchor has its own" if own is None else f"{own:g} {unit}"
+        expected = f"expected {only}, {made_for} was made for and its card does not let change"
+        raise InvalidRequest(f"{expected}, got {asked:g}", name)
+    low, high = card.cost_map.ranges[name]
+    nearest = min(max(asked, low), high)
+    if math.isclose(asked, nearest, rel_tol=1e-6):
+        return nearest
+    expected = f"expected {low:g} to {high:g} {unit}, for {made_for} was trained"
+    raise InvalidRequest(f"{expected}, got {asked:g}", name)
+
+
+def _warm_start(warm_start: WarmStart | None, limits: LimitsSpec) -> WarmStart | None:
+    """Its samples span the horizon where there is one and nothing else is said."""
+    if warm_start is None or warm_start.dt is not None or limits.horizon_s is None:
+        return warm_start
+    return replace(warm_start, dt=limits.horizon_s / (len(warm_start.trajectory) - 1))

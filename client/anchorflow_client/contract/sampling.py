@@ -128,18 +128,22 @@ class WarmStart:
     """[T,D], [T,2D] or [T,3D]: p in m, then v in m/s, then a in m/s^2."""
     tau: float
     """Flow time in (0, 1); near 1 the answer stays near the trajectory."""
+    dt: float | None = None
+    """s between two of its samples; None: it lasts as long as the request's or the card's
+    `horizon_s` or, where neither has one, as long as the model thinks that its way takes."""
 
     @classmethod
     def from_fields(cls, value: Any, *, dim: int) -> WarmStart:
         """Check the JSON object beside states of D = `dim`."""
         if isinstance(value, WarmStart):
-            value = {"trajectory": value.trajectory, "tau": value.tau}
-        fields = fields_of(value, "warm_start", ("trajectory", "tau"), ("trajectory",))
-        tau = fields.get("tau")
+            value = vars(value)
+        fields = fields_of(value, "warm_start", ("trajectory", "tau", "dt"), ("trajectory",))
+        tau, dt = fields.get("tau"), fields.get("dt")
         tau = ranges.DEFAULT_TAU if tau is None else tau
         return cls(
             read_only(_warm_trajectory(fields["trajectory"], dim)),
             number(tau, "warm_start.tau", ranges.INSIDE_UNIT),
+            None if dt is None else number(dt, "warm_start.dt", ranges.TIME_STEP),
         )
 
 

@@ -23,7 +23,7 @@ class PlanState(Enum):
     HELD = "held"
     """A request has failed since; the last good answer is still young enough: follow it."""
     EXPIRED = "expired"
-    """The last good answer is older than the limit: brake."""
+    """The last good answer is older than the limit, or than its anchors last: brake."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,10 @@ class Plan:
         return self.state is PlanState.EXPIRED
 
     def states(self) -> NDArray[np.float64]:
-        """[N,T,3D] position, velocity, acceleration of the anchors from now on, dt apart.
+        """[N,T,3D] position, velocity, acceleration of the anchors from now on.
+
+        Each is sampled at its own `batch.dt`; one that has come to its end goes on at its last
+        velocity.
 
         Raises:
             ValueError: the plan is not usable.

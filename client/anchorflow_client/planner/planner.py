@@ -286,7 +286,9 @@ class Planner:
     def _plan(self, now: float) -> Plan:
         if self._answer is None:
             return Plan(PlanState.WAITING, last_error=self._last_error)
-        expired = self._too_old(self._answer.seen_at, now)
+        lasts_s = float(self._answer.batch.durations.max())
+        over = now - self._answer.seen_at >= lasts_s
+        expired = over or self._too_old(self._answer.seen_at, now)
         alive = PlanState.FRESH if self._last_error is None else PlanState.HELD
         return Plan(
             PlanState.EXPIRED if expired else alive,

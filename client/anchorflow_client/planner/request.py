@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, WarmStart
+from anchorflow_client.contract.checks import number
+from anchorflow_client.contract.ranges import HORIZON
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.planner.config import PlannerConfig
 from anchorflow_client.planner.local_goal import local_goal
@@ -68,14 +70,29 @@ class AnchorInUse:
     seen_at: float
     """s, when the state from which it starts was seen."""
 
-    def warm_start(self, now: float, tau: float) -> WarmStart | None:
-        """What is left of it at `now`; None where nothing is."""
+    def warm_start(
+        self, now: float, tau: float, *, horizon_s: float | None = None
+    ) -> WarmStart | None:
+        """What is left of it at `now`; None where nothing is.
+
+        It lasts as long as the next anchors will: for the horizon that is asked for, else for that
+        of its own batch, else, where each anchor has its own duration, until its own end.
+        """
         states = states_of(self.batch)[self.index]
-        horizon_s = self.batch.dt * (len(states) - 1)
-        if now - self.seen_at >= horizon_s:
+        strides, duration_s = len(states) - 1, float(self.batch.durations[self.index])
+        left_s = duration_s - (now - self.seen_at)
+        if left_s <= 0.0:
             return None
-        left = shifted(states, dt=self.batch.dt, elapsed_s=now - self.seen_at)
-        return WarmStart.from_fields({"trajectory": left, "tau": tau}, dim=left.shape[-1] // 3)
+        own_s = left_s if np.ndim(self.batch.dt) else duration_s
+        lasts_s = own_s if horizon_s is None else number(horizon_s, "horizon_s", HORIZON)
+        left = shifted(
+            states,
+            dt=duration_s / strides,
+            elapsed_s=now - self.seen_at,
+            later_dt=lasts_s / strides,
+        )
+        fields = {"trajectory": left, "tau": tau, "dt": lasts_s / strides}
+        return WarmStart.from_fields(fields, dim=left.shape[-1] // 3)
 
 
 def build_request(
@@ -101,7 +118,9 @@ def build_request(
         clearance_m=config.goal_clearance_m,
         through_speed=config.through_speed,
     )
-    warm_start = in_use and in_use.warm_start(seen.seen_at, config.warm_tau)
+    warm_start = in_use and in_use.warm_start(
+        seen.seen_at, config.warm_tau, horizon_s=seen.options.get("horizon_s")
+    )
     added = {"budget_ms": budget_ms, "warm_start": warm_start} | dict(seen.options)
     return AnchorRequest.build(
         cost_map=cost_map, x_curr=seen.x_curr, x_goal=goal, **added, request_id=request_id

@@ -14,8 +14,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     NonNegativeFloat,
     PositiveFloat,
@@ -26,35 +24,27 @@ from pydantic import (
 
 from anchorflow_client.contract import (
     AnswerSpec,
-    CostMapSpec,
-    LimitsSpec,
     ModelCard,
     NoFinish,
     OdeSpec,
     RefineSpec,
     TensorSpec,
-    TensorsSpec,
     TimeSpec,
     VocabularySpec,
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_client.oip_codec import RESERVED
+from anchorflow_service.bundle.conditioning import CostMapEntry, Entry, TensorsEntry
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import check_schedule
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
 
-Adjustable = Literal["robot_radius", "v_max", "a_max", "horizon_s"]
 # One path segment: a bundle never reads beside its own folder.
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-
-
-class Entry(BaseModel):
-    """A frozen piece of the manifest; unknown keys are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class FileEntry(Entry):
@@ -88,45 +78,6 @@ class RequestEntry(Entry):
     """inputs: what a caller sends, by name; the first axis of each is B."""
 
     inputs: Annotated[tuple[TensorSpec, ...], Field(min_length=1)]
-
-
-class LimitsEntry(Entry):
-    """horizon_s [s], v_max [m/s], a_max [m/s²] and robot_radius [m] that the model was made for."""
-
-    horizon_s: PositiveFloat
-    v_max: PositiveFloat
-    a_max: PositiveFloat
-    robot_radius: NonNegativeFloat
-
-
-class CostMapEntry(Entry):
-    """Asked with a cost map, a state, a goal and a style.
-
-    channels: of the map, at most; H, W: cells of the grid that the model was trained on
-    adjustable: limits that a request may change
-    """
-
-    kind: Literal["cost_map"] = "cost_map"
-    channels: PositiveInt
-    H: PositiveInt
-    W: PositiveInt
-    limits: LimitsEntry
-    adjustable: tuple[Adjustable, ...] = ()
-
-    def spec(self) -> CostMapSpec:
-        """What the card says of it."""
-        limits = LimitsSpec(**self.limits.model_dump())
-        return CostMapSpec(self.channels, self.H, self.W, limits, self.adjustable)
-
-
-class TensorsEntry(Entry):
-    """Asked with the inputs that the request lists, and nothing else."""
-
-    kind: Literal["tensors"] = "tensors"
-
-    def spec(self) -> TensorsSpec:
-        """What the card says of it."""
-        return TensorsSpec()
 
 
 class PriorEntry(Entry):
@@ -200,11 +151,14 @@ class NoFinishEntry(Entry):
 
 
 class TimeEntry(Entry):
-    """Poses at first_s + k dt [s], k from 0 to steps - 1."""
+    """Poses at first_s + k dt [s], k from 0 to steps - 1.
+
+    dt: null where each anchor has its own
+    """
 
     steps: Annotated[int, Field(ge=2)]
     first_s: NonNegativeFloat
-    dt: PositiveFloat
+    dt: PositiveFloat | None
 
 
 class AnswerEntry(Entry):
@@ -233,9 +187,9 @@ class Manifest(Entry):
     time: TimeEntry
     answer: AnswerEntry
     graphs: dict[str, GraphEntry]
-    files: dict[str, FileEntry] = {}
-    training: dict[str, Any] = {}
-    quality: dict[str, Any] = {}
+    files: dict[str, FileEntry] = Field(default_factory=dict)
+    training: dict[str, Any] = Field(default_factory=dict)
+    quality: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _parts_fit_together(self) -> Manifest:
@@ -244,11 +198,20 @@ class Manifest(Entry):
         return self
 
     def _time_faults(self) -> Iterator[str]:
-        """A planner with a cost map answers from now to the horizon."""
+        """A planner with a cost map answers from now to the horizon, or each anchor to its end."""
         if isinstance(self.conditioning, TensorsEntry):
+            if self.time.dt is None:
+                yield "time.dt is null, expected s between two poses of a planner without limits"
             return
-        dt = self.conditioning.limits.horizon_s / (self.time.steps - 1)
-        if not math.isclose(self.time.dt, dt, rel_tol=1e-6):
+        yield from self.conditioning.faults()
+        horizon_s = self.conditioning.limits.horizon_s
+        dt = None if horizon_s is None else horizon_s / (self.time.steps - 1)
+        if self.time.dt is None or dt is None:
+            if self.time.dt is not dt:
+                came = "null" if self.time.dt is None else self.time.dt
+                want = "null beside limits.horizon_s null" if dt is None else f"{dt} s"
+                yield f"time.dt is {came}, expected {want}"
+        elif not math.isclose(self.time.dt, dt, rel_tol=1e-6):
             yield f"time.dt is {self.time.dt}, expected horizon_s / (steps - 1) = {dt}"
         if self.time.first_s != 0.0:
             yield f"time.first_s is {self.time.first_s}, expected 0 beside a cost map"
@@ -298,7 +261,7 @@ def parse_manifest(data: bytes) -> Manifest:
     """Check the bytes of manifest.json; ValueError says every field that is wrong, and how."""
     _check_format(data)
     try:
-        return Manifest.model_validate_json(data, strict=True)
+        return Manifest.model_validate_json(_with_ranges(data), strict=True)
     except ValidationError as error:
         wrong = "; ".join(_describe(item) for item in error.errors())
         raise ValueError(wrong) from error
@@ -313,6 +276,21 @@ def _check_format(data: bytes) -> None:
     if isinstance(found, int) and found != FORMAT:
         again = "export its checkpoint anew with `anchorflow export CHECKPOINT --out FOLDER`"
         raise ValueError(f"format: expected {FORMAT}, got {found}: {again}")
+
+
+def _with_ranges(data: bytes) -> bytes:
+    """A manifest that only names its `adjustable` limits, with the widest range for each."""
+    if b'"adjustable"' not in data:
+        return data
+    try:
+        manifest = json.loads(data)
+        conditioning = manifest["conditioning"]
+        names = conditioning.pop("adjustable")
+        intervals = {name: LIMIT_INTERVALS[name] for name in names}
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return data  # the manifest's own check says what is wrong
+    conditioning["ranges"] = {name: (each.low, each.high) for name, each in intervals.items()}
+    return json.dumps(manifest).encode()
 
 
 def _describe(item: Any) -> str:

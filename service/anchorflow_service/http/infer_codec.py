@@ -30,7 +30,13 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.oip.datatypes import BYTES, DATATYPES, DTYPE_OF, name_of, to_wire
 from anchorflow_client.oip.message import ALIGNMENT, unpack_header, unpack_tensors
 from anchorflow_client.oip.parameters import flatten, scalars
-from anchorflow_client.oip_codec import RESERVED, request_of, wanted_outputs
+from anchorflow_client.oip_codec import (
+    RESERVED,
+    TIME_STEP,
+    answer_tensors,
+    request_of,
+    wanted_outputs,
+)
 from anchorflow_client.wire_fields import answer_fields
 from anchorflow_service.http.orjson_codec import dump, parse
 
@@ -77,8 +83,8 @@ class InferCodec:
         if not batch.is_finite:
             raise ValueError("the answer holds numbers that are not finite")
         leaves = flatten(answer_fields(batch))
-        tensors = {name: leaves.pop(name) for name in batch.arrays}
-        wanted = self._wanted or dict.fromkeys(tensors, self._in_binary)
+        tensors = {name: leaves.pop(name) for name in answer_tensors(batch)}
+        wanted = self._wanted_of(tensors)
         parts = {name: to_wire(tensors[name]) for name, in_binary in wanted.items() if in_binary}
         header = {
             "model_name": leaves.pop("model.name"),
@@ -92,6 +98,17 @@ class InferCodec:
             return Payload(written)
         written += b" " * (-len(written) % ALIGNMENT)
         return Payload(b"".join([written, *parts.values()]), len(written))
+
+    def _wanted_of(self, tensors: Mapping[str, Any]) -> dict[str, bool]:
+        """Which tensors are sent, and whether in binary.
+
+        The time step is always told, as no motion means anything without it: as a parameter where
+        it is one number.
+        """
+        if not self._wanted:
+            return dict.fromkeys(tensors, self._in_binary)
+        told = {TIME_STEP: self._in_binary} | self._wanted
+        return {name: in_binary for name, in_binary in told.items() if name in tensors}
 
 
 def _wanted(outputs: Any, in_binary: bool) -> dict[str, bool]:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from anchorflow_client.contract import ranges
+from anchorflow_client.contract import DEFAULT_STYLE, ranges
 from anchorflow_client.contract.ranges import Interval
 
 # What is answered.
@@ -172,7 +172,7 @@ class AnchorRequestBody(_Body):
         None, description="[4] or [B,4]: p [m], v [m/s]; [6] or [B,6] with heading."
     )
     w_style: Style | Annotated[list[Style], _BATCH] | None = Field(
-        list(ranges.DEFAULT_STYLE),
+        list(DEFAULT_STYLE),
         description="[3] or [B,3] at least 0: safety, energy, smooth; made to sum to 1.",
     )
     inputs: dict[Text, InputBody] | None = Field(

@@ -6,7 +6,8 @@ from anchorflow_client.contract import OdeSpec, uniform_schedule
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.planners.flowmp.adapter import FlowMPAdapter
 from anchorflow_models.flowmp import L2SafetyCFM
-from anchorflow_service.bundle.manifest import CostMapEntry, LimitsEntry, SplineEntry
+from anchorflow_service.bundle.conditioning import CostMapEntry, LimitsEntry
+from anchorflow_service.bundle.manifest import SplineEntry
 
 __all__ = ["FlowMPAdapter", "flowmp_adapter"]
 
@@ -32,7 +33,7 @@ def flowmp_adapter(model: L2SafetyCFM, choices: ExportChoices) -> FlowMPAdapter:
             H=config.map_size,
             W=config.map_size,
             limits=limits,
-            adjustable=("robot_radius",),
+            ranges={"robot_radius": (0.0, 5.0)},
         ),
         sampler=choices.sampler.over(DEFAULT_SAMPLER),
         finish=SplineEntry(

@@ -13,7 +13,6 @@ from anchorflow_client.contract import (
     CostMap,
     LimitsSpec,
     ResolvedRequest,
-    WarmStart,
 )
 from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
@@ -162,7 +161,7 @@ def _moved(request: ResolvedRequest, reference: NDArray[np.float64]) -> Resolved
         x_goal=_near(scenes.x_goal, reference),
     )
     if warm is not None:
-        warm = WarmStart(_near(warm.trajectory, reference), warm.tau)
+        warm = replace(warm, trajectory=_near(warm.trajectory, reference))
     return replace(request, map_scenes=moved, warm_start=warm)
 
 

@@ -1,0 +1,76 @@
+"""How a planner is asked, as its manifest says it: with a cost map and limits, or with tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from anchorflow_client.contract import CostMapSpec, LimitsSpec, TensorsSpec
+from anchorflow_client.contract.request import LIMIT_INTERVALS
+
+Limit = Literal["robot_radius", "v_max", "a_max", "horizon_s"]
+
+
+class Entry(BaseModel):
+    """A frozen piece of the manifest; unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class LimitsEntry(Entry):
+    """horizon_s [s], v_max [m/s], a_max [m/s²] and robot_radius [m] where a request says nothing.
+
+    horizon_s: null where each anchor has its own duration
+    """
+
+    horizon_s: PositiveFloat | None
+    v_max: PositiveFloat
+    a_max: PositiveFloat
+    robot_radius: NonNegativeFloat
+
+
+class CostMapEntry(Entry):
+    """Asked with a cost map, a state, a goal and a style.
+
+    channels: of the map, at most; H, W: cells of the grid that the model was trained on
+    ranges: the limits that a request may set, and between what
+    """
+
+    kind: Literal["cost_map"] = "cost_map"
+    channels: PositiveInt
+    H: PositiveInt
+    W: PositiveInt
+    limits: LimitsEntry
+    ranges: dict[Limit, tuple[float, float]] = {}
+
+    def spec(self) -> CostMapSpec:
+        """What the card says of it."""
+        limits = LimitsSpec(**self.limits.model_dump())
+        return CostMapSpec(self.channels, self.H, self.W, limits, {**self.ranges})
+
+    def faults(self) -> Iterator[str]:
+        """Ranges that no request could use, or that leave out the bundle's own limit."""
+        for name, (low, high) in self.ranges.items():
+            where, wide = f"conditioning.ranges.{name}", LIMIT_INTERVALS[name]
+            own = getattr(self.limits, name)
+            if not wide.low <= low <= high <= wide.high:
+                yield f"{where} is [{low:g}, {high:g}], expected least and greatest {wide}"
+            elif own is not None and not low <= own <= high:
+                yield f"{where} is [{low:g}, {high:g}], without limits.{name} = {own:g}"
+        if self.limits.horizon_s is None and "horizon_s" not in self.ranges:
+            yield (
+                "conditioning.ranges.horizon_s is missing, expected least and greatest duration "
+                "of an anchor beside limits.horizon_s null"
+            )
+
+
+class TensorsEntry(Entry):
+    """Asked with the inputs that the request lists, and nothing else."""
+
+    kind: Literal["tensors"] = "tensors"
+
+    def spec(self) -> TensorsSpec:
+        """What the card says of it."""
+        return TensorsSpec()
