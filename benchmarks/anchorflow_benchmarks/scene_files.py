@@ -117,6 +117,13 @@ def count_and_seed(text: str, kind: str = DRAWN) -> tuple[int, int]:
     return count, seed
 
 
+def in_style(scene: FamilyScene, style: NDArray[np.floating] | None) -> FamilyScene:
+    """The scene asked with weights [3], of any sum; as it is where none are given."""
+    if style is None:
+        return scene
+    return replace(scene, w_style=(style / style.sum()).astype(np.float32))
+
+
 def _scene(
     family: str,
     occupied: NDArray[np.bool_],

@@ -38,8 +38,8 @@ def world_of_scene(scene: FamilyScene, name: str) -> World:
     if not np.isfinite(length):
         raise BenchmarkError(f"{name}: expected a way for a robot of {PASSAGE} m, got none")
     fenced = np.pad(scene.occupied, 1, constant_values=True)
-    rim = fenced & ~binary_erosion(fenced, EIGHT_NEIGHBOURS, border_value=1)
-    rows, columns = np.nonzero(rim)
+    inner = np.asarray(binary_erosion(fenced, EIGHT_NEIGHBOURS, border_value=1))
+    rows, columns = np.nonzero(fenced & ~inner)
     posts = scene.origin + scene.resolution * (np.stack([columns, rows], 1) - 0.5)
     start, goal = scene.x_curr[:2].astype(np.float64), scene.x_goal[:2].astype(np.float64)
     ahead = goal - start
