@@ -54,6 +54,7 @@ from anchorflow_client.http.transport import AsyncTransport, Transport
 from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
+from anchorflow_client.resampling import ResampledAnchor, resample
 from anchorflow_client.retry import AsyncRetryingClient, RetryingClient
 
 __all__ = [
@@ -96,6 +97,7 @@ __all__ = [
     "RefineChoice",
     "RefineSpec",
     "RequestError",
+    "ResampledAnchor",
     "RetryingClient",
     "SamplerChoice",
     "Superseded",
@@ -110,4 +112,5 @@ __all__ = [
     "UnknownModel",
     "VocabularySpec",
     "WarmStart",
+    "resample",
 ]

@@ -133,8 +133,11 @@ def request_of(
 
 
 def answer_tensors(batch: AnchorBatch) -> list[str]:
-    """The fields of an answer that are tensors; all others are parameters."""
-    return [*batch.arrays, *([TIME_STEP] if np.ndim(batch.dt) else [])]
+    """The fields of an answer that are tensors; all others are parameters.
+
+    FP64 comes first, so that it begins at a multiple of its own item size.
+    """
+    return [*([TIME_STEP] if np.ndim(batch.dt) else []), *batch.arrays]
 
 
 def wanted_outputs(outputs: Any) -> list[str]:

@@ -32,7 +32,7 @@ class PlanKeywords(ABC, Generic[Answer]):
         x_goal: ArrayLike | None = None,
         resolution: float | None = None,
         origin: ArrayLike | None = None,
-        w_style: ArrayLike | None = None,
+        w_style: str | ArrayLike | None = None,
         num_samples: int | None = None,
         robot_radius: float | None = None,
         v_max: float | None = None,
@@ -61,18 +61,21 @@ class PlanKeywords(ABC, Generic[Answer]):
             x_goal: [2D] or [B,2D] position, velocity.
             resolution: m/cell, with an array.
             origin: [2] m, outer corner of cell (0, 0), with an array; None centres the map.
-            w_style: [3] or [B,3] weights of safety, energy and smoothness from 0, made to sum to 1.
+            w_style: "conservative", "balanced", "efficient" or "comfortable"; or [3] or [B,3]
+                weights of safety, energy and smoothness from 0, made to sum to 1.
             num_samples: N, anchors a scene.
-            robot_radius: m.
+            robot_radius: m. This and the next three inside the ranges that the card tells.
             v_max: m/s.
             a_max: m/s^2.
-            horizon_s: s from the first to the last time step of every anchor.
+            horizon_s: s from the first to the last time step of every anchor; None: the card's or,
+                where that has none, each anchor's own.
             model: name of the bundle that answers.
             seed: of the noise; the answer echoes it, and the same seed gives the same anchors.
             sampler: {"method", "schedule"}, the flow's solver and the times it visits.
             refine: {"smooth", "project", "safety_margin", "guidance", "barrier",
                 "certified_margin"}, how samples are finished.
-            warm_start: {"trajectory", "tau"}, a trajectory [T,D] to [T,3D] to start from.
+            warm_start: {"trajectory", "tau", "dt"}, a trajectory [T,D] to [T,3D] to start from, the
+                flow time at which it enters, and the s between two of its samples.
             budget_ms: time left to the caller; who cannot answer within it drops the request.
             robot_id: who asks; a newer request of the same robot supersedes one that still waits.
             request_id: echoed in the answer, and in the service's log.

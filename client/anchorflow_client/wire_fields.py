@@ -95,7 +95,7 @@ def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch
         raise TypeError(f"expected strings in model, got {names!r:.200}")
     return AnchorBatch(
         arrays={name: _array(name, value) for name, value in arrays.items()},
-        dt=_array("dt", fields["dt"]).astype(np.float64),
+        dt=_array("dt", fields["dt"]),
         first_s=float(fields.get("first_s", 0.0)),
         seed=int(fields["seed"]),
         model=ModelId(*names),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,20 @@ def card() -> ModelCard:
         answer=AnswerSpec(("x", "y"), ("velocities", "scores", "safe")),
         quality={"any": 0.9},
     )
+
+
+@pytest.fixture
+def free(card: ModelCard) -> ModelCard:
+    """A card whose anchors have their own durations, and which lets every limit be set."""
+    own = card.cost_map
+    ranges = {
+        "robot_radius": (0.1, 0.6),
+        "v_max": (0.1, 6.0),
+        "a_max": (0.5, 8.0),
+        "horizon_s": (1.0, 60.0),
+    }
+    conditioning = replace(own, limits=replace(own.limits, horizon_s=None), ranges=ranges)
+    return replace(card, conditioning=conditioning, time=replace(card.time, dt=None))
 
 
 class Blocking:

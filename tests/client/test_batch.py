@@ -69,10 +69,52 @@ def test_shapes_must_belong_together(field: str, shape: tuple[int, ...]) -> None
         batch(**{field: np.zeros(shape)})
 
 
-@pytest.mark.parametrize("fields", [{"clearance": [0, np.inf, 0]}, {"dt": np.nan}])
+@pytest.mark.parametrize(
+    "fields", [{"clearance": [0, np.inf, 0]}, {"dt": np.nan}, {"dt": [0.1, np.inf, 0.1]}]
+)
 def test_a_number_that_is_not_finite_is_seen(fields: dict[str, Any]) -> None:
     assert batch().is_finite
     assert not batch(**fields).is_finite
+
+
+def scenes_of(paths: np.ndarray, dt: Any) -> AnchorBatch:
+    return AnchorBatch(arrays={"trajectories": paths}, dt=dt, seed=1, model=MODEL, timing_ms={})
+
+
+@pytest.mark.parametrize("scenes", [(), (2,)])
+def test_durations_are_told_for_either_form_of_dt(scenes: tuple[int, ...]) -> None:
+    paths = np.zeros((*scenes, 3, 5, 2))
+    own = np.broadcast_to([0.5, 1.0, 2.0], (*scenes, 3))
+
+    alike, each = scenes_of(paths, 0.5), scenes_of(paths, own)
+
+    assert (alike.dt, type(alike.dt)) == (0.5, float)
+    np.testing.assert_array_equal(alike.durations, np.full((*scenes, 3), 2.0))
+    np.testing.assert_array_equal(each.durations, np.broadcast_to([2.0, 4.0, 8.0], (*scenes, 3)))
+    assert each.durations.dtype == np.float64
+
+
+def test_its_time_steps_are_float64_and_cannot_be_written() -> None:
+    dt = batch(dt=np.array([1, 2, 3], np.float32)).dt
+
+    assert isinstance(dt, np.ndarray)
+    assert dt.dtype == np.float64
+    with pytest.raises(ValueError, match="read-only"):
+        dt[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("dt", "words"),
+    [
+        ([0.1, 0.2], r"dt: expected a number or shape \[3\], got \[2\]"),
+        ([[0.1, 0.2, 0.3]], r"dt: expected a number or shape \[3\], got \[1, 3\]"),
+        (0.0, "dt: expected s above 0, got 0"),
+        ([0.1, -0.2, 0.3], r"dt: expected s above 0, got -0\.2"),
+    ],
+)
+def test_a_wrong_time_step_is_refused(dt: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        batch(dt=np.array(dt))
 
 
 def test_only_trajectories_have_to_be_there() -> None:

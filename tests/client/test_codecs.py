@@ -11,7 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from anchorflow_client import AnchorBatch, AnchorRequest, Codec, JsonCodec, ModelId, OipCodec
+from anchorflow_client import (
+    STYLES,
+    AnchorBatch,
+    AnchorRequest,
+    Codec,
+    JsonCodec,
+    ModelId,
+    OipCodec,
+)
 
 FINITE32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 CODECS = [JsonCodec(), OipCodec()]
@@ -22,6 +30,7 @@ def assert_same(left: Any, right: Any) -> None:
     for field in dataclass_fields(left):
         a, b = getattr(left, field.name), getattr(right, field.name)
         if isinstance(a, np.ndarray):
+            assert isinstance(b, np.ndarray)
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype
         elif field.name in ("map_scenes", "cost_map", "warm_start") and a is not None:
@@ -48,7 +57,8 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
         fill=st.just(0.0),
     )
     options = {
-        "w_style": hnp.arrays(float, (*batch, 3), elements=st.floats(0.01, 9)),
+        "w_style": hnp.arrays(float, (*batch, 3), elements=st.floats(0.01, 9))
+        | st.sampled_from([*STYLES]),
         "num_samples": st.integers(1, 512),
         "robot_radius": st.floats(0, 5),
         "seed": st.integers(0, 2**63 - 1),
@@ -59,7 +69,11 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
         "refine": st.fixed_dictionaries(
             {}, optional={"smooth": st.booleans(), "safety_margin": st.floats(0, 5)}
         ).filter(bool),
-        "warm_start": st.just({"trajectory": [[0.1] * dim, [0.3] * dim], "tau": 0.7}),
+        "horizon_s": st.floats(0.1, 600),
+        "warm_start": st.fixed_dictionaries(
+            {"trajectory": st.just([[0.1] * dim, [0.3] * dim]), "tau": st.just(0.7)},
+            optional={"dt": st.floats(1e-3, 600)},
+        ),
         "budget_ms": st.floats(1, 1e6),
         "request_id": st.text("abc-123", min_size=1, max_size=9),
     }
@@ -88,7 +102,7 @@ def batches(draw: st.DrawFn) -> AnchorBatch:
             "clearance": draw(per_anchor),
             "safe": draw(hnp.arrays(bool, anchors)),
         },
-        dt=draw(st.floats(0.01, 1)),
+        dt=draw(st.floats(0.01, 1) | hnp.arrays(float, anchors, elements=st.floats(1e-6, 600))),
         seed=draw(st.integers(0, 2**63 - 1)),
         model=ModelId("flowmp-small", "0.1.0", "ab" * 32),
         timing_ms=draw(st.dictionaries(st.sampled_from(["queue", "total"]), st.floats(0, 1e6))),

@@ -92,6 +92,33 @@ def test_an_answer_with_numbers_that_are_not_finite_is_not_sent() -> None:
         CODEC.encode_answer(batch)
 
 
+def answer_in_json(**changes: Any) -> Payload:
+    """Two anchors of two steps, as a service writes them."""
+    paths = np.zeros((2, 2, 2), np.float32)
+    batch = AnchorBatch(
+        arrays={"trajectories": paths},
+        dt=np.array([0.1, 0.7]),
+        seed=1,
+        model=ModelId("a", "b", "c"),
+        timing_ms={},
+    )
+    return Payload(json.dumps(json.loads(CODEC.encode_answer(batch).body) | changes).encode())
+
+
+def test_dt_is_a_number_or_a_list() -> None:
+    assert json.loads(answer_in_json().body)["dt"] == [0.1, 0.7]
+    np.testing.assert_array_equal(CODEC.decode_answer(answer_in_json()).durations, [0.1, 0.7])
+    assert CODEC.decode_answer(answer_in_json(dt=1)).dt == 1.0
+
+
+@pytest.mark.parametrize(
+    "dt", [None, "0.1", [0.1], [0.1, None], [[0.1, 0.2]], [0.1, "0.2"], 0, [0.1, -1], [0.1, [0.2]]]
+)
+def test_an_answer_with_another_dt_is_invalid(dt: Any) -> None:
+    with pytest.raises(InvalidAnswer, match=r"dt|inhomogeneous"):
+        CODEC.decode_answer(answer_in_json(dt=dt))
+
+
 @pytest.mark.parametrize("body", [b"<html>", b"[]", b"{}", b'{"model": 3}', b'{"timing_ms": []}'])
 def test_an_answer_of_another_program_is_invalid(body: bytes) -> None:
     with pytest.raises(InvalidAnswer):

@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client import AnchorBatch, AnchorRequest, ModelId, OipCodec, Payload
+from anchorflow_client import (
+    AnchorBatch,
+    AnchorRequest,
+    InvalidAnswer,
+    ModelId,
+    OipCodec,
+    Payload,
+)
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.oip.message import pack
 
@@ -53,6 +60,11 @@ REQUEST_CONFIG = {
     },
 }
 ANSWER_CONFIG = {"seed": 5, "scenes": 2, "anchors": 3, "steps": 4}
+OWN_TIMES_CONFIG = ANSWER_CONFIG | {"dt": [[0.1, 0.2, 0.3], [0.7, 0.9, 1.1]]}
+TIMED_WARM_START_CONFIG = REQUEST_CONFIG | {
+    "fields": REQUEST_CONFIG["fields"]
+    | {"warm_start": {"trajectory": [[-0.5, 0.25], [0.5, 0.25]], "tau": 0.75, "dt": 0.3}}
+}
 
 
 def golden_request(config: dict[str, Any]) -> AnchorRequest:
@@ -75,7 +87,7 @@ def golden_answer(config: dict[str, Any]) -> AnchorBatch:
             "clearance": per_anchor[1],
             "safe": per_anchor[0] > 0.5,
         },
-        dt=0.125,
+        dt=np.array(config["dt"]) if "dt" in config else 0.125,
         seed=2**63 - 1,
         model=ModelId("flowmp-small", "0.1.0", "ab" * 32),
         timing_ms={"queue": 0.5, "total": 12.25},
@@ -97,6 +109,66 @@ def test_an_answer_has_the_golden_bytes() -> None:
 
     assert written == expected
     assert CODEC.encode_answer(CODEC.decode_answer(expected)) == expected
+
+
+def test_an_answer_whose_anchors_have_their_own_times_has_the_golden_bytes() -> None:
+    written = CODEC.encode_answer(golden_answer(OWN_TIMES_CONFIG))
+    expected = golden("oip_answer_own_times", OWN_TIMES_CONFIG, written)
+
+    assert written == expected
+    assert CODEC.encode_answer(CODEC.decode_answer(expected)) == expected
+
+
+def test_a_warm_start_with_its_own_time_step_has_the_golden_bytes() -> None:
+    written = CODEC.encode_request(golden_request(TIMED_WARM_START_CONFIG))
+    expected = golden("oip_request_timed_warm_start", TIMED_WARM_START_CONFIG, written)
+
+    assert written == expected
+    assert CODEC.encode_request(CODEC.decode_request(expected)) == expected
+
+
+def test_own_time_steps_are_a_tensor_in_front_and_no_parameter() -> None:
+    payload = CODEC.encode_answer(golden_answer(OWN_TIMES_CONFIG))
+    header = header_of(payload)
+
+    assert header["outputs"][0] == {
+        "name": "dt",
+        "datatype": "FP64",
+        "shape": [2, 3],
+        "parameters": {"binary_data_size": 48},
+    }
+    assert "dt" not in header["parameters"]
+    dt = CODEC.decode_answer(payload).dt
+    assert np.shares_memory(dt, np.frombuffer(payload.body, np.uint8))
+    assert isinstance(dt, np.ndarray)
+    assert dt.tolist() == OWN_TIMES_CONFIG["dt"]
+
+
+@pytest.mark.parametrize("dt", [np.ones(3), np.zeros((2, 3)), np.full((2, 3), np.nan)])
+def test_an_answer_with_another_dt_is_invalid(dt: np.ndarray) -> None:
+    batch, sent = golden_answer(OWN_TIMES_CONFIG), CODEC.encode_answer(golden_answer(ANSWER_CONFIG))
+    header: dict[str, Any] = header_of(sent)
+    del header["parameters"]["dt"], header["outputs"]
+    by_hand = pack(header, "outputs", {**batch.arrays, "dt": dt})
+
+    with pytest.raises(InvalidAnswer, match=r"dt|not finite"):
+        CODEC.decode_answer(by_hand)
+
+
+def test_an_answer_that_tells_dt_twice_is_invalid() -> None:
+    batch = golden_answer(OWN_TIMES_CONFIG)
+    header: dict[str, Any] = header_of(CODEC.encode_answer(batch))
+    header["parameters"]["dt"] = 0.1
+    del header["outputs"]
+
+    with pytest.raises(InvalidAnswer, match="dt: expected this field once"):
+        CODEC.decode_answer(pack(header, "outputs", {**batch.arrays, "dt": batch.dt}))
+
+
+def test_a_style_may_be_a_parameter_by_name() -> None:
+    request = CODEC.decode_request(by_hand(parameters={"w_style": "efficient"}))
+
+    assert request.w_style.tolist() == [[0.1, 0.8, 0.1]]
 
 
 def header_of(payload: Payload) -> dict[str, Any]:

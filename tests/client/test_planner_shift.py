@@ -52,6 +52,32 @@ def test_every_anchor_of_a_batch_is_shifted_like_one_alone() -> None:
         np.testing.assert_array_equal(shifted(one, dt=DT, elapsed_s=0.37), shifted_one)
 
 
+def test_every_anchor_of_a_batch_is_shifted_by_its_own_time_step() -> None:
+    states = np.random.default_rng(0).normal(size=(3, 12, 6))
+    own = np.array([0.03, 0.1, 0.7])
+    together = shifted(states, dt=own, elapsed_s=0.37)
+    for one, dt, shifted_one in zip(states, own, together, strict=True):
+        np.testing.assert_array_equal(shifted(one, dt=dt, elapsed_s=0.37), shifted_one)
+
+
+def test_what_is_left_may_be_sampled_up_to_its_end() -> None:
+    times = DT * np.arange(11)  # 1 s
+    left = shifted(falling(times), dt=DT, elapsed_s=0.4, later_dt=0.06)
+    np.testing.assert_allclose(left[[0, -1]], falling(np.array([0.4, 1.0])), atol=1e-9)
+    np.testing.assert_allclose(left[5], falling(np.array([0.7]))[0], atol=1e-9)
+
+
+@given(st.integers(2, 64), st.floats(1e-3, 10.0), st.floats(0.0, 0.999))
+def test_the_end_keeps_its_acceleration(steps: int, dt: float, share: float) -> None:
+    """However the times are rounded: nothing there is past the end."""
+    states = falling(dt * np.arange(steps))
+    elapsed_s = share * dt * (steps - 1)
+    later_dt = (dt * (steps - 1) - elapsed_s) / (steps - 1)
+    left = shifted(states, dt=dt, elapsed_s=elapsed_s, later_dt=later_dt)
+    np.testing.assert_array_equal(left[:, 4:], states[:, 4:])
+    np.testing.assert_allclose(left[-1], states[-1], rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_positions_follow_their_own_velocities(dim: int) -> None:
     states = np.zeros((4, 3 * dim))

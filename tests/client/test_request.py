@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from anchorflow_client import AnchorRequest, CostMap, InvalidRequest
-from anchorflow_client.contract import DEFAULT_STYLE
+from anchorflow_client.contract import DEFAULT_STYLE, STYLES
 
 NAN, INF = float("nan"), float("inf")
 
@@ -51,6 +51,31 @@ def test_one_batched_field_makes_a_batch_that_shares_the_others(fields: dict[str
     assert request.cost_map.data.shape == (3, 1, 16, 20)
     assert request.x_curr.shape == (3, 6)
     assert request.w_style.shape == (3, 3)
+
+
+@pytest.mark.parametrize("name", ["conservative", "balanced", "efficient", "comfortable"])
+def test_a_style_may_be_named(fields: dict[str, Any], name: str) -> None:
+    named = AnchorRequest.from_fields(fields | {"w_style": name})
+
+    np.testing.assert_array_equal(named.w_style, [STYLES[name]])
+    assert named.w_style.sum() == pytest.approx(1.0, abs=1e-15)
+    assert not named.batched
+
+
+def test_a_named_style_is_every_scenes(fields: dict[str, Any]) -> None:
+    goals = [fields["x_goal"]] * 3
+
+    named = AnchorRequest.from_fields(fields | {"w_style": "efficient", "x_goal": goals})
+
+    np.testing.assert_array_equal(named.w_style, [STYLES["efficient"]] * 3)
+
+
+def test_what_each_style_weighs_most() -> None:
+    """Safety, energy, smoothness; nothing said is balanced."""
+    assert set(STYLES) == {"conservative", "balanced", "efficient", "comfortable"}
+    heaviest = {name: int(np.argmax(weights)) for name, weights in STYLES.items()}
+    assert (heaviest["conservative"], heaviest["efficient"], heaviest["comfortable"]) == (0, 1, 2)
+    assert DEFAULT_STYLE == STYLES["balanced"] == (0.4, 0.3, 0.3)
 
 
 def test_style_is_made_to_sum_to_one(fields: dict[str, Any]) -> None:
@@ -109,6 +134,8 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
         ("w_style", [0.5, -0.1, 0.6], ["-0.1", "w_style[1]"]),
         ("w_style", [0, 0, 0], ["above 0", "zeros"]),
         ("w_style", [1, 1], ["[3] or [B,3]", "[2]"]),
+        ("w_style", "fast", ["conservative, balanced, efficient, comfortable", "'fast'"]),
+        ("w_style", ["efficient"] * 3, ["number at w_style[0]", "'efficient'"]),
         ("num_samples", 0, ["1 to 512", "0"]),
         ("num_samples", 513, ["1 to 512", "513"]),
         ("num_samples", 64.0, ["integer", "64.0"]),
@@ -141,6 +168,9 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
         ("refine.barrier", "yes", ["true or false", "'yes'"]),
         ("refine.certified_margin", 6, ["[0, 5] m", "6"]),
         ("warm_start.tau", 1, ["(0, 1)", "1"]),
+        ("warm_start.dt", 0, ["(0, 600] s", "0"]),
+        ("warm_start.dt", "0.1", ["(0, 600] s", "'0.1'"]),
+        ("warm_start.dt", [0.1, 0.2], ["(0, 600] s", "a list of 2"]),
         ("warm_start.trajectory", [[0, 0, 0, 0, 0, 0, 0]] * 4, ["[T,2] to [T,6]", "[4, 7]"]),
         ("warm_start.trajectory", None, ["required"]),
         ("cost_map", [[0]], ["an object", "a list of 1"]),
@@ -305,4 +335,16 @@ def test_a_warm_start_may_begin_later(fields: dict[str, Any]) -> None:
     request = AnchorRequest.from_fields(fields)
 
     assert request.warm_start is not None
-    assert request.warm_start.tau == 0.8
+    assert (request.warm_start.tau, request.warm_start.dt) == (0.8, None)
+
+
+def test_a_warm_start_may_say_how_far_its_samples_lie_apart(fields: dict[str, Any]) -> None:
+    told = {"warm_start": {"trajectory": [[0, 0], [1, 1]], "dt": np.float32(0.5)}}
+
+    request = AnchorRequest.from_fields(fields | told)
+
+    assert request.warm_start is not None
+    assert request.warm_start.dt == 0.5
+    again = AnchorRequest.from_fields(fields | {"warm_start": request.warm_start}).warm_start
+    assert again is not None
+    assert again.dt == 0.5

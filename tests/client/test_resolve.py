@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import pytest
@@ -68,6 +68,92 @@ def test_an_adjustable_limit_is_the_requests(fields: dict[str, Any], card: Model
     resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"robot_radius": 0.4}), card)
 
     assert limits_of(resolved).robot_radius == 0.4
+
+
+def test_without_a_horizon_each_anchor_has_its_own_duration(
+    fields: dict[str, Any], free: ModelCard
+) -> None:
+    resolved = resolve_for_card(AnchorRequest.from_fields(fields), free)
+
+    assert limits_of(resolved).horizon_s is None
+
+
+def test_limits_inside_their_ranges_are_the_requests(
+    fields: dict[str, Any], free: ModelCard
+) -> None:
+    asked = {"robot_radius": 0.1, "v_max": 0.26, "a_max": 8.0, "horizon_s": 12.0}
+
+    resolved = resolve_for_card(AnchorRequest.from_fields(fields | asked), free)
+
+    assert asdict(limits_of(resolved)) == asked
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("v_max", 9.0, "expected 0.1 to 6 m/s, for which lines 1.2.3 was trained, got 9"),
+        ("a_max", 0.2, r"expected 0.5 to 8 m/s\^2, for which lines 1.2.3 was trained, got 0.2"),
+        ("robot_radius", 0.7, "expected 0.1 to 0.6 m, for which lines 1.2.3 was trained, got 0.7"),
+        ("horizon_s", 90, "expected 1 to 60 s, for which lines 1.2.3 was trained, got 90"),
+    ],
+)
+def test_a_limit_outside_its_range_is_refused_by_name(
+    fields: dict[str, Any], free: ModelCard, field: str, value: float, words: str
+) -> None:
+    with pytest.raises(InvalidRequest, match=f"^{field}: {words}$") as caught:
+        resolve_for_card(AnchorRequest.from_fields(fields | {field: value}), free)
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize("edge", [0.1, 6.0])
+def test_the_ends_of_a_range_are_met_in_float32_too(
+    fields: dict[str, Any], free: ModelCard, edge: float
+) -> None:
+    for asked in (edge * (1 - 1e-7), edge * (1 + 1e-7)):
+        resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"v_max": asked}), free)
+        assert limits_of(resolved).v_max == pytest.approx(edge, rel=2e-7)
+        assert 0.1 <= limits_of(resolved).v_max <= 6.0
+
+
+def test_a_horizon_where_each_anchor_keeps_its_own_is_refused(
+    fields: dict[str, Any], free: ModelCard
+) -> None:
+    card = replace(free, conditioning=replace(free.cost_map, ranges={}))
+    words = "horizon_s: expected none, as each anchor has its own, .* got 8"
+
+    with pytest.raises(InvalidRequest, match=words):
+        resolve_for_card(AnchorRequest.from_fields(fields | {"horizon_s": 8}), card)
+
+
+WARM = {"trajectory": [[-3.0, 0.5], [0.0, 0.5], [3.0, 0.5]]}
+
+
+@pytest.mark.parametrize(
+    ("asked", "dt"),
+    [
+        ({"warm_start": WARM}, None),
+        ({"warm_start": WARM, "horizon_s": 12.0}, 6.0),
+        ({"warm_start": WARM | {"dt": 0.4}, "horizon_s": 12.0}, 0.4),
+        ({"warm_start": WARM | {"dt": 0.4}}, 0.4),
+    ],
+)
+def test_a_warm_start_spans_the_horizon_unless_it_says_how_fast_it_is(
+    fields: dict[str, Any], free: ModelCard, asked: dict[str, Any], dt: float | None
+) -> None:
+    warm_start = resolve_for_card(AnchorRequest.from_fields(fields | asked), free).warm_start
+
+    assert warm_start is not None
+    assert warm_start.dt == dt
+
+
+def test_own_time_steps_may_be_named_as_an_output(
+    fields: dict[str, Any], card: ModelCard, free: ModelCard
+) -> None:
+    request = AnchorRequest.from_fields(fields | {"outputs": ["dt"]})
+
+    assert resolve_for_card(request, free).outputs == ("dt",)
+    with pytest.raises(InvalidRequest, match=r"outputs: expected one of .* got the string 'dt'"):
+        resolve_for_card(request, card)
 
 
 @pytest.mark.parametrize(("field", "value"), [("v_max", 3.0), ("a_max", 1.0), ("horizon_s", 4)])

@@ -38,6 +38,7 @@ from anchorflow_client import (
     TensorSpec,
     TimeSpec,
 )
+from anchorflow_client.contract import ResolvedRequest
 from anchorflow_service.planning import PlanningService, ServiceLimits
 
 T, S, R = 8, 6, 2
@@ -215,6 +216,18 @@ CARD = ModelCard(
 )
 
 
+FREE_CARD = replace(
+    CARD,
+    conditioning=replace(
+        CARD.cost_map,
+        limits=replace(CARD.cost_map.limits, horizon_s=None),
+        ranges={"v_max": (0.1, 6.0), "horizon_s": (1.0, 60.0)},
+    ),
+    time=TimeSpec(steps=16, first_s=0.0, dt=None),
+)
+"""Of a planner whose anchors have their own durations."""
+
+
 def minimum_jerk(steps: int) -> np.ndarray:
     """Position, velocity and acceleration [3,steps] from rest at 0 to rest at 1 in unit time."""
     s = np.linspace(0, 1, steps)
@@ -247,7 +260,7 @@ class StraightLines:
         return self.before_answer(
             AnchorBatch(
                 arrays=arrays,
-                dt=self.card.time.dt,
+                dt=_time_steps(request, arrays["scores"].shape, self.card.T),
                 seed=request.seed or 0,
                 model=self.card.id,
                 timing_ms={"encode": 1.0, "sample": 2.0, "refine": 3.0, "total": 6.0},
@@ -269,6 +282,22 @@ class StraightLines:
             "clearance": per_anchor,
             "safe": per_anchor < 1,
         }
+
+
+def _time_steps(request: AnchorRequest, anchors: tuple[int, ...], steps: int) -> Any:
+    """The horizon's where there is one, else another for every anchor: 1 s, 1.1 s, 1.2 s …"""
+    assert isinstance(request, ResolvedRequest)
+    assert request.limits is not None
+    horizon_s = request.limits.horizon_s
+    if horizon_s is not None:
+        return horizon_s / (steps - 1)
+    return (1.0 + 0.1 * np.arange(np.prod(anchors)).reshape(anchors)) / (steps - 1)
+
+
+@pytest.fixture
+def free_engine() -> StraightLines:
+    """A model whose anchors have their own durations."""
+    return StraightLines(FREE_CARD)
 
 
 @pytest.fixture

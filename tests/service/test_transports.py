@@ -79,6 +79,19 @@ def both(planning: PlanningService, endpoint: str, sent: Payload) -> list[Payloa
     return asyncio.run(ask())
 
 
+def test_own_durations_are_the_same_on_both(
+    free_engine: Any, endpoint: str, fields: dict[str, Any]
+) -> None:
+    planning = PlanningService({"lines": free_engine}, default="lines", clock=lambda: 7.0)
+    sent = CODEC.encode_request(AnchorRequest.from_fields(fields | {"request_id": "r1"}))
+
+    by_http, by_zenoh = both(planning, endpoint, sent)
+
+    assert by_http == by_zenoh
+    durations = CODEC.decode_answer(by_zenoh).durations
+    assert durations == pytest.approx([1.0, 1.1, 1.2, 1.3])
+
+
 def test_the_answers_are_the_same_bytes(engine: Any, endpoint: str, fields: dict[str, Any]) -> None:
     """All but the time that each took, which stands still here."""
     planning = PlanningService({"lines": engine}, default="lines", clock=lambda: 7.0)

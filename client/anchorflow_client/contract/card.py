@@ -67,6 +67,11 @@ class ModelCard:
         return len(self.answer.components)
 
     @property
+    def outputs(self) -> tuple[str, ...]:
+        """What a request's `outputs` may name: the answer's arrays, and dt where it is one."""
+        return (*self.answer.names, *(("dt",) if self.time.dt is None else ()))
+
+    @property
     def cost_map(self) -> CostMapSpec:
         """The conditioning of a planner that is asked with a cost map.
 

@@ -59,7 +59,7 @@ def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest
     if isinstance(request, ResolvedRequest):
         return request
     for name in request.outputs:
-        choice(name, "outputs", card.answer.names)
+        choice(name, "outputs", card.outputs)
     filled: dict[str, Any] = {
         "num_samples": _num_samples(request, card.sampler),
         "model": request.model or card.name,

@@ -112,7 +112,7 @@ class Planner:
         x_goal: ArrayLike,
         resolution: float | None = None,
         origin: ArrayLike | None = None,
-        w_style: ArrayLike | None = None,
+        w_style: str | ArrayLike | None = None,
         num_samples: int | None = None,
         robot_radius: float | None = None,
         v_max: float | None = None,

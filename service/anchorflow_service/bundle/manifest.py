@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -23,6 +24,7 @@ from pydantic import (
 )
 
 from anchorflow_client.contract import (
+    AnchorBatch,
     AnswerSpec,
     ModelCard,
     NoFinish,
@@ -41,6 +43,7 @@ from anchorflow_trajectory.ode.schedule import check_schedule
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
+FIELDS_OF_ANSWER = {item.name for item in fields(AnchorBatch)}
 
 # One path segment: a bundle never reads beside its own folder.
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
@@ -228,6 +231,9 @@ class Manifest(Entry):
             if name not in ARRAY_DTYPES or name == "trajectories":
                 known = ", ".join(list(ARRAY_DTYPES)[1:])
                 yield f"answer.arrays: {name!r} is none of {known}"
+        for spec in self.answer.extras:
+            if spec.name in FIELDS_OF_ANSWER:
+                yield f"answer.extras: {spec.name!r} is a name that every answer has"
 
     @property
     def D(self) -> int:

@@ -17,6 +17,7 @@ from anchorflow_client.contract import CostMapSpec, ModelCard, TensorSpec
 from anchorflow_client.contract.batch import ARRAY_DTYPES, MOTIONS
 from anchorflow_client.errors import InvalidRequest, NotReady, UnknownModel
 from anchorflow_client.oip.datatypes import datatype_of
+from anchorflow_client.oip_codec import TIME_STEP
 from anchorflow_service.http.anchors import answer_to, header_length
 from anchorflow_service.http.answers import json_answer
 from anchorflow_service.http.body import read_body
@@ -102,11 +103,13 @@ def _choices(card: ModelCard) -> list[TensorSpec]:
 
 def _answer(card: ModelCard) -> list[TensorSpec]:
     motion = ("B", "N", card.T, card.D)
-    return [
+    arrays = [
         TensorSpec(name, np.dtype(dtype).name, motion if name in MOTIONS else ("B", "N"))
         for name, dtype in ARRAY_DTYPES.items()
         if name in card.answer.names
     ]
+    own_time = card.time.dt is None
+    return [*arrays, TensorSpec(TIME_STEP, "float64", ("B", "N"))] if own_time else arrays
 
 
 def _tensor(spec: TensorSpec) -> dict[str, Any]:

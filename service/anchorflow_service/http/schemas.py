@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from anchorflow_client.contract import DEFAULT_STYLE, ranges
+from anchorflow_client.contract import DEFAULT_STYLE, STYLES, ranges
 from anchorflow_client.contract.ranges import Interval
 
 # What is answered.
@@ -37,6 +37,7 @@ State = Annotated[list[Coordinate], Field(min_length=6, max_length=9)]
 Goal = Annotated[list[Coordinate], Field(min_length=4, max_length=6)]
 Weight = Annotated[float, Field(ge=ranges.STYLE_WEIGHT.low, le=ranges.STYLE_WEIGHT.high)]
 Style = Annotated[list[Weight], Field(min_length=3, max_length=3)]
+StyleName = Annotated[str, Field(json_schema_extra={"enum": [*STYLES]})]
 Schedule = Annotated[list[Share], Field(min_length=2, max_length=ranges.MAX_SCHEDULE_STEPS + 1)]
 Trajectory = Annotated[
     list[Annotated[list[Coordinate], Field(min_length=2, max_length=9)]],
@@ -117,6 +118,12 @@ class WarmStartBody(_Body):
     tau: float | None = _within(
         ranges.INSIDE_UNIT, "Flow time to start at", default=ranges.DEFAULT_TAU
     )
+    dt: float | None = _within(
+        ranges.TIME_STEP,
+        "Time between two of its samples; by default it lasts as long as horizon_s or, where there "
+        "is none, as long as the model thinks that its way takes",
+        default=None,
+    )
 
 
 class ArrayBody(_Body):
@@ -171,9 +178,11 @@ class AnchorRequestBody(_Body):
     x_goal: Goal | Annotated[list[Goal], _BATCH] | None = Field(
         None, description="[4] or [B,4]: p [m], v [m/s]; [6] or [B,6] with heading."
     )
-    w_style: Style | Annotated[list[Style], _BATCH] | None = Field(
+    w_style: Style | Annotated[list[Style], _BATCH] | StyleName | None = Field(
         list(DEFAULT_STYLE),
-        description="[3] or [B,3] at least 0: safety, energy, smooth; made to sum to 1.",
+        description="[3] or [B,3] at least 0: safety, energy, smooth; made to sum to 1; or a name: "
+        + "; ".join(f"{name} is {[*weights]}" for name, weights in STYLES.items())
+        + ".",
     )
     inputs: dict[Text, InputBody] | None = Field(
         None,
@@ -197,7 +206,10 @@ class AnchorRequestBody(_Body):
         ranges.A_MAX, "Limit of acceleration; by default the card's", default=None
     )
     horizon_s: float | None = _within(
-        ranges.HORIZON, "Time that an anchor spans; by default the card's", default=None
+        ranges.HORIZON,
+        "Time that every anchor spans; by default the card's or, where that has none, each "
+        "anchor's own",
+        default=None,
     )
     model: Text | None = Field(None, description="Name of a model; without it the default one.")
     seed: int | None = _within(
@@ -261,7 +273,9 @@ class AnchorAnswerBody(BaseModel):
     safe: list[bool] | list[list[bool]] | None = Field(
         None, description="[N], whether the path keeps robot_radius from every obstacle."
     )
-    dt: float = Field(description="s between two time steps.")
+    dt: float | Vector | Matrix = Field(
+        description="s between two time steps; [N] where each anchor has its own."
+    )
     first_s: float = Field(description="s from now to the first time step.")
     seed: int = Field(description="Give it again for the same anchors.")
     model: ModelIdBody

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.bundle.graphs import open_graph
+from anchorflow_service.bundle.manifest import parse_manifest
 
 Edit = Callable[..., None]
 
@@ -32,6 +34,45 @@ def test_the_written_manifest_reads_back(tiny_bundle: Path) -> None:
     manifest = load_bundle(tiny_bundle).manifest
     (tiny_bundle / "manifest.json").write_bytes(manifest.to_json())
     assert load_bundle(tiny_bundle).manifest == manifest
+
+
+RANGES = {"v_max": [0.1, 6.0], "horizon_s": [1.0, 60.0]}
+
+
+def test_anchors_may_have_their_own_durations(tiny_bundle: Path, edit_manifest: Edit) -> None:
+    edit_manifest("conditioning", "limits", "horizon_s", to=None)
+    edit_manifest("conditioning", "ranges", to=RANGES)
+    edit_manifest("time", "dt", to=None)
+
+    bundle = load_bundle(tiny_bundle)
+
+    assert (bundle.card.time.dt, bundle.card.cost_map.limits.horizon_s) == (None, None)
+    assert bundle.card.cost_map.ranges == {"v_max": (0.1, 6.0), "horizon_s": (1.0, 60.0)}
+    assert parse_manifest(bundle.manifest.to_json()) == bundle.manifest
+
+
+def test_one_time_step_beside_own_durations_is_refused(
+    tiny_bundle: Path, edit_manifest: Edit
+) -> None:
+    edit_manifest("conditioning", "limits", "horizon_s", to=None)
+    edit_manifest("conditioning", "ranges", to=RANGES)
+
+    words = r"time\.dt is 1\.0, expected null beside limits\.horizon_s null"
+    with pytest.raises(BundleError, match=words):
+        load_bundle(tiny_bundle)
+
+
+def test_limits_that_are_only_named_may_be_any(tiny_bundle: Path, edit_manifest: Edit) -> None:
+    """As manifests have it that were written before there were ranges."""
+    manifest = json.loads((tiny_bundle / "manifest.json").read_text())
+    del manifest["conditioning"]["ranges"]
+    manifest["conditioning"]["adjustable"] = ["robot_radius"]
+    (tiny_bundle / "manifest.json").write_text(json.dumps(manifest))
+
+    assert load_bundle(tiny_bundle).card.cost_map.ranges == {"robot_radius": (0.0, 5.0)}
+    edit_manifest("conditioning", "adjustable", to=["mass"])
+    with pytest.raises(BundleError, match=r"adjustable: Extra inputs are not permitted"):
+        load_bundle(tiny_bundle)
 
 
 def test_a_changed_graph_is_refused_by_its_hash(tiny_bundle: Path) -> None:
@@ -73,6 +114,34 @@ def test_a_truncated_manifest(tiny_bundle: Path) -> None:
             ("conditioning", "limits", "v_max"),
             -1.0,
             r"conditioning\.cost_map\.limits\.v_max: Input should be greater than 0",
+        ),
+        (
+            ("conditioning", "limits", "horizon_s"),
+            None,
+            r"conditioning\.ranges\.horizon_s is missing, expected least and greatest duration",
+        ),
+        (("time", "dt"), None, r"time\.dt is null, expected 1\.0 s"),
+        (
+            ("conditioning", "ranges"),
+            {"robot_radius": [0.6, 0.1]},
+            r"ranges\.robot_radius is \[0\.6, 0\.1\], expected least and greatest in \[0, 5\] m",
+        ),
+        (
+            ("conditioning", "ranges"),
+            {"v_max": [0.1, 200]},
+            r"ranges\.v_max is \[0\.1, 200\], expected least and greatest in \(0, 100\] m/s",
+        ),
+        (
+            ("conditioning", "ranges"),
+            {"v_max": [0.1, 1.5]},
+            r"conditioning\.ranges\.v_max is \[0\.1, 1\.5\], without limits\.v_max = 2",
+        ),
+        (("conditioning", "ranges"), {"mass": [1, 2]}, r"ranges\.mass\.\[key\]: Input should be"),
+        (("conditioning", "ranges"), {"v_max": [1]}, r"ranges\.v_max\.1: Field required"),
+        (
+            ("answer", "extras"),
+            [{"name": "dt", "dtype": "float32", "shape": ["B", "N"]}],
+            r"answer\.extras: 'dt' is a name that every answer has",
         ),
         (("conditioning", "kind"), "words", "conditioning: Input tag 'words' found using 'kind'"),
         (("finish", "kind"), "clothoid", "finish: Input tag 'clothoid' found using 'kind'"),

@@ -10,8 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client import AnchorBatch, AnchorClient, DeadlineExceeded, InvalidRequest
+from anchorflow_client import (
+    STYLES,
+    AnchorBatch,
+    AnchorClient,
+    DeadlineExceeded,
+    InvalidRequest,
+    JsonCodec,
+)
+from anchorflow_service.http import create_app
 from anchorflow_service.http.schemas import AnchorAnswerBody, ModelsBody
+from anchorflow_service.planning import PlanningService
 
 
 @pytest.fixture
@@ -28,6 +37,57 @@ def test_the_answer_is_what_the_engine_planned(
     for name in ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe"):
         np.testing.assert_array_equal(getattr(anchors, name), getattr(planned, name))
     assert (anchors.dt, anchors.seed, anchors.model) == (planned.dt, 1, engine.card.id)
+
+
+@pytest.fixture
+def free(free_engine: Any, run: Any) -> AnchorClient:
+    """A client of the model whose anchors have their own durations."""
+    service = run(create_app(PlanningService({"lines": free_engine}, default="lines")))
+    return AnchorClient("http://test", transport=service, codec=JsonCodec())
+
+
+@pytest.mark.parametrize("scenes", [(), (3,)])
+def test_own_durations_come_with_every_anchor(
+    free: AnchorClient, free_engine: Any, fields: dict[str, Any], scenes: tuple[int, ...]
+) -> None:
+    fields["x_goal"] = np.broadcast_to(fields["x_goal"], (*scenes, 4))
+
+    anchors = free.plan(**fields)
+
+    assert anchors.durations.shape == (*scenes, 4)
+    np.testing.assert_array_equal(anchors.dt, free_engine.plan(free_engine.seen[0]).dt)
+    assert len(np.unique(anchors.durations)) == anchors.durations.size
+
+
+def test_a_horizon_makes_them_alike(free: AnchorClient, fields: dict[str, Any]) -> None:
+    anchors = free.plan(**fields, horizon_s=30.0)
+
+    assert anchors.dt == 2.0
+    np.testing.assert_array_equal(anchors.durations, [30.0] * 4)
+
+
+def test_a_limit_beyond_the_models_training_is_refused(
+    free: AnchorClient, fields: dict[str, Any]
+) -> None:
+    words = "v_max: expected 0.1 to 6 m/s, for which lines 1.2.3 was trained, got 9"
+    with pytest.raises(InvalidRequest, match=words) as caught:
+        free.plan(**fields, v_max=9)
+    assert caught.value.field == "v_max"
+
+
+def test_a_style_may_be_named(service: Any, engine: Any, fields: dict[str, Any]) -> None:
+    """By hand, as the client sends its weights."""
+    assert service.post(fields | {"w_style": "comfortable"}).status_code == 200
+    np.testing.assert_array_equal(engine.seen[-1].w_style, [STYLES["comfortable"]])
+
+    refused = service.post(fields | {"w_style": "fast"})
+    assert refused.status_code == 422
+    assert refused.json()["error"] == {
+        "code": "invalid_request",
+        "message": "w_style: expected weights [3] or [B,3], or one of conservative, balanced, "
+        "efficient, comfortable, got the string 'fast'",
+        "field": "w_style",
+    }
 
 
 def test_one_scene_has_no_batch_axis(client: AnchorClient, fields: dict[str, Any]) -> None:

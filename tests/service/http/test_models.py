@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from anchorflow_client import AnchorClient
+from anchorflow_service.http import create_app
+from anchorflow_service.planning import PlanningService
 
 Tensor = dict[str, Any]
 LENGTH = "Inference-Header-Content-Length"
@@ -105,6 +107,41 @@ def test_the_metadata_is_what_the_card_says(service: Any, engine: Any) -> None:
     assert list(outputs) == list(engine.card.answer.names)
     assert outputs["velocities"] == [-1, -1, 16, 2]
     assert outputs["safe"] == [-1, -1]
+
+
+@pytest.fixture
+def free(free_engine: Any, run: Any) -> Any:
+    """A service of the model whose anchors have their own durations."""
+    return run(create_app(PlanningService({"lines": free_engine}, default="lines")))
+
+
+def test_own_time_steps_are_an_output(free: Any, body: dict[str, Any]) -> None:
+    metadata = free.request("GET", "/v2/models/lines").json()
+    assert metadata["outputs"][-1] == {"name": "dt", "datatype": "FP64", "shape": [-1, -1]}
+
+    answer = infer(free, body)
+
+    assert "dt" not in answer.json()["parameters"]
+    np.testing.assert_allclose(arrays(answer)["dt"] * 15, [1.0, 1.1, 1.2, 1.3])
+
+
+@pytest.mark.parametrize("outputs", [["scores"], ["dt", "scores"]])
+def test_own_time_steps_are_told_whatever_is_wanted(
+    free: Any, body: dict[str, Any], outputs: list[str]
+) -> None:
+    answer = infer(free, body | {"outputs": [{"name": name} for name in outputs]})
+
+    assert set(arrays(answer)) == {"dt", "scores"}
+
+
+def test_one_time_step_is_a_parameter_also_where_its_output_is_wanted(
+    free: Any, body: dict[str, Any]
+) -> None:
+    body["parameters"]["horizon_s"] = 30.0
+    answer = infer(free, body | {"outputs": [{"name": "dt"}, {"name": "scores"}]})
+
+    assert set(arrays(answer)) == {"scores"}
+    assert answer.json()["parameters"]["dt"] == 2.0
 
 
 def change(body: dict[str, Any], **changes: Any) -> dict[str, Any]:

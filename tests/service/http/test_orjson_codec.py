@@ -19,7 +19,7 @@ from anchorflow_client import (
 from anchorflow_service.http.orjson_codec import OrjsonCodec
 
 
-def batch(paths: np.ndarray) -> AnchorBatch:
+def batch(paths: np.ndarray, dt: Any = 8 / 63) -> AnchorBatch:
     per_anchor = paths[..., 0, 0]
     return AnchorBatch(
         arrays={
@@ -30,7 +30,7 @@ def batch(paths: np.ndarray) -> AnchorBatch:
             "clearance": per_anchor,
             "safe": per_anchor > 0,
         },
-        dt=8 / 63,
+        dt=dt,
         seed=2**63 - 1,
         model=ModelId("lines", "1", "ab"),
         timing_ms={"total": np.float64(0.1)},
@@ -49,6 +49,16 @@ def test_both_codecs_write_the_same_answer(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(came.velocities, answer.velocities)
     assert (came.seed, came.dt, came.request_id) == (answer.seed, answer.dt, "é")
     assert json.loads(sent.body).keys() == json.loads(JsonCodec().encode_answer(answer).body).keys()
+
+
+@pytest.mark.parametrize("shape", [(5, 7, 2), (2, 5, 7, 3)])
+def test_own_time_steps_come_back_to_the_last_bit(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    answer = batch(rng.normal(size=shape), dt=rng.random(shape[:-2]) + 0.01)
+
+    came = JsonCodec().decode_answer(OrjsonCodec().encode_answer(answer))
+
+    np.testing.assert_array_equal(came.dt, answer.dt)
 
 
 def test_both_codecs_write_the_same_request(fields: dict[str, Any]) -> None:
