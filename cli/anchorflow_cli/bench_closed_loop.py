@@ -21,6 +21,7 @@ from anchorflow_cli.bench_options import (
 )
 from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.options import StyleOption, style_text
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 WORLDS = "FILE|drawn:N:SEED|forests:N:SEED"
@@ -42,6 +43,7 @@ def closed_loop(
     url: Annotated[
         str | None, typer.Option(help="A service that answers in place of the bundle's engine.")
     ] = None,
+    style: StyleOption = None,
     latency_ms: Annotated[
         float | None,
         typer.Option(min=0, help="Of an answer in simulated time.", show_default="as it took"),
@@ -76,7 +78,9 @@ def closed_loop(
         robot=robot,
         drive=DriveConfig(
             limit_s=limit_s,
+            horizon_s=opened.card.cost_map.limits.horizon_s,
             options={
+                "w_style": style,
                 "num_samples": num,
                 "sampler": {"method": spec.method, "schedule": list(spec.schedule)},
             },
@@ -91,6 +95,7 @@ def closed_loop(
         "worlds": f"{Path(worlds).name}, {len(found)} driven, {seeds} runs each",
         "robot": f"{robot}, {1 / config.drive.tick_s:g} commands a second",
         "anchors": f"{num} a request, {sampler}, of {url or opened.card.name}",
+        "style": style_text(style),
         "latency": "as measured" if latency_ms is None else f"{latency_ms:g} ms",
     }
     tables = contest_tables(results, [contender.name for contender in contenders])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anchorflow_benchmarks.baselines import minimum_jerk
 from anchorflow_benchmarks.errors import BenchmarkError
@@ -20,15 +21,20 @@ from anchorflow_client.contract import (
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 
+PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / 3**0.5  # of minimum jerk, times L / T and L / T^2
+V_MAX, A_MAX = 2.0, 3.0  # m/s and m/s^2, where a request says nothing
+LEAST_S = 0.5  # that a line lasts
+
 
 @dataclass(frozen=True)
 class LinesSource:
     """A straight line to the goal, and others that bend aside by smooth noise; blind to the map.
 
+    horizon_s: that each lasts; None: as long as it takes at the request's limits
     spread: m, standard deviation of the first and widest of the bends
     """
 
-    horizon_s: float = 8.0
+    horizon_s: float | None = None
     steps: int = 64
     spread: float = 1.0
     bends: int = 4
@@ -45,13 +51,14 @@ class LinesSource:
         size[0] = 0.0
         aside = size @ np.sin(np.pi * order[:, None] * share)
         paths = start + share[:, None] * span + aside[..., None] * across
-        dt = self.horizon_s / (self.steps - 1)
-        velocities = np.gradient(paths, dt, axis=1)
+        dt = self._durations(paths, request) / (self.steps - 1)
+        step = np.asarray(dt)[..., None, None]
+        velocities = np.gradient(paths, axis=1) / step
         return AnchorBatch(
             arrays={
                 "trajectories": paths.astype(np.float32),
                 "velocities": velocities,
-                "accelerations": np.gradient(velocities, dt, axis=1),
+                "accelerations": np.gradient(velocities, axis=1) / step,
                 "scores": -(size**2).sum(1),
                 "clearance": np.zeros(num),
                 "safe": np.zeros(num, bool),
@@ -62,6 +69,17 @@ class LinesSource:
             timing_ms={},
             request_id=request.request_id,
         )
+
+    def _durations(
+        self, paths: NDArray[np.float64], request: AnchorRequest
+    ) -> float | NDArray[np.float64]:
+        """s, of all of [N, T, 2] or [N]."""
+        if self.horizon_s is not None:
+            return self.horizon_s
+        lengths = np.linalg.norm(np.diff(paths, axis=1), axis=-1).sum(1)
+        by_speed = PEAK_SPEED * lengths / (request.v_max or V_MAX)
+        by_pull = np.sqrt(PEAK_ACCELERATION * lengths / (request.a_max or A_MAX))
+        return np.maximum(np.maximum(by_speed, by_pull), LEAST_S)
 
 
 @dataclass(frozen=True)

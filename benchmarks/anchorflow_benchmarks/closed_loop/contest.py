@@ -14,7 +14,7 @@ from time import perf_counter, process_time
 import torch
 
 from anchorflow_benchmarks.closed_loop.anchor_sources import LinesSource, RoutesSource
-from anchorflow_benchmarks.closed_loop.drive import PLANNER, Drive, DriveConfig
+from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.scoring import Result
@@ -22,7 +22,7 @@ from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, Si
 from anchorflow_benchmarks.closed_loop.world import World
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_client.http import AnchorClient
-from anchorflow_client.planner import AnchorSource, Planner, PlannerConfig
+from anchorflow_client.planner import AnchorSource, Planner
 from anchorflow_service.bundle import Bundle, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.local import LocalClient
@@ -81,7 +81,6 @@ class ContestConfig:
     robot: str = "unicycle"
     mppi: MppiConfig = field(default_factory=MppiConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
-    planner: PlannerConfig = PLANNER
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ def run_heat(heat: Heat, config: ContestConfig) -> Result:
     with _source(contender, config) as source:
         planner = None
         if source is not None:
-            planner = Planner(source, config.planner, clock=clock, executor=executor)
+            planner = Planner(source, config.drive.asking, clock=clock, executor=executor)
         drive = Drive(
             heat.world,
             controller,
@@ -160,13 +159,13 @@ def _source(contender: Contender, config: ContestConfig) -> Iterator[AnchorSourc
     if contender.anchors is None:
         yield None
     elif contender.anchors == "lines":
-        yield LinesSource()
+        yield LinesSource(config.drive.horizon_s)
     elif contender.anchors == "routes":
         yield RoutesSource.of(_bundle(config.bundle))
     elif config.url is None:
         yield LocalClient(_engine(config.bundle, config.threads))
     else:
-        with AnchorClient(config.url, timeout_s=1e-3 * config.planner.max_age_ms) as client:
+        with AnchorClient(config.url, timeout_s=1e-3 * config.drive.asking.max_age_ms) as client:
             yield client
 
 

@@ -38,7 +38,7 @@ def world_of_scene(scene: FamilyScene, name: str) -> World:
     if not np.isfinite(length):
         raise BenchmarkError(f"{name}: expected a way for a robot of {PASSAGE} m, got none")
     fenced = np.pad(scene.occupied, 1, constant_values=True)
-    inner = np.asarray(binary_erosion(fenced, EIGHT_NEIGHBOURS, border_value=1))
+    inner = np.asarray(binary_erosion(fenced, EIGHT_NEIGHBOURS, border_value=1), bool)
     rows, columns = np.nonzero(fenced & ~inner)
     posts = scene.origin + scene.resolution * (np.stack([columns, rows], 1) - 0.5)
     start, goal = scene.x_curr[:2].astype(np.float64), scene.x_goal[:2].astype(np.float64)
