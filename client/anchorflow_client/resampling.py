@@ -70,8 +70,7 @@ def resample(
 
 def _times(duration_s: float, period_s: float) -> Array:
     """[K]: 0, period, … and the duration, which is told once where it is a multiple itself."""
-    whole = int(duration_s / period_s + ROUNDING)
-    times = np.minimum(period_s * np.arange(whole + 1), duration_s)
+    times = period_s * np.arange(int(duration_s / period_s) + 1)
     return times if duration_s - times[-1] <= ROUNDING * period_s else np.append(times, duration_s)
 
 

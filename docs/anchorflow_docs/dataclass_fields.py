@@ -58,6 +58,11 @@ def _figure(value: Any) -> str | None:
             return code(value)
         case tuple() if all(isinstance(each, (str, int, float)) for each in value):
             return ", ".join(str(_figure(each)) for each in value)
+        case dict() if value and all(isinstance(each, tuple) for each in value.values()):
+            ends = {
+                name: " to ".join(str(_figure(end)) for end in each) for name, each in value.items()
+            }
+            return "; ".join(f"{code(name)} {each}" for name, each in ends.items())
     return None
 
 

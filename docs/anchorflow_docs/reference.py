@@ -87,11 +87,12 @@ of scenes; a field without it is shared by all of them.
 
 ## What a model fixes
 
-A request to a planner with a cost map may state `robot_radius`, `v_max`, `a_max` and `horizon_s`.
-One that the model's card does not list as `adjustable` has to be the card's own. What the card says
-under `sampler` and `finish` is a default, which a request's `sampler` and `refine` may replace
-where their kinds are `ode` and `spline`. This is the card of the bundle that ships, without its
-tensors, quality and training; `GET /v2/models` tells those of any other.
+A request to a planner with a cost map may state `robot_radius`, `v_max`, `a_max` and `horizon_s`,
+each within the card's `ranges`; one that has no range there has to be the card's own. Where the
+card's `horizon_s` is null each anchor has its own duration. What the card says under `sampler` and
+`finish` is a default, which a request's `sampler` and `refine` may replace where their kinds are
+`ode` and `spline`. This is the card of the bundle that ships, without its tensors, quality and
+training; `GET /v2/models` tells those of any other.
 
 {card}
 """

@@ -157,12 +157,13 @@ def test_an_answer_with_another_dt_is_invalid(dt: np.ndarray) -> None:
 
 def test_an_answer_that_tells_dt_twice_is_invalid() -> None:
     batch = golden_answer(OWN_TIMES_CONFIG)
+    tensors = {**batch.arrays, "dt": np.asarray(batch.dt)}
     header: dict[str, Any] = header_of(CODEC.encode_answer(batch))
     header["parameters"]["dt"] = 0.1
     del header["outputs"]
 
     with pytest.raises(InvalidAnswer, match="dt: expected this field once"):
-        CODEC.decode_answer(pack(header, "outputs", {**batch.arrays, "dt": batch.dt}))
+        CODEC.decode_answer(pack(header, "outputs", tensors))
 
 
 def test_a_style_may_be_a_parameter_by_name() -> None:

@@ -124,13 +124,20 @@ class Holder:
     share: float
     """Of the whole."""
     times: tuple[float, ...]
+    ranges: dict[str, tuple[float, float]]
+    told: dict[str, float]
     inside: Base
     listed: tuple[Base, ...]
     is_there: bool = True
 
 
+RANGES = {"v_max": (0.1, 6.0), "robot_radius": (0.0, 1.0)}
+
+
 def test_an_instance_becomes_rows_of_what_it_holds() -> None:
-    held = held_fields(Holder("a", 1 / 3, (0.0, 0.5, 1.0), Base(7), (Base(8),)))
+    held = held_fields(
+        Holder("a", 1 / 3, (0.0, 0.5, 1.0), RANGES, {"any": 0.9}, Base(7), (Base(8),))
+    )
 
     assert field_table(held, HELD).split("\n") == [
         "| field | value | meaning |",
@@ -138,6 +145,7 @@ def test_an_instance_becomes_rows_of_what_it_holds() -> None:
         "| `word` | `a` |  |",
         "| `share` | 0.3333 | Of the whole. |",
         "| `times` | 0, 0.5, 1 |  |",
+        "| `ranges` | `v_max` 0.1 to 6; `robot_radius` 0 to 1 |  |",
         "| `inside.first` | 7 | Of all. |",
         "| `is_there` | `true` |  |",
     ]

@@ -9,6 +9,7 @@ import socket
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from anchorflow_client import (
     TooLarge,
     TransportError,
 )
+from anchorflow_client.contract import resolve_for_card
 from anchorflow_client.http.socket_transport import SocketTransport
 from anchorflow_client.http.transport import HttpAnswer
 from anchorflow_docs.messages import messages_of, wording
@@ -69,7 +71,7 @@ REFUSED: dict[str, dict[str, Any]] = {
     "map-with-nan": {"cost_map": cost_map(np.nan * occupancy())},
     "map-too-small": {"cost_map": cost_map(np.zeros((1, 8, 8)))},
     "map-with-strange-channels": {"cost_map": cost_map(np.zeros((5, 64, 64)))},
-    "limit-of-another-model": {"v_max": 3.0},
+    "style-unknown": {"w_style": "fast"},
     "misspelt-field": {"num_sample": 16},
     "schedule-without-noise": {"sampler": {"schedule": [0.5, 1.0]}},
     "batches-that-differ": {"x_curr": [GOOD["x_curr"]] * 2, "x_goal": [GOOD["x_goal"]] * 3},
@@ -81,6 +83,24 @@ REFUSED: dict[str, dict[str, Any]] = {
 def test_a_refused_request(name: str, default_engine: Engine) -> None:
     with pytest.raises(RequestError) as caught:
         LocalClient(default_engine).plan_request(AnchorRequest.from_fields(GOOD | REFUSED[name]))
+
+    check(name, caught.value)
+
+
+RANGES: dict[str, dict[str, tuple[float, float]]] = {
+    "limit-of-another-model": {},
+    "limit-beyond-training": {"v_max": (0.1, 6.0)},
+}
+"""Of a card that does not grant 9 m/s."""
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_a_limit_that_the_card_does_not_grant(name: str, default_engine: Engine) -> None:
+    card = default_engine.card
+    card = replace(card, conditioning=replace(card.cost_map, ranges=RANGES[name]))
+
+    with pytest.raises(RequestError) as caught:
+        resolve_for_card(AnchorRequest.from_fields(GOOD | {"v_max": 9.0}), card)
 
     check(name, caught.value)
 
@@ -275,7 +295,7 @@ def test_a_start_that_fails(name: str, tmp_path: Path) -> None:
 
 
 def test_every_message_of_the_page_is_checked() -> None:
-    checked = [*REFUSED, *OVER_HTTP, *IN_THE_QUEUE, *NO_ANSWER, *AT_THE_START]
+    checked = [*REFUSED, *RANGES, *OVER_HTTP, *IN_THE_QUEUE, *NO_ANSWER, *AT_THE_START]
 
     assert sorted([*checked, "map-for-another-planner"]) == sorted(MESSAGES)
 

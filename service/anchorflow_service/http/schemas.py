@@ -274,7 +274,7 @@ class AnchorAnswerBody(BaseModel):
         None, description="[N], whether the path keeps robot_radius from every obstacle."
     )
     dt: float | Vector | Matrix = Field(
-        description="s between two time steps; [N] where each anchor has its own."
+        description="[N] s between two time steps, or one number where all anchors are alike."
     )
     first_s: float = Field(description="s from now to the first time step.")
     seed: int = Field(description="Give it again for the same anchors.")

@@ -63,6 +63,31 @@ def test_with_heading_the_map_sees_x_and_y_alone(tiny: Bundle, small_request: Bu
     np.testing.assert_array_equal(turning.scene.cost_to_go, planar.scene.cost_to_go)
 
 
+def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(
+    tiny: Bundle, small_request: Build
+) -> None:
+    far = np.array([5000.0, -3000.0])
+    start, goal = far + np.array([[-3.0, 0.1], [3.0, 0.2]])
+    map_there = {
+        "data": small_request().cost_map.data[0],
+        "resolution": 0.5,
+        "origin": far - 4.0,
+    }
+    there = small_request(
+        cost_map=map_there,
+        x_curr=[*start, 0.5, 0.0, 0.0, 0.0],
+        x_goal=[*goal, 0.0, 0.0],
+        warm_start={"trajectory": [start, goal], "tau": 0.7, "dt": 0.4},
+    )
+
+    (scene,) = scenes(there, tiny)
+
+    warm_start = scene.request.warm_start
+    assert warm_start is not None
+    np.testing.assert_allclose(warm_start.trajectory, [[-3.0, 0.1], [3.0, 0.2]], atol=1e-8)
+    assert (warm_start.tau, warm_start.dt) == (0.7, 0.4)
+
+
 def test_only_what_the_manifest_lists_is_made(tiny: Bundle, small_request: Build) -> None:
     (scene,) = scenes(small_request(), tiny)
     names = tiny.manifest.graphs["encode"].input_names
