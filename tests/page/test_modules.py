@@ -111,23 +111,28 @@ def test_a_plan_runs_through_its_samples_and_is_smooth_between(call: Callable[..
     np.testing.assert_allclose(states, np.stack(exact, -1), atol=1e-4)
 
 
-def test_what_is_left_of_a_plan_is_a_warm_start_in_its_own_time(call: Callable[..., Any]) -> None:
-    make = """(m) => {
+@pytest.mark.parametrize(("own", "dt"), [(True, 1.5 / 8), (False, 0.25)])
+def test_what_is_left_of_a_plan_is_a_warm_start_in_its_own_time(
+    own: bool, dt: float, call: Callable[..., Any]
+) -> None:
+    make = """(m, hasOwnTime) => {
         const line = (x) => Float32Array.from({ length: 18 }, (_, k) => (k % 2 ? 0 : x(k / 2)));
         const [still, fast] = [line(() => 0), line((t) => 0.5 * t)];
         const both = (values) => Float32Array.from([...still, ...values]);
         const anchors = {
-            steps: 9, dts: [1, 0.25], safe: [true, true], positions: both(fast),
+            steps: 9, hasOwnTime, dts: [1, 0.25], safe: [true, true], positions: both(fast),
             velocities: both(line(() => 2)), accelerations: both(line(() => 0)),
         };
         return new m.Plan(anchors, 1).rest(0.5);
     }"""
 
-    warm = call("map/plan", make, None)
+    warm = call("map/plan", make, own)
 
+    # Of 2 s and 4 m, half a second and 1 m are over.
+    assert warm["dt"] == pytest.approx(dt)
     trajectory = np.array(warm["trajectory"])
-    assert warm["dt"] == pytest.approx(1.5 / 8)  # of 2 s, half a second is over
-    np.testing.assert_allclose(trajectory[:, 0], 1.0 + 2.0 * warm["dt"] * np.arange(9), atol=1e-4)
+    way = np.minimum(1.0 + 2.0 * dt * np.arange(9), 4.0)
+    np.testing.assert_allclose(trajectory[:, 0], way, atol=1e-4)
     np.testing.assert_allclose(trajectory[:, 2], 2.0, atol=1e-4)
 
 
