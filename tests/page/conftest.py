@@ -299,6 +299,21 @@ def open_page(browser: Browser, served: Served) -> Iterator[Callable[..., Visit]
         context.close()
 
 
+@pytest.fixture(scope="module")
+def call(browser: Browser, served: Served) -> Iterator[Callable[..., Any]]:
+    """Calls a function of JavaScript with `m`, the module of that name, and an argument."""
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(served.url)
+
+    def run(module: str, function: str, argument: Any = None) -> Any:
+        script = f"async (argument) => ({function})(await import('/page/js/{module}.js'), argument)"
+        return page.evaluate(script, argument)
+
+    yield run
+    context.close()
+
+
 @pytest.fixture
 def camera(open_page: Callable[..., Visit], served_both: Served) -> Iterator[Visit]:
     """The page with the camera planner chosen, its first answer shown."""
