@@ -23,9 +23,11 @@ BoolArray = NDArray[np.bool_]
 DESCENT_RATE = 0.3  # m, a first step on the control points
 # What has failed is helped along its own way: all of it once, and again where a route has nothing
 # safe yet. A hard scene costs more time than an easy one.
-FURTHER_RATES = (0.15, 0.15, 0.15)
+FURTHER_RATES = (0.15, 0.15)
 STIFFER = 4.0  # by how much obstacles and limits then weigh more, from one to the next
 MOST_STRETCH = 3.0
+# Where a route still has nothing safe, its own spline is descended, slowly gone and for longer.
+RESCUE_STRETCH, RESCUE_STEPS, RESCUE_RATE = 1.5, 60, 0.1
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
@@ -178,6 +180,9 @@ class Refiner:
             splines = splines.replaced(failed, tried)
             safe[failed] = gained
             helped = ~safe & ~np.isin(route, route[safe])
+        lost = np.setdiff1d(route, route[safe & self._on_route(splines, route)])
+        if len(lost):
+            splines, safe = self._rescued(cost, splines, safe, route, lost, certified, barrier)
         return bisect_to_safe(
             splines,
             safe,
@@ -189,6 +194,38 @@ class Refiner:
             certified_margin=certified,
         )
 
+    def _rescued(
+        self,
+        cost: TrajectoryCost,
+        splines: Splines,
+        safe: BoolArray,
+        route: NDArray[np.intp],
+        lost: NDArray[np.intp],
+        certified: float,
+        barrier: ControlBarrier | None,
+    ) -> tuple[Splines, BoolArray]:
+        """One anchor anew on each of the `lost` routes; and which are safe then."""
+        scene = self.scene
+        places = np.array([np.flatnonzero(route == each)[0] for each in lost])
+        begun = self._slowed(scene.route_splines[lost], np.full(len(lost), RESCUE_STRETCH))
+        tried = descend(cost, begun, scene.ends, steps=RESCUE_STEPS, rate=RESCUE_RATE)
+        tried, gained = self._corrected(self._stretched(tried), certified, barrier)
+        gained &= self._on_route(tried, lost)
+        safe = safe.copy()
+        safe[places[gained]] = True
+        return splines.replaced(places[gained], tried[gained]), safe
+
+    def _on_route(self, splines: Splines, route: NDArray[np.intp]) -> BoolArray:
+        """Which still pass the obstacles on the same sides as their route: [M]."""
+        scene = self.scene
+        if len(scene.routes) < 2:
+            return np.ones(len(splines), np.bool_)
+        positions = splines.control.transpose(1, 0, 2) @ scene.basis.position.T
+        found = scene.rays.signatures(
+            positions[:, :2].swapaxes(1, 2), resolution=scene.resolution, origin=scene.origin
+        )
+        return np.array([a == scene.routes[k].signature for a, k in zip(found, route, strict=True)])
+
     def _stretched(self, splines: Splines) -> Splines:
         """The same ways, gone so slowly that they keep both limits, as far as the ends allow."""
         scene, motion = self.scene, self.scene.motion
@@ -199,9 +236,16 @@ class Refiner:
             np.sqrt((vectors[..., :2] ** 2).sum(-1)).max(1) for vectors in (velocity, acceleration)
         )
         needed = np.maximum(speed / motion.v_max, (hardest / motion.a_max) ** 0.5)
-        duration = splines.duration * np.clip(needed, 1.0, MOST_STRETCH)
+        return self._slowed(splines, np.clip(needed, 1.0, MOST_STRETCH))
+
+    def _slowed(self, splines: Splines, factor: FloatArray) -> Splines:
+        """The same ways in `factor` [M] times the duration, where there is no horizon."""
+        scene = self.scene
+        if scene.motion.horizon_s is not None:
+            return splines
+        duration, free = splines.duration * factor, scene.basis.free
         control = scene.basis.end_points(scene.ends, duration)
-        control[..., scene.basis.free] = splines.control[..., scene.basis.free]
+        control[..., free] = splines.control[..., free]
         return Splines(control, duration)
 
     def _corrected(

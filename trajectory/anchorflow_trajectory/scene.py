@@ -13,6 +13,7 @@ from anchorflow_trajectory import clearance
 from anchorflow_trajectory.cost import CostWeights, MotionLimits
 from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
 from anchorflow_trajectory.geodesic import cell_index
+from anchorflow_trajectory.ray_signature import ObstacleRays
 from anchorflow_trajectory.route_shortening import pulled_tight
 from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
 from anchorflow_trajectory.routes import Route, find_routes
@@ -80,6 +81,11 @@ class Scene:
             self.clearance_field, **grid, start=self.x_curr[:2], goal=self.x_goal[:2]
         )
         return pulled_tight(found, self.clearance_field, **grid)
+
+    @cached_property
+    def rays(self) -> ObstacleRays:
+        """By which the sides are told on which a path passes the obstacles."""
+        return ObstacleRays.of(self.clearance_field)
 
     @cached_property
     def reference_s(self) -> float:
