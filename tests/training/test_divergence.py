@@ -87,9 +87,9 @@ def test_the_command_says_so_in_one_line(
     write_dataset: Callable[[Path], Path], tmp_path: Path
 ) -> None:
     path = write_dataset(tmp_path / "data")
-    ways = np.load(path / "cost_to_go.npy")
-    ways[:] = np.nan
-    np.save(path / "cost_to_go.npy", ways)
+    clearance = np.load(path / "clearance.npy")
+    clearance[:] = np.nan
+    np.save(path / "clearance.npy", clearance)
     words = ["--steps=2", "--scenes=2", "--samples=2", "--no-tensorboard", "--model.map-size=16"]
     with pytest.raises(SystemExit) as caught:
         main(["train", str(path), "--out", str(tmp_path / "run"), *words])

@@ -13,7 +13,7 @@ import torch
 from anchorflow_models import L2Config
 from anchorflow_training.batches import BatchConfig, draw_batch
 from anchorflow_training.config import TrainerConfig
-from anchorflow_training.dataset import DatasetError, SceneDataset, open_dataset
+from anchorflow_training.dataset import DatasetError, SceneDataset, open_dataset, own_time_states
 from anchorflow_training.prior_covariance import prior_covariance
 from anchorflow_training.trainer import CFMTrainer
 
@@ -45,7 +45,8 @@ def test_a_batch_weighs_each_sample_by_its_trajectory(tiny_dataset: SceneDataset
         np.testing.assert_array_equal(batch["states"], plain["states"])
         [scene] = np.flatnonzero(tiny_dataset.arrays["x_curr"][:, 1] == batch["x_curr"][0, 1])
         for state, weight in zip(batch["states"][0], batch["sample_weights"][0], strict=True):
-            every = tiny_dataset.arrays["states"][scene]
+            arrays = tiny_dataset.arrays
+            every = own_time_states(arrays["states"][scene], arrays["durations"][scene])
             [own] = np.flatnonzero((every == state).all((1, 2)))
             assert weight == pytest.approx(quality[scene, own] / quality.mean())
             seen.append(weight)
@@ -78,7 +79,8 @@ def test_the_prior_has_the_spread_of_what_counts(tiny_dataset: SceneDataset) -> 
     quality[1:] = 0.0
     quality[0, 2:] = 0.0
     first = {name: array[:1] for name, array in tiny_dataset.arrays.items()}
-    first["states"] = first["states"][:, :2]
+    for name in ("states", "durations", "route"):
+        first[name] = first[name][:, :2]
     np.testing.assert_allclose(
         prior_covariance(with_quality(tiny_dataset, quality), MODEL),
         prior_covariance(replace(tiny_dataset, arrays=first), MODEL),

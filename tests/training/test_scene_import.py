@@ -13,7 +13,7 @@ from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.scene_import import ImportConfig, import_scenes, rounded_up
 from anchorflow_training.dataset import DTYPES, SceneDataset, open_dataset
 from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.geodesic import cost_to_go
+from anchorflow_trajectory.routes import MOST
 
 STEPS = 21
 RADIUS = 0.2
@@ -58,9 +58,10 @@ def test_a_sample_becomes_a_scene(tmp_path: Path) -> None:
     np.testing.assert_array_equal(risk, 0)
     clearance = clearance_field(occupied >= 0.5, 0.1, RADIUS)
     np.testing.assert_allclose(rows["clearance"][0], clearance, atol=2e-3)
-    ends = np.array([1.0, 3.0]), np.array([5.0, 3.0])
-    ways = cost_to_go(clearance, 0.1, np.zeros(2), *ends)
-    np.testing.assert_allclose(rows["cost_to_go"][0], ways, rtol=1e-3)
+    np.testing.assert_allclose(rows["limits"], [[2.1, 1e-3, RADIUS, 2.0]] * 2, rtol=1e-6)
+    np.testing.assert_allclose(rows["durations"], 2.0)
+    assert rows["route_states"].shape == (2, MOST, STEPS, 7)
+    np.testing.assert_allclose(np.exp(rows["route_states"][:, 0, :, -1]), 2.0, rtol=1e-6)
     assert rows["states"].shape == (2, 1, STEPS, 6)
     np.testing.assert_allclose(rows["states"][0, 0, :, 2], 2.0, atol=1e-6)
 
@@ -73,7 +74,42 @@ def test_the_folder_tells_the_trainer_what_it_needs(tmp_path: Path) -> None:
     assert scenes.meta["statistics"]["positions"]["mean"] == pytest.approx([3.0, 2.5])
     assert scenes.meta["families"] == {"l2": 2}
     batch = draw_batch(scenes, BatchConfig(scenes=2, samples=4), 0)
-    assert batch["states"].shape == (2, 4, STEPS, 6)
+    assert batch["states"].shape == (2, 4, STEPS, 7)
+    assert "starts" not in batch  # noise is paired with the data instead
+
+
+def test_a_sample_follows_the_route_that_it_lies_nearest_to(tmp_path: Path) -> None:
+    """A block in the middle: the sample below it and the one above go different ways round."""
+    maps = np.zeros((2, 1, 40, 60), np.float32)
+    maps[:, 0, 16:24, 24:36] = 1.0
+    positions = straight_lines([2.0, 2.0])
+    positions[..., 1] += np.outer([-1.2, 1.2], np.sin(np.linspace(0, np.pi, STEPS)))
+    path = l2_file(tmp_path / "l2.npz", [2.0, 2.0], positions=positions, cost_maps=maps)
+    rows = imported(path, tmp_path / "out").batch(np.arange(2))
+    for height, routes, route in zip((-1, 1), rows["route_states"], rows["route"], strict=True):
+        chosen = routes[int(route[0])]
+        assert (chosen[STEPS // 2, 1] - 2.0) * height > 0.3
+    assert set(rows["route"][:, 0]) == {0, 1}
+
+
+@pytest.mark.parametrize("said", ["dt", "horizon_s"])
+def test_samples_may_have_durations_of_their_own(said: str, tmp_path: Path) -> None:
+    """Half of the scenes ask for theirs, the others leave it to the sample."""
+    lasting = np.array([2.0, 2.5, 4.0, 2.0])
+    told = lasting / (STEPS - 1) if said == "dt" else lasting
+    positions = straight_lines([3.0, 2.0, 2.5, 2.8])
+    np.savez(tmp_path / "p.npz", positions=positions, **{said: told})
+    scenes = imported(tmp_path / "p.npz", tmp_path / "out")
+    rows = scenes.batch(np.arange(4))
+    np.testing.assert_allclose(rows["durations"][:, 0], lasting, rtol=1e-6)
+    np.testing.assert_allclose(rows["limits"][:, 3], [0, 2.5, 0, 2.0], rtol=1e-6)
+    np.testing.assert_allclose(rows["x_curr"][:, 2], 4.0 / lasting, rtol=1e-5)
+    np.testing.assert_allclose(rows["states"][:, 0, 5, 2], 4.0 / lasting, rtol=1e-5)
+    assert scenes.limits.horizon_s is None
+    assert scenes.meta["ranges"] == {"horizon_s": pytest.approx([2.0, 4.0])}
+    one = imported(l2_file(tmp_path / "l2.npz", [3.0], horizon_s=[2.0]), tmp_path / "one")
+    assert one.limits.horizon_s == pytest.approx(2.0)
+    assert one.meta["ranges"] == {}
 
 
 def test_limits_are_the_data_s_or_the_caller_s(tmp_path: Path) -> None:

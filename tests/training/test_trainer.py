@@ -12,7 +12,6 @@ import torch
 from anchorflow_models import L2Config
 from anchorflow_training.batches import BatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
-from anchorflow_training.coupling import couple
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.learning_rate import FLOOR, rate_share
 from anchorflow_training.restore import restore_model
@@ -65,7 +64,8 @@ def test_the_losses_are_those_of_the_first_trainer(
 
 def test_the_loss_falls(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
     # One trajectory a scene: there is something to learn besides noise.
-    arrays = {**tiny_dataset.arrays, "states": tiny_dataset.arrays["states"][:, :1]}
+    single = {n: tiny_dataset.arrays[n][:, :1] for n in ("states", "durations", "route")}
+    arrays = {**tiny_dataset.arrays, **single}
     run = trainer(replace(tiny_dataset, arrays=arrays), tmp_path, 60)
     run.fit()
     losses = [row["loss"] for row in run.curve]
@@ -110,12 +110,3 @@ def test_the_rate_climbs_then_falls_as_a_cosine() -> None:
     np.testing.assert_allclose(rates[:4], [0.25, 0.5, 0.75, 1.0])
     np.testing.assert_allclose([rates[4], rates[54], rates[104]], [1.0, (1 + FLOOR) / 2, FLOOR])
     assert (np.diff(rates[4:]) < 0).all()
-
-
-def test_coupling_shortens_the_way() -> None:
-    rng = np.random.default_rng(0)
-    start, end = (rng.normal(size=(3, 16, 5)).astype(np.float32) for _ in range(2))
-    order = couple(start, end)
-    paired = np.take_along_axis(end, order[..., None], 1)
-    assert np.square(start - paired).sum() < 0.8 * np.square(start - end).sum()
-    np.testing.assert_array_equal(np.sort(order, 1), np.tile(np.arange(16), (3, 1)))

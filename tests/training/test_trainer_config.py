@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +15,7 @@ from anchorflow_cli.train import SHORT
 from anchorflow_cli.train import app as train_app
 from anchorflow_training.config import TrainerConfig
 from anchorflow_training.config_file import config_text, layers, model_settings, read_config
-from anchorflow_training.dataset import SceneDataset, open_dataset
+from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.settings import ConfigError, build, setting, settings
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "training.md"
@@ -94,18 +92,10 @@ def test_each_layer_goes_over_the_one_before(tiny_dataset: SceneDataset, tmp_pat
     assert config.warmup == TrainerConfig().warmup
 
 
-def test_the_model_has_the_datasets_shape_and_limits(
-    write_dataset: Callable[[Path], Path], tmp_path: Path
-) -> None:
-    path = write_dataset(tmp_path / "data")
-    meta = json.loads((path / "dataset.json").read_text())
-    limits = {"v_max": 1, "a_max": 1.5, "horizon_s": 4.0}
-    (path / "dataset.json").write_text(json.dumps(meta | {"limits": limits}))
-    dataset = open_dataset(path)
-    model = layered(dataset).model
-    assert (model.v_max, model.a_max, model.horizon_s) == (1.0, 1.5, 4.0)
+def test_the_model_has_the_datasets_shape(tiny_dataset: SceneDataset) -> None:
+    model = layered(tiny_dataset).model
     assert (model.num_steps, model.dim, model.map_channels) == (64, 2, 3)
-    assert layered(dataset, options={"model.v_max": "2"}).model.v_max == 2.0
+    assert layered(tiny_dataset, options={"model.degree": "5"}).model.degree == 5
 
 
 def test_the_printed_configuration_reads_back_as_itself(

@@ -30,7 +30,9 @@ from anchorflow_training.pictures import sample_picture
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer
 from anchorflow_trajectory.clearance import GridField, clearance_field
+from anchorflow_trajectory.cost import MotionLimits
 
+LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 MODEL = L2Config(map_size=16, feature_channels=4)
 CONFIG = TrainerConfig(
     steps=3,
@@ -70,7 +72,7 @@ def clearance() -> GridField:
 def test_an_anchor_is_free_beyond_the_robots_radius(clearance: GridField) -> None:
     # The block ends at 0.4 m: 0.65 m is where the robot touches it.
     states = straight_lines(y=[0.0, 0.55, 0.75, -0.75, 3.99])
-    verdict = judge(states, clearance, x_goal=np.array([2, 0.75, 0, 0], np.float32), config=MODEL)
+    verdict = judge(states, clearance, x_goal=np.array([2, 0.75, 0, 0], np.float32), limits=LIMITS)
     assert verdict.free.tolist() == [False, False, True, True, False]
     assert verdict.reached.tolist() == [False, False, True, False, False]
     assert verdict.success.tolist() == [False, False, True, False, False]
@@ -86,7 +88,7 @@ def test_an_anchor_is_feasible_within_both_limits(
     position, velocity, accelerations = straight_lines(y=[1.0])
     states = position, 0 * velocity, 0 * accelerations
     states[1][0, 10, 0], states[2][0, 20, 1] = speed, acceleration
-    verdict = judge(states, clearance, x_goal=np.array([2, 1, 0, 0], np.float32), config=MODEL)
+    verdict = judge(states, clearance, x_goal=np.array([2, 1, 0, 0], np.float32), limits=LIMITS)
     assert verdict.feasible.tolist() == [feasible]
 
 
@@ -97,8 +99,8 @@ def test_the_sampler_is_of_second_order() -> None:
         def encode(self) -> dict[str, torch.Tensor]:
             return {}
 
-        def draw(self, noise: torch.Tensor, _: object) -> torch.Tensor:
-            return noise
+        def draw(self, noise: torch.Tensor, mean: torch.Tensor, _: object) -> torch.Tensor:
+            return mean + noise
 
         def modulate(self, times: torch.Tensor, _: object) -> torch.Tensor:
             return times[None]
@@ -106,9 +108,12 @@ def test_the_sampler_is_of_second_order() -> None:
         def field(self, x: torch.Tensor, *_: object) -> torch.Tensor:
             return x
 
-    start = torch.ones(1, 1, 1, 1, dtype=torch.float64)
+    half = torch.full((1, 1, 1, 1), 0.5, dtype=torch.float64)
     model: object = Growth()
-    ends = [sample(model, {}, start, steps).item() for steps in (8, 16)]  # type: ignore[arg-type]
+    ends = [
+        sample(model, {}, half, half, steps=steps).item()  # type: ignore[arg-type]
+        for steps in (8, 16)
+    ]
     errors = [np.e - end for end in ends]
     assert 3.6 < errors[0] / errors[1] < 4.4
 
@@ -126,6 +131,26 @@ def test_judged_anchors_meet_both_ends_and_are_always_the_same(tiny_dataset: Sce
     row = scores(first)
     assert row["reached"] == 1.0
     assert 0 <= row["success"] <= min(row["free"], row["feasible"], row["any"])
+
+
+def test_anchors_are_judged_by_the_limits_and_the_horizon_of_their_own_scene(
+    tiny_dataset: SceneDataset,
+) -> None:
+    """An untrained flow draws its prior: within the robot's limits, beyond those of a slow one."""
+    model = create_l2_safety_cfm(MODEL).eval()
+    model.prior.widen(0.01)
+    config = EvaluationConfig(scenes=6, samples=4, steps=1)
+
+    def feasible(v_max: float, horizon_s: float) -> list[float]:
+        limits = np.array(tiny_dataset.arrays["limits"])
+        limits[:, 0], limits[:, 3] = v_max, horizon_s
+        arrays = {**tiny_dataset.arrays, "limits": limits}
+        judged = flow_evaluator(replace(tiny_dataset, arrays=arrays), config).judged(model)
+        return [scene.checks.feasible.mean() for scene in judged]
+
+    assert min(feasible(2.0, 20.0)) == 1.0
+    assert max(feasible(0.2, 20.0)) == 0.0  # 6 m in 20 s are faster
+    assert max(feasible(2.0, 2.0)) == 0.0
 
 
 def test_more_sampler_steps_are_another_answer(tiny_dataset: SceneDataset) -> None:
@@ -253,7 +278,7 @@ def test_tensorboard_gets_every_scalar_and_the_picture(
     CFMTrainer(config, tiny_dataset, tmp_path).fit()
     events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
 
-    fields = {"velocity_field", "acceleration_field", "jerk_field", "roughness"}
+    fields = {"velocity_field", "acceleration_field", "jerk_field", "roughness", "duration_field"}
     course = {"loss", "gradient_norm", "learning_rate", "samples_per_s"}
     tags = set(events.Tags()["scalars"])
     assert {f"train/{name}" for name in fields | course} <= tags

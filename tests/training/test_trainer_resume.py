@@ -42,9 +42,6 @@ FIRST_MODEL_FIELDS = (
     "variant",
     "num_steps",
     "dim",
-    "horizon_s",
-    "v_max",
-    "a_max",
     "map_channels",
     "map_size",
     "feature_channels",
@@ -172,6 +169,19 @@ def test_a_checkpoint_of_the_first_format_is_restored_and_resumed(
     resumed = CFMTrainer(replace(CONFIG, steps=3), tiny_dataset, tmp_path)
     resumed.fit()
     assert [row["step"] for row in resumed.curve] == [1, 2, 3]
+
+
+def test_a_checkpoint_of_one_horizon_for_all_is_refused_in_words(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    """Earlier models had their limits and their horizon built in; they are other networks."""
+    run = CFMTrainer(replace(CONFIG, steps=1), tiny_dataset, tmp_path)
+    run.fit()
+    saved = dict(vars(load_checkpoint(run.checkpoint_path)))
+    saved["config"] = {**saved["config"], "model": {**saved["config"]["model"], "horizon_s": 8.0}}
+    torch.save(saved, run.checkpoint_path)
+    with pytest.raises(CheckpointError, match=r"checkpoint: .*horizon_s"):
+        restore_model(load_checkpoint(run.checkpoint_path))
 
 
 def test_earlier_names_of_loss_terms_and_weights_are_translated(

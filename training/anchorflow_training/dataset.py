@@ -99,7 +99,7 @@ class SceneDataset:
         """Of the usual robot, with a horizon if all scenes share it; `DatasetError` if unsaid."""
         found = self.meta.get("limits")
         try:
-            return MotionLimits(**found)  # type: ignore[arg-type]
+            return MotionLimits(**found)
         except TypeError as error:
             raise DatasetError(
                 f"{self.path / 'dataset.json'}: limits: expected v_max, a_max and horizon_s, "

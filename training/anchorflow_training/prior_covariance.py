@@ -31,6 +31,11 @@ def prior_covariance(
     dataset.check_finite(picked)
     flat = np.concatenate([_residuals(dataset, config, scene) for scene in picked])
     share = quality[picked].reshape(-1)
+    # A scene with a horizon says nothing of how durations spread where they are open.
+    is_open = np.repeat(arrays["limits"][picked, 3] <= 0, quality.shape[1])
+    open_share = share[is_open].sum() / share.sum()
+    if open_share > 0:
+        flat[:, -1] /= np.sqrt(open_share)
     if mirrored:
         signs = np.repeat(reflection(config.dim), flat.shape[1] // config.dim)
         flat = np.concatenate([flat, flat * np.append(signs, 1.0)])

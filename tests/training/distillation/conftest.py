@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_training.batches import BatchConfig, encode_inputs
+from anchorflow_training.batches import BatchConfig, dealt_routes, encode_inputs, prior_means
 from anchorflow_training.config import JudgeConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import DistillConfig, TeacherConfig
@@ -50,6 +50,13 @@ def inputs(tiny_dataset: SceneDataset) -> dict[str, torch.Tensor]:
     """What encode takes, of three scenes."""
     batch = encode_inputs(tiny_dataset.batch(torch.arange(3).numpy()))
     return {name: torch.from_numpy(array) for name, array in batch.items()}
+
+
+@pytest.fixture
+def prior_mean(tiny_dataset: SceneDataset) -> torch.Tensor:
+    """[3, 5, T, S]: of the same scenes, their routes dealt out to five samples."""
+    batch = tiny_dataset.batch(torch.arange(3).numpy())
+    return torch.from_numpy(prior_means(batch, dealt_routes(batch, 5)))
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
@@ -14,11 +15,12 @@ from anchorflow_models.flow_matching import LossWeights
 from anchorflow_training.distillation.consistency import ConsistencyObjective
 from anchorflow_training.distillation.direct import DirectObjective
 from anchorflow_training.distillation.reflow import ReflowObjective
+from anchorflow_training.objective import METRIC
 
 RATE = 1.2
 END = math.exp(-RATE)  # where the teacher carries 1
 WEIGHTS = LossWeights()
-B, N, T, D, R = 2, 5, 7, 2, 3
+B, N, T, S, R = 2, 5, 7, 7, 3
 
 Gain = Callable[[Tensor], Tensor]
 
@@ -29,27 +31,25 @@ class LinearFlow(nn.Module):
     def __init__(self, gain: Gain) -> None:
         super().__init__()
         self.gain = gain
-        generator = torch.Generator().manual_seed(3)
-        factor = torch.randn(R, D, 4, generator=generator)
-        free = torch.randn(4, T, 3, generator=generator)
+        states = torch.randn(R, T, S, generator=torch.Generator().manual_seed(3))
         self.prior = SimpleNamespace(
-            factor=factor,
-            free=free,
-            spread=torch.ones(3, D),
+            factor=torch.eye(R),
+            disturbed=lambda noise: torch.tensordot(noise, states, 1),
+            spread=torch.ones(S),
             rank=R,
             to_si=lambda z, _: z,
             normalise=lambda x, *_: x,
         )
 
-    def encode(self, scene: Tensor) -> dict[str, Tensor]:
-        nothing = torch.zeros(len(scene), T, 3 * D)
-        names = ("prior_mean", "prior_basis", "frame", "units", "si_units")
-        return dict.fromkeys(names, nothing)
+    def encode(self, limits: Tensor) -> dict[str, Tensor]:
+        return dict.fromkeys(METRIC, torch.zeros(len(limits)))
 
     def modulate(self, t: Tensor, _: object) -> Tensor:
         return self.gain(t)[..., None, None]
 
-    def normalised_field(self, _x: Tensor, z: Tensor, modulation: Tensor, _: object) -> Tensor:
+    def normalised_field(
+        self, _x: Tensor, z: Tensor, _mean: Tensor, modulation: Tensor, _: object
+    ) -> Tensor:
         return modulation * z
 
 
@@ -58,8 +58,9 @@ def constant(value: float | Tensor) -> Gain:
 
 
 def pair_batch() -> dict[str, Tensor]:
-    z_0 = torch.randn(B, N, T, 3 * D, generator=torch.Generator().manual_seed(0))
-    return {"scene": torch.zeros(B, 1), "z_0": z_0, "z_1": END * z_0}
+    z_0 = torch.randn(B, N, T, S, generator=torch.Generator().manual_seed(0))
+    told = {"limits": torch.zeros(B, 4), "prior_mean": torch.zeros(B, N, T, S)}
+    return {**told, "z_0": z_0, "z_1": END * z_0, "reference_s": torch.ones(B)}
 
 
 def straight(t: Tensor) -> Tensor:
@@ -82,9 +83,9 @@ def reflow(gain: Gain, *, at_schedule: float = 0.3) -> ReflowObjective:
     )
 
 
-def direct(gain: Gain, schedule: tuple[float, ...]) -> DirectObjective:
+def direct(gain: Gain, schedule: tuple[float, ...], **options: Any) -> DirectObjective:
     model: nn.Module = LinearFlow(gain)
-    return DirectObjective(model, schedule=schedule, weights=WEIGHTS)  # type: ignore[arg-type]
+    return DirectObjective(model, schedule=schedule, weights=WEIGHTS, **options)  # type: ignore[arg-type]
 
 
 def consistency(gain: Gain, *, intervals: int) -> ConsistencyObjective:
@@ -100,8 +101,10 @@ def consistency(gain: Gain, *, intervals: int) -> ConsistencyObjective:
 
 
 def data_batch() -> dict[str, Tensor]:
-    states = torch.randn(B, N, T, 3 * D, generator=torch.Generator().manual_seed(1))
-    return {"scene": torch.zeros(B, 1), "states": states}
+    states = torch.randn(B, N, T, S, generator=torch.Generator().manual_seed(1))
+    route = torch.zeros(B, N, dtype=torch.long)
+    told = {"limits": torch.zeros(B, 4), "prior_mean": torch.zeros(B, N, T, S)}
+    return {**told, "states": states, "route": route}
 
 
 def test_reflow_learns_the_straight_field() -> None:
@@ -144,6 +147,36 @@ def test_direct_gradients_run_through_every_step() -> None:
     expected = 2 * ((1 + end / 2) ** 2 - END) * slope * scale
     assert gain.grad is not None
     torch.testing.assert_close(gain.grad, expected, rtol=1e-4, atol=1e-6)
+
+
+class SquaredSize(nn.Module):
+    """A cost [B, N] of states [B, N, T, S], and of what else it is told."""
+
+    def forward(self, states: Tensor, inputs: dict[str, Tensor], reference_s: Tensor) -> Tensor:
+        assert set(inputs) == {"limits"}
+        return states.square().mean((2, 3)) / reference_s[:, None]
+
+
+def test_direct_weighs_what_its_ends_cost() -> None:
+    """Beside the distance from the teacher's, log(1 + J) of the student's own ends."""
+    batch = pair_batch() | {"reference_s": torch.tensor([1.0, 4.0])}
+    gain = constant(-RATE)
+    plain = direct(gain, (0.0, 1.0))(batch)
+    loss, terms = direct(gain, (0.0, 1.0), cost=SquaredSize(), cost_weight=0.3)(batch)
+    end = (1 - RATE) * batch["z_0"]
+    costs = end.square().mean((2, 3)) / torch.tensor([[1.0], [4.0]])
+    torch.testing.assert_close(terms["cost"], torch.log1p(costs).mean())
+    torch.testing.assert_close(loss, plain[0] + 0.3 * terms["cost"])
+    assert set(terms) == {*plain[1], "cost"}
+
+
+def test_direct_learns_to_cost_less() -> None:
+    """At the teacher's own end only the cost pulls."""
+    gain = torch.tensor(END - 1, requires_grad=True)
+    objective = direct(constant(gain), (0.0, 1.0), cost=SquaredSize(), cost_weight=1.0)
+    loss_of(objective, pair_batch()).backward()
+    assert gain.grad is not None
+    assert gain.grad > 0.1  # a smaller end costs less
 
 
 def seen_from(rate: float) -> Gain:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_training.data.homology import homology_classes, obstacle_points
-from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
 from anchorflow_training.data.time_step import in_words
+from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
 from anchorflow_training.data.trajectory_statistics import FIELDS
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_trajectory.cost import MotionLimits
