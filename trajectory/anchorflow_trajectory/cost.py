@@ -145,9 +145,7 @@ class TrajectoryCost:
         gained = speeds * (-2.0 * slow_gain / (slow_gain + short_gain + 1e-30)) - 6.0 * jerk
         gained -= fast.rate + 2.0 * hard.rate
         later = (w.time + w.quick * energy[..., 0]) * duration / self.reference_s
-        gradient = Gradient(
-            (slope @ self.basis.stacked.T) / count, later + gained.sum(-1) / count
-        )
+        gradient = Gradient((slope @ self.basis.stacked.T) / count, later + gained.sum(-1) / count)
         cost = place + speeds + fast.cost + hard.cost + jerk
         return cost.sum(-1) / count + later, gradient
 
