@@ -9,11 +9,10 @@ from anchorflow_trajectory import control_barrier
 from anchorflow_trajectory.clearance import GridField, clearance_field
 from anchorflow_trajectory.control_barrier import SHARPNESS, SLACK, ControlBarrier
 from anchorflow_trajectory.descent import whitening
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.spline import Ends, Splines, spline_basis
 
-BASIS = spline_basis(64, 8.0)
-X_CURR = np.asarray([1.0, 3.2, 0, 0, 0, 0], np.float32)
-X_GOAL = np.asarray([5.4, 3.2, 0, 0], np.float32)
+BASIS = spline_basis(64)
+ENDS = Ends(np.array([1.0, 3.2, 0, 0, 0, 0]), np.array([5.4, 3.2, 0, 0]))
 
 
 @pytest.fixture
@@ -25,31 +24,31 @@ def barrier() -> ControlBarrier:
     return ControlBarrier(BASIS, field, 0.1)
 
 
-def bows(heights: list[float]) -> np.ndarray:
-    """Curves [2, M, K] that pass the post at these heights [m] beside the axis, in float64."""
-    rest = BASIS.rest_curve(X_CURR, X_GOAL).astype(np.float64)
-    control = np.repeat(rest[:, None], len(heights), axis=1)
-    control[1] += np.outer(heights, np.sin(np.linspace(0.0, np.pi, rest.shape[1])) ** 2)
-    return control
+def bows(heights: list[float]) -> Splines:
+    """Curves that pass the post at these heights [m] beside the axis, in float64."""
+    splines = BASIS.rest_curves(ENDS, np.linspace(5.0, 9.0, len(heights)))
+    control = splines.control.astype(np.float64)
+    control[1] += np.outer(heights, np.sin(np.linspace(0.0, np.pi, control.shape[2])) ** 2)
+    return Splines(control, splines.duration)
 
 
-def room(barrier: ControlBarrier, control: np.ndarray) -> np.ndarray:
+def room(barrier: ControlBarrier, splines: Splines) -> np.ndarray:
     """Least clearance at the samples beyond the margin: [M]."""
-    position, _, _ = BASIS.states(control)
+    position, _, _ = BASIS.states(splines)
     x, y = np.moveaxis(position, -1, 0)
     return (barrier.clearance.sample(x, y) - barrier.margin).min(-1)
 
 
 def test_the_barrier_is_a_lower_bound_of_every_samples_room(barrier: ControlBarrier) -> None:
-    control = bows([0.3, 0.6, -0.8, 1.5])
-    h, _ = barrier.value_and_gradient(control)
-    below = room(barrier, control) - h
+    splines = bows([0.3, 0.6, -0.8, 1.5])
+    h, _ = barrier.value_and_gradient(splines.control)
+    below = room(barrier, splines) - h
     assert (below >= 0).all()
     assert (below <= np.log(64) / SHARPNESS).all()
 
 
 def test_the_gradient_equals_finite_differences(barrier: ControlBarrier) -> None:
-    control, h = bows([0.3, 0.6, -0.8]), 1e-6
+    control, h = bows([0.3, 0.6, -0.8]).control, 1e-6
     _, gradient = barrier.value_and_gradient(control)
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -65,10 +64,10 @@ def test_a_correction_is_the_closed_form(
 ) -> None:
     """h climbs by its shortfall, up to the slack, by the least change in the metric."""
     monkeypatch.setattr(control_barrier, "CORRECTIONS", 1)
-    control = bows([0.5])
-    (h,), gradient = barrier.value_and_gradient(control)
+    splines = bows([0.5])
+    (h,), gradient = barrier.value_and_gradient(splines.control)
     root = whitening(BASIS).astype(np.float64)
-    change = (barrier.corrected(control) - control)[:, 0, BASIS.free]
+    change = (barrier.corrected(splines).control - splines.control)[:, 0, BASIS.free]
     noise = np.linalg.solve(root, change.T).T  # in coordinates in which the metric is round
     slope = gradient[:, 0] @ root
     variance = (slope**2).sum()
@@ -76,14 +75,15 @@ def test_a_correction_is_the_closed_form(
     np.testing.assert_allclose(noise, -h * slope / (variance + SLACK**2), rtol=1e-4, atol=1e-6)
 
 
-def test_what_is_near_is_moved_clear_and_the_ends_stay(barrier: ControlBarrier) -> None:
-    control = bows([0.45, 0.6, -0.5, 1.5])
-    assert (room(barrier, control) < 0).tolist() == [True, True, True, False]
-    corrected = barrier.corrected(control)
+def test_what_is_near_is_moved_clear_and_ends_and_durations_stay(barrier: ControlBarrier) -> None:
+    splines = bows([0.45, 0.6, -0.5, 1.5])
+    assert (room(barrier, splines) < 0).tolist() == [True, True, True, False]
+    corrected = barrier.corrected(splines)
     assert (room(barrier, corrected) > -0.01).all()
-    np.testing.assert_array_equal(corrected[:, 3], control[:, 3])
+    np.testing.assert_array_equal(corrected.control[:, 3], splines.control[:, 3])
     fixed = np.r_[0:3, -2:0]
-    np.testing.assert_array_equal(corrected[..., fixed], control[..., fixed])
+    np.testing.assert_array_equal(corrected.control[..., fixed], splines.control[..., fixed])
+    np.testing.assert_array_equal(corrected.duration, splines.duration)
 
 
 def test_one_correction_after_another_frees_a_path_between_two_posts() -> None:
@@ -91,14 +91,15 @@ def test_one_correction_after_another_frees_a_path_between_two_posts() -> None:
     occupied = np.zeros((64, 64), bool)
     occupied[33:42, 18:22] = occupied[18:30, 42:46] = True
     field = GridField(clearance_field(occupied, 0.1, 0.25), 0.1, np.zeros(2))
-    barrier, control = ControlBarrier(BASIS, field, 0.1), bows([0.0])
-    assert room(barrier, control)[0] < -0.2
-    assert room(barrier, barrier.corrected(control))[0] > 0.0
+    barrier, splines = ControlBarrier(BASIS, field, 0.1), bows([0.0])
+    assert room(barrier, splines)[0] < -0.2
+    assert room(barrier, barrier.corrected(splines))[0] > 0.0
 
 
 def test_a_heading_stays(barrier: ControlBarrier) -> None:
     planar = bows([0.5, -0.5])
-    heading = np.random.default_rng(1).normal(size=planar[:1].shape)
-    corrected = barrier.corrected(np.concatenate([planar, heading]))
+    heading = np.random.default_rng(1).normal(size=planar.control[:1].shape)
+    turning = Splines(np.concatenate([planar.control, heading]), planar.duration)
+    corrected = barrier.corrected(turning).control
     np.testing.assert_array_equal(corrected[2:], heading)
-    np.testing.assert_allclose(corrected[:2], barrier.corrected(planar), atol=1e-12)
+    np.testing.assert_allclose(corrected[:2], barrier.corrected(planar).control, atol=1e-12)

@@ -1,43 +1,38 @@
-"""Geodesic costs: straight where the ground is open, round the wall where it is not."""
+"""The graph of a map's cells: steps weigh their length times the cost of both ends."""
 
 import numpy as np
 import pytest
+from scipy.sparse.csgraph import dijkstra
 
-from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.geodesic import BLOCKED_COST, cost_to_go, pool
-
-ORIGIN = np.zeros(2)
-START, GOAL = np.asarray([1.0, 3.25], np.float32), np.asarray([5.5, 3.25], np.float32)
+from anchorflow_trajectory.geodesic import cell_index, grid_graph
 
 
-def way_through(occupied: np.ndarray) -> float:
-    field = clearance_field(occupied, 0.1, 0.2)
-    ways = cost_to_go(field, 0.1, ORIGIN, START, GOAL)
-    assert ways.shape == (2, *occupied.shape)
-    from_start, to_goal = ways
-    assert from_start[32, 55] == pytest.approx(to_goal[32, 10], rel=1e-4)
-    return float(from_start[32, 55])
+def test_steps_weigh_their_length_times_the_mean_cost() -> None:
+    cost = np.array([[1.0, 3.0], [1.0, 5.0]])
+    graph = grid_graph(cost, 0.5).toarray()
+    weights = graph + graph.T
+    assert weights[0, 1] == pytest.approx(0.5 * 2.0)
+    assert weights[0, 2] == pytest.approx(0.5 * 1.0)
+    assert weights[0, 3] == pytest.approx(0.5 * np.sqrt(2.0) * 3.0)
+    assert weights[1, 2] == pytest.approx(0.5 * np.sqrt(2.0) * 2.0)
+    assert np.count_nonzero(graph) == 6  # each pair of neighbours once
 
 
-def test_open_ground_costs_its_length() -> None:
-    assert way_through(np.zeros((64, 64), bool)) == pytest.approx(4.5, abs=1e-4)
+def test_open_ground_is_as_far_as_steps_to_eight_neighbours_lead() -> None:
+    graph = grid_graph(np.ones((20, 30), np.float32), 0.1)
+    far = dijkstra(graph, directed=False, indices=0).reshape(20, 30)
+    assert far[0, 29] == pytest.approx(2.9, rel=1e-5)
+    assert far[10, 10] == pytest.approx(np.sqrt(2.0), rel=1e-5)
+    assert far[4, 9] == pytest.approx(0.5 + 0.4 * np.sqrt(2.0), rel=1e-5)
 
 
-def test_a_wall_with_a_gap_costs_the_detour() -> None:
-    wall = np.zeros((64, 64), bool)
-    wall[10:, 32] = True
-    assert 6.5 < way_through(wall) < 9.0
+def test_a_point_is_in_its_cell_and_one_beyond_in_the_nearest() -> None:
+    origin = np.array([-1.0, 2.0])
 
+    def cell(x: float, y: float) -> int:
+        return cell_index(np.array([x, y]), origin, 0.5, (4, 6))
 
-def test_a_closed_wall_is_dear_but_finite() -> None:
-    wall = np.zeros((64, 64), bool)
-    wall[:, 32] = True
-    assert 4.5 + 0.3 * BLOCKED_COST < way_through(wall) < 4.5 + BLOCKED_COST
-
-
-def test_pooling_keeps_the_best_of_each_block() -> None:
-    field = np.arange(130 * 70, dtype=np.float32).reshape(130, 70)
-    coarse, cell = pool(field, 0.1)
-    assert coarse.shape == (44, 24)
-    assert cell == pytest.approx(0.3)
-    assert coarse[0, 0] == field[:3, :3].max()
+    assert cell(-0.9, 2.1) == 0
+    assert cell(0.1, 2.6) == 6 + 2
+    assert cell(9.0, 9.0) == 4 * 6 - 1
+    assert cell(-9.0, 2.6) == 6

@@ -8,49 +8,57 @@ import numpy as np
 import pytest
 
 from anchorflow_trajectory.clearance import GridField, clearance_field
-from anchorflow_trajectory.cost import CostWeights, MotionLimits, TrajectoryCost
+from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
 from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.guidance import REACH, Guidance
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.spline import Ends, Splines, spline_basis
 
-BASIS = spline_basis(32, 8.0, num_control_points=12)
-LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+BASIS = spline_basis(32, num_control_points=12)
 RANK, COUNT = 9, 5
 
 
-@pytest.fixture(params=[2, 3], ids=["planar", "with heading"])
+@pytest.fixture(params=[(2, None), (3, None), (2, 4.0)], ids=["planar", "with heading", "horizon"])
 def guidance(request: pytest.FixtureRequest) -> Guidance:
     """In a scene with a block between both ends; the prior's basis is any matrix."""
-    dim = request.param
+    dim, horizon_s = request.param
     occupied = np.zeros((64, 64), bool)
     occupied[28:36, 28:36] = True
     field = GridField(clearance_field(occupied, 0.1, 0.2), 0.1, np.zeros(2))
+    limits = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=horizon_s)
     style = np.array([0.4, 0.3, 0.3])
-    cost = TrajectoryCost(BASIS, CostFields(field), LIMITS, style, 0.1, CostWeights())
-    x_curr, x_goal = ends_of(dim)
-    basis = 0.1 * np.random.default_rng(1).normal(size=(RANK, 32 * 3 * dim))
-    return Guidance.of(cost, x_curr=x_curr, x_goal=x_goal, prior_basis=basis, scale=1e-5)
+    cost = TrajectoryCost(BASIS, CostFields(field), limits, style, 2.9, 0.1)
+    basis = 0.1 * np.random.default_rng(1).normal(size=(RANK, 32, 3 * dim + 1))
+    return Guidance(cost, ends_of(dim), basis.reshape(RANK, -1), scale=1e-5)
 
 
 def flow(guidance: Guidance) -> tuple[np.ndarray, np.ndarray]:
-    """A field and states [N, T, 3D] round the straight way between both ends, in float64."""
-    rng, dim = np.random.default_rng(2), len(guidance.ends)
-    control = guidance.cost.basis.rest_curve(*ends_of(dim))[:, None]
-    control = control + rng.normal(0.0, 0.2, (dim, COUNT, BASIS.num_control_points))
-    x_t = np.concatenate(BASIS.states(control), axis=-1)
+    """A field and states [N, T, 3D + 1] round the straight way between both ends, in float64."""
+    rng, dim = np.random.default_rng(2), len(guidance.ends.x_goal) // 2
+    rest = BASIS.rest_curves(guidance.ends, np.linspace(2.0, 5.0, COUNT))
+    control = rest.control + rng.normal(0.0, 0.2, (dim, COUNT, BASIS.num_control_points))
+    lasting = np.broadcast_to(np.log(rest.duration)[:, None, None], (COUNT, 32, 1))
+    x_t = np.concatenate([BASIS.own_time_states(control), lasting], axis=-1)
     return 0.1 * rng.normal(size=x_t.shape), x_t
 
 
-def ends_of(dim: int) -> tuple[np.ndarray, np.ndarray]:
+def ends_of(dim: int) -> Ends:
+    """Moving at both, so that the fixed control points depend on the duration."""
     x_curr, x_goal = np.zeros(3 * dim), np.zeros(2 * dim)
-    x_curr[:2], x_goal[:2], x_curr[dim] = (1.0, 3.2), (5.4, 3.1), 0.4
-    return x_curr, x_goal
+    x_curr[:2], x_goal[:2], x_curr[dim], x_goal[dim] = (1.0, 3.2), (5.4, 3.1), 0.6, 0.5
+    return Ends(x_curr, x_goal)
 
 
 def cost_of_states(guidance: Guidance, states: np.ndarray) -> np.ndarray:
-    """J [N] of the spline that the finish fits to states [N, T, 3D]."""
-    control = guidance.cost.basis.fit(states, *ends_of(len(guidance.ends)))
-    return guidance.cost.value(control.astype(np.float64))
+    """J [N] of the spline that the finish fits to states [N, T, 3D + 1]."""
+    duration = np.exp(states[..., -1].mean(-1))
+    if guidance.cost.limits.horizon_s is not None:
+        duration = np.full(len(states), guidance.cost.limits.horizon_s)
+    fitted = BASIS.fit(states[..., :-1], guidance.ends, duration)
+    # The same in float64, so that finite differences resolve it.
+    control = BASIS.end_points(guidance.ends, duration).astype(np.float64)
+    control[..., BASIS.free] = BASIS.fit_free(states[..., :-1] - BASIS.own_time_states(control))
+    np.testing.assert_allclose(control, fitted.control, atol=2e-5)
+    return guidance.cost.value(Splines(control, duration))
 
 
 def test_the_correction_is_the_gradient_through_the_fit(guidance: Guidance) -> None:
@@ -71,13 +79,17 @@ def test_the_correction_is_the_gradient_through_the_fit(guidance: Guidance) -> N
     np.testing.assert_allclose(guided - field, expected, atol=5e-3 * size, rtol=0)
 
 
-def test_the_fit_is_the_finishs_own(guidance: Guidance) -> None:
-    _, x_t = flow(guidance)
-    dim, free = len(guidance.ends), BASIS.free
-    control = np.repeat(guidance.ends[:, None], COUNT, axis=1).astype(np.float64)
-    moved = x_t.reshape(COUNT, -1) @ guidance.fit
-    control[..., free] += moved.reshape(COUNT, dim, -1).transpose(1, 0, 2)
-    np.testing.assert_allclose(control, BASIS.fit(x_t, *ends_of(dim)), atol=2e-5)
+def test_log_duration_is_left_alone_where_there_is_a_horizon(guidance: Guidance) -> None:
+    """And pulled at elsewhere: a prior that moves nothing else tells it."""
+    field, x_t = flow(guidance)
+    basis = np.zeros((1, *x_t.shape[1:]))
+    basis[..., -1] = 0.1
+    guided = field.copy()
+    alone = replace(guidance, prior_basis=basis.reshape(1, -1))
+    alone.correct(guided, x_t, 0.3, stride=0.1)
+    moved = np.abs(guided - field).max((0, 1))
+    assert not moved[:-1].any()
+    assert (moved[-1] > 0) == (guidance.cost.limits.horizon_s is None)
 
 
 @pytest.mark.parametrize("scale", [1.0, 100.0])

@@ -1,25 +1,25 @@
-"""The finish: what `safe` certifies, and what the barrier may and may not do."""
+"""The finish: what `safe` certifies, what a failed anchor is helped by, and on which way."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.cost_fields import CostFields
 from anchorflow_trajectory.refine import Refined, Refiner
+from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.spline import Ends, Splines, spline_basis
 
-LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
-REFINER = Refiner.of(LIMITS, num_steps=64, num_control_points=18, degree=4, steps=20)
-BASIS = REFINER.basis
+BASIS = spline_basis(64)
+LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 RESOLUTION, RADIUS = 0.1, 0.25
 X_CURR = np.asarray([0.8, 3.2, 0.3, 0.0, 0.0, 0.0], np.float32)
 X_GOAL = np.asarray([5.6, 3.2, 0.0, 0.0], np.float32)
 STYLE = np.asarray([0.0, 1.0, 0.0], np.float32)  # energy: as near to obstacles as it may
+UNFINISHED = {"smooth": False, "project": False}
 
 
 @dataclass(frozen=True)
@@ -44,24 +44,49 @@ def occupied() -> np.ndarray:
     return cells
 
 
-def refined(*, x_curr: np.ndarray = X_CURR, steps: int = 20, **spec: Any) -> Refined:
-    """64 disturbed curves finished."""
+def scene_of(
+    *, x_curr: np.ndarray = X_CURR, x_goal: np.ndarray = X_GOAL, motion: MotionLimits = LIMITS
+) -> Scene:
+    return Scene(
+        cost_map=occupied()[None].astype(np.float32),
+        resolution=RESOLUTION,
+        origin=np.zeros(2),
+        robot_radius=RADIUS,
+        x_curr=x_curr,
+        x_goal=x_goal,
+        w_style=STYLE,
+        motion=motion,
+        basis=BASIS,
+    )
+
+
+def curves(scene: Scene, duration: float) -> Splines:
+    """64 disturbed ones, from 2 m below the axis to 2.5 m above it."""
     rng = np.random.default_rng(3)
-    control = np.repeat(BASIS.rest_curve(x_curr, X_GOAL)[:, None], 64, axis=1)
-    free = control[..., BASIS.free]
+    splines = BASIS.rest_curves(scene.ends, duration * np.exp(rng.normal(0.0, 0.1, 64)))
+    free = splines.control[..., BASIS.free]
     free += rng.normal(0, 0.15, free.shape) * np.sin(np.linspace(0, np.pi, free.shape[-1]))
     free[1] += np.linspace(-2.0, 2.5, 64)[:, None] * np.sin(np.linspace(0, np.pi, free.shape[-1]))
-    clearance = clearance_field(occupied(), RESOLUTION, RADIUS)
-    cost_map = occupied()[None].astype(np.float32)
-    refiner = Refiner(BASIS, LIMITS, steps)
-    return refiner.refine(
-        np.concatenate(BASIS.states(control), axis=-1),
-        CostFields.of(cost_map, clearance, RESOLUTION, np.zeros(2)),
-        x_curr=x_curr,
-        x_goal=X_GOAL,
-        w_style=STYLE,
-        spec=Spec(**spec),
-    )
+    return splines
+
+
+def states_of(splines: Splines) -> np.ndarray:
+    lasting = np.broadcast_to(np.log(splines.duration)[:, None, None], (len(splines), 64, 1))
+    return np.concatenate([BASIS.own_time_states(splines.control), lasting], axis=-1)
+
+
+def refined(
+    scene: Scene | None = None,
+    *,
+    steps: int = 20,
+    duration: float = 8.0,
+    route: np.ndarray | None = None,
+    **spec: Any,
+) -> Refined:
+    """64 disturbed curves finished, all on one route unless it is told."""
+    scene = scene or scene_of()
+    route = np.zeros(64, int) if route is None else route
+    return Refiner(scene, steps).refine(states_of(curves(scene, duration)), route, Spec(**spec))
 
 
 def distances(positions: np.ndarray) -> np.ndarray:
@@ -99,9 +124,7 @@ def test_the_descent_aims_beyond_what_is_certified(
     safety_margin: float, certified_margin: float, aim: float
 ) -> None:
     spec = Spec(safety_margin=safety_margin, certified_margin=certified_margin)
-    clearance = clearance_field(occupied(), RESOLUTION, RADIUS)
-    fields = CostFields.of(occupied()[None], clearance, RESOLUTION, np.zeros(2))
-    assert REFINER.cost(fields, w_style=STYLE, spec=spec).margin == pytest.approx(aim, abs=1e-12)
+    assert Refiner(scene_of(), 20).cost(spec).margin == pytest.approx(aim, abs=1e-12)
 
 
 def test_without_a_certified_margin_less_is_kept_than_the_projection_aims_at() -> None:
@@ -113,7 +136,8 @@ def test_without_a_certified_margin_less_is_kept_than_the_projection_aims_at() -
 def test_where_an_end_is_too_near_no_anchor_is_safe_and_none_is_worse() -> None:
     """The start stands 0.15 m from a post; the projection goes on as if nothing were certified."""
     near = np.asarray([2.6, 3.5, 0.0, 0.0, 0.0, 0.0], np.float32)
-    asked, plain = (refined(x_curr=near, steps=1, certified_margin=m) for m in (0.3, 0.0))
+    scene = scene_of(x_curr=near)
+    asked, plain = (refined(scene, steps=1, certified_margin=m) for m in (0.3, 0.0))
     assert not asked.safe.any()
     assert plain.safe.mean() > 0.9
     assert (asked.clearance >= 0.03).mean() > 0.9  # far fewer, were the margin insisted on
@@ -136,3 +160,95 @@ def test_the_barrier_keeps_the_ends_and_the_limits() -> None:
     speed = np.linalg.norm(anchors.velocities[anchors.safe], axis=-1)
     assert speed.max() <= 1.02 * LIMITS.v_max
     assert anchors.safe.mean() > 0.9
+
+
+@pytest.mark.parametrize("spec", [{}, {"smooth": True, "project": False}, {"barrier": True}])
+def test_both_ends_are_met_exactly_whatever_the_duration(spec: dict[str, Any]) -> None:
+    ends = Ends(np.array([0.8, 3.2, 0.6, 0.2, 0.3, -0.2]), np.array([5.6, 3.2, 0.4, -0.1]))
+    anchors = refined(scene_of(x_curr=ends.x_curr, x_goal=ends.x_goal), duration=4.0, **spec)
+    assert np.ptp(anchors.duration) > 0.1
+    states = anchors.positions, anchors.velocities, anchors.accelerations
+    start = np.concatenate([x[:, 0] for x in states], -1)
+    goal = np.concatenate([x[:, -1] for x in states[:2]], -1)
+    np.testing.assert_allclose(start, np.tile(ends.x_curr, (64, 1)), atol=3e-4)
+    np.testing.assert_allclose(goal, np.tile(ends.x_goal, (64, 1)), atol=3e-5)
+
+
+def test_neither_smoothed_nor_projected_anchors_are_as_they_were_sampled() -> None:
+    scene = scene_of()
+    splines = curves(scene, 6.0)
+    states = states_of(splines) + 0.01 * np.random.default_rng(1).normal(size=(64, 64, 7))
+    sampled = Refiner(scene, 20).refine(states, np.zeros(64, int), Spec(**UNFINISHED))
+    duration = np.exp(states[..., -1].mean(1))
+    np.testing.assert_allclose(sampled.duration, duration, rtol=1e-6)
+    for order, found in enumerate((sampled.positions, sampled.velocities, sampled.accelerations)):
+        expected = states[..., 2 * order : 2 * order + 2] / duration[:, None, None] ** order
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_what_is_sampled_for_a_horizon_lasts_as_long() -> None:
+    fixed = scene_of(motion=replace(LIMITS, horizon_s=7.0))
+    for spec in ({}, {"project": False}, UNFINISHED):
+        assert (refined(fixed, duration=5.0, **spec).duration == 7.0).all()
+
+
+def test_a_duration_that_is_too_short_is_stretched_and_one_that_is_too_long_shortened() -> None:
+    hasty, slow = (refined(duration=d) for d in (1.2, 16.0))
+    assert np.median(hasty.duration) > 2.0
+    assert np.median(slow.duration) < 12.0
+    for anchors in (hasty, slow):
+        assert anchors.safe.mean() > 0.9
+        speed = np.linalg.norm(anchors.velocities[anchors.safe], axis=-1)
+        assert speed.max() <= 1.02 * LIMITS.v_max
+
+
+def test_stretching_keeps_the_way_and_lasts_no_longer_than_the_limits_ask() -> None:
+    """From rest to rest a way is the same in any time; the harder of both limits is then met."""
+    scene = scene_of(x_curr=np.r_[0.8, 3.2, np.zeros(4)])
+    splines = curves(scene, 2.0)
+    stretched = Refiner(scene, 20)._stretched(splines)  # pyright: ignore[reportPrivateUsage]
+    np.testing.assert_array_equal(stretched.control, splines.control)
+    _, velocity, acceleration = BASIS.states(stretched)
+    speed = np.linalg.norm(velocity, axis=-1).max(1) / LIMITS.v_max
+    push = np.linalg.norm(acceleration, axis=-1).max(1) / LIMITS.a_max
+    longer = stretched.duration / splines.duration
+    assert longer.min() > 1.0
+    assert longer.max() <= 3.0 + 1e-12
+    met = longer < 2.999
+    assert met.any()
+    np.testing.assert_allclose(np.maximum(speed, push)[met], 1.0, rtol=1e-4)
+    sound = Splines(splines.control, 4 * stretched.duration)
+    assert Refiner(scene, 20)._stretched(sound).duration.tolist() == sound.duration.tolist()  # pyright: ignore[reportPrivateUsage]
+
+
+def gaps(anchors: Refined) -> np.ndarray:
+    """Which gap each passes, by how many posts are below it where it crosses them."""
+    middle = 0.5 * RESOLUTION * sum(COLUMNS)
+    at = np.abs(anchors.positions[..., 0] - middle).argmin(1)
+    y = anchors.positions[np.arange(64), at, 1]
+    return (y[:, None] > RESOLUTION * np.array(POSTS).mean(1)).sum(1)
+
+
+def test_anchors_stay_on_their_own_route_where_it_has_something_safe() -> None:
+    """Each of the gaps is a route; more change it where the finish is told of none."""
+    scene = scene_of()
+    sampled = Refiner(scene, 1).refine(
+        states_of(curves(scene, 8.0)), np.zeros(64, int), Spec(**UNFINISHED)
+    )
+    assert sampled.safe.mean() < 0.3
+    route = gaps(sampled)
+    told, untold = refined(scene, steps=1, route=route), refined(scene, steps=1)
+    assert told.safe.mean() > 0.9
+    assert (gaps(told) == route).mean() > 0.9
+    assert (gaps(told) == route).sum() > (gaps(untold) == route).sum()
+
+
+def test_one_anchor_of_a_scene_that_is_sound_never_touches_another() -> None:
+    scene, route = scene_of(), np.zeros(64, int)
+    states = states_of(curves(scene, 8.0))
+    spec = Spec(project=True, barrier=True)
+    together = Refiner(scene, 20).refine(states, route, spec)
+    alone = Refiner(scene, 20).refine(states[5:6], route[5:6], spec)
+    assert alone.safe.all()
+    np.testing.assert_allclose(together.positions[5:6], alone.positions, atol=1e-3)
+    np.testing.assert_allclose(together.duration[5:6], alone.duration, rtol=1e-3)

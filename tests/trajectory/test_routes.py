@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.ray_signature import ObstacleRays
 from anchorflow_trajectory.route_shortening import pulled_tight
-from anchorflow_trajectory.routes import SLACK, Route, find_routes, free_cells
+from anchorflow_trajectory.routes import MOST, SLACK, STRETCH, Route, find_routes, free_cells
 
 SEEDS = (1, 3, 24, 28)
 CELL, RADIUS = 0.1, 0.25
@@ -171,7 +171,7 @@ def test_every_route_is_free_and_no_two_are_alike(case: World) -> None:
     routes, rays = case.routes(), ObstacleRays.of(clearance)
 
     assert [r.length for r in routes] == sorted(r.length for r in routes)
-    assert len({r.signature for r in routes}) == len(routes) <= 8
+    assert len({r.signature for r in routes}) == len(routes) <= MOST
     for route in (*routes, *case.tight()):
         columns, rows = ((route.points - ORIGIN) / CELL).astype(int).T
         assert free[rows, columns].all()
@@ -193,7 +193,7 @@ def test_the_routes_are_those_of_a_plain_search(seed: int) -> None:
     posts = np.stack([rows, columns, sizes], axis=-1).tolist()
     case = world(*(box(*post) for post in posts))
     found = {r.signature: r.length for r in case.routes(most=6)}
-    expected = plain_search(case, most=6, stretch=1.25)
+    expected = plain_search(case, most=6, stretch=STRETCH)
 
     assert len(found) > 1
     # Of routes as long as the last one, any may be listed.

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anchorflow_trajectory import clearance, geodesic
+from anchorflow_trajectory import clearance
+from anchorflow_trajectory.cost import CostWeights, MotionLimits
+from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
 
 
@@ -22,6 +24,7 @@ def scene() -> Scene:
         x_curr=np.array([1.5, 3.0, 0.1, 0.2, 0.3, 0.4]),
         x_goal=np.array([4.5, 3.0, 0.0, 0.0]),
         w_style=np.array([0.4, 0.3, 0.3]),
+        motion=MotionLimits(v_max=2.0, a_max=3.0),
     )
 
 
@@ -29,9 +32,6 @@ def test_fields_follow_from_the_map(scene: Scene) -> None:
     assert scene.occupied.sum() == 24 * 3
     field = clearance.clearance_field(scene.occupied, 0.1, 0.2)
     np.testing.assert_array_equal(scene.clearance_field, field)
-    ways = geodesic.cost_to_go(field, 0.1, scene.origin, scene.x_curr[:2], scene.x_goal[:2])
-    np.testing.assert_array_equal(scene.cost_to_go, ways)
-    assert ways[1, 10, 5] > 3.5  # the straight way is 3 m long and barred
     assert scene.map_geometry.tolist() == pytest.approx([1.0, 2.0, 0.1])
     np.testing.assert_array_equal(scene.cost_fields.clearance.values, field)
     assert scene.cost_fields.soft is None
@@ -48,25 +48,89 @@ def test_a_field_is_worked_out_once_and_anew_for_another_scene(
         return real(occupied, resolution, robot_radius)
 
     monkeypatch.setattr(clearance, "clearance_field", counted)
-    assert scene.cost_to_go is scene.cost_to_go
+    assert scene.routes is scene.routes
+    assert scene.route_splines is scene.route_splines
     assert scene.cost_fields.clearance.values is scene.clearance_field
     wider = replace(scene, robot_radius=0.3)
     np.testing.assert_allclose(wider.clearance_field[10, 25], scene.clearance_field[10, 25] - 0.1)
     assert calls == [0.2, 0.3]
 
 
+def test_the_routes_lead_through_the_gap_and_durations_are_measured_by_the_first(
+    scene: Scene,
+) -> None:
+    lengths = [route.length for route in scene.routes]
+    assert lengths == sorted(lengths)
+    assert lengths[0] > 3.5  # the straight way is 3 m long and barred
+    assert scene.reference_s == scene.motion.least_time(lengths[0])
+    states = scene.route_states
+    assert (states.shape, states.dtype) == ((len(lengths), 64, 7), np.float32)
+    at_wall = np.abs(states[0, :, 0] - 2.95).argmin()
+    assert states[0, at_wall, 1] > 4.4
+    splines = splines_along(
+        scene.routes,
+        scene.basis,
+        scene.ends,
+        limits=scene.motion,
+        leaning=CostWeights().leaning(scene.w_style),
+    )
+    np.testing.assert_array_equal(states[..., :6], scene.basis.own_time_states(splines.control))
+    lasting = np.log(splines.duration)[:, None]
+    np.testing.assert_allclose(states[..., 6], np.broadcast_to(lasting, (len(lengths), 64)))
+    # Its velocity is p' over the duration, so the start's is met.
+    first = states[:, 0, 2:4] / splines.duration[:, None]
+    np.testing.assert_allclose(first, np.tile([0.1, 0.2], (len(lengths), 1)), atol=1e-5)
+
+
+def test_where_no_way_is_free_the_straight_one_is_followed(scene: Scene) -> None:
+    closed = scene.cost_map.copy()
+    closed[0, :, 18:21] = 1.0
+    barred = replace(scene, cost_map=closed)
+    assert barred.routes == []
+    assert barred.reference_s == scene.motion.least_time(3.0)
+    assert len(barred.route_splines) == 1
+    assert np.ptp(barred.route_states[0, :, 1]) < 0.2
+
+
+def test_a_goal_underfoot_is_measured_by_the_least_way(scene: Scene) -> None:
+    near = replace(scene, x_goal=np.array([1.5, 3.0, 0.0, 0.0]))
+    assert near.reference_s == scene.motion.least_time(LEAST_WAY)
+
+
+def test_limits_tell_a_horizon_or_that_there_is_none(scene: Scene) -> None:
+    np.testing.assert_allclose(scene.limits, [2.0, 3.0, 0.2, 0.0])
+    fixed = replace(scene, motion=MotionLimits(1.0, 2.0, horizon_s=7.0))
+    np.testing.assert_allclose(fixed.limits, [1.0, 2.0, 0.2, 7.0])
+    np.testing.assert_allclose(fixed.route_states[..., -1], np.log(7.0), rtol=1e-6)
+    assert fixed.route_splines.duration.tolist() == [7.0] * len(fixed.routes)
+
+
+def test_a_slower_robot_sees_the_same_routes_for_longer(scene: Scene) -> None:
+    slow = replace(
+        scene,
+        x_curr=scene.x_curr / np.repeat([1.0, 2.0, 4.0], 2),
+        motion=MotionLimits(v_max=1.0, a_max=0.75),
+    )
+    assert slow.reference_s == pytest.approx(2.0 * scene.reference_s)
+    longer = slow.route_states - scene.route_states
+    np.testing.assert_allclose(longer[..., :-1], 0.0, atol=1e-4)
+    np.testing.assert_allclose(longer[..., -1], np.log(2.0), atol=1e-5)
+
+
 def test_inputs_are_float32_with_a_batch_axis(scene: Scene) -> None:
     inputs = scene.inputs(SCENE_INPUTS)
+    routes = len(scene.routes)
     assert tuple(inputs) == SCENE_INPUTS
     assert {array.dtype for array in inputs.values()} == {np.dtype(np.float32)}
     assert {name: array.shape for name, array in inputs.items()} == {
         "cost_map": (1, 4, 30, 40),
         "map_geometry": (1, 3),
         "clearance_field": (1, 30, 40),
-        "cost_to_go": (1, 2, 30, 40),
         "x_curr": (1, 6),
         "x_goal": (1, 4),
         "w_style": (1, 3),
+        "limits": (1, 4),
+        "route_states": (1, routes, 64, 7),
     }
     assert list(scene.inputs(["x_goal"])) == ["x_goal"]
 

@@ -3,74 +3,136 @@
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basis
 
-X_CURR = np.array([1.0, -2.0, 0.5, 0.3, -0.2, 0.1], np.float32)
-X_GOAL = np.array([4.0, 1.0, -0.3, 0.2], np.float32)
+ENDS = Ends(np.array([1.0, -2.0, 0.5, 0.3, -0.2, 0.1], np.float32), np.array([4.0, 1.0, -0.3, 0.2]))
+DURATION = np.array([0.6, 2.0, 5.0, 8.0, 30.0])
 
 
 @pytest.fixture
 def basis() -> SplineBasis:
-    return spline_basis(64, 8.0)
+    return spline_basis(64)
 
 
 @pytest.fixture
-def control(basis: SplineBasis) -> np.ndarray:
-    """Random free control points [2, 5, K] between the ends."""
+def splines(basis: SplineBasis) -> Splines:
+    """Five of different durations, with random free control points between the ends."""
     rng = np.random.default_rng(0)
-    control = np.repeat(basis.end_points(X_CURR, X_GOAL)[:, None], 5, axis=1)
+    control = basis.end_points(ENDS, DURATION)
     control[..., basis.free] += rng.normal(size=control[..., basis.free].shape)
-    return control.astype(np.float32)
+    return Splines(control, DURATION)
 
 
-def test_ends_are_met_whatever_the_free_points(basis: SplineBasis, control: np.ndarray) -> None:
-    position, velocity, acceleration = basis.states(control)
-    start = np.concatenate([s[:, 0] for s in (position, velocity, acceleration)], -1)
-    goal = np.concatenate([position[:, -1], velocity[:, -1]], -1)
-    np.testing.assert_allclose(start, np.tile(X_CURR, (5, 1)), atol=2e-5)
-    np.testing.assert_allclose(goal, np.tile(X_GOAL, (5, 1)), atol=2e-5)
+def test_ends_are_met_in_every_duration(basis: SplineBasis, splines: Splines) -> None:
+    """To what float32 control points resolve: derivatives amplify their rounding."""
+    position, velocity, acceleration = basis.states(splines)
+    start, goal = ENDS.x_curr.reshape(3, 2), ENDS.x_goal.reshape(2, 2)
+    for samples, order, expected in (
+        (position[:, 0], 0, start[0]),
+        (velocity[:, 0], 1, start[1]),
+        (acceleration[:, 0], 2, start[2]),
+        (position[:, -1], 0, goal[0]),
+        (velocity[:, -1], 1, goal[1]),
+    ):
+        rounding = np.array([1e-6, 2e-5, 6e-4])[order] / DURATION[:, None] ** order
+        assert (np.abs(samples - expected) < rounding + 1e-6).all()
 
 
-def test_velocity_and_acceleration_are_the_derivatives(control: np.ndarray) -> None:
-    fine = spline_basis(4001, 8.0)
-    position, velocity, acceleration = fine.states(control.astype(np.float64))
-    dt = 8.0 / 4000
-    np.testing.assert_allclose(
-        np.gradient(position, dt, axis=1)[:, 1:-1], velocity[:, 1:-1], atol=2e-3
+def test_velocity_and_acceleration_are_the_derivatives(splines: Splines) -> None:
+    fine = spline_basis(4001)
+    position, velocity, acceleration = fine.states(
+        Splines(splines.control.astype(np.float64), DURATION)
     )
+    for m, duration in enumerate(DURATION):
+        dt = duration / 4000
+        slope, bend = (np.gradient(x[m], dt, axis=0)[1:-1] for x in (position, velocity))
+        assert np.abs(slope - velocity[m, 1:-1]).max() < 2e-3 * np.abs(velocity[m]).max()
+        assert np.abs(bend - acceleration[m, 1:-1]).max() < 1e-2 * np.abs(acceleration[m]).max()
+
+
+def test_a_uniform_motion_is_the_spline_of_its_duration(basis: SplineBasis) -> None:
+    """p(t) = v t: control points at the Greville abscissae times v d, whatever the duration."""
+    v = np.array([0.5, -0.25])
+    for duration in (1.0, 4.0):
+        ends = Ends(np.r_[0.0, 0.0, v, 0.0, 0.0], np.r_[v * duration, v])
+        splines = basis.rest_curves(ends, np.array([duration]))
+        position, velocity, acceleration = basis.states(splines)
+        times = np.linspace(0.0, duration, 64)
+        np.testing.assert_allclose(position[0], times[:, None] * v, atol=1e-5)
+        np.testing.assert_allclose(velocity[0], np.tile(v, (64, 1)), atol=1e-4)
+        np.testing.assert_allclose(acceleration[0], 0.0, atol=1e-3 / duration)
+
+
+def test_the_same_control_points_in_twice_the_time_are_half_as_fast(basis: SplineBasis) -> None:
+    control = np.random.default_rng(1).normal(size=(2, 3, basis.num_control_points))
+    first, second = (basis.states(Splines(control, np.full(3, d))) for d in (2.0, 4.0))
+    for order, (one, other) in enumerate(zip(first, second, strict=True)):
+        np.testing.assert_allclose(other, one / 2**order, rtol=1e-6)
+
+
+def test_own_time_states_are_those_of_one_second(basis: SplineBasis, splines: Splines) -> None:
+    unit = Splines(splines.control, np.ones(5))
     np.testing.assert_allclose(
-        np.gradient(velocity, dt, axis=1)[:, 1:-1], acceleration[:, 1:-1], atol=1e-2
+        basis.own_time_states(splines.control), np.concatenate(basis.states(unit), -1), rtol=1e-6
     )
 
 
-def test_fit_returns_the_spline_that_made_the_states(
-    basis: SplineBasis, control: np.ndarray
-) -> None:
-    state = np.concatenate(basis.states(control), -1)
-    np.testing.assert_allclose(basis.fit(state, X_CURR, X_GOAL), control, atol=1e-5)
+def test_fit_returns_the_spline_that_made_the_states(basis: SplineBasis, splines: Splines) -> None:
+    fitted = basis.fit(basis.own_time_states(splines.control), ENDS, DURATION)
+    np.testing.assert_allclose(fitted.control, splines.control, atol=2e-5)
+    assert fitted.duration is DURATION
 
 
-def test_fit_of_positions_alone(basis: SplineBasis, control: np.ndarray) -> None:
-    position, _, _ = basis.states(control)
-    np.testing.assert_allclose(basis.fit_positions(position, X_CURR, X_GOAL), control, atol=1e-5)
+def test_fit_of_positions_alone(basis: SplineBasis, splines: Splines) -> None:
+    position, _, _ = basis.states(splines)
+    fitted = basis.fit_positions(position, ENDS, DURATION)
+    np.testing.assert_allclose(fitted.control, splines.control, atol=2e-5)
 
 
-def test_rest_curve_has_the_least_jerk(basis: SplineBasis, control: np.ndarray) -> None:
-    rest = basis.rest_curve(X_CURR, X_GOAL)
+def test_end_slopes_are_the_derivative_by_log_duration(basis: SplineBasis) -> None:
+    h = 1e-3
+    ahead, behind = (basis.end_points(ENDS, DURATION * np.exp(s * h)) for s in (1, -1))
+    slopes = basis.end_slopes(ENDS, DURATION)
+    difference = (ahead.astype(np.float64) - behind) / (2 * h)
+    np.testing.assert_allclose(difference, slopes, atol=2e-4 * np.abs(slopes).max())
+    assert not slopes[..., basis.free].any()
 
-    def jerk(points: np.ndarray) -> float:
-        return float(((points @ basis.jerk.T) ** 2).sum())
 
-    moved = rest.copy()
-    for change in (control[:, 0] - rest, 0.01 * (control[:, 1] - rest)):
-        moved[:, basis.free] = (rest + change)[:, basis.free]
-        assert jerk(moved) > jerk(rest)
+def test_ends_at_rest_do_not_depend_on_the_duration(basis: SplineBasis) -> None:
+    rest = Ends(np.r_[1.0, 2.0, np.zeros(4)], np.r_[3.0, 4.0, 0.0, 0.0])
+    assert rest.at_rest
+    assert not ENDS.at_rest
+    assert not basis.end_slopes(rest, DURATION).any()
+    assert (np.ptp(basis.end_points(rest, DURATION), axis=1) == 0.0).all()
+
+
+def test_rest_curves_have_the_least_jerk(basis: SplineBasis, splines: Splines) -> None:
+    rest = basis.rest_curves(ENDS, DURATION)
+
+    def jerk(control: np.ndarray) -> np.ndarray:
+        return ((control @ basis.jerk.T.astype(np.float64)) ** 2).sum((0, 2))
+
+    for share in (1.0, 0.01):
+        moved = rest.control + share * (splines.control - rest.control)
+        assert (jerk(moved) > jerk(rest.control)).all()
 
 
 def test_a_third_dimension_is_carried_along() -> None:
-    basis = spline_basis(32, 4.0)
-    x_curr, x_goal = np.arange(9, dtype=np.float32), np.arange(6, dtype=np.float32)
-    position, velocity, _ = basis.states(basis.rest_curve(x_curr, x_goal)[:, None])
+    basis = spline_basis(32)
+    ends = Ends(np.arange(9, dtype=np.float32), np.arange(6, dtype=np.float32))
+    position, velocity, _ = basis.states(basis.rest_curves(ends, np.array([4.0])))
     assert position.shape == (1, 32, 3)
-    np.testing.assert_allclose(position[0, 0], x_curr[:3], atol=1e-5)
-    np.testing.assert_allclose(velocity[0, -1], x_goal[3:], atol=1e-5)
+    np.testing.assert_allclose(position[0, 0], ends.x_curr[:3], atol=1e-5)
+    np.testing.assert_allclose(velocity[0, -1], ends.x_goal[3:], atol=1e-5)
+
+
+def test_some_of_the_splines_and_others_in_their_places(splines: Splines) -> None:
+    assert len(splines) == 5
+    chosen = np.array([3, 1])
+    some = splines[chosen]
+    np.testing.assert_array_equal(some.control, splines.control[:, [3, 1]])
+    assert some.duration.tolist() == [8.0, 2.0]
+    swapped = splines.replaced(chosen[::-1], some)
+    assert swapped.duration.tolist() == [0.6, 8.0, 5.0, 2.0, 30.0]
+    np.testing.assert_array_equal(swapped.control[:, 1], splines.control[:, 3])
+    assert splines.duration.tolist() == DURATION.tolist()

@@ -53,9 +53,7 @@ def bisect_to_safe(
     for _ in range(ROUNDS):
         tried = 0.5 * (reached + beyond)
         mixture = _mixed(nearest, lost, tried, ends, basis)
-        good = verify(
-            basis.states(mixture), field, limits, certified_margin=certified_margin
-        ).safe
+        good = verify(basis.states(mixture), field, limits, certified_margin=certified_margin).safe
         reached, beyond = np.where(good, tried, reached), np.where(good, beyond, tried)
     return splines.replaced(failed, _mixed(nearest, lost, reached, ends, basis))
 

@@ -80,7 +80,7 @@ def descend(
             log_duration = log_duration - STRETCH * longer
             if moving:
                 control[..., held] = basis.end_points(ends, np.exp(log_duration))[..., held]
-    return Splines(control, np.exp(log_duration))
+    return Splines(control, np.exp(log_duration) if timed else splines.duration)
 
 
 class _Adam:

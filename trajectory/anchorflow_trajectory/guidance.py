@@ -78,6 +78,8 @@ class Guidance:
         )
         if horizon_s is None:
             ending = basis.end_slopes(self.ends, duration)
+            # The fit takes back on the free control points what the fixed ones explain.
+            ending[..., basis.free] = -basis.fit_free(basis.own_time_states(ending))
             along = gradient.log_duration + np.einsum("dmk,dmk->m", gradient.control, ending)
             slope[..., -1] = along[:, None] / steps
         return slope.reshape(count, -1)

@@ -66,7 +66,7 @@ def splines_along(
     if not routes:
         raise ValueError("expected at least one route, got none")
     pace = 1.0 if leaning is None else float(PACES @ leaning)
-    duration = np.array([_duration(route.length, ends, limits, pace) for route in routes])
+    duration = np.array([_duration(route.length, limits, pace) for route in routes])
     timed = [
         _timed(route, basis, ends, limits, float(lasts))
         for route, lasts in zip(routes, duration, strict=True)
@@ -129,8 +129,8 @@ def _planar(states: FloatArray, fields: int) -> FloatArray:
     return states.reshape(fields, -1)[:, PLANE].ravel()
 
 
-def _duration(length: float, ends: Ends, limits: MotionLimits, pace: float) -> float:
-    """s, of a route from the ends' speeds."""
+def _duration(length: float, limits: MotionLimits, pace: float) -> float:
+    """s that a spline along a route of so many m lasts."""
     if limits.horizon_s is not None:
         return limits.horizon_s
     return nominal_duration(max(length, LEAST_WAY), limits, pace=pace)

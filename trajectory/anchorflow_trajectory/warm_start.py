@@ -23,21 +23,19 @@ def warm_states(
         scene: that the anchors are for.
         trajectory: [T', D], [T', 2D] or [T', 3D] p, v, a in SI; missing derivatives are a spline's.
         route: [N] the place of the route that each anchor begins on.
-        dt: s between two of its samples; None: it lasts as long as the horizon, or as the
-            nominal duration of its route.
+        dt: s between two of its samples; None: it lasts as long as the spline along its route.
+            Where there is a horizon, the way that it goes is gone in that.
     """
     means = scene.route_states
     dim, steps = len(scene.x_goal) // 2, means.shape[1]
     place = resampled_states(trajectory, dim=dim, num_steps=steps, horizon_s=1.0)[:, :2]
     nearest = nearest_route(means, place)
-    duration = (
-        scene.motion.horizon_s or float(np.exp(means[nearest, 0, -1]))
-        if dt is None
-        else dt * (len(trajectory) - 1)
-    )
+    usual = float(scene.route_splines.duration[nearest])
+    duration = usual if dt is None else dt * (len(trajectory) - 1)
     given = resampled_states(trajectory, dim=dim, num_steps=steps, horizon_s=duration)
     own_time = np.repeat(duration ** np.arange(3.0), dim)
-    warm = np.concatenate([given * own_time, np.full((steps, 1), np.log(duration))], -1)
+    lasting = np.full((steps, 1), np.log(scene.motion.horizon_s or duration))
+    warm = np.concatenate([given * own_time, lasting], -1)
     states = means[route]
     states[route == nearest] = warm
     return states.astype(np.float32)

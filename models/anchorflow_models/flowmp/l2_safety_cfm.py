@@ -186,15 +186,16 @@ class L2SafetyCFM(nn.Module):
         frame = Frame.unpack(context["frame"], self.config.dim)
         points = frame.place(x_t[..., :2].reshape(batch, count * steps, 2))
         seen = self._seen(points, context).reshape(batch, count, steps, -1)
-        told = self._told(x_t, prior_mean, frame, context["motion_limits"]).reshape(batch, count, steps, -1)
+        told = self._told(x_t, prior_mean, frame, context["motion_limits"])
         per_sample = modulation if modulation.ndim == 3 else modulation[:, None]
         return self.vector_field(
-            state, torch.cat([told, seen], -1), per_sample, context.get("map_keys_values")
+            state,
+            torch.cat([told.reshape(batch, count, steps, -1), seen], -1),
+            per_sample,
+            context.get("map_keys_values"),
         )
 
-    def _told(
-        self, x_t: Tensor, prior_mean: Tensor, frame: Frame, motion_limits: Tensor
-    ) -> Tensor:
+    def _told(self, x_t: Tensor, prior_mean: Tensor, frame: Frame, motion_limits: Tensor) -> Tensor:
         """Where each step's route leads, and how near its limits it is: [B, N * T, 7 + 4]."""
         dim = self.config.dim
         v_max, a_max = motion_limits.unbind(-1)
