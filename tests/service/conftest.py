@@ -21,6 +21,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -170,17 +171,17 @@ def tiny_bundle(_tiny_bundle_built: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def edit_manifest(tiny_bundle: Path) -> Callable[..., None]:
     """Sets what lies at a path of keys in the tiny bundle's manifest."""
+    return partial(_edit_manifest, tiny_bundle)
 
-    def edit(*path: str | int, to: Any) -> None:
-        file = tiny_bundle / "manifest.json"
-        manifest = json.loads(file.read_text())
-        place = manifest
-        for key in path[:-1]:
-            place = place[key]
-        place[path[-1]] = to
-        file.write_text(json.dumps(manifest))
 
-    return edit
+def _edit_manifest(folder: Path, *path: str | int, to: Any) -> None:
+    file = folder / "manifest.json"
+    manifest = json.loads(file.read_text())
+    place = manifest
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = to
+    file.write_text(json.dumps(manifest))
 
 
 FREE_RANGES = {
@@ -191,12 +192,21 @@ FREE_RANGES = {
 }
 
 
+@pytest.fixture(scope="session")
+def free_bundle_built(_tiny_bundle_built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny bundle, whose anchors now have their own durations, for robots of other limits."""
+    folder = tmp_path_factory.mktemp("free") / "bundle"
+    shutil.copytree(_tiny_bundle_built, folder)
+    _edit_manifest(folder, "conditioning", "limits", "horizon_s", to=None)
+    _edit_manifest(folder, "conditioning", "ranges", to=FREE_RANGES)
+    _edit_manifest(folder, "time", "dt", to=None)
+    return folder
+
+
 @pytest.fixture
-def free_bundle(tiny_bundle: Path, edit_manifest: Callable[..., None]) -> Path:
-    """The same bundle, whose anchors have their own durations, for robots of other limits."""
-    edit_manifest("conditioning", "limits", "horizon_s", to=None)
-    edit_manifest("conditioning", "ranges", to=FREE_RANGES)
-    edit_manifest("time", "dt", to=None)
+def free_bundle(free_bundle_built: Path, tiny_bundle: Path) -> Path:
+    """The same in place of `tiny_bundle`, to break with `edit_manifest`."""
+    shutil.copy(free_bundle_built / "manifest.json", tiny_bundle)
     return tiny_bundle
 
 
