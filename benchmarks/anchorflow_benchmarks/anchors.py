@@ -14,16 +14,27 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Proposals:
-    """positions, velocities, accelerations: [N, T, D] in m, m/s, m/s^2; dt: s between samples.
+    """positions, velocities, accelerations: [N, T, D] in m, m/s, m/s^2.
 
+    dt: s between samples, of all anchors or [N]
     safe: [N] what the planner promises, None where it promises nothing
     """
 
     positions: Array
     velocities: Array
     accelerations: Array
-    dt: float
+    dt: float | Array
     safe: NDArray[np.bool_] | None = None
+
+    @property
+    def dts(self) -> Array:
+        """[N] s between two samples of each anchor."""
+        return np.broadcast_to(np.asarray(self.dt, np.float64), len(self.positions))
+
+    @property
+    def durations(self) -> Array:
+        """[N] s from the first to the last sample."""
+        return self.dts * (self.positions.shape[1] - 1)
 
     @staticmethod
     def of_spline(

@@ -99,12 +99,12 @@ def minimum_jerk(num_samples: int) -> NDArray[np.float64]:
     return tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
 
 
-def _expert(bundle: Bundle) -> list[Planner]:
-    return [ExpertPlanner(limits_of(bundle), steps) for steps in EXPERT_STEPS]
+def _expert(_: Bundle, limits: MotionLimits) -> list[Planner]:
+    return [ExpertPlanner(limits, steps) for steps in EXPERT_STEPS]
 
 
-def _lines(bundle: Bundle) -> list[Planner]:
-    lines = LinesPlanner(limits_of(bundle))
+def _lines(bundle: Bundle, limits: MotionLimits) -> list[Planner]:
+    lines = LinesPlanner(limits)
     finish = bundle.manifest.finish
     return [
         lines,
@@ -112,21 +112,21 @@ def _lines(bundle: Bundle) -> list[Planner]:
     ]
 
 
-def _routes(bundle: Bundle) -> list[Planner]:
+def _routes(bundle: Bundle, limits: MotionLimits) -> list[Planner]:
     """None for a bundle whose finish is no spline."""
-    limits, finish = limits_of(bundle), bundle.manifest.finish
+    finish = bundle.manifest.finish
     if not isinstance(finish, SplineEntry):
         return []
     return [RoutesPlanner(limits, finish, descents) for descents in DESCENTS]
 
 
-def _rrt(bundle: Bundle) -> list[Planner]:
+def _rrt(_: Bundle, limits: MotionLimits) -> list[Planner]:
     from anchorflow_benchmarks.rrt_connect import RrtConnectPlanner  # OMPL is not everywhere
 
-    return [RrtConnectPlanner(limits_of(bundle))]
+    return [RrtConnectPlanner(limits)]
 
 
-BASELINES: dict[str, Callable[[Bundle], list[Planner]]] = {
+BASELINES: dict[str, Callable[[Bundle, MotionLimits], list[Planner]]] = {
     "expert": _expert,
     "lines": _lines,
     "routes": _routes,
@@ -134,8 +134,10 @@ BASELINES: dict[str, Callable[[Bundle], list[Planner]]] = {
 }
 
 
-def named_baselines(names: Sequence[str], bundle: Bundle) -> list[Planner]:
-    """The baselines of these names, to the limits and with the refinement of a bundle.
+def named_baselines(
+    names: Sequence[str], bundle: Bundle, limits: MotionLimits | None = None
+) -> list[Planner]:
+    """The baselines of these names with the refinement of a bundle, to its limits unless told.
 
     Raises:
         BenchmarkError: there is none of that name.
@@ -143,4 +145,5 @@ def named_baselines(names: Sequence[str], bundle: Bundle) -> list[Planner]:
     """
     if unknown := [name for name in names if name not in BASELINES]:
         raise BenchmarkError(f"expected baselines of {', '.join(BASELINES)}, got {unknown[0]!r}")
-    return [planner for name in names for planner in BASELINES[name](bundle)]
+    limits = limits or limits_of(bundle)
+    return [planner for name in names for planner in BASELINES[name](bundle, limits)]

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
+
+from anchorflow_trajectory.scene import Scene
 
 Cell = tuple[int, int]
 
@@ -35,6 +38,19 @@ def shortest_grid_path(passable: NDArray[np.bool_], start: Cell, goal: Cell) -> 
     lengths = dijkstra(graph, directed=False, indices=numbers[start])
     length = float(lengths[numbers[goal]])
     return length if np.isfinite(length) else np.nan
+
+
+def shortest_way(scene: Scene) -> float:
+    """m of a scene's shortest grid path that keeps robot_radius; NaN where there is none."""
+    occupied, ends = scene.occupied, (scene.x_curr[:2], scene.x_goal[:2])
+    cells = [((end - scene.origin) / scene.resolution).astype(int)[::-1] for end in ends]
+    if occupied.any():
+        passable = np.asarray(distance_transform_edt(~occupied)) * scene.resolution
+        passable = passable > scene.robot_radius
+    else:
+        passable = np.ones(occupied.shape, bool)
+    start, goal = (np.clip(cell, 0, np.array(passable.shape) - 1) for cell in cells)
+    return shortest_grid_path(passable, tuple(start), tuple(goal)) * scene.resolution
 
 
 def _shifted(grid: NDArray, move: Cell, sign: int) -> NDArray:

@@ -14,6 +14,7 @@ All anchors of a scene are measured together; what depends on the map alone is w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +25,7 @@ from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial.distance import cdist
 
 from anchorflow_benchmarks.anchors import Proposals
-from anchorflow_benchmarks.grid_path import shortest_grid_path
+from anchorflow_benchmarks.grid_path import shortest_way
 from anchorflow_benchmarks.route_judge import ROUTE_MEASURES, RouteJudge
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ray_signature import Signature
@@ -60,6 +61,7 @@ MEASURES = (
     "unsafe_called_safe",
     *ROUTE_MEASURES,
     "duration",
+    "haste",
 )
 
 
@@ -68,7 +70,7 @@ class Judgement:
     """What holds for each of N anchors of a scene, all [N].
 
     clearance: m beyond robot_radius, smallest along the path; below -robot_radius off the map
-    length: m; jerk: mean size in m/s^3
+    length: m; jerk: mean size in m/s^3; duration: s; peak: greatest speed in m/s
     measures: the scene's row, by the names of MEASURES; NaN where no anchor succeeds
 
         success, free, reached, feasible, coherent   shares of the anchors
@@ -81,6 +83,7 @@ class Judgement:
         unsafe_called_safe   number of anchors promised to be safe that are not free
         recall, first, found, distinct   of the successes, as `RouteJudge` tells them
         duration     of the successes on average: s
+        haste        of the quickest success: its duration over `least_duration`
 
     routes: how many the scene has
     """
@@ -92,6 +95,8 @@ class Judgement:
     clearance: Array
     length: Array
     jerk: Array
+    duration: Array
+    peak: Array
     measures: dict[str, float]
     routes: int
 
@@ -120,21 +125,32 @@ class SceneJudge:
         clearance = self.clearance(position)
         free = clearance >= 0.0
         reached = self._reached(position, velocity)
-        feasible = _largest(velocity) <= SPEED * self.limits.v_max
+        peak, dt = _largest(velocity), anchors.dts[:, None, None]
+        feasible = peak <= SPEED * self.limits.v_max
         feasible &= _largest(acceleration) <= ACCELERATION * self.limits.a_max
-        slip = _rms(velocity - np.gradient(position, anchors.dt, axis=1))
+        slip = _rms(velocity - np.gradient(position, axis=1) / dt)
         coherent = slip <= VELOCITY_ERROR * self.limits.v_max
-        slip = _rms(acceleration - np.gradient(velocity, anchors.dt, axis=1))
+        slip = _rms(acceleration - np.gradient(velocity, axis=1) / dt)
         coherent &= slip <= ACCELERATION_ERROR * self.limits.a_max
         length = np.linalg.norm(np.diff(position, axis=1), axis=-1).sum(1)
-        jerk = np.linalg.norm(np.diff(acceleration, axis=1) / anchors.dt, axis=-1).mean(1)
+        jerk = np.linalg.norm(np.diff(acceleration, axis=1) / dt, axis=-1).mean(1)
         routes = len(self.of_routes.listed)
-        verdict = Judgement(free, reached, feasible, coherent, clearance, length, jerk, {}, routes)
+        verdict = Judgement(
+            free,
+            reached,
+            feasible,
+            coherent,
+            clearance,
+            length,
+            jerk,
+            anchors.durations,
+            peak,
+            {},
+            routes,
+        )
         good = verdict.success
         verdict.measures.update(self._measures(verdict, position, anchors.safe))
         verdict.measures.update(self.of_routes.measures(position[good]))
-        lasts = np.broadcast_to(anchors.dt * (position.shape[1] - 1), len(position))
-        verdict.measures["duration"] = float(lasts[good].mean()) if good.any() else np.nan
         return verdict
 
     def clearance(self, paths: Array) -> Array:
@@ -180,15 +196,7 @@ class SceneJudge:
     @cached_property
     def _shortest(self) -> float:
         """m; NaN where the grid has no way."""
-        scene, ends = self.scene, (self.scene.x_curr[:2], self.scene.x_goal[:2])
-        cells = [((end - scene.origin) / scene.resolution).astype(int)[::-1] for end in ends]
-        if scene.occupied.any():
-            distance = np.asarray(distance_transform_edt(~scene.occupied)) * scene.resolution
-            passable = distance > scene.robot_radius
-        else:
-            passable = np.ones(scene.occupied.shape, bool)
-        start, goal = (np.clip(c, 0, np.array(passable.shape) - 1) for c in cells)
-        return shortest_grid_path(passable, tuple(start), tuple(goal)) * scene.resolution
+        return shortest_way(self.scene)
 
     def _reached(self, position: Array, velocity: Array) -> BoolArray:
         x_curr, goal = self.scene.x_curr, self.scene.x_goal[:2]
@@ -203,17 +211,29 @@ class SceneJudge:
         names = ("success", "free", "reached", "feasible", "coherent")
         row = {name: float(getattr(verdict, name).mean()) for name in names}
         row |= {"any": float(good.any()), "classes": 0.0}
-        row |= dict.fromkeys(("length", "jerk", "clear"), np.nan)
+        row |= dict.fromkeys(("length", "jerk", "clear", "duration", "haste"), np.nan)
         if good.any():
             row["classes"] = float(count_classes(position[good], self._obstacle_points))
             shortest = self._shortest or np.nan  # start and goal in one cell: no ratio
             row["length"] = float(verdict.length[good].mean() / shortest)
             row["jerk"] = float(verdict.jerk[good].mean())
             row["clear"] = float(verdict.clearance[good].mean())
+            row["duration"] = float(verdict.duration[good].mean())
+            row["haste"] = float(
+                verdict.duration[good].min() / least_duration(shortest, self.limits)
+            )
         row["spread"] = float(position.std(axis=0).mean())
         row["duplicates"] = duplicate_share(position)
         promised = np.nan if safe is None else float((safe & ~verdict.free).sum())
         return row | {"unsafe_called_safe": promised}
+
+
+def least_duration(length: float, limits: MotionLimits) -> float:
+    """s from rest to rest along so many m at the limits: a trapezoid of speed, or a triangle."""
+    v_max, a_max = limits.v_max, limits.a_max
+    if length * a_max > v_max**2:
+        return length / v_max + v_max / a_max
+    return 2.0 * math.sqrt(length / a_max)
 
 
 def points_along(paths: Array, step: float) -> tuple[Array, NDArray[np.intp]]:

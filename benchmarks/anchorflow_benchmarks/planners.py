@@ -10,20 +10,23 @@ import numpy as np
 
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.samplers import evaluations, parse_sampler, sampler_name
+from anchorflow_benchmarks.scene_files import CHANNELS
 from anchorflow_client.contract import (
     AnchorRequest,
     CostMap,
     OdeSpec,
     RefineChoice,
+    ResolvedRequest,
     SamplerChoice,
     resolve_for_card,
 )
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.scene import Scene, with_neutral_channels
 
 NUM_SAMPLES = 64  # T of the baselines' anchors
+BASELINE_S = 8.0  # they last, where the bundle's have durations of their own
 
 
 class Planner(Protocol):
@@ -46,12 +49,16 @@ class Planner(Protocol):
 
 @dataclass(frozen=True)
 class EnginePlanner:
-    """A bundle in this process, with one sampler, guided by the cost as far as is asked for."""
+    """A bundle in this process, with one sampler, guided by the cost as far as is asked for.
+
+    limits: of the robot that asks; None: the card's
+    """
 
     name: str
     engine: Engine
     sampler: OdeSpec
     guidance: float = 0.0
+    limits: MotionLimits | None = None
 
     @property
     def evaluations(self) -> int:
@@ -60,6 +67,8 @@ class EnginePlanner:
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         request = request_of(scene, num=num, seed=seed, sampler=self.sampler)
         request = replace(request, refine=RefineChoice(guidance=self.guidance))
+        if self.limits is not None:
+            request = replace(request, v_max=self.limits.v_max, a_max=self.limits.a_max)
         answer = self.engine.plan(resolve_for_card(request, self.engine.card))
         states = (answer.trajectories, answer.velocities, answer.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
@@ -80,6 +89,21 @@ def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> Anchor
     )
 
 
+def scene_of(request: ResolvedRequest) -> Scene:
+    """What a request for a single scene asks: `request_of` the other way round."""
+    assert request.limits is not None  # of a card with a cost map
+    cost_map = request.cost_map
+    return Scene(
+        cost_map=with_neutral_channels(cost_map.data[0], CHANNELS),
+        resolution=cost_map.resolution,
+        origin=cost_map.origin,
+        robot_radius=request.limits.robot_radius,
+        x_curr=request.x_curr[0],
+        x_goal=request.x_goal[0],
+        w_style=request.w_style[0],
+    )
+
+
 def without_fields(scene: Scene) -> Scene:
     """The scene before any of its fields was worked out: every request pays for them anew."""
     return replace(scene)
@@ -90,6 +114,7 @@ def engine_planners(
     samplers: Sequence[str],
     *,
     guidance: Sequence[float] = (0.0,),
+    limits: MotionLimits | None = None,
     threads: int | None = None,
 ) -> list[EnginePlanner]:
     """Each bundle with each sampler and each scale of guidance; the names say the folder where two
@@ -101,7 +126,9 @@ def engine_planners(
     """
     names = bundle_names(bundles)
     return [
-        EnginePlanner(f"{name} {sampler_name(sampler)}{_guided(scale)}", engine, sampler, scale)
+        EnginePlanner(
+            f"{name} {sampler_name(sampler)}{_guided(scale)}", engine, sampler, scale, limits
+        )
         for name, bundle in zip(names, bundles, strict=True)
         for engine in [Engine(bundle, threads=threads)]
         # The card's own may be named beside it.
@@ -123,7 +150,7 @@ def bundle_names(bundles: Sequence[Bundle]) -> list[str]:
 
 
 def limits_of(bundle: Bundle) -> MotionLimits:
-    """What a bundle's anchors keep."""
-    card = bundle.card
-    limits = card.cost_map.limits
-    return MotionLimits(v_max=limits.v_max, a_max=limits.a_max, horizon_s=limits.horizon_s)
+    """What a bundle's anchors keep; BASELINE_S stands for a duration of their own."""
+    limits = bundle.card.cost_map.limits
+    horizon_s = BASELINE_S if limits.horizon_s is None else limits.horizon_s
+    return MotionLimits(v_max=limits.v_max, a_max=limits.a_max, horizon_s=horizon_s)

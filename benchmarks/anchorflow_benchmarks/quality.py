@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
@@ -21,14 +22,6 @@ from anchorflow_trajectory.ray_signature import Signature
 
 SEED = 1
 COUNTS = ("unsafe_called_safe",)  # added up over the scenes; all else is averaged
-
-STYLES = {
-    "safe": (0.7, 0.1, 0.2),
-    "fast": (0.2, 0.5, 0.3),
-    "smooth": (0.3, 0.2, 0.5),
-}
-# (measure, from style, to style): what a caller who changes the style expects to see fall.
-STYLE_CHANGES = (("clear", "safe", "fast"), ("length", "safe", "fast"), ("jerk", "fast", "smooth"))
 
 
 @dataclass(frozen=True)
@@ -109,58 +102,16 @@ def quality_row(planner: Planner, plans: Sequence[JudgedPlan]) -> Row:
     row: dict[str, str | float | int | None] = {"planner": planner.name}
     for name in MEASURES:
         values = np.array([measure[name] for measure in measures])
-        row[name] = _total(values) if name in COUNTS else _mean(values)
+        row[name] = _total(values) if name in COUNTS else mean_of(values)
     row["evaluations"] = planner.evaluations
     return row | {"ms": float(np.median([plan.ms for plan in plans]))}
-
-
-def style_table(
-    planners: Sequence[Planner],
-    scenes: Sequence[FamilyScene],
-    *,
-    limits: MotionLimits,
-    num: int,
-    progress: Callable[[int], None] = lambda _: None,
-) -> ResultTable:
-    """What a change of style changes in %, with the same noise: a row a planner.
-
-    Means over the scenes in which all three styles have a success.
-    """
-    found = {planner.name: {style: [] for style in STYLES} for planner in planners}
-    for scene in scenes:
-        judge = SceneJudge(scene, limits)
-        for planner in planners:
-            for name, style in STYLES.items():
-                styled = replace(scene, w_style=np.array(style, np.float32))
-                verdict = judge.judge(planner.plan(styled, num=num, seed=SEED))
-                found[planner.name][name].append(verdict.measures)
-        progress(1)
-    rows = [{"planner": name, **_style_changes(styles)} for name, styles in found.items()]
-    triples = "; ".join(f"{name} = {style}" for name, style in STYLES.items())
-    return ResultTable("Style, with the same noise: change in %", rows, triples)
-
-
-def _style_changes(styles: dict[str, list[dict[str, float]]]) -> dict[str, float | int]:
-    solved = [
-        i
-        for i, measures in enumerate(zip(*styles.values(), strict=True))
-        if all(measure["any"] for measure in measures)
-    ]
-    row: dict[str, float | int] = {}
-    for measure, before, after in STYLE_CHANGES:
-        old, new = (
-            _mean(np.array([styles[style][i][measure] for i in solved]))
-            for style in (before, after)
-        )
-        row[f"{measure}, {before} to {after}"] = 100.0 * (new / old - 1.0)
-    return row | {"scenes": len(solved)}
 
 
 def _is_of_family(family: str, plan: JudgedPlan) -> bool:
     return plan.scene.family == family
 
 
-def _mean(values: np.ndarray) -> float:
+def mean_of(values: NDArray[np.floating]) -> float:
     """Over the scenes that have a value; NaN where none has."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # numpy's, of an empty mean

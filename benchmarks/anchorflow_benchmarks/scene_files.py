@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import zipfile
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
@@ -47,8 +50,9 @@ def load_scenes(
         BenchmarkError: the file is none of scenes, or the text is not of that form.
     """
     kind, _, rest = source.partition(":")
-    scenes = _drawn(rest, limits) if kind == DRAWN else read_scenes(Path(source))
-    return spread_evenly(scenes, limit)
+    if kind == DRAWN:
+        return spread_evenly(draw_scenes(*count_and_seed(rest), limits=limits), limit)
+    return spread_evenly(read_scenes(Path(source)), limit)
 
 
 def spread_evenly(rows: list[Chosen], limit: int | None) -> list[Chosen]:
@@ -86,8 +90,12 @@ def draw_scenes(
     count: int, seed: int, *, limits: MotionLimits, cells: int = 96
 ) -> list[FamilyScene]:
     """Scenes of every family that training knows, none of which is in a dataset."""
-    scenes = []
-    for index in range(count):
+    return list(islice(held_out_scenes(seed, limits=limits, cells=cells), count))
+
+
+def held_out_scenes(seed: int, *, limits: MotionLimits, cells: int = 96) -> Iterator[FamilyScene]:
+    """The same without an end."""
+    for index in itertools.count():
         rng = np.random.default_rng([HELD_OUT, seed, index])
         while True:
             try:
@@ -95,18 +103,25 @@ def draw_scenes(
             except SceneError:
                 continue
             break
-        scenes.append(replace(scene, w_style=STYLE))
-    return scenes
+        yield replace(scene, w_style=STYLE)
 
 
-def _drawn(text: str, limits: MotionLimits) -> list[FamilyScene]:
+def count_and_seed(text: str, kind: str = DRAWN) -> tuple[int, int]:
+    """Of `KIND:COUNT:SEED`, without its KIND. Raises `BenchmarkError` where it is not that."""
     try:
         count, seed = (int(number) for number in text.split(":"))
     except ValueError:
-        raise BenchmarkError(f"expected {DRAWN}:COUNT:SEED, got {DRAWN}:{text}") from None
+        raise BenchmarkError(f"expected {kind}:COUNT:SEED, got {kind}:{text}") from None
     if count < 1 or seed < 0:
-        raise BenchmarkError(f"expected a COUNT from 1 and a SEED from 0, got {DRAWN}:{text}")
-    return draw_scenes(count, seed, limits=limits)
+        raise BenchmarkError(f"expected a COUNT from 1 and a SEED from 0, got {kind}:{text}")
+    return count, seed
+
+
+def in_style(scene: FamilyScene, style: NDArray[np.floating] | None) -> FamilyScene:
+    """The scene asked with weights [3], of any sum; as it is where none are given."""
+    if style is None:
+        return scene
+    return replace(scene, w_style=(style / style.sum()).astype(np.float32))
 
 
 def _scene(

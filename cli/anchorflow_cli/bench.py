@@ -24,13 +24,16 @@ from anchorflow_benchmarks.planners import (
     engine_planners,
     limits_of,
 )
-from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_table
+from anchorflow_benchmarks.quality import judge_planners, quality_tables
+from anchorflow_benchmarks.robot_quality import AskedRobot
 from anchorflow_benchmarks.route_files import load_routes
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
-from anchorflow_benchmarks.scene_files import default_source, load_scenes
+from anchorflow_benchmarks.scene_files import default_source, in_style, load_scenes
+from anchorflow_benchmarks.style_quality import style_tables
 from anchorflow_cli import (
     bench_closed_loop,
     bench_drive,
+    bench_robots,
     bench_routes,
     bench_serving,
     bench_zenoh,
@@ -48,7 +51,14 @@ from anchorflow_cli.bench_options import (
 )
 from anchorflow_cli.bench_output import progress, report, say
 from anchorflow_cli.extras import needs_extra
-from anchorflow_cli.options import command_app
+from anchorflow_cli.options import (
+    AMaxOption,
+    RadiusOption,
+    StyleOption,
+    VMaxOption,
+    command_app,
+    style_text,
+)
 from anchorflow_client.contract.checks import number
 from anchorflow_client.contract.ranges import GUIDANCE
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
@@ -91,7 +101,11 @@ def quality(
     baselines: Annotated[
         str, typer.Option(metavar="A,B", help="Of expert, lines, routes, rrt; none for none.")
     ] = ",".join(BASELINES),
-    style: Annotated[bool, typer.Option(help="Measure what a change of style changes.")] = True,
+    style: StyleOption = None,
+    styles: Annotated[bool, typer.Option(help="Measure what a change of style changes.")] = True,
+    v_max: VMaxOption = None,
+    a_max: AMaxOption = None,
+    radius: RadiusOption = None,
     threads: ThreadsOption = None,
     out: OutOption = RESULTS,
 ) -> None:
@@ -99,25 +113,41 @@ def quality(
     with needs_extra("plot", who="anchorflow bench quality"):
         from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
     bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
+    robot, own = AskedRobot(v_max, a_max, radius), limits_of(bundles[0])
+    limits, source = robot.limits(own), scenes or default_source()
     ours: list[Planner] = [
-        *engine_planners(bundles, samplers.split(","), guidance=_scales(guidance), threads=threads)
+        *engine_planners(
+            bundles,
+            samplers.split(","),
+            guidance=_scales(guidance),
+            limits=limits if v_max or a_max else None,
+            threads=threads,
+        )
     ]
     names = [] if baselines == "none" else baselines.split(",")
     with needs_extra("bench", who="anchorflow bench quality --baselines rrt"):
-        planners = [*ours, *named_baselines(names, bundles[0])]
-    limits, source = limits_of(bundles[0]), scenes or default_source()
-    found = load_scenes(source, limits=limits, limit=limit)
+        planners = [*ours, *named_baselines(names, bundles[0], limits)]
+    found = [
+        in_style(robot.scene(scene, own), style)
+        for scene in load_scenes(source, limits=own, limit=limit)
+    ]
     known = routes and load_routes(routes, scenes=len(found), limit=limit)
     with progress("judging", len(found)) as advance:
         plans = judge_planners(
             planners, found, limits=limits, num=num, routes=known or None, progress=advance
         )
     tables = quality_tables(planners, plans)
-    if style:
+    if styles:
         styled = [*ours, *([ExpertPlanner(limits, 60)] if "expert" in names else [])]
         with progress("styles", len(found)) as advance:
-            tables.append(style_table(styled, found, limits=limits, num=num, progress=advance))
-    about = {"scenes": f"{Path(source).name}, {len(found)} judged", "anchors a scene": str(num)}
+            tables += style_tables(styled, found, limits=limits, num=num, progress=advance)
+    about = {
+        "scenes": f"{Path(source).name}, {len(found)} judged",
+        "anchors a scene": str(num),
+        "robot": f"{limits.v_max:g} m/s, {limits.a_max:g} m/s², "
+        + ("the scenes' radius" if radius is None else f"{radius:g} m"),
+        "style": style_text(style),
+    }
     report("Quality", about, tables, out)
     draw_scene_sheet(plans[ours[0].name], out / "quality_scenes.png", title=ours[0].name)
     draw_quality_over_time(tables[0].rows, out / "quality_time.png")
@@ -190,6 +220,7 @@ def plain_loops(
 
 
 app.command()(bench_routes.routes)
+app.command()(bench_robots.robots)
 app.command()(bench_serving.load)
 app.command()(bench_zenoh.zenoh)
 app.command()(bench_zenoh.failover)

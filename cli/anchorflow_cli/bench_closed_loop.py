@@ -12,7 +12,6 @@ from anchorflow_benchmarks.judged_bundles import open_bundle
 from anchorflow_benchmarks.samplers import parse_sampler
 from anchorflow_cli.bench_options import (
     RESULTS,
-    SCENES,
     BundleOption,
     NumOption,
     OutOption,
@@ -22,12 +21,15 @@ from anchorflow_cli.bench_options import (
 )
 from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.options import StyleOption, style_text
 from anchorflow_service.bundle import DEFAULT_BUNDLE
+
+WORLDS = "FILE|drawn:N:SEED|forests:N:SEED"
 
 
 def closed_loop(
     worlds: Annotated[
-        str, typer.Argument(metavar=SCENES, help="Worlds: a .npz file, or drawn ones.")
+        str, typer.Argument(metavar=WORLDS, help="Worlds: a .npz file (scenes too), or drawn ones.")
     ],
     *,
     limit: Annotated[int, typer.Option(min=1, help="Worlds at most, evenly spread.")] = 50,
@@ -41,6 +43,7 @@ def closed_loop(
     url: Annotated[
         str | None, typer.Option(help="A service that answers in place of the bundle's engine.")
     ] = None,
+    style: StyleOption = None,
     latency_ms: Annotated[
         float | None,
         typer.Option(min=0, help="Of an answer in simulated time.", show_default="as it took"),
@@ -51,7 +54,7 @@ def closed_loop(
     threads: ThreadsOption = None,
     out: OutOption = RESULTS,
 ) -> None:
-    """Drive a robot through worlds by MPPI alone, with straight lines, with served anchors."""
+    """Drive a robot by MPPI alone, with lines, with routes and a finish, with served anchors."""
     with needs_extra("robot", who="anchorflow bench closed-loop"):
         from anchorflow_benchmarks.closed_loop.contest import (
             ContestConfig,
@@ -61,7 +64,7 @@ def closed_loop(
         from anchorflow_benchmarks.closed_loop.drive import DriveConfig
         from anchorflow_benchmarks.closed_loop.robots import ROBOTS
         from anchorflow_benchmarks.closed_loop.scoring import contest_tables
-        from anchorflow_benchmarks.closed_loop.world import load_worlds
+        from anchorflow_benchmarks.closed_loop.world_sources import load_worlds
     if robot not in ROBOTS:
         raise BenchmarkError(f"--robot: expected {' or '.join(ROBOTS)}, got {robot!r}")
     opened = open_bundle(bundle)
@@ -75,7 +78,9 @@ def closed_loop(
         robot=robot,
         drive=DriveConfig(
             limit_s=limit_s,
+            horizon_s=opened.card.cost_map.limits.horizon_s,
             options={
+                "w_style": style,
                 "num_samples": num,
                 "sampler": {"method": spec.method, "schedule": list(spec.schedule)},
             },
@@ -90,6 +95,7 @@ def closed_loop(
         "worlds": f"{Path(worlds).name}, {len(found)} driven, {seeds} runs each",
         "robot": f"{robot}, {1 / config.drive.tick_s:g} commands a second",
         "anchors": f"{num} a request, {sampler}, of {url or opened.card.name}",
+        "style": style_text(style),
         "latency": "as measured" if latency_ms is None else f"{latency_ms:g} ms",
     }
     tables = contest_tables(results, [contender.name for contender in contenders])

@@ -17,13 +17,19 @@ from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
 from anchorflow_training.data import TrajectoryDataset
 from anchorflow_training.data.imported_scene import SceneOptions
-from anchorflow_training.data.inspection import Summary, inspect_scenes, inspect_trajectories
+from anchorflow_training.data.inspection import (
+    Summary,
+    inspect_scenes,
+    inspect_trajectories,
+    limits_in_words,
+)
 from anchorflow_training.data.pose_files import read_poses
 from anchorflow_training.data.pose_trajectories import CutConfig, cut_trajectories
 from anchorflow_training.data.scene_import import ImportConfig, import_scenes
 from anchorflow_training.data.time_step import TimeStepUnknown
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.make_data import DataConfig, make_dataset
+from anchorflow_trajectory.cost import MotionLimits
 
 app = command_app()
 
@@ -56,7 +62,7 @@ def make(
     out: Annotated[Path, typer.Argument(help="Folder to write.")],
     *,
     scenes: Annotated[int, typer.Option(min=1, help="How many scenes.")] = 20_000,
-    trajectories: Annotated[int, typer.Option(min=1, help="Trajectories kept a scene.")] = 16,
+    trajectories: Annotated[int, typer.Option(min=1, help="Trajectories kept a scene.")] = DataConfig.trajectories,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = CORES,
 ) -> None:
@@ -69,6 +75,8 @@ def make(
         f"{out}: {scenes} scenes; {meta['good_share']:.0%} of the expert's tries were good; "
         f"redrawn as unsolved: {sum(meta['unsolved'].values())}"
     )
+    for line in limits_in_words(config.limits, meta["ranges"]):
+        typer.echo(line)
 
 
 @app.command("import")
@@ -111,13 +119,12 @@ def import_file(
         meta = import_scenes(
             dataset, out, config, workers=workers, progress=lambda n: bar.advance(task, n)
         )
-    limits, left_out = meta["limits"], meta["left_out"]
+    left_out = meta["left_out"]
     reasons = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in left_out.items() if n)
     typer.echo(f"{out}: {meta['scenes']} scenes, T {meta['num_steps']}, D {meta['dim']}")
-    typer.echo(
-        f"v_max {limits['v_max']:g} m/s, a_max {limits['a_max']:g} m/s^2, "
-        f"horizon {limits['horizon_s']:g} s; {meta['over_limits']} samples exceed them"
-    )
+    for line in limits_in_words(MotionLimits(**meta["limits"]), meta["ranges"]):
+        typer.echo(line)
+    typer.echo(f"samples that exceed them: {meta['over_limits']}")
     typer.echo(f"left out: {reasons or 'none'}")
     if "quality" in dataset.arrays:
         typer.echo("quality: what each sample counts in the loss")

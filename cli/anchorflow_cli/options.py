@@ -9,6 +9,9 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from anchorflow_client.contract.ranges import NUM_STYLE
+from anchorflow_client.contract.styles import STYLES
+
 Vector = NDArray[np.float64]
 
 BundleOption = Annotated[
@@ -55,8 +58,63 @@ StartVelocityOption = Annotated[
 GoalVelocityOption = Annotated[
     Vector | None, vector_option(VELOCITY, "Velocity at the goal [m/s, rad/s]; default 0.")
 ]
+STYLE = "NAME|S,E,M"
+
+
+def style_weights(text: str) -> Vector:
+    """[3] of a named style, or the weights themselves. Raises `typer.BadParameter`."""
+    if text in STYLES:
+        return np.array(STYLES[text])
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        values = np.empty(0)
+    if values.size != NUM_STYLE or not np.isfinite(values).all():
+        names = ", ".join(STYLES)
+        raise typer.BadParameter(f"expected {NUM_STYLE} weights S,E,M or {names}, got {text!r}")
+    return values
+
+
+def style_text(style: Vector | None) -> str:
+    """A style by its name where it has one, else by its weights."""
+    if style is None:
+        return "balanced"
+    named = [name for name, weights in STYLES.items() if np.allclose(weights, style / style.sum())]
+    return named[0] if named else ",".join(f"{weight:g}" for weight in style)
+
+
 StyleOption = Annotated[
-    Vector | None, vector_option("S,E,M", "Weights of safety, energy and smoothness.")
+    Vector | None,
+    typer.Option(
+        parser=style_weights,
+        metavar=STYLE,
+        help=f"{', '.join(STYLES)}, or weights of safety, energy and smoothness.",
+        show_default="balanced",
+    ),
+]
+ON_CARD = "within the range on the model's card"
+VMaxOption = Annotated[
+    float | None, typer.Option(help=f"Greatest speed [m/s], {ON_CARD}.", show_default="the card's")
+]
+AMaxOption = Annotated[
+    float | None,
+    typer.Option(help=f"Greatest acceleration [m/s²], {ON_CARD}.", show_default="the card's"),
+]
+RadiusOption = Annotated[
+    float | None,
+    typer.Option(
+        "--radius",
+        "--robot-radius",
+        help=f"The robot's radius [m], {ON_CARD}.",
+        show_default="the card's",
+    ),
+]
+HorizonOption = Annotated[
+    float | None,
+    typer.Option(
+        help=f"Duration [s] of every anchor, {ON_CARD}.",
+        show_default="each its own, or the card's",
+    ),
 ]
 NumSamplesOption = Annotated[int, typer.Option(help="How many anchors.")]
 SeedOption = Annotated[int | None, typer.Option(help="Seed of the noise; drawn by default.")]

@@ -13,16 +13,20 @@ from rich.table import Table
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.map_window import map_window
 from anchorflow_cli.options import (
+    AMaxOption,
     BundleOption,
     GoalOption,
     GoalVelocityOption,
+    HorizonOption,
     NumSamplesOption,
+    RadiusOption,
     SeedOption,
     StartOption,
     StartVelocityOption,
     StyleOption,
     UnknownIsFreeOption,
     Vector,
+    VMaxOption,
     command_app,
     end_states,
 )
@@ -46,9 +50,10 @@ def plan(
     style: StyleOption = None,
     num_samples: NumSamplesOption = DEFAULT_NUM_SAMPLES,
     seed: SeedOption = None,
-    robot_radius: Annotated[
-        float | None, typer.Option(help="Radius [m]; the model's by default.")
-    ] = None,
+    v_max: VMaxOption = None,
+    a_max: AMaxOption = None,
+    radius: RadiusOption = None,
+    horizon: HorizonOption = None,
     window: Annotated[
         float | None, typer.Option(help="Side of the map's window [m]; by the way's length.")
     ] = None,
@@ -70,7 +75,10 @@ def plan(
         w_style=style,
         num_samples=num_samples,
         seed=seed,
-        robot_radius=robot_radius,
+        v_max=v_max,
+        a_max=a_max,
+        robot_radius=radius,
+        horizon_s=horizon,
     )
     anchors = ask_server(url, request) if url else ask_engine(bundle, request)
     Console().print(table(anchors))
@@ -97,6 +105,7 @@ def table(anchors: AnchorBatch) -> Table:
         "score": anchors.scores,
         "clearance (m)": anchors.clearance,
         "length (m)": lengths,
+        "duration (s)": anchors.durations,
     }
     model, timing = anchors.model, anchors.timing_ms
     spent = ", ".join(f"{stage} {ms:.0f} ms" for stage, ms in timing.items())

@@ -29,7 +29,8 @@ def draw_anchors(
 ) -> None:
     """Writes a picture of a map [H, W] and the anchors [N, T, D] on it, in the format of `path`.
 
-    Colour is the score; anchors that are not safe are dashed, the best one is outlined.
+    Colour is the score; anchors that are not safe are dashed, the best one is outlined. The title
+    tells how long they last, the legend how long the best one does.
     Raises `PlotError` where `path` cannot be written or has no picture's suffix.
     """
     figure = Figure(figsize=(8.0, 7.0), layout="constrained")
@@ -38,10 +39,22 @@ def draw_anchors(
     lines = draw_lines(axes, anchors)
     draw_ends(axes, start, goal, sizes=(12.0, 12.0), named=True, markeredgecolor="white")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axes.set_title(f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe", loc="left")
+    axes.set_title(f"{told_safe(anchors)}, {told_durations(anchors)}", loc="left")
     figure.legend(loc="outside lower center", ncols=4, frameon=False)
     figure.colorbar(lines, ax=axes, label="score (higher is better)", extend="min", shrink=0.8)
     save(figure, path, dpi=150)
+
+
+def told_safe(anchors: AnchorBatch) -> str:
+    """`63 of 64 anchors are safe`."""
+    return f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe"
+
+
+def told_durations(anchors: AnchorBatch) -> str:
+    """`4.2 to 9.1 s` of the safe anchors, of all where none is; `8.0 s` where they are alike."""
+    lasting = anchors.durations[anchors.safe] if anchors.safe.any() else anchors.durations
+    least, most = f"{lasting.min():.1f}", f"{lasting.max():.1f}"
+    return f"{most} s" if least == most else f"{least} to {most} s"
 
 
 def save(figure: Figure, path: Path, *, dpi: int) -> None:
@@ -84,7 +97,7 @@ def draw_lines(axes: Axes, anchors: AnchorBatch) -> LineCollection:
         linewidth=2.5,
         linestyle=styles[best],
         path_effects=[withStroke(linewidth=5, foreground="black")],
-        label="best",
+        label=f"best, {anchors.durations[best]:.1f} s",
     )
     if not anchors.safe.all():
         axes.plot([], [], color="grey", linestyle="dashed", label="not safe")

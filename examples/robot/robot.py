@@ -18,13 +18,14 @@ from pathlib import Path
 
 from robot_view import LiveView, Recorder
 
-from anchorflow_benchmarks.closed_loop.drive import PLANNER, Drive, DriveConfig, Run, Tick
+from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, Run, Tick
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
-from anchorflow_benchmarks.closed_loop.world import load_worlds
+from anchorflow_benchmarks.closed_loop.world_sources import load_worlds
 from anchorflow_client import AnchorClient, AnchorFlowError, Planner
 from anchorflow_client.base_client import BaseClient
+from anchorflow_client.contract.styles import STYLES
 
 
 class PacedTime(SimulatedTime):
@@ -71,20 +72,23 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
     """One run, as the options say."""
     worlds = load_worlds(options.worlds)
     world = worlds[options.world % len(worlds)]
+    client = None if options.alone else stack.enter_context(connect(options))
     config = DriveConfig(
         limit_s=options.limit_s,
+        horizon_s=None if client is None else horizon_of(client),
         options={
             "num_samples": options.num,
+            "w_style": options.style,
             "sampler": {"method": options.method, "schedule": {"uniform": options.steps}},
         },
     )
     robot = ROBOTS[options.robot]()
     controller = MppiController(robot, MppiConfig(), tick_s=config.tick_s)
     planner = None
-    if not options.alone:
-        client = stack.enter_context(connect(options))
+    if client is not None:
         # Ages are told by the wall clock: the answers come from outside the simulation.
-        planner = stack.enter_context(Planner(client, replace(PLANNER, max_age_ms=options.max_age)))
+        asking = replace(config.asking, max_age_ms=options.max_age)
+        planner = stack.enter_context(Planner(client, asking))
     watchers: list[Callable[[Tick], None]] = [ErrorLog()]
     if options.view:
         watchers.append(LiveView(world, robot.radius))
@@ -98,6 +102,14 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
     clock, seed = PacedTime(), options.seed
     run = Drive(world, controller, planner=planner, clock=clock, config=config, seed=seed)
     return run.run(on_tick)
+
+
+def horizon_of(client: BaseClient) -> float | None:
+    """How long all anchors last; None where each has its own duration, or nobody tells."""
+    try:
+        return client.models()[0].cost_map.limits.horizon_s
+    except AnchorFlowError:
+        return None
 
 
 def connect(options: argparse.Namespace) -> BaseClient:
@@ -116,10 +128,13 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--zenoh", metavar="ENDPOINT", help="ask over zenoh, tcp/127.0.0.1:7447")
     parser.add_argument("--alone", action="store_true", help="MPPI without anchors")
     parser.add_argument("--robot", choices=sorted(ROBOTS), default="unicycle")
-    parser.add_argument("--worlds", metavar="FILE|drawn:N:SEED", default="drawn:10:0")
+    parser.add_argument(
+        "--worlds", metavar="FILE|drawn:N:SEED|forests:N:SEED", default="drawn:10:0"
+    )
     parser.add_argument("--world", type=int, default=0, help="which of them")
     parser.add_argument("--seed", type=int, default=0, help="of lidar noise and MPPI's samples")
     parser.add_argument("--num", type=int, default=64, help="anchors a request")
+    parser.add_argument("--style", choices=sorted(STYLES), default="balanced")
     parser.add_argument("--method", default="midpoint", help="of the sampler")
     parser.add_argument("--steps", type=int, default=2, help="of the sampler")
     parser.add_argument("--max-age", type=float, default=1000.0, help="ms, of a plan")

@@ -16,6 +16,7 @@ from anchorflow_benchmarks.judge import (
     SceneJudge,
     count_classes,
     duplicate_share,
+    least_duration,
     points_along,
     swept_angles,
 )
@@ -56,7 +57,15 @@ def test_it_agrees_with_the_judge_outside_the_project(
     acceleration[2] += 0.5
     acceleration[3, 30] = 4.0
     position[4] *= 1.7
-    plan = replace(plan, positions=position, velocities=velocity, accelerations=acceleration)
+    # Each in a time of its own.
+    slower = rng.uniform(0.9, 1.6, (48, 1, 1))
+    plan = Proposals(
+        position,
+        velocity / slower,
+        acceleration / slower**2,
+        float(plan.dt) * slower.ravel(),
+    )
+    velocity, acceleration = plan.velocities, plan.accelerations
 
     verdict = SceneJudge(case, limits).judge(plan)
     expected = shared_judge.score_scene(
@@ -69,9 +78,11 @@ def test_it_agrees_with_the_judge_outside_the_project(
         case.x_curr,
         case.x_goal,
         case.robot_radius,
+        timing=True,
     )
 
     assert verdict.success.any()
+    verdict.measures["lasts"] = verdict.measures["duration"]
     for name, value in expected.items():
         np.testing.assert_allclose(verdict.measures[name], value, rtol=0, atol=1e-9, err_msg=name)
 
@@ -128,6 +139,39 @@ def test_clearance_is_measured_to_the_square_of_a_cell(
 
     # The field knows a distance to half a subcell.
     assert clearance[0] == pytest.approx(0.5 - 0.25, abs=0.5 * 0.1 / 4 + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("length", "seconds"),
+    [
+        (4.0, 4.0 / 2.0 + 2.0 / 3.0),  # a trapezoid of speed
+        (0.75, 2.0 * np.sqrt(0.75 / 3.0)),  # a triangle
+        (4.0 / 3.0, 4.0 / 3.0),  # where they meet
+    ],
+)
+def test_the_least_duration_is_from_rest_to_rest(
+    length: float, seconds: float, limits: MotionLimits
+) -> None:
+    assert least_duration(length, limits) == pytest.approx(seconds)
+
+
+def test_haste_is_the_quickest_successs(scene: SceneMaker, limits: MotionLimits) -> None:
+    case = scene(np.zeros((32, 32), bool))
+    one = straight(case)
+    factors = np.array([1.0, 2.0, 0.25])  # the last breaks the limits
+    stretch = factors[:, None, None]
+    three = Proposals(
+        np.repeat(one.positions, 3, axis=0),
+        one.velocities / stretch,
+        one.accelerations / stretch**2,
+        float(one.dt) * factors,
+    )
+    verdict = SceneJudge(case, limits).judge(three)
+
+    assert verdict.success.tolist() == [True, True, False]
+    assert verdict.duration == pytest.approx(8.0 * factors)
+    assert verdict.measures["duration"] == pytest.approx(12.0)
+    assert verdict.measures["haste"] == pytest.approx(8.0 / least_duration(4.0, limits), rel=0.02)
 
 
 def test_a_promise_that_does_not_hold_is_counted(scene: SceneMaker, limits: MotionLimits) -> None:

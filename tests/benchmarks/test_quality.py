@@ -13,7 +13,7 @@ from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
 from anchorflow_benchmarks.planners import engine_planners
-from anchorflow_benchmarks.quality import judge_planners, quality_tables, style_table
+from anchorflow_benchmarks.quality import judge_planners, quality_tables
 from anchorflow_benchmarks.samplers import sampler_name
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.scenes import FamilyScene
@@ -93,17 +93,6 @@ def test_a_table_over_all_and_one_for_each_family(
     assert every.rows[0]["duplicates"] == 1.0
     assert every.rows[0]["evaluations"] == 3
     assert wall.rows[0]["length"] != wall.rows[0]["length"]  # NaN
-
-
-def test_style_changes_are_seen_in_percent(scenes: list[FamilyScene], limits: MotionLimits) -> None:
-    table = style_table([Bows()], scenes, limits=limits, num=4)
-    row = table.rows[0]
-
-    assert row["scenes"] == 1  # the wall is never passed
-    assert isinstance(row["clear, safe to fast"], float)
-    assert row["clear, safe to fast"] < -10.0  # the post is below, the safe bow keeps off it
-    assert -15.0 < float(row["length, safe to fast"] or 0.0) < 0.0
-    assert float(row["jerk, fast to smooth"] or 0.0) > 0.0
 
 
 def test_numbers_that_are_not_finite_are_refused(

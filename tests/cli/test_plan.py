@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from PIL import Image
 
 from anchorflow_cli import plan
 from anchorflow_cli.main import main
+from anchorflow_cli.plots import told_durations
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelId
 
 
@@ -54,7 +56,8 @@ def straight_lines(request: AnchorRequest) -> AnchorBatch:
             "clearance": np.full(N, 0.5, dtype=np.float32),
             "safe": np.arange(N) < N - 1,
         },
-        dt=8 / 63,
+        # From 2 s on, a tenth longer each; the last anchor is the one that is not safe.
+        dt=(2.0 + 0.1 * np.arange(N)) / 63,
         seed=7,
         model=ModelId("straight", "1.0.0", "0" * 64),
         timing_ms={"total": 12.0},
@@ -79,6 +82,32 @@ def test_the_options_become_the_request(map_file: Path, requests: list[AnchorReq
     assert (request.num_samples, request.seed, request.robot_radius) == (5, 7, 0.3)
     assert request.cost_map.data.shape == (1, 1, 100, 100)
     assert not request.batched
+
+
+def test_a_style_by_its_name_and_the_robots_own_limits(
+    map_file: Path, requests: list[AnchorRequest]
+) -> None:
+    limits = ("--v-max", 0.5, "--a-max", 2.5, "--radius", 0.2, "--horizon", 12)
+    run("--map", map_file, "--start", "0,0", "--goal", "3,0", "--style", "efficient", *limits)
+
+    (request,) = requests
+    np.testing.assert_allclose(request.w_style, [[0.1, 0.8, 0.1]])
+    assert (request.v_max, request.a_max) == (0.5, 2.5)
+    assert (request.robot_radius, request.horizon_s) == (0.2, 12)
+
+
+@pytest.mark.parametrize("style", ["hasty", "1,2", "1,2,nan"])
+def test_an_unknown_style_names_the_four(
+    style: str, map_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ends = ["--start", "0,0", "--goal", "3,0"]
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", "--map", str(map_file), *ends, "--style", style])
+
+    told = " ".join(capsys.readouterr().err.split()) + str(caught.value.code)
+    assert caught.value.code != 0
+    for name in ("conservative", "balanced", "efficient", "comfortable", style):
+        assert name in told
 
 
 def test_what_is_not_said_is_left_to_the_model(
@@ -111,10 +140,39 @@ def test_the_table_and_the_picture(
 
     printed = capsys.readouterr().out
     assert "8 of 9 anchors are safe" in printed
+    assert duration_row(printed) == ["2.70", "2.00", "2.40", "2.80"]  # best, least, median, most
     assert "straight 1.0.0, seed 7" in printed
     with Image.open(picture) as image:
         assert image.size == (1200, 1050)
         assert len(set(image.convert("RGB").get_flattened_data())) > 100
+
+
+def duration_row(printed: str) -> list[str]:
+    """What the table says of durations."""
+    (line,) = [line for line in printed.splitlines() if "duration (s)" in line]
+    return re.findall(r"\d+\.\d+", line)
+
+
+@pytest.mark.parametrize(
+    ("dt", "told"),
+    [
+        (np.array([0.1, 0.2, 0.3]) / 3, "0.1 to 0.2 s"),  # the third is not safe
+        (0.1 / 3, "0.1 s"),
+    ],
+)
+def test_a_picture_tells_how_long_anchors_last(dt: float | np.ndarray, told: str) -> None:
+    zeros = np.zeros((3, 4, 2))
+    safe = np.array([True, True, False])
+    names = ("trajectories", "velocities", "accelerations")
+    batch = AnchorBatch(
+        arrays=dict.fromkeys(names, zeros) | {"safe": safe},
+        dt=dt,
+        seed=0,
+        model=ModelId("m", "1", ""),
+        timing_ms={},
+    )
+
+    assert told_durations(batch) == told
 
 
 @pytest.mark.usefixtures("requests")

@@ -116,6 +116,26 @@ def served_both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     served.stop()
 
 
+@pytest.fixture(scope="session")
+def served_any_robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A service whose card lets a request set every limit."""
+    folder = tmp_path_factory.mktemp("robots") / "bundle"
+    shutil.copytree(DEFAULT_BUNDLE, folder)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["conditioning"].pop("adjustable", None)
+    manifest["conditioning"]["ranges"] = {
+        "v_max": [0.1, 6.0],
+        "a_max": [0.3, 6.0],
+        "robot_radius": [0.1, 0.6],
+        "horizon_s": [1.0, 60.0],
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    served = Served("--bundle", str(folder))
+    served.start()
+    yield served
+    served.stop()
+
+
 @pytest.fixture
 def guarded(tmp_path: Path) -> Iterator[Served]:
     """A service that asks for the token "open sesame"."""
@@ -277,6 +297,21 @@ def open_page(browser: Browser, served: Served) -> Iterator[Callable[..., Visit]
     yield open_with
     for context in contexts:
         context.close()
+
+
+@pytest.fixture(scope="module")
+def call(browser: Browser, served: Served) -> Iterator[Callable[..., Any]]:
+    """Calls a function of JavaScript with `m`, the module of that name, and an argument."""
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(served.url)
+
+    def run(module: str, function: str, argument: Any = None) -> Any:
+        script = f"async (argument) => ({function})(await import('/page/js/{module}.js'), argument)"
+        return page.evaluate(script, argument)
+
+    yield run
+    context.close()
 
 
 @pytest.fixture

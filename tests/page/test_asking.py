@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import compress, pairwise
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 from anchorflow_client.contract import OCCUPIED
+from anchorflow_client.contract.styles import STYLES
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect
@@ -52,7 +55,7 @@ def test_anchors_go_round_a_wall_that_is_drawn(visit: Any, artefacts: Path) -> N
     assert len(safe) > 32
     assert not any(crosses(path, after.asked["cost_map"]) for path in safe)
     expect(visit.locate("#summary")).to_have_text(
-        f"{len(safe)} of 64 anchors are safe.", timeout=PATIENCE_MS
+        f"{len(safe)} of 64 anchors are safe, 8.0 s.", timeout=PATIENCE_MS
     )
     visit.wait_for_another_picture(picture)
     visit.page.screenshot(path=artefacts / "wall.png")
@@ -116,6 +119,94 @@ def test_the_style_changes_request_and_picture(visit: Any) -> None:
     )
 
 
+def test_a_named_style_sets_the_weights_and_a_weight_makes_it_custom(visit: Any) -> None:
+    name = visit.locate("#style-name")
+    expect(name).to_have_value("balanced")
+    expect(name.locator("[value=custom]")).to_be_hidden()
+    for chosen, weights in STYLES.items():
+        if chosen == "balanced":
+            continue
+        asked = visit.answer(
+            lambda chosen=chosen: name.select_option(chosen),
+            lambda asked, weights=weights: asked["w_style"] == pytest.approx(weights),
+        )
+        assert asked.status == 200
+        percent = " · ".join(f"{round(100 * weight)}" for weight in weights)
+        expect(visit.locate("#style-text")).to_have_text(percent)
+
+    visit.locate("#knob").focus()
+    visit.answer(
+        lambda: visit.page.keyboard.press("ArrowUp"), lambda asked: asked["w_style"][0] > 0.14
+    )
+    expect(name).to_have_value("custom")
+    visit.answer(
+        lambda: name.select_option("balanced"),
+        lambda asked: asked["w_style"] == pytest.approx([0.4, 0.3, 0.3]),
+    )
+
+
+def test_further_controls_of_the_finish_are_asked(visit: Any) -> None:
+    visit.locate("#guidance").fill("0.5")
+    visit.locate("#certified").fill("0.1")
+
+    answered = visit.answer(
+        lambda: visit.locate("#barrier").check(), lambda asked: asked["refine"]["barrier"]
+    )
+
+    assert answered.status == 200
+    assert answered.asked["refine"]["guidance"] == 0.5
+    assert answered.asked["refine"]["certified_margin"] == 0.1
+    safe, clearance = (np.array(answered.answered[name]) for name in ("safe", "clearance"))
+    assert safe.any()
+    assert (clearance[safe] >= 0.1).all()
+
+
+def test_another_robot_is_asked_for_within_the_ranges_of_the_card(
+    open_page: Callable[..., Any], served_any_robot: Any, artefacts: Path
+) -> None:
+    visit = open_page(served_any_robot.url)
+    expect(visit.locate("#summary")).to_contain_text("anchors are safe, 8.0 s", timeout=PATIENCE_MS)
+    expect(visit.locate("#v_max-range")).to_have_text("0.1 to 6 m/s.")
+    expect(visit.locate("#v_max")).to_have_attribute("max", "6")
+    expect(visit.locate("#horizon")).to_be_disabled()
+    visit.locate("#v_max").fill("0.5")
+    visit.locate("#a_max").fill("2.5")
+    visit.locate("#radius").fill("0.2")
+    visit.locate("#fixed").check()
+
+    answered = visit.answer(
+        lambda: visit.locate("#horizon").fill("25"), lambda asked: asked.get("horizon_s") == 25
+    )
+
+    names = ("v_max", "a_max", "robot_radius")
+    assert [answered.asked[name] for name in names] == [0.5, 2.5, 0.2]
+    charts = visit.locate("#charts")
+    expect(charts).to_contain_text("25.0 s", timeout=PATIENCE_MS)
+    expect(charts).to_contain_text("limit 0.5")
+    visit.locate("#guidance").scroll_into_view_if_needed()
+    visit.page.screenshot(path=artefacts / "another-robot.png")
+    free = visit.answer(
+        lambda: visit.locate("#fixed").uncheck(), lambda asked: "horizon_s" not in asked
+    )
+    assert free.status == 200
+    assert visit.errors == []
+
+
+def test_limits_that_are_the_bundles_own_cannot_be_changed(visit: Any) -> None:
+    ranges = load_bundle(DEFAULT_BUNDLE).card.cost_map.ranges
+    inputs = {
+        "v_max": "#v_max",
+        "a_max": "#a_max",
+        "horizon_s": "#fixed",
+        "robot_radius": "#radius",
+    }
+    for name, control in inputs.items():
+        if name in ranges:
+            expect(visit.locate(control)).to_be_enabled()
+        else:
+            expect(visit.locate(control)).to_be_disabled()
+
+
 def test_controls_are_what_is_asked(visit: Any) -> None:
     visit.locate("#num").fill("16")
     visit.locate("#sampler").select_option("heun")
@@ -130,7 +221,14 @@ def test_controls_are_what_is_asked(visit: Any) -> None:
 
     assert asked["num_samples"] == 16
     assert asked["sampler"] == {"method": "heun", "schedule": {"uniform": 3}}
-    assert asked["refine"] == {"smooth": False, "project": False, "safety_margin": 0.2}
+    assert asked["refine"] == {
+        "smooth": False,
+        "project": False,
+        "safety_margin": 0.2,
+        "guidance": 0,
+        "barrier": False,
+        "certified_margin": 0,
+    }
     own = visit.answer(
         lambda: visit.locate("#sampler").select_option("card"), lambda asked: "sampler" not in asked
     )

@@ -96,11 +96,10 @@ class SceneDataset:
 
     @property
     def limits(self) -> MotionLimits:
-        """What the trajectories keep, and how long they take; raises `DatasetError` if unsaid."""
-        # Folders of before 0.1 say it in the expert's configuration alone.
-        found = self.meta.get("limits") or self.meta.get("config", {}).get("limits")
+        """Of the usual robot, with a horizon if all scenes share it; `DatasetError` if unsaid."""
+        found = self.meta.get("limits")
         try:
-            return MotionLimits(**found)
+            return MotionLimits(**found)  # type: ignore[arg-type]
         except TypeError as error:
             raise DatasetError(
                 f"{self.path / 'dataset.json'}: limits: expected v_max, a_max and horizon_s, "

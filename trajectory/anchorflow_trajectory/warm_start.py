@@ -40,7 +40,7 @@ def warm_states(
         return resampled_states(scaled, dim=dim, num_steps=steps, horizon_s=1.0)
 
     place = in_own_time(1.0)[:, :2]
-    nearest = int(((means[..., :2] - place) ** 2).sum((1, 2)).argmin())
+    nearest = nearest_route(means, place)
     duration = (
         scene.motion.horizon_s or float(np.exp(means[nearest, 0, -1]))
         if dt is None
@@ -50,6 +50,15 @@ def warm_states(
     states = means[route]
     states[route == nearest] = np.concatenate([in_own_time(duration), lasting], -1)
     return states
+
+
+def nearest_route(route_states: FloatArray, positions: FloatArray) -> int:
+    """The place of the route that positions [T, D] follow most nearly, at equal own time.
+
+    route_states: [R, T, 3D + 1]
+    """
+    apart = route_states[..., :2] - positions[:, :2]
+    return int((apart**2).sum((1, 2)).argmin())
 
 
 def _bounded(duration: float, place: FloatArray, scene: Scene) -> float:

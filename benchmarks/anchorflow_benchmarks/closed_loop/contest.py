@@ -13,8 +13,8 @@ from time import perf_counter, process_time
 
 import torch
 
-from anchorflow_benchmarks.closed_loop.anchor_sources import LinesSource
-from anchorflow_benchmarks.closed_loop.drive import PLANNER, Drive, DriveConfig
+from anchorflow_benchmarks.closed_loop.anchor_sources import LinesSource, RoutesSource
+from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.scoring import Result
@@ -22,15 +22,15 @@ from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, Si
 from anchorflow_benchmarks.closed_loop.world import World
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_client.http import AnchorClient
-from anchorflow_client.planner import AnchorSource, Planner, PlannerConfig
-from anchorflow_service.bundle import load_bundle
+from anchorflow_client.planner import AnchorSource, Planner
+from anchorflow_service.bundle import Bundle, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.local import LocalClient
 
 
 @dataclass(frozen=True)
 class Contender:
-    """name: as the table calls it; anchors: None, "lines" or "served"
+    """name: as the table calls it; anchors: None, "lines", "routes" or "served"
 
     samples: motions that MPPI may roll out a tick, anchors included
     """
@@ -41,7 +41,7 @@ class Contender:
 
 
 def contenders_of(motions: Sequence[int], *, anchors: int) -> list[Contender]:
-    """MPPI alone, with straight lines and with served anchors, for each number of motions.
+    """MPPI alone, with lines, with routes and a finish, with served anchors; by number of motions.
 
     Raises:
         BenchmarkError: the motions do not hold the anchors and one more.
@@ -51,7 +51,12 @@ def contenders_of(motions: Sequence[int], *, anchors: int) -> list[Contender]:
             f"motions: expected at least {anchors + 2}, for {anchors} anchors a request, "
             f"got {few[0]}"
         )
-    helped = {"": None, " + straight lines": "lines", " + served anchors": "served"}
+    helped = {
+        "": None,
+        " + straight lines": "lines",
+        " + routes and finish": "routes",
+        " + served anchors": "served",
+    }
     return [
         Contender(f"MPPI{by}, {count} motions", source, count)
         for count in motions
@@ -63,7 +68,8 @@ def contenders_of(motions: Sequence[int], *, anchors: int) -> list[Contender]:
 class ContestConfig:
     """What all contenders share.
 
-    bundle: of the served anchors; url: of a service that answers in its place
+    bundle: of the served anchors, and of the finish of routes
+    url: of a service that answers in place of the bundle
     threads: of a request to the bundle's engine
     latency_ms: of an answer in simulated time; None: as long as it took, see `run_contest`
     """
@@ -75,7 +81,6 @@ class ContestConfig:
     robot: str = "unicycle"
     mppi: MppiConfig = field(default_factory=MppiConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
-    planner: PlannerConfig = PLANNER
 
 
 @dataclass(frozen=True)
@@ -134,7 +139,7 @@ def run_heat(heat: Heat, config: ContestConfig) -> Result:
     with _source(contender, config) as source:
         planner = None
         if source is not None:
-            planner = Planner(source, config.planner, clock=clock, executor=executor)
+            planner = Planner(source, config.drive.asking, clock=clock, executor=executor)
         drive = Drive(
             heat.world,
             controller,
@@ -154,15 +159,22 @@ def _source(contender: Contender, config: ContestConfig) -> Iterator[AnchorSourc
     if contender.anchors is None:
         yield None
     elif contender.anchors == "lines":
-        yield LinesSource()
+        yield LinesSource(config.drive.horizon_s)
+    elif contender.anchors == "routes":
+        yield RoutesSource.of(_bundle(config.bundle))
     elif config.url is None:
         yield LocalClient(_engine(config.bundle, config.threads))
     else:
-        with AnchorClient(config.url, timeout_s=1e-3 * config.planner.max_age_ms) as client:
+        with AnchorClient(config.url, timeout_s=1e-3 * config.drive.asking.max_age_ms) as client:
             yield client
 
 
 @lru_cache(maxsize=1)
 def _engine(bundle: Path, threads: int | None) -> Engine:
     """A worker opens its bundle once."""
-    return Engine(load_bundle(bundle), threads=threads)
+    return Engine(_bundle(bundle), threads=threads)
+
+
+@lru_cache(maxsize=1)
+def _bundle(folder: Path) -> Bundle:
+    return load_bundle(folder)

@@ -16,6 +16,7 @@ from anchorflow_benchmarks.closed_loop.lidar import Lidar
 from anchorflow_benchmarks.closed_loop.local_map import LocalMap
 from anchorflow_benchmarks.closed_loop.mppi import MppiController
 from anchorflow_benchmarks.closed_loop.navigation_cost import ClearanceGrid
+from anchorflow_benchmarks.closed_loop.path_following import timed_paths
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.world import GOAL_TOLERANCE, World
 from anchorflow_client.planner import Planner, PlannerConfig
@@ -24,8 +25,8 @@ from anchorflow_client.planner.plan import Plan
 SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are looked for
 SLOWEST = 4.0  # times slower than it is, as which a robot may ask
 OWN_DISC = 0.8  # of the robot's radius: hits within it are noise, the robot stands there
-PLANNER = PlannerConfig(period_ms=200.0, through_speed=0.6)
-"""How a `Drive` asks: local goals are passed in slow motion too."""
+PERIOD_MS = 200.0
+SLOW_THROUGH = 0.6  # m/s at local goals, which are passed in slow motion too
 
 
 class End(Enum):
@@ -68,16 +69,23 @@ class Tick:
 class DriveConfig:
     """tick_s: between two commands; options: further fields of each request for anchors.
 
-    horizon_s: that anchors last; cruise: m/s at which they are to be driven
+    horizon_s: that all anchors last; None: each has its own duration
+    cruise: m/s at which anchors that all last as long are driven, and others pass local goals
     """
 
     tick_s: float = 0.1
     limit_s: float = 50.0
     map_cells: int = 128
     map_resolution: float = 0.08
-    horizon_s: float = 8.0
+    horizon_s: float | None = None
     cruise: float = 1.5
     options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def asking(self) -> PlannerConfig:
+        """How anchors are asked for."""
+        through_speed = self.cruise if self.horizon_s is None else SLOW_THROUGH
+        return PlannerConfig(period_ms=PERIOD_MS, through_speed=through_speed)
 
 
 class Drive:
@@ -150,6 +158,9 @@ class Drive:
             origin=local.origin,
             x_curr=self._in_slow_motion(robot.x_curr(self.state)),
             x_goal=[*self.world.goal, 0.0, 0.0],
+            robot_radius=robot.radius,
+            v_max=robot.v_max,
+            a_max=robot.a_max,
             seed=int(self._seeds.integers(2**31)),
             **self.config.options,
         )
@@ -157,8 +168,14 @@ class Drive:
             self._controller.rest()
             self._ticks_braked += 1
             return robot.braking(self.state, self.config.tick_s), plan
-        paths = torch.from_numpy(plan.states()[..., :2].astype(np.float32))
-        command, chosen = self._controller.command(self.state, grid=grid, goal=goal, paths=paths)
+        paths, paces = timed_paths(plan, period_s=self._controller.config.dt)
+        command, chosen = self._controller.command(
+            self.state,
+            grid=grid,
+            goal=goal,
+            paths=paths,
+            paces=paces if self.config.horizon_s is None else None,
+        )
         if chosen is not None:
             self._planner.follow(chosen)
         return command, plan
@@ -166,10 +183,13 @@ class Drive:
     def _in_slow_motion(self, x_curr: NDArray[np.floating]) -> NDArray[np.floating]:
         """A state [6] whose anchors, driven faster than they were asked for, are at cruise.
 
-        An anchor takes its whole horizon to the goal, however near that is: a fast robot would be
-        sent on detours. So it asks as if its time ran slower; the way is the same.
+        An anchor that takes the whole horizon to the goal, however near that is, would send a fast
+        robot on detours. So it asks as if its time ran slower; the way is the same. Where each
+        anchor has its own duration, the state is as it is.
         """
         config, place = self.config, x_curr[:2]
+        if config.horizon_s is None:
+            return x_curr
         beside = 0.5 * config.map_cells * config.map_resolution
         way = min(float(np.linalg.norm(self.world.goal - place)), beside)
         slower = np.clip(config.horizon_s * config.cruise / way, 1.0, SLOWEST)

@@ -29,7 +29,7 @@ class MppiConfig:
     """samples: motions rolled out a tick, anchors included; steps of dt s: how far they look ahead.
 
     temperature: lambda of MPPI; noise: standard deviation of the controls, as a share of their
-    limits; cruise: share of v_max at which anchors are driven along
+    limits; cruise: share of v_max at which anchors without a time law of their own are driven
     """
 
     samples: int = 512
@@ -83,18 +83,25 @@ class MppiController:
         self._goal: Tensor
 
     def command(
-        self, state: Tensor, *, grid: ClearanceGrid, goal: Tensor, paths: Tensor | None = None
+        self,
+        state: Tensor,
+        *,
+        grid: ClearanceGrid,
+        goal: Tensor,
+        paths: Tensor | None = None,
+        paces: Tensor | None = None,
     ) -> tuple[Tensor, int | None]:
         """The control [U] for a state [X], and which path it goes on from.
 
-        grid: of what is known; goal: [2] m; paths: [M, S, 2] m, anchors from where the robot is.
-        The second is None where MPPI keeps the plan that it has.
+        grid: of what is known; goal: [2] m; paths: [M, S, 2] m, anchors from where the robot is;
+        paces: [M, S] m/s at which they want to be driven, None for the cruise of MppiConfig. The
+        second is None where MPPI keeps the plan that it has.
         """
         self._grid, self._goal = grid, goal
         self._shift()
         chosen, tried = None, 0
         if paths is not None:
-            chosen, tried = self._start_from_best(state, paths), 1 + len(paths)
+            chosen, tried = self._start_from_best(state, paths, paces), 1 + len(paths)
         self._mppi.K = self.config.samples - tried
         self._mppi.U = self._held.plan
         control = self._mppi.command(state, shift_nominal_trajectory=False)
@@ -117,7 +124,7 @@ class MppiController:
         later = torch.cat([plan[1:], torch.zeros_like(plan[:1])])
         self._held.plan = (1.0 - share) * plan + share * later
 
-    def _start_from_best(self, state: Tensor, paths: Tensor) -> int | None:
+    def _start_from_best(self, state: Tensor, paths: Tensor, paces: Tensor | None) -> int | None:
         """Go on from the best path where it beats the plan; says which it is."""
         config, held = self.config, self._held.plan[None]
         controls, motions = motions_along(
@@ -127,6 +134,7 @@ class MppiController:
             steps=config.steps,
             dt=config.dt,
             speed=config.cruise * self.robot.v_max,
+            paces=paces,
         )
         controls = torch.cat([held, controls])
         states = torch.cat([rollout(self.robot, state, held, config.dt), motions])

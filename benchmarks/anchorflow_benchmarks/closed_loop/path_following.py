@@ -2,25 +2,60 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from anchorflow_benchmarks.closed_loop.robots import BRAKING_SHARE, Robot
+from anchorflow_client import resample
+from anchorflow_client.planner import Plan
 
 AHEAD_M, AHEAD_S = 0.25, 0.25  # the carrot is that far ahead at rest, and that much more by speed
 WINDOW = 4  # samples of the path by which a step may get further along it
 
 
+def timed_paths(plan: Plan, *, period_s: float) -> tuple[Tensor, Tensor]:
+    """A usable plan's anchors from now on at a controller's period, each in its own time.
+
+    Returns [M, S, 2] m and speeds [M, S] m/s, S as the longest needs; shorter ones stay at their
+    ends.
+    """
+    batch, states = plan.batch, plan.states()
+    assert batch is not None  # it is usable
+    dts = batch.durations / (states.shape[1] - 1)
+    timed = [
+        resample(*np.split(anchor, 3, axis=-1), dt=float(dt), period_s=period_s)
+        for anchor, dt in zip(states, dts, strict=True)
+    ]
+    longest = max(len(anchor.times) for anchor in timed)
+    paths, speeds = np.zeros((len(timed), longest, 2)), np.zeros((len(timed), longest))
+    for n, anchor in enumerate(timed):
+        count = len(anchor.times)
+        paths[n, :count] = anchor.positions[:, :2]
+        paths[n, count:] = anchor.positions[-1, :2]
+        speeds[n, :count] = np.linalg.norm(anchor.velocities[:, :2], axis=1)
+        speeds[n, count:] = speeds[n, count - 1]
+    return torch.from_numpy(paths).float(), torch.from_numpy(speeds).float()
+
+
 def motions_along(
-    robot: Robot, paths: Tensor, state: Tensor, *, steps: int, dt: float, speed: float
+    robot: Robot,
+    paths: Tensor,
+    state: Tensor,
+    *,
+    steps: int,
+    dt: float,
+    speed: float,
+    paces: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Controls [M, steps, U] with which a robot at [X] follows paths [M, S, 2] in m, and states.
 
     The states [M, steps, X] are those after each control.
 
-    It chases a point a little ahead on each path, at `speed` m/s where bends allow it, and slows
-    down before the path's end. An anchor's time law is left aside: it lasts the whole horizon,
-    however near its goal is.
+    It chases a point a little ahead on each path, as fast as bends allow it, and slows down before
+    the path's end. `paces` [M, S] m/s are the anchors' own speeds; without them it drives at
+    `speed` m/s, because anchors that all last as long have no time law to go by, however near
+    their goal is.
     """
     count, samples, _ = paths.shape
     lengths = torch.zeros(count, samples)
@@ -35,7 +70,10 @@ def motions_along(
         ahead = done + AHEAD_M + AHEAD_S * robot.speed(states).abs()
         carrot = (lengths < ahead[:, None]).sum(1).clamp(max=samples - 1)
         left = (lengths[:, -1] - done).clamp(min=0.0)
-        pace = (braking * left).sqrt().clamp(max=speed)
+        # At rest the speed of what is ahead counts, before the end that of where it is.
+        own = None if paces is None else torch.maximum(paces[rows, reached], paces[rows, carrot])
+        wanted = torch.full_like(left, speed) if own is None else own.clamp(max=robot.v_max)
+        pace = torch.minimum((braking * left).sqrt(), wanted)
         control = robot.steer(states, paths[rows, carrot], pace, dt)
         states = robot.step(states, control, dt)
         controls.append(control)

@@ -39,6 +39,11 @@ class Robot(Protocol):
         ...
 
     @property
+    def a_max(self) -> float:
+        """m/s^2."""
+        ...
+
+    @property
     def field_of_view(self) -> float:
         """rad, of its lidar."""
         ...

@@ -48,19 +48,6 @@ class World:
         return float(nearest) - self.post_radius - robot_radius
 
 
-def load_worlds(source: str, *, limit: int | None = None) -> list[World]:
-    """Worlds of a .npz file, or `drawn:COUNT:SEED`; at most `limit` of them, evenly spread.
-
-    Raises:
-        BenchmarkError: the file is none of worlds, or the text is not of that form.
-    """
-    kind, _, rest = source.partition(":")
-    worlds = _drawn(rest) if kind == DRAWN else read_worlds(Path(source))
-    if limit is not None and limit < len(worlds):
-        worlds = [worlds[i] for i in np.linspace(0, len(worlds) - 1, limit).astype(int)]
-    return worlds
-
-
 def read_worlds(path: Path) -> list[World]:
     """The worlds of a .npz file.
 
@@ -93,16 +80,6 @@ def draw_world(seed: int) -> World:
         if np.isfinite(length):
             start, goal = np.array(START), np.array(GOAL)
             return World(f"{DRAWN} {seed}", posts, RADIUS, start, goal, length)
-
-
-def _drawn(text: str) -> list[World]:
-    try:
-        count, seed = (int(number) for number in text.split(":"))
-    except ValueError:
-        raise BenchmarkError(f"expected {DRAWN}:COUNT:SEED, got {DRAWN}:{text}") from None
-    if count < 1 or seed < 0:
-        raise BenchmarkError(f"expected a COUNT from 1 and a SEED from 0, got {DRAWN}:{text}")
-    return [draw_world(1000 * seed + index) for index in range(count)]
 
 
 def _walls() -> Array:

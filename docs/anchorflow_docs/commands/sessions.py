@@ -203,7 +203,9 @@ NOT_HERE = {
     "anchorflow bench zenoh --sampler midpoint:uniform2": MEASURES,
     "anchorflow bench failover": MEASURES,
     "anchorflow bench failover --seconds 60": MEASURES,
+    "anchorflow bench robots --limit 60": MEASURES,
     "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
+    "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"

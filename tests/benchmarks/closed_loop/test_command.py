@@ -30,9 +30,10 @@ def test_it_drives_and_writes_its_tables(
     assert [row["contender"] for row in contenders] == [
         "MPPI, 24 motions",
         "MPPI + straight lines, 24 motions",
+        "MPPI + routes and finish, 24 motions",
         "MPPI + served anchors, 24 motions",
     ]
-    assert [row["request p50 ms"] for row in contenders] == [None, 60.0, 60.0]
+    assert [row["request p50 ms"] for row in contenders] == [None, 60.0, 60.0, 60.0]
     assert [row["world"] for row in worlds] == ["drawn 1000", "drawn 1002"]
     assert written["about"]["latency"] == "60 ms"
     assert (tmp_path / "closed_loop.md").exists()

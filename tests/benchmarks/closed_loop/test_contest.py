@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
+from anchorflow_benchmarks.closed_loop.anchor_sources import RoutesSource
 from anchorflow_benchmarks.closed_loop.contest import (
     Contender,
     ContestConfig,
@@ -16,10 +18,13 @@ from anchorflow_benchmarks.closed_loop.contest import (
 from anchorflow_benchmarks.closed_loop.drive import DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig
 from anchorflow_benchmarks.closed_loop.world import World
-from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_client import AnchorRequest
+from anchorflow_client.contract import CostMap
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 ALONE = Contender("MPPI", None, 48)
 LINES = Contender("lines", "lines", 48)
+ROUTES = Contender("routes", "routes", 48)
 SERVED = Contender("served", "served", 48)
 CONFIG = ContestConfig(
     bundle=DEFAULT_BUNDLE,
@@ -60,10 +65,30 @@ def test_every_contender_runs_in_every_world_with_every_seed(world: Callable[...
         assert alone.run == result.run  # whichever process it ran in
 
 
-def test_served_anchors_come_from_the_bundle(world: Callable[..., World]) -> None:
-    result = run_heat(Heat(SERVED, world([(3.0, 0.0)]), 0), CONFIG)
+@pytest.mark.parametrize("contender", [SERVED, ROUTES])
+def test_anchors_arrive_as_late_as_they_take(
+    contender: Contender, world: Callable[..., World]
+) -> None:
+    result = run_heat(Heat(contender, world([(3.0, 0.0)]), 0), CONFIG)
 
     assert result.run.length > 0.1
     assert result.run.ticks_braked == 1  # until the first answer
     np.testing.assert_allclose(result.latencies_ms, 60.0)
     assert len(result.latencies_ms) >= 2
+
+
+def test_routes_pass_an_obstacle_on_both_sides() -> None:
+    bundle = load_bundle(DEFAULT_BUNDLE)
+    occupied = np.zeros((64, 64), np.float32)
+    occupied[26:38, 30:34] = 1.0  # 6.4 m a side, in the middle of the way
+    cost_map = CostMap.build(occupied[None], 0.1, [-3.2, -3.2])
+    request = AnchorRequest.build(
+        cost_map=cost_map, x_curr=[-2, 0, 0, 0, 0, 0], x_goal=[2, 0, 0, 0], num_samples=8, seed=1
+    )
+    batch = RoutesSource.of(bundle).plan_request(request)
+    middle = batch.trajectories[:, 32, 1]
+
+    assert batch.trajectories.shape[0] == 8
+    assert batch.safe.all()
+    assert (middle > 0.6).any()
+    assert (middle < -0.6).any()

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anchorflow_benchmarks.closed_loop.world import GOAL, draw_world, load_worlds
+from anchorflow_benchmarks.closed_loop.world import GOAL, draw_world
+from anchorflow_benchmarks.closed_loop.world_sources import load_worlds
 from anchorflow_benchmarks.errors import BenchmarkError
 
 
@@ -49,9 +50,11 @@ def test_lengths_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         load_worlds(str(path))
 
 
-@pytest.mark.parametrize("text", ["drawn:", "drawn:2", "drawn:0:1", "drawn:2:-1", "drawn:a:1"])
+@pytest.mark.parametrize(
+    "text", ["drawn:", "drawn:2", "drawn:0:1", "drawn:2:-1", "drawn:a:1", "forests:", "forests:0:1"]
+)
 def test_worlds_to_draw_are_counted_and_seeded(text: str) -> None:
-    with pytest.raises(BenchmarkError, match=r"expected .*, got drawn:"):
+    with pytest.raises(BenchmarkError, match=rf"expected .*, got {text}"):
         load_worlds(text)
 
 

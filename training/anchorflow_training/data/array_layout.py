@@ -13,7 +13,7 @@ N samples, T steps, D dimensions (x, y in m, and where D = 3 a heading in rad):
     quality         [N]        in [0, 1], weighs the sample in the loss; optional
     resolution      [] or [N]  m/cell of the cost maps
     origin          [2] or [N, 2]  m, outer corner of cell (0, 0); default centres the map on (0, 0)
-    dt, horizon_s   [] or [N]  s; horizon_s = dt (T - 1), one for all samples
+    dt, horizon_s   [] or [N]  s; horizon_s = dt (T - 1)
     times           [T]        s, evenly spaced; implies dt
 
 Files of other tools say the same in other words, which `ALIASES` lists.

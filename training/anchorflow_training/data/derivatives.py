@@ -8,12 +8,14 @@ from numpy.typing import NDArray
 HEADING = 2  # the column of a heading, where D = 3
 
 
-def central_differences(values: NDArray[np.floating], dt: float) -> NDArray[np.floating]:
-    """d/dt of samples [..., T, D] that are `dt` seconds apart, T >= 3.
+def central_differences(
+    values: NDArray[np.floating], dt: float | NDArray[np.floating]
+) -> NDArray[np.floating]:
+    """d/dt of samples [..., T, D] that are `dt` seconds apart, T >= 3; dt may be [...].
 
     Central inside, one-sided over three points at both ends: exact for parabolas everywhere.
     """
-    return np.gradient(values, dt, axis=-2, edge_order=2)
+    return np.gradient(values, axis=-2, edge_order=2) / np.asarray(dt)[..., None, None]
 
 
 def unwrap_heading(positions: NDArray[np.floating]) -> NDArray[np.floating]:

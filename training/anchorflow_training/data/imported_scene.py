@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 from anchorflow_training.data.trajectory_statistics import FIELDS
 from anchorflow_training.dataset import Row, scene_row
 from anchorflow_trajectory.clearance import path_clearance
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene, with_neutral_channels
+from anchorflow_trajectory.spline import GOAL_POINTS, START_POINTS, SplineBasis, spline_basis
 from anchorflow_trajectory.verify import CHECK_STEP
+from anchorflow_trajectory.warm_start import nearest_route
 
 FloatArray = NDArray[np.floating]
 
 CHANNELS = 3  # occupancy, traversability, risk: those that a network is told at least
 STYLE = (0.4, 0.3, 0.3)  # safety, energy, smooth, where the file has no style_weights
+LEAST_POINTS = START_POINTS + GOAL_POINTS + 1
 ROOM_SHARE, ROOM_M = 0.75, 3.0
 """Half the side of an empty map, in shares of what the trajectory spans, and metres beside it.
 
@@ -40,10 +44,16 @@ class SceneOptions:
 
 @dataclass(frozen=True)
 class SceneSource:
-    """One sample: its arrays without the N axis, its map's (origin x, origin y, resolution)."""
+    """One sample: its arrays without the N axis, its map's (origin x, origin y, resolution).
+
+    duration: s that it lasts
+    motion: what is asked of the scene; without a horizon the duration is the sample's own choice
+    """
 
     arrays: Mapping[str, FloatArray]
     geometry: NDArray[np.float64] | None
+    duration: float
+    motion: MotionLimits
     options: SceneOptions
 
 
@@ -69,6 +79,8 @@ def imported_scene(source: SceneSource) -> Row | str:
         x_curr=x_curr,
         x_goal=x_goal,
         w_style=style / style.sum(),
+        motion=source.motion,
+        basis=_basis(len(fields[0])),
     )
     if not all(scene.is_free(x[:2]) for x in (x_curr, x_goal)):
         return "off_map"
@@ -78,7 +90,13 @@ def imported_scene(source: SceneSource) -> Row | str:
         clearance = path_clearance(scene.cost_fields.clearance, positions, max_step=CHECK_STEP)
         if clearance[0] < margin:
             return "collision"
-    row = scene_row(scene, np.concatenate(fields, -1)[None])
+    route = nearest_route(scene.route_states, fields[0])
+    row = scene_row(
+        scene,
+        np.concatenate(fields, -1)[None],
+        durations=np.array([source.duration]),
+        route=np.array([route]),
+    )
     if "quality" in arrays:
         row["quality"] = arrays["quality"].astype(np.float32).reshape(1)
     return row
@@ -105,6 +123,12 @@ def empty_map(
     centre = np.zeros(positions.shape[1])
     centre[:2] = 0.5 * (low + high)
     return np.zeros((1, cells, cells)), np.full(2, -half), 2 * half / cells, centre
+
+
+def _basis(num_steps: int) -> SplineBasis:
+    """As a model's by default, with fewer control points where there are fewer steps."""
+    usual = spline_basis(num_steps).num_control_points
+    return spline_basis(num_steps, num_control_points=min(usual, max(num_steps, LEAST_POINTS)))
 
 
 def _moved(state: FloatArray, by: FloatArray) -> FloatArray:

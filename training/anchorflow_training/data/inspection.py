@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_training.data.homology import homology_classes, obstacle_points
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
+from anchorflow_training.data.time_step import in_words
 from anchorflow_training.data.trajectory_statistics import FIELDS
 from anchorflow_training.dataset import SceneDataset
+from anchorflow_trajectory.cost import MotionLimits
 
 ROWS_AT_ONCE = 256
 LISTED_ROWS = 20
@@ -53,11 +56,11 @@ def inspect_trajectories(dataset: TrajectoryDataset) -> Summary:
         arrays.append(
             ArraySummary(name, array.shape, str(array.dtype), least, most, "; ".join(notes))
         )
-    dt = "unknown" if dataset.dt is None else f"{dataset.dt:g} s"
-    horizon = "" if dataset.horizon_s is None else f", horizon {dataset.horizon_s:g} s"
+    dt = "unknown" if dataset.dt is None else in_words(dataset.dt)
+    lasting = "" if dataset.durations is None else f", duration {in_words(dataset.durations)}"
     facts = [
         f"{len(dataset)} of {dataset.count} samples, T {dataset.num_steps}, D {dataset.dim}, "
-        f"dt {dt}{horizon}"
+        f"dt {dt}{lasting}"
     ]
     if len(dataset.left_out):
         facts.append(
@@ -88,17 +91,32 @@ def inspect_scenes(dataset: SceneDataset, *, scenes: int) -> Summary:
         bad = np.concatenate([_not_finite(array[rows], rows.start) for rows in _slices(len(array))])
         note = f"not finite in {len(bad)} rows: {_listed(bad)}" if len(bad) else ""
         arrays.append(ArraySummary(name, array.shape, str(array.dtype), least, most, note))
-    limits = dataset.limits
     facts = [
         f"{len(dataset)} scenes, M {dataset.arrays['states'].shape[1]}, T {dataset.num_steps}, "
         f"D {dataset.dim}",
-        f"v_max {limits.v_max:g} m/s, a_max {limits.a_max:g} m/s^2, horizon {limits.horizon_s:g} s",
+        *limits_in_words(dataset.limits, dataset.meta.get("ranges", {})),
+        f"durations {in_words(dataset.arrays['durations'])}; scenes with a given horizon "
+        f"{np.mean(dataset.arrays['limits'][:, 3] > 0):.0%}",
     ]
     facts += [f"{key}: {dataset.meta[key]}" for key in ("left_out",) if key in dataset.meta]
     picked = np.unique(np.linspace(0, len(dataset) - 1, min(scenes, len(dataset))).astype(int))
     classes = Counter(count_classes(dataset, int(scene)) for scene in picked)
     families = dict(dataset.meta.get("families", {}))
     return Summary(tuple(arrays), tuple(facts), families, dict(sorted(classes.items())))
+
+
+def limits_in_words(
+    limits: MotionLimits, ranges: Mapping[str, tuple[float, float]]
+) -> list[str]:
+    """Lines that say what trajectories keep, and what the data's robots differ in."""
+    horizon = "open" if limits.horizon_s is None else f"{limits.horizon_s:g} s"
+    lines = [f"v_max {limits.v_max:g} m/s, a_max {limits.a_max:g} m/s^2, horizon {horizon}"]
+    told = [
+        f"{name} {ranges[name][0]:g} to {ranges[name][1]:g} {interval.unit}"
+        for name, interval in LIMIT_INTERVALS.items()
+        if name in ranges
+    ]
+    return [*lines, "ranges: " + ", ".join(told)] if told else lines
 
 
 def count_classes(dataset: SceneDataset, scene: int) -> int:

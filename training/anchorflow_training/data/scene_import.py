@@ -8,11 +8,12 @@ import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anchorflow_training.data.imported_scene import SceneOptions, SceneSource, imported_scene
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
@@ -57,12 +58,12 @@ class ImportConfig:
 
 
 def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> MotionLimits:
-    """Speed and acceleration that the samples keep, and their horizon.
+    """Speed and acceleration that the samples keep, and the horizon that they share, if any.
 
     Raises:
         DatasetError: neither the file nor the caller says how long a trajectory takes.
     """
-    if dataset.horizon_s is None:
+    if dataset.durations is None:
         raise DatasetError(
             f"{dataset.path}: horizon_s: expected how long a trajectory takes, or dt, in s "
             "(--horizon-s, --dt), found neither"
@@ -106,7 +107,7 @@ def import_scenes(
     left_out.update(off_map=0, collision=0, low_quality=0)
     arrays, written = None, 0
     with _mapper(workers) as mapped:
-        for sources in _sources(dataset, config, left_out, BLOCK * workers, progress):
+        for sources in _sources(dataset, config, limits, left_out, BLOCK * workers, progress):
             for scene in mapped(imported_scene, sources):
                 if isinstance(scene, str):
                     left_out[scene] += 1
@@ -134,6 +135,7 @@ def import_scenes(
         "num_steps": dataset.num_steps,
         "dim": dataset.dim,
         "limits": asdict(limits),
+        "ranges": _ranges(dataset),
         "robot_radius": config.scene.robot_radius,
         "map": dict(zip(("channels", "H", "W"), shapes["cost_map"], strict=True)),
         "families": {dataset.path.stem: written},
@@ -150,11 +152,14 @@ def import_scenes(
 def _sources(
     dataset: TrajectoryDataset,
     config: ImportConfig,
+    limits: MotionLimits,
     left_out: Counter[str],
     size: int,
     progress: Callable[[int], None],
 ) -> Iterator[list[SceneSource]]:
     """Blocks of at most `size` samples of sufficient quality."""
+    durations = dataset.durations
+    assert durations is not None  # limits_of asked for them
     for start in range(0, len(dataset), size):
         samples = np.arange(start, min(start + size, len(dataset)))
         block = dataset.samples(samples, np.float64)
@@ -175,11 +180,29 @@ def _sources(
             SceneSource(
                 arrays={name: values[i] for name, values in block.items()},
                 geometry=None if geometry is None else geometry[i],
+                duration=float(durations[samples[i]]),
+                motion=_asked(limits, int(samples[i]), durations),
                 options=config.scene,
             )
             for i in np.flatnonzero(good)
         ]
         progress(len(samples))
+
+
+def _asked(limits: MotionLimits, sample: int, durations: NDArray[np.float64]) -> MotionLimits:
+    """What a sample's scene asks: where samples differ in their durations, every other one fixes
+    it, so that a model learns to choose one and to keep one."""
+    if limits.horizon_s is not None or sample % 2 == 0:
+        return limits
+    return replace(limits, horizon_s=float(durations[sample]))
+
+
+def _ranges(dataset: TrajectoryDataset) -> dict[str, tuple[float, float]]:
+    """The limits that samples differ in, with the least and the greatest."""
+    durations = dataset.durations
+    if durations is None or dataset.horizon_s is not None:
+        return {}
+    return {"horizon_s": (float(durations.min()), float(durations.max()))}
 
 
 @contextmanager

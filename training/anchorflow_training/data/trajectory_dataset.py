@@ -25,7 +25,7 @@ from anchorflow_training.data.array_source import ArraySource, HeldArray, Rows, 
 from anchorflow_training.data.derivatives import central_differences, unwrap_heading
 from anchorflow_training.data.file_formats import open_arrays
 from anchorflow_training.data.survey import Survey, Surveyor
-from anchorflow_training.data.time_step import time_step
+from anchorflow_training.data.time_step import Seconds, time_step
 from anchorflow_training.data.trajectory_statistics import FIELDS, TrajectoryStatistics
 from anchorflow_training.dataset import DatasetError
 
@@ -46,7 +46,9 @@ class TrajectoryDataset(Dataset[Sample]):
     path: the file
     count: N of the file; rows: [n] rows of the file that are samples here; left_out: [m] the others
     not_finite: which rows of which array are not finite
-    num_steps: T; dim: D; dt, horizon_s: s, None where neither the file nor the caller says
+    num_steps: T; dim: D
+    dt: s between two steps, [N] where the file says it of each row and they differ; None where
+        neither the file nor the caller says
     statistics: mean, standard deviation and range of p, v, a over the samples
     peak_speed, peak_acceleration: [n] greatest planar length along each sample, m/s and m/s^2
     """
@@ -97,8 +99,16 @@ class TrajectoryDataset(Dataset[Sample]):
         self._file_survey = self._surveyed_file()
 
     @property
+    def durations(self) -> NDArray[np.float64] | None:
+        """[n] s that each sample lasts; None where that is unknown."""
+        if self.dt is None:
+            return None
+        return np.broadcast_to(self.dt, self.count)[self.rows] * (self.num_steps - 1)
+
+    @property
     def horizon_s(self) -> float | None:
-        return None if self.dt is None else self.dt * (self.num_steps - 1)
+        """s that every sample lasts; None where they differ, or where that is unknown."""
+        return self.dt * (self.num_steps - 1) if isinstance(self.dt, float) else None
 
     @cached_property
     def statistics(self) -> TrajectoryStatistics:
@@ -127,7 +137,7 @@ class TrajectoryDataset(Dataset[Sample]):
                 check_values(self.path, name, values, rows.start)
             # Rows that are not finite pass through here before anyone knows them.
             with np.errstate(invalid="ignore", over="ignore"):
-                surveyor.add(rows.start, block, self._states(block))
+                surveyor.add(rows.start, block, self._states(block, self._steps_of(rows)))
         for name, values in self.geometry.items():
             if not np.isfinite(values).all():
                 raise DatasetError(f"{self.path}: {name}: expected finite numbers")
@@ -152,15 +162,22 @@ class TrajectoryDataset(Dataset[Sample]):
         for start in range(0, count, step):
             yield slice(start, min(start + step, count))
 
-    def _states(self, block: Mapping[str, NDArray[Any]]) -> tuple[NDArray[np.floating], ...]:
+    def _steps_of(self, rows: Rows) -> Seconds:
+        """s between two steps of rows of the file."""
+        dt = np.nan if self.dt is None else self.dt
+        return dt if isinstance(dt, float) else dt[rows]
+
+    def _states(
+        self, block: Mapping[str, NDArray[Any]], dt: Seconds
+    ) -> tuple[NDArray[np.floating], ...]:
         """Positions, velocities and accelerations [n, T, D] of a block."""
         position = unwrap_heading(np.asarray(block["positions"], np.float64))
         velocity, acceleration = block.get("velocities"), block.get("accelerations")
         if velocity is None:
-            velocity = central_differences(position, self.dt or np.nan)
+            velocity = central_differences(position, dt)
         if acceleration is None:
             velocity = np.asarray(velocity, np.float64)
-            acceleration = central_differences(velocity, self.dt or np.nan)
+            acceleration = central_differences(velocity, dt)
         return position, velocity, acceleration
 
     def read(
@@ -174,7 +191,7 @@ class TrajectoryDataset(Dataset[Sample]):
         block = {name: array.read(rows) for name, array in self.arrays.items()}
         if "cost_maps" in block and block["cost_maps"].dtype == np.uint8:
             block["cost_maps"] = block["cost_maps"] / np.float32(255)
-        block |= dict(zip(FIELDS, self._states(block), strict=True))
+        block |= dict(zip(FIELDS, self._states(block, self._steps_of(rows)), strict=True))
         return {name: np.asarray(values, dtype) for name, values in block.items()}
 
     def samples(

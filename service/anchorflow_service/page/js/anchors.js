@@ -5,14 +5,16 @@ const STANDSTILL = 0.05;
 
 export class Anchors {
   /**
-   * @param {object} answer  arrays as {shape, values} by name, and dt, first_s, seed, timing
+   * @param {object} answer  arrays as {shape, values} by name, and dt, first_s, seed, timing;
+   *   dt is a number where all anchors are alike, else one of these arrays, or a list
    * @param {object} card  of the bundle that answered
+   * @param {object} limits  that were asked for; the card's where nothing was
    */
-  constructor(answer, card) {
+  constructor(answer, card, limits = card.conditioning.limits) {
     const { trajectories, velocities, accelerations, scores, clearance, safe } = answer;
     this.card = card;
     /** What the anchors keep, where the card says it. */
-    this.limits = card.conditioning.limits;
+    this.limits = limits;
     [this.count, this.steps] = trajectories.shape;
     /** [N,T,2] m, flat; likewise m/s and m/s². A heading is left out. Null: not given. */
     this.positions = planar(trajectories);
@@ -27,7 +29,12 @@ export class Anchors {
     /** [N]; all of them where nobody has looked. */
     this.safe = Array.from({ length: this.count }, (_, n) => !safe || Boolean(safe.values[n]));
     const { dt, first_s: first = 0, seed, timing } = answer;
-    Object.assign(this, { trajectories, dt, first, seed, timing });
+    Object.assign(this, { trajectories, first, seed, timing });
+    const own = typeof dt === "number" ? null : Array.isArray(dt) ? dt : dt.values;
+    /** Whether each has its own duration. */
+    this.hasOwnTime = own !== null;
+    /** [N] s between two of an anchor's time steps. */
+    this.dts = Float64Array.from({ length: this.count }, (_, n) => (own ? own[n] : dt));
     /** Safe ones first, then by score: the order in which one would take them. */
     this.order = this.safe.map((_, n) => n).sort((a, b) => this.safe[b] - this.safe[a] || this.#score(b) - this.#score(a));
     this.best = this.order[0];
@@ -45,9 +52,21 @@ export class Anchors {
     return Array.from(this.trajectories.values.slice(at, at + dim));
   }
 
-  /** s from now to time step t. */
-  time(t) {
-    return this.first + t * this.dt;
+  /** s from now to time step t of anchor n. */
+  time(n, t) {
+    return this.first + t * this.dts[n];
+  }
+
+  /** s from an anchor's first time step to its last. */
+  duration(n) {
+    return this.dts[n] * (this.steps - 1);
+  }
+
+  /** "4.2 to 9.1 s" of the safe ones, of all where none is; "8.0 s" where they are alike. */
+  get durationsText() {
+    const told = this.order.filter((n) => this.safe[n] || !this.numSafe).map((n) => this.duration(n));
+    const [least, most] = [Math.min(...told), Math.max(...told)].map((seconds) => seconds.toFixed(1));
+    return least === most ? `${most} s` : `${least} to ${most} s`;
   }
 
   /** Length of the way in m. */
@@ -84,7 +103,7 @@ export class Anchors {
     if (this.numSafe) return "";
     const { v_max: fastest, horizon_s: horizon } = this.limits;
     const fast = this.order.filter((n) => this.greatest(this.speeds, n) > fastest).length;
-    if (fast > this.count / 2) return `the way is too long for ${horizon} s at ${fastest} m/s`;
+    if (horizon !== null && fast > this.count / 2) return `the way is too long for ${horizon} s at ${fastest} m/s`;
     return "each comes too close to an obstacle or breaks a limit";
   }
 

@@ -50,12 +50,18 @@ function inputText(spec) {
 
 /** Any part: its kind and what it says of itself. */
 function partText({ kind, ...rest }) {
-  const words = Object.entries(rest).map(([name, value]) => `${name.replaceAll("_", " ")} ${valueText(value)}`);
+  const words = Object.entries(rest).map(([name, value]) => `${name.replaceAll("_", " ")} ${(name === "ranges" ? rangesText : valueText)(value)}`);
   const name = kind.replaceAll("_", " ");
   return words.length ? `${name}: ${words.join(", ")}` : name;
 }
 
+/** What a request may ask for, by the name of its field. */
+function rangesText(ranges) {
+  return Object.entries(ranges).map(([name, range]) => `${name} ${rangeText(range)}`).join(", ") || "none";
+}
+
 function valueText(value) {
+  if (value === null) return "free";
   if (typeof value === "boolean") return value ? "yes" : "no";
   if (typeof value === "number") return plain(value);
   if (Array.isArray(value)) return value.length > MOST_NUMBERS ? `of ${value.length}` : value.map(valueText).join(", ") || "none";
@@ -64,6 +70,7 @@ function valueText(value) {
 }
 
 function timeText({ steps, first_s: first, dt }) {
+  if (dt === null) return `${steps} poses from ${plain(first)} s on, each anchor in its own time`;
   const last = first + (steps - 1) * dt;
   return `${steps} poses from ${plain(first)} to ${plain(last)} s, ${plain(dt)} s apart`;
 }

@@ -11,7 +11,7 @@ const NEAR_PX = 14;
 
 /** What the colours stand for: {low, high, unit, digits}; null where they stand for nothing. */
 export function colourScale(anchors, by) {
-  if (by === "speed") return anchors.speeds && { low: 0, high: anchors.limits.v_max, unit: "m/s", digits: 0 };
+  if (by === "speed") return anchors.speeds && { low: 0, high: anchors.limits.v_max, unit: "m/s", digits: Number.isInteger(anchors.limits.v_max) ? 0 : 2 };
   const values = by === "score" ? anchors.scores : anchors.clearance;
   if (!values) return null;
   // The scores of anchors through walls would leave one colour to all the others.

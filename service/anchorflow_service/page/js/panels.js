@@ -9,11 +9,12 @@ const STAGES = { queue: "queue", encode: "encode", sample: "sample", refine: "re
 const LENGTH = { name: "Length", unit: "m", value: (anchors, n) => anchors.length(n) };
 const SCORE = { name: "Score", unit: "", value: ({ scores }, n) => scores[n] };
 const CLEARANCE = { name: "Clear", unit: "m", value: ({ clearance }, n) => clearance[n] };
+const DURATION = { name: "Lasts", unit: "s", value: (anchors, n) => anchors.duration(n) };
 const TOP_SPEED = { name: "Top", unit: "m/s", value: (anchors, n) => anchors.greatest(anchors.speeds, n) };
 
 /** The columns of the table that the arrays of an answer can fill, with what tells of the way. */
-export function columnsOf({ scores, clearance, speeds }, way = [LENGTH]) {
-  return [scores && SCORE, clearance && CLEARANCE, ...way, speeds && TOP_SPEED].filter(Boolean);
+export function columnsOf({ scores, clearance, speeds, hasOwnTime }, way = [LENGTH]) {
+  return [scores && SCORE, clearance && CLEARANCE, ...way, hasOwnTime && DURATION, speeds && TOP_SPEED].filter(Boolean);
 }
 
 /** Which anchor the figures are about: the one in focus, or the best. */
@@ -21,8 +22,8 @@ export function nameAnchor(anchors, focus) {
   const { best, safe, scores } = anchors;
   const looked = focus ?? best;
   byId("anchor-name").textContent = focus === null ? "Best anchor" : `Anchor ${focus}`;
-  const score = scores ? `score ${number(scores[looked])}` : "";
-  byId("anchor-figures").textContent = safe[looked] ? score : "not safe";
+  const said = [scores && `score ${number(scores[looked])}`, `${anchors.duration(looked).toFixed(1)} s`];
+  byId("anchor-figures").textContent = safe[looked] ? said.filter(Boolean).join(", ") : "not safe";
 }
 
 /** What has come back, in a sentence. */

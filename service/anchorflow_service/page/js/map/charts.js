@@ -10,7 +10,7 @@ const MOST_CURVATURE = 4;
 
 /** Draws the charts of anchor n; `step` marks a time. */
 export function drawCharts(anchors, n, step) {
-  const { limits, steps, dt } = anchors;
+  const { limits, steps } = anchors;
   if (!anchors.speeds || !anchors.pulls) {
     byId("charts").replaceChildren();
     return;
@@ -22,7 +22,7 @@ export function drawCharts(anchors, n, step) {
     { name: "Acceleration", unit: "m/s²", values: slice(anchors.pulls), limit: constant(limits.a_max), limitText: limits.a_max, top: 1.15 * limits.a_max },
     { name: "Curvature", unit: "1/m", values: anchors.curvature(n), limit: anchors.curvatureLimit(n), limitText: "a_max ⁄ v²", top: MOST_CURVATURE },
   ];
-  const end = `${((steps - 1) * dt).toFixed(0)} s`;
+  const end = `${anchors.duration(n).toFixed(1)} s`;
   const axis = make("p", {}, make("span", {}, "0 s"), make("span", {}, end));
   byId("charts").replaceChildren(...charts.map((chart) => draw(chart, step)), axis);
 }

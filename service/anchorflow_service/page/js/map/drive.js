@@ -1,9 +1,10 @@
 /**
  * The live mode: a robot drives along the best anchor and plans again ten times a second.
  *
- * Every answer has the whole horizon to reach the goal, so that a robot which took each of them
- * would slow down for ever. It keeps the plan it has, which arrives sooner, until map, goal or
- * options change or the service finds no safe way; then it takes the best anchor of the newest answer.
+ * It keeps the plan it has until map, goal or options change or the service finds no safe way; then
+ * it takes the best anchor of the newest answer. Where all anchors have the whole horizon to reach the
+ * goal, a robot which took each of them would slow down for ever; where each has its own duration, it
+ * would change its mind at every tie.
  */
 
 import { Plan, Stop } from "./plan.js";
@@ -60,7 +61,7 @@ export class Drive {
     const state = this.#state(at);
     const body = this.scene.request(state);
     if (this.#holds && this.scene.dim === 2) {
-      body.warm_start = { trajectory: this.#plan.rest((at - this.#since) / 1e3), tau: TAU };
+      body.warm_start = { ...this.#plan.rest((at - this.#since) / 1e3), tau: TAU };
     }
     return { body, at, plan: this.#plan, version: this.scene.version };
   }

@@ -6,9 +6,10 @@ const BRAKING = 0.8;
 /** The motion along anchor n: [p, v, a] at any time, between its samples by cubic polynomials. */
 export class Plan {
   constructor(anchors, n) {
-    const { steps, dt } = anchors;
+    const { steps, hasOwnTime } = anchors;
+    const dt = anchors.dts[n];
     const part = (flat) => flat.slice(2 * n * steps, 2 * (n + 1) * steps);
-    Object.assign(this, { steps, dt, safe: anchors.safe[n] });
+    Object.assign(this, { steps, dt, hasOwnTime, safe: anchors.safe[n] });
     this.positions = part(anchors.positions);
     this.velocities = part(anchors.velocities);
     this.accelerations = part(anchors.accelerations);
@@ -27,12 +28,18 @@ export class Plan {
     return { x, y, vx, vy, ax, ay };
   }
 
-  /** [T,6] p, v, a of what is left after `seconds`, drawn out to as many steps: a warm start. */
+  /**
+   * A warm start's {trajectory, dt}: [T,6] p, v, a of what is left after `seconds`, dt s apart. Where
+   * all anchors last as long, its end is drawn out to the whole horizon.
+   */
   rest(seconds) {
-    return Array.from({ length: this.steps }, (_, t) => {
-      const { x, y, vx, vy, ax, ay } = this.at(seconds + t * this.dt);
+    const left = Math.max((this.steps - 1) * this.dt - seconds, this.dt);
+    const dt = this.hasOwnTime ? left / (this.steps - 1) : this.dt;
+    const trajectory = Array.from({ length: this.steps }, (_, t) => {
+      const { x, y, vx, vy, ax, ay } = this.at(seconds + t * dt);
       return [x, y, vx, vy, ax, ay].map((value) => Number(value.toFixed(4)));
     });
+    return { trajectory, dt };
   }
 
   /** [[x, y]] still to go after `seconds`. */
@@ -58,7 +65,7 @@ export class Plan {
 export class Stop {
   safe = false;
 
-  /** `limits`: of the card. */
+  /** `limits`: as they are asked for. */
   constructor(state, limits) {
     const speed = Math.hypot(state.vx, state.vy);
     const pull = BRAKING * limits.a_max;

@@ -1,12 +1,16 @@
 /** What is asked: the map, both ends and the options; and the contract's JSON of it. */
 
+import { clamp } from "../dom.js";
 import { placeEnds } from "./ends.js";
+import { STYLES } from "./styles.js";
 
 /** Evaluations of the field for each step of a method. */
 const STAGES = { euler: 1, midpoint: 2, heun: 2, rk4: 4, ab2: 1 };
 /** More than so many are asked for on purpose only: with fewer, answers keep up with a hand. */
 const FEW_EVALUATIONS = 8;
 const MOST_UNDO = 40;
+/** s, the duration that one sees first where one is fixed and the card has none of its own. */
+const SOME_DURATION = 8;
 /** Share of v_max · horizon_s that a way between start and goal may take to be done in comfort. */
 const COMFORTABLE = 0.5;
 
@@ -15,7 +19,7 @@ export class Scene extends EventTarget {
   /** m, m/s: {x, y, vx, vy} */
   start = { x: 0, y: 0, vx: 0, vy: 0 };
   goal = { x: 0, y: 0, vx: 0, vy: 0 };
-  options = { style: [0.4, 0.3, 0.3], num: 64, sampler: "card", steps: 2, seed: 0 };
+  options = { style: STYLES.balanced, num: 64, sampler: "card", steps: 2, seed: 0 };
   /** Counts changes of anything but the start, which moves by itself while the robot drives. */
   version = 0;
   /** When the last change came in, in ms of `performance.now()`. */
@@ -25,14 +29,29 @@ export class Scene extends EventTarget {
   /** The card of the chosen bundle; its limits and defaults become the options'. */
   useCard(card) {
     this.card = card;
-    const { safety_margin: margin, smooth, project } = card.finish;
-    Object.assign(this.options, { radius: this.limits.robot_radius, margin, smooth, project, sampler: "card" });
+    const { safety_margin: margin, smooth, project, guidance = 0, barrier = false, certified_margin: certified = 0 } = card.finish;
+    const { robot_radius: radius, v_max, a_max } = card.conditioning.limits;
+    Object.assign(this.options, { radius, v_max, a_max, fixed: false, horizon: this.#ownHorizon });
+    Object.assign(this.options, { margin, smooth, project, guidance, barrier, certified, sampler: "card" });
     if (this.hasFlow && !(this.evaluations <= FEW_EVALUATIONS)) Object.assign(this.options, { sampler: "midpoint", steps: 2 });
   }
 
-  /** {horizon_s, v_max, a_max, robot_radius} of the bundle. */
+  /** {horizon_s, v_max, a_max, robot_radius} as asked; a horizon_s of null: each anchor has its own. */
   get limits() {
-    return this.card.conditioning.limits;
+    const { limits } = this.card.conditioning;
+    const { radius, v_max, a_max, fixed, horizon } = this.options;
+    return { v_max, a_max, robot_radius: radius, horizon_s: fixed ? horizon : limits.horizon_s };
+  }
+
+  /** [least, greatest] that a request may ask of a limit; null where it is the bundle's own. */
+  range(name) {
+    return this.card.conditioning.ranges[name] ?? null;
+  }
+
+  /** s that anchors last where nothing is asked, or that one would ask first. */
+  get #ownHorizon() {
+    const [low, high] = this.range("horizon_s") ?? [0, Infinity];
+    return this.card.conditioning.limits.horizon_s ?? clamp(SOME_DURATION, low, high);
   }
 
   /** D: 2 (x, y), or 3 with a heading. */
@@ -50,11 +69,6 @@ export class Scene extends EventTarget {
     return this.card.finish.kind === "spline";
   }
 
-  /** Whether a request may say the robot's radius. */
-  get takesRadius() {
-    return this.card.conditioning.adjustable.includes("robot_radius");
-  }
-
   /** {method, steps} as asked, or the bundle's own. */
   get sampler() {
     const { method, schedule } = this.card.sampler;
@@ -70,7 +84,8 @@ export class Scene extends EventTarget {
   /** Another map, with a start and a goal that fit it unless they are given. */
   useMap(grid, ends) {
     this.grid = grid;
-    const { horizon_s: horizon, v_max: fastest } = this.limits;
+    const { horizon_s: asked, v_max: fastest } = this.limits;
+    const horizon = asked ?? this.range("horizon_s")?.[1] ?? Infinity;
     const robot = { radius: this.options.radius, reach: COMFORTABLE * fastest * horizon };
     Object.assign(this, ends ?? placeEnds(grid, robot));
     this.#undo.length = 0;
@@ -124,12 +139,22 @@ export class Scene extends EventTarget {
       num_samples: options.num,
       model: card.name,
       seed: options.seed,
-      ...(this.takesRadius && { robot_radius: options.radius }),
+      ...(this.range("robot_radius") && { robot_radius: options.radius }),
+      ...(this.range("v_max") && { v_max: options.v_max }),
+      ...(this.range("a_max") && { a_max: options.a_max }),
+      ...(this.range("horizon_s") && options.fixed && { horizon_s: options.horizon }),
       ...(options.sampler !== "card" && {
         sampler: { method: options.sampler, schedule: { uniform: options.steps } },
       }),
       ...(this.hasFinish && {
-        refine: { smooth: options.smooth, project: options.project, safety_margin: options.margin },
+        refine: {
+          smooth: options.smooth,
+          project: options.project,
+          safety_margin: options.margin,
+          ...(this.hasFlow && { guidance: options.guidance }),
+          barrier: options.barrier,
+          certified_margin: options.certified,
+        },
       }),
     };
   }

@@ -2,6 +2,7 @@
 
 import { python, pythonArguments, serviceUrl } from "../exchange.js";
 import { Grid, OCCUPIED } from "./grid.js";
+import { STYLES } from "./styles.js";
 
 /** The scene as a file; one line a row of the map. */
 export function toJson(request) {
@@ -49,19 +50,28 @@ function readGrid(map) {
 }
 
 /** The options that a request gives; a schedule that is no uniform one is left to the bundle. */
-function readOptions({ w_style: style, num_samples: num, seed, robot_radius: radius, sampler, refine = {} }) {
+function readOptions({ w_style: asked, num_samples: num, seed, robot_radius: radius, v_max, a_max, horizon_s: horizon, sampler, refine = {} }) {
   const steps = sampler?.schedule?.uniform;
+  const style = typeof asked === "string" ? STYLES[asked] : asked;
+  if (asked && !style) throw new Error(`w_style: expected ${Object.keys(STYLES).join(", ")} or weights, got ${describe(asked)}.`);
   const sum = style?.reduce((a, b) => a + b);
   const read = {
     style: style?.map((weight) => weight / sum),
     num,
     seed,
     radius,
+    v_max,
+    a_max,
+    horizon,
+    fixed: horizon !== undefined,
     sampler: steps ? (sampler.method ?? "rk4") : "card",
     steps,
     margin: refine.safety_margin,
     smooth: refine.smooth,
     project: refine.project,
+    guidance: refine.guidance,
+    barrier: refine.barrier,
+    certified: refine.certified_margin,
   };
   return Object.fromEntries(Object.entries(read).filter(([, value]) => value !== undefined));
 }

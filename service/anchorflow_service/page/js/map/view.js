@@ -90,9 +90,9 @@ export class MapView {
   /** What the planner sends: the newest scene, at the moment of sending. */
   question() {
     const { scene, drive } = this;
-    const { card, changedAt } = scene;
+    const { card, changedAt, limits } = scene;
     const asked = drive.active ? drive.question() : { body: scene.request() };
-    return { ...asked, send: plan, card, changedAt, driven: drive.active };
+    return { ...asked, send: plan, card, limits, changedAt, driven: drive.active };
   }
 
   #changed(what) {
@@ -105,7 +105,7 @@ export class MapView {
 
   async answered({ question, answer, sentAt }) {
     if (question.driven !== this.drive.active || this.replay.active) return;
-    const anchors = new Anchors(answer, question.card);
+    const anchors = new Anchors(answer, question.card, question.limits);
     this.shown = question;
     this.bubble.clear();
     if (this.drive.active) this.drive.take(anchors, question);
@@ -135,7 +135,7 @@ export class MapView {
     const { anchors, focus, step, colourBy } = this.stage.show;
     if (!anchors || !this.active) return;
     const { count, numSafe, trouble } = anchors;
-    say(numSafe ? `${numSafe} of ${count} anchors are safe.` : `No anchor is safe: ${this.scene.tightEnd || trouble}.`);
+    say(numSafe ? `${numSafe} of ${count} anchors are safe, ${anchors.durationsText}.` : `No anchor is safe: ${this.scene.tightEnd || trouble}.`);
     const looked = focus ?? anchors.best;
     drawCharts(anchors, looked, step);
     nameAnchor(anchors, focus);

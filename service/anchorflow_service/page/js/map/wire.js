@@ -29,7 +29,7 @@ function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: style, warm
     ["cost_map", "FP32", [1, rows.length, rows[0].length], rows.flat()],
   ];
   const tensors = inputs.map(([, datatype, , values]) => new Uint8Array(ARRAYS[datatype].from(values).buffer));
-  const parameters = { binary_data_output: true, ...flatten(rest), ...(warm && { "warm_start.tau": warm.tau }) };
+  const parameters = { binary_data_output: true, ...flatten(rest), ...(warm && { "warm_start.tau": warm.tau, "warm_start.dt": warm.dt }) };
   const entries = inputs.map(([name, datatype, shape], k) => {
     return { name, datatype, shape, parameters: { binary_data_size: tensors[k].length } };
   });

@@ -15,7 +15,7 @@ export function showPoses(anchors, n, step) {
   const { components } = anchors.card.answer;
   const head = make("tr", {}, ...["Time", ...components].map((name) => heading(name, name === "Time" ? "s" : UNITS[name])));
   const rows = Array.from({ length: anchors.steps }, (_, t) => {
-    const cells = [anchors.time(t), ...anchors.pose(n, t)].map((value) => figure(value));
+    const cells = [anchors.time(n, t), ...anchors.pose(n, t)].map((value) => figure(value));
     const row = make("tr", {}, ...cells.map((text) => make("td", {}, text)));
     row.setAttribute("aria-current", t === step);
     return row;

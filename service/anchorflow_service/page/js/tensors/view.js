@@ -56,7 +56,8 @@ export class TensorView {
     this.#listExtras(card.answer.extras);
     this.#clearFigures();
     const { steps, first_s: first, dt } = card.time;
-    byId("bundle-hint").textContent = `What answers: ${steps} poses up to ${(first + (steps - 1) * dt).toFixed(1)} s${kind === "vocabulary" ? `, the best of ${size}` : ""}.`;
+    const lasting = dt === null ? "each anchor in its own time" : `up to ${(first + (steps - 1) * dt).toFixed(1)} s`;
+    byId("bundle-hint").textContent = `What answers: ${steps} poses ${lasting}${kind === "vocabulary" ? `, the best of ${size}` : ""}.`;
     this.amount.show({ ...this.options, most: this.most });
     this.planner.ask();
   }

@@ -1,0 +1,47 @@
+"""Where worlds come from: files of worlds or of scenes, corridors and forests that are drawn."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from anchorflow_benchmarks.closed_loop.forests import draw_forests, world_of_scene
+from anchorflow_benchmarks.closed_loop.world import DRAWN, World, draw_world, read_worlds
+from anchorflow_benchmarks.scene_files import count_and_seed, read_scenes, spread_evenly
+
+FORESTS = "forests"
+
+
+def load_worlds(source: str, *, limit: int | None = None) -> list[World]:
+    """Worlds of a .npz file, `drawn:COUNT:SEED` or `forests:COUNT:SEED`.
+
+    A file holds worlds, or scenes as `scene_files` reads them. At most `limit` of them are taken,
+    evenly spread.
+
+    Raises:
+        BenchmarkError: the file holds neither, or a scene that the robot cannot cross; or the text
+            is not of these forms.
+    """
+    kind, _, rest = source.partition(":")
+    if kind == DRAWN:
+        count, seed = count_and_seed(rest)
+        worlds = [draw_world(1000 * seed + index) for index in range(count)]
+    elif kind == FORESTS:
+        worlds = draw_forests(*count_and_seed(rest, FORESTS))
+    elif _holds_scenes(path := Path(source)):
+        scenes = enumerate(read_scenes(path))
+        worlds = [world_of_scene(scene, f"{scene.family} {index}") for index, scene in scenes]
+    else:
+        worlds = read_worlds(path)
+    return spread_evenly(worlds, limit)
+
+
+def _holds_scenes(path: Path) -> bool:
+    """Whether it is a .npz file with the maps of scenes; what is none is `read_worlds`' to tell."""
+    try:
+        with np.load(path) as file:
+            return "occupancy" in file.files
+    except (OSError, ValueError, AttributeError, zipfile.BadZipFile):
+        return False
