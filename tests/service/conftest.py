@@ -1,11 +1,16 @@
 """A bundle small enough to be worked out by hand, and a service whose engines need none.
 
-The bundle's prior stands still at the start, and its field carries every anchor by the same amount:
+The bundle's prior is the scene's routes, and its field carries every anchor by the same amount,
+and on its own route by half as fast again as that was:
 
-    x_0 = x_curr + noise · basis        R = 2: one number moves all of p, the other all of v
-    dx/dt = 4 t³ · channel means        so x_1 = x_0 + channel means, exactly, by Simpson's rule
+    x_0 = mean + noise · basis          R = 3: one number moves all of p, one all of p' and one all
+                                        of log duration
+    dx/dt = 4 t³ · channel means + PULL · mean
+                                        so x_1 = x_0 + channel means + PULL · mean, exactly, by
+                                        Simpson's rule
 
-The means of occupancy, traversability and risk move (p_x, p_y, v_x) and once more (v_y, a_x, a_y).
+The means of occupancy, traversability and risk move (p_x, p_y, p'_x) and once more (p'_y, p''_x,
+p''_y); PULL is one half for p' and nothing else.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,19 +47,17 @@ from anchorflow_client import (
 from anchorflow_client.contract import ResolvedRequest
 from anchorflow_service.planning import PlanningService, ServiceLimits
 
-T, S, R = 8, 6, 2
+T, S, R = 8, 7, 3
+PULL = np.array([0.0, 0.0, 0.5, 0.5, 0.0, 0.0, 0.0], np.float32)
 
 ENCODE = """
 <ir_version: 10, opset_import: ["": 20]>
 encode (float[B,3,H,W] cost_map, float[B,6] x_curr)
-    => (float[B,8,6] prior_mean, float[B,2,48] prior_basis, float[B,3] means)
-<int64[2] sides = {2, 3}, int64[1] steps = {1}, int64[1] batch = {0}>
+    => (float[B,3,56] prior_basis, float[B,3] means)
+<int64[2] sides = {2, 3}, int64[1] batch = {0}>
 {
     total = ReduceMean <keepdims = 0> (cost_map, sides)
     means = Identity (total)
-    start = Unsqueeze (x_curr, steps)
-    tall = Constant <value_ints = [1, 8, 1]> ()
-    prior_mean = Expand (start, tall)
     size = Shape <start = 0, end = 1> (x_curr)
     rest = Constant <value_ints = [1, 1]> ()
     wide = Concat <axis = 0> (size, rest)
@@ -77,13 +81,16 @@ modulate (float[K] times, float[B,3] means) => (float[B,K,3] modulation)
 
 FIELD = """
 <ir_version: 10, opset_import: ["": 20]>
-field (float[B,N,8,6] x_t, float[B,3] modulation) => (float[B,N,8,6] dx_t)
+field (float[B,N,8,7] x_t, float[B,N,8,7] prior_mean, float[B,3] modulation)
+    => (float[B,N,8,7] dx_t)
 <int64[2] inner = {1, 2}>
 {
     twice = Concat <axis = 1> (modulation, modulation)
-    speed = Unsqueeze (twice, inner)
-    shape = Shape (x_t)
-    dx_t = Expand (speed, shape)
+    lasting = Constant <value_ints = [0, 0, 0, 1]> ()
+    carried = Pad (twice, lasting)
+    speed = Unsqueeze (carried, inner)
+    along = Mul (prior_mean, pull)
+    dx_t = Add (along, speed)
 }
 """
 
@@ -94,10 +101,10 @@ def _graphs() -> dict[str, onnx.ModelProto]:
         for role, text in (("encode", ENCODE), ("modulate", MODULATE), ("field", FIELD))
     }
     basis = np.zeros((R, T, S), np.float32)
-    basis[0, :, 0:2] = basis[1, :, 2:4] = 0.1
-    graphs["encode"].graph.initializer.append(
-        numpy_helper.from_array(basis.reshape(R, T * S), "basis")
-    )
+    basis[0, :, 0:2] = basis[1, :, 2:4] = basis[2, :, 6] = 0.1
+    constants = {"encode": ("basis", basis.reshape(R, T * S)), "field": ("pull", PULL)}
+    for role, (name, array) in constants.items():
+        graphs[role].graph.initializer.append(numpy_helper.from_array(array, name))
     return graphs
 
 
@@ -127,7 +134,7 @@ def _write_bundle(folder: Path) -> None:
             "kind": "ode",
             "method": "rk4",
             "schedule": [0.0, 0.5, 1.0],
-            "prior": {"mean": "prior_mean", "basis": "prior_basis"},
+            "prior": {"mean": "route_states", "basis": "prior_basis"},
         },
         "finish": {
             "kind": "spline",
@@ -164,17 +171,43 @@ def tiny_bundle(_tiny_bundle_built: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def edit_manifest(tiny_bundle: Path) -> Callable[..., None]:
     """Sets what lies at a path of keys in the tiny bundle's manifest."""
+    return partial(_edit_manifest, tiny_bundle)
 
-    def edit(*path: str | int, to: Any) -> None:
-        file = tiny_bundle / "manifest.json"
-        manifest = json.loads(file.read_text())
-        place = manifest
-        for key in path[:-1]:
-            place = place[key]
-        place[path[-1]] = to
-        file.write_text(json.dumps(manifest))
 
-    return edit
+def _edit_manifest(folder: Path, *path: str | int, to: Any) -> None:
+    file = folder / "manifest.json"
+    manifest = json.loads(file.read_text())
+    place = manifest
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = to
+    file.write_text(json.dumps(manifest))
+
+
+FREE_RANGES = {
+    "robot_radius": [0.1, 0.6],
+    "v_max": [0.2, 6.0],
+    "a_max": [0.1, 8.0],
+    "horizon_s": [1.0, 120.0],
+}
+
+
+@pytest.fixture(scope="session")
+def free_bundle_built(_tiny_bundle_built: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tiny bundle, whose anchors now have their own durations, for robots of other limits."""
+    folder = tmp_path_factory.mktemp("free") / "bundle"
+    shutil.copytree(_tiny_bundle_built, folder)
+    _edit_manifest(folder, "conditioning", "limits", "horizon_s", to=None)
+    _edit_manifest(folder, "conditioning", "ranges", to=FREE_RANGES)
+    _edit_manifest(folder, "time", "dt", to=None)
+    return folder
+
+
+@pytest.fixture
+def free_bundle(free_bundle_built: Path, tiny_bundle: Path) -> Path:
+    """The same in place of `tiny_bundle`, to break with `edit_manifest`."""
+    shutil.copy(free_bundle_built / "manifest.json", tiny_bundle)
+    return tiny_bundle
 
 
 @pytest.fixture

@@ -1,13 +1,19 @@
-"""Golden answers: what the shipped bundles answered before format 2, in JSON, in binary, on zenoh.
+"""Golden answers of a bundle written by hand: in JSON, in binary and on zenoh.
 
-The files under golden/ were recorded with the libraries and on the processor that index.json names;
-elsewhere kernels round otherwise, and the test skips, saying so. What an answer has gained since
-(`first_s`), the manifest's hash and the times are left out of the comparison.
+They prove that the way of a request through conditioning, routes, flow, finish and codecs gives the
+bytes that it gave when they were recorded, with anchors of their own durations, with a batch, with
+a warm start, with a horizon. They say nothing of the bundles that ship, whose answers change with
+their weights.
+
+The files under golden/ hold the request and the machine that they were recorded on: elsewhere
+kernels round otherwise, and the tests skip, saying so. With ANCHORFLOW_WRITE_GOLDEN set they are
+written instead. The manifest's hash and the times are left out of the comparison.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -16,38 +22,103 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from anyio.from_thread import start_blocking_portal
 
-from anchorflow_client.codec import Payload
+from anchorflow_client import AnchorRequest, JsonCodec, OipCodec, Payload
 from anchorflow_client.keys import anchors_key
 from anchorflow_client.oip.message import unpack_header
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_client.zenoh_messages import AnswerAttachment, RequestAttachment
-from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 GOLDEN = Path(__file__).parent / "golden"
-INDEX = json.loads((GOLDEN / "index.json").read_text())
-BUNDLES = ("default", "student")
+WRITES = "ANCHORFLOW_WRITE_GOLDEN" in os.environ
 ARRAYS = ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")
 LENGTH = "Inference-Header-Content-Length"
 
-Post = Callable[[dict[str, str], bytes], httpx.Response]
+REST = [0.0, 0.0]
+START, GOAL = [-3.0, 0.1, 0.5, 0.0, *REST], [3.0, 0.2, *REST]
+COMMON = {"num_samples": 6, "seed": 7, "request_id": "golden", "x_curr": START, "x_goal": GOAL}
+REFINED = {"project": True, "barrier": True, "guidance": 0.5, "certified_margin": 0.05}
+REQUESTS: dict[str, dict[str, Any]] = {
+    "own_durations": COMMON | {"refine": {"project": True}, "w_style": "efficient"},
+    "batched": COMMON
+    | {"x_goal": [GOAL, [2.0, -2.5, 0.4, 0.0]], "v_max": 1.1, "refine": REFINED},
+    "warm": COMMON
+    | {"warm_start": {"trajectory": [START[:2], [0.0, 1.5], GOAL[:2]], "tau": 0.75, "dt": 2.0}},
+    "horizon": COMMON | {"horizon_s": 11.0, "refine": {"project": True}},
+}
+
+Post = Callable[[str, Payload], httpx.Response]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def recorded_here() -> None:
-    """Skips where the bytes could not be the same."""
-    for library in ("numpy", "onnxruntime", "scipy"):
-        if version(library) != INDEX["machine"][library]:
-            pytest.skip(f"the golden answers were made with {library} {INDEX['machine'][library]}")
-    if processor() != INDEX["machine"]["processor"]:
-        pytest.skip(f"the golden answers were made on {INDEX['machine']['processor']}")
+@pytest.fixture(params=REQUESTS)
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def engine(free_bundle_built: Path) -> Any:
+    return LocalClient.of(free_bundle_built, threads=2).engine
+
+
+@pytest.fixture
+def planning(engine: Any) -> PlanningService:
+    return PlanningService({engine.card.name: engine}, default=engine.card.name)
+
+
+@pytest.fixture
+def post(planning: PlanningService) -> Iterator[Post]:
+    """Posts a body to /anchors of the application in this process."""
+    app = create_app(planning)
+
+    async def send(content_type: str, sent: Payload) -> httpx.Response:
+        headers = {"Content-Type": content_type}
+        if sent.header_length is not None:
+            headers[LENGTH] = str(sent.header_length)
+        transport = httpx.ASGITransport(app=app)
+        async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
+            return await client.post("/anchors", headers=headers, content=sent.body)
+
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
+    ):
+        yield lambda content_type, sent: portal.call(send, content_type, sent)
+
+
+def asked(name: str) -> AnchorRequest:
+    """On a map of 8 m with an obstacle in its middle and soft ground on one side of it."""
+    data = np.zeros((3, 16, 16), np.float32)
+    data[0, 7:9, 7:9] = 1.0
+    data[1], data[2, 9:, :] = 1.0, 0.5
+    return AnchorRequest.from_fields(
+        REQUESTS[name] | {"cost_map": {"data": data, "resolution": 0.5}}
+    )
+
+
+def recorded(name: str, form: str, came: dict[str, Any]) -> dict[str, Any]:
+    """What was recorded of an answer; skips where its bytes could not be the same."""
+    path = GOLDEN / f"{name}.{form}.json"
+    here = {"request": REQUESTS[name], "machine": machine()}
+    if WRITES:
+        path.write_text(json.dumps(here | {"answer": came}, indent=1) + "\n")
+    found = json.loads(path.read_text())
+    assert found["request"] == here["request"]
+    if found["machine"] != here["machine"]:
+        pytest.skip(f"the golden answers were made with {found['machine']}")
+    return found["answer"]
+
+
+def machine() -> dict[str, str]:
+    libraries = {library: version(library) for library in ("numpy", "onnxruntime", "scipy")}
+    return {"processor": processor()} | libraries
 
 
 def processor() -> str:
@@ -59,37 +130,10 @@ def processor() -> str:
     return next(names, "unknown")
 
 
-@pytest.fixture(scope="module", params=BUNDLES)
-def bundle(request: pytest.FixtureRequest) -> str:
-    return request.param
-
-
-@pytest.fixture(scope="module")
-def planning(bundle: str) -> PlanningService:
-    engine = LocalClient.of(DEFAULT_BUNDLE.parent / bundle).engine
-    return PlanningService({engine.card.name: engine}, default=engine.card.name)
-
-
-@pytest.fixture(scope="module")
-def post(planning: PlanningService) -> Iterator[Post]:
-    """Posts to /anchors of the application in this process."""
-    app = create_app(planning)
-
-    async def send(headers: dict[str, str], body: bytes) -> httpx.Response:
-        transport = httpx.ASGITransport(app=app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
-            return await client.post("/anchors", headers=headers, content=body)
-
-    with (
-        start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
-    ):
-        yield lambda headers, body: portal.call(send, headers, body)
-
-
-def arrays_as_written(answer: bytes) -> dict[str, bytes]:
-    """The text of every array of a JSON answer, digit by digit."""
-    found = {}
+def in_json(answer: bytes) -> dict[str, Any]:
+    """The text of every array of a JSON answer, digit by digit, and what it says beside them."""
+    fields = json.loads(answer)
+    arrays = {}
     for name in ARRAYS:
         begin = answer.index(f'"{name}":'.encode()) + len(name) + 3
         depth, end = 0, begin
@@ -98,57 +142,42 @@ def arrays_as_written(answer: bytes) -> dict[str, bytes]:
             end += 1
             if not depth:
                 break
-        found[name] = answer[begin:end]
-    return found
-
-
-def told(fields: dict[str, Any]) -> dict[str, Any]:
-    """What an answer says beside its arrays, without times and the manifest's hash."""
+        arrays[name] = answer[begin:end].decode()
     model = {key: fields["model"][key] for key in ("name", "version")}
-    return {name: fields[name] for name in ("dt", "seed", "request_id")} | {"model": model}
+    told = {name: fields[name] for name in ("dt", "seed", "request_id")}
+    return {"arrays": arrays, "told": told | {"model": model}}
 
 
-def tensors_of(body: bytes, length: int | None) -> tuple[dict[str, Any], bytes]:
+def in_binary(body: bytes, length: int | None) -> dict[str, Any]:
+    """The header of a binary answer, and its tensors in hexadecimal digits."""
     header, data = unpack_header(Payload(body, length))
     leaves = {k: v for k, v in header["parameters"].items() if not k.startswith("timing_ms")}
     del leaves["model.sha256"]
-    leaves.pop("first_s", None)
-    return {**header, "parameters": leaves}, bytes(data)
+    text = bytes(data).hex()
+    lines = [text[i : i + 96] for i in range(0, len(text), 96)]
+    return {"header": {**header, "parameters": leaves}, "hex": lines}
 
 
-def golden(name: str, bundle: str, form: str) -> tuple[bytes, bytes]:
-    """A request and its answer."""
-    request = (GOLDEN / f"{name}.{form}").read_bytes()
-    return request, (GOLDEN / f"{name}.{bundle}.{form}").read_bytes()
+def test_json_answers_have_the_same_digits(post: Post, name: str) -> None:
+    codec = JsonCodec()
+    answer = post(codec.content_type, codec.encode_request(asked(name))).content
+
+    came = in_json(answer)
+    assert came == recorded(name, "text", came)
 
 
-@pytest.mark.parametrize("name", INDEX["requests"])
-def test_json_answers_have_the_same_digits(post: Post, bundle: str, name: str) -> None:
-    request, expected = golden(name, bundle, "json")
+def test_binary_answers_have_the_same_bytes(post: Post, name: str) -> None:
+    codec = OipCodec()
+    answer = post(codec.content_type, codec.encode_request(asked(name)))
 
-    answer = post({"Content-Type": "application/json"}, request).content
-
-    assert arrays_as_written(answer) == arrays_as_written(expected)
-    assert told(json.loads(answer)) == told(json.loads(expected))
+    came = in_binary(answer.content, int(answer.headers[LENGTH]))
+    assert came == recorded(name, "binary", came)
 
 
-@pytest.mark.parametrize("name", INDEX["requests"])
-def test_binary_answers_have_the_same_bytes(post: Post, bundle: str, name: str) -> None:
-    request, expected = golden(name, bundle, "oip")
-    length = {LENGTH: str(INDEX["requests"][name])}
-
-    answer = post({"Content-Type": "application/octet-stream", **length}, request)
-
-    came = tensors_of(answer.content, int(answer.headers[LENGTH]))
-    assert came == tensors_of(expected, INDEX["answers"][f"{name}.{bundle}"])
-
-
-@pytest.mark.parametrize("name", INDEX["requests"])
-def test_zenoh_answers_have_the_same_bytes(
-    planning: PlanningService, bundle: str, name: str
-) -> None:
-    request, expected = golden(name, bundle, "oip")
-    attachment = RequestAttachment(INDEX["requests"][name]).to_bytes()
+def test_zenoh_answers_have_the_same_bytes(planning: PlanningService, name: str) -> None:
+    sent = OipCodec().encode_request(asked(name))
+    assert sent.header_length is not None
+    attachment = RequestAttachment(sent.header_length).to_bytes()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         address = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
     with start_blocking_portal() as portal, planning, ExitStack() as stack:
@@ -158,9 +187,9 @@ def test_zenoh_answers_have_the_same_bytes(
         stack.callback(session.close)
 
         key = anchors_key(planning.engines.default)
-        (reply,) = session.get(key, payload=request, attachment=attachment)
+        (reply,) = session.get(key, payload=sent.body, attachment=attachment)
 
     assert reply.ok is not None
     said = AnswerAttachment.from_bytes(reply.ok.attachment.to_bytes())
-    came = tensors_of(reply.ok.payload.to_bytes(), said.header_length)
-    assert came == tensors_of(expected, INDEX["answers"][f"{name}.{bundle}"])
+    came = in_binary(reply.ok.payload.to_bytes(), said.header_length)
+    assert came == recorded(name, "binary", came)

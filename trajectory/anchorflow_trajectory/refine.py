@@ -227,15 +227,23 @@ class Refiner:
         return np.array([a == scene.routes[k].signature for a, k in zip(found, route, strict=True)])
 
     def _stretched(self, splines: Splines) -> Splines:
-        """The same ways, gone so slowly that they keep both limits, as far as the ends allow."""
+        """The same ways, gone so slowly that they keep both limits, as far as the ends allow.
+
+        What an end brings along does not become less with time: it stretches nothing.
+        """
         scene, motion = self.scene, self.scene.motion
         if motion.horizon_s is not None:
             return splines
         _, velocity, acceleration = scene.basis.states(splines)
+        given = scene.ends.in_own_time(np.ones(1))[:, 0, :2]
+        start_speed, start_acceleration, goal_speed = np.linalg.norm(given[[1, 2, 4]], axis=-1)
         speed, hardest = (
             np.sqrt((vectors[..., :2] ** 2).sum(-1)).max(1) for vectors in (velocity, acceleration)
         )
-        needed = np.maximum(speed / motion.v_max, (hardest / motion.a_max) ** 0.5)
+        needed = np.maximum(
+            speed / max(motion.v_max, start_speed, goal_speed),
+            (hardest / max(motion.a_max, start_acceleration)) ** 0.5,
+        )
         return self._slowed(splines, np.clip(needed, 1.0, MOST_STRETCH))
 
     def _slowed(self, splines: Splines, factor: FloatArray) -> Splines:

@@ -6,9 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.resample import resampled_states
+from anchorflow_trajectory.route_splines import LEAST_WAY
 from anchorflow_trajectory.scene import Scene
 
 FloatArray = NDArray[np.floating]
+
+SLOWEST = 10.0  # times the least time that its way takes; slower plans are not what a flow has seen
 
 
 def warm_states(
@@ -17,7 +20,9 @@ def warm_states(
     """x_1 [N, T, 3D + 1] of anchors that begin on routes [N], in own time.
 
     Those of the route that lies nearest to the trajectory start from it, the others from their own
-    route: a plan that is in use does not take away the other ways round.
+    route: a plan that is in use does not take away the other ways round. What is left of a plan
+    may be a few centimetres or ask for more than the limits allow: its way is kept, and it lasts
+    as long as the scene's robot needs for it.
 
     Args:
         scene: that the anchors are for.
@@ -28,17 +33,20 @@ def warm_states(
     """
     means = scene.route_states
     dim, steps = len(scene.x_goal) // 2, means.shape[1]
-    place = resampled_states(trajectory, dim=dim, num_steps=steps, horizon_s=1.0)[:, :2]
+    fields = trajectory.shape[1] // dim
+
+    def in_own_time(duration: float) -> FloatArray:
+        scaled = trajectory * np.repeat(duration ** np.arange(float(fields)), dim)
+        return resampled_states(scaled, dim=dim, num_steps=steps, horizon_s=1.0)
+
+    place = in_own_time(1.0)[:, :2]
     nearest = nearest_route(means, place)
     usual = float(scene.route_splines.duration[nearest])
     duration = usual if dt is None else dt * (len(trajectory) - 1)
-    given = resampled_states(trajectory, dim=dim, num_steps=steps, horizon_s=duration)
-    own_time = np.repeat(duration ** np.arange(3.0), dim)
-    lasting = np.full((steps, 1), np.log(scene.motion.horizon_s or duration))
-    warm = np.concatenate([given * own_time, lasting], -1)
+    lasting = np.full((steps, 1), np.log(_bounded(duration, place, scene)))
     states = means[route]
-    states[route == nearest] = warm
-    return states.astype(np.float32)
+    states[route == nearest] = np.concatenate([in_own_time(duration), lasting], -1)
+    return states
 
 
 def nearest_route(route_states: FloatArray, positions: FloatArray) -> int:
@@ -48,3 +56,12 @@ def nearest_route(route_states: FloatArray, positions: FloatArray) -> int:
     """
     apart = route_states[..., :2] - positions[:, :2]
     return int((apart**2).sum((1, 2)).argmin())
+
+
+def _bounded(duration: float, place: FloatArray, scene: Scene) -> float:
+    """s: the horizon, or a duration in which the way [T, 2] can be gone and is not dawdled."""
+    if scene.motion.horizon_s is not None:
+        return scene.motion.horizon_s
+    way = float(np.linalg.norm(np.diff(place, axis=0), axis=-1).sum())
+    least = scene.motion.least_time(max(way, LEAST_WAY))
+    return float(np.clip(duration, least, SLOWEST * least))

@@ -35,7 +35,6 @@ from anchorflow_client.contract import (
     VocabularySpec,
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_client.oip_codec import RESERVED
 from anchorflow_service.bundle.conditioning import CostMapEntry, Entry, TensorsEntry
 from anchorflow_trajectory.ode.method import method_named
@@ -274,7 +273,7 @@ def parse_manifest(data: bytes) -> Manifest:
     """Check the bytes of manifest.json; ValueError says every field that is wrong, and how."""
     _check_format(data)
     try:
-        return Manifest.model_validate_json(_with_ranges(data), strict=True)
+        return Manifest.model_validate_json(data, strict=True)
     except ValidationError as error:
         wrong = "; ".join(_describe(item) for item in error.errors())
         raise ValueError(wrong) from error
@@ -289,21 +288,6 @@ def _check_format(data: bytes) -> None:
     if isinstance(found, int) and found != FORMAT:
         again = "export its checkpoint anew with `anchorflow export CHECKPOINT --out FOLDER`"
         raise ValueError(f"format: expected {FORMAT}, got {found}: {again}")
-
-
-def _with_ranges(data: bytes) -> bytes:
-    """A manifest that only names its `adjustable` limits, with the widest range for each."""
-    if b'"adjustable"' not in data:
-        return data
-    try:
-        manifest = json.loads(data)
-        conditioning = manifest["conditioning"]
-        names = conditioning.pop("adjustable")
-        intervals = {name: LIMIT_INTERVALS[name] for name in names}
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        return data  # the manifest's own check says what is wrong
-    conditioning["ranges"] = {name: (each.low, each.high) for name, each in intervals.items()}
-    return json.dumps(manifest).encode()
 
 
 def _describe(item: Any) -> str:

@@ -80,10 +80,10 @@ class Engine:
             scenes = self._scenes(request)
             answers = [self._plan_scene(scene, clock, threads, check) for scene in scenes]
         arrays = _stacked(answers, batched=request.batched)
-        dt = arrays.pop(DT, self.card.time.dt)
+        own = arrays.pop(DT, None)
         return AnchorBatch(
             arrays=arrays,
-            dt=dt,
+            dt=self._common_time_step(request) if own is None else own,
             first_s=self.card.time.first_s,
             seed=request.seed,
             model=self.card.id,
@@ -102,6 +102,14 @@ class Engine:
         if not isinstance(self.sampler, OdeSampler):
             raise InvalidRequest(f"expected a model with a flow, got {self.card.name}", "model")
         return self.sampler.flow_states(self._scenes(request)[0])
+
+    def _common_time_step(self, request: ResolvedRequest) -> float:
+        """s between two time steps where all anchors are alike."""
+        limits = request.limits
+        if limits is not None and limits.horizon_s is not None:
+            return limits.horizon_s / (self.card.T - 1)
+        assert self.card.time.dt is not None  # the manifest has one where there is no horizon
+        return self.card.time.dt
 
     def _scenes(self, request: ResolvedRequest) -> Sequence[ConditionedScene]:
         if request.model != self.card.name:

@@ -66,7 +66,7 @@ class Samples:
     """Anchors as a sampler draws them.
 
     states: [N,T,S], poses of D components first
-    route: [N] the place of the route that each began on; all 0 where the prior knows of none
+    route: [N] the place of the route that each began on, empty where the planner has no routes
     arrays: what the graphs say of them beside, by name, such as scores [N]
     """
 

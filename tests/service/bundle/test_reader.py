@@ -36,43 +36,22 @@ def test_the_written_manifest_reads_back(tiny_bundle: Path) -> None:
     assert load_bundle(tiny_bundle).manifest == manifest
 
 
-RANGES = {"v_max": [0.1, 6.0], "horizon_s": [1.0, 60.0]}
-
-
-def test_anchors_may_have_their_own_durations(tiny_bundle: Path, edit_manifest: Edit) -> None:
-    edit_manifest("conditioning", "limits", "horizon_s", to=None)
-    edit_manifest("conditioning", "ranges", to=RANGES)
-    edit_manifest("time", "dt", to=None)
-
-    bundle = load_bundle(tiny_bundle)
+def test_anchors_may_have_their_own_durations(free_bundle: Path) -> None:
+    bundle = load_bundle(free_bundle)
 
     assert (bundle.card.time.dt, bundle.card.cost_map.limits.horizon_s) == (None, None)
-    assert bundle.card.cost_map.ranges == {"v_max": (0.1, 6.0), "horizon_s": (1.0, 60.0)}
+    assert bundle.card.cost_map.ranges["horizon_s"] == (1.0, 120.0)
     assert parse_manifest(bundle.manifest.to_json()) == bundle.manifest
 
 
 def test_one_time_step_beside_own_durations_is_refused(
-    tiny_bundle: Path, edit_manifest: Edit
+    free_bundle: Path, edit_manifest: Edit
 ) -> None:
-    edit_manifest("conditioning", "limits", "horizon_s", to=None)
-    edit_manifest("conditioning", "ranges", to=RANGES)
+    edit_manifest("time", "dt", to=1.0)
 
     words = r"time\.dt is 1\.0, expected null beside limits\.horizon_s null"
     with pytest.raises(BundleError, match=words):
-        load_bundle(tiny_bundle)
-
-
-def test_limits_that_are_only_named_may_be_any(tiny_bundle: Path, edit_manifest: Edit) -> None:
-    """As manifests have it that were written before there were ranges."""
-    manifest = json.loads((tiny_bundle / "manifest.json").read_text())
-    del manifest["conditioning"]["ranges"]
-    manifest["conditioning"]["adjustable"] = ["robot_radius"]
-    (tiny_bundle / "manifest.json").write_text(json.dumps(manifest))
-
-    assert load_bundle(tiny_bundle).card.cost_map.ranges == {"robot_radius": (0.0, 5.0)}
-    edit_manifest("conditioning", "adjustable", to=["mass"])
-    with pytest.raises(BundleError, match=r"adjustable: Extra inputs are not permitted"):
-        load_bundle(tiny_bundle)
+        load_bundle(free_bundle)
 
 
 def test_a_changed_graph_is_refused_by_its_hash(tiny_bundle: Path) -> None:
@@ -166,11 +145,11 @@ def test_a_wrong_manifest_names_the_field(
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        (("inputs", 0, "shape"), ["B", "N", 9, 6], r"x_t has shape \['B', 'N', 8, 6\]"),
-        (("inputs", 0, "shape"), ["B", "N", "T", 6], "x_t has shape"),
-        (("inputs", 0, "shape"), [1, "N", 8, 6], "x_t has shape"),
+        (("inputs", 0, "shape"), ["B", "N", 9, 7], r"x_t has shape \['B', 'N', 8, 7\]"),
+        (("inputs", 0, "shape"), ["B", "N", "T", 7], "x_t has shape"),
+        (("inputs", 0, "shape"), [1, "N", 8, 7], "x_t has shape"),
         (("inputs", 0, "dtype"), "int64", r"x_t is tensor\(float\), the manifest says int64"),
-        (("outputs", 0, "shape"), ["B", "N", 48], "output dx_t has shape"),
+        (("outputs", 0, "shape"), ["B", "N", 56], "output dx_t has shape"),
     ],
 )
 def test_a_graph_that_is_not_what_the_manifest_says(

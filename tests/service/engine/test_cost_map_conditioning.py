@@ -36,14 +36,61 @@ def test_every_input_has_the_shape_that_its_name_stands_for(
         "cost_map": (1, 3, 16, 16),
         "map_geometry": (1, 3),
         "clearance_field": (1, 16, 16),
-        "cost_to_go": (1, 2, 16, 16),
         "x_curr": (1, 6),
         "x_goal": (1, 4),
         "w_style": (1, 3),
+        "limits": (1, 4),
+        "route_states": (1, 2, 8, 7),
     }
     assert all(array.dtype == np.float32 for array in inputs.values())
     np.testing.assert_array_equal(inputs["map_geometry"], [[-4.0, -4.0, 0.5]])
     np.testing.assert_allclose(inputs["w_style"], [[0.4, 0.3, 0.3]])
+    np.testing.assert_array_equal(inputs["limits"], [[2.0, 3.0, 0.25, 7.0]])
+
+
+def test_routes_lead_from_start_to_goal_on_both_sides_of_the_obstacle(
+    tiny: Bundle, small_request: Build
+) -> None:
+    """In own time, so that the start's 0.5 m/s over 7 s are 3.5 m."""
+    (scene,) = scenes(small_request(), tiny)
+    (routes,) = scene.inputs(["route_states"])["route_states"]
+    np.testing.assert_allclose(routes[:, 0, :6], [[-3.0, 0.1, 3.5, 0, 0, 0]] * 2, atol=1e-4)
+    np.testing.assert_allclose(routes[:, -1, :4], [[3.0, 0.2, 0, 0]] * 2, atol=1e-4)
+    np.testing.assert_allclose(routes[..., 6], np.log(7.0), rtol=1e-6)
+    beside = routes[:, 3:5, 1]
+    assert (beside > 0.5).any(axis=1).tolist() != (beside < -0.5).any(axis=1).tolist()
+
+
+def test_limits_and_durations_are_the_requests(free_bundle: Path, small_request: Build) -> None:
+    bundle = load_bundle(free_bundle)
+    asked = {"v_max": 0.26, "a_max": 0.5, "robot_radius": 0.1}
+    (slow,) = scenes(small_request(**asked), bundle)
+    (fixed,) = scenes(small_request(**asked, horizon_s=40.0), bundle)
+    (usual,) = scenes(small_request(), bundle)
+    given = [scene.inputs(["limits", "route_states"]) for scene in (slow, fixed, usual)]
+    np.testing.assert_allclose(given[0]["limits"], [[0.26, 0.5, 0.1, 0.0]])
+    np.testing.assert_allclose(given[1]["limits"], [[0.26, 0.5, 0.1, 40.0]])
+    durations = [np.exp(inputs["route_states"][0, :, 0, -1]) for inputs in given]
+    assert (durations[0] > 6.0 / 0.26).all()
+    np.testing.assert_allclose(durations[1], 40.0, rtol=1e-5)
+    assert (durations[2] > 3.0).all() and (durations[2] < 7.0).all()
+
+
+def test_where_no_way_is_free_one_curve_stands_for_the_routes(
+    tiny: Bundle, small_request: Build
+) -> None:
+    (scene,) = scenes(small_request(cost_map={"data": walled(), "resolution": 0.5}), tiny)
+    (routes,) = scene.inputs(["route_states"])["route_states"]
+    assert not scene.scene.routes
+    assert routes.shape == (1, 8, 7)
+    assert np.abs(routes[0, :, 1]).max() < 0.5
+
+
+def walled() -> np.ndarray:
+    """[1,16,16]: a wall from one edge to the other."""
+    occupancy = np.zeros((1, 16, 16))
+    occupancy[0, :, 7:9] = 1.0
+    return occupancy
 
 
 def with_heading(bundle: Bundle) -> Bundle:
@@ -52,7 +99,10 @@ def with_heading(bundle: Bundle) -> Bundle:
 
 
 def test_with_heading_the_map_sees_x_and_y_alone(tiny: Bundle, small_request: Build) -> None:
-    states = {"x_curr": [-3.0, 0.1, 1.5] + [0.1] * 6, "x_goal": [3.0, 0.2, -9.0] + [0.0] * 3}
+    states = {
+        "x_curr": [-3.0, 0.1, 1.5, 0.5, 0.0, 0.1, 0.0, 0.0, 0.1],
+        "x_goal": [3.0, 0.2, -9.0, 0.0, 0.0, 0.0],
+    }
     (turning,) = scenes(small_request(**states), with_heading(tiny))
     (planar,) = scenes(small_request(), tiny)
     inputs = turning.inputs(["x_curr", "x_goal"])
@@ -60,7 +110,12 @@ def test_with_heading_the_map_sees_x_and_y_alone(tiny: Bundle, small_request: Bu
         "x_curr": (1, 9),
         "x_goal": (1, 6),
     }
-    np.testing.assert_array_equal(turning.scene.cost_to_go, planar.scene.cost_to_go)
+    (own,), (plain,) = (
+        scene.inputs(["route_states"])["route_states"] for scene in (turning, planar)
+    )
+    assert own.shape == (2, 8, 10)
+    np.testing.assert_allclose(own[..., [0, 1, 9]], plain[..., [0, 1, 6]], atol=1e-5)
+    np.testing.assert_allclose(own[:, [0, -1], 2], [[1.5, -9.0]] * 2, atol=1e-4)
 
 
 def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(

@@ -58,7 +58,9 @@ def test_it_is_small_enough_to_ship() -> None:
 
 
 def test_its_card_tells_where_it_comes_from(engine: Engine) -> None:
-    assert (engine.card.T, engine.card.D, engine.card.cost_map.limits.horizon_s) == (64, 2, 8.0)
+    card = engine.card
+    assert (card.T, card.D, card.time.dt, card.cost_map.limits.horizon_s) == (64, 2, None, None)
+    assert set(card.cost_map.ranges) == {"v_max", "a_max", "robot_radius", "horizon_s"}
     assert engine.card.training["steps"] >= 1000
     assert engine.card.training["data"]["scenes"] >= 1000
     assert len(engine.card.ode.schedule) == 9
@@ -80,11 +82,38 @@ def test_anchors_reach_the_goal_within_the_limits(anchors: AnchorBatch) -> None:
 
 
 def test_velocity_and_acceleration_belong_to_the_position(anchors: AnchorBatch) -> None:
-    inner = slice(1, -1)
-    velocity = np.gradient(anchors.trajectories, anchors.dt, axis=1)[:, inner]
-    acceleration = np.gradient(anchors.velocities, anchors.dt, axis=1)[:, inner]
+    inner, dt = slice(1, -1), (anchors.durations / 63)[:, None, None]
+    velocity = (np.gradient(anchors.trajectories, axis=1) / dt)[:, inner]
+    acceleration = (np.gradient(anchors.velocities, axis=1) / dt)[:, inner]
     assert np.abs(velocity - anchors.velocities[:, inner]).mean() < 0.02
     assert np.abs(acceleration - anchors.accelerations[:, inner]).mean() < 0.1
+
+
+def test_anchors_last_as_long_as_their_ways_need(anchors: AnchorBatch) -> None:
+    steps = np.linalg.norm(np.diff(anchors.trajectories, axis=1), axis=-1)
+    least = steps.sum(1) / V_MAX
+    safe = anchors.safe
+    assert len(np.unique(anchors.durations)) > 32
+    assert (anchors.durations[safe] > least[safe]).all()
+    assert (anchors.durations[safe] < 6.0 * least[safe]).all()
+
+
+@pytest.mark.parametrize(("v_max", "a_max"), [(0.26, 0.5), (5.0, 6.0)])
+def test_it_plans_for_other_robots(engine: Engine, v_max: float, a_max: float) -> None:
+    start = [-4.0, 0.2, 0.0, 0.0, 0.0, 0.0]
+    anchors = plan(engine, v_max=v_max, a_max=a_max, x_curr=start)
+    safe = anchors.safe
+    assert safe.mean() > 0.8
+    fastest = np.linalg.norm(anchors.velocities[safe], axis=-1).max(1)
+    assert fastest.max() <= 1.03 * v_max
+    assert np.linalg.norm(anchors.accelerations[safe], axis=-1).max() <= 1.06 * a_max
+    assert np.median(fastest) > 0.3 * min(v_max, 3.0)
+
+
+def test_with_a_horizon_all_last_as_long_as_it(engine: Engine) -> None:
+    anchors = plan(engine, horizon_s=12.0)
+    assert anchors.dt == pytest.approx(12.0 / 63)
+    assert anchors.safe.mean() > 0.8
 
 
 def test_anchors_take_both_gaps(anchors: AnchorBatch) -> None:

@@ -13,11 +13,14 @@ import pytest
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, OdeSpec
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine.parts import Arrays, Context
-from anchorflow_service.engine.samplers.ode import OdeSampler
+from anchorflow_service.engine.samplers.ode import Beginning, OdeSampler
 
 RK4_8STEP = OdeSpec("rk4", EIGHT_STEP_SCHEDULE)
 X_CURR = np.array([[1.0, 2.0, 0.5, -0.5, 0.0, 0.1]], np.float32)
 MEANS = np.array([0.25, 1.0, 0.5], np.float32)
+CARRIED = np.array([0.25, 1.0, 0.5, 0.25, 1.0, 0.5, 0.0], np.float32)
+PULL = np.array([0.0, 0.0, 0.5, 0.5, 0.0, 0.0, 0.0], np.float32)
+ROUTES = np.random.default_rng(0).normal(size=(3, 8, 7)).astype(np.float32)
 
 
 @pytest.fixture
@@ -32,7 +35,11 @@ class Given:
 
     def inputs(self, names: Iterable[str]) -> Arrays:
         cost_map = np.broadcast_to(MEANS[:, None, None], (3, 20, 18))[None]
-        given = {"cost_map": np.ascontiguousarray(cost_map), "x_curr": X_CURR}
+        given = {
+            "cost_map": np.ascontiguousarray(cost_map),
+            "x_curr": X_CURR,
+            "route_states": ROUTES[None],
+        }
         return {name: given[name] for name in names}
 
     def answered(self, arrays: Arrays) -> Arrays:
@@ -43,42 +50,75 @@ def encode(flow: OdeSampler) -> Context:
     return flow.encode(Given())
 
 
-def sample(flow: OdeSampler, num_samples: int, seed: int) -> np.ndarray:
+def begin(flow: OdeSampler, num_samples: int, seed: int) -> Beginning:
     context = encode(flow)
     noise = flow.draw_noise(context, num_samples=num_samples, seed=seed)
-    return flow.integrate(context, flow.initial_state(context, noise), RK4_8STEP)
+    return flow.beginning(Given(), context, noise)
+
+
+def sample(flow: OdeSampler, num_samples: int, seed: int) -> np.ndarray:
+    return flow.integrate(encode(flow), begin(flow, num_samples, seed), RK4_8STEP)
+
+
+def standing(count: int) -> Beginning:
+    """Anchors at zero, on a route of zeros: nothing but the channel means moves them."""
+    zeros = np.zeros((count, 8, 7), np.float32)
+    return Beginning(zeros, np.zeros(count, np.intp), zeros)
+
+
+def drawn(num_samples: int, seed: int) -> np.ndarray:
+    """What noise adds to the means, [N,7]."""
+    generator = np.random.Generator(np.random.PCG64(seed))
+    noise = generator.standard_normal((num_samples, 3), dtype=np.float32)
+    return 0.1 * np.insert(noise, [1, 2, 2, 2], noise[:, [0, 1, 1, 1]] * [1, 1, 0, 0], axis=1)
 
 
 def test_encode_prior_modulation_and_field_meet(flow: OdeSampler) -> None:
-    noise = np.random.Generator(np.random.PCG64(3)).standard_normal((20, 2), dtype=np.float32)
-    spread = 0.1 * np.repeat(noise, [2, 2], axis=1)
-    x_1 = X_CURR + np.tile(MEANS, 2) + np.pad(spread, ((0, 0), (0, 2)))
-    expected = np.repeat(x_1[:, None], 8, axis=1)
+    mean = ROUTES[np.arange(20) % 3]
+    expected = mean * (1 + PULL) + CARRIED + drawn(20, seed=3)[:, None]
     got = sample(flow, 20, seed=3)
     assert got.dtype == np.float32
-    np.testing.assert_allclose(got, expected, atol=2e-6)
+    np.testing.assert_allclose(got, expected, atol=5e-6)
+
+
+def test_anchors_are_dealt_out_over_the_routes_in_turn(flow: OdeSampler) -> None:
+    begun = begin(flow, 8, seed=3)
+    assert begun.mean is not None
+    np.testing.assert_array_equal(begun.route, [0, 1, 2, 0, 1, 2, 0, 1])
+    np.testing.assert_array_equal(begun.mean, ROUTES[begun.route])
+    spread = np.broadcast_to(drawn(8, seed=3)[:, None], begun.x.shape)
+    np.testing.assert_allclose(begun.x - begun.mean, spread, atol=1e-6)
 
 
 @pytest.mark.parametrize("num_samples", [1, 8, 9, 31])
 def test_every_number_of_anchors_can_be_cut_into_slices(flow: OdeSampler, num_samples: int) -> None:
-    """Slices keep their order: the first anchors of a seed stay where they are."""
+    """Slices keep their order, each anchor its own route: the first of a seed stay where they
+    are."""
     many = sample(flow, 31, seed=5)
     np.testing.assert_allclose(sample(flow, num_samples, seed=5), many[:num_samples], atol=1e-6)
 
 
 def test_euler_on_the_same_field_has_its_own_answer(flow: OdeSampler) -> None:
     """Euler sees 4 t³ at the start of each step only."""
-    context = encode(flow)
-    x = np.zeros((3, 8, 6), np.float32)
-    got = flow.integrate(context, x, OdeSpec("euler", (0.0, 0.5, 1.0)))
-    np.testing.assert_allclose(got[0, 0], np.tile(MEANS, 2) * 4 * 0.5**3 * 0.5, atol=1e-6)
+    got = flow.integrate(encode(flow), standing(3), OdeSpec("euler", (0.0, 0.5, 1.0)))
+    np.testing.assert_allclose(got[0, 0], CARRIED * 4 * 0.5**3 * 0.5, atol=1e-6)
 
 
 def test_a_schedule_may_start_late(flow: OdeSampler) -> None:
     """From tau the field carries the rest of the way: 1 - tau⁴."""
-    x = np.zeros((3, 8, 6), np.float32)
-    got = flow.integrate(encode(flow), x, OdeSpec("rk4", EIGHT_STEP_SCHEDULE[1:]))
-    np.testing.assert_allclose(got[2, 5], np.tile(MEANS, 2) * (1 - 0.8**4), atol=1e-6)
+    got = flow.integrate(encode(flow), standing(3), OdeSpec("rk4", EIGHT_STEP_SCHEDULE[1:]))
+    np.testing.assert_allclose(got[2, 5], CARRIED * (1 - 0.8**4), atol=1e-6)
+
+
+def test_a_mean_that_encode_gives_is_every_anchors(
+    tiny_bundle: Path, edit_manifest: Callable[..., None]
+) -> None:
+    edit_manifest("sampler", "prior", "mean", to="own_mean")
+    flow = OdeSampler(load_bundle(tiny_bundle), threads=1)
+    context = {**encode(flow), "own_mean": ROUTES[:1]}
+    begun = flow.beginning(Given(), context, flow.draw_noise(context, num_samples=4, seed=1))
+    np.testing.assert_allclose(begun.x - drawn(4, seed=1)[:, None], ROUTES[[0] * 4], atol=1e-6)
+    assert (begun.route.any(), begun.mean) == (False, None)
 
 
 def test_without_a_prior_the_flow_starts_from_plain_noise(
@@ -88,8 +128,8 @@ def test_without_a_prior_the_flow_starts_from_plain_noise(
     flow = OdeSampler(load_bundle(tiny_bundle), threads=1)
     context = encode(flow)
     noise = flow.draw_noise(context, num_samples=4, seed=1)
-    assert noise.shape == (4, 8, 6)
-    assert flow.initial_state(context, noise) is noise
+    assert noise.shape == (4, 8, 7)
+    assert flow.beginning(Given(), context, noise).x is noise
 
 
 def test_several_threads_may_sample_at_once(flow: OdeSampler) -> None:

@@ -28,11 +28,19 @@ def refusal(folder: Path) -> str:
         (("sampler", "prior", "basis"), "bases", "sampler.prior: 'bases' is not one of"),
         (("graphs",), {}, "a bundle of kind ode needs the role encode, field, modulate"),
         (("graphs", "field", "inputs", 1, "name"), "mean", "graphs.field.inputs: 'mean' is not"),
+        (("sampler", "prior"), None, "graphs.field.inputs: 'prior_mean' is not one of"),
+        (("sampler", "prior", "mean"), "means", "graphs.field.inputs: 'prior_mean' is not one of"),
+        (("sampler", "prior", "mean"), "middle", "'middle' is not one of prior_basis, means, route"),
         (("graphs", "field", "outputs", 0, "name"), "dx", "outputs: expected dx_t, got dx"),
         (
             ("graphs", "field", "inputs", 0, "shape"),
-            ["B", "N", 9, 6],
-            "x_t has [9, 6] for [T,S], expected 8 and at least 2 numbers",
+            ["B", "N", 9, 7],
+            "x_t has [9, 7] for [T,S], expected 8 and at least 7 numbers",
+        ),
+        (
+            ("graphs", "field", "inputs", 0, "shape"),
+            ["B", "N", 8, 6],
+            "x_t has [8, 6] for [T,S], expected 8 and at least 7 numbers",
         ),
         (
             ("graphs", "field", "inputs", 0, "shape"),

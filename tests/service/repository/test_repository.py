@@ -135,7 +135,8 @@ def numbers_that_are_not_finite(folder: Path) -> None:
     """A field of x / 0."""
     model = onnx.parser.parse_model("""
         <ir_version: 10, opset_import: ["": 20]>
-        field (float[B,N,8,6] x_t, float[B,3] modulation) => (float[B,N,8,6] dx_t)
+        field (float[B,N,8,7] x_t, float[B,N,8,7] prior_mean, float[B,3] modulation)
+            => (float[B,N,8,7] dx_t)
         { zero = Constant <value_float = 0.0> ()
           dx_t = Div (x_t, zero) }
     """)
@@ -146,7 +147,8 @@ def fails_when_it_runs(folder: Path) -> None:
     """A graph that opens, and looks for the anchor 999."""
     model = onnx.parser.parse_model("""
         <ir_version: 10, opset_import: ["": 20]>
-        field (float[B,N,8,6] x_t, float[B,3] modulation) => (float[B,N,8,6] dx_t)
+        field (float[B,N,8,7] x_t, float[B,N,8,7] prior_mean, float[B,3] modulation)
+            => (float[B,N,8,7] dx_t)
         { far = Constant <value_ints = [999]> ()
           row = Gather <axis = 1> (x_t, far)
           dx_t = Add (x_t, row) }

@@ -28,6 +28,8 @@ class SplineFinish:
         spec = scene.request.refine
         assert isinstance(spec, RefineSpec)
         refined = refiner_of(self._manifest, scene).refine(samples.states, samples.route, spec)
+        steps = self._manifest.time.steps - 1
+        own = {DT: refined.duration / steps} if scene.limits.horizon_s is None else {}
         return {
             "trajectories": refined.positions,
             "velocities": refined.velocities,
@@ -35,6 +37,6 @@ class SplineFinish:
             "scores": refined.scores,
             "clearance": refined.clearance,
             "safe": refined.safe,
-            DT: refined.duration / (self._manifest.time.steps - 1),
+            **own,
             **samples.arrays,
         }

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.graphs import BoundGraph, WideGraph, open_graph
-from anchorflow_service.bundle.manifest import Manifest, OdeEntry
+from anchorflow_service.bundle.manifest import Manifest, OdeEntry, SplineEntry
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.parts import (
@@ -43,9 +43,10 @@ from anchorflow_trajectory.scene import ROUTE_STATES
 Array = NDArray[np.float32]
 
 PRIOR_MEAN = "prior_mean"
-# What each role is fed besides the outputs of encode, and what it may ask for beside that.
+# What each role is fed besides the outputs of encode, and what it may ask for beside that where
+# the prior is a mixture.
 OWN_INPUTS = {"modulate": ("times",), "field": ("x_t", "modulation")}
-OPTIONAL_INPUTS = {"modulate": (), "field": (PRIOR_MEAN,)}
+OF_A_MIXTURE = {"modulate": (), "field": (PRIOR_MEAN,)}
 OWN_OUTPUTS = {"modulate": ("modulation",), "field": ("dx_t",)}
 MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it brings
 
@@ -116,22 +117,25 @@ class OdeSampler:
         if missing := list(missing_roles(manifest, ("encode", *OWN_INPUTS))):
             yield from missing
             return
-        context = manifest.graphs["encode"].output_names
+        context, prior = manifest.graphs["encode"].output_names, manifest.sampler.prior
+        is_mixture = prior is not None and prior.mean == ROUTE_STATES
+        if prior is not None:
+            yield from unknown_names("sampler.prior", (prior.basis,), context)
+            yield from unknown_names("sampler.prior", (prior.mean,), (*context, ROUTE_STATES))
         for role, own in OWN_INPUTS.items():
             graph, where = manifest.graphs[role], f"graphs.{role}.inputs"
-            known = (*own, *OPTIONAL_INPUTS[role], *context)
+            known = (*own, *(OF_A_MIXTURE[role] if is_mixture else ()), *context)
             yield from unknown_names(where, graph.input_names, known)
             yield from unknown_names(where, own, graph.input_names)
             if graph.output_names != OWN_OUTPUTS[role]:
                 names = ", ".join(graph.output_names)
                 yield f"graphs.{role}.outputs: expected {OWN_OUTPUTS[role][0]}, got {names}"
-        if prior := manifest.sampler.prior:
-            yield from unknown_names("sampler.prior", (prior.basis,), context)
-            yield from unknown_names("sampler.prior", (prior.mean,), (*context, ROUTE_STATES))
         steps, size = state_shape(manifest)
-        if steps != manifest.time.steps or not isinstance(size, int) or size < manifest.D:
+        finished = isinstance(manifest.finish, SplineEntry)
+        least = 3 * manifest.D + 1 if finished else manifest.D
+        if steps != manifest.time.steps or not isinstance(size, int) or size < least:
             own = f"{[steps, size]} for [T,S]"
-            wanted = f"{manifest.time.steps} and at least {manifest.D} numbers"
+            wanted = f"{manifest.time.steps} and at least {least} numbers"
             yield f"graphs.field.inputs: x_t has {own}, expected {wanted}"
 
     def settle(self, scene: ConditionedScene) -> None:

@@ -89,7 +89,7 @@ class VocabularySampler:
         arrays = {name: a[best] if name in self._of_each else a for name, a in arrays.items()}
         if scores is not None:
             arrays[SCORES] = scores[best]
-        return Samples(trajectories[best], arrays)
+        return Samples(trajectories[best], arrays=arrays)
 
 
 def _best(scores: np.ndarray | None, size: int, count: int) -> np.ndarray:
