@@ -20,6 +20,7 @@ BoolArray = NDArray[np.bool_]
 
 ROUNDS = 5
 STRIDE = 4  # samples between the points by which trajectories are compared
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # whose multiples, modulo 1, lie well apart
 ELSEWHERE = 1e6  # m^2 by which a trajectory of another route is further away
 
 
@@ -36,8 +37,9 @@ def bisect_to_safe(
 ) -> Splines:
     """The splines, those that are not `safe` [M] moved; unmoved where none is.
 
-    A failed one is brought to its nearest neighbour on its own route, and to one elsewhere only
-    where its route has none.
+    A failed one is brought to its nearest neighbours on its own route, and to one elsewhere only
+    where its route has none. Where two are near, each failed one gets a place of its own between
+    them if that is safe, so that many need not end in one.
 
     route: [M] the place of the route that each follows
     certified_margin: m, with which `safe` was judged
@@ -47,13 +49,21 @@ def bisect_to_safe(
     positions = basis.states(splines)[0]
     failed, sound = np.flatnonzero(~safe), np.flatnonzero(safe)
     away = route[failed, None] != route[sound]
-    nearest = splines[sound[_nearest(positions[failed], positions[sound], away)]]
-    lost = splines[failed]
+    first, second = sound[_two_nearest(positions[failed], positions[sound], away)].T
+
+    def is_safe(mixture: Splines) -> BoolArray:
+        states = basis.states(mixture)
+        return verify(states, field, limits, certified_margin=certified_margin).safe
+
+    lost, share = splines[failed], np.arange(1, len(failed) + 1) * GOLDEN % 1.0
+    between = _mixed(splines[first], splines[second], share, ends, basis)
+    same_route = route[first] == route[second]
+    share = np.where(same_route & is_safe(between), share, 0.0)
+    nearest = _mixed(splines[first], splines[second], share, ends, basis)
     reached, beyond = np.zeros(len(failed)), np.ones(len(failed))
     for _ in range(ROUNDS):
         tried = 0.5 * (reached + beyond)
-        mixture = _mixed(nearest, lost, tried, ends, basis)
-        good = verify(basis.states(mixture), field, limits, certified_margin=certified_margin).safe
+        good = is_safe(_mixed(nearest, lost, tried, ends, basis))
         reached, beyond = np.where(good, tried, reached), np.where(good, beyond, tried)
     return splines.replaced(failed, _mixed(nearest, lost, reached, ends, basis))
 
@@ -71,10 +81,11 @@ def _mixed(
     return Splines(fixed, duration)
 
 
-def _nearest(points: FloatArray, others: FloatArray, away: BoolArray) -> NDArray[np.intp]:
-    """Index into `others` [Q, T, D] of the least mean squared distance from each of [P, T, D].
+def _two_nearest(points: FloatArray, others: FloatArray, away: BoolArray) -> NDArray[np.intp]:
+    """Indices [P, 2] into `others` [Q, T, D] of the least mean squared distances from [P, T, D].
 
-    away: [P, Q], those to take only where there is no other
+    The same twice where there is one. away: [P, Q], those to take only where there is no other
     """
     a, b = (x[:, ::STRIDE].reshape(len(x), -1) for x in (points, others))
-    return ((b**2).sum(-1) - 2 * a @ b.T + ELSEWHERE * away).argmin(1)
+    order = ((b**2).sum(-1) - 2 * a @ b.T + ELSEWHERE * away).argsort(1)
+    return order[:, [0, min(1, len(others) - 1)]]
