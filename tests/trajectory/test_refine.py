@@ -202,6 +202,14 @@ def test_a_duration_that_is_too_short_is_stretched_and_one_that_is_too_long_shor
         assert speed.max() <= 1.02 * LIMITS.v_max
 
 
+@pytest.mark.parametrize("steps", [1, 10])
+def test_what_is_too_fast_is_stretched_where_descents_do_not_suffice(steps: int) -> None:
+    """And on one way only as far as it takes: not one anchor is safe without."""
+    anchors = refined(duration=1.2, steps=steps)
+    assert anchors.safe.mean() > 0.9
+    assert np.median(anchors.duration) < 6.0
+
+
 def test_stretching_keeps_the_way_and_lasts_no_longer_than_the_limits_ask() -> None:
     """From rest to rest a way is the same in any time; the harder of both limits is then met."""
     scene = scene_of(x_curr=np.r_[0.8, 3.2, np.zeros(4)])
