@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
 
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_models.generation.scenes import basis_of
+from anchorflow_trajectory.spline import Ends
 
 SIZE, EXTENT = 40, 8.0  # cells and m a side of the scenes' maps
 
@@ -18,7 +21,7 @@ Scene = dict[str, Tensor]
 
 @pytest.fixture(scope="session")
 def make_scene() -> Callable[..., Scene]:
-    """Makes two scenes that differ, of any D and C; always the same."""
+    """Makes two scenes that differ, of any D and C; always the same. The second has a horizon."""
 
     def make(dim: int = 2, *, channels: int = 3) -> Scene:
         generator = torch.Generator().manual_seed(1)
@@ -32,10 +35,10 @@ def make_scene() -> Callable[..., Scene]:
             "cost_map": rand(channels, SIZE, SIZE),
             "map_geometry": torch.tensor([[-4.0, -4.0, EXTENT / SIZE]]).repeat(2, 1),
             "clearance_field": rand(SIZE, SIZE),
-            "cost_to_go": 5 * rand(2, SIZE, SIZE),
             "x_curr": torch.cat([ends[:, :2], headings[0], rand(2 * dim)], -1),
             "x_goal": torch.cat([ends[:, 2:], headings[1], rand(dim)], -1),
             "w_style": torch.tensor([[0.4, 0.3, 0.3], [0.1, 0.8, 0.1]]),
+            "limits": torch.tensor([[2.0, 3.0, 0.25, 0.0], [0.8, 1.5, 0.4, 5.0]]),
         }
 
     return make
@@ -68,13 +71,45 @@ def make_model(open_branches: Callable[[nn.Module], None]) -> Callable[..., L2Sa
 
 
 @pytest.fixture(scope="session")
-def field_of() -> Callable[..., Tensor]:
-    """The field at x_0 drawn from noise [1, N, R], all samples at flow time 0.3."""
+def means_of() -> Callable[..., Tensor]:
+    """Makes prior means [B, N, T, S]: N splines between a scene's ends, no two alike.
+
+    They last from 3 s, or as long as its horizon, and bow to both sides.
+    """
+
+    def means(model: L2SafetyCFM, scene: Scene, count: int) -> Tensor:
+        basis, dim = basis_of(model.config), model.config.dim
+        bulge = np.sin(np.linspace(0.0, np.pi, basis.num_control_points))[basis.free]
+        every = []
+        for x_curr, x_goal, limits in zip(
+            *(scene[name].numpy() for name in ("x_curr", "x_goal", "limits")), strict=True
+        ):
+            duration = np.full(count, limits[3]) if limits[3] else 3.0 + 0.5 * np.arange(count)
+            splines = basis.rest_curves(Ends(x_curr, x_goal), duration)
+            splines.control[1, :, basis.free] += np.outer(np.arange(count) - 1.0, bulge)
+            states = basis.own_time_states(splines.control)
+            lasting = np.broadcast_to(np.log(duration)[:, None, None], (*states.shape[:2], 1))
+            every.append(np.concatenate([states, lasting], -1))
+        assert every[0].shape[-1] == 3 * dim + 1
+        return torch.from_numpy(np.stack(every)).float()
+
+    return means
+
+
+@pytest.fixture(scope="session")
+def field_of(means_of: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """The field at x_0 drawn from noise [1, N, R], all samples at flow time 0.3.
+
+    mean: [B, N, T, S] around which it is drawn; by default that of `means_of`
+    """
 
     @torch.no_grad()
-    def field(model: L2SafetyCFM, scene: Scene, noise: Tensor) -> Tensor:
+    def field(
+        model: L2SafetyCFM, scene: Scene, noise: Tensor, mean: Tensor | None = None
+    ) -> Tensor:
         context = model.encode(**scene)
         modulation = model.modulate(torch.tensor([0.3]), context)[:, 0]
-        return model.field(model.draw(noise, context), modulation, context)
+        mean = means_of(model, scene, noise.shape[1]) if mean is None else mean
+        return model.field(model.draw(noise, mean, context), mean, modulation, context)
 
     return field

@@ -41,7 +41,7 @@ def fields(backbone: Backbone, x_t: Tensor, features: Tensor) -> Tensor:
 def inputs(steps: int = 45) -> tuple[Tensor, Tensor]:
     generator = torch.Generator().manual_seed(2)
     shape = (2, 3, steps)
-    return torch.randn(*shape, 6, generator=generator), torch.randn(*shape, 3, generator=generator)
+    return torch.randn(*shape, 7, generator=generator), torch.randn(*shape, 3, generator=generator)
 
 
 @pytest.mark.parametrize("steps_per_token", [1, 2, 4, 8])
@@ -51,7 +51,7 @@ def test_a_token_covers_its_steps(
     backbone = make_backbone("transformer", steps_per_token=steps_per_token)
     tokens = -(-45 // steps_per_token)
     assert backbone.positions.shape == (tokens, 128)
-    assert fields(backbone, *inputs()).shape == (2, 3, 45, 6)
+    assert fields(backbone, *inputs()).shape == (2, 3, 45, 7)
 
 
 @pytest.mark.parametrize("kind", CREATE)

@@ -19,9 +19,6 @@ WRONG = [
     ({"map_channels": 0}, "map_channels: expected at least 1, got 0"),
     ({"layers": -1}, "layers: expected at least 0, got -1"),
     ({"feature_channels": -1}, "feature_channels: expected at least 0, got -1"),
-    ({"horizon_s": 0.0}, "horizon_s: expected a finite number above 0, got 0.0"),
-    ({"v_max": float("inf")}, "v_max: expected a finite number above 0, got inf"),
-    ({"a_max": float("nan")}, "a_max: expected a finite number above 0, got nan"),
     ({"degree": 2}, "degree: expected at least 3, got 2"),
     ({"num_control_points": 5}, "num_control_points: expected at least 6, got 5"),
     ({"degree": 7, "num_control_points": 7}, "num_control_points: expected at least 8, got 7"),
@@ -40,8 +37,9 @@ def test_a_wrong_field_is_named(fields: dict[str, Any], message: str) -> None:
     assert str(caught.value) == message
 
 
-def test_a_whole_number_of_seconds_is_a_horizon() -> None:
-    assert L2Config(horizon_s=8).horizon_s == 8
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_state_is_three_fields_and_log_duration(dim: int) -> None:
+    assert L2Config(dim=dim).state_dim == 3 * dim + 1
 
 
 @pytest.mark.parametrize("create", [create_flowmp_transformer, create_flowmp_unet1d])

@@ -7,14 +7,11 @@ from dataclasses import asdict
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
 
-# What the first checkpoints keep of their configuration.
+# What checkpoints keep of their configuration.
 SAVED = {
     "variant": "small",
     "num_steps": 64,
     "dim": 2,
-    "horizon_s": 8.0,
-    "v_max": 2.0,
-    "a_max": 3.0,
     "map_channels": 3,
     "map_size": 64,
     "feature_channels": 16,
@@ -27,8 +24,8 @@ SAVED = {
 def test_names_and_shapes_of_the_weights_are_pinned() -> None:
     state = create_l2_safety_cfm().state_dict()
     lines = "\n".join(f"{name} {tuple(v.shape)} {v.dtype}" for name, v in state.items())
-    assert len(state) == 98
-    assert hashlib.sha256(lines.encode()).hexdigest()[:16] == "7c8a1c759ebc51a4", lines
+    assert len(state) == 97
+    assert hashlib.sha256(lines.encode()).hexdigest()[:16] == "b0b9685eb19fafcc", lines
 
 
 def test_a_saved_configuration_is_today_s_default() -> None:
@@ -40,4 +37,10 @@ def test_a_saved_configuration_is_today_s_default() -> None:
 def test_the_default_context_is_pinned() -> None:
     model = create_l2_safety_cfm()
     assert model.context_for_modulate == ("condition",)
-    assert model.context_for_field == ("prior_mean", "frame", "units", "si_units", "features")
+    assert model.context_for_field == (
+        "frame",
+        "motion_limits",
+        "units",
+        "si_units",
+        "features",
+    )

@@ -16,18 +16,19 @@ from anchorflow_models.layers.map_attention import MapAttention
 Scene = dict[str, Tensor]
 MakeModel = Callable[..., L2SafetyCFM]
 MakeScene = Callable[..., Scene]
-FieldOf = Callable[[L2SafetyCFM, Scene, Tensor], Tensor]
+FieldOf = Callable[..., Tensor]
+MeansOf = Callable[[L2SafetyCFM, Scene, int], Tensor]
 
 COUNT = 3
 
 
 @torch.no_grad()
-def field_with_map_of(model: L2SafetyCFM, scene: Scene, other: Scene) -> Tensor:
+def field_with_map_of(model: L2SafetyCFM, scene: Scene, other: Scene, mean: Tensor) -> Tensor:
     """The field where modulation and noise are one scene's, and the map is another's."""
     context, swapped = model.encode(**scene), model.encode(**other)
     noise = torch.randn(1, COUNT, model.prior.rank, generator=torch.Generator().manual_seed(0))
     modulation = model.modulate(torch.tensor([0.3]), context)[:, 0]
-    return model.field(model.draw(noise, context), modulation, swapped)
+    return model.field(model.draw(noise, mean, context), mean, modulation, swapped)
 
 
 @pytest.mark.parametrize(
@@ -41,11 +42,12 @@ def field_with_map_of(model: L2SafetyCFM, scene: Scene, other: Scene) -> Tensor:
     ],
 )
 def test_the_field_itself_sees_the_map_only_by_lookup_or_attention(
-    make_model: MakeModel, make_scene: MakeScene, options: dict, sees: bool
+    make_model: MakeModel, make_scene: MakeScene, means_of: MeansOf, options: dict, sees: bool
 ) -> None:
     model, scene = make_model(map_size=16, **options), make_scene()
+    mean = means_of(model, scene, COUNT)
     other = scene | {"clearance_field": -scene["clearance_field"]}
-    same, swapped = (field_with_map_of(model, scene, one) for one in (scene, other))
+    same, swapped = (field_with_map_of(model, scene, one, mean) for one in (scene, other))
     assert torch.equal(same, swapped) != sees
     # The condition has the map's summary all the same.
     assert not torch.equal(*(model.encode(**one)["condition"] for one in (scene, other)))
@@ -62,7 +64,13 @@ def test_the_graphs_carry_what_the_options_ask_for(make_model: MakeModel) -> Non
     for (lookup, attention, scales), expected in names.items():
         options = {"map_lookup": lookup, "map_attention": attention, "map_scales": scales}
         model = make_model(map_size=16, **options)
-        assert model.context_for_field == ("prior_mean", "frame", "units", "si_units", *expected)
+        assert model.context_for_field == (
+            "frame",
+            "motion_limits",
+            "units",
+            "si_units",
+            *expected,
+        )
 
 
 def test_keys_and_values_are_one_set_a_layer(make_model: MakeModel, make_scene: MakeScene) -> None:
@@ -91,18 +99,20 @@ def test_map_tokens_know_their_places(make_model: MakeModel) -> None:
 
 
 def test_attention_can_tell_where_a_trajectory_lies(
-    make_model: MakeModel, make_scene: MakeScene
+    make_model: MakeModel, make_scene: MakeScene, means_of: MeansOf
 ) -> None:
     """Two trajectories of the same residuals in other places get other answers."""
     model = make_model(map_size=16, map_attention=True, map_lookup=False)
     with torch.no_grad():
         context = model.encode(**make_scene())
         modulation = model.modulate(torch.tensor([0.3]), context)[:, 0]
-        x_t = model.draw(torch.zeros(1, 1, model.prior.rank), context)
-        state = torch.zeros_like(x_t)
+        mean = means_of(model, make_scene(), 1)
+        state = torch.zeros_like(mean)
+        place = torch.zeros(7)
+        place[:2] = 1.0
         here, there = (
-            model.normalised_field(x_t + offset, state, modulation, context)
-            for offset in (0.0, 1.0)
+            model.normalised_field(mean + offset, state, mean, modulation, context)
+            for offset in (0.0 * place, place)
         )
     assert not torch.allclose(here, there, atol=1e-4)
 
@@ -157,10 +167,10 @@ def test_maps_of_any_size_are_resampled(shape: tuple[int, int]) -> None:
     ramp = ((torch.arange(width) + 0.5) / width).expand(1, 1, height, width)
     geometry = torch.tensor([[-4.0, -0.5 * height * resolution, resolution]])
     frame = Frame.between(torch.tensor([[-0.5, 0.0]]), torch.tensor([[0.5, 0.0]]))
-    seen = MapWindow(1, 16)(ramp, geometry, torch.zeros(1, *shape), ramp.repeat(1, 2, 1, 1), frame)
+    seen = MapWindow(1, 16)(ramp, geometry, torch.zeros(1, *shape), frame)
     x = frame.window(16)[..., 0]
     rows = slice(7, 9)  # well inside the map, however few rows it has
-    torch.testing.assert_close(seen[:, 5, rows], (x[:, rows] + 4) / 8, atol=1e-5, rtol=0)
+    torch.testing.assert_close(seen[:, 2, rows], (x[:, rows] + 4) / 8, atol=1e-5, rtol=0)
 
 
 def test_an_encoder_without_features_has_no_way_back_up() -> None:

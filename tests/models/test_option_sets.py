@@ -37,27 +37,32 @@ def name_of(options: dict[str, Any]) -> str:
 def test_every_option_set(
     make_model: Callable[..., L2SafetyCFM],
     make_scene: Callable[..., dict[str, Tensor]],
+    means_of: Callable[..., Tensor],
     options: dict[str, Any],
 ) -> None:
     model = make_model(map_size=16, **options)
     config = model.config
     scene = make_scene(config.dim, channels=config.map_channels)
     noise = torch.randn(1, COUNT, model.prior.rank, generator=torch.Generator().manual_seed(0))
+    means = means_of(model, scene, COUNT)
 
     @torch.no_grad()
-    def field(scene: dict[str, Tensor], noise: Tensor, times: Tensor) -> Tensor:
+    def field(
+        scene: dict[str, Tensor], noise: Tensor, times: Tensor, mean: Tensor = means
+    ) -> Tensor:
         """At flow times [1] that all samples share, or [B, N]."""
         context = model.encode(**scene)
         modulation = model.modulate(times, context)
         one_time = modulation[:, 0] if times.ndim == 1 else modulation
-        return model.field(model.draw(noise, context), one_time, context)
+        return model.field(model.draw(noise, mean, context), mean, one_time, context)
 
     together = field(scene, noise, torch.tensor([0.3]))
     assert together.shape == (2, COUNT, config.num_steps, config.state_dim)
     assert together.isfinite().all()
     assert together.abs().max() > 0.01
 
-    alone = field({k: v[1:] for k, v in scene.items()}, noise[:, 2:], torch.tensor([0.3]))
+    second = {k: v[1:] for k, v in scene.items()}
+    alone = field(second, noise[:, 2:], torch.tensor([0.3]), means[1:, 2:])
     torch.testing.assert_close(together[1:, 2:], alone, atol=TOLERANCE, rtol=TOLERANCE)
 
     torch.testing.assert_close(
@@ -75,15 +80,17 @@ def test_every_option_set(
 def test_training_reaches_every_weight(
     make_model: Callable[..., L2SafetyCFM],
     make_scene: Callable[..., dict[str, Tensor]],
+    means_of: Callable[..., Tensor],
     options: dict[str, Any],
 ) -> None:
     """No option leaves a weight without a part in the field; several GPUs would wait for it."""
     model = make_model(map_size=16, **options).train()
-    context = model.encode(**make_scene(model.config.dim, channels=model.config.map_channels))
-    x_t = model.draw(torch.randn(1, COUNT, model.prior.rank), context)
+    scene = make_scene(model.config.dim, channels=model.config.map_channels)
+    context, mean = model.encode(**scene), means_of(model, scene, COUNT)
+    x_t = model.draw(torch.randn(1, COUNT, model.prior.rank), mean, context)
     modulation = model.modulate(torch.rand(2, COUNT), context)
     state = torch.randn_like(x_t)
-    model.normalised_field(x_t, state, modulation, context).square().sum().backward()
+    model.normalised_field(x_t, state, mean, modulation, context).square().sum().backward()
     idle = [
         name
         for name, weight in model.named_parameters()

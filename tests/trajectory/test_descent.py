@@ -84,6 +84,21 @@ def test_needlessly_long_durations_shorten_and_impossible_ones_lengthen(
     assert 1.0 < middles[0] / problem.reference_s < 1.5
 
 
+def test_durations_settle_where_moving_ends_are_counted(
+    make_cost: Callable[..., TrajectoryCost], stage: Any
+) -> None:
+    """J no longer changes along curves that meet both ends in every duration."""
+    ends = Ends(np.array([1.0, 3.2, 0.8, 0.6, 0.5, -0.5]), np.array([5.5, 3.1, 0.8, -0.4]))
+    problem, start = make_cost(), beginnings(stage, ends, 16, duration=8.0, spread=0.2)
+    splines = descend(problem, start, ends, steps=100, rate=0.3)
+    assert_ends(stage, splines, ends)
+    _, gradient = problem.value_and_gradient(splines)
+    ending = stage.basis.end_slopes(ends, splines.duration)
+    by_ends = np.einsum("dmk,dmk->m", gradient.control, ending)
+    whole = np.abs(gradient.log_duration + by_ends)
+    assert np.median(whole) < 0.1 * np.median(np.abs(by_ends))
+
+
 def test_a_style_decides_how_long_it_takes(
     make_cost: Callable[..., TrajectoryCost], stage: Any
 ) -> None:

@@ -55,7 +55,7 @@ def test_anchors_of_the_nearest_route_start_from_the_plan_in_own_time(
     given = plan(side, duration)[:, :columns]
     states = warm_states(scene, given, ROUTE, dt=duration / 39)
     assert (states.shape, states.dtype) == ((5, 64, 7), np.float32)
-    on_plan = follows(scene, side) == ROUTE
+    on_plan = np.equal(ROUTE, follows(scene, side))
     np.testing.assert_array_equal(states[~on_plan], scene.route_states[ROUTE[~on_plan]])
     own_time = np.concatenate([plan(side, 1.0, 64), np.full((64, 1), np.log(duration))], 1)
     for order, tolerance in enumerate((1e-3, 2e-2, 1.0)):

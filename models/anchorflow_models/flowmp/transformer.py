@@ -77,9 +77,9 @@ class FlowMPTransformer(VectorField):
 def create_flowmp_transformer(
     variant: str = "small",
     *,
-    state_dim: int = 6,
+    state_dim: int = 7,
     num_steps: int = 64,
-    feature_channels: int = 21,
+    feature_channels: int = 32,
     condition_width: int = 256,
     steps_per_token: int = 8,
     map_attention: bool = False,

@@ -105,9 +105,9 @@ def _doubling(inputs: int, outputs: int) -> nn.Module:
 def create_flowmp_unet1d(
     variant: str = "small",
     *,
-    state_dim: int = 6,
+    state_dim: int = 7,
     num_steps: int = 64,
-    feature_channels: int = 21,
+    feature_channels: int = 32,
     condition_width: int = 256,
     map_attention: bool = False,
 ) -> FlowMPUNet1D:

@@ -11,7 +11,7 @@ from anchorflow_models.layers.zero_linear import zero_linear
 
 
 class VectorField(nn.Module):
-    """Fields u, v, w of position, velocity and acceleration at x_t.
+    """Fields of the position, its two derivatives by own time and the log duration at x_t.
 
     A backbone implements `forward(x_t, features, modulation, keys_values=None) -> [B, N, T, S]`
     with x_t [B, N, T, S], features [B, N, T, F] and modulation [B, 1 or N, M]. The condition

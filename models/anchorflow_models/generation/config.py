@@ -27,7 +27,7 @@ class GeneratorConfig:
         first time
     schedule: "uniform", "8step", or flow times that rise strictly from 0 to 1
     steps: of the uniform schedule
-    rtol, atol: of rk45 for each anchor; atol in the state's units, m, m/s and m/s^2
+    rtol, atol: of rk45 for each anchor; atol in the state's units, m and log duration
     num_samples: N
     smooth: fit the B-spline that meets both ends
     project: push anchors out of obstacles and inside the limits; what remains unsafe goes back

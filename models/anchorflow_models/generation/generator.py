@@ -66,7 +66,7 @@ class TrajectoryGenerator:
 
         cost_map: [C, H, W] in [0, 1], occupancy first; channels left out are neutral
         x_curr: [3D] p, v, a; x_goal: [2D] p, v
-        w_style: [3] safety, energy, smooth; scaled to sum to 1, (0.4, 0.3, 0.3) by default
+        w_style: [3] safety, energy, smooth, scaled to sum to 1, or a style's name; balanced by default
         resolution: m/cell; origin: [2] m, outer corner of cell (0, 0), by default such that the
             map's centre is (0, 0); robot_radius: m
         motion: speed and acceleration to keep, and the horizon where durations are given
@@ -139,7 +139,7 @@ class TrajectoryGenerator:
     ) -> AnchorTensors:
         """Anchors [N, T, D] of one scene, drawn as if exp(-scale cost) times as likely.
 
-        cost_fn: states [1, N, T, 3D + 1] -> costs [1, N], differentiable; options: of `generate`
+        cost_fn: of `Guidance`, states [1, N, T, 3D + 1] -> costs [1, N]; options: of `generate`
         """
         guidance = Guidance(cost_fn, scale)
         return self.generate(cost_map, x_curr, x_goal, w_style, guidance=guidance, **options)

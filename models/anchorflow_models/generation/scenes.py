@@ -15,12 +15,12 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.generation.checks import check
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
+from anchorflow_trajectory.scene import ROUTE_STATES, SCENE_INPUTS, Scene, with_neutral_channels
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
 Numbers = ArrayLike | Tensor
 
-ENCODED = tuple(name for name in SCENE_INPUTS if name != "route_states")
+ENCODED = tuple(name for name in SCENE_INPUTS if name != ROUTE_STATES)
 DEFAULT_RESOLUTION = 0.1  # m/cell
 DEFAULT_ROBOT_RADIUS = 0.25  # m
 DEFAULT_MOTION = MotionLimits(v_max=2.0, a_max=3.0)
@@ -41,7 +41,7 @@ def requested_scenes(
     """What a service is asked, as scenes for a model of this configuration.
 
     cost_map: [C, H, W], C up to the model's; channels left out are neutral
-    x_curr: [3D]; x_goal: [2D]; w_style: [3], scaled to sum to 1, (0.4, 0.3, 0.3) by default
+    x_curr: [3D]; x_goal: [2D]; w_style: [3], scaled to sum to 1, or a style's name; balanced by default
     origin: [2] m; by default the map's centre is (0, 0)
     motion: what anchors keep, and how long they last where that is given
 

@@ -23,42 +23,44 @@ SMALL = L2Config(num_steps=32, num_control_points=12)
 
 @dataclass(eq=False)
 class GaussianFlow:
-    """The exact flow between two Gaussians of one covariance Σ_0, the prior's:
+    """The exact flow between two mixtures of Gaussians of one covariance Σ_0, the prior's:
 
-        x_1 ~ N(m_0 + shift, Σ_0)    u = shift + (2 t - 1) / r^2 (x_t - m_0 - t shift)
-        x_t = m_0 + t shift + r (x_0 - m_0)                          r^2 = t^2 + (1 - t)^2
+        x_1 ~ N(m_r + shift, Σ_0)    u = shift + (2 t - 1) / r^2 (x_t - m_r - t shift)
+        x_t = m_r + t shift + r (x_0 - m_r)                          r^2 = t^2 + (1 - t)^2
 
-    shift: [S], added at every time step; kick: [S], a field of its own that breaks the ends
+    where m_r is the route that a sample begins on.
+
+    shift: [S], added at every time step
     asked: the flow times that `modulate` was asked for, call by call
     """
 
     config: L2Config = SMALL
-    shift: Tensor = field(default_factory=lambda: torch.zeros(6))
+    shift: Tensor = field(default_factory=lambda: torch.zeros(7))
     asked: list[list[float]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.prior = TrajectoryPrior(self.config)
 
     def encode(
-        self, x_curr: Tensor, x_goal: Tensor, map_geometry: Tensor, **_: Tensor
+        self, x_curr: Tensor, x_goal: Tensor, limits: Tensor, **_: Tensor
     ) -> dict[str, Tensor]:
         frame = Frame.between(x_curr[:, : self.config.dim], x_goal[:, : self.config.dim])
-        mean = self.prior.mean(x_curr, x_goal)
-        basis = self.prior.basis(frame)
-        return {"prior_mean": mean, "prior_basis": basis, "geometry": map_geometry}
+        return {"prior_basis": self.prior.basis(frame, limits[:, 3])}
 
     def modulate(self, times: Tensor, context: dict[str, Tensor]) -> Tensor:
         self.asked.append(times.tolist())
-        return times[None, :, None].expand(len(context["prior_mean"]), -1, 1)
+        return times[None, :, None].expand(len(context["prior_basis"]), -1, 1)
 
-    def field(self, x_t: Tensor, modulation: Tensor, context: dict[str, Tensor]) -> Tensor:
+    def field(
+        self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: dict[str, Tensor]
+    ) -> Tensor:
+        assert "prior_basis" in context
         t = modulation[:, None, None]
-        middle = context["prior_mean"][:, None] + t * self.shift
+        middle = prior_mean + t * self.shift
         return self.shift + (2 * t - 1) / (t**2 + (1 - t) ** 2) * (x_t - middle)
 
-    def draw(self, noise: Tensor, context: dict[str, Tensor]) -> Tensor:
-        mean = context["prior_mean"]
-        return mean[:, None] + (noise @ context["prior_basis"]).unflatten(-1, mean.shape[1:])
+    def draw(self, noise: Tensor, prior_mean: Tensor, context: dict[str, Tensor]) -> Tensor:
+        return prior_mean + (noise @ context["prior_basis"]).unflatten(-1, prior_mean.shape[2:])
 
 
 @pytest.fixture

@@ -33,9 +33,9 @@ def barrier(clearance: ClearanceMap) -> Barrier:
 
 @pytest.fixture
 def x() -> Tensor:
-    """States [B, N, T, 6] whose places are all over the map, the first anchor's in the open."""
+    """States [B, N, T, 7] whose places are all over the map, the first anchor's in the open."""
     generator = torch.Generator().manual_seed(0)
-    states = 4 * torch.rand(SCENES, COUNT, STEPS, 6, generator=generator) - 2
+    states = 4 * torch.rand(SCENES, COUNT, STEPS, 7, generator=generator) - 2
     states[:, 0] = 1.8
     return states
 
@@ -52,7 +52,7 @@ def test_the_condition_holds_wherever_the_field_may_move(
     barrier: Barrier, x: Tensor, stride: float | None
 ) -> None:
     """dh/dt >= -α h, up to the slack, where x̂_1 moves by what was added to the field."""
-    basis = torch.randn(SCENES, 54, STEPS * 6, generator=torch.Generator().manual_seed(1))
+    basis = torch.randn(SCENES, 54, STEPS * 7, generator=torch.Generator().manual_seed(1))
     field = torch.randn_like(x)
     kept = barrier.kept(field, x - 0.7 * field, 0.3, basis, stride=stride)
     h, gradient = barrier.value_and_gradient(x)
@@ -75,12 +75,12 @@ def test_an_end_nearer_than_the_margin_lowers_it(clearance: ClearanceMap) -> Non
 
 def test_where_nothing_can_move_nothing_does(barrier: Barrier, x: Tensor) -> None:
     field = torch.randn_like(x)
-    kept = barrier.kept(field, x, 1.0, torch.zeros(SCENES, 3, STEPS * 6), stride=None)
+    kept = barrier.kept(field, x, 1.0, torch.zeros(SCENES, 3, STEPS * 7), stride=None)
     assert torch.equal(kept, field)
 
 
 @pytest.mark.parametrize("method", ["euler", "rk4"])
-def test_anchors_through_a_block_are_steered_clear(
+def test_anchors_that_graze_a_block_are_steered_clear(
     gaussian_flow: Callable, room: Any, plain: dict, method: str
 ) -> None:
     def clearance(**settings: Any) -> Tensor:
@@ -89,8 +89,8 @@ def test_anchors_through_a_block_are_steered_clear(
         return generator.generate(*room.ends, seed=0).clearance
 
     free, kept = clearance(), clearance(barrier_rate=5.0)
-    assert float((free > 0).float().mean()) < 0.2
-    assert float((kept > 0).float().mean()) > 0.8
+    assert float((free > 0).float().mean()) < 0.6
+    assert float((kept > 0).float().mean()) > 0.95
     wider = clearance(barrier_rate=5.0, safety_margin=0.5)
     assert float(wider.median()) > float(kept.median()) + 0.2
     slower = clearance(barrier_rate=0.5)

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.spline import Ends, spline_basis
 
-BENT = torch.tensor([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])  # at every step, the ends too
+BENT = torch.tensor([0.3, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])  # at every step, the ends too
 
 
 @pytest.fixture
@@ -31,17 +31,15 @@ def test_smoothing_meets_both_ends_and_keeps_derivatives_true(finish: Callable, 
     smooth = finish({"shift": BENT}, smooth=True, project=False)
     _, x_curr, x_goal = room.ends
     ends = torch.cat([smooth.trajectories[:, 0], smooth.velocities[:, 0]], -1)
-    torch.testing.assert_close(ends, torch.tensor(x_curr[:4]).expand(64, -1), atol=1e-5, rtol=0)
+    torch.testing.assert_close(ends, torch.tensor(x_curr[:4]).expand(64, -1), atol=5e-5, rtol=0)
     ends = torch.cat([smooth.trajectories[:, -1], smooth.velocities[:, -1]], -1)
     torch.testing.assert_close(ends, torch.tensor(x_goal).expand(64, -1), atol=1e-5, rtol=0)
     assert float((rough.trajectories[:, 0] - torch.tensor(x_curr[:2])).norm(dim=-1).min()) > 0.4
-    basis = spline_basis(32, 8.0, num_control_points=12)
-    control = basis.fit(
-        torch.cat([smooth.trajectories, smooth.velocities, smooth.accelerations], -1).numpy(),
-        np.array(x_curr, np.float32),
-        np.array(x_goal, np.float32),
-    )
-    np.testing.assert_allclose(basis.states(control)[2], smooth.accelerations, atol=1e-3)
+    basis, lasts = spline_basis(32, num_control_points=12), smooth.durations[:, None, None]
+    own_time = (smooth.trajectories, smooth.velocities * lasts, smooth.accelerations * lasts**2)
+    between = Ends(np.array(x_curr, np.float32), np.array(x_goal, np.float32))
+    splines = basis.fit(torch.cat(own_time, -1).numpy(), between, smooth.durations.numpy())
+    np.testing.assert_allclose(basis.states(splines)[2], smooth.accelerations, atol=1e-2)
 
 
 def test_projection_makes_anchors_safe(finish: Callable) -> None:
@@ -92,8 +90,8 @@ def test_safe_is_what_was_checked_between_the_steps_too(gaussian_flow: Callable)
 
 def test_safe_keeps_the_limits(gaussian_flow: Callable, free_room: Any) -> None:
     config = GeneratorConfig(num_samples=4, smooth=False, project=False)
-    quick = torch.tensor([0.0, 0.0, 2.5, 0.0, 0.0, 0.0])  # m/s beyond what the anchors have
-    for shift, safe in ((torch.zeros(6), True), (quick, False)):
+    hasty = torch.tensor([0.0] * 6 + [-0.7])  # the same ways in half the time
+    for shift, safe in ((torch.zeros(7), True), (hasty, False)):
         flow = gaussian_flow(shift=shift)
         flow.prior.set_covariance(1e-10 * np.eye(flow.prior.rank))
         anchors = TrajectoryGenerator(flow, config).generate(*free_room.ends)

@@ -19,9 +19,10 @@ from anchorflow_models.generation import (
     encode_inputs,
     requested_scenes,
 )
-from anchorflow_trajectory.cost import MotionLimits, TrajectoryCost
+from anchorflow_models.generation.scenes import prior_means
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.guidance import Guidance as ServedGuidance
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.refine import Refiner
 
 VIA = torch.tensor([0.0, 1.5])
 
@@ -32,7 +33,11 @@ def miss_of_via(states: Tensor) -> Tensor:
 
 
 def states(anchors: AnchorTensors) -> Tensor:
-    return torch.cat([anchors.trajectories, anchors.velocities, anchors.accelerations], -1)[None]
+    """[1, N, T, S] in own time of anchors as they were drawn."""
+    lasts = anchors.durations[:, None, None]
+    parts = (anchors.velocities * lasts, anchors.accelerations * lasts**2)
+    lasting = lasts.log().expand(-1, anchors.trajectories.shape[1], 1)
+    return torch.cat([anchors.trajectories, *parts, lasting], -1)[None]
 
 
 @pytest.mark.parametrize("method", ["rk4", "rk45"])
@@ -40,10 +45,10 @@ def test_a_linear_cost_tilts_a_gaussian_as_in_closed_form(
     gaussian_flow: Callable, free_room: Any, plain: dict, method: str
 ) -> None:
     """N(m, Σ) exp(-scale w·x) is N(m - scale Σ w, Σ): every anchor moves by -scale Σ w."""
-    flow = gaussian_flow(shift=torch.tensor([0.2, 0.0, 0.0, 0.1, 0.0, 0.0]))
+    flow = gaussian_flow(shift=torch.tensor([0.2, 0.0, 0.0, 0.1, 0.0, 0.0, 0.1]))
     settings = {"method": method, "steps": 16, "rtol": 1e-5, "atol": 1e-5}
     generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=3, **plain, **settings))
-    weight = torch.randn(32, 6, generator=torch.Generator().manual_seed(1))
+    weight = torch.randn(32, 7, generator=torch.Generator().manual_seed(1))
     free = generator.generate(*free_room.ends, seed=2)
     guided = generator.generate_with_guidance(
         *free_room.ends, seed=2, cost_fn=lambda x: (x * weight).sum((-2, -1)), scale=0.3
@@ -51,7 +56,7 @@ def test_a_linear_cost_tilts_a_gaussian_as_in_closed_form(
     scenes = requested_scenes(*free_room.ends, config=flow.config)
     context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
     basis = context["prior_basis"][0]
-    moved = -0.3 * (basis.T @ (basis @ weight.flatten())).reshape(1, 1, 32, 6)
+    moved = -0.3 * (basis.T @ (basis @ weight.flatten())).reshape(1, 1, 32, 7)
     torch.testing.assert_close(
         states(guided) - states(free), moved.expand(1, 3, -1, -1), atol=5e-3, rtol=5e-3
     )
@@ -69,7 +74,7 @@ def test_a_larger_scale_lowers_the_cost_further(
                 )
             )
         )
-        for scale in (0.0, 1.0, 4.0)
+        for scale in (0.0, 4.0, 16.0)
     ]
     assert costs[0].mean() > 1.3 * costs[1].mean() > 1.3**2 * costs[2].mean()
     unguided = generator.generate(*free_room.ends, seed=0)
@@ -98,66 +103,68 @@ def test_the_cost_is_asked_about_the_end_of_the_flow() -> None:
         asked.append(x.detach())
         return x.sum((-2, -1))
 
-    x_t, field = torch.randn(2, 1, 3, 4, 6)
-    basis = torch.zeros(1, 2, 24)
+    x_t, field = torch.randn(2, 1, 3, 4, 7)
+    basis = torch.zeros(1, 2, 28)
     guided = Guidance(cost, 1.0).guided(field, x_t, 0.25, basis)
     torch.testing.assert_close(asked[0], x_t + 0.75 * field)
     torch.testing.assert_close(guided, field)  # a prior that cannot move lets nothing be moved
     assert Guidance(cost, 1.0).guided(field, x_t, 1.0, basis) is field
 
 
-class SplineCost(torch.autograd.Function):
-    """A `TrajectoryCost` of control points [D, N, K], for autograd."""
+class StateCost(torch.autograd.Function):
+    """The `TrajectoryCost` of the splines fitted to states [N, T, S], for autograd.
+
+    Its gradient is of central differences along each unit of the prior's noise, which is all that
+    guidance asks of it.
+    """
 
     @staticmethod
-    def forward(ctx: Any, control: Tensor, cost: TrajectoryCost) -> Tensor:
-        value, gradient = cost.value_and_gradient(control.detach().numpy())
-        ctx.gradient = torch.from_numpy(gradient)
-        return torch.from_numpy(value)
+    def forward(ctx: Any, states: Tensor, refiner: Refiner, basis: Tensor) -> Tensor:
+        cost, x, h = refiner.cost(GeneratorConfig()), states.detach().double().numpy(), 1e-3
+
+        def value(states: np.ndarray) -> np.ndarray:
+            return cost.value(refiner.fitted(states)).astype(np.float64)
+
+        units = basis.double().numpy()
+        by_unit = units.reshape(len(units), *x.shape[1:])
+        rises = np.stack([(value(x + h * u) - value(x - h * u)) / (2 * h) for u in by_unit], 1)
+        back = np.linalg.pinv(units)  # any gradient that rises so along each of them
+        ctx.gradient = torch.from_numpy((rises @ back.T).reshape(x.shape)).float()
+        return torch.from_numpy(value(x)).float()
 
     @staticmethod
-    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None]:
-        return slopes[0][None, :, None] * ctx.gradient, None
+    def backward(ctx: Any, *slopes: Tensor) -> tuple[Tensor, None, None]:
+        return slopes[0][:, None, None] * ctx.gradient, None, None
 
 
 @pytest.mark.parametrize("t", [0.0, 0.4, 0.9])
-def test_the_service_guides_as_this_does(gaussian_flow: Callable, room: Any, t: float) -> None:
-    """The same cost in numpy, pulled back by hand, and here by autograd through the fit."""
-    flow, basis = gaussian_flow(), spline_basis(32, 8.0, num_control_points=12)
-    (scene,) = scenes = requested_scenes(*room.ends, config=flow.config)
-    context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
-    parts = (scene.x_curr, scene.x_goal, scene.w_style)
-    x_curr, x_goal, w_style = (np.asarray(part, np.float32) for part in parts)
-    limits = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
-    cost = TrajectoryCost(basis, scene.cost_fields, limits, w_style, 0.1)
+@pytest.mark.parametrize("horizon_s", [None, 6.0])
+def test_the_service_guides_as_this_does(
+    gaussian_flow: Callable, room: Any, t: float, horizon_s: float | None
+) -> None:
+    """The same cost in numpy, pulled back by hand, and here by autograd and differences."""
+    flow, cpu = gaussian_flow(), torch.device("cpu")
+    motion = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=horizon_s)
+    (scene,) = scenes = requested_scenes(*room.ends, config=flow.config, motion=motion)
+    context, mean = flow.encode(**encode_inputs(scenes, cpu)), prior_means(scenes, 6, cpu)
+    basis, refiner = context["prior_basis"], Refiner(scene, 20)
 
     def cost_of(states: Tensor) -> Tensor:
-        fixed = torch.from_numpy(basis.end_points(x_curr, x_goal))
-        per_field = states[0].unflatten(-1, (3, 2)).permute(3, 0, 2, 1).flatten(2)
-        free = per_field - (fixed @ torch.from_numpy(basis.stacked[:, :96]))[:, None]
-        free = free @ torch.from_numpy(basis.fit_matrix).T
-        count = len(states[0])
-        ends = fixed[:, None].expand(-1, count, -1)
-        parts = (ends[..., : basis.free.start], free, ends[..., basis.free.stop :])
-        return SplineCost.apply(torch.cat(parts, -1), cost)[None]
+        return StateCost.apply(states[0], refiner, basis[0])[None]
 
     generator = torch.Generator().manual_seed(3)
-    x_t = flow.draw(torch.randn(1, 6, flow.prior.rank, generator=generator), context)
-    field = 0.1 * torch.randn(1, 6, 32, 6, generator=generator)
+    x_t = flow.draw(torch.randn(1, 6, flow.prior.rank, generator=generator), mean, context)
+    field = 0.1 * torch.randn(1, 6, 32, 7, generator=generator)
     scale = 1e-6  # below what the bound on a served step cuts
-    expected = Guidance(cost_of, scale).guided(field, x_t, t, context["prior_basis"]) - field
-    served = ServedGuidance.of(
-        cost,
-        x_curr=x_curr,
-        x_goal=x_goal,
-        prior_basis=context["prior_basis"][0].numpy(),
-        scale=scale,
+    expected = Guidance(cost_of, scale).guided(field, x_t, t, basis) - field
+    served = ServedGuidance(
+        refiner.cost(GeneratorConfig()), scene.ends, basis[0].numpy(), scale=scale
     )
-    guided = np.zeros((6, 32, 6), np.float32)
+    guided = np.zeros((6, 32, 7), np.float32)
     x_1 = (x_t + (1 - t) * field)[0].numpy()  # so that a field of zeros leads to the same end
     served.correct(guided, x_1, t, stride=0.125)
     size = float(expected.abs().max())
-    np.testing.assert_allclose(guided, expected[0].numpy(), rtol=0, atol=1e-3 * size)
+    np.testing.assert_allclose(guided, expected[0].numpy(), rtol=0, atol=2e-2 * size)
 
 
 def test_one_anchors_cost_does_not_move_another(

@@ -11,7 +11,9 @@ import torch
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_models import L2Config
 from anchorflow_models.generation import encode_inputs, requested_scenes
+from anchorflow_models.generation.scenes import prior_means
 from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
 CONFIG = L2Config()
@@ -43,9 +45,32 @@ def test_resolution_origin_and_radius_are_heeded() -> None:
     occupied = np.zeros((40, 60), bool)
     occupied[30, 30] = True
     np.testing.assert_allclose(other.clearance_field, clearance_field(occupied, 0.2, 0.4))
-    # The goal's cell is where the cost to go is nothing.
-    row, column = np.unravel_index(other.cost_to_go[1].argmin(), (40, 60))
-    assert (row, column) == (15, 15)
+    np.testing.assert_allclose(other.routes[0].points[[0, -1]], [X_CURR[:2], X_GOAL[:2]])
+    np.testing.assert_allclose(other.limits, [2.0, 3.0, 0.4, 0.0], rtol=1e-6)
+
+
+def test_a_style_may_be_told_by_its_name() -> None:
+    (one,) = scenes(w_style="efficient")
+    np.testing.assert_allclose(one.w_style, [0.1, 0.8, 0.1])
+    with pytest.raises(InvalidRequest, match="conservative, balanced, efficient, comfortable"):
+        scenes(w_style="brave")
+
+
+def test_the_limits_are_the_scenes() -> None:
+    (one,) = scenes(motion=MotionLimits(0.5, 0.7, horizon_s=20.0))
+    inputs = encode_inputs([one], CPU)
+    torch.testing.assert_close(inputs["limits"], torch.tensor([[0.5, 0.7, 0.25, 20.0]]))
+    assert "route_states" not in inputs  # of which every anchor gets one
+
+
+def test_routes_are_dealt_out_in_turn() -> None:
+    several = scenes(x_goal=[X_GOAL, [0.05, 1.8, 0, 0]])
+    means = prior_means(several, 5, CPU)
+    assert means.shape == (2, 5, 64, 7)
+    for scene, mean in zip(several, means, strict=True):
+        routes = scene.route_states
+        for n in range(5):
+            np.testing.assert_array_equal(mean[n], routes[n % len(routes)])
 
 
 def test_what_has_no_scene_axis_is_the_same_in_every_scene() -> None:
@@ -68,8 +93,9 @@ def test_tensors_are_taken_and_gradients_left_behind() -> None:
 def test_the_maps_edge_is_on_the_map(corner: tuple[float, float]) -> None:
     """As on the wire: the upper edge belongs to the last cell."""
     (one,) = scenes(x_goal=[*corner, 0, 0])
-    row, column = np.unravel_index(one.cost_to_go[1].argmin(), (40, 60))
-    assert (row, column) == (39 * (corner[1] > 0), 59 * (corner[0] > 0))
+    assert one.is_free(one.x_goal[:2])
+    straight = float(np.hypot(*(one.x_goal[:2] - one.x_curr[:2])))
+    assert one.routes[0].length == pytest.approx(straight, rel=0.1)
 
 
 @pytest.mark.parametrize(
