@@ -36,7 +36,9 @@ def noised(x_0: Tensor, warm_start: WarmStart, scenes: Sequence[Scene]) -> Tenso
             dealt_routes(scene, x_0.shape[1]),
             dt=warm_start.dt,
         )
-        for scene, plan in zip(scenes, np.broadcast_to(plans, (len(scenes), *plans.shape[1:])), strict=True)
+        for scene, plan in zip(
+            scenes, np.broadcast_to(plans, (len(scenes), *plans.shape[1:])), strict=True
+        )
     ]
     x_1 = torch.from_numpy(np.stack(states)).to(x_0)
     return warm_start.tau * x_1 + (1 - warm_start.tau) * x_0
