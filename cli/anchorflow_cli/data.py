@@ -62,7 +62,9 @@ def make(
     out: Annotated[Path, typer.Argument(help="Folder to write.")],
     *,
     scenes: Annotated[int, typer.Option(min=1, help="How many scenes.")] = 20_000,
-    trajectories: Annotated[int, typer.Option(min=1, help="Trajectories kept a scene.")] = DataConfig.trajectories,
+    trajectories: Annotated[
+        int, typer.Option(min=1, help="Trajectories kept a scene.")
+    ] = DataConfig.trajectories,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = CORES,
 ) -> None:

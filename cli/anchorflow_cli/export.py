@@ -96,10 +96,10 @@ def _name(checkpoint: Checkpoint) -> str:
 def _limits(checkpoint: Checkpoint) -> dict[str, Any]:
     """What the card says of limits, where the data of the planner tell of any."""
     limits, ranges = (checkpoint.data.get(name) for name in ("limits", "ranges"))
-    found: dict[str, Any] = {"limits": MotionLimits(**limits)} if limits else {}
-    if ranges:
-        found["ranges"] = {n: tuple(ranges[n]) for n in LIMIT_INTERVALS if n in ranges}
-    return found
+    if not limits:
+        return {}
+    told = {name: tuple(ranges[name]) for name in LIMIT_INTERVALS if name in (ranges or {})}
+    return {"limits": MotionLimits(**limits), "ranges": told}
 
 
 def _sampler(

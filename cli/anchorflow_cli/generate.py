@@ -7,6 +7,7 @@ import secrets
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -34,9 +35,10 @@ from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
-from anchorflow_models.generation.scenes import DEFAULT_ROBOT_RADIUS
-from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_models.generation.scenes import DEFAULT_MOTION, DEFAULT_ROBOT_RADIUS
+from anchorflow_training.checkpoint import Checkpoint, load_checkpoint
 from anchorflow_training.restore import restore_flow
+from anchorflow_trajectory.cost import MotionLimits
 
 app = command_app()
 
@@ -44,6 +46,7 @@ EMPTY_MAP_CELLS = 96
 """A side of the empty map: as many as the maps that `anchorflow data make` draws."""
 
 DEFAULTS = GeneratorConfig()
+OF_DATA = "as the run's data"
 
 
 class GenerateError(AnchorFlowError):
@@ -67,6 +70,18 @@ def generate(
     ] = None,
     unknown_is_free: UnknownIsFreeOption = False,
     robot_radius: Annotated[float, typer.Option(help="Radius [m].")] = DEFAULT_ROBOT_RADIUS,
+    v_max: Annotated[
+        float | None, typer.Option(help="Greatest speed [m/s].", show_default=OF_DATA)
+    ] = None,
+    a_max: Annotated[
+        float | None, typer.Option(help="Greatest acceleration [m/s²].", show_default=OF_DATA)
+    ] = None,
+    horizon: Annotated[
+        float | None,
+        typer.Option(
+            help="Duration [s] of every anchor.", show_default=f"each its own, or {OF_DATA}"
+        ),
+    ] = None,
     num_samples: NumSamplesOption = DEFAULTS.num_samples,
     seed: SeedOption = None,
     method: Annotated[
@@ -113,11 +128,11 @@ def generate(
             resolution=seen.resolution,
             origin=seen.origin,
             robot_radius=robot_radius,
+            motion=_motion(saved, v_max=v_max, a_max=a_max, horizon_s=horizon),
             seed=seed,
         )
     answer = _answer(
         anchors,
-        dt=model.config.horizon_s / (model.config.num_steps - 1),
         seed=seed,
         model=_model_id(checkpoint, saved.step),
         milliseconds=1e3 * (time.perf_counter() - began),
@@ -168,12 +183,23 @@ def _schedule(text: str) -> str | tuple[float, ...]:
 
 
 def _answer(
-    anchors: AnchorTensors, *, dt: float, seed: int, model: ModelId, milliseconds: float
+    anchors: AnchorTensors, *, seed: int, model: ModelId, milliseconds: float
 ) -> AnchorBatch:
     arrays = {name: tensor.numpy() for name, tensor in vars(anchors).items()}
+    dt = arrays.pop("durations").astype(np.float64) / (anchors.trajectories.shape[-2] - 1)
     return AnchorBatch(
         arrays=arrays, dt=dt, seed=seed, model=model, timing_ms={"total": milliseconds}
     )
+
+
+def _motion(
+    saved: Checkpoint, *, v_max: float | None, a_max: float | None, horizon_s: float | None
+) -> MotionLimits:
+    """What is asked for, over the limits that the run's data were drawn or imported with."""
+    usual = saved.data.get("limits")
+    limits = MotionLimits(**usual) if usual else DEFAULT_MOTION
+    asked = {"v_max": v_max, "a_max": a_max, "horizon_s": horizon_s}
+    return replace(limits, **{name: value for name, value in asked.items() if value is not None})
 
 
 def _model_id(checkpoint: Path, step: int) -> ModelId:
@@ -183,7 +209,7 @@ def _model_id(checkpoint: Path, step: int) -> ModelId:
 
 
 def _write(path: Path, answer: AnchorBatch) -> None:
-    """The answer's arrays with dt, the seed and the checkpoint's hash."""
+    """The answer's arrays with dt [N], the seed and the checkpoint's hash."""
     arrays = {
         name: getattr(answer, name)
         for name in ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")

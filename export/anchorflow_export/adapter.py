@@ -25,7 +25,9 @@ from anchorflow_service.bundle.manifest import (
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.refine import DESCENT_RATE
 
+# Of a model whose data say nothing of limits.
 USUAL_LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
+USUAL_RANGES = {"horizon_s": (1.0, 120.0)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +45,7 @@ class ExportChoices:
     sampler: SamplerChoice = field(default_factory=SamplerChoice)
     noise_scale: float = 1.0
     limits: MotionLimits = USUAL_LIMITS
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=USUAL_RANGES.copy)
     robot_radius: float = 0.25
     safety_margin: float = 0.1
     refine_steps: int = 20

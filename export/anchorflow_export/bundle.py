@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from anchorflow_export.adapter import PlannerAdapter, TracedGraph
 from anchorflow_export.errors import ExportError
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
@@ -51,8 +53,9 @@ def export_bundle(
     Returns how far ONNX and torch are apart, for every graph and for whole samples.
 
     Raises:
-        ExportError: the model cannot be traced, ONNX and torch differ by more than the tolerance,
-            or `out` is something else than a bundle. Nothing is left behind.
+        ExportError: the model cannot be traced, its parts make no manifest, ONNX and torch differ
+            by more than the tolerance, or `out` is something else than a bundle. Nothing is left
+            behind.
     """
     with into_place(out) as folder:
         graphs = {
@@ -91,21 +94,25 @@ def _manifest(
     adapter: PlannerAdapter, description: BundleDescription, graphs: dict[str, GraphEntry]
 ) -> Manifest:
     parts = adapter.parts
-    return Manifest(
-        format=FORMAT,
-        name=description.name,
-        version=description.version,
-        planner=description.planner,
-        request=RequestEntry(inputs=parts.inputs),
-        conditioning=parts.conditioning,
-        sampler=parts.sampler,
-        finish=parts.finish,
-        time=parts.time,
-        answer=parts.answer,
-        graphs=graphs,
-        training=dict(description.training),
-        quality=dict(description.quality),
-    )
+    try:
+        return Manifest(
+            format=FORMAT,
+            name=description.name,
+            version=description.version,
+            planner=description.planner,
+            request=RequestEntry(inputs=parts.inputs),
+            conditioning=parts.conditioning,
+            sampler=parts.sampler,
+            finish=parts.finish,
+            time=parts.time,
+            answer=parts.answer,
+            graphs=graphs,
+            training=dict(description.training),
+            quality=dict(description.quality),
+        )
+    except ValidationError as error:
+        said = "; ".join(str(fault["msg"]) for fault in error.errors())
+        raise ExportError(f"manifest of {description.name}: {said}") from error
 
 
 @contextmanager

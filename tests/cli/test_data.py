@@ -49,10 +49,37 @@ def test_import_and_inspect(file: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert data("inspect", out, "--out", tmp_path / "sheet.png") == 0
     said = capsys.readouterr().out
     assert "7 scenes, M 1, T 64, D 2" in said
+    assert "a_max 3 m/s^2, horizon 8 s" in said
+    assert "durations 8 s; scenes with a given horizon 100%" in said
     assert "7 x 1 x 64 x 6" in said
     assert "family my: 7" in said
     assert "homology classes 1: 7 scenes" in said
     assert (tmp_path / "sheet.png").stat().st_size > 10_000
+
+
+def test_durations_of_their_own_are_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    positions = SyntheticTrajectoryDataset("bezier", 4).read(slice(None))["positions"]
+    np.savez(tmp_path / "my.npz", positions=positions, horizon_s=[5.0, 6.0, 7.0, 8.0])
+    assert data("inspect", tmp_path / "my.npz") == 0
+    assert "duration 5 to 8 s" in capsys.readouterr().out
+    assert data("import", tmp_path / "my.npz", tmp_path / "d") == 0
+    said = capsys.readouterr().out
+    assert "horizon open" in said
+    assert "ranges: horizon_s 5 to 8 s" in said
+    assert data("inspect", tmp_path / "d") == 0
+    said = capsys.readouterr().out
+    assert "ranges: horizon_s 5 to 8 s" in said
+    assert "durations 5 to 8 s; scenes with a given horizon 50%" in said
+
+
+def test_drawn_scenes_tell_their_robots(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert data("make", tmp_path / "d", "--scenes", 2, "--workers", 1) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "v_max 2 m/s, a_max 3 m/s^2, horizon open" in said
+    assert "ranges: robot_radius 0.1 to 0.6 m, v_max 0.2 to 6 m/s" in said
+    scenes = open_dataset(tmp_path / "d")
+    assert scenes.arrays["states"].shape == (2, 24, 64, 6)
+    assert scenes.arrays["starts"].shape[:2] == (2, 24)
 
 
 def test_inspect_a_file(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

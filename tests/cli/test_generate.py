@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from anchorflow_cli.generate import EMPTY_MAP_CELLS, empty_map
 from anchorflow_cli.main import main
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator
-from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
+from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from anchorflow_training.trainer import TrainerConfig
 
 ENDS = ("--start", "-1,0.5", "--goal", "2,-0.25")
@@ -95,7 +95,8 @@ def test_the_arrays_the_table_and_the_picture(
     assert "of step 7, seed 5" in printed
     assert arrays["trajectories"].shape == arrays["accelerations"].shape == (3, 24, 2)
     assert arrays["safe"].shape == arrays["clearance"].shape == (3,)
-    assert float(arrays["dt"]) == pytest.approx(8.0 / 23)
+    assert arrays["dt"].shape == (3,)
+    assert len(set(arrays["dt"])) == 3  # each anchor has its own
     np.testing.assert_allclose(arrays["trajectories"][:, 0], [[-1, 0.5]] * 3, atol=1e-5)
     np.testing.assert_allclose(arrays["trajectories"][:, -1], [[2, -0.25]] * 3, atol=1e-5)
     with Image.open(tmp_path / "anchors.png") as image:
@@ -110,6 +111,9 @@ def test_the_arrays_the_table_and_the_picture(
         ("--style", "0,1,0"),
         ("--size", "5"),
         ("--robot-radius", "0.9"),
+        ("--v-max", "0.7"),
+        ("--a-max", "0.5"),
+        ("--horizon", "11"),
         ("--num-samples", "4"),
         ("--seed", "6"),
         ("--method", "euler"),
@@ -128,6 +132,25 @@ def test_every_option_is_heeded(
     plain = drawn(checkpoint, tmp_path, "--map", room, *further)
     other = drawn(checkpoint, tmp_path, "--map", room, *option)
     assert any(not np.array_equal(plain[n], other[n]) for n in ("trajectories", "clearance"))
+
+
+def test_a_horizon_is_every_anchor_s_and_limits_are_kept(checkpoint: Path, tmp_path: Path) -> None:
+    fixed = drawn(checkpoint, tmp_path, "--horizon", 11)
+    np.testing.assert_allclose(fixed["dt"], 11 / 23)
+    slow = drawn(checkpoint, tmp_path, "--v-max", 0.7, "--a-max", 0.5)
+    assert slow["safe"].any()
+    speed = np.linalg.norm(slow["velocities"][slow["safe"]], axis=-1)
+    assert speed.max() < 0.71
+
+
+def test_the_limits_are_those_of_the_run_s_data(checkpoint: Path, tmp_path: Path) -> None:
+    asked = drawn(checkpoint, tmp_path, "--v-max", 0.7, "--a-max", 0.5, "--horizon", 9)
+    limits = {"v_max": 0.7, "a_max": 0.5, "horizon_s": 9.0}
+    saved = replace(load_checkpoint(checkpoint), data={"limits": limits})
+    save_checkpoint(tmp_path / "of_data.pt", saved)
+    own = drawn(tmp_path / "of_data.pt", tmp_path)
+    np.testing.assert_array_equal(own["trajectories"], asked["trajectories"])
+    np.testing.assert_array_equal(own["dt"], asked["dt"])
 
 
 def test_a_map_and_its_unknown_cells(checkpoint: Path, room: Path, tmp_path: Path) -> None:
@@ -173,6 +196,8 @@ def test_what_cannot_be_is_one_line(checkpoint: Path, tmp_path: Path) -> None:
         "--checkpoint", checkpoint, "--start", "0,0,1", "--goal", "1,0,0"
     )
     assert "x_curr: expected a position on the map" in failure(*asked, "--size", "1")
+    assert "v_max: expected" in failure(*asked, "--v-max", "-1")
+    assert "horizon_s: expected" in failure(*asked, "--horizon", "0")
     assert "absent" in failure(*asked, "--out", tmp_path / "absent" / "anchors.npz")
     assert "absent.pt: not a checkpoint" in failure("--checkpoint", tmp_path / "absent.pt", *ENDS)
 

@@ -16,7 +16,7 @@ from anchorflow_export.planners.flowmp import FlowMPAdapter
 from anchorflow_service.bundle.conditioning import CostMapEntry, LimitsEntry
 from anchorflow_service.bundle.manifest import SplineEntry
 
-T, D, S, R, WIDTH = 8, 2, 6, 5, 16
+T, D, S, R, WIDTH = 8, 2, 7, 5, 16
 
 
 class SmallFlow(nn.Module):
@@ -28,29 +28,28 @@ class SmallFlow(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.conv = nn.Conv2d(5, 4, 3, stride=2, padding=1)
-        self.condition = nn.Linear(6 + 4 + 3 + 4, WIDTH)
+        self.conv = nn.Conv2d(3, 4, 3, stride=2, padding=1)
+        self.condition = nn.Linear(6 + 4 + 3 + 4 + 4, WIDTH)
         self.modulation = nn.Linear(WIDTH + 1, 2 * WIDTH)
-        self.project_in = nn.Linear(S + 4, WIDTH)
+        self.project_in = nn.Linear(2 * S + 4, WIDTH)
         self.head = nn.Linear(WIDTH, S)
-        self.register_buffer("basis", 0.3 * torch.randn(R, T * S))
+        self.register_buffer("basis", 0.1 * torch.randn(R, T * S))
 
     def encode(
         self,
         cost_map: Tensor,
         map_geometry: Tensor,
         clearance_field: Tensor,
-        cost_to_go: Tensor,
         x_curr: Tensor,
         x_goal: Tensor,
         w_style: Tensor,
+        limits: Tensor,
     ) -> dict[str, Tensor]:
-        maps = torch.cat([cost_map[:, :2], clearance_field[:, None], cost_to_go.tanh()], 1)
+        maps = torch.cat([cost_map[:, :2], clearance_field[:, None]], 1)
         features = F.interpolate(self.conv(maps), size=(12, 12), mode="bilinear")
         parts = [x_curr - x_curr.mean(-1, keepdim=True), x_goal[:, 2:], w_style]
-        parts += [features.mean((2, 3)), map_geometry[:, 2:] * 0, x_goal[:, :1] * 0]
+        parts += [limits, features.mean((2, 3)), map_geometry[:, 2:] * 0, x_goal[:, :1] * 0]
         return {
-            "prior_mean": x_curr[:, None].expand(-1, T, -1),
             "prior_basis": self.basis.expand(cost_map.shape[0], -1, -1),
             "condition": self.condition(torch.cat(parts, -1)),
             "features": features,
@@ -63,7 +62,9 @@ class SmallFlow(nn.Module):
         at = times[None, :, None].expand(condition.shape[0], -1, -1)
         return self.modulation(torch.cat([condition, at], -1))
 
-    def field(self, x_t: Tensor, modulation: Tensor, context: dict[str, Tensor]) -> Tensor:
+    def field(
+        self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: dict[str, Tensor]
+    ) -> Tensor:
         batch, count = x_t.shape[:2]
         geometry = context["map_geometry_seen"][:, None, None]
         points = ((x_t[..., :2] - geometry[..., :2]) / 10.0) * 2 - 1
@@ -71,7 +72,7 @@ class SmallFlow(nn.Module):
             context["features"], points, padding_mode="border", align_corners=False
         ).permute(0, 2, 3, 1)
         scale, shift = modulation[:, None, None].chunk(2, -1)
-        x = self.project_in(torch.cat([0.1 * x_t, seen], -1))
+        x = self.project_in(torch.cat([0.1 * x_t, 0.1 * (x_t - prior_mean), seen], -1))
         x = F.layer_norm(x, (WIDTH,)) * (1 + scale) + shift
         heads = x.reshape(batch * count, T, 2, WIDTH // 2).transpose(1, 2)
         mixed = F.scaled_dot_product_attention(heads, heads, heads)

@@ -13,13 +13,15 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, AnchorRequest, SamplerChoice
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle, record_quality
 from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.flowmp import flowmp_adapter
-from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
+from anchorflow_models.flowmp import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
+from anchorflow_trajectory.cost import MotionLimits
 
 
 @pytest.fixture(scope="module")
@@ -41,11 +43,13 @@ def test_the_folder_holds_three_graphs_and_a_manifest(bundle: Path) -> None:
     assert [path.name for path in bundle.parent.iterdir()] == ["bundle"]
     manifest = load_bundle(bundle).manifest
     field = {spec.name: spec.shape for spec in manifest.graphs["field"].inputs}
-    assert field["x_t"] == ("B", "N", 8, 6)
+    assert field["x_t"] == field["prior_mean"] == ("B", "N", 8, 7)
     assert field["modulation"] == ("B", 32)
     assert field["features"] == ("B", 4, 12, 12)
     assert "unused" not in manifest.graphs["encode"].output_names
     assert manifest.training == {"checkpoint": "none"}
+    assert manifest.sampler.prior.mean == "route_states"
+    assert manifest.time.dt == pytest.approx(8.0 / 7)  # all last as long as the card says
 
 
 def test_graphs_tell_nothing_of_the_machine_they_were_made_on(bundle: Path) -> None:
@@ -87,12 +91,11 @@ def test_graphs_that_differ_from_torch_are_not_written(
     model = small_flow()
     exact = model.field
 
-    def drifting(x_t: Tensor, modulation: Tensor, context: dict[str, Tensor]) -> Tensor:
-        drift = 0.01 if torch.compiler.is_exporting() else 0.0
-        return exact(x_t, modulation, context) + drift
+    def drifting(*inputs: Any) -> Tensor:
+        return exact(*inputs) + (0.01 if torch.compiler.is_exporting() else 0.0)
 
     model.field = drifting
-    with pytest.raises(ExportError, match=r"field at .*, dx_t: 1\.00e-02") as caught:
+    with pytest.raises(ExportError, match=r"field at .*, dx_t: \d\.\d\de-0[23]") as caught:
         export_bundle(adapted(model), description, out=tmp_path / "bundle")
     assert "sample of scene 0" in str(caught.value)
     assert list(tmp_path.iterdir()) == []
@@ -125,17 +128,64 @@ def test_a_bundle_is_replaced_and_anything_else_is_not(
         assert (out / file.name).read_bytes() == file.read_bytes()
 
 
-def test_the_planner_of_this_repository_exports(
-    description: BundleDescription, tmp_path: Path
-) -> None:
-    config = L2Config()
+def untaught(config: L2Config) -> L2SafetyCFM:
+    """Always of the same weights; branches start at zero, which would prove little."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
         model = create_l2_safety_cfm(config)
-        for parameter in model.parameters():  # branches start at zero, which would prove little
+        for parameter in model.parameters():
             if not parameter.any():
                 nn.init.normal_(parameter, std=0.02)
+    return model
+
+
+def test_the_planner_of_this_repository_exports(
+    description: BundleDescription, tmp_path: Path
+) -> None:
     choices = ExportChoices(sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE))
-    adapter = flowmp_adapter(model, choices)
+    adapter = flowmp_adapter(untaught(L2Config()), choices)
     differences = export_bundle(adapter, description, out=tmp_path / "bundle")
     assert max(part.error for part in differences) <= 1e-4
+    card = load_bundle(tmp_path / "bundle").card
+    assert card.time.dt is None  # each anchor has its own
+
+
+def test_the_card_has_the_limits_and_ranges_that_are_chosen(
+    description: BundleDescription, tmp_path: Path
+) -> None:
+    """What has no range cannot be asked for, and what has one only within it."""
+    choices = ExportChoices(
+        limits=MotionLimits(1.5, 2.5),
+        ranges={"v_max": (0.5, 2.0), "horizon_s": (2.0, 30.0)},
+        robot_radius=0.3,
+    )
+    config = L2Config(map_size=16, feature_channels=4, layers=1)
+    export_bundle(flowmp_adapter(untaught(config), choices), description, out=tmp_path / "bundle")
+    card = load_bundle(tmp_path / "bundle").card.cost_map
+    limits = card.limits
+    assert (limits.v_max, limits.a_max, limits.robot_radius) == (1.5, 2.5, 0.3)
+    assert limits.horizon_s is None
+    assert card.ranges == {"v_max": (0.5, 2.0), "horizon_s": (2.0, 30.0)}
+    client = LocalClient.of(tmp_path / "bundle", threads=1)
+    request: dict[str, Any] = {
+        "cost_map": {"data": np.zeros((1, 40, 40)), "resolution": 0.25},
+        "x_curr": [-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        "x_goal": [3.0, 0.0, 0.0, 0.0],
+        "num_samples": 4,
+        "seed": 1,
+    }
+    own, slow = client.plan(**request), client.plan(**request, v_max=0.5)
+    assert np.ptp(own.durations) > 0
+    assert slow.durations.min() > own.durations.max()
+    np.testing.assert_allclose(client.plan(**request, horizon_s=9.0).durations, 9.0)
+    for name, value in (("v_max", 3.0), ("a_max", 2.0), ("horizon_s", 1.0)):
+        with pytest.raises(InvalidRequest, match=name):
+            client.plan(**request, **{name: value})
+
+
+def test_an_open_horizon_needs_its_range(description: BundleDescription, tmp_path: Path) -> None:
+    config = L2Config(map_size=16, feature_channels=4, layers=1)
+    adapter = flowmp_adapter(untaught(config), ExportChoices(ranges={}))
+    with pytest.raises(ExportError, match=r"ranges\.horizon_s"):
+        export_bundle(adapter, description, out=tmp_path / "bundle")
+    assert list(tmp_path.iterdir()) == []

@@ -18,6 +18,7 @@ from anchorflow_trajectory.scene import Scene
 CELLS, RESOLUTION, HORIZON_S = 32, 0.25, 8.0
 SCENES, TRAJECTORIES = 6, 4
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
+RANGES = {"v_max": [1.0, 3.0], "horizon_s": [4.0, 20.0]}
 
 
 def write_tiny_dataset(path: Path) -> Path:
@@ -31,7 +32,7 @@ def write_tiny_dataset(path: Path) -> Path:
     arrays = create_arrays(path, shapes)
     for name, array in arrays.items():
         array[:] = np.stack([row[name] for row in rows])
-    meta = {"format": 1, "scenes": SCENES, "limits": asdict(LIMITS)}
+    meta = {"format": 1, "scenes": SCENES, "limits": asdict(LIMITS), "ranges": RANGES}
     (path / "dataset.json").write_text(json.dumps(meta))
     return path
 

@@ -98,9 +98,7 @@ def _solved_scene(task: tuple[DataConfig, int]) -> SceneRecord:
     unsolved: list[str] = []
     while True:
         try:
-            scene = draw_scene(
-                rng, cells=config.cells, limits=config.limits, robots=config.robots
-            )
+            scene = draw_scene(rng, cells=config.cells, limits=config.limits, robots=config.robots)
         except SceneError:
             continue
         if len(scene.routes) < 2 and rng.random() < config.without_choice:

@@ -60,6 +60,9 @@ def requested_scenes(
         x_goal=as_numpy(x_goal),
         w_style=as_numpy(w_style),
         robot_radius=robot_radius,
+        v_max=motion.v_max,
+        a_max=motion.a_max,
+        horizon_s=motion.horizon_s,
     )
     _check_fits(request, config)
     grid = request.cost_map

@@ -55,12 +55,14 @@ def test_a_student_is_taught_exported_and_plans(
 ) -> None:
     out, bundle = tmp_path / "run", tmp_path / "bundle"
     words = [checkpoint, tiny_dataset_path, "--out", out, *QUICK, "--no-tensorboard"]
-    said = command(*words, "--steps", "2", "--layers", "2", "--schedule", "0,0.8,1")
+    own = ["--layers", "2", "--schedule", "0,0.8,1", "--cost-weight", "0.5"]
+    said = command(*words, "--steps", "2", *own)
     assert said in ("", "0")
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "pairs 1/1"
     assert lines[-1].endswith("checkpoint.pt: step 2")
-    assert read_config(out / "config.yaml", DistillConfig)["schedule"] == (0.0, 0.8, 1.0)
+    found = read_config(out / "config.yaml", DistillConfig)
+    assert (found["schedule"], found["cost_weight"]) == ((0.0, 0.8, 1.0), 0.5)
 
     said = command(out / "checkpoint.pt", "--out", bundle, name="export")
     assert said in ("", "0")
@@ -78,6 +80,10 @@ def test_a_student_is_taught_exported_and_plans(
         )
     )
     assert batch.trajectories.shape == (5, 64, 2)
+    assert batch.durations.shape == (5,)
+    limits, ranges = card.cost_map.limits, card.cost_map.ranges
+    assert (limits.v_max, limits.a_max, limits.horizon_s) == (2.0, 3.0, None)
+    assert ranges == {"v_max": (1.0, 3.0), "horizon_s": (4.0, 20.0)}
     assert batch.is_finite
 
 
@@ -100,7 +106,7 @@ def test_the_teacher_s_network_and_the_options_make_the_configuration(
     [
         ([], "--out: expected the folder of the run"),
         (["--schedule", "0.5,1", "--out", "x"], "schedule: expected its first time to be 0"),
-        (["--model.v-max", "1", "--out", "x"], "model.v_max: expected 2.0, the teacher's"),
+        (["--model.degree", "5", "--out", "x"], "model.degree: expected 4, the teacher's"),
         (["--method", "magic"], "method: expected one of reflow, direct, consistency"),
     ],
 )

@@ -105,9 +105,7 @@ def inspect_scenes(dataset: SceneDataset, *, scenes: int) -> Summary:
     return Summary(tuple(arrays), tuple(facts), families, dict(sorted(classes.items())))
 
 
-def limits_in_words(
-    limits: MotionLimits, ranges: Mapping[str, tuple[float, float]]
-) -> list[str]:
+def limits_in_words(limits: MotionLimits, ranges: Mapping[str, tuple[float, float]]) -> list[str]:
     """Lines that say what trajectories keep, and what the data's robots differ in."""
     horizon = "open" if limits.horizon_s is None else f"{limits.horizon_s:g} s"
     lines = [f"v_max {limits.v_max:g} m/s, a_max {limits.a_max:g} m/s^2, horizon {horizon}"]

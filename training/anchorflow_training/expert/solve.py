@@ -81,9 +81,7 @@ def solve(scene: Scene, *, config: ExpertConfig, rng: np.random.Generator) -> So
         if not len(failed):
             break
         stiffer = replace(stiffer, weights=stiffer.weights.stiffer(STIFFER))
-    return Solution(
-        splines, tried, cost.value(splines), verdict.clearance, verdict.safe
-    )
+    return Solution(splines, tried, cost.value(splines), verdict.clearance, verdict.safe)
 
 
 def chosen_by_route(

@@ -65,7 +65,9 @@ def draw_scene(
     size = float(rng.uniform(*robots.sizes[rng.choice(len(robots.sizes), p=SIZE_SHARES)]))
     radius = float(np.clip(rng.lognormal(np.log(0.25), 0.35), *robots.robot_radius))
     if rng.random() >= robots.usual:
-        v_max, a_max = (float(np.exp(rng.uniform(*np.log(r)))) for r in (robots.v_max, robots.a_max))
+        v_max, a_max = (
+            float(np.exp(rng.uniform(*np.log(r)))) for r in (robots.v_max, robots.a_max)
+        )
         limits = MotionLimits(v_max, a_max)
     resolution = size / cells
     occupied = _oriented(rng, family, cells, resolution, radius)

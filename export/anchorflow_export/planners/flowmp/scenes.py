@@ -59,7 +59,17 @@ def _random_request(
         x_curr=np.concatenate([start, at_start], axis=1),
         x_goal=np.concatenate([goal, at_goal], axis=1),
         w_style=generator.dirichlet(np.ones(3), scenes),
+        **_some_limits(card, generator),
     )
+
+
+def _some_limits(card: ModelCard, generator: np.random.Generator) -> dict[str, float]:
+    """About half of the limits that a request may set, each anywhere in its range."""
+    return {
+        name: float(generator.uniform(*between))
+        for name, between in card.cost_map.ranges.items()
+        if generator.random() < 0.5
+    }
 
 
 def _clutter(shape: tuple[int, int], generator: np.random.Generator) -> np.ndarray:
