@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.spline import SplineBasis
+from anchorflow_trajectory.spline import SplineBasis, Splines
 
 Array = NDArray[np.float64]
 
@@ -38,14 +38,11 @@ class Proposals:
 
     @staticmethod
     def of_spline(
-        basis: SplineBasis,
-        control: NDArray[np.floating],
-        *,
-        safe: NDArray[np.bool_] | None = None,
+        basis: SplineBasis, splines: Splines, *, safe: NDArray[np.bool_] | None = None
     ) -> Proposals:
-        """The samples of control points [D, N, K]."""
+        """The samples of N splines."""
         position, velocity, acceleration = (
-            state.astype(np.float64) for state in basis.states(control)
+            state.astype(np.float64) for state in basis.states(splines)
         )
-        dt = basis.horizon_s / (basis.num_samples - 1)
+        dt = splines.duration / (basis.num_samples - 1)
         return Proposals(position, velocity, acceleration, dt, safe)
