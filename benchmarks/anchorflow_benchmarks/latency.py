@@ -161,7 +161,7 @@ def _measure(
 
 @dataclass(frozen=True)
 class SamplingWork:
-    """What a loop is given, [1,...] and N anchors, and what the engine makes of it by any sampler."""
+    """What a loop is given, [1,...] and N anchors, and what the engine makes of it."""
 
     inputs: Arrays
     context: Arrays

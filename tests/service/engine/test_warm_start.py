@@ -116,7 +116,7 @@ def test_a_remainder_of_centimetres_is_answered(
     free_bundle: Path, small_request: Build, way: float, columns: int
 ) -> None:
     start = np.array([0.5, 2.0])
-    goal = start + [way, 0.0]
+    goal = start + np.array([way, 0.0])
     rest = np.linspace(start, goal, 6)
     trajectory = np.concatenate([rest, np.zeros((6, columns - 2))], axis=1)
     batch = LocalClient.of(free_bundle, threads=1).plan_request(

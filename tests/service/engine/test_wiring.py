@@ -33,7 +33,7 @@ def refusal(folder: Path) -> str:
         (
             ("sampler", "prior", "mean"),
             "middle",
-            "'middle' is not one of prior_basis, means, route",
+            "'middle' is not one of prior_basis",
         ),
         (("graphs", "field", "outputs", 0, "name"), "dx", "outputs: expected dx_t, got dx"),
         (
