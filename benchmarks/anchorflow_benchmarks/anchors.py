@@ -18,6 +18,7 @@ class Proposals:
 
     dt: s between samples, of all anchors or [N]
     safe: [N] what the planner promises, None where it promises nothing
+    scores: [N] minus the cost of each, None where nobody has asked for it
     """
 
     positions: Array
@@ -25,6 +26,7 @@ class Proposals:
     accelerations: Array
     dt: float | Array
     safe: NDArray[np.bool_] | None = None
+    scores: Array | None = None
 
     @property
     def dts(self) -> Array:

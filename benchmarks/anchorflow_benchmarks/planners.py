@@ -71,7 +71,9 @@ class EnginePlanner:
         answer = self.engine.plan(resolve_for_card(request, self.engine.card))
         states = (answer.trajectories, answer.velocities, answer.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
-        return Proposals(position, velocity, acceleration, answer.dt, answer.safe)
+        return Proposals(
+            position, velocity, acceleration, answer.dt, answer.safe, answer.arrays.get("scores")
+        )
 
 
 def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> AnchorRequest:
