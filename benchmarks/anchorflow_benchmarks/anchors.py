@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.spline import SplineBasis
+from anchorflow_trajectory.spline import SplineBasis, Splines
 
 Array = NDArray[np.float64]
 
@@ -18,6 +18,7 @@ class Proposals:
 
     dt: s between samples, of all anchors or [N]
     safe: [N] what the planner promises, None where it promises nothing
+    scores: [N] minus the cost of each, None where nobody has asked for it
     """
 
     positions: Array
@@ -25,6 +26,7 @@ class Proposals:
     accelerations: Array
     dt: float | Array
     safe: NDArray[np.bool_] | None = None
+    scores: Array | None = None
 
     @property
     def dts(self) -> Array:
@@ -38,14 +40,11 @@ class Proposals:
 
     @staticmethod
     def of_spline(
-        basis: SplineBasis,
-        control: NDArray[np.floating],
-        *,
-        safe: NDArray[np.bool_] | None = None,
+        basis: SplineBasis, splines: Splines, *, safe: NDArray[np.bool_] | None = None
     ) -> Proposals:
-        """The samples of control points [D, N, K]."""
+        """The samples of N splines."""
         position, velocity, acceleration = (
-            state.astype(np.float64) for state in basis.states(control)
+            state.astype(np.float64) for state in basis.states(splines)
         )
-        dt = basis.horizon_s / (basis.num_samples - 1)
+        dt = splines.duration / (basis.num_samples - 1)
         return Proposals(position, velocity, acceleration, dt, safe)

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.finish import finished, refiner_of
+from anchorflow_benchmarks.finish import basis_of, finished, unfinished_scene
 from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, limits_of, without_fields
 from anchorflow_benchmarks.routes_planner import DESCENTS, RoutesPlanner
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.route_splines import LEAST_WAY
+from anchorflow_trajectory.routes import polyline_length
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basis
+from anchorflow_trajectory.time_law import nominal_duration, ramp_share, time_along
 
 EXPERT_STEPS = (60, 200)
 
@@ -37,16 +40,14 @@ class ExpertPlanner:
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         config = ExpertConfig(num_samples=NUM_SAMPLES, tries=num, steps=self.steps)
-        config = replace(config, paths=min(config.paths, num))
-        scene, rng = without_fields(scene), np.random.default_rng(seed)
-        solution = solve(scene, config=config, limits=self.limits, rng=rng)
-        basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
-        return Proposals.of_spline(basis, solution.control, safe=solution.good)
+        scene, rng = without_fields(scene, self.limits), np.random.default_rng(seed)
+        solution = solve(scene, config=config, rng=rng)
+        return Proposals.of_spline(scene.basis, solution.splines, safe=solution.good)
 
 
 @dataclass(frozen=True)
 class LinesPlanner:
-    """Straight lines under a minimum-jerk time law, bent sideways by smooth noise.
+    """Straight lines, bent sideways by smooth noise, each gone as quickly as the limits allow.
 
     spread: m, standard deviation of the first and widest of the bends
     """
@@ -58,14 +59,17 @@ class LinesPlanner:
     evaluations: None = None
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
-        basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
+        basis = spline_basis(NUM_SAMPLES)
+        return Proposals.of_spline(basis, self.splines(scene, basis, num=num, seed=seed))
+
+    def splines(self, scene: Scene, basis: SplineBasis, *, num: int, seed: int) -> Splines:
+        """What `plan` samples, on another basis."""
         start, span = scene.x_curr[:2], scene.x_goal[:2] - scene.x_curr[:2]
-        along = minimum_jerk(NUM_SAMPLES)
+        share = np.linspace(0.0, 1.0, NUM_SAMPLES)
         across = np.array([-span[1], span[0]]) / max(1e-6, float(np.linalg.norm(span)))
-        offset = self._bends(along, num, np.random.default_rng(seed))
-        positions = start + along[:, None] * span + offset[..., None] * across
-        control = basis.fit_positions(positions.astype(np.float32), scene.x_curr, scene.x_goal)
-        return Proposals.of_spline(basis, control)
+        offset = self._bends(share, num, np.random.default_rng(seed))
+        paths = start + share[:, None] * span + offset[..., None] * across
+        return gone_along(list(paths), basis, scene.ends, limits=self.limits)
 
     def _bends(
         self, along: NDArray[np.float64], num: int, rng: np.random.Generator
@@ -86,11 +90,22 @@ class RefinedLinesPlanner:
     evaluations: None = None
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
-        raw = self.lines.plan(scene, num=num, seed=seed)
-        parts = (raw.positions, raw.velocities, raw.accelerations)
-        states = np.concatenate(parts, axis=-1, dtype=np.float32)
-        refiner = refiner_of(self.refine, self.lines.limits)
-        return finished(states, without_fields(scene), refiner, self.refine)
+        splines = self.lines.splines(scene, basis_of(self.refine), num=num, seed=seed)
+        scene = unfinished_scene(scene, self.lines.limits, self.refine)
+        return finished(splines, np.zeros(num, np.intp), scene, self.refine)
+
+
+def gone_along(
+    paths: Sequence[NDArray[np.floating]], basis: SplineBasis, ends: Ends, *, limits: MotionLimits
+) -> Splines:
+    """A spline along each polyline [P, 2], as quick as the limits allow, or within the horizon."""
+    lengths = [max(polyline_length(path), LEAST_WAY) for path in paths]
+    duration = np.array([limits.horizon_s or nominal_duration(way, limits) for way in lengths])
+    timed = [
+        time_along(path, basis.num_samples, ramp=ramp_share(float(lasts), way, limits))
+        for path, lasts, way in zip(paths, duration, lengths, strict=True)
+    ]
+    return basis.fit_positions(np.stack(timed), ends, duration)
 
 
 def minimum_jerk(num_samples: int) -> NDArray[np.float64]:

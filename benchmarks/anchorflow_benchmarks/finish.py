@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,32 +13,39 @@ from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.refine import Refiner
 from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.spline import SplineBasis, Splines, spline_basis
 
 
-def refiner_of(finish: SplineEntry, limits: MotionLimits, *, steps: int | None = None) -> Refiner:
-    """What a manifest describes, over these limits; `steps` descents instead of its own."""
-    return Refiner.of(
-        limits,
-        num_steps=NUM_SAMPLES,
-        num_control_points=finish.num_control_points,
-        degree=finish.degree,
-        steps=finish.steps if steps is None else steps,
+def basis_of(finish: SplineEntry) -> SplineBasis:
+    """Of the splines that a manifest describes."""
+    return spline_basis(
+        NUM_SAMPLES, num_control_points=finish.num_control_points, degree=finish.degree
     )
+
+
+def with_descents(finish: SplineEntry, descents: int) -> SplineEntry:
+    """The same finish with so many descents; without any it smooths alone."""
+    changes = {"steps": descents} if descents else {"smooth": True, "project": False}
+    return finish.model_copy(update=changes)
+
+
+def unfinished_scene(scene: Scene, limits: MotionLimits, finish: SplineEntry) -> Scene:
+    """The scene on a finish's splines, before any of its fields was worked out."""
+    return replace(scene, motion=limits, basis=basis_of(finish))
 
 
 def finished(
-    states: NDArray[np.float32], scene: Scene, refiner: Refiner, finish: SplineEntry
+    splines: Splines, route: NDArray[np.intp], scene: Scene, finish: SplineEntry
 ) -> Proposals:
-    """Sampled states [N, T, 6], finished as the bundle's own are where nothing else is asked."""
-    refined = refiner.refine(
-        states,
-        scene.cost_fields,
-        x_curr=scene.x_curr,
-        x_goal=scene.x_goal,
-        w_style=scene.w_style,
-        spec=finish,
-    )
+    """Splines as the bundle's own anchors are finished where nothing else is asked.
+
+    route: [N] the place of the route that each follows
+    """
+    states = scene.basis.own_time_states(splines.control)
+    lasting = np.broadcast_to(np.log(splines.duration)[:, None, None], (*states.shape[:2], 1))
+    refiner = Refiner(scene, finish.steps, finish.rate)
+    refined = refiner.refine(np.concatenate([states, lasting], -1, dtype=np.float32), route, finish)
     arrays = (refined.positions, refined.velocities, refined.accelerations)
     position, velocity, acceleration = (array.astype(np.float64) for array in arrays)
-    dt = refiner.limits.horizon_s / (NUM_SAMPLES - 1)
-    return Proposals(position, velocity, acceleration, dt, refined.safe)
+    dt = refined.duration / (NUM_SAMPLES - 1)
+    return Proposals(position, velocity, acceleration, dt, refined.safe, refined.scores)

@@ -21,15 +21,15 @@ from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_car
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
-from anchorflow_service.engine.samplers.ode import OdeSampler
+from anchorflow_service.engine.samplers.ode import PRIOR_MEAN, Beginning, OdeSampler
 from anchorflow_trajectory.scene import Scene
 
 SEED = 1
 STAGES = ("encode", "sample", "refine", "total")
 SAME_STATE = 1e-2  # m, m/s, m/s^2 by which loops of the same weights may differ at t = 1
 
-Loop = Callable[[Arrays, Array, OdeSpec], Array]
-"""Inputs of encode, x_0 [N,T,S] and a sampler -> x_1."""
+Loop = Callable[[Arrays, Beginning, OdeSpec], Array]
+"""Inputs of encode, N anchors before the flow and a sampler -> x_1 [N,T,S]."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,9 @@ class Contest:
 def onnx_loop(bundle: Bundle, *, threads: int, repeat_inputs: bool = False) -> Loop:
     """The naive loop over a bundle's own graphs."""
     graphs = OnnxField(bundle, threads=threads, repeat_inputs=repeat_inputs)
-    return lambda inputs, x, sampler: sample_plainly(graphs.of(inputs), x, sampler)
+    return lambda inputs, begun, sampler: sample_plainly(
+        graphs.of(inputs, begun.mean), begun.x, sampler
+    )
 
 
 def torch_loop(checkpoint: Path, *, threads: int) -> Loop:
@@ -149,7 +151,7 @@ def _measure(
 
     calls: dict[str, Callable[[], object]] = {"engine": ask_engine, "product": MatrixProduct()}
     for name, loop in contest.loops.items():
-        calls[name] = lambda loop=loop: loop(work.inputs, work.x, contest.sampler)
+        calls[name] = lambda loop=loop: loop(work.inputs, work.begun, contest.sampler)
     times = take_turns(calls, rounds=config.rounds, budget_s=config.budget_s)
     warm = {stage: values[1:] for stage, values in stages.items()}
     warm["total"] = times.pop("engine")  # seen from outside: the request's checks belong to it
@@ -159,11 +161,11 @@ def _measure(
 
 @dataclass(frozen=True)
 class SamplingWork:
-    """What a loop is given, [1,...] and [N,T,S], and what the engine makes of it by any sampler."""
+    """What a loop is given, [1,...] and N anchors, and what the engine makes of it."""
 
     inputs: Arrays
     context: Arrays
-    x: Array
+    begun: Beginning
     flow: OdeSampler
 
 
@@ -173,12 +175,13 @@ def _sampling_work(bundle: Bundle, request: ResolvedRequest) -> SamplingWork:
     flow = OdeSampler(bundle, threads=1)
     context = dict(flow.encode(scene))
     noise = flow.draw_noise(context, num_samples=request.num_samples, seed=SEED)
-    return SamplingWork(inputs, context, flow.initial_state(context, noise), flow)
+    return SamplingWork(inputs, context, flow.beginning(scene, context, noise), flow)
 
 
 def _check_same_work(contest: Contest, work: SamplingWork) -> None:
     """A few of the anchors through every loop."""
-    few = work.x[:2]
+    begun = work.begun
+    few = Beginning(begun.x[:2], begun.route[:2], None if begun.mean is None else begun.mean[:2])
     expected = work.flow.integrate(work.context, few, contest.sampler)
     for name, loop in contest.loops.items():
         error = float(np.abs(loop(work.inputs, few, contest.sampler) - expected).max())
@@ -195,6 +198,13 @@ def _field_flops(bundle: Bundle, work: SamplingWork, num: int) -> int:
     fixed = {name: work.context[name] for name in graph.input_names if name in work.context}
     width = next(int(spec.shape[-1]) for spec in graph.inputs if spec.name == "modulation")
     fixed["modulation"] = np.zeros((1, width), np.float32)
-    path, x = bundle.graph_path("field"), work.x[None, :1]
-    one, two = (count_flops(path, {**fixed, "x_t": x.repeat(n, axis=1)}) for n in (1, 2))
+    path, anchor = bundle.graph_path("field"), {"x_t": work.begun.x}
+    if work.begun.mean is not None and PRIOR_MEAN in graph.input_names:
+        anchor[PRIOR_MEAN] = work.begun.mean
+    one, two = (
+        count_flops(
+            path, fixed | {name: a[None, :1].repeat(n, axis=1) for name, a in anchor.items()}
+        )
+        for n in (1, 2)
+    )
     return one + (num - 1) * (two - one)

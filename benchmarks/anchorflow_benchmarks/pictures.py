@@ -7,10 +7,11 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.quality import JudgedPlan
-from anchorflow_benchmarks.report import Row
+from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hide_ticks, sheet
 
 PANEL_INCHES = 2.9
@@ -48,6 +49,34 @@ def draw_quality_over_time(rows: Sequence[Row], path: Path) -> None:
     axes.set_ylabel("success (dot) and any (triangle)")
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
+    _save(figure, path)
+
+
+def draw_cost_over_time(tables: Sequence[ResultTable], path: Path) -> None:
+    """Mean J of the successes against the median time in ms: a panel a style, a line a source.
+
+    Each point is a number of descents. Raises `BenchmarkError` where `path` cannot be written.
+    """
+    figure = Figure((PANEL_INCHES * len(tables), 3.4), layout="constrained")
+    panels = figure.subplots(1, len(tables), squeeze=False)[0]
+    for axes, table in zip(panels, tables, strict=True):
+        sources = dict.fromkeys(str(row["source"]) for row in table.rows)
+        for index, source in enumerate(sources):
+            rows = [row for row in table.rows if row["source"] == source]
+            ms, cost = ([float(row[key] or 0.0) for row in rows] for key in ("ms", "J"))
+            axes.plot(ms, cost, "o-", color=f"C{index}", markersize=4, label=source)
+            for row, place in zip(rows, zip(ms, cost, strict=True), strict=True):
+                axes.annotate(
+                    str(row["descents"]), place, (3, 3), textcoords="offset points", fontsize=6
+                )
+        axes.set(xscale="log", title=table.title, xlabel="ms of a request")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(ScalarFormatter())
+        axes.xaxis.set_minor_locator(NullLocator())
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("mean J of the successes")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     _save(figure, path)
 
 

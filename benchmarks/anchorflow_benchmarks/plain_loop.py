@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
+from anchorflow_service.engine.samplers.ode import PRIOR_MEAN
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.reference import PlainField, integrate_plainly
 
@@ -41,11 +42,15 @@ class OnnxField:
         }
         self._repeat_inputs = repeat_inputs
 
-    def of(self, inputs: Arrays) -> PlainField:
-        """The field of one scene, given the inputs of encode with a B axis of 1."""
+    def of(self, inputs: Arrays, mean: Array | None) -> PlainField:
+        """The field of one scene, given the inputs of encode with a B axis of 1.
+
+        mean: [N,T,S], the prior's of each sample; None where it has none of its own
+        """
+        own = {} if mean is None else {PRIOR_MEAN: mean[:, None]}
 
         def field(x: Array, t: float) -> Array:
-            context = self._context(inputs, len(x))
+            context = {**self._context(inputs, len(x)), **own}
             times = np.array([t], np.float32)
             modulation = self._run("modulate", {**context, "times": times})["modulation"]
             arrays = {**context, "x_t": x[:, None], "modulation": modulation[:, 0]}

@@ -26,7 +26,6 @@ from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene, with_neutral_channels
 
 NUM_SAMPLES = 64  # T of the baselines' anchors
-BASELINE_S = 8.0  # they last, where the bundle's have durations of their own
 
 
 class Planner(Protocol):
@@ -72,7 +71,9 @@ class EnginePlanner:
         answer = self.engine.plan(resolve_for_card(request, self.engine.card))
         states = (answer.trajectories, answer.velocities, answer.accelerations)
         position, velocity, acceleration = (state.astype(np.float64) for state in states)
-        return Proposals(position, velocity, acceleration, answer.dt, answer.safe)
+        return Proposals(
+            position, velocity, acceleration, answer.dt, answer.safe, answer.arrays.get("scores")
+        )
 
 
 def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> AnchorRequest:
@@ -101,12 +102,13 @@ def scene_of(request: ResolvedRequest) -> Scene:
         x_curr=request.x_curr[0],
         x_goal=request.x_goal[0],
         w_style=request.w_style[0],
+        motion=MotionLimits(request.limits.v_max, request.limits.a_max, request.limits.horizon_s),
     )
 
 
-def without_fields(scene: Scene) -> Scene:
-    """The scene before any of its fields was worked out: every request pays for them anew."""
-    return replace(scene)
+def without_fields(scene: Scene, limits: MotionLimits) -> Scene:
+    """The scene for these limits before any of its fields was worked out: every request pays."""
+    return replace(scene, motion=limits)
 
 
 def engine_planners(
@@ -150,7 +152,6 @@ def bundle_names(bundles: Sequence[Bundle]) -> list[str]:
 
 
 def limits_of(bundle: Bundle) -> MotionLimits:
-    """What a bundle's anchors keep; BASELINE_S stands for a duration of their own."""
+    """What a bundle's anchors keep."""
     limits = bundle.card.cost_map.limits
-    horizon_s = BASELINE_S if limits.horizon_s is None else limits.horizon_s
-    return MotionLimits(v_max=limits.v_max, a_max=limits.a_max, horizon_s=horizon_s)
+    return MotionLimits(limits.v_max, limits.a_max, limits.horizon_s)

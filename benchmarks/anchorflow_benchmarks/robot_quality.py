@@ -60,7 +60,7 @@ class AskedRobot:
         x_curr[2 * dim :] *= weaker
         x_goal[dim:] *= slower
         radius = self.radius or scene.robot_radius
-        return replace(scene, x_curr=x_curr, x_goal=x_goal, robot_radius=radius)
+        return replace(scene, x_curr=x_curr, x_goal=x_goal, robot_radius=radius, motion=limits)
 
 
 def robot_tables(

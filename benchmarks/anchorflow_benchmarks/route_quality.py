@@ -14,11 +14,11 @@ from anchorflow_benchmarks.planners import Planner
 from anchorflow_benchmarks.quality import Plans, quality_row
 from anchorflow_benchmarks.report import ResultTable
 from anchorflow_benchmarks.route_files import load_routes
-from anchorflow_benchmarks.routes_planner import scene_routes
 from anchorflow_benchmarks.scene_files import WITHOUT_FILE, data_folder, load_scenes, spread_evenly
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ray_signature import Signature
+from anchorflow_trajectory.route_shortening import pulled_tight
 from anchorflow_trajectory.routes import Route, find_routes
 
 COLUMNS = (
@@ -138,7 +138,10 @@ def _search_ms(scene: FamilyScene) -> tuple[float, float]:
     def search() -> list[Route]:
         return find_routes(field, resolution=resolution, origin=origin, start=start, goal=goal)
 
-    calls = (search, lambda: scene_routes(scene))
+    def tight() -> list[Route]:
+        return pulled_tight(search(), field, resolution=resolution, origin=origin)
+
+    calls = (search, tight)
     best = [np.inf, np.inf]
     for _ in range(ROUNDS):
         for k, call in enumerate(calls):

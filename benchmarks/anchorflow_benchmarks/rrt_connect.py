@@ -1,6 +1,7 @@
 """RRT-Connect (Kuffner & LaValle, 2000) from OMPL, its paths smoothed to the same limits.
 
-Each path is simplified by OMPL, given a smooth time law and fitted by the spline that anchors are.
+Each path is simplified by OMPL, gone by the time law of the other
+baselines and fitted by the spline that anchors are.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from numpy.typing import NDArray
 from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]  # not everywhere
 
 from anchorflow_benchmarks.anchors import Proposals
+from anchorflow_benchmarks.baselines import gone_along
 from anchorflow_benchmarks.planners import NUM_SAMPLES, without_fields
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import spline_basis
-from anchorflow_trajectory.time_law import time_along
 
 FloatArray = NDArray[np.float32]
 State = Any  # two numbers; OMPL's stubs do not say that they can be indexed
@@ -45,15 +46,14 @@ class RrtConnectPlanner:
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         seed_generators(seed)
         straight = np.stack([scene.x_curr[:2], scene.x_goal[:2]])
-        space = _space(without_fields(scene), self.margin)
+        space = _space(without_fields(scene, self.limits), self.margin)
         paths, failures = [], 0
         for _ in range(num):
             path = _solved(space, straight) if failures < PATIENCE else None
             failures = 0 if path is not None else failures + 1
             paths.append(straight if path is None else path)
-        basis = spline_basis(NUM_SAMPLES, self.limits.horizon_s)
-        timed = np.stack([time_along(path, NUM_SAMPLES) for path in paths])
-        return Proposals.of_spline(basis, basis.fit_positions(timed, scene.x_curr, scene.x_goal))
+        basis = spline_basis(NUM_SAMPLES)
+        return Proposals.of_spline(basis, gone_along(paths, basis, scene.ends, limits=self.limits))
 
 
 _seeded: list[int] = []

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_client.contract import DEFAULT_STYLE
-from anchorflow_training.scenes import FamilyScene, SceneError, draw_scene
+from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import with_neutral_channels
 
@@ -27,6 +27,7 @@ WITHOUT_FILE = f"{DRAWN}:60:0"
 CHANNELS = 3  # occupancy, traversability, risk
 HELD_OUT = 0x5EED  # keeps drawn scenes apart from those of a dataset of the same seed
 STYLE = np.array(DEFAULT_STYLE, np.float32)
+ONE_ROBOT = RobotRanges(usual=1.0, fixed=0.0)
 
 
 def default_source() -> str:
@@ -52,7 +53,7 @@ def load_scenes(
     kind, _, rest = source.partition(":")
     if kind == DRAWN:
         return spread_evenly(draw_scenes(*count_and_seed(rest), limits=limits), limit)
-    return spread_evenly(read_scenes(Path(source)), limit)
+    return spread_evenly(read_scenes(Path(source), limits=limits), limit)
 
 
 def spread_evenly(rows: list[Chosen], limit: int | None) -> list[Chosen]:
@@ -62,7 +63,7 @@ def spread_evenly(rows: list[Chosen], limit: int | None) -> list[Chosen]:
     return [rows[i] for i in np.linspace(0, len(rows) - 1, limit).astype(int)]
 
 
-def read_scenes(path: Path) -> list[FamilyScene]:
+def read_scenes(path: Path, *, limits: MotionLimits) -> list[FamilyScene]:
     """The scenes of a .npz file, each map centred on (0, 0).
 
     Its keys: occupancy uint8 [S, H, W/8], packed along its last axis, row 0 at the bottom;
@@ -79,7 +80,7 @@ def read_scenes(path: Path) -> list[FamilyScene]:
         resolution, radius = float(arrays["resolution"]), float(arrays["robot_radius"])
         rows = zip(arrays["family"], arrays["x_curr"], arrays["x_goal"], occupied, strict=True)
         return [
-            _scene(str(family).partition("/")[0], cells, resolution, radius, x_curr, x_goal)
+            _scene(str(family).partition("/")[0], cells, resolution, radius, x_curr, x_goal, limits)
             for family, x_curr, x_goal, cells in rows
         ]
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
@@ -99,7 +100,7 @@ def held_out_scenes(seed: int, *, limits: MotionLimits, cells: int = 96) -> Iter
         rng = np.random.default_rng([HELD_OUT, seed, index])
         while True:
             try:
-                scene = draw_scene(rng, cells=cells, limits=limits)
+                scene = draw_scene(rng, cells=cells, limits=limits, robots=ONE_ROBOT)
             except SceneError:
                 continue
             break
@@ -131,6 +132,7 @@ def _scene(
     radius: float,
     x_curr: NDArray[np.float32],
     x_goal: NDArray[np.float32],
+    limits: MotionLimits,
 ) -> FamilyScene:
     """A scene whose ground is neutral but for its obstacles."""
     return FamilyScene(
@@ -142,4 +144,5 @@ def _scene(
         x_curr=x_curr,
         x_goal=x_goal,
         w_style=STYLE,
+        motion=limits,
     )

@@ -33,6 +33,7 @@ from anchorflow_benchmarks.style_quality import style_tables
 from anchorflow_cli import (
     bench_closed_loop,
     bench_drive,
+    bench_earns,
     bench_robots,
     bench_routes,
     bench_serving,
@@ -221,6 +222,7 @@ def plain_loops(
 
 app.command()(bench_routes.routes)
 app.command()(bench_robots.robots)
+app.command()(bench_earns.earns)
 app.command()(bench_serving.load)
 app.command()(bench_zenoh.zenoh)
 app.command()(bench_zenoh.failover)

@@ -16,11 +16,11 @@ from anchorflow_trajectory.cost import MotionLimits
 
 @pytest.fixture(scope="session")
 def limits() -> MotionLimits:
-    return MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)
+    return MotionLimits(v_max=2.0, a_max=3.0)
 
 
 @pytest.fixture
-def scene() -> Callable[..., FamilyScene]:
+def scene(limits: MotionLimits) -> Callable[..., FamilyScene]:
     """Makes a scene of 6.4 m from its occupied cells [H, W]: from (-2, 0) to (2, 0), at rest."""
 
     def make(occupied: np.ndarray, *, family: str = "blocks") -> FamilyScene:
@@ -35,6 +35,7 @@ def scene() -> Callable[..., FamilyScene]:
             x_curr=np.array([-2, 0, 0, 0, 0, 0], np.float32),
             x_goal=np.array([2, 0, 0, 0], np.float32),
             w_style=STYLE,
+            motion=limits,
         )
 
     return make

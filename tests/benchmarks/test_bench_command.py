@@ -76,7 +76,7 @@ def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
         (("latency", "--checkpoint", "a.pt", "--checkpoint", "b.pt"), "at most one --checkpoint"),
         (("quality", "--scenes", "nowhere.npz"), "nowhere.npz: not a file of scenes"),
         (("quality", "--routes", "nowhere.npz"), "nowhere.npz: not a file of routes"),
-        (("quality", "--v-max", "9", "--scenes", "drawn:1:0"), "v_max: expected 2 m/s"),
+        (("quality", "--v-max", "9", "--scenes", "drawn:1:0"), "v_max: expected 0.2 to 6 m/s"),
         (("routes", "--routes", "a.npz"), "at most one --routes for each --scenes"),
     ],
 )

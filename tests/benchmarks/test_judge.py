@@ -30,13 +30,12 @@ SceneMaker = Callable[..., FamilyScene]
 
 def random_anchors(scene: FamilyScene, *, count: int, seed: int, size: float) -> Proposals:
     """Splines from the scene's start to its goal, bent by about `size` m in each direction."""
-    basis, rng = spline_basis(64, 8.0), np.random.default_rng(seed)
-    rest = basis.rest_curve(scene.x_curr, scene.x_goal)
-    control = np.repeat(rest[:, None], count, axis=1)
-    free = control[..., basis.free]
+    basis, rng = spline_basis(64), np.random.default_rng(seed)
+    splines = basis.rest_curves(scene.ends, np.full(count, 8.0))
+    free = splines.control[..., basis.free]
     free += rng.normal(0.0, size, (2, count, 1)) * np.sin(np.linspace(0.0, np.pi, free.shape[-1]))
     free += rng.normal(0.0, 0.05 * size, free.shape)
-    return Proposals.of_spline(basis, control.astype(np.float32))
+    return Proposals.of_spline(basis, splines)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -112,10 +111,10 @@ def test_it_agrees_on_public_scenes(
 
 def straight(scene: FamilyScene, offset: float = 0.0) -> Proposals:
     """One anchor from start to goal, bent sideways by `offset` m."""
-    basis = spline_basis(64, 8.0)
-    control = basis.rest_curve(scene.x_curr, scene.x_goal)
-    control[1, basis.free] += offset
-    return Proposals.of_spline(basis, control[:, None])
+    basis = spline_basis(64)
+    splines = basis.rest_curves(scene.ends, np.full(1, 8.0))
+    splines.control[1, :, basis.free] += offset
+    return Proposals.of_spline(basis, splines)
 
 
 def test_a_straight_way_past_nothing_succeeds(scene: SceneMaker, limits: MotionLimits) -> None:
@@ -164,7 +163,7 @@ def test_haste_is_the_quickest_successs(scene: SceneMaker, limits: MotionLimits)
         np.repeat(one.positions, 3, axis=0),
         one.velocities / stretch,
         one.accelerations / stretch**2,
-        float(one.dt) * factors,
+        one.dts * factors,
     )
     verdict = SceneJudge(case, limits).judge(three)
 

@@ -52,7 +52,7 @@ def test_the_engine_and_its_loops_are_measured(bundle: Bundle, scenes: list[Fami
 
 
 def test_a_loop_that_does_other_work_is_found(bundle: Bundle, scenes: list[FamilyScene]) -> None:
-    loops = {"lazy loop": lambda _inputs, x, _sampler: x}
+    loops = {"lazy loop": lambda _inputs, begun, _sampler: begun.x}
     contest = Contest("small", bundle, parse_sampler("euler:uniform1", bundle.card), loops)
 
     with pytest.raises(BenchmarkError, match="lazy loop and the engine differ"):

@@ -37,11 +37,11 @@ class Bows:
         assert isinstance(scene, FamilyScene)
         self.asked.append((scene.family, num, seed))
         self.log.append(self.name)
-        basis = spline_basis(64, 8.0)
-        control = np.repeat(basis.rest_curve(scene.x_curr, scene.x_goal)[:, None], num, axis=1)
-        bow = np.sin(np.linspace(0.0, np.pi, control[1, :, basis.free].shape[1]))
-        control[1, :, basis.free] += float(scene.w_style[0]) * bow
-        return Proposals.of_spline(basis, control, safe=np.ones(num, bool))
+        basis = spline_basis(64)
+        splines = basis.rest_curves(scene.ends, np.full(num, 8.0))
+        side = splines.control[1, :, basis.free]
+        side += float(scene.w_style[0]) * np.sin(np.linspace(0.0, np.pi, side.shape[1]))
+        return Proposals.of_spline(basis, splines, safe=np.ones(num, bool))
 
 
 @pytest.fixture

@@ -28,14 +28,18 @@ SceneMaker = Callable[..., FamilyScene]
 
 
 @pytest.fixture
-def any_robot(tmp_path: Path) -> Bundle:
-    """The default bundle, with a card that lets every robot ask."""
+def any_robot() -> Bundle:
+    """The default bundle, whose card lets every robot ask."""
+    return load_bundle(DEFAULT_BUNDLE)
+
+
+@pytest.fixture
+def one_robot(tmp_path: Path) -> Bundle:
+    """The same, for no robot but its own."""
     folder = tmp_path / "bundle"
     shutil.copytree(DEFAULT_BUNDLE, folder)
     manifest = json.loads((folder / "manifest.json").read_text())
-    ranges = {"v_max": [0.1, 6.0], "a_max": [0.3, 6.0], "robot_radius": [0.05, 1.0]}
-    manifest["conditioning"].pop("adjustable", None)
-    manifest["conditioning"]["ranges"] = ranges
+    manifest["conditioning"]["ranges"] = {"horizon_s": [1.0, 60.0]}
     (folder / "manifest.json").write_text(json.dumps(manifest))
     return load_bundle(folder)
 
@@ -97,15 +101,13 @@ def test_a_row_a_robot(any_robot: Bundle, scene: SceneMaker) -> None:
     own = speeds.rows[2]
     assert own["success"] == 1.0
     assert float(own["haste"] or 0.0) >= 1.0
-    # 4 m in 8 s are too far for 0.26 m/s, and nothing that breaks a limit succeeds.
-    assert speeds.rows[0]["success"] == 0.0
+    slow = speeds.rows[0]  # takes its time
+    assert slow["success"] == 1.0
+    assert float(slow["duration"] or 0.0) > 4.0 / 0.26
     assert all(row["unsafe_called_safe"] == 0 for row in (*speeds.rows, *radii.rows))
 
 
-def test_a_card_without_the_range_refuses(scene: SceneMaker) -> None:
-    bundle = load_bundle(DEFAULT_BUNDLE)
-    if "v_max" in bundle.card.cost_map.ranges:
-        pytest.skip("the default bundle takes every robot")
-    planners = engine_planners([bundle], ["euler:uniform1"], threads=1)
+def test_a_card_without_the_range_refuses(one_robot: Bundle, scene: SceneMaker) -> None:
+    planners = engine_planners([one_robot], ["euler:uniform1"], threads=1)
     with pytest.raises(InvalidRequest, match="v_max"):
-        robot_tables(planners, [gap(scene, 20)], own=limits_of(bundle), num=2)
+        robot_tables(planners, [gap(scene, 20)], own=limits_of(one_robot), num=2)

@@ -54,11 +54,12 @@ def post(offset: int = 0) -> np.ndarray:
 
 def bows(scene: FamilyScene, *heights: float) -> Proposals:
     """An anchor for each height [m] at which it passes the middle."""
-    basis = spline_basis(64, 8.0)
-    control = np.repeat(basis.rest_curve(scene.x_curr, scene.x_goal)[:, None], len(heights), axis=1)
-    bow = np.sin(np.linspace(0.0, np.pi, control[1, 0, basis.free].shape[0]))
-    control[1, :, basis.free] += np.array(heights, np.float32)[:, None] * bow
-    return Proposals.of_spline(basis, control)
+    basis = spline_basis(64)
+    splines = basis.rest_curves(scene.ends, np.full(len(heights), 8.0))
+    side = splines.control[1, :, basis.free]
+    bow = np.sin(np.linspace(0.0, np.pi, side.shape[1]))
+    side += np.array(heights, np.float32)[:, None] * bow
+    return Proposals.of_spline(basis, splines)
 
 
 def test_ways_on_one_side_are_one_of_two_routes(scene: SceneMaker, limits: MotionLimits) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.scene_files import (
+    ONE_ROBOT,
     WITHOUT_FILE,
     default_source,
     draw_scenes,
@@ -43,8 +44,10 @@ def scene_file(tmp_path: Path) -> Callable[..., Path]:
     return write
 
 
-def test_a_file_is_read_as_it_was_written(scene_file: Callable[..., Path]) -> None:
-    first, second, third = read_scenes(scene_file())
+def test_a_file_is_read_as_it_was_written(
+    scene_file: Callable[..., Path], limits: MotionLimits
+) -> None:
+    first, second, third = read_scenes(scene_file(), limits=limits)
 
     assert [s.family for s in (first, second, third)] == ["barn", "city", "city"]
     assert np.argwhere(first.occupied).tolist() == [[2, 5]]
@@ -54,6 +57,7 @@ def test_a_file_is_read_as_it_was_written(scene_file: Callable[..., Path]) -> No
     assert first.clearance_field[2, 6] == pytest.approx(0.0)
     assert not second.occupied.any()
     assert second.x_curr[2] == 1.0
+    assert first.motion == limits
 
 
 def test_a_limit_keeps_scenes_evenly_spread(
@@ -66,30 +70,33 @@ def test_a_limit_keeps_scenes_evenly_spread(
 
 
 @pytest.mark.parametrize("missing", ["occupancy", "x_goal", "robot_radius"])
-def test_a_file_that_lacks_a_key_is_named(missing: str, scene_file: Callable[..., Path]) -> None:
+def test_a_file_that_lacks_a_key_is_named(
+    missing: str, scene_file: Callable[..., Path], limits: MotionLimits
+) -> None:
     path = scene_file(**{missing: None})
     with pytest.raises(BenchmarkError, match=rf"scenes\.npz: not a file of scenes .*{missing}"):
-        read_scenes(path)
+        read_scenes(path, limits=limits)
 
 
-def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_none_is_named(tmp_path: Path, limits: MotionLimits) -> None:
     path = tmp_path / "text.npz"
     path.write_text("no scenes")
     for broken in (path, tmp_path / "missing.npz"):
         with pytest.raises(BenchmarkError, match=broken.name):
-            read_scenes(broken)
+            read_scenes(broken, limits=limits)
 
 
 def test_drawn_scenes_depend_on_the_seed_and_are_not_those_of_a_dataset(
     limits: MotionLimits,
 ) -> None:
     first, again = (draw_scenes(2, 7, limits=limits, cells=48) for _ in range(2))
-    trained = draw_scene(np.random.default_rng([7, 0]), cells=48, limits=limits)
+    trained = draw_scene(np.random.default_rng([7, 0]), cells=48, limits=limits, robots=ONE_ROBOT)
 
     np.testing.assert_array_equal(again[1].x_goal, first[1].x_goal)
     np.testing.assert_array_equal(again[1].occupied, first[1].occupied)
     assert not np.array_equal(first[0].x_curr, trained.x_curr)
     assert not np.array_equal(first[0].x_curr, first[1].x_curr)
+    assert {scene.motion for scene in first} == {limits}  # one robot, and no horizon
 
 
 def test_a_draw_can_be_asked_for_by_name(limits: MotionLimits) -> None:

@@ -28,11 +28,11 @@ class Styled:
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:  # noqa: ARG002
         safety, energy, _ = (float(weight) for weight in scene.w_style)
-        basis = spline_basis(64, 8.0 - 4.0 * energy)
-        control = np.repeat(basis.rest_curve(scene.x_curr, scene.x_goal)[:, None], num, axis=1)
-        bow = np.sin(np.linspace(0.0, np.pi, control[1, :, basis.free].shape[1]))
-        control[1, :, basis.free] += safety * bow
-        return Proposals.of_spline(basis, control)
+        basis = spline_basis(64)
+        splines = basis.rest_curves(scene.ends, np.full(num, 8.0 - 4.0 * energy))
+        side = splines.control[1, :, basis.free]
+        side += safety * np.sin(np.linspace(0.0, np.pi, side.shape[1]))
+        return Proposals.of_spline(basis, splines)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.torch_loop import TorchLoop
 from anchorflow_client.contract import OdeSpec
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_service.engine.samplers.ode import Beginning
 from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
 
 EULER = OdeSpec("euler", (0.0, 0.5, 1.0))
@@ -46,24 +47,39 @@ def scene(channels: int) -> dict[str, np.ndarray]:
         "cost_map": cost_map,
         "map_geometry": np.array([[-3.2, -3.2, 0.2]], np.float32),
         "clearance_field": rng.uniform(0, 1, (1, 32, 32)).astype(np.float32),
-        "cost_to_go": rng.uniform(0, 6, (1, 2, 32, 32)).astype(np.float32),
         "x_curr": np.array([[-2, 0, 0.5, 0, 0, 0]], np.float32),
         "x_goal": np.array([[2, 1, 0, 0]], np.float32),
         "w_style": np.array([[0.4, 0.3, 0.3]], np.float32),
+        "limits": np.array([[2.0, 3.0, 0.25, 0.0]], np.float32),
     }
+
+
+def routes() -> torch.Tensor:
+    """[1,2,T,S]: two ways from (-2, 0) to (2, 1) in 3 s, one on each side of the block."""
+    share = np.linspace(0.0, 1.0, 64)
+    states = np.zeros((1, 2, 64, 7), np.float32)
+    states[..., 0], states[..., 2] = 4.0 * share - 2.0, 4.0
+    for side, route in zip((-1.5, 1.5), states[0], strict=True):
+        route[:, 1] = share + side * np.sin(np.pi * share)
+        route[:, 3] = 1.0 + side * np.pi * np.cos(np.pi * share)
+        route[:, 5] = -side * np.pi**2 * np.sin(np.pi * share)
+    states[..., 6] = np.log(3.0)
+    return torch.from_numpy(states)
 
 
 def test_repeating_the_condition_changes_nothing(model: L2SafetyCFM, checkpoint: Path) -> None:
     inputs = scene(model.config.map_channels)
+    mean = routes()[:, [0, 1, 0]]
     with torch.inference_mode():
         context = model.encode(**{name: torch.from_numpy(a) for name, a in inputs.items()})
-        x = model.draw(torch.randn(1, 3, model.prior.rank), context)
+        x = model.draw(torch.randn(1, 3, model.prior.rank), mean, context)
         start = x[0].numpy()
         for t, end in pairwise(EULER.schedule):
             modulation = model.modulate(torch.tensor([t]), context)[:, 0]
-            x = x + (end - t) * model.field(x, modulation, context)
+            x = x + (end - t) * model.field(x, mean, modulation, context)
 
-    got = TorchLoop(checkpoint, threads=torch.get_num_threads()).sample(inputs, start, EULER)
+    begun = Beginning(start, np.array([0, 1, 0]), mean[0].numpy())
+    got = TorchLoop(checkpoint, threads=torch.get_num_threads()).sample(inputs, begun, EULER)
 
     assert np.abs(got - start).max() > 1e-2
     np.testing.assert_allclose(got, x[0].numpy(), atol=1e-4)

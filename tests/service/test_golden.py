@@ -48,8 +48,7 @@ COMMON = {"num_samples": 6, "seed": 7, "request_id": "golden", "x_curr": START, 
 REFINED = {"project": True, "barrier": True, "guidance": 0.5, "certified_margin": 0.05}
 REQUESTS: dict[str, dict[str, Any]] = {
     "own_durations": COMMON | {"refine": {"project": True}, "w_style": "efficient"},
-    "batched": COMMON
-    | {"x_goal": [GOAL, [2.0, -2.5, 0.4, 0.0]], "v_max": 1.1, "refine": REFINED},
+    "batched": COMMON | {"x_goal": [GOAL, [2.0, -2.5, 0.4, 0.0]], "v_max": 1.1, "refine": REFINED},
     "warm": COMMON
     | {"warm_start": {"trajectory": [START[:2], [0.0, 1.5], GOAL[:2]], "tau": 0.75, "dt": 2.0}},
     "horizon": COMMON | {"horizon_s": 11.0, "refine": {"project": True}},

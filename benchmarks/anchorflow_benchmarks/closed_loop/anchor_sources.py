@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from anchorflow_benchmarks.baselines import minimum_jerk
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.planners import limits_of, scene_of
+from anchorflow_benchmarks.planners import scene_of
 from anchorflow_benchmarks.routes_planner import RoutesPlanner
 from anchorflow_client.contract import (
     DEFAULT_NUM_SAMPLES,
@@ -106,8 +106,9 @@ class RoutesSource:
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
         """To the limits that the request and the card agree on. Raises `InvalidRequest`."""
         asked = resolve_for_card(request, self.bundle.card)
-        planner = RoutesPlanner(limits_of(self.bundle), self.finish, self.finish.steps)
-        anchors = planner.plan(scene_of(asked), num=asked.num_samples, seed=asked.seed)
+        scene = scene_of(asked)
+        planner = RoutesPlanner(scene.motion, self.finish, self.finish.steps)
+        anchors = planner.plan(scene, num=asked.num_samples, seed=asked.seed)
         assert anchors.safe is not None  # the finish tells
         return AnchorBatch(
             arrays={

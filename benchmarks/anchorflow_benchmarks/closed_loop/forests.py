@@ -22,7 +22,7 @@ from anchorflow_trajectory.cost import MotionLimits
 FAMILIES = ("forest", "discs")  # of the generator: blocks and discs on open ground
 SIDES = (9.0, 16.0)  # m, of a drawn forest
 LEAST_WAY = 6.0  # m; GOAL_TOLERANCE would make more than a fifth of less
-LIMITS = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=8.0)  # of the robots
+LIMITS = MotionLimits(v_max=2.0, a_max=3.0)  # of the robots
 EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
 
 

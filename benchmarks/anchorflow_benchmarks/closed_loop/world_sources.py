@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from anchorflow_benchmarks.closed_loop.forests import draw_forests, world_of_scene
+from anchorflow_benchmarks.closed_loop.forests import LIMITS, draw_forests, world_of_scene
 from anchorflow_benchmarks.closed_loop.world import DRAWN, World, draw_world, read_worlds
 from anchorflow_benchmarks.scene_files import count_and_seed, read_scenes, spread_evenly
 
@@ -31,7 +31,7 @@ def load_worlds(source: str, *, limit: int | None = None) -> list[World]:
     elif kind == FORESTS:
         worlds = draw_forests(*count_and_seed(rest, FORESTS))
     elif _holds_scenes(path := Path(source)):
-        scenes = enumerate(read_scenes(path))
+        scenes = enumerate(read_scenes(path, limits=LIMITS))
         worlds = [world_of_scene(scene, f"{scene.family} {index}") for index, scene in scenes]
     else:
         worlds = read_worlds(path)

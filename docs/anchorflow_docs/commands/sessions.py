@@ -204,6 +204,7 @@ NOT_HERE = {
     "anchorflow bench failover": MEASURES,
     "anchorflow bench failover --seconds 60": MEASURES,
     "anchorflow bench robots --limit 60": MEASURES,
+    "anchorflow bench earns --limit 60": MEASURES,
     "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
     "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,

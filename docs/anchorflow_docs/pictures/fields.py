@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -14,19 +15,17 @@ from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
 from anchorflow_trajectory.cost_fields import soft_cost
+from anchorflow_trajectory.drawing import draw_paths
 from anchorflow_trajectory.scene import Scene
 
 FAMILY, WAYS = "rooms", 2
-LINE_EVERY_M = 1.0
-"""From one line of equal cost to the next."""
-FARTHEST_SHARE = 0.98
-"""Of the cells, whose costs the colours span: some corners are far beyond."""
+DOT_EVERY = 7
+"""Time steps, from one dot on a spline to the next."""
 
 
 def fields(stage: Stage) -> Drawing:
-    """Occupancy, soft costs, clearance, the geodesic cost from both ends, and the answer."""
+    """Occupancy, soft costs, clearance, the routes, the splines along them, and the answer."""
     scene = stage.scene_with_ways(FAMILY, WAYS, lambda scene: bool(soft_cost(scene.cost_map).any()))
-    from_start, to_goal = scene.cost_to_go
     answer = stage.plan(scene)
 
     def draw(theme: Theme) -> Figure:
@@ -37,16 +36,15 @@ def fields(stage: Stage) -> Drawing:
             axes[0, 1], scene, soft_cost(scene.cost_map), cmap=theme.costs, vmin=0, vmax=1
         )
         _draw_clearance(axes[0, 2], scene, theme)
-        for axis, costs in zip(axes[1], (from_start, to_goal), strict=False):
-            draw_costs(axis, scene, costs, theme)
-            draw_ends(axis, scene, theme)
+        draw_routes(axes[1, 0], scene, theme)
+        draw_route_splines(axes[1, 1], scene, theme)
         draw_answer(axes[1, 2], scene, answer, theme)
         titles = (
             "occupancy",
             "risk, hard ground",
             "clearance [m]",
-            "cost from the start [m]",
-            "cost to the goal [m]",
+            "routes",
+            "splines along them",
             "anchors",
         )
         for axis, title in zip(axes.flat, titles, strict=True):
@@ -57,15 +55,21 @@ def fields(stage: Stage) -> Drawing:
     return draw
 
 
-def draw_costs(axis: Axes, scene: Scene, costs: Array, theme: Theme) -> None:
-    """A geodesic cost [H,W] where the robot's centre may be, with lines of equal cost."""
-    free = np.where(scene.clearance_field > 0, costs, np.nan)
-    top = float(np.nanquantile(free, FARTHEST_SHARE))
+def draw_routes(axis: Axes, scene: Scene, theme: Theme) -> None:
+    """The shortest way round the obstacles on each side, as the search finds and tightens it."""
     draw_map(axis, scene, theme)
-    image = draw_field(axis, scene, free, cmap=theme.field, vmin=0.0, vmax=top)
-    levels = np.arange(LINE_EVERY_M, top, LINE_EVERY_M)
-    axis.contour(*_centres(scene), free, levels=levels, colors=theme.page, linewidths=0.6)
-    _bar(axis, image)
+    for route, colour in zip(scene.routes, cycle(theme.ways), strict=False):
+        draw_paths(axis, route.points[None], colour, linewidths=1.4)
+    draw_ends(axis, scene, theme)
+
+
+def draw_route_splines(axis: Axes, scene: Scene, theme: Theme) -> None:
+    """Where anchors begin: a spline along each route, with a dot at equal shares of its time."""
+    draw_map(axis, scene, theme)
+    for states, colour in zip(scene.route_states, cycle(theme.ways), strict=False):
+        draw_paths(axis, states[None, :, :2], colour, linewidths=1.4)
+        axis.plot(*states[::DOT_EVERY, :2].T, ".", color=colour, markersize=3.5)
+    draw_ends(axis, scene, theme)
 
 
 def _draw_clearance(axis: Axes, scene: Scene, theme: Theme) -> None:

@@ -1,4 +1,4 @@
-"""The way of a request, in pictures: encode, sample, refine."""
+"""The way of a request, in pictures: routes, noise round them, the flow, the finish."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from anchorflow_docs.pictures.marks import draw_ends, draw_field, draw_map
+from anchorflow_docs.pictures.fields import draw_route_splines
+from anchorflow_docs.pictures.marks import draw_ends, draw_map
 from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
 from anchorflow_trajectory.drawing import draw_paths
 
 FAMILY, WAYS = "bug_traps", 2
-STEPS = ("the request", "encode", "sample: noise …", "… carried to t = 1", "refine: the answer")
+STEPS = ("the request", "routes", "sample: noise …", "… carried to t = 1", "refine: the answer")
 
 
 def pipeline(stage: Stage) -> Drawing:
     """Five small panels with arrows between them."""
     scene = stage.scene_with_ways(FAMILY, WAYS)
     states = stage.flow_states(scene).positions
-    to_goal = scene.cost_to_go[1]
     answer = stage.plan(scene)
 
     def draw(theme: Theme) -> Figure:
@@ -28,8 +28,7 @@ def pipeline(stage: Stage) -> Drawing:
         figure.get_layout_engine().set(wspace=0.12)  # type: ignore[union-attr]
         for axis in axes[[0, 2, 3]]:
             draw_map(axis, scene, theme)
-        farthest = to_goal[scene.clearance_field > 0].max()
-        draw_field(axes[1], scene, to_goal, cmap=theme.field, vmax=farthest)
+        draw_route_splines(axes[1], scene, theme)
         for axis, paths in zip(axes[2:4], states[[0, -1]], strict=True):
             draw_paths(axis, paths, theme.ways[0], alpha=0.5, linewidths=0.7)
         draw_answer(axes[4], scene, answer, theme)

@@ -14,7 +14,7 @@ from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, reso
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_training.data.homology import homology_classes, obstacle_points
-from anchorflow_training.scenes import FamilyScene, SceneError, draw_scene
+from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
@@ -27,6 +27,9 @@ FARTHEST = 5.0
 """m that start and goal are apart at least: a short way shows little."""
 FINEST = 0.14
 """m/cell at most: in a larger scene a robot is a dot."""
+
+ONE_ROBOT = RobotRanges(usual=1.0, fixed=0.0)
+"""The card's own, and no horizon."""
 
 Wanted = Callable[[FamilyScene], bool]
 
@@ -90,7 +93,7 @@ class Stage:
         limits = MotionLimits(own.v_max, own.a_max, own.horizon_s)
         while True:
             with suppress(SceneError):
-                yield draw_scene(rng, limits=limits)
+                yield draw_scene(rng, limits=limits, robots=ONE_ROBOT)
 
 
 def ways(scene: Scene, answer: AnchorBatch) -> NDArray[np.int64]:

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from anchorflow_client.contract import AnchorBatch
+from anchorflow_client.contract import STYLES, AnchorBatch
 from anchorflow_docs.pictures.marks import Array, draw_best, draw_ends, draw_map
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
@@ -14,14 +14,14 @@ from anchorflow_trajectory.drawing import draw_paths
 from anchorflow_trajectory.scene import Scene
 
 FAMILY, WAYS = "city", 2
-STYLES = {"safety": (0.8, 0.1, 0.1), "energy": (0.1, 0.8, 0.1), "smooth": (0.1, 0.1, 0.8)}
+DRAWN = ("conservative", "efficient", "comfortable")
 PROFILES = ("clearance [m]", "speed [m/s]", "jerk [m/s³]")
 
 
 def styles(stage: Stage) -> Drawing:
-    """The same noise under three styles, and the three best anchors over time."""
+    """The same noise under three named styles, and the three best anchors over time."""
     scene = stage.scene_with_ways(FAMILY, WAYS)
-    answers = {name: stage.plan(scene, w_style=weights) for name, weights in STYLES.items()}
+    answers = {name: stage.plan(scene, w_style=name) for name in DRAWN}
 
     def draw(theme: Theme) -> Figure:
         figure, axes = plt.subplots(
@@ -52,11 +52,11 @@ def _draw_profile(axes: Array, scene: Scene, answer: AnchorBatch, colour: str) -
         for array in (answer.trajectories, answer.velocities, answer.accelerations)
     )
     field = scene.cost_fields.clearance
-    time = np.arange(len(position)) * answer.dt
+    time = np.linspace(0.0, answer.durations[best], len(position))
     profiles = (
         field.sample(*position[:, :2].T),
         np.linalg.norm(velocity, axis=-1),
-        np.linalg.norm(np.gradient(acceleration, answer.dt, axis=0), axis=-1),
+        np.linalg.norm(np.gradient(acceleration, time, axis=0), axis=-1),
     )
     for axis, values in zip(axes, profiles, strict=True):
         axis.plot(time, values, color=colour, linewidth=1.6)

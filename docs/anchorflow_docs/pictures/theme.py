@@ -42,8 +42,6 @@ class Theme:
     goal: str
     scores: Colormap
     """From the worst score to the best."""
-    field: Colormap
-    """Of distances, from near to far."""
     ways: tuple[str, ...]
     """For things of different kinds, told apart by the colour-blind too."""
 
@@ -86,10 +84,10 @@ class Theme:
         }
 
 
-def _part(name: str, low: float, high: float, *, shades: int = 256) -> Colormap:
+def _part(name: str, low: float, high: float) -> Colormap:
     """A stretch of one of matplotlib's colour maps; backwards where low is above high."""
     whole = plt.get_cmap(name)
-    return ListedColormap([whole(share) for share in np.linspace(low, high, shades)])
+    return ListedColormap([whole(share) for share in np.linspace(low, high, 256)])
 
 
 LIGHT = Theme(
@@ -102,7 +100,6 @@ LIGHT = Theme(
     start="#00857a",
     goal="#d1304b",
     scores=_part("plasma", 0.82, 0.05),
-    field=_part("viridis", 1.0, 0.15, shades=SHADES),
     ways=("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#7a5cd6", "#a68a00"),
 )
 DARK = Theme(
@@ -115,7 +112,6 @@ DARK = Theme(
     start="#34d3c2",
     goal="#ff6b81",
     scores=_part("plasma", 0.25, 0.95),
-    field=_part("viridis", 0.2, 1.0, shades=SHADES),
     ways=("#56b4e9", "#ff8c42", "#2fd39c", "#f49ac8", "#a996ff", "#f0e442"),
 )
 

@@ -19,10 +19,10 @@ def warm_start(stage: Stage) -> Drawing:
     scene = stage.scene_with_ways(FAMILY, WAYS)
     cold = stage.plan(scene)
     way_of = ways(scene, cold)
-    given = cold.trajectories[int((way_of == way_of.max()).argmax())]
-    answers = [cold] + [
-        stage.plan(scene, warm_start={"trajectory": given, "tau": tau}) for tau in TAUS
-    ]
+    chosen = int((way_of == way_of.max()).argmax())
+    given = cold.trajectories[chosen]
+    plan = {"trajectory": given, "dt": cold.durations[chosen] / (len(given) - 1)}
+    answers = [cold] + [stage.plan(scene, warm_start=plan | {"tau": tau}) for tau in TAUS]
     titles = ["from noise", *(f"τ = {tau}" for tau in TAUS)]
 
     def draw(theme: Theme) -> Figure:

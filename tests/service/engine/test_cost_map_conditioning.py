@@ -73,7 +73,8 @@ def test_limits_and_durations_are_the_requests(free_bundle: Path, small_request:
     durations = [np.exp(inputs["route_states"][0, :, 0, -1]) for inputs in given]
     assert (durations[0] > 6.0 / 0.26).all()
     np.testing.assert_allclose(durations[1], 40.0, rtol=1e-5)
-    assert (durations[2] > 3.0).all() and (durations[2] < 7.0).all()
+    assert (durations[2] > 3.0).all()
+    assert (durations[2] < 7.0).all()
 
 
 def test_where_no_way_is_free_one_curve_stands_for_the_routes(

@@ -119,7 +119,10 @@ def test_with_a_horizon_all_anchors_are_alike(free: Engine, small_request: Build
 
 
 def test_scenes_of_a_batch_have_their_own_durations(free: Engine, small_request: Build) -> None:
-    ends = {"x_curr": [[-3.0, 0.1] + [0.0] * 4] * 2, "x_goal": [[3.0, 0.2, 0, 0], [-1.0, 0.1, 0, 0]]}
+    ends = {
+        "x_curr": [[-3.0, 0.1] + [0.0] * 4] * 2,
+        "x_goal": [[3.0, 0.2, 0, 0], [-1.0, 0.1, 0, 0]],
+    }
     batch = plan(free, small_request(**ends))
     assert np.shape(batch.dt) == (2, 20)
     assert (batch.durations[1] < batch.durations[0].min()).all()
@@ -216,9 +219,7 @@ def test_the_first_anchors_of_a_seed_do_not_depend_on_how_many_are_asked_for(
     free: Engine, small_request: Build
 ) -> None:
     """As they are drawn: what a finish brings back may follow a neighbour that it gained."""
-    few, many = (
-        plan(free, small_request(num_samples=n, refine=AS_SAMPLED)) for n in (7, 30)
-    )
+    few, many = (plan(free, small_request(num_samples=n, refine=AS_SAMPLED)) for n in (7, 30))
     np.testing.assert_allclose(few.trajectories, many.trajectories[:7], atol=1e-6)
     np.testing.assert_allclose(few.durations, many.durations[:7], rtol=1e-6)
 

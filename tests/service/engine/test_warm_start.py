@@ -64,7 +64,7 @@ def test_missing_derivatives_and_steps_are_filled(scene: Scene, steps: int, colu
     given = detour(steps)[:, :columns]
     got = warm_states(scene, given, ROUTE, dt=LASTS / (steps - 1))
     assert got.dtype == np.float32
-    warm = got[ROUTE == on(1.0, scene)]
+    warm = got[on(1.0, scene) == ROUTE]
     expected = np.broadcast_to(in_own_time(detour(8), LASTS), (len(warm), 8, 6))
     np.testing.assert_allclose(warm[..., :6], expected, atol=1e-4)
     np.testing.assert_allclose(warm[..., 6], np.log(LASTS), rtol=1e-6)
@@ -73,7 +73,7 @@ def test_missing_derivatives_and_steps_are_filled(scene: Scene, steps: int, colu
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_only_the_nearest_routes_anchors_start_from_the_plan(scene: Scene, side: float) -> None:
     got = warm_states(scene, detour(20, side), ROUTE, dt=LASTS / 19)
-    others = ROUTE != on(side, scene)
+    others = on(side, scene) != ROUTE
     np.testing.assert_array_equal(got[others], scene.route_states[ROUTE[others]])
     off = np.abs(got[~others] - scene.route_states[ROUTE[~others]]).max((1, 2))
     assert (off > 0.05).all()
@@ -85,15 +85,13 @@ def test_a_plan_of_no_known_duration_lasts_as_long_as_its_route(scene: Scene) ->
     np.testing.assert_allclose(got[..., 6], nominal, rtol=1e-6)
 
 
-def test_with_a_horizon_a_plan_lasts_as_long_as_it(
-    free_bundle: Path, small_request: Build
-) -> None:
+def test_with_a_horizon_a_plan_lasts_as_long_as_it(free_bundle: Path, small_request: Build) -> None:
     """Its way stays the same, whatever its own time step was."""
     fixed = scene_of(free_bundle, small_request(horizon_s=9.0))
     for dt in (None, 0.1, 2.0):
         got = warm_states(fixed, detour(20)[:, :2], ROUTE, dt=dt)
         np.testing.assert_allclose(np.exp(got[..., 6]), 9.0, rtol=1e-6)
-        warm = got[ROUTE == on(1.0, fixed)][0]
+        warm = got[on(1.0, fixed) == ROUTE][0]
         np.testing.assert_allclose(warm[:, :6], in_own_time(detour(8), LASTS), atol=1e-3)
 
 
@@ -105,7 +103,7 @@ def test_what_is_too_quick_or_too_slow_is_gone_as_the_robot_can(
 ) -> None:
     """The way is kept, and lasts no less than it needs at the limits."""
     got = warm_states(scene, detour(200)[:, :2], ROUTE, dt=dt)
-    warm = got[ROUTE == on(1.0, scene)][0]
+    warm = got[on(1.0, scene) == ROUTE][0]
     length = np.linalg.norm(np.diff(warm[:, :2], axis=0), axis=1).sum()
     least = scene.motion.least_time(float(length))
     np.testing.assert_allclose(np.exp(warm[:, 6]), share * least, rtol=1e-5)
@@ -118,7 +116,7 @@ def test_a_remainder_of_centimetres_is_answered(
     free_bundle: Path, small_request: Build, way: float, columns: int
 ) -> None:
     start = np.array([0.5, 2.0])
-    goal = start + [way, 0.0]
+    goal = start + np.array([way, 0.0])
     rest = np.linspace(start, goal, 6)
     trajectory = np.concatenate([rest, np.zeros((6, columns - 2))], axis=1)
     batch = LocalClient.of(free_bundle, threads=1).plan_request(
@@ -167,7 +165,7 @@ def test_six_columns_are_velocities_too_where_the_card_has_a_heading(
 ) -> None:
     got = warm_states(turning_scene, turning(31)[:, :columns], ROUTE, dt=LASTS / 30)
     expected = turning(8) * np.repeat(LASTS ** np.arange(3.0), 3)
-    warm = got[ROUTE == on(1.0, turning_scene)][0]
+    warm = got[on(1.0, turning_scene) == ROUTE][0]
     np.testing.assert_allclose(warm[:, :9], expected, atol=1e-4)
 
 
@@ -197,11 +195,7 @@ def test_the_flow_goes_on_from_tau(free_bundle: Path, small_request: Build, side
     x_1[route == on(side, scene)] = detour(8, side)[:, :2]
     x_0 = mean[..., :2] + 0.1 * noise[:, None, :1]
     moved = np.array([4 / 256, 1.0]) * (1 - tau**4)
-    np.testing.assert_allclose(
-        batch.trajectories, tau * x_1 + (1 - tau) * x_0 + moved, atol=1e-5
-    )
+    np.testing.assert_allclose(batch.trajectories, tau * x_1 + (1 - tau) * x_0 + moved, atol=1e-5)
     log_1 = np.where(route == on(side, scene), np.log(LASTS), mean[:, 0, 6])
     log_0 = mean[:, 0, 6] + 0.1 * noise[:, 2]
-    np.testing.assert_allclose(
-        batch.durations, np.exp(tau * log_1 + (1 - tau) * log_0), rtol=1e-5
-    )
+    np.testing.assert_allclose(batch.durations, np.exp(tau * log_1 + (1 - tau) * log_0), rtol=1e-5)

@@ -30,7 +30,11 @@ def refusal(folder: Path) -> str:
         (("graphs", "field", "inputs", 1, "name"), "mean", "graphs.field.inputs: 'mean' is not"),
         (("sampler", "prior"), None, "graphs.field.inputs: 'prior_mean' is not one of"),
         (("sampler", "prior", "mean"), "means", "graphs.field.inputs: 'prior_mean' is not one of"),
-        (("sampler", "prior", "mean"), "middle", "'middle' is not one of prior_basis, means, route"),
+        (
+            ("sampler", "prior", "mean"),
+            "middle",
+            "'middle' is not one of prior_basis",
+        ),
         (("graphs", "field", "outputs", 0, "name"), "dx", "outputs: expected dx_t, got dx"),
         (
             ("graphs", "field", "inputs", 0, "shape"),

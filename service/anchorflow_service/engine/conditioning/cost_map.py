@@ -59,9 +59,7 @@ class CostMapConditioning:
             )
         reference = _reference(request.cost_map)
         near = _moved(request, reference) if reference.any() else request
-        return [
-            MapScene(near, self._scene(near, b), reference) for b in range(request.num_scenes)
-        ]
+        return [MapScene(near, self._scene(near, b), reference) for b in range(request.num_scenes)]
 
     def _scene(self, request: ResolvedRequest, index: int) -> Scene:
         """One of a request's scenes, on a map of all the model's channels."""
@@ -130,9 +128,7 @@ def _basis_of(manifest: Manifest) -> SplineBasis:
     entry, steps = manifest.finish, manifest.time.steps
     if not isinstance(entry, SplineEntry):
         return spline_basis(steps)
-    return spline_basis(
-        steps, num_control_points=entry.num_control_points, degree=entry.degree
-    )
+    return spline_basis(steps, num_control_points=entry.num_control_points, degree=entry.degree)
 
 
 def _limits(request: ResolvedRequest) -> LimitsSpec:
