@@ -190,6 +190,15 @@ def test_a_slower_robot_in_its_own_time_is_asked_the_same(
         np.testing.assert_allclose(other_part, part, rtol=1e-4, atol=1e-5 * np.abs(part).max())
 
 
+def test_states_last_as_long_as_they_say_or_as_the_horizon() -> None:
+    states = np.random.default_rng(0).normal(size=(3, 8, 7)).astype(np.float32)
+    states[..., -1] = np.log([[2.0], [3.0], [4.0]])
+    states[0, ::2, -1], states[0, 1::2, -1] = np.log(1.0), np.log(4.0)
+    free, fixed = MotionLimits(2.0, 3.0), MotionLimits(2.0, 3.0, horizon_s=7.0)
+    np.testing.assert_allclose(free.durations(states), [2.0, 3.0, 4.0], rtol=1e-6)
+    assert fixed.durations(states).tolist() == [7.0] * 3
+
+
 def test_jerk_is_measured_by_the_gentler_of_two_ramps() -> None:
     """Of a_max where that is weak, else of reaching v_max within TURN metres."""
     assert MotionLimits(2.0, 1.5).jerk_scale == pytest.approx(1.5**2 / 2.0)

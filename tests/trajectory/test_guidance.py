@@ -50,9 +50,7 @@ def ends_of(dim: int) -> Ends:
 
 def cost_of_states(guidance: Guidance, states: np.ndarray) -> np.ndarray:
     """J [N] of the spline that the finish fits to states [N, T, 3D + 1]."""
-    duration = np.exp(states[..., -1].mean(-1))
-    if guidance.cost.limits.horizon_s is not None:
-        duration = np.full(len(states), guidance.cost.limits.horizon_s)
+    duration = guidance.cost.limits.durations(states)
     fitted = BASIS.fit(states[..., :-1], guidance.ends, duration)
     # The same in float64, so that finite differences resolve it.
     control = BASIS.end_points(guidance.ends, duration).astype(np.float64)

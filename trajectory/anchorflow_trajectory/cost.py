@@ -58,6 +58,12 @@ class MotionLimits:
             return length / self.v_max + self.v_max / self.a_max
         return 2.0 * (max(length, 0.0) / self.a_max) ** 0.5
 
+    def durations(self, states: FloatArray) -> NDArray[np.float64]:
+        """s that states [N, T, 3D + 1] last, [N]: the horizon, or as their log duration says."""
+        if self.horizon_s is not None:
+            return np.full(len(states), self.horizon_s)
+        return np.exp(states[..., -1].mean(-1, dtype=np.float64))
+
 
 @dataclass(frozen=True)
 class CostWeights:

@@ -64,10 +64,8 @@ class Guidance:
 
     def _slope(self, states: FloatArray) -> FloatArray:
         """∇J of states [N, T, 3D + 1]: [N, T*(3D + 1)]."""
-        basis, horizon_s = self.cost.basis, self.cost.limits.horizon_s
-        duration = np.exp(states[..., -1].mean(-1, dtype=np.float64))
-        if horizon_s is not None:
-            duration = np.full(len(states), horizon_s)
+        basis, limits = self.cost.basis, self.cost.limits
+        duration = limits.durations(states)
         splines = basis.fit(states[..., :-1], self.ends, duration)
         _, gradient = self.cost.value_and_gradient(splines)
         fields = gradient.control[..., basis.free] @ basis.fit_matrix  # [D, N, 3T]
@@ -76,7 +74,7 @@ class Guidance:
         slope[..., :-1] = (
             fields.reshape(-1, count, 3, steps).transpose(1, 3, 2, 0).reshape(count, steps, -1)
         )
-        if horizon_s is None:
+        if limits.horizon_s is None:
             ending = basis.end_slopes(self.ends, duration)
             # The fit takes back on the free control points what the fixed ones explain.
             ending[..., basis.free] = -basis.fit_free(basis.own_time_states(ending))

@@ -144,11 +144,8 @@ class Refiner:
 
     def fitted(self, states: FloatArray) -> Splines:
         """The splines nearest to states [N, T, 3D + 1]; they last as long as the horizon asks."""
-        scene, horizon_s = self.scene, self.scene.motion.horizon_s
-        duration = np.exp(states[..., -1].mean(-1, dtype=np.float64))
-        if horizon_s is not None:
-            duration = np.full(len(states), horizon_s)
-        return scene.basis.fit(states[..., :-1], scene.ends, duration)
+        scene = self.scene
+        return scene.basis.fit(states[..., :-1], scene.ends, scene.motion.durations(states))
 
     @staticmethod
     def _as_sampled(states: FloatArray, duration: FloatArray) -> list[FloatArray]:

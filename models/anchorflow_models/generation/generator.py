@@ -66,7 +66,8 @@ class TrajectoryGenerator:
 
         cost_map: [C, H, W] in [0, 1], occupancy first; channels left out are neutral
         x_curr: [3D] p, v, a; x_goal: [2D] p, v
-        w_style: [3] safety, energy, smooth, scaled to sum to 1, or a style by its name
+        w_style: [3] safety, energy, smooth, scaled to sum to 1, or a style's name; by default
+            balanced
         resolution: m/cell; origin: [2] m, outer corner of cell (0, 0), by default such that the
             map's centre is (0, 0); robot_radius: m
         motion: speed and acceleration to keep, and the horizon where durations are given

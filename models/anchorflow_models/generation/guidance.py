@@ -31,8 +31,8 @@ Cost = Callable[[Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Guidance:
-    """cost: states [B, N, T, 3D + 1] in the map's frame -> [B, N], differentiable: p, p', p'' by the
-        trajectory's own time, in m, and log duration
+    """cost: states [B, N, T, 3D + 1] -> [B, N], differentiable; p, p', p'' by the trajectory's own
+        time, in m and the map's frame, and log duration
     scale: 0 or more; anchors are drawn as if those of cost J were exp(-scale J) times as likely,
         so a cost in m wants a scale in 1/m
     """

@@ -41,7 +41,8 @@ def requested_scenes(
     """What a service is asked, as scenes for a model of this configuration.
 
     cost_map: [C, H, W], C up to the model's; channels left out are neutral
-    x_curr: [3D]; x_goal: [2D]; w_style: [3], scaled to sum to 1, or a style's name; balanced by default
+    x_curr: [3D]; x_goal: [2D]
+    w_style: [3], scaled to sum to 1, or a style's name; balanced by default
     origin: [2] m; by default the map's centre is (0, 0)
     motion: what anchors keep, and how long they last where that is given
 

@@ -30,8 +30,8 @@ def generate_trajectory_anchors(
         energy, smooth; each with or without a B axis
     config: how they are drawn and finished, but for num_samples; `GeneratorConfig`
     options: resolution (0.1 m/cell), origin (m, [2]; the map's centre is (0, 0)), robot_radius
-        (0.25 m), motion, seed, warm_start, guidance: of `TrajectoryGenerator.generate_batch`, which also
-        says which anchors are safe
+        (0.25 m), motion, seed, warm_start, guidance: of `TrajectoryGenerator.generate_batch`, which
+        also says which anchors are safe and how long each lasts
 
     Raises:
         InvalidRequest: a field is not that; the message names it.
