@@ -20,6 +20,7 @@ from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_models.flowmp import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_service.bundle import load_bundle
+from anchorflow_service.bundle.manifest import OdeEntry, PriorEntry
 from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.cost import MotionLimits
 
@@ -48,7 +49,8 @@ def test_the_folder_holds_three_graphs_and_a_manifest(bundle: Path) -> None:
     assert field["features"] == ("B", 4, 12, 12)
     assert "unused" not in manifest.graphs["encode"].output_names
     assert manifest.training == {"checkpoint": "none"}
-    assert manifest.sampler.prior.mean == "route_states"
+    assert isinstance(manifest.sampler, OdeEntry)
+    assert manifest.sampler.prior == PriorEntry(mean="route_states", basis="prior_basis")
     assert manifest.time.dt == pytest.approx(8.0 / 7)  # all last as long as the card says
 
 
@@ -180,7 +182,7 @@ def test_the_card_has_the_limits_and_ranges_that_are_chosen(
     np.testing.assert_allclose(client.plan(**request, horizon_s=9.0).durations, 9.0)
     for name, value in (("v_max", 3.0), ("a_max", 2.0), ("horizon_s", 1.0)):
         with pytest.raises(InvalidRequest, match=name):
-            client.plan(**request, **{name: value})
+            client.plan(**{**request, name: value})
 
 
 def test_an_open_horizon_needs_its_range(description: BundleDescription, tmp_path: Path) -> None:

@@ -67,17 +67,18 @@ def test_generator_and_engine_agree_from_a_seed(
 ) -> None:
     occupancy = np.zeros((1, 48, 48), np.float32)
     occupancy[0, 21:27, 20:26] = 1.0
-    served = client.plan(
-        cost_map={"data": occupancy, "resolution": 0.1},
-        x_curr=X_CURR,
-        x_goal=X_GOAL,
-        num_samples=6,
-        seed=11,
-        sampler={"method": "heun", "schedule": {"uniform": 3}},
-        refine={"project": project, "safety_margin": 0.1},
-        warm_start=warm,
-        **limits,
-    )
+    request: dict[str, Any] = {
+        "cost_map": {"data": occupancy, "resolution": 0.1},
+        "x_curr": X_CURR,
+        "x_goal": X_GOAL,
+        "num_samples": 6,
+        "seed": 11,
+        "sampler": {"method": "heun", "schedule": {"uniform": 3}},
+        "refine": {"project": project, "safety_margin": 0.1},
+        "warm_start": warm,
+    }
+    request.update(limits)
+    served = client.plan(**request)
     config = GeneratorConfig(
         method="heun", steps=3, num_samples=6, project=project, safety_margin=0.1
     )

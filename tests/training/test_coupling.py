@@ -32,7 +32,7 @@ def test_coupling_stays_within_groups_and_is_the_best_there() -> None:
         for label in np.unique(groups[b]):
             own = np.flatnonzero(groups[b] == label)
             alone = couple(
-                start[b : b + 1, own], end[b : b + 1, own], groups=np.zeros((1, len(own)))
+                start[b : b + 1, own], end[b : b + 1, own], groups=np.zeros((1, len(own)), int)
             )
             np.testing.assert_array_equal(own[alone[0]], order[b, own])
 

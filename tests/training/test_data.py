@@ -52,7 +52,8 @@ def test_kept_trajectories_are_good(dataset: SceneDataset) -> None:
         origin, resolution = np.split(scenes["map_geometry"][index], [2])
         field = GridField(scenes["clearance"][index], float(resolution[0]), origin)
         v_max, a_max, _, horizon_s = scenes["limits"][index].tolist()
-        verdict = verify(tuple(np.split(states, 3, axis=-1)), field, MotionLimits(v_max, a_max))
+        position, velocity, acceleration = np.split(states, 3, axis=-1)
+        verdict = verify((position, velocity, acceleration), field, MotionLimits(v_max, a_max))
         assert verdict.clearance.min() > 0
         assert verdict.feasible.all()
         x_curr, x_goal = scenes["x_curr"][index], scenes["x_goal"][index]
@@ -92,8 +93,8 @@ def post() -> Scene:
     )
 
 
-def solved(**options: float) -> Solution:
-    return solve(post(), config=ExpertConfig(**options), rng=np.random.default_rng(0))
+def solved(tether: float = ExpertConfig.tether) -> Solution:
+    return solve(post(), config=ExpertConfig(tether=tether), rng=np.random.default_rng(0))
 
 
 def test_the_expert_passes_a_post_on_both_sides() -> None:

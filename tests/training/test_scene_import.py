@@ -98,7 +98,8 @@ def test_samples_may_have_durations_of_their_own(said: str, tmp_path: Path) -> N
     lasting = np.array([2.0, 2.5, 4.0, 2.0])
     told = lasting / (STEPS - 1) if said == "dt" else lasting
     positions = straight_lines([3.0, 2.0, 2.5, 2.8])
-    np.savez(tmp_path / "p.npz", positions=positions, **{said: told})
+    arrays: dict[str, Any] = {"positions": positions, said: told}
+    np.savez(tmp_path / "p.npz", **arrays)
     scenes = imported(tmp_path / "p.npz", tmp_path / "out")
     rows = scenes.batch(np.arange(4))
     np.testing.assert_allclose(rows["durations"][:, 0], lasting, rtol=1e-6)

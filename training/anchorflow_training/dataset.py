@@ -97,7 +97,7 @@ class SceneDataset:
     @property
     def limits(self) -> MotionLimits:
         """Of the usual robot, with a horizon if all scenes share it; `DatasetError` if unsaid."""
-        found = self.meta.get("limits")
+        found: Any = self.meta.get("limits")
         try:
             return MotionLimits(**found)
         except TypeError as error:

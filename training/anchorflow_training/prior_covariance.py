@@ -32,7 +32,7 @@ def prior_covariance(
     flat = np.concatenate([_residuals(dataset, config, scene) for scene in picked])
     share = quality[picked].reshape(-1)
     # A scene with a horizon says nothing of how durations spread where they are open.
-    is_open = np.repeat(arrays["limits"][picked, 3] <= 0, quality.shape[1])
+    is_open = np.repeat(arrays["limits"][picked, 3] <= 0, arrays["states"].shape[1])
     open_share = share[is_open].sum() / share.sum()
     if open_share > 0:
         flat[:, -1] /= np.sqrt(open_share)

@@ -45,12 +45,12 @@ def time_step(
         told = {name: _seconds(name, arrays) for name in told}
         if "times" in arrays:
             implied["times"] = _even_step(path, arrays["times"])
-    for (name, value), steps in zip(told.items(), (1, num_steps - 1), strict=True):
+    for (name, value), count in zip(told.items(), (1, num_steps - 1), strict=True):
         if value is not None:
             _check_seconds(path, name, value)
-            implied[name] = value / steps
-    first = next(iter(implied.values()), None)
-    if any(not np.allclose(step, first, AGREED, 0.0) for step in implied.values()):
+            implied[name] = value / count
+    steps = list(implied.values())
+    if any(not np.allclose(step, steps[0], AGREED, 0.0) for step in steps):
         raise DatasetError(
             f"{path}: expected one time step, horizon_s = dt (T - 1), found "
             + ", ".join(f"{in_words(step)} from {name}" for name, step in implied.items())
@@ -61,7 +61,7 @@ def time_step(
             "(--dt, --horizon-s), to differentiate the positions by, found none of them"
         )
     # Who is told each sample's knows more than who is told one for all.
-    return max(implied.values(), key=np.size, default=None)
+    return max(steps, key=np.size, default=None)
 
 
 def in_words(seconds: Seconds) -> str:

@@ -164,8 +164,9 @@ class TrajectoryDataset(Dataset[Sample]):
 
     def _steps_of(self, rows: Rows) -> Seconds:
         """s between two steps of rows of the file."""
-        dt = np.nan if self.dt is None else self.dt
-        return dt if isinstance(dt, float) else dt[rows]
+        if self.dt is None:
+            return np.nan
+        return self.dt[rows] if isinstance(self.dt, np.ndarray) else self.dt
 
     def _states(
         self, block: Mapping[str, NDArray[Any]], dt: Seconds

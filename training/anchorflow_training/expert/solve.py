@@ -24,7 +24,7 @@ class ExpertConfig:
 
     tries: descents a scene, dealt out in turn over its routes; steps: of each descent
     tether: what keeps them apart, as `descend` says it
-    rounds: descents of what has failed, the last with the stiffest limits
+    rounds: descents of what has failed, at least one, the last with the stiffest limits
     """
 
     num_samples: int = 64
@@ -65,7 +65,7 @@ def solve(scene: Scene, *, config: ExpertConfig, rng: np.random.Generator) -> So
     cost = stiffer = TrajectoryCost(
         scene.basis, fields, scene.motion, scene.w_style, scene.reference_s, config.margin
     )
-    failed = np.arange(config.tries)
+    failed, verdict = np.arange(config.tries), None
     for _ in range(config.rounds):
         descended = descend(
             stiffer,
@@ -81,6 +81,7 @@ def solve(scene: Scene, *, config: ExpertConfig, rng: np.random.Generator) -> So
         if not len(failed):
             break
         stiffer = replace(stiffer, weights=stiffer.weights.stiffer(STIFFER))
+    assert verdict is not None, "expected at least one round"
     return Solution(splines, tried, cost.value(splines), verdict.clearance, verdict.safe)
 
 

@@ -33,7 +33,7 @@ def flowmp_adapter(model: L2SafetyCFM, choices: ExportChoices) -> FlowMPAdapter:
             H=config.map_size,
             W=config.map_size,
             limits=limits,
-            ranges=dict(choices.ranges),
+            ranges=dict(choices.ranges),  # pyright: ignore[reportArgumentType] - it checks names
         ),
         sampler=choices.sampler.over(DEFAULT_SAMPLER),
         finish=SplineEntry(
