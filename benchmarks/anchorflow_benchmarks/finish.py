@@ -48,4 +48,5 @@ def finished(
     arrays = (refined.positions, refined.velocities, refined.accelerations)
     position, velocity, acceleration = (array.astype(np.float64) for array in arrays)
     dt = refined.duration / (NUM_SAMPLES - 1)
-    return Proposals(position, velocity, acceleration, dt, refined.safe, refined.scores)
+    scores = refined.scores.astype(np.float64)
+    return Proposals(position, velocity, acceleration, dt, refined.safe, scores)

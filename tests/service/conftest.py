@@ -48,6 +48,7 @@ from anchorflow_client.contract import ResolvedRequest
 from anchorflow_service.planning import PlanningService, ServiceLimits
 
 T, S, R = 8, 7, 3
+THRICE = "(modulation, modulation, modulation)"
 PULL = np.array([0.0, 0.0, 0.5, 0.5, 0.0, 0.0, 0.0], np.float32)
 
 ENCODE = """
@@ -96,13 +97,34 @@ field (float[B,N,8,7] x_t, float[B,N,8,7] prior_mean, float[B,3] modulation)
 
 
 def _graphs() -> dict[str, onnx.ModelProto]:
-    graphs = {
-        role: onnx.parser.parse_model(text)
-        for role, text in (("encode", ENCODE), ("modulate", MODULATE), ("field", FIELD))
-    }
+    graphs = _parsed(ENCODE, MODULATE, FIELD)
     basis = np.zeros((R, T, S), np.float32)
     basis[0, :, 0:2] = basis[1, :, 2:4] = basis[2, :, 6] = 0.1
     constants = {"encode": ("basis", basis.reshape(R, T * S)), "field": ("pull", PULL)}
+    for role, (name, array) in constants.items():
+        graphs[role].graph.initializer.append(numpy_helper.from_array(array, name))
+    return graphs
+
+
+def _parsed(*texts: str) -> dict[str, onnx.ModelProto]:
+    return dict(
+        zip(("encode", "modulate", "field"), map(onnx.parser.parse_model, texts), strict=True)
+    )
+
+
+def _graphs_with_heading() -> dict[str, onnx.ModelProto]:
+    """The same for D = 3, S = 10: the means move (p_x, p_y, heading) and their derivatives too."""
+    wider = {"[B,6]": "[B,9]", "8,7]": "8,10]", "2,56]": "2,80]", "3,56]": "3,80]"}
+    texts = [ENCODE, MODULATE, FIELD.replace("(modulation, modulation)", THRICE)]
+    for narrow, wide in wider.items():
+        texts = [text.replace(narrow, wide) for text in texts]
+    graphs = _parsed(*texts)
+    basis = np.zeros((R, T, 10), np.float32)
+    basis[0, :, 0:3] = basis[1, :, 3:6] = basis[2, :, 9] = 0.1
+    constants = {
+        "encode": ("basis", basis.reshape(R, T * 10)),
+        "field": ("pull", np.repeat(PULL, [1, 2, 1, 2, 1, 2, 1])),
+    }
     for role, (name, array) in constants.items():
         graphs[role].graph.initializer.append(numpy_helper.from_array(array, name))
     return graphs
@@ -200,6 +222,18 @@ def free_bundle_built(_tiny_bundle_built: Path, tmp_path_factory: pytest.TempPat
     _edit_manifest(folder, "conditioning", "limits", "horizon_s", to=None)
     _edit_manifest(folder, "conditioning", "ranges", to=FREE_RANGES)
     _edit_manifest(folder, "time", "dt", to=None)
+    return folder
+
+
+@pytest.fixture
+def turning_bundle(free_bundle_built: Path, tmp_path: Path) -> Path:
+    """The same for poses with a heading."""
+    folder = Path(shutil.copytree(free_bundle_built, tmp_path / "turning"))
+    _edit_manifest(folder, "graphs", to=write_graphs(folder, _graphs_with_heading()))
+    _edit_manifest(folder, "answer", "components", to=["x", "y", "heading"])
+    # A heading has no obstacle to follow: eight samples say too little of twelve points of it.
+    _edit_manifest(folder, "finish", "num_control_points", to=8)
+    _edit_manifest(folder, "request", "inputs", 1, "shape", to=["B", 9])
     return folder
 
 

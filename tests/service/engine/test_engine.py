@@ -344,6 +344,26 @@ def ask_in_turn(calls: list[float]) -> Callable[[], None]:
     return lambda: calls.append(0.0)
 
 
+def test_a_heading_is_answered_between_both_ends(
+    turning_bundle: Path, small_request: Build
+) -> None:
+    engine = Engine(load_bundle(turning_bundle), threads=2)
+    start, goal = [-3.0, 0.1, 0.4, 0.5, 0.0, 0.2, 0.0, 0.0, 0.0], [3.0, 0.2, -0.6, 0.0, 0.0, 0.0]
+    asked = {"x_curr": start, "x_goal": goal, "refine": {"project": True}}
+    batch = plan(engine, small_request(**asked))
+
+    assert batch.trajectories.shape == (20, 8, 3)
+    assert batch.safe.any()
+    assert len(set(batch.durations)) > 1
+    np.testing.assert_allclose(batch.trajectories[:, 0], [start[:3]] * 20, atol=1e-4)
+    np.testing.assert_allclose(batch.velocities[:, 0], [start[3:6]] * 20, atol=1e-4)
+    np.testing.assert_allclose(batch.trajectories[:, -1], [goal[:3]] * 20, atol=1e-4)
+    assert (np.abs(batch.trajectories[..., 2]) < 1.5).all()
+    beside = batch.trajectories[:, 3:5, 1]
+    assert (beside > 0.4).any()
+    assert (beside < -0.4).any()
+
+
 @pytest.mark.parametrize("cuts_freely", [True, False])
 @pytest.mark.parametrize("num_samples", [5, 16, 40])
 def test_an_answer_does_not_depend_on_the_threads_that_it_was_given(
@@ -354,6 +374,19 @@ def test_an_answer_does_not_depend_on_the_threads_that_it_was_given(
     request = small_request(num_samples=num_samples, refine={"smooth": True, "project": True})
 
     assert_same_bytes(plan(engine, request, threads=1), plan(engine, request, threads=2))
+
+
+def test_own_durations_are_the_same_alone_in_a_batch_and_on_any_threads(
+    free: Engine, small_request: Build
+) -> None:
+    goals = [[3.0, 0.2, 0.0, 0.0], [-1.0, 2.5, 0.3, 0.0]]
+    asked = {"num_samples": 19, "refine": {"smooth": True, "project": True}}
+    ends = {"x_curr": [[-3.0, 0.1, 0.5, 0.0, 0.0, 0.0]] * 2, "x_goal": goals}
+    together = [plan(free, small_request(**asked, **ends), threads=n) for n in (1, 2)]
+    for scene, goal in enumerate(goals):
+        alone = plan(free, small_request(**asked, x_goal=goal))
+        for batch in together:
+            assert_same_bytes(alone, batch, scene=scene)
 
 
 def test_where_cutting_changes_bytes_one_thread_makes_the_same_cuts(

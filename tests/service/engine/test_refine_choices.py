@@ -66,8 +66,8 @@ def assert_same_bytes(one: AnchorBatch, other: AnchorBatch) -> None:
 def test_guidance_lowers_the_cost_of_what_is_drawn(engine: Engine) -> None:
     """Neither projected nor brought back, so that only the flow can have done it."""
     free, guided = (plan(engine, **SMOOTHED, guidance=scale) for scale in (0.0, 1.0))
-    assert np.mean(guided.scores) > 0.95 * np.mean(free.scores)
-    assert np.median(guided.scores) > 0.97 * np.median(free.scores)
+    assert (guided.scores > free.scores).mean() > 0.8  # of the same noise
+    assert np.mean(guided.scores) > 0.99 * np.mean(free.scores)
     assert guided.safe.mean() > free.safe.mean() + 0.05
 
 
@@ -75,7 +75,7 @@ def test_the_largest_scale_runs_away_nowhere(engine: Engine) -> None:
     """Without a bound on its steps the flow leaves every map, and the graphs fail."""
     free, guided = (plan(engine, **SMOOTHED, guidance=scale) for scale in (0.0, 100.0))
     assert guided.is_finite
-    assert np.median(guided.scores) > 0.97 * np.median(free.scores)
+    assert np.median(guided.scores) > np.median(free.scores)
 
 
 def test_a_scale_of_zero_leaves_the_bytes(engine: Engine) -> None:

@@ -39,6 +39,20 @@ def test_the_answer_is_what_the_engine_planned(
     assert (anchors.dt, anchors.seed, anchors.model) == (planned.dt, 1, engine.card.id)
 
 
+@pytest.mark.parametrize(("name", "value"), [("v_max", 9.0), ("horizon_s", 0.5)])
+def test_a_limit_beyond_its_range_is_refused_with_its_field(
+    free_engine: Any, run: Any, fields: dict[str, Any], name: str, value: float
+) -> None:
+    service = run(create_app(PlanningService({"lines": free_engine}, default="lines")))
+
+    answer = service.post(fields | {name: value})
+
+    assert answer.status_code == 422
+    error = answer.json()["error"]
+    assert (error["code"], error["field"]) == ("invalid_request", name)
+    assert "for which lines 1.2.3 was trained" in error["message"]
+
+
 @pytest.fixture
 def free(free_engine: Any, run: Any) -> AnchorClient:
     """A client of the model whose anchors have their own durations."""
