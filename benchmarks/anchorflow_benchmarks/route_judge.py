@@ -20,6 +20,8 @@ from anchorflow_trajectory.scene import Scene
 
 Array = NDArray[np.float64]
 
+# What counts as a scene's routes; a planner may look for more of them.
+MOST, STRETCH, SLACK = 8, 1.25, 0.03
 DISTINCT = 0.1  # m rms from which two anchors differ
 ROUTE_MEASURES = ("recall", "first", "found", "distinct")
 
@@ -48,6 +50,9 @@ class RouteJudge:
             origin=scene.origin,
             start=scene.x_curr[:2].astype(float),
             goal=scene.x_goal[:2].astype(float),
+            most=MOST,
+            stretch=STRETCH,
+            slack=SLACK,
         )
         return [route.signature for route in routes]
 
