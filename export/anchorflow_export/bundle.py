@@ -10,8 +10,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from anchorflow_export.adapter import PlannerAdapter, TracedGraph
 from anchorflow_export.errors import ExportError
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
@@ -110,8 +108,9 @@ def _manifest(
             training=dict(description.training),
             quality=dict(description.quality),
         )
-    except ValidationError as error:
-        said = "; ".join(str(fault["msg"]) for fault in error.errors())
+    except ValueError as error:
+        # Of the first fault, without the whole manifest that pydantic puts after it.
+        said = " ".join(str(error).partition("[type=")[0].split())
         raise ExportError(f"manifest of {description.name}: {said}") from error
 
 
