@@ -11,17 +11,15 @@ from numpy.typing import NDArray
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.finish import basis_of, finished, unfinished_scene
+from anchorflow_benchmarks.path_splines import gone_along
 from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, limits_of, without_fields
 from anchorflow_benchmarks.routes_planner import DESCENTS, RoutesPlanner
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.route_splines import LEAST_WAY
-from anchorflow_trajectory.routes import polyline_length
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basis
-from anchorflow_trajectory.time_law import nominal_duration, ramp_share, time_along
+from anchorflow_trajectory.spline import SplineBasis, Splines, spline_basis
 
 EXPERT_STEPS = (60, 200)
 
@@ -93,19 +91,6 @@ class RefinedLinesPlanner:
         splines = self.lines.splines(scene, basis_of(self.refine), num=num, seed=seed)
         scene = unfinished_scene(scene, self.lines.limits, self.refine)
         return finished(splines, np.zeros(num, np.intp), scene, self.refine)
-
-
-def gone_along(
-    paths: Sequence[NDArray[np.floating]], basis: SplineBasis, ends: Ends, *, limits: MotionLimits
-) -> Splines:
-    """A spline along each polyline [P, 2], as quick as the limits allow, or within the horizon."""
-    lengths = [max(polyline_length(path), LEAST_WAY) for path in paths]
-    duration = np.array([limits.horizon_s or nominal_duration(way, limits) for way in lengths])
-    timed = [
-        time_along(path, basis.num_samples, ramp=ramp_share(float(lasts), way, limits))
-        for path, lasts, way in zip(paths, duration, lengths, strict=True)
-    ]
-    return basis.fit_positions(np.stack(timed), ends, duration)
 
 
 def minimum_jerk(num_samples: int) -> NDArray[np.float64]:

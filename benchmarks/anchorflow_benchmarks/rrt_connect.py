@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]  # not everywhere
 
 from anchorflow_benchmarks.anchors import Proposals
-from anchorflow_benchmarks.baselines import gone_along
+from anchorflow_benchmarks.path_splines import gone_along
 from anchorflow_benchmarks.planners import NUM_SAMPLES, without_fields
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
