@@ -95,10 +95,10 @@ def _name(checkpoint: Checkpoint) -> str:
 
 def _limits(checkpoint: Checkpoint) -> dict[str, Any]:
     """What the card says of limits, where the data of the planner tell of any."""
-    limits, ranges = (checkpoint.data.get(name) for name in ("limits", "ranges"))
+    limits, ranges = checkpoint.data.get("limits"), checkpoint.data.get("ranges") or {}
     if not limits:
         return {}
-    told = {name: tuple(ranges[name]) for name in LIMIT_INTERVALS if name in (ranges or {})}
+    told = {name: tuple(ranges[name]) for name in LIMIT_INTERVALS if name in ranges}
     return {"limits": MotionLimits(**limits), "ranges": told}
 
 

@@ -70,8 +70,10 @@ def resample(
 
 def _times(duration_s: float, period_s: float) -> Array:
     """[K]: 0, period, … and the duration, which is told once where it is a multiple itself."""
-    times = period_s * np.arange(int(duration_s / period_s) + 1)
-    return times if duration_s - times[-1] <= ROUNDING * period_s else np.append(times, duration_s)
+    times = period_s * np.arange(int(duration_s / period_s) + 1, dtype=np.float64)
+    if duration_s - times[-1] <= ROUNDING * period_s:
+        return times
+    return np.concatenate([times, [duration_s]])
 
 
 def _motion(*fields: ArrayLike) -> list[Array]:

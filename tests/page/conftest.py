@@ -117,18 +117,14 @@ def served_both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.fixture(scope="session")
-def served_any_robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A service whose card lets a request set every limit."""
-    folder = tmp_path_factory.mktemp("robots") / "bundle"
+def served_one_robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A service whose card lets a request set no limit, and whose anchors all last 8 s."""
+    folder = tmp_path_factory.mktemp("robot") / "bundle"
     shutil.copytree(DEFAULT_BUNDLE, folder)
     manifest = json.loads((folder / "manifest.json").read_text())
-    manifest["conditioning"].pop("adjustable", None)
-    manifest["conditioning"]["ranges"] = {
-        "v_max": [0.1, 6.0],
-        "a_max": [0.3, 6.0],
-        "robot_radius": [0.1, 0.6],
-        "horizon_s": [1.0, 60.0],
-    }
+    manifest["conditioning"]["ranges"] = {}
+    manifest["conditioning"]["limits"]["horizon_s"] = 8.0
+    manifest["time"]["dt"] = 8.0 / (manifest["time"]["steps"] - 1)
     (folder / "manifest.json").write_text(json.dumps(manifest))
     served = Served("--bundle", str(folder))
     served.start()

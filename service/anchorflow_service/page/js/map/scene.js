@@ -85,7 +85,7 @@ export class Scene extends EventTarget {
   useMap(grid, ends) {
     this.grid = grid;
     const { horizon_s: asked, v_max: fastest } = this.limits;
-    const horizon = asked ?? this.range("horizon_s")?.[1] ?? Infinity;
+    const horizon = asked ?? this.#ownHorizon;
     const robot = { radius: this.options.radius, reach: COMFORTABLE * fastest * horizon };
     Object.assign(this, ends ?? placeEnds(grid, robot));
     this.#undo.length = 0;
