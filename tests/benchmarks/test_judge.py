@@ -62,7 +62,7 @@ def test_it_agrees_with_the_judge_outside_the_project(
         position,
         velocity / slower,
         acceleration / slower**2,
-        float(plan.dt) * slower.ravel(),
+        plan.dt * slower.ravel(),
     )
     velocity, acceleration = plan.velocities, plan.accelerations
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -39,6 +40,7 @@ from anchorflow_service.engine.samplers.ode import PRIOR_MEAN, OdeSampler
 from anchorflow_trajectory.ode.method import Method, method_named
 from anchorflow_trajectory.ode.reference import integrate_plainly
 from anchorflow_trajectory.scene import ROUTE_STATES
+from anchorflow_trajectory.spline import STEEPNESS
 
 F64 = "float64"
 COMPONENTS = ("x", "y", "heading")
@@ -154,7 +156,11 @@ class FlowMPAdapter:
         yield GraphTrial(f"field at {trial}", "field", told, expected)
 
     def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
-        """The card's sampler from the same noise: the plain torch loop and the engine's."""
+        """The card's sampler from the same noise: the plain torch loop and the engine's.
+
+        Derivatives by own time are told in units in which they are about as large as positions.
+        """
+        units = np.append(np.repeat(STEEPNESS ** -np.arange(3.0), self.D), 1.0)
         trial, spec = SAMPLE_TRIAL, self.sampler
         flow = OdeSampler(bundle, threads=2)
         scenes = random_scenes(bundle, trial.B, (trial.H, trial.W), seed=len(TRIALS))
@@ -173,7 +179,9 @@ class FlowMPAdapter:
                 schedule=spec.schedule,
                 method=method_named(spec.method),
             )
-            yield SampleTrial(f"sample of scene {b} at {trial}", state, expected[0].numpy())
+            yield SampleTrial(
+                f"sample of scene {b} at {trial}", state * units, expected[0].numpy() * units
+            )
 
 
 def torch_sample(
