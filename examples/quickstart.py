@@ -93,7 +93,7 @@ def new_scenes(count: int, *, limits: MotionLimits, seed: int) -> list[Scene]:
     while len(scenes) < count:
         with suppress(SceneError):  # no room for a start and a goal: another is drawn
             scene = draw_scene(rng, limits=limits)
-            if solve(scene, config=ExpertConfig(), limits=limits, rng=rng).good.any():
+            if solve(scene, config=ExpertConfig(), rng=rng).good.any():
                 scenes.append(scene)
     return scenes
 
@@ -111,6 +111,7 @@ def anchors_in(
             resolution=scene.resolution,
             origin=scene.origin,
             robot_radius=scene.robot_radius,
+            motion=scene.motion,
             seed=0,
         )
         for scene in scenes

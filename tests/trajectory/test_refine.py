@@ -229,12 +229,13 @@ def test_stretching_keeps_the_way_and_lasts_no_longer_than_the_limits_ask() -> N
     assert Refiner(scene, 20)._stretched(sound).duration.tolist() == sound.duration.tolist()  # pyright: ignore[reportPrivateUsage]
 
 
-def gaps(anchors: Refined) -> np.ndarray:
-    """Which gap each passes, by how many posts are below it where it crosses them."""
-    middle = 0.5 * RESOLUTION * sum(COLUMNS)
-    at = np.abs(anchors.positions[..., 0] - middle).argmin(1)
-    y = anchors.positions[np.arange(64), at, 1]
-    return (y[:, None] > RESOLUTION * np.array(POSTS).mean(1)).sum(1)
+def places(scene: Scene, anchors: Refined) -> np.ndarray:
+    """The place of the route that each passes the posts like; -1 where it is none."""
+    found = scene.rays.signatures(
+        anchors.positions, resolution=scene.resolution, origin=scene.origin
+    )
+    known = [route.signature for route in scene.routes]
+    return np.array([known.index(one) if one in known else -1 for one in found])
 
 
 def test_anchors_stay_on_their_own_route_where_it_has_something_safe() -> None:
@@ -244,11 +245,24 @@ def test_anchors_stay_on_their_own_route_where_it_has_something_safe() -> None:
         states_of(curves(scene, 8.0)), np.zeros(64, int), Spec(**UNFINISHED)
     )
     assert sampled.safe.mean() < 0.3
-    route = gaps(sampled)
+    route = np.maximum(places(scene, sampled), 0)
+    assert len(np.unique(route)) > 1
     told, untold = refined(scene, steps=1, route=route), refined(scene, steps=1)
     assert told.safe.mean() > 0.9
-    assert (gaps(told) == route).mean() > 0.9
-    assert (gaps(told) == route).sum() > (gaps(untold) == route).sum()
+    assert (places(scene, told) == route).mean() > 0.85
+    assert (places(scene, told) == route).sum() > (places(scene, untold) == route).sum()
+
+
+def test_a_route_that_has_lost_all_its_anchors_gets_one_back() -> None:
+    """All anchors go one way; half of them are told that they belong to another."""
+    scene = scene_of()
+    assert len(scene.routes) > 1
+    own = scene.route_splines[np.zeros(64, int)]
+    route = np.arange(64) % 2
+    anchors = Refiner(scene, 5).refine(states_of(own), route, Spec())
+    taken = places(scene, anchors)[anchors.safe]
+    assert (taken == 0).sum() > 32
+    assert 1 in taken
 
 
 def test_one_anchor_of_a_scene_that_is_sound_never_touches_another() -> None:

@@ -48,7 +48,7 @@ def follows(scene: Scene, side: float) -> int:
 
 @pytest.mark.parametrize("columns", [2, 4, 6])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize("duration", [3.0, 9.0])
+@pytest.mark.parametrize("duration", [4.0, 9.0])
 def test_anchors_of_the_nearest_route_start_from_the_plan_in_own_time(
     scene: Scene, columns: int, side: float, duration: float
 ) -> None:
