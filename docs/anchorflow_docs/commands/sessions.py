@@ -60,7 +60,7 @@ QUICK = (
             "anchorflow serve --repository bundles",
             "curl -X POST localhost:8000/v2/repository/index",
             f"{LOAD} -d '{{}}'",
-            f'{LOAD} -d \'{{"parameters": {{"version": "0.1.0"}}}}\'',
+            f'{LOAD} -d \'{{"parameters": {{"version": "0.2.0"}}}}\'',
             "curl -X POST localhost:8000/v2/repository/models/flowmp-small/unload",
         ),
         (given.bundles,),
@@ -130,9 +130,10 @@ WALKTHROUGH = (
         (
             "anchorflow export runs/student/checkpoint.pt --out bundles/student"
             " --name flowmp-small-student",
-            f"anchorflow export runs/default/checkpoint.pt --out {SHIPPED}/default",
+            f"anchorflow export runs/default/checkpoint.pt --out {SHIPPED}/default"
+            " --version 0.2.0 --noise-scale 1.4 --refine-steps 6 --refine-rate 0.12",
             f"anchorflow export runs/student/checkpoint.pt --out {SHIPPED}/student"
-            " --name flowmp-small-student",
+            " --name flowmp-small-student --version 0.2.0 --refine-steps 6 --refine-rate 0.12",
         ),
     ),
     Session(
@@ -211,15 +212,17 @@ NOT_HERE = {
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"
     ),
-    "anchorflow data make data/default --scenes 20000 --seed 1": DRAWS,
+    "anchorflow data make data/default --scenes 10000 --seed 1": DRAWS,
     "anchorflow data make data/train --scenes 20000": DRAWS,
-    "anchorflow train data/default --out runs/default --steps 8000 --bfloat16": TRAINS,
+    "anchorflow train data/default --out runs/default --steps 6000 --bfloat16 --threads 1"
+    " --batch.samples 24 --model.layers 3 --evaluation.held-out 64": TRAINS,
     "anchorflow train data/train --out runs/first --held-out 500 --steps 12000": TRAINS,
     "anchorflow train data/train --out runs/second --config train.yaml --batch.samples 16"
     " --flow.flow-time late": TRAINS,
     "anchorflow train my_data --out my_run": TRAINS,
-    "anchorflow distill runs/default/checkpoint.pt data/default --out runs/student --steps 3000"
-    " --teacher.scenes 6000 --teacher.steps 4 --bfloat16": TRAINS,
+    "anchorflow distill runs/default/checkpoint.pt data/default --out runs/student --steps 3500"
+    " --bfloat16 --threads 1 --teacher.scenes 4000 --teacher.steps 3 --noise-scale 1.4"
+    " --cost-weight 0.3 --model.layers 2": TRAINS,
     "anchorflow distill runs/first/checkpoint.pt data/train --out runs/student": TRAINS,
     "docker build --file docker/Dockerfile --tag anchorflow .": ENGINE,
     "docker run --read-only --tmpfs /tmp --cap-drop ALL --publish 127.0.0.1:8000:8000"
