@@ -53,7 +53,11 @@ LONGER = (1.15, 4.0)  # a horizon over the least time for the shortest route
 
 
 def draw_scene(
-    rng: np.random.Generator, *, cells: int = 96, limits: MotionLimits, robots: RobotRanges = RobotRanges()
+    rng: np.random.Generator,
+    *,
+    cells: int = 96,
+    limits: MotionLimits,
+    robots: RobotRanges = RobotRanges(),
 ) -> FamilyScene:
     """A random scene on a `cells` x `cells` map; raises `SceneError` where the draw has no room.
 
