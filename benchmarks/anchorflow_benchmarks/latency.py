@@ -175,7 +175,7 @@ def _sampling_work(bundle: Bundle, request: ResolvedRequest) -> SamplingWork:
     flow = OdeSampler(bundle, threads=1)
     context = dict(flow.encode(scene))
     noise = flow.draw_noise(context, num_samples=request.num_samples, seed=SEED)
-    return SamplingWork(inputs, context, flow.beginning(scene, context, noise), flow)
+    return SamplingWork(inputs, context, flow.beginning(context, noise), flow)
 
 
 def _check_same_work(contest: Contest, work: SamplingWork) -> None:

@@ -71,7 +71,7 @@ def _moved(bundle: Bundle, rounded: Bundle) -> Difference:
     for seed, scene in enumerate(random_scenes(bundle, SCENES, (trial.H, trial.W), seed=0)):
         context = whole.encode(scene)
         noise = whole.draw_noise(context, num_samples=trial.N, seed=seed)
-        begun = whole.beginning(scene, context, noise)
+        begun = whole.beginning(context, noise)
         states = [flow.integrate(context, begun, spec) for flow in (whole, coarse)]
         squares.append(((states[0] - states[1])[..., :D] ** 2).sum(-1).mean())
     return Difference("samples moved by, rms [m]", float(np.sqrt(np.mean(squares))))

@@ -53,7 +53,7 @@ def encode(flow: OdeSampler) -> Context:
 def begin(flow: OdeSampler, num_samples: int, seed: int) -> Beginning:
     context = encode(flow)
     noise = flow.draw_noise(context, num_samples=num_samples, seed=seed)
-    return flow.beginning(Given(), context, noise)
+    return flow.beginning(context, noise)
 
 
 def sample(flow: OdeSampler, num_samples: int, seed: int) -> np.ndarray:
@@ -113,10 +113,11 @@ def test_a_schedule_may_start_late(flow: OdeSampler) -> None:
 def test_a_mean_that_encode_gives_is_every_anchors(
     tiny_bundle: Path, edit_manifest: Callable[..., None]
 ) -> None:
+    encoded = encode(OdeSampler(load_bundle(tiny_bundle), threads=1))
     edit_manifest("sampler", "prior", "mean", to="own_mean")
     flow = OdeSampler(load_bundle(tiny_bundle), threads=1)
-    context = {**encode(flow), "own_mean": ROUTES[:1]}
-    begun = flow.beginning(Given(), context, flow.draw_noise(context, num_samples=4, seed=1))
+    context = {**encoded, "own_mean": ROUTES[:1]}
+    begun = flow.beginning(context, flow.draw_noise(context, num_samples=4, seed=1))
     np.testing.assert_allclose(begun.x - drawn(4, seed=1)[:, None], ROUTES[[0] * 4], atol=1e-6)
     assert (begun.route.any(), begun.mean) == (False, None)
 
@@ -129,7 +130,7 @@ def test_without_a_prior_the_flow_starts_from_plain_noise(
     context = encode(flow)
     noise = flow.draw_noise(context, num_samples=4, seed=1)
     assert noise.shape == (4, 8, 7)
-    assert flow.beginning(Given(), context, noise).x is noise
+    assert flow.beginning(context, noise).x is noise
 
 
 def test_several_threads_may_sample_at_once(flow: OdeSampler) -> None:

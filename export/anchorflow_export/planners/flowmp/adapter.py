@@ -168,7 +168,7 @@ class FlowMPAdapter:
         for b, scene in enumerate(scenes):
             encoded = flow.encode(scene)
             noise = flow.draw_noise(encoded, num_samples=trial.N, seed=b)
-            state = flow.integrate(encoded, flow.beginning(scene, encoded, noise), spec)
+            state = flow.integrate(encoded, flow.beginning(encoded, noise), spec)
             mean = dealt_means([scene], trial.N)
             own = {name: tensor[b : b + 1] for name, tensor in context.items()}
             expected = torch_sample(

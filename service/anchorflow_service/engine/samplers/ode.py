@@ -143,10 +143,11 @@ class OdeSampler:
         and in slices, which a machine's kernels decide; so no answer depends on how busy the
         service is.
         """
-        context = self._encode.settle(scene.inputs(self._encode.input_names))
+        encoded = self._encode.settle(scene.inputs(self._encode.input_names))
+        context = self._with_prior(scene, encoded)
         count = MIN_SLICE * self._threads
         noise = self.draw_noise(context, num_samples=count, seed=scene.request.seed)
-        begun = self.beginning(scene, context, noise)
+        begun = self.beginning(context, noise)
         x, field = begun.x, self._field_over(context, OdeSpec("euler", (0.0, 1.0)), None)
         whole = _evaluated(field(begun.mean), x)
         self.cuts_freely = all(
@@ -160,8 +161,16 @@ class OdeSampler:
         )
 
     def encode(self, scene: ConditionedScene, *, threads: int = 1) -> Context:
-        """What the other graphs need to know of a scene."""
-        return self._encode(scene.inputs(self._encode.input_names), threads=threads)
+        """What the other graphs need to know of a scene, and the components of its prior."""
+        encoded = self._encode(scene.inputs(self._encode.input_names), threads=threads)
+        return self._with_prior(scene, encoded)
+
+    def _with_prior(self, scene: ConditionedScene, context: Context) -> Context:
+        """The context with the components [1,M,T,S] of a mixture that is the scene's own."""
+        prior = self._prior
+        if prior is None or prior.mean in context:
+            return context
+        return {**context, **scene.inputs((prior.mean,))}
 
     def sample(
         self,
@@ -192,7 +201,7 @@ class OdeSampler:
         request, spec = scene.request, scene.request.sampler
         assert isinstance(spec, OdeSpec)
         noise = self.draw_noise(context, num_samples=request.num_samples, seed=request.seed)
-        begun = self.beginning(scene, context, noise)
+        begun = self.beginning(context, noise)
         if warm := request.warm_start:
             assert isinstance(scene, MapScene)
             begun = replace(begun, x=renoised(warm, begun.x, begun.route, scene.scene))
@@ -209,15 +218,15 @@ class OdeSampler:
         generator = np.random.Generator(np.random.PCG64(seed))
         return generator.standard_normal((num_samples, *size), dtype=np.float32)
 
-    def beginning(self, scene: ConditionedScene, context: Context, noise: Array) -> Beginning:
+    def beginning(self, context: Context, noise: Array) -> Beginning:
         """x_0 = prior mean + noise · prior basis; the noise itself without a prior."""
         prior, first = self._prior, np.zeros(len(noise), np.intp)
         if prior is None:
             return Beginning(noise, first, None)
         spread = (noise @ context[prior.basis][0]).reshape(-1, *self._state_shape)
-        if prior.mean in context:
-            return Beginning(context[prior.mean] + spread, first, None)
-        (components,) = scene.inputs((prior.mean,))[prior.mean]
+        (components,) = context[prior.mean]
+        if components.ndim == 2:
+            return Beginning(components + spread, first, None)
         route = np.arange(len(noise)) % len(components)
         mean = components[route]
         return Beginning(mean + spread, route, mean)
