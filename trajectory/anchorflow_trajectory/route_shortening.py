@@ -27,6 +27,7 @@ def pulled_tight(
     resolution: float,
     origin: FloatArray,
     slack: float = CHORD_SLACK,
+    rays: ObstacleRays | None = None,
 ) -> list[Route]:
     """The same routes along fewer points, no longer than before, the shortest first.
 
@@ -40,8 +41,9 @@ def pulled_tight(
         resolution: m/cell.
         origin: [2] m, outer corner of cell (0, 0).
         slack: m of clearance that a chord keeps at every cell that it crosses.
+        rays: of this clearance, where they are known already.
     """
-    free, rays, tight = clearance >= slack, ObstacleRays.of(clearance), []
+    free, rays, tight = clearance >= slack, rays or ObstacleRays.of(clearance), []
     for route in routes:
         corners = route.points[_corners(route.points)]
         crossed = rays.crossings(corners, resolution=resolution, origin=origin)

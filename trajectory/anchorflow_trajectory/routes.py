@@ -61,6 +61,7 @@ def find_routes(
     most: int = MOST,
     stretch: float = STRETCH,
     slack: float = SLACK,
+    rays: ObstacleRays | None = None,
 ) -> list[Route]:
     """The shortest routes on the grid with different signatures, the shortest first.
 
@@ -76,6 +77,7 @@ def find_routes(
         most: routes at most.
         stretch: times the shortest that a route may be long.
         slack: m of clearance that routes keep.
+        rays: of this clearance, where they are known already.
 
     Raises:
         ValueError: `most` is below 1, `stretch` below 1 or `slack` negative.
@@ -89,7 +91,7 @@ def find_routes(
     near = NearWays.of(free_cells(clearance, ends, slack=slack), ends, stretch=stretch)
     if near is None:
         return []
-    rays, routes = ObstacleRays.of(clearance), []
+    rays, routes = rays or ObstacleRays.of(clearance), []
     for cells in Sheets.of(near, rays).routes(most):
         rows, columns = np.divmod(np.array(cells[1:-1], int), width)
         inner = (np.stack([columns, rows], -1) + 0.5) * resolution + origin

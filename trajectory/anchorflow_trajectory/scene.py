@@ -76,7 +76,7 @@ class Scene:
     @cached_property
     def routes(self) -> list[Route]:
         """The shortest ways round the obstacles, the shortest first; empty where none is free."""
-        grid = {"resolution": self.resolution, "origin": self.origin}
+        grid = {"resolution": self.resolution, "origin": self.origin, "rays": self.rays}
         found = find_routes(
             self.clearance_field, **grid, start=self.x_curr[:2], goal=self.x_goal[:2]
         )
