@@ -21,6 +21,8 @@ LINE_SIGMA = 1.3
 """m, of the Gaussian over a line."""
 TIME_SIGMA = 0.25
 """s, of the Gaussian over the distance driven."""
+BEHIND = 5.0
+"""m that a line is known behind the middle of the box at first."""
 STANDING = 0.1
 """m/s, below which a speed is noise."""
 
@@ -30,10 +32,11 @@ def vehicle_states(front: Array, length: float) -> Array:
     steps = np.linalg.norm(np.diff(front, axis=0), axis=1)
     steps[steps < 1e-3] = 0.0
     driven = np.concatenate([[0.0], steps.cumsum()])
-    line = smooth_line(front[np.append(True, steps > 0)], before=length + 3.0)
+    before = SPACING * np.ceil((length / 2 + BEHIND) / SPACING)
+    line = smooth_line(front[np.append(True, steps > 0)], before=before)
     heading = _dragged(line, REAR_AXLE * length)
-    # Place on the line, which begins `before` behind the first front bumper.
-    at = _smoothed(driven, TIME_SIGMA / FRAME_S) + 3.0 + length / 2
+    # Where on the line the middle of the box is.
+    at = _smoothed(driven, TIME_SIGMA / FRAME_S) + before - length / 2
     along = np.arange(len(line)) * SPACING
     middle = np.stack([np.interp(at, along, axis) for axis in line.T], -1)
     velocity = np.gradient(middle, FRAME_S, axis=0) if len(at) > 1 else 0 * middle
@@ -54,11 +57,13 @@ def person_states(place: Array) -> Array:
 def smooth_line(points: Array, *, before: float = 0.0, sigma: float = LINE_SIGMA) -> Array:
     """A polyline every SPACING m, smoothed by a Gaussian; it begins `before` m ahead of its first.
 
+    before: a multiple of SPACING
+
     Its ends are led on straight, so that they stay where they are.
     """
     if len(points) < 2:
         points = np.concatenate([points, points + np.array([1e-3, 0.0])])
-    lead = before + 4 * sigma
+    lead = SPACING * np.ceil((before + 4 * sigma) / SPACING)
     first = points[0] - (points[min(3, len(points) - 1)] - points[0])
     towards = _unit(points[0] - first)
     backwards, onwards = -towards, _unit(points[-1] - points[-2])
@@ -69,8 +74,7 @@ def smooth_line(points: Array, *, before: float = 0.0, sigma: float = LINE_SIGMA
     at = np.arange(0.0, length[-1], SPACING)
     even = np.stack([np.interp(at, length, axis) for axis in line.T], -1)
     smoothed = gaussian_filter1d(even, sigma / SPACING, axis=0, mode="nearest")
-    cut = round(4 * sigma / SPACING)
-    return smoothed[cut:]
+    return smoothed[round((lead - before) / SPACING) :]
 
 
 def _smoothed(values: Array, sigma: float) -> Array:
@@ -94,7 +98,9 @@ def _dragged(line: Array, arm: float) -> Array:
         towards = point - rear
         rear = point - arm * towards / abs(towards)
         arms.append(towards)
-    return np.unwrap(np.angle(np.array(arms)))
+    # Each arm points to where its front end has moved on to, half a step ahead of its rear.
+    heading = np.unwrap(np.angle(np.array(arms)))
+    return np.append((heading[:-1] + heading[1:]) / 2, heading[-1])
 
 
 def _unit(step: Array) -> Array:

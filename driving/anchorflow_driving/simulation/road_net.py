@@ -44,10 +44,10 @@ class NetLane:
     def polygon(self) -> Array:
         return band(self.centre, self.width)
 
-    def point(self, position: float) -> Array:
-        """[2] of the centreline at a position as SUMO counts it."""
-        at = position / self.sumo_length * self.arc_length[-1]
-        return np.array([np.interp(at, self.arc_length, axis) for axis in self.centre.T])
+    def points(self, positions: Array) -> Array:
+        """[F, 2] of the centreline at positions [F] as SUMO counts them."""
+        at = positions / self.sumo_length * self.arc_length[-1]
+        return np.stack([np.interp(at, self.arc_length, axis) for axis in self.centre.T], -1)
 
 
 @dataclass(frozen=True)

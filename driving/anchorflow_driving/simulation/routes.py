@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import groupby
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,17 +24,31 @@ BEYOND = 60.0
 
 def followed_line(net: RoadNet, vehicle: VehicleRecord) -> tuple[Array, Array]:
     """The smoothed centreline [V, 2], and where on it [F] the front bumper was, m."""
-    lanes = [net.lanes.get(name) for name, _ in vehicle.lane]
-    points = np.array(
-        [
-            lane.point(position) if lane else front
-            for lane, (_, position), front in zip(lanes, vehicle.lane, vehicle.front, strict=True)
-        ]
-    )
-    onward = _onward(net, lanes[-1], vehicle) if lanes[-1] else np.zeros((0, 2))
-    line = _blended(np.concatenate([points, onward]), np.asarray(vehicle.front), len(points))
+    front = np.asarray(vehicle.front)
+    points = [
+        _on_lane(net, name, [position for _, position in along], front[begin : begin + len(along)])
+        for name, begin, along in _runs(vehicle.lane)
+    ]
+    last = net.lanes.get(vehicle.lane[-1][0])
+    onward = _onward(net, last, vehicle) if last else np.zeros((0, 2))
+    line = _blended(np.concatenate([*points, onward]), front, len(front))
     smoothed = smooth_line(line, sigma=1.5)
-    return smoothed, _places(smoothed, np.asarray(vehicle.front))
+    return smoothed, _places(smoothed, front)
+
+
+def _runs(lane: list[tuple[str, float]]) -> Iterator[tuple[str, int, list[tuple[str, float]]]]:
+    """Frames on one lane: its name, the first of them, and what was noted."""
+    begin = 0
+    for name, group in groupby(lane, key=lambda noted: noted[0]):
+        along = list(group)
+        yield name, begin, along
+        begin += len(along)
+
+
+def _on_lane(net: RoadNet, name: str, positions: list[float], front: Array) -> Array:
+    """[F, 2] of the lane's centreline; where SUMO names none of ours, where the vehicle was."""
+    lane = net.lanes.get(name)
+    return lane.points(np.array(positions)) if lane else front
 
 
 def _onward(net: RoadNet, lane: NetLane, vehicle: VehicleRecord) -> Array:

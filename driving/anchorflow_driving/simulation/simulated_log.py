@@ -22,12 +22,13 @@ from anchorflow_driving.log import (
 from anchorflow_driving.simulation.config import LogConfig
 from anchorflow_driving.simulation.courses import person_states, vehicle_states
 from anchorflow_driving.simulation.demand import make_demand
+from anchorflow_driving.simulation.families import family
 from anchorflow_driving.simulation.recording import Recording, VehicleRecord, as_array, record
 from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.routes import followed_line
 from anchorflow_driving.simulation.street_plan import make_net
 from anchorflow_driving.simulation.sumo_programs import SimulationError
-from anchorflow_driving.simulation.windows import Driven, WindowChoice, choose_windows
+from anchorflow_driving.simulation.windows import Driven, choose_windows
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,13 @@ ATTEMPTS = 5
 """Draws of a log before it is taken as it is."""
 LEAST_FRAMES = 3
 """Of a track; who is seen more briefly is left out."""
+NO_WINDOWS = {
+    "window_ego": np.zeros(0, np.int32),
+    "window_frame": np.zeros(0, np.int32),
+    "window_command": np.zeros(0, np.uint8),
+    "window_speed_limit": np.zeros(0, np.float32),
+    **family("route", []),
+}
 AFTER = 10
 """Frames simulated past the log's end, so that smoothing knows how its motions go on."""
 
@@ -92,7 +100,6 @@ def _simulated(
     fields |= _track_fields(tracks, mirror=mirror)
     for each in driven:
         each.line[:, 1] *= mirror
-    chosen = choose_windows(fields, driven, rng, most=config.windows)
     log = DrivingLog(
         name=name,
         source="simulated",
@@ -100,9 +107,9 @@ def _simulated(
         city="left-hand traffic" if mirror < 0 else "right-hand traffic",
         dt=FRAME_S,
         **fields,
-        **_window_fields(chosen),
+        **NO_WINDOWS,
     )
-    return log, chosen.counts
+    return choose_windows(log, driven, rng, most=config.windows)
 
 
 def _tracks(
@@ -187,21 +194,3 @@ def _track_fields(tracks: Tracks, *, mirror: float) -> dict[str, Any]:
         "track_size": np.array(tracks.size, np.float32),
         "track_state": states.astype(np.float32),
     }
-
-
-def _window_fields(chosen: WindowChoice) -> dict[str, Any]:
-    windows = chosen.windows
-    return {
-        "window_ego": np.array([window.ego for window in windows], np.int32),
-        "window_frame": np.array([window.frame for window in windows], np.int32),
-        "window_command": np.array([window.command for window in windows], np.uint8),
-        "window_speed_limit": np.array([window.speed_limit for window in windows], np.float32),
-        **family("route", [window.route for window in windows], mirror=1.0),
-    }
-
-
-def family(name: str, lines: list[Array], *, mirror: float) -> dict[str, Any]:
-    """Points and offsets of polylines or polygons."""
-    offsets = np.cumsum([0, *(len(line) for line in lines)]).astype(np.int32)
-    points = np.concatenate([*lines, np.zeros((0, 2))]) * [1.0, mirror]
-    return {f"{name}_points": points.astype(np.float32), f"{name}_offsets": offsets}

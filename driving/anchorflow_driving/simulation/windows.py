@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.geometry import box_corners, boxes_overlap
-from anchorflow_driving.log import COMMANDS, FRAME_S, FUTURE_FRAMES, HISTORY_FRAMES, VEHICLE
+from anchorflow_driving.log import (
+    COMMANDS,
+    FRAME_S,
+    FUTURE_FRAMES,
+    HISTORY_FRAMES,
+    VEHICLE,
+    DrivingLog,
+)
+from anchorflow_driving.pdm.rating import rate
+from anchorflow_driving.pdm.score import tracked
+from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.road import DrivableGrid
+from anchorflow_driving.simulation.families import family
+from anchorflow_driving.window import Scenes, Window
 
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
@@ -41,23 +54,6 @@ class Driven:
     speed_limit: Array  # [F] m/s
 
 
-@dataclass(frozen=True, eq=False)
-class ChosenWindow:
-    ego: int
-    frame: int
-    command: int
-    speed_limit: float
-    route: Array  # [V, 2]
-
-
-@dataclass(frozen=True)
-class WindowChoice:
-    """counts: windows, turning, standing, and candidates dropped by their reason."""
-
-    windows: list[ChosenWindow]
-    counts: Counter[str]
-
-
 @dataclass(frozen=True)
 class _Candidate:
     driven: Driven
@@ -66,18 +62,19 @@ class _Candidate:
 
 
 def choose_windows(
-    fields: Mapping[str, NDArray], driven: list[Driven], rng: np.random.Generator, *, most: int
-) -> WindowChoice:
-    """At most `most` windows whose recorded futures are good: a third turning, few standing.
+    log: DrivingLog, driven: Sequence[Driven], rng: np.random.Generator, *, most: int
+) -> tuple[DrivingLog, Counter[str]]:
+    """The log with at most `most` windows, a third of them turning, few standing.
 
-    fields: the log's tracks and its drivable rings
+    Their recorded futures are good, and stay so when a vehicle tracks them. Counted are windows,
+    turning, moving and standing ones, commands, and what was dropped by its reason.
     """
-    states = fields["track_state"].astype(np.float64)
+    states = log.track_state.astype(np.float64)
     counts: Counter[str] = Counter()
-    faults = _faults(states, fields)
+    faults = _faults(states, log)
     by_kind: dict[str, list[_Candidate]] = {"turning": [], "moving": [], "standing": []}
     for each in driven:
-        if each.kind != VEHICLE or not _fits(fields["track_size"][each.track, 0]):
+        if each.kind != VEHICLE or not _fits(log.track_size[each.track, 0]):
             continue
         for candidate in _candidates(each, states[each.track]):
             future = slice(candidate.frame, candidate.frame + FUTURE_FRAMES + 1)
@@ -86,12 +83,12 @@ def choose_windows(
                 counts[f"dropped: {reasons[0]}"] += 1
             else:
                 by_kind[candidate.kind].append(candidate)
-    chosen = _drawn(by_kind, rng, most=most)
+    chosen = _drawn(log, by_kind, rng, counts, most=most)
     counts.update(candidate.kind for candidate in chosen)
     counts["windows"] = len(chosen)
-    windows = [_window(candidate) for candidate in chosen]
-    counts.update(COMMANDS[window.command] for window in windows)
-    return WindowChoice(windows, counts)
+    whole = _with_windows(log, chosen)
+    counts.update(COMMANDS[index] for index in whole.window_command)
+    return whole, counts
 
 
 def _fits(length: float) -> bool:
@@ -115,11 +112,10 @@ def _candidates(driven: Driven, states: Array) -> list[_Candidate]:
     return found
 
 
-def _faults(states: Array, fields: Mapping[str, NDArray]) -> dict[str, Booleans]:
+def _faults(states: Array, log: DrivingLog) -> dict[str, Booleans]:
     """[K, F] what makes a recorded future unfit, by reason."""
-    size = fields["track_size"].astype(np.float64)
-    points, offsets = fields["drivable_points"].astype(np.float64), fields["drivable_offsets"]
-    grid = DrivableGrid(tuple(np.split(points, offsets[1:-1])))
+    size = log.track_size.astype(np.float64)
+    grid = DrivableGrid(log.polylines("drivable"))
     corners = box_corners(np.nan_to_num(states[..., :3]), size[:, None])
     off_road = np.asarray(~grid.holds(corners).all(-1))
     speed = np.linalg.norm(states[..., 3:], axis=-1)
@@ -151,33 +147,80 @@ def _touching(states: Array, size: Array) -> Booleans:
 
 
 def _drawn(
-    by_kind: Mapping[str, list[_Candidate]], rng: np.random.Generator, *, most: int
+    log: DrivingLog,
+    by_kind: Mapping[str, list[_Candidate]],
+    rng: np.random.Generator,
+    counts: Counter[str],
+    *,
+    most: int,
 ) -> list[_Candidate]:
-    turning = min(len(by_kind["turning"]), round(most / 3))
-    standing = min(len(by_kind["standing"]), round(most * STANDING_SHARE))
+    turning = _good(log, by_kind["turning"], rng, counts, most=round(most / 3))
+    few = round(most * STANDING_SHARE)
+    standing = _good(log, by_kind["standing"], rng, counts, most=min(few, 2 * len(turning)))
     # Where few turn, fewer drive straight on: a third of all logs' windows shall turn.
-    moving = min(len(by_kind["moving"]), 2 * turning - standing)
-    wanted = {"turning": turning, "moving": max(moving, 0), "standing": standing}
-    chosen = []
-    for kind, count in wanted.items():
-        picked = rng.choice(len(by_kind[kind]), count, replace=False) if count else []
-        chosen += [by_kind[kind][i] for i in sorted(picked)]
+    rest = 2 * len(turning) - len(standing)
+    chosen = [*turning, *standing, *_good(log, by_kind["moving"], rng, counts, most=rest)]
     return sorted(chosen, key=lambda each: (each.driven.track, each.frame))
 
 
-def _window(candidate: _Candidate) -> ChosenWindow:
-    driven, frame = candidate.driven, candidate.frame
-    place = driven.place
-    now, end = float(place[frame]), float(place[frame + FUTURE_FRAMES])
-    known = np.flatnonzero(np.isfinite(place))
-    begin, last = place[known[0]] - ROUTE_BEFORE, place[known[-1]] + ROUTE_BEYOND
-    return ChosenWindow(
-        ego=driven.track,
-        frame=frame,
-        command=command(driven.line, now, end),
-        speed_limit=float(driven.speed_limit[frame]),
-        route=_stretch(driven.line, float(begin), float(last), spacing=1.0),
+def _good(
+    log: DrivingLog,
+    candidates: Sequence[_Candidate],
+    rng: np.random.Generator,
+    counts: Counter[str],
+    *,
+    most: int,
+) -> list[_Candidate]:
+    """Up to `most` candidates in random order whose futures a vehicle can track."""
+    order = [candidates[i] for i in rng.permutation(len(candidates))]
+    scenes = Scenes(_with_windows(log, order))
+    good: list[_Candidate] = []
+    for candidate, window in zip(order, scenes, strict=True):
+        if len(good) == most:
+            break
+        fault = _tracked_fault(window)
+        if fault is None:
+            good.append(candidate)
+        else:
+            counts[f"dropped: {fault}"] += 1
+    return good
+
+
+def _tracked_fault(window: Window) -> str | None:
+    """What the PDM score finds wrong with the recorded future, tracked."""
+    traffic = recorded_traffic(window)
+    scores = rate(tracked(window.recorded(PLAN_TIMES)[None], traffic), traffic).scores
+    if scores.nc[0] < 1:
+        return "collides as tracked"
+    if scores.dac[0] < 1:
+        return "leaves the road as tracked"
+    return None if scores.c[0] else "uncomfortable as tracked"
+
+
+def _with_windows(log: DrivingLog, candidates: Sequence[_Candidate]) -> DrivingLog:
+    tracks = [candidate.driven.track for candidate in candidates]
+    frames = [candidate.frame for candidate in candidates]
+    commands = [_command(candidate) for candidate in candidates]
+    limits = [candidate.driven.speed_limit[candidate.frame] for candidate in candidates]
+    return replace(
+        log,
+        window_ego=np.array(tracks, np.int32),
+        window_frame=np.array(frames, np.int32),
+        window_command=np.array(commands, np.uint8),
+        window_speed_limit=np.array(limits, np.float32),
+        **family("route", [_route(candidate.driven) for candidate in candidates]),
     )
+
+
+def _command(candidate: _Candidate) -> int:
+    place, frame = candidate.driven.place, candidate.frame
+    return command(candidate.driven.line, float(place[frame]), float(place[frame + FUTURE_FRAMES]))
+
+
+def _route(driven: Driven) -> Array:
+    known = driven.place[np.isfinite(driven.place)]
+    begin, last = float(known[0]) - ROUTE_BEFORE, float(known[-1]) + ROUTE_BEYOND
+    return _stretch(driven.line, begin, last, spacing=1.0)
 
 
 def command(line: Array, now: float, end: float) -> int:
