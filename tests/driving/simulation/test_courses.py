@@ -60,7 +60,9 @@ def test_who_stands_stays_where_it_is() -> None:
 
 
 def test_a_walker_faces_where_it_goes() -> None:
-    states = person_states(np.stack([np.zeros(40), np.arange(40) * 0.12], -1))
+    walked = np.linspace([0.0, 0.0], [0.0, 4.68], 40)
+
+    states = person_states(walked)
 
     np.testing.assert_allclose(states[:, 2], np.pi / 2, atol=1e-6)
     np.testing.assert_allclose(states[:, 4], 1.2, atol=1e-6)
