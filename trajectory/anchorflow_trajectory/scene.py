@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import clearance
 from anchorflow_trajectory.cost import CostWeights, MotionLimits
 from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
-from anchorflow_trajectory.geodesic import cell_index
+from anchorflow_trajectory.grid import cell_index
 from anchorflow_trajectory.ray_signature import ObstacleRays
 from anchorflow_trajectory.route_shortening import pulled_tight
 from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
