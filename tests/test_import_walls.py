@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # What each package may import besides the standard library and itself.
 WALLS: dict[str, set[str]] = {
     "anchorflow_client": {"numpy"},
-    "anchorflow_trajectory": {"numpy", "scipy"},
+    "anchorflow_trajectory": {"numba", "numpy", "scipy"},
     "anchorflow_driving": {"anchorflow_client", "numpy", "scipy"},
     "anchorflow_service": {
         "anchorflow_client",
