@@ -103,17 +103,3 @@ class GridField:
         along_x = np.where(over_u == 0, slope_u * scale, -np.sign(over_u))
         along_y = np.where(over_v == 0, slope_v * scale, -np.sign(over_v))
         return value, along_x, along_y
-
-
-def path_clearance(field: GridField, positions: FloatArray, *, max_step: float) -> FloatArray:
-    """Smallest clearance [m] along each polyline; positions [M, T, D >= 2] -> [M].
-
-    Between two samples the polyline is followed at steps of at most `max_step` metres.
-    """
-    start, chord = positions[:, :-1, :2], np.diff(positions[..., :2], axis=1)
-    longest = float(np.sqrt((chord**2).sum(-1).max(initial=0.0)))
-    pieces = max(1, int(np.ceil(longest / max_step)))
-    along = (np.arange(pieces, dtype=np.float32) / pieces)[:, None, None, None]
-    x, y = np.moveaxis(start + along * chord, -1, 0)
-    last = field.sample(positions[:, -1, 0], positions[:, -1, 1])
-    return np.minimum(field.sample(x, y).min(axis=(0, 2)), last)
