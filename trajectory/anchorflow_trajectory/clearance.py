@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
+
+from anchorflow_trajectory.lock_free import cached_property
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
