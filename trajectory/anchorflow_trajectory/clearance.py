@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.distance_transform import distance_in_cells
+from anchorflow_trajectory.lock_free import cached_property
 from anchorflow_trajectory.map_cache import MapCache
 
 FloatArray = NDArray[np.floating]
