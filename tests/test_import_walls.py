@@ -181,17 +181,23 @@ def reachable(package: str) -> set[str]:
 
 @cache
 def loaded_packages(package: str) -> set[str]:
-    """Top-level packages in a fresh interpreter that has imported every module of the package."""
+    """Top-level packages in a fresh interpreter that has imported every module of the package.
+
+    scipy is hidden from those that may not load it: numba looks for it, and does without.
+    """
     modules = [
         name
         for path in sorted(source_folder(package).rglob("*.py"))
         if not exception_of(name := module_name(path, package))
     ]
+    hidden = [] if reachable(package) & {"scipy", "torchdiffeq"} else ["scipy"]
     program = f"""
 import importlib, json, sys
+sys.modules.update(dict.fromkeys({hidden!r}))
 for name in {modules!r}:
     importlib.import_module(name)
-print(json.dumps(sorted({{name.partition(".")[0] for name in sys.modules}})))
+loaded = [name for name, module in sys.modules.items() if module is not None]
+print(json.dumps(sorted({{name.partition(".")[0] for name in loaded}})))
 """
     answer = subprocess.run(
         [sys.executable, "-c", program], check=False, capture_output=True, text=True

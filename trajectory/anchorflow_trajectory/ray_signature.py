@@ -54,9 +54,7 @@ class ObstacleRays:
         keys = np.random.default_rng(KEYS_SEED).integers(
             0, 2**64 - 1, len(self.rows), np.uint64, endpoint=True
         )
-        starts = np.zeros((self.shape[0] + 1, self.shape[1]), np.uint64)
-        np.add.at(starts, (self.rows + 1, self.columns), keys)
-        return np.cumsum(starts, axis=0, dtype=np.uint64)[:-1]
+        return _crossed(keys, self.columns, self.rows, *self.shape)
 
     def signatures(
         self, paths: FloatArray, *, resolution: float, origin: FloatArray
@@ -102,6 +100,22 @@ def _inner_obstacles(blocked: NDArray[np.bool_]) -> NDArray[np.int64]:
             first[count] = begin
             count += 1
     return first[:count].copy()
+
+
+@compiled
+def _crossed(
+    keys: NDArray[np.uint64],
+    columns: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    height: int,
+    width: int,
+) -> NDArray[np.uint64]:
+    """The sums [H, W] of the keys [K] whose rays a step to the right crosses."""
+    crossed = np.zeros((height, width), np.uint64)
+    for k in range(len(keys)):
+        for row in range(rows[k] + 1, height):
+            crossed[row, columns[k]] += keys[k]
+    return crossed
 
 
 @compiled
