@@ -15,7 +15,7 @@ from anchorflow_trajectory.cost import TrajectoryCost
 from anchorflow_trajectory.descent import descend
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import Splines
-from anchorflow_trajectory.verify import required_clearance, verify
+from anchorflow_trajectory.verify import largest_length, required_clearance, verify
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -234,9 +234,7 @@ class Refiner:
         _, velocity, acceleration = scene.basis.states(splines)
         given = scene.ends.in_own_time(np.ones(1))[:, 0, :2]
         start_speed, start_acceleration, goal_speed = np.linalg.norm(given[[1, 2, 4]], axis=-1)
-        speed, hardest = (
-            np.sqrt((vectors[..., :2] ** 2).sum(-1)).max(1) for vectors in (velocity, acceleration)
-        )
+        speed, hardest = largest_length(velocity), largest_length(acceleration)
         needed = np.maximum(
             speed / max(motion.v_max, start_speed, goal_speed),
             (hardest / max(motion.a_max, start_acceleration)) ** 0.5,

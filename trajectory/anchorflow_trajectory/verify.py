@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.clearance import GridField, path_clearance
+from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.cost_fields import Grid, look_up
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -54,10 +56,10 @@ def verify(
         from the map's edge; the share of a cell comes on top, so it holds for another reader too
     """
     position, velocity, acceleration = states
-    clearance = path_clearance(field, position, max_step=CHECK_STEP)
+    clearance = path_clearance(field, position)
     free = clearance >= required_clearance(field, certified_margin)
-    feasible = _largest(velocity) <= SPEED_TOLERANCE * limits.v_max
-    feasible &= _largest(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
+    feasible = largest_length(velocity) <= SPEED_TOLERANCE * limits.v_max
+    feasible &= largest_length(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
     return Verdict(clearance, free, feasible)
 
 
@@ -66,6 +68,46 @@ def required_clearance(field: GridField, certified_margin: float) -> float:
     return certified_margin + SHARE_OF_CELL * field.resolution
 
 
-def _largest(vectors: FloatArray) -> FloatArray:
+def path_clearance(
+    field: GridField, positions: FloatArray, *, max_step: float = CHECK_STEP
+) -> FloatArray:
+    """Smallest clearance [m] along each polyline; positions [M, T, D >= 2] -> [M].
+
+    Between two samples the polyline is followed at steps of at most `max_step` metres.
+    """
+    positions = np.ascontiguousarray(positions)
+    return _least_values(Grid.of(field, positions.dtype), positions, max_step)
+
+
+@compiled
+def _least_values(grid: Grid, positions: FloatArray, max_step: float) -> FloatArray:
+    """The smallest value of a field along each polyline [M, T, D]: [M]."""
+    count, steps, _ = positions.shape
+    least = np.empty(count, positions.dtype)
+    for m in range(count):
+        least[m] = look_up(grid, positions[m, steps - 1, 0], positions[m, steps - 1, 1])[0]
+        for t in range(steps - 1):
+            x, y = positions[m, t, 0], positions[m, t, 1]
+            along_x, along_y = positions[m, t + 1, 0] - x, positions[m, t + 1, 1] - y
+            pieces = max(1, int(np.ceil(np.sqrt(along_x**2 + along_y**2) / max_step)))
+            for piece in range(pieces):
+                share = positions.dtype.type(piece / pieces)
+                value = look_up(grid, x + share * along_x, y + share * along_y)[0]
+                least[m] = min(least[m], value)
+    return least
+
+
+def largest_length(vectors: FloatArray) -> FloatArray:
     """Greatest planar length along each trajectory: [M, T, D] -> [M]."""
-    return np.sqrt((vectors[..., :2] ** 2).sum(-1)).max(1)
+    return _largest_length(np.ascontiguousarray(vectors))
+
+
+@compiled
+def _largest_length(vectors: FloatArray) -> FloatArray:
+    count, steps, _ = vectors.shape
+    largest = np.zeros(count, vectors.dtype)
+    for m in range(count):
+        for t in range(steps):
+            x, y = vectors[m, t, 0], vectors[m, t, 1]
+            largest[m] = max(largest[m], x * x + y * y)
+    return np.sqrt(largest)
