@@ -116,8 +116,8 @@ def recorded(name: str, form: str, came: dict[str, Any]) -> dict[str, Any]:
 
 
 def machine() -> dict[str, str]:
-    libraries = {library: version(library) for library in ("numba", "numpy", "onnxruntime", "scipy")}
-    return {"processor": processor()} | libraries
+    names = ("numba", "numpy", "onnxruntime", "scipy")
+    return {"processor": processor()} | {library: version(library) for library in names}
 
 
 def processor() -> str:
