@@ -19,7 +19,7 @@ from anchorflow_trajectory.cost import CostWeights, TrajectoryCost
 from anchorflow_trajectory.descent import descend, whitening
 from anchorflow_trajectory.spline import Ends, Splines
 from anchorflow_trajectory.spline_kernels import LANES
-from anchorflow_trajectory.verify import path_clearance
+from anchorflow_trajectory.verify import are_safe, path_clearance, verify
 
 MANY = 2 * LANES + 3
 Found = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -120,7 +120,8 @@ def plain_clearance(field: GridField, path: np.ndarray, max_step: float) -> floa
     points = [path[-1:]]
     for start, end in pairwise(path):
         pieces = max(1, int(np.ceil(np.linalg.norm(end - start) / max_step)))
-        points.append(start + np.arange(pieces)[:, None] / pieces * (end - start))
+        share = np.arange(pieces, dtype=np.float32) / np.float32(pieces)
+        points.append(start + share[:, None] * (end - start))
     x, y = np.concatenate(points).T
     return float(field.sample(x, y).min())
 
@@ -180,6 +181,20 @@ def test_the_clearance_of_a_path(stage: Any, dtype: type, atol: float) -> None:
     found = path_clearance(field, position, max_step=0.05)
     plain = [plain_clearance(field, path, 0.05) for path in position.astype(np.float64)]
     np.testing.assert_allclose(found, plain, atol=atol, rtol=0)
+
+
+@pytest.mark.parametrize("certified", [0.0, 0.1])
+def test_splines_are_judged_as_their_states_are(
+    problem: TrajectoryCost, stage: Any, certified: float
+) -> None:
+    start = disturbed(stage, 200, np.float32, duration=4.0)
+    splines = descend(problem, start, stage.moving, steps=10, rate=0.2)
+    field = stage.fields().clearance
+    verdict = verify(stage.basis.states(splines), field, stage.limits, certified_margin=certified)
+    safe = are_safe(splines, stage.basis, field, stage.limits, certified_margin=certified)
+    for each in (verdict.free, verdict.feasible):
+        assert 10 < each.sum() < 190
+    np.testing.assert_array_equal(safe, verdict.safe)
 
 
 def test_an_anchor_gives_the_same_bytes_alone_in_a_batch_and_beside_other_threads(

@@ -61,6 +61,18 @@ def sample_lanes(control: FloatArray, lanes: int, band: Band, t: int, samples: F
 
 
 @compiled
+def sample_one(control: FloatArray, m: int, band: Band, t: int, order: int) -> tuple[float, float]:
+    """x and y of the m-th of splines [D, M, K] at sample t, or of a derivative by own time."""
+    first, weight = band.first[t], band.weights[t, order, 0]
+    x, y = weight * control[0, m, first], weight * control[1, m, first]
+    for j in range(1, band.weights.shape[2]):
+        weight = band.weights[t, order, j]
+        x += weight * control[0, m, first + j]
+        y += weight * control[1, m, first + j]
+    return x, y
+
+
+@compiled
 def gather_slopes(samples: FloatArray, lanes: int, band: Band, t: int, slope: FloatArray) -> None:
     """Add to slopes by control points [D, K, LANES] what slopes by sample t [4, D, LANES] make."""
     for j in range(band.weights.shape[2]):
