@@ -57,7 +57,7 @@ def bisect_to_safe(
     control = np.ascontiguousarray(splines.control)
     moved, duration = _bisected(
         control,
-        splines.duration,
+        np.ascontiguousarray(splines.duration, np.float64),
         np.stack([failed, first, second], axis=1),
         np.where(route[first] == route[second], apart, 0.0),
         basis.points_of(ends),

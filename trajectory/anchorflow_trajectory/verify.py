@@ -77,7 +77,7 @@ def are_safe(
     """The verdict of `verify` on the states of M splines, `safe` [M], in less time."""
     control = np.ascontiguousarray(splines.control)
     judge = Judge.of(basis, field, limits, certified_margin, dtype=control.dtype)
-    return _are_safe(control, splines.duration, judge)
+    return _are_safe(control, np.ascontiguousarray(splines.duration, np.float64), judge)
 
 
 class Judge(NamedTuple):
