@@ -210,6 +210,7 @@ NOT_HERE = {
     "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
     "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
+    "anchorflow bench drive-closed-loop": MEASURES,
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"
     ),

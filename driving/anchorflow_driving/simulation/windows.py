@@ -74,7 +74,7 @@ def choose_windows(
     faults = _faults(states, log)
     by_kind: dict[str, list[_Candidate]] = {"turning": [], "moving": [], "standing": []}
     for each in driven:
-        if each.kind != VEHICLE or not _fits(log.track_size[each.track, 0]):
+        if each.kind != VEHICLE or not fits_ego(log.track_size[each.track, 0]):
             continue
         for candidate in _candidates(each, states[each.track]):
             future = slice(candidate.frame, candidate.frame + FUTURE_FRAMES + 1)
@@ -91,7 +91,7 @@ def choose_windows(
     return whole, counts
 
 
-def _fits(length: float) -> bool:
+def fits_ego(length: float) -> bool:
     return EGO_LENGTH[0] <= length <= EGO_LENGTH[1]
 
 
@@ -189,7 +189,8 @@ def _good(
 def _tracked_fault(window: Window) -> str | None:
     """What the PDM score finds wrong with the recorded future, tracked."""
     traffic = recorded_traffic(window)
-    scores = rate(tracked(window.recorded(PLAN_TIMES)[None], traffic), traffic).scores
+    motion = tracked(window.recorded(PLAN_TIMES)[None], traffic.start, traffic.vehicle)
+    scores = rate(motion, traffic).scores
     if scores.nc[0] < 1:
         return "collides as tracked"
     if scores.dac[0] < 1:
