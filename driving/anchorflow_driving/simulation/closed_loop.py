@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
+from anchorflow_driving.lines import ROUTE_SIGMA, SPACING, smooth_line
 from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog
 from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
 from anchorflow_driving.pdm.comfort import comfort
@@ -19,7 +20,6 @@ from anchorflow_driving.pdm.tracker import STEPS, Motion
 from anchorflow_driving.pdm.traffic import Others, Traffic
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
-from anchorflow_driving.simulation.courses import SPACING, smooth_line
 from anchorflow_driving.simulation.demand import make_demand
 from anchorflow_driving.simulation.live_traffic import LiveTraffic, Seen
 from anchorflow_driving.simulation.parking import parked_cars
@@ -28,7 +28,6 @@ from anchorflow_driving.simulation.routes import line_ahead
 from anchorflow_driving.simulation.simulated_log import NO_WINDOWS, map_fields
 from anchorflow_driving.simulation.street_plan import make_net
 from anchorflow_driving.simulation.sumo_programs import SimulationError
-from anchorflow_driving.simulation.windows import command, fits_ego
 from anchorflow_driving.window import (
     EgoState,
     PlannerView,
@@ -37,6 +36,7 @@ from anchorflow_driving.window import (
     Window,
     planner_view,
 )
+from anchorflow_driving.window_choice import command, fits_ego
 
 Array = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ def _line_of(net: RoadNet, traffic: LiveTraffic, name: str, *, length: float) ->
     behind = traffic.state_of(name)[:2]
     if np.linalg.norm(points[0] - behind) > 1.0:
         points = np.concatenate([behind[None], points])
-    line = smooth_line(points, before=BEHIND, sigma=1.5)
+    line = smooth_line(points, before=BEHIND, sigma=ROUTE_SIGMA)
     return line if (len(line) - 1) * SPACING > length + BEHIND + 20.0 else None
 
 

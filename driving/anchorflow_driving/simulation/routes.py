@@ -8,16 +8,12 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.simulation.courses import SPACING, smooth_line
+from anchorflow_driving.lines import ROUTE_SIGMA, blended, places_on, smooth_line
 from anchorflow_driving.simulation.recording import VehicleRecord
 from anchorflow_driving.simulation.road_net import NetLane, RoadNet
 
 Array = NDArray[np.float64]
 
-BLEND = 12.0
-"""m before and after a change of lanes that the route takes for it."""
-SIDESTEP = 1.0
-"""m between two frames that only a change of lanes explains, beyond what was driven."""
 CHANGING_SPACING = 2.0
 """m between points where a line changes lanes."""
 BEYOND = 60.0
@@ -35,9 +31,9 @@ def followed_line(net: RoadNet, vehicle: VehicleRecord) -> tuple[Array, Array]:
     if last:
         edges, place = vehicle.route[vehicle.on_route :], vehicle.lane[-1][1]
         points.append(line_ahead(net, last, place, edges, length=BEYOND))
-    line = _blended(np.concatenate(points), front, len(front))
-    smoothed = smooth_line(line, sigma=1.5)
-    return smoothed, _places(smoothed, front)
+    line = blended(np.concatenate(points), front)
+    smoothed = smooth_line(line, sigma=ROUTE_SIGMA)
+    return smoothed, places_on(smoothed, front)
 
 
 def _runs(lane: list[tuple[str, float]]) -> Iterator[tuple[str, int, list[tuple[str, float]]]]:
@@ -112,29 +108,3 @@ def _leads_to(net: RoadNet, lane: NetLane, edge: str) -> bool:
             return False
         lane = net.lanes[following[0]]
     return lane.edge == edge
-
-
-def _blended(points: Array, front: Array, recorded: int) -> Array:
-    """The line without the points around sideways steps, so that it goes over gradually."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    driven = np.concatenate([np.linalg.norm(np.diff(front, axis=0), axis=1), [0.0]])
-    allowed = np.full(len(steps), np.inf)
-    allowed[: recorded - 1] = driven[: recorded - 1] + SIDESTEP
-    kept = np.ones(len(points), bool)
-    length = np.concatenate([[0.0], np.minimum(steps, allowed).cumsum()])
-    for jump in np.flatnonzero(steps > allowed):
-        kept &= np.abs(length - length[jump]) > BLEND
-    kept[[0, -1]] = True
-    moved = np.append(True, steps > 1e-3)
-    return points[kept & moved]
-
-
-def _places(line: Array, front: Array) -> Array:
-    """Where on the line each point lies, m; never backwards, so a crossing line cannot mislead."""
-    place, places = 0, []
-    for point in front:
-        # Within what a vehicle may drive in a frame, and some.
-        near = line[place : place + 40]
-        place += int(np.linalg.norm(near - point, axis=1).argmin())
-        places.append(place * SPACING)
-    return np.array(places)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.families import family
 from anchorflow_driving.log import (
     FRAME_S,
     FUTURE_FRAMES,
@@ -22,14 +23,13 @@ from anchorflow_driving.log import (
 from anchorflow_driving.simulation.config import LogConfig
 from anchorflow_driving.simulation.courses import person_states, vehicle_states
 from anchorflow_driving.simulation.demand import make_demand
-from anchorflow_driving.simulation.families import family
 from anchorflow_driving.simulation.parking import parked_cars
 from anchorflow_driving.simulation.recording import Recording, VehicleRecord, as_array, record
 from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.routes import followed_line
 from anchorflow_driving.simulation.street_plan import make_net
 from anchorflow_driving.simulation.sumo_programs import SimulationError
-from anchorflow_driving.simulation.windows import Driven, choose_windows
+from anchorflow_driving.window_choice import Driven, choose_windows
 
 Array = NDArray[np.float64]
 
