@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from anchorflow_driving.drivers import PLAN_TIMES, constant_velocity, idm, stop
+from anchorflow_driving.geometry import ahead_of
 from anchorflow_driving.window import Window
 
 for _module in ("sumo", "libsumo"):
@@ -46,15 +47,23 @@ def test_a_route_is_alike_when_driven_again_and_ends_in_time(loop: Any) -> None:
 
 
 def test_a_driver_sees_itself_where_it_drove_and_no_future(loop: Any) -> None:
-    views = []
+    import libsumo
+
+    views, misses = [], []
 
     def watching(window: Window, times: np.ndarray = PLAN_TIMES) -> np.ndarray:
         with pytest.raises(loop.SimulationError):
             window.recorded(times)
-        views.append(window.view)
+        view = window.view
+        front = ahead_of(view.state.pose, view.vehicle.rear_axle + view.vehicle.length / 2)
+        others = [libsumo.vehicle.getPosition(name) for name in libsumo.vehicle.getIDList()]
+        misses.append(np.linalg.norm(np.array(others) - front[:2], axis=1).min())
+        views.append(view)
         return stop(window, times)
 
     loop.drive_route(watching, loop.ClosedLoopConfig(seed=5, seconds=4.0), 0)
+
+    assert max(misses) < 0.05  # the others see it where it is
 
     for before, view in pairwise(views):
         ego = view.tracks[view.ego]
