@@ -14,13 +14,17 @@ from anchorflow_driving.drivers import PLAN_TIMES, Driver
 from anchorflow_driving.lines import ROUTE_SIGMA, SPACING, smooth_line
 from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog
 from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
-from anchorflow_driving.pdm.comfort import comfort
 from anchorflow_driving.pdm.score import tracked
-from anchorflow_driving.pdm.tracker import STEPS, Motion
+from anchorflow_driving.pdm.tracker import Motion
 from anchorflow_driving.pdm.traffic import Others, Traffic
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
 from anchorflow_driving.simulation.demand import make_demand
+from anchorflow_driving.simulation.driven_motion import (
+    comfortable_share,
+    first_steps,
+    state_after,
+)
 from anchorflow_driving.simulation.live_traffic import LiveTraffic, Seen
 from anchorflow_driving.simulation.parking import parked_cars
 from anchorflow_driving.simulation.road_net import RoadNet
@@ -181,7 +185,7 @@ class _Drive:
             window = self._window(state)
             motion = self._planned(window)
             fault = self._execute(motion, stride)
-            state = _at(motion, stride)
+            state = state_after(motion, stride)
             if fault is not None:
                 outcome = fault
                 break
@@ -192,7 +196,7 @@ class _Drive:
             outcome=outcome,
             driven_m=self._driven(),
             seconds=sum(m.speed.shape[1] - 1 for m in self._motions) * FRAME_S,
-            comfortable=_comfortable(self._motions),
+            comfortable=comfortable_share(self._motions),
             plan_ms=self._plan_ms,
         )
 
@@ -233,7 +237,7 @@ class _Drive:
         for step in range(1, stride + 1):
             middle = self._vehicle.middles(motion.poses[0, step])
             self._traffic.step(self._ego, middle, float(motion.speed[0, step]))
-        driven = _part(motion, stride)
+        driven = first_steps(motion, stride)
         self._motions.append(driven)
         seen = self._traffic.seen()
         ego = seen.names.index(self._ego)
@@ -285,34 +289,3 @@ def _bare_log(fields: dict) -> DrivingLog:
 def _scene(road: Road, vehicle: Vehicle, others: Others, line: Array) -> Traffic:
     start = EgoState(np.zeros(3), 0.0, 0.0, 0.0)
     return Traffic(road, Route(line), vehicle, start, np.nan, others)
-
-
-def _part(motion: Motion, steps: int) -> Motion:
-    cut = slice(0, steps + 1)
-    return Motion(
-        motion.poses[:, cut],
-        motion.speed[:, cut],
-        motion.acceleration[:, cut],
-        motion.yaw_rate[:, cut],
-    )
-
-
-def _at(motion: Motion, step: int) -> EgoState:
-    speed = float(motion.speed[0, step])
-    return EgoState(
-        pose=motion.poses[0, step],
-        speed=max(speed, 0.0),
-        acceleration=float(motion.acceleration[0, step]),
-        curvature=float(motion.yaw_rate[0, step]) / speed if abs(speed) > 0.1 else 0.0,
-    )
-
-
-def _comfortable(motions: list[Motion]) -> float:
-    """Share of the stretches of 4 s, one after the other, that are comfortable."""
-    whole = [
-        np.concatenate([getattr(m, name)[:, 1:] for m in motions], axis=1)
-        for name in ("poses", "speed", "acceleration", "yaw_rate")
-    ]
-    begins = range(0, whole[0].shape[1] - STEPS, STEPS)
-    parts = [Motion(*(each[:, begin : begin + STEPS + 1] for each in whole)) for begin in begins]
-    return float(np.mean([comfort(part)[0] for part in parts])) if parts else float("nan")
