@@ -14,6 +14,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from anchorflow_cli.data_drive import drive
+from anchorflow_cli.data_import_log import import_log
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
 from anchorflow_training.data import TrajectoryDataset
@@ -83,6 +84,7 @@ def make(
 
 
 app.command()(drive)
+app.command()(import_log)
 
 
 @app.command("import")

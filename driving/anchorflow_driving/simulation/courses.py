@@ -10,15 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from anchorflow_driving.lines import SPACING, smooth_line
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.window import REAR_AXLE
 
 Array = NDArray[np.float64]
 
-SPACING = 0.25
-"""m between the points of a line."""
-LINE_SIGMA = 1.3
-"""m, of the Gaussian over a line."""
 TIME_SIGMA = 0.25
 """s, of the Gaussian over the distance driven."""
 BEHIND = 5.0
@@ -54,29 +51,6 @@ def person_states(place: Array) -> Array:
     return np.column_stack([x, y, np.unwrap(heading[moving]), velocity])
 
 
-def smooth_line(points: Array, *, before: float = 0.0, sigma: float = LINE_SIGMA) -> Array:
-    """A polyline every SPACING m, smoothed by a Gaussian; it begins `before` m ahead of its first.
-
-    before: a multiple of SPACING
-
-    Its ends are led on straight, so that they stay where they are.
-    """
-    if len(points) < 2:
-        points = np.concatenate([points, points + np.array([1e-3, 0.0])])
-    lead = SPACING * np.ceil((before + 4 * sigma) / SPACING)
-    first = points[0] - (points[min(3, len(points) - 1)] - points[0])
-    towards = _unit(points[0] - first)
-    backwards, onwards = -towards, _unit(points[-1] - points[-2])
-    line = np.concatenate(
-        [points[:1] + lead * backwards, points, points[-1:] + 4 * sigma * onwards]
-    )
-    length = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
-    at = np.arange(0.0, length[-1], SPACING)
-    even = np.stack([np.interp(at, length, axis) for axis in line.T], -1)
-    smoothed = gaussian_filter1d(even, sigma / SPACING, axis=0, mode="nearest")
-    return smoothed[round((lead - before) / SPACING) :]
-
-
 def _smoothed(values: Array, sigma: float) -> Array:
     """Gaussian over time; both ends go on as they were."""
     pad = int(4 * sigma) + 1
@@ -101,7 +75,3 @@ def _dragged(line: Array, arm: float) -> Array:
     # Each arm points to where its front end has moved on to, half a step ahead of its rear.
     heading = np.unwrap(np.angle(np.array(arms)))
     return np.append((heading[:-1] + heading[1:]) / 2, heading[-1])
-
-
-def _unit(step: Array) -> Array:
-    return step / max(float(np.hypot(*step)), 1e-9)

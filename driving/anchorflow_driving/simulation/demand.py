@@ -28,13 +28,22 @@ class Demand:
 
 
 def make_demand(
-    net: RoadNet, rng: np.random.Generator, folder: Path, *, warm_up_s: float, seconds: float
+    net: RoadNet,
+    rng: np.random.Generator,
+    folder: Path,
+    *,
+    warm_up_s: float,
+    seconds: float,
+    densest: float = 28.0,
 ) -> Demand:
-    """Draws who is on the net for `warm_up_s` and `seconds`."""
+    """Draws who is on the net for `warm_up_s` and `seconds`.
+
+    densest: vehicles a lane and kilometre, of the densest traffic that is drawn
+    """
     root = ElementTree.Element("routes")
     kinds = _add_types(root, rng)
     lane_km = sum(lane.sumo_length for lane in net.lanes.values() if not lane.in_junction) / 1e3
-    density = float(np.exp(rng.uniform(np.log(4.0), np.log(28.0))))  # a lane and kilometre
+    density = float(np.exp(rng.uniform(np.log(4.0), np.log(densest))))  # a lane and kilometre
     count = int(np.clip(density * lane_km, 12, 130))
     entering = int(count * 0.5)
     departs = [

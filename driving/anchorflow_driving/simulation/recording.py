@@ -14,6 +14,8 @@ from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.simulation.demand import Demand
 from anchorflow_driving.simulation.sumo_programs import SimulationError
 
+PERSON_SIZE = (0.6, 0.6)
+"""m"""
 LATERAL_RESOLUTION = 0.3
 """m; without it SUMO's vehicles jump from lane to lane."""
 
@@ -124,7 +126,7 @@ def _note_people(known: dict[str, PersonRecord], frame: int) -> None:
     person = libsumo.person
     for name in person.getIDList():
         if name not in known:
-            known[name] = PersonRecord(frame, (0.6, 0.6))
+            known[name] = PersonRecord(frame, PERSON_SIZE)
         known[name].place.append(person.getPosition(name))
 
 

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.simulation.contours import union_rings
+from anchorflow_driving.contours import union_rings
 
 Array = NDArray[np.float64]
 

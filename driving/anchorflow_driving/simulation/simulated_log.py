@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.families import family
 from anchorflow_driving.log import (
     FRAME_S,
     FUTURE_FRAMES,
@@ -22,13 +23,13 @@ from anchorflow_driving.log import (
 from anchorflow_driving.simulation.config import LogConfig
 from anchorflow_driving.simulation.courses import person_states, vehicle_states
 from anchorflow_driving.simulation.demand import make_demand
-from anchorflow_driving.simulation.families import family
+from anchorflow_driving.simulation.parking import parked_cars
 from anchorflow_driving.simulation.recording import Recording, VehicleRecord, as_array, record
 from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.routes import followed_line
 from anchorflow_driving.simulation.street_plan import make_net
 from anchorflow_driving.simulation.sumo_programs import SimulationError
-from anchorflow_driving.simulation.windows import Driven, choose_windows
+from anchorflow_driving.window_choice import Driven, choose_windows
 
 Array = NDArray[np.float64]
 
@@ -94,9 +95,10 @@ def _simulated(
         seed = int(rng.integers(2**31))
         recording = record(path, demand, seed=seed, frames=begin + frames + AFTER)
     tracks, driven = _tracks(recording, net, begin=begin, frames=frames)
-    _park(tracks, net, rng, frames=frames)
+    for size, state in parked_cars(net, rng):
+        tracks.add(VEHICLE, size, np.repeat(state[None], frames, axis=0))
     mirror = -1.0 if rng.random() < config.left_hand else 1.0
-    fields = _map_fields(net, level=rng.uniform(0.1, 0.38), mirror=mirror)
+    fields = map_fields(net, level=rng.uniform(0.1, 0.38), mirror=mirror)
     fields |= _track_fields(tracks, mirror=mirror)
     for each in driven:
         each.line[:, 1] *= mirror
@@ -150,25 +152,7 @@ def _cut(values: Array, first: int, *, begin: int, frames: int) -> Array:
     return held
 
 
-def _park(tracks: Tracks, net: RoadNet, rng: np.random.Generator, *, frames: int) -> None:
-    """Cars that stand in the parking lanes."""
-    occupied = rng.uniform(0.1, 0.9)
-    for band in net.parking:
-        right, left = band[: len(band) // 2], band[len(band) // 2 :][::-1]
-        middle = (right + left) / 2
-        length = np.concatenate([[0.0], np.linalg.norm(np.diff(middle, axis=0), axis=1).cumsum()])
-        for place in np.arange(6.0, length[-1] - 6.0, 6.5):
-            if rng.random() > occupied:
-                continue
-            x, y = (np.interp(place, length, axis) for axis in middle.T)
-            ahead = [np.interp(place + 1.0, length, axis) for axis in middle.T]
-            heading = np.arctan2(ahead[1] - y, ahead[0] - x) + rng.normal(0.0, 0.03)
-            state = np.array([x, y, heading, 0.0, 0.0])
-            size = (float(rng.uniform(3.7, 5.0)), float(rng.uniform(1.65, 1.95)))
-            tracks.add(VEHICLE, size, np.repeat(state[None], frames, axis=0))
-
-
-def _map_fields(net: RoadNet, *, level: float, mirror: float) -> dict[str, Any]:
+def map_fields(net: RoadNet, *, level: float, mirror: float) -> dict[str, Any]:
     """Fields of a log's map; level: as `union_rings` takes it."""
     lanes = list(net.lanes.values())
     number = {lane.name: index for index, lane in enumerate(lanes)}

@@ -51,12 +51,12 @@ class StreetPlan:
         return sum(node in (street.start, street.end) for street in self.streets)
 
 
-def make_net(rng: np.random.Generator, folder: Path) -> Path:
+def make_net(rng: np.random.Generator, folder: Path, *, lights: bool = True) -> Path:
     """Draws a street plan and has netconvert build its net; the path of the .net.xml."""
     plan = _skeleton(rng, folder)
     _bend(plan, rng)
     _add_roundabouts(plan, rng)
-    _regulate(plan, rng)
+    _regulate(plan, rng, lights=lights)
     _write(plan, folder)
     net = folder / "street.net.xml"
     sidewalks = rng.random() < 0.65
@@ -220,13 +220,14 @@ def _add_roundabout(plan: StreetPlan, node: str, *, radius: float, lanes: int) -
     del plan.nodes[node], plan.kinds[node]
 
 
-def _regulate(plan: StreetPlan, rng: np.random.Generator) -> None:
+def _regulate(plan: StreetPlan, rng: np.random.Generator, *, lights: bool) -> None:
     """Traffic lights, stops, or priority to the right where enough streets meet."""
-    lights = rng.uniform(0.0, 0.8)
+    share = rng.uniform(0.0, 0.8)
     other = rng.choice(["priority", "right_before_left", "allway_stop"], p=[0.7, 0.2, 0.1])
     for node in plan.nodes:
         if plan.degree(node) >= 3 and "." not in node:
-            plan.kinds[node] = "traffic_light" if rng.random() < lights else str(other)
+            lit = rng.random() < share and lights
+            plan.kinds[node] = "traffic_light" if lit else str(other)
 
 
 def _write(plan: StreetPlan, folder: Path) -> None:

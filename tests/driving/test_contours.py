@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from anchorflow_driving.contours import union_rings
 from anchorflow_driving.road import DrivableGrid
-from anchorflow_driving.simulation.contours import union_rings
 
 
 def square(x: float, y: float, side: float) -> np.ndarray:

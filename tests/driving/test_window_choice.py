@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anchorflow_driving.log import COMMANDS
-from anchorflow_driving.simulation.windows import command
+from anchorflow_driving.window_choice import command
 
 
 def bend(degrees: float) -> np.ndarray:

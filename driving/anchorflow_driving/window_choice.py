@@ -1,4 +1,4 @@
-"""Which vehicles, and when, a simulated log asks a planner about."""
+"""Which vehicles, and when, a log asks a planner about."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anchorflow_driving.drivers import PLAN_TIMES
+from anchorflow_driving.families import family
 from anchorflow_driving.geometry import box_corners, boxes_overlap
 from anchorflow_driving.log import (
     COMMANDS,
@@ -24,7 +25,6 @@ from anchorflow_driving.pdm.rating import rate
 from anchorflow_driving.pdm.score import tracked
 from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.road import DrivableGrid
-from anchorflow_driving.simulation.families import family
 from anchorflow_driving.window import Scenes, Window
 
 Array = NDArray[np.float64]
@@ -69,20 +69,8 @@ def choose_windows(
     Their recorded futures are good, and stay so when a vehicle tracks them. Counted are windows,
     turning, moving and standing ones, commands, and what was dropped by its reason.
     """
-    states = log.track_state.astype(np.float64)
     counts: Counter[str] = Counter()
-    faults = _faults(states, log)
-    by_kind: dict[str, list[_Candidate]] = {"turning": [], "moving": [], "standing": []}
-    for each in driven:
-        if each.kind != VEHICLE or not _fits(log.track_size[each.track, 0]):
-            continue
-        for candidate in _candidates(each, states[each.track]):
-            future = slice(candidate.frame, candidate.frame + FUTURE_FRAMES + 1)
-            reasons = [name for name, bad in faults.items() if bad[each.track, future].any()]
-            if reasons:
-                counts[f"dropped: {reasons[0]}"] += 1
-            else:
-                by_kind[candidate.kind].append(candidate)
+    by_kind = _sound(log, driven, counts)
     chosen = _drawn(log, by_kind, rng, counts, most=most)
     counts.update(candidate.kind for candidate in chosen)
     counts["windows"] = len(chosen)
@@ -91,8 +79,42 @@ def choose_windows(
     return whole, counts
 
 
-def _fits(length: float) -> bool:
+def all_windows(log: DrivingLog, driven: Sequence[Driven]) -> tuple[DrivingLog, Counter[str]]:
+    """The log with every window whose recorded future is good: of recorded traffic.
+
+    A vehicle is asked about every second, while turning every half second. Counted are windows and
+    what was dropped.
+    """
+    counts: Counter[str] = Counter()
+    by_kind = _sound(log, driven, counts)
+    found = [each for kind in by_kind.values() for each in kind]
+    chosen = sorted(found, key=lambda each: (each.driven.track, each.frame))
+    counts["windows"] = len(chosen)
+    return _with_windows(log, chosen), counts
+
+
+def fits_ego(length: float) -> bool:
     return EGO_LENGTH[0] <= length <= EGO_LENGTH[1]
+
+
+def _sound(
+    log: DrivingLog, driven: Sequence[Driven], counts: Counter[str]
+) -> dict[str, list[_Candidate]]:
+    """Candidates whose recorded futures are good, by their kind; the others are counted."""
+    states = log.track_state.astype(np.float64)
+    faults = _faults(states, log)
+    by_kind: dict[str, list[_Candidate]] = {"turning": [], "moving": [], "standing": []}
+    for each in driven:
+        if each.kind != VEHICLE or not fits_ego(log.track_size[each.track, 0]):
+            continue
+        for candidate in _candidates(each, states[each.track]):
+            future = slice(candidate.frame, candidate.frame + FUTURE_FRAMES + 1)
+            reasons = [name for name, bad in faults.items() if bad[each.track, future].any()]
+            if reasons:
+                counts[f"dropped: {reasons[0]}"] += 1
+            else:
+                by_kind[candidate.kind].append(candidate)
+    return by_kind
 
 
 def _candidates(driven: Driven, states: Array) -> list[_Candidate]:
@@ -189,7 +211,8 @@ def _good(
 def _tracked_fault(window: Window) -> str | None:
     """What the PDM score finds wrong with the recorded future, tracked."""
     traffic = recorded_traffic(window)
-    scores = rate(tracked(window.recorded(PLAN_TIMES)[None], traffic), traffic).scores
+    motion = tracked(window.recorded(PLAN_TIMES)[None], traffic.start, traffic.vehicle)
+    scores = rate(motion, traffic).scores
     if scores.nc[0] < 1:
         return "collides as tracked"
     if scores.dac[0] < 1:

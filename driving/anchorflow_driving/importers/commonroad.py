@@ -1,0 +1,246 @@
+"""CommonRoad scenarios (Althoff, Koschi and Manzinger, 2017), format 2020a."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.contours import union_rings
+from anchorflow_driving.families import family
+from anchorflow_driving.importers.lane_following import LaneFollowing
+from anchorflow_driving.importers.xml_fields import Element, as_number
+from anchorflow_driving.log import (
+    CYCLIST,
+    FRAME_S,
+    PEDESTRIAN,
+    STATIC,
+    VEHICLE,
+    DrivingLog,
+)
+from anchorflow_driving.window_choice import all_windows
+
+Array = NDArray[np.float64]
+
+VERSION = "2020a"
+KINDS = {
+    "car": VEHICLE,
+    "truck": VEHICLE,
+    "bus": VEHICLE,
+    "taxi": VEHICLE,
+    "priorityVehicle": VEHICLE,
+    "parkedVehicle": VEHICLE,
+    "train": VEHICLE,
+    "unknown": VEHICLE,
+    "pedestrian": PEDESTRIAN,
+    "bicycle": CYCLIST,
+    "motorcycle": CYCLIST,
+    "constructionZone": STATIC,
+    "roadBoundary": STATIC,
+    "building": STATIC,
+    "pillar": STATIC,
+    "median_strip": STATIC,
+}
+NOT_DRIVEN = {"crosswalk", "sidewalk", "bicycleLane", "border"}
+LEVEL = 0.23
+"""Level of `union_rings`: recorded wheels touch the bounds, 0.3 m beside them is road."""
+
+
+@dataclass(frozen=True)
+class _Lanelet:
+    name: str
+    left: Array
+    right: Array
+    kinds: set[str]
+    successors: list[str]
+    marked: list[tuple[Array, bool]]  # painted bounds, and whether they are solid
+
+    @property
+    def polygon(self) -> Array:
+        return np.concatenate([self.right, self.left[::-1]])
+
+    @property
+    def centre(self) -> Array:
+        return (self.left + self.right) / 2
+
+
+@dataclass(frozen=True)
+class _Obstacle:
+    kind: int
+    size: tuple[float, float]
+    time: Array  # [M] s
+    states: Array  # [M, 4] x, y, heading, speed
+
+
+def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
+    """The log of a scenario, with every window whose recorded future is good, and what was counted.
+
+    States are interpolated to 10 Hz. Obstacles without a trajectory (occupancy sets) are left out.
+
+    Raises:
+        LogError: names the file, the field, what was expected and what was found.
+    """
+    root = Element.of_file(path, "commonRoad")
+    if (version := root.attribute("commonRoadVersion")) != VERSION:
+        raise root.refuse(VERSION, version, within="commonRoadVersion")
+    step = as_number(root.attribute("timeStepSize"), root)
+    lanelets = [_lanelet(element) for element in root.children("lanelet")]
+    driven = [lanelet for lanelet in lanelets if not lanelet.kinds & NOT_DRIVEN]
+    if not driven:
+        raise root.refuse("lanelets that vehicles drive on", "none", within="lanelet")
+    counts: Counter[str] = Counter()
+    obstacles = [_static(element) for element in root.children("staticObstacle")]
+    for element in root.children("dynamicObstacle"):
+        if element.maybe("trajectory") is None:
+            counts["dropped: obstacle without a trajectory"] += 1
+        else:
+            obstacles.append(_dynamic(element, step))
+    if not any(len(obstacle.time) > 1 for obstacle in obstacles):
+        raise root.refuse("obstacles with a trajectory", "none", within="dynamicObstacle")
+    junctions = {
+        lane.attribute("ref")
+        for intersection in root.children("intersection")
+        for incoming in intersection.children("incoming")
+        for way in ("successorsRight", "successorsStraight", "successorsLeft")
+        for lane in incoming.children(way)
+    }
+    log = DrivingLog(
+        name=root.attribute("benchmarkID"),
+        source="commonroad",
+        licence="the scenario's",
+        city="",
+        dt=FRAME_S,
+        **_track_fields(obstacles),
+        **_map_fields(lanelets, driven, junctions),
+        window_ego=np.zeros(0, np.int32),
+        window_frame=np.zeros(0, np.int32),
+        window_command=np.zeros(0, np.uint8),
+        window_speed_limit=np.zeros(0, np.float32),
+        **family("route", []),
+        path=str(path),
+    )
+    matched, found = LaneFollowing(log), []
+    for track in np.flatnonzero(log.track_type == VEHICLE).tolist():
+        line = matched.driven(track, log.track_state[track].astype(np.float64))
+        if line is None:
+            counts["dropped: vehicle off the lanes"] += 1
+        else:
+            found.append(line)
+    log, chosen = all_windows(log, found)
+    return log, counts + chosen
+
+
+def _lanelet(element: Element) -> _Lanelet:
+    left, right = (_bound(element.child(side)) for side in ("leftBound", "rightBound"))
+    if len(left) != len(right):
+        raise element.refuse(f"as many points as the left bound ({len(left)})", len(right))
+    marked = []
+    for side, points in (("leftBound", left), ("rightBound", right)):
+        marking = element.child(side).maybe("lineMarking")
+        if marking is not None and marking.text not in ("no_marking", "unknown", ""):
+            marked.append((points, "solid" in marking.text))
+    return _Lanelet(
+        name=element.attribute("id"),
+        left=left,
+        right=right,
+        kinds={kind.text for kind in element.children("laneletType")} - {"unknown"},
+        successors=[each.attribute("ref") for each in element.children("successor")],
+        marked=marked,
+    )
+
+
+def _bound(element: Element) -> Array:
+    points = [(point.number("x"), point.number("y")) for point in element.children("point")]
+    if len(points) < 2:
+        raise element.refuse("two points or more", len(points))
+    return np.array(points)
+
+
+def _kind(element: Element) -> int:
+    name = element.child("type").text
+    if name not in KINDS:
+        raise element.refuse(f"one of {', '.join(KINDS)}", repr(name), within="type")
+    return KINDS[name]
+
+
+def _size(element: Element) -> tuple[float, float]:
+    shape = element.child("shape")
+    rectangle, circle = shape.maybe("rectangle"), shape.maybe("circle")
+    if rectangle is not None:
+        size = rectangle.number("length"), rectangle.number("width")
+    elif circle is not None:
+        size = 2 * circle.number("radius"), 2 * circle.number("radius")
+    else:
+        raise shape.refuse("a rectangle or a circle", "neither")
+    if min(size) <= 0:
+        raise shape.refuse("a length and a width above 0", size)
+    return size
+
+
+def _state(element: Element) -> tuple[float, float, float, float]:
+    point = element.child("position").child("point")
+    speed = 0.0 if element.maybe("velocity") is None else element.number("velocity")
+    return point.number("x"), point.number("y"), element.number("orientation"), speed
+
+
+def _static(element: Element) -> _Obstacle:
+    state = element.child("initialState")
+    x, y, heading, _ = _state(state)
+    states = np.array([[x, y, heading, 0.0]])
+    return _Obstacle(_kind(element), _size(element), np.zeros(1), states)
+
+
+def _dynamic(element: Element, step: float) -> _Obstacle:
+    nodes = [element.child("initialState"), *element.child("trajectory").children("state")]
+    time = np.array([node.number("time") * step for node in nodes])
+    if (np.diff(time) <= 0).any() or time[0] < 0:
+        raise element.refuse(
+            "times that grow from 0", time.tolist(), within="trajectory.state.time"
+        )
+    states = np.array([_state(node) for node in nodes])
+    states[:, 2] = np.unwrap(states[:, 2])
+    return _Obstacle(_kind(element), _size(element), time, states)
+
+
+def _track_fields(obstacles: list[_Obstacle]) -> dict:
+    frames = 1 + int(np.floor(max(obstacle.time[-1] for obstacle in obstacles) / FRAME_S + 1e-6))
+    now = np.arange(frames) * FRAME_S
+    tracks = np.full((len(obstacles), frames, 5), np.nan)
+    for track, obstacle in zip(tracks, obstacles, strict=True):
+        time, stands = obstacle.time, len(obstacle.time) == 1
+        seen = (now >= time[0] - 1e-6) & (now <= time[-1] + 1e-6) | stands
+        x, y, heading, speed = (np.interp(now[seen], time, axis) for axis in obstacle.states.T)
+        track[seen] = np.stack(
+            [x, y, heading, speed * np.cos(heading), speed * np.sin(heading)], -1
+        )
+    return {
+        "track_type": np.array([obstacle.kind for obstacle in obstacles], np.uint8),
+        "track_size": np.array([obstacle.size for obstacle in obstacles], np.float32),
+        "track_state": tracks.astype(np.float32),
+    }
+
+
+def _map_fields(lanelets: list[_Lanelet], driven: list[_Lanelet], junctions: set[str]) -> dict:
+    number = {lanelet.name: index for index, lanelet in enumerate(driven)}
+    edges = [
+        (number[lanelet.name], number[after])
+        for lanelet in driven
+        for after in lanelet.successors
+        if after in number
+    ]
+    walks = [lanelet.polygon for lanelet in lanelets if "crosswalk" in lanelet.kinds]
+    marked = [line for lanelet in lanelets for line in lanelet.marked]
+    polygons = [lanelet.polygon for lanelet in driven]
+    return {
+        **family("lane", polygons),
+        "lane_intersection": np.array([each.name in junctions for each in driven], bool),
+        "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
+        **family("centre", [lanelet.centre for lanelet in driven]),
+        **family("drivable", union_rings(polygons, level=LEVEL)),
+        **family("crosswalk", walks),
+        **family("line", [line for line, _ in marked]),
+        "line_solid": np.array([solid for _, solid in marked], bool),
+    }

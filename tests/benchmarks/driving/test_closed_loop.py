@@ -1,0 +1,61 @@
+"""The table of `anchorflow bench drive-closed-loop`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from anchorflow_cli.main import main
+
+for _module in ("sumo", "libsumo"):
+    pytest.importorskip(_module, reason=f"{_module} is not installed")
+
+
+def test_the_table_counts_how_routes_ended() -> None:
+    from anchorflow_benchmarks.driving.closed_loop import (
+        ClosedLoopConfig,
+        RouteResult,
+        routes_table,
+    )
+
+    results = [
+        RouteResult("completed", 300.0, 40.0, 1.0, [2.0, 4.0]),
+        RouteResult("completed", 300.0, 50.0, 0.5, [3.0]),
+        RouteResult("collision", 150.0, 20.0, 0.75, [3.0]),
+        RouteResult("off road", 50.0, 3.0, float("nan"), [9.0]),
+    ]
+
+    table = routes_table({"somebody": results}, ClosedLoopConfig())
+
+    assert table.rows == [
+        {
+            "driver": "somebody",
+            "completed": 0.5,
+            "collisions/km": pytest.approx(1.25),
+            "off road/km": pytest.approx(1.25),
+            "out of time": 0,
+            "km": pytest.approx(0.8),
+            "comfort": pytest.approx(0.75),
+            "s": 45.0,
+            "ms": 3.0,
+        }
+    ]
+
+
+def test_the_command_writes_it(tmp_path: Path) -> None:
+    options = ["--drivers", "stop", "--routes", "1", "--seconds", "5", "--out", str(tmp_path)]
+
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", "drive-closed-loop", *options])
+
+    assert not ended.value.code
+    (table,) = json.loads((tmp_path / "drive_closed_loop.json").read_text())["tables"]
+    assert table["rows"][0]["driver"] == "stop"
+    assert table["rows"][0]["completed"] == 0
+
+
+def test_an_unknown_driver_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="got 'human'"):
+        main(["bench", "drive-closed-loop", "--drivers", "human", "--out", str(tmp_path)])
