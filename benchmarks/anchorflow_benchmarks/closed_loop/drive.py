@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.lidar import Lidar
 from anchorflow_benchmarks.closed_loop.local_map import LocalMap
 from anchorflow_benchmarks.closed_loop.mppi import MppiController
-from anchorflow_benchmarks.closed_loop.navigation_cost import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.path_following import timed_paths
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.world import GOAL_TOLERANCE, World
@@ -75,8 +75,8 @@ class DriveConfig:
 
     tick_s: float = 0.1
     limit_s: float = 50.0
-    map_cells: int = 128
-    map_resolution: float = 0.08
+    map_cells: int = 240
+    map_resolution: float = 0.04
     horizon_s: float | None = None
     cruise: float = 1.5
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -148,6 +148,7 @@ class Drive:
             resolution=local.resolution,
             origin=local.origin,
             robot_radius=robot.radius,
+            surface=local.surface,
         )
         goal = torch.tensor(self.world.goal, dtype=torch.float32)
         if self._planner is None:
@@ -161,6 +162,7 @@ class Drive:
             robot_radius=robot.radius,
             v_max=robot.v_max,
             a_max=robot.a_max,
+            refine={"certified_margin": self._controller.config.cost.margin},
             seed=int(self._seeds.integers(2**31)),
             **self.config.options,
         )
