@@ -26,6 +26,7 @@ SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are loo
 SLOWEST = 4.0  # times slower than it is, as which a robot may ask
 OWN_DISC = 0.8  # of the robot's radius: hits within it are noise, the robot stands there
 PERIOD_MS = 200.0
+OFF_ROUTE = 1.5  # m by which ways count as longer that are not on the planner's route
 SLOW_THROUGH = 0.6  # m/s at local goals, which are passed in slow motion too
 
 
@@ -70,6 +71,7 @@ class DriveConfig:
     """tick_s: between two commands; options: further fields of each request for anchors.
 
     horizon_s: that all anchors last; None: each has its own duration
+    lidar_noise: m, standard deviation of a range
     cruise: m/s at which anchors that all last as long are driven, and others pass local goals
     """
 
@@ -78,14 +80,14 @@ class DriveConfig:
     map_cells: int = 240
     map_resolution: float = 0.04
     horizon_s: float | None = None
+    lidar_noise: float = 0.01
     cruise: float = 1.5
     options: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def asking(self) -> PlannerConfig:
-        """How anchors are asked for."""
+    def asking(self, margin: float) -> PlannerConfig:
+        """How anchors are asked for that keep a margin in m, as the controller does."""
         through_speed = self.cruise if self.horizon_s is None else SLOW_THROUGH
-        return PlannerConfig(period_ms=PERIOD_MS, through_speed=through_speed)
+        return PlannerConfig(period_ms=PERIOD_MS, through_speed=through_speed, margin_m=margin)
 
 
 class Drive:
@@ -117,7 +119,7 @@ class Drive:
         self.state: Tensor = self.robot.start(world.start)
         self._controller, self._planner = controller, planner
         self._clock = clock or SimulatedTime()
-        self._lidar = Lidar(self.robot.field_of_view)
+        self._lidar = Lidar(self.robot.field_of_view, noise=config.lidar_noise)
         self._map = LocalMap(cells=config.map_cells, resolution=config.map_resolution)
         self._rng = np.random.default_rng(seed)
         self._seeds = np.random.default_rng([seed, 1])
@@ -162,7 +164,6 @@ class Drive:
             robot_radius=robot.radius,
             v_max=robot.v_max,
             a_max=robot.a_max,
-            refine={"certified_margin": self._controller.config.cost.margin},
             seed=int(self._seeds.integers(2**31)),
             **self.config.options,
         )
@@ -170,6 +171,8 @@ class Drive:
             self._controller.rest()
             self._ticks_braked += 1
             return robot.braking(self.state, self.config.tick_s), plan
+        if plan.stuck:
+            self._controller.rest()
         paths, paces = timed_paths(plan, period_s=self._controller.config.dt)
         command, chosen = self._controller.command(
             self.state,
@@ -177,6 +180,7 @@ class Drive:
             goal=goal,
             paths=paths,
             paces=paces if self.config.horizon_s is None else None,
+            handicap=OFF_ROUTE * torch.from_numpy(~plan.on_route),
         )
         if chosen is not None:
             self._planner.follow(chosen)

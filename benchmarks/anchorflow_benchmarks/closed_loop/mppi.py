@@ -21,7 +21,6 @@ from anchorflow_benchmarks.closed_loop.path_following import motions_along
 from anchorflow_benchmarks.closed_loop.robots import Robot
 from anchorflow_benchmarks.closed_loop.ways_left import WaysLeft, clear_ways
 
-
 STANDING = 2  # motions that need no anchor: the plan that is held, and braking
 TRIED_SHARE = 0.25  # of the motions of a tick, that may be along anchors
 BLOCKED_WAY = 100.0  # m by which one that is not clear counts as longer
@@ -169,9 +168,7 @@ class MppiController:
         order = (lengths + BLOCKED_WAY * ~clear).argsort()
         return order[: int(TRIED_SHARE * self.config.samples)].tolist()
 
-    def _along(
-        self, state: Tensor, paths: Tensor, paces: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
+    def _along(self, state: Tensor, paths: Tensor, paces: Tensor | None) -> tuple[Tensor, Tensor]:
         config = self.config
         return motions_along(
             self.robot,
