@@ -79,12 +79,21 @@ class Scene:
     def routes(self) -> list[Route]:
         """The shortest ways round the obstacles, the shortest first; empty where none is free."""
         grid = {"resolution": self.resolution, "origin": self.origin, "rays": self.rays}
-        ends = {"start": self.x_curr[:2], "goal": self.x_goal[:2]}
-        margin = self.certified_margin
-        found = find_routes(self.clearance_field, **grid, **ends, slack=margin + SLACK)
-        if not found and margin > 0.0:  # none can be certified: `safe` says so
-            found = find_routes(self.clearance_field, **grid, **ends)
+        found = self._found_routes(SLACK + self.certified_margin)
+        if not found and self.certified_margin > 0.0:  # none can be certified: `safe` says so
+            found = self._found_routes(SLACK)
         return pulled_tight(found, self.clearance_field, **grid)
+
+    def _found_routes(self, slack: float) -> list[Route]:
+        return find_routes(
+            self.clearance_field,
+            resolution=self.resolution,
+            origin=self.origin,
+            start=self.x_curr[:2],
+            goal=self.x_goal[:2],
+            slack=slack,
+            rays=self.rays,
+        )
 
     @cached_property
     def rays(self) -> ObstacleRays:

@@ -71,7 +71,8 @@ def _distance_to_places(
     """[H, W] m from each cell's centre to the place [H, W, 2] in the nearest occupied cell."""
     if not occupied.any():
         return np.full(occupied.shape, np.inf)
-    rows, columns = distance_transform_edt(~occupied, return_distances=False, return_indices=True)
+    indices = distance_transform_edt(~occupied, return_distances=False, return_indices=True)
+    rows, columns = np.asarray(indices)
     y, x = (np.indices(occupied.shape) + 0.5) * resolution
     nearest = places[rows, columns]
     return np.hypot(x + origin[0] - nearest[..., 0], y + origin[1] - nearest[..., 1])

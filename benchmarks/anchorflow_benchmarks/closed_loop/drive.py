@@ -26,6 +26,7 @@ SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are loo
 SLOWEST = 4.0  # times slower than it is, as which a robot may ask
 OWN_DISC = 0.8  # of the robot's radius: hits within it are noise, the robot stands there
 PERIOD_MS = 200.0
+GOAL_CLEARANCE = 0.45  # m: local goals that are passed at speed want more room than the robot
 OFF_ROUTE = 1.5  # m by which ways count as longer that are not on the planner's route
 SLOW_THROUGH = 0.6  # m/s at local goals, which are passed in slow motion too
 
@@ -87,7 +88,12 @@ class DriveConfig:
     def asking(self, margin: float) -> PlannerConfig:
         """How anchors are asked for that keep a margin in m, as the controller does."""
         through_speed = self.cruise if self.horizon_s is None else SLOW_THROUGH
-        return PlannerConfig(period_ms=PERIOD_MS, through_speed=through_speed, margin_m=margin)
+        return PlannerConfig(
+            period_ms=PERIOD_MS,
+            through_speed=through_speed,
+            margin_m=margin,
+            goal_clearance_m=GOAL_CLEARANCE,
+        )
 
 
 class Drive:
@@ -171,6 +177,7 @@ class Drive:
             self._controller.rest()
             self._ticks_braked += 1
             return robot.braking(self.state, self.config.tick_s), plan
+        assert plan.on_route is not None  # a usable plan has one
         if plan.stuck:
             self._controller.rest()
         paths, paces = timed_paths(plan, period_s=self._controller.config.dt)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
 
@@ -30,13 +30,14 @@ def widest_way(
     centres = low + CELL * np.stack([x, y], -1)
     if not len(posts):
         return most
-    nearest, _ = cKDTree(posts).query(centres.reshape(-1, 2), distance_upper_bound=2 * most)
+    nearest, _ = KDTree(posts).query(centres.reshape(-1, 2), distance_upper_bound=2 * most)
     room = np.minimum(nearest.reshape(height, width) - post_radius, most)
     (start_column, start_row), (goal_column, goal_row) = ((ends - low) / CELL).astype(int)
     narrow, wide = 0.0, float(min(room[start_row, start_column], room[goal_row, goal_column]))
+    parts = np.zeros(room.shape, np.int32)
     for _ in range(HALVINGS):
         tried = 0.5 * (narrow + wide)
-        parts, _ = label(room >= tried, EIGHT_NEIGHBOURS)
+        label(room >= tried, EIGHT_NEIGHBOURS, output=parts)
         if parts[start_row, start_column] == parts[goal_row, goal_column] > 0:
             narrow = tried
         else:

@@ -17,7 +17,7 @@ from anchorflow_client.contract import (
     WarmStart,
 )
 from anchorflow_client.contract.checks import number
-from anchorflow_client.contract.ranges import HORIZON
+from anchorflow_client.contract.ranges import HORIZON, ROBOT_RADIUS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.planner.config import PlannerConfig
 from anchorflow_client.planner.local_goal import local_goal
@@ -127,14 +127,17 @@ def build_request(
         InvalidRequest: what was seen breaks the contract, or the map has no room for a goal.
     """
     cost_map = CostMap.from_fields(seen.cost_map)
+    radius = seen.options.get("robot_radius")
+    passage_m = None if radius is None else number(radius, "robot_radius", ROBOT_RADIUS)
+    if passage_m is not None:
+        passage_m += config.margin_m
     goal = local_goal(
         cost_map,
         seen.x_curr[:2],
         seen.x_goal,
-        clearance_m=max(
-            config.goal_clearance_m, seen.options.get("robot_radius", 0.0) + config.margin_m
-        ),
+        clearance_m=max(config.goal_clearance_m, passage_m or 0.0),
         through_speed=config.through_speed,
+        passage_m=passage_m,
     )
     warm_start = in_use and in_use.warm_start(
         seen.seen_at, config.warm_tau, horizon_s=seen.options.get("horizon_s")
