@@ -87,14 +87,13 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
             "sampler": {"method": options.method, "schedule": {"uniform": options.steps}},
         },
     )
-    robot = ROBOTS[options.robot]()
+    clock, robot = PacedTime(), ROBOTS[options.robot]()
     controller = MppiController(robot, MppiConfig(), tick_s=config.tick_s)
     planner = None
     if client is not None:
-        # Ages are told by the wall clock: the answers come from outside the simulation.
-        margin = controller.config.cost.margin
-        asking = replace(config.asking(margin), max_age_ms=options.max_age)
-        planner = stack.enter_context(Planner(client, asking))
+        # The world stands still while this program is late, and with it the age of a plan.
+        asking = replace(config.asking(controller.config.cost.margin), max_age_ms=options.max_age)
+        planner = stack.enter_context(Planner(client, asking, clock=clock))
     watchers: list[Callable[[Tick], None]] = [ErrorLog()]
     if options.view:
         watchers.append(LiveView(world, robot.radius))
@@ -105,8 +104,7 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
         for watch in watchers:
             watch(tick)
 
-    clock, seed = PacedTime(), options.seed
-    run = Drive(world, controller, planner=planner, clock=clock, config=config, seed=seed)
+    run = Drive(world, controller, planner=planner, clock=clock, config=config, seed=options.seed)
     return run.run(on_tick)
 
 

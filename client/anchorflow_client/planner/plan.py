@@ -83,5 +83,5 @@ def why_unsafe(batch: AnchorBatch, margin_m: float) -> str | None:
         return told
     widest = float(clearance.max())
     if widest >= margin_m:
-        return f"{told}: those with room break a limit of speed or acceleration, or just lack room"
+        return f"{told}: those that have room break a limit or keep the margin only just"
     return f"{told}: the widest way keeps {widest:.2f} m of the {margin_m:.2f} m that are asked for"

@@ -16,14 +16,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from anchorflow_client.contract import (
     AnchorBatch,
-    AnchorRequest,
     CostMap,
     RefineChoice,
     SamplerChoice,
@@ -33,7 +32,7 @@ from anchorflow_client.errors import AnchorFlowError, InvalidAnswer, TimedOut
 from anchorflow_client.plan_keywords import map_fields
 from anchorflow_client.planner.commitment import Commitment
 from anchorflow_client.planner.config import PlannerConfig
-from anchorflow_client.planner.in_flight import Answer, RequestInFlight
+from anchorflow_client.planner.in_flight import AnchorSource, Answer, RequestInFlight
 from anchorflow_client.planner.pacing import Pacing
 from anchorflow_client.planner.plan import Plan, PlanState, why_unsafe
 from anchorflow_client.planner.progress import Progress
@@ -41,14 +40,6 @@ from anchorflow_client.planner.request import AnchorInUse, Observation, build_re
 from anchorflow_client.planner.routes import Routes
 
 MAX_IN_FLIGHT = 2  # a request that hangs may be given up once before there is an answer again
-
-
-class AnchorSource(Protocol):
-    """Whatever answers requests: `AnchorClient`, or another client of the same interface."""
-
-    def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Blocks until there is an answer. Raises `AnchorFlowError` where there is none."""
-        ...
 
 
 class Planner:
@@ -200,8 +191,8 @@ class Planner:
         self.close()
 
     def _is_due(self, now: float) -> bool:
-        has_room = self._in_flight is None and len(self._given_up) < MAX_IN_FLIGHT
-        return has_room and self._pacing.is_due(now)
+        hanging = len(self._given_up)
+        return self._in_flight is None and hanging < MAX_IN_FLIGHT and self._pacing.is_due(now)
 
     def _ask(self, seen: Observation) -> None:
         request_id = f"{self._run}-{self.counts['asked']}"
@@ -216,12 +207,9 @@ class Planner:
         self, seen: Observation, request_id: str, in_use: AnchorInUse | None
     ) -> tuple[AnchorBatch, Routes]:
         """Runs in the background: the answer to what was seen. Raises `AnchorFlowError`."""
+        budget_ms = self._config.max_age_ms
         request = build_request(
-            seen,
-            self._config,
-            request_id=request_id,
-            budget_ms=self._config.max_age_ms,
-            in_use=in_use,
+            seen, self._config, request_id=request_id, budget_ms=budget_ms, in_use=in_use
         )
         batch = self._client.plan_request(request)
         return batch, Routes.among(batch, CostMap.from_fields(seen.cost_map))
@@ -235,10 +223,9 @@ class Planner:
         self.counts["stuck"] += 1
         self._progress.next_step(now)
         self._commitment.give_up()
-        if self._answer is not None:
-            batch, routes, seen_at = self._answer.batch, self._answer.routes, self._answer.seen_at
-            best = self._commitment.choose(batch, routes, seen_at)
-            self._answer = self._answer._replace(best=best)
+        if (answer := self._answer) is not None:
+            best = self._commitment.choose(answer.batch, answer.routes, answer.seen_at)
+            self._answer = answer._replace(best=best)
         return True
 
     def _collect(self, now: float) -> None:
@@ -287,8 +274,8 @@ class Planner:
         return 1e3 * (now - seen_at) > self._config.max_age_ms
 
     def _expired(self, answer: Answer, now: float) -> bool:
-        lasts_s = float(answer.batch.durations.max())
-        return now - answer.seen_at >= lasts_s or self._too_old(answer.seen_at, now)
+        over = now - answer.seen_at >= float(answer.batch.durations.max())
+        return over or self._too_old(answer.seen_at, now)
 
     def _plan(self, now: float, *, stuck: bool = False) -> Plan:
         answer = self._answer
