@@ -23,6 +23,7 @@ from anchorflow_benchmarks.closed_loop.ways_left import WaysLeft, clear_ways
 
 STANDING = 2  # motions that need no anchor: the plan that is held, and braking
 TRIED_SHARE = 0.25  # of the motions of a tick, that may be along anchors
+KEPT_S = 2.0  # for which clear ways count, where the next answers have none
 BLOCKED_WAY = 100.0  # m by which one that is not clear counts as longer
 
 
@@ -84,6 +85,7 @@ class MppiController:
         self._grid: ClearanceGrid
         self._goal: Tensor
         self._ways: WaysLeft | None = None
+        self._ways_kept = 0
 
     def command(
         self,
@@ -102,7 +104,10 @@ class MppiController:
         handicap: [M] m by which each counts as longer than it is. The second is None where MPPI
         keeps the plan that it has.
         """
-        self._grid, self._goal, self._ways = grid, goal, None
+        self._grid, self._goal = grid, goal
+        self._ways_kept -= 1
+        if self._ways_kept <= 0:
+            self._ways = None
         self._shift()
         plans, motions = self._standing_plans(state)
         tried: list[int] = []
@@ -158,12 +163,13 @@ class MppiController:
     def _worth_trying(self, paths: Tensor, handicap: Tensor | None) -> list[int]:
         """Paths that are driven along, the shortest clear ones first; takes note of the ways left.
 
-        Where none is clear the goal's distance counts as ever, and all are worth as much.
+        Where none is clear the last clear ones count for a while, and then the goal's distance.
         """
         clear = clear_ways(paths, self._grid, self.config.cost.margin)
         extra = torch.zeros(len(paths)) if handicap is None else handicap
         if bool(clear.any()):
             self._ways = WaysLeft.along(paths[clear], self._goal, extra[clear])
+            self._ways_kept = round(KEPT_S / self._tick_s)
         lengths = torch.diff(paths, dim=1).norm(dim=-1).sum(1) + extra
         order = (lengths + BLOCKED_WAY * ~clear).argsort()
         return order[: int(TRIED_SHARE * self.config.samples)].tolist()

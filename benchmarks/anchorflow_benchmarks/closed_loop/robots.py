@@ -139,8 +139,11 @@ class Unicycle:
         return state[:3].double().numpy()
 
     def x_curr(self, state: Tensor) -> Array:
-        x, y, yaw, speed, _ = state.double().numpy()
-        return np.array([x, y, speed * np.cos(yaw), speed * np.sin(yaw), 0.0, 0.0])
+        """In a bend it is drawn aside: an anchor that began straight would leave the bend."""
+        x, y, yaw, speed, yaw_rate = state.double().numpy()
+        along, aside = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        pull = np.clip(speed * yaw_rate, -self.a_max, self.a_max)
+        return np.concatenate([[x, y], speed * along, pull * aside])
 
 
 @dataclass(frozen=True)
