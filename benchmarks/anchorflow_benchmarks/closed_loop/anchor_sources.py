@@ -109,7 +109,8 @@ class RoutesSource:
         """To the limits that the request and the card agree on. Raises `InvalidRequest`."""
         asked = resolve_for_card(request, self.bundle.card)
         scene = scene_of(asked)
-        planner = RoutesPlanner(scene.motion, self.finish, self.finish.steps)
+        finish = self.finish.model_copy(update={"certified_margin": asked.certified_margin})
+        planner = RoutesPlanner(scene.motion, finish, finish.steps)
         anchors = planner.plan(scene, num=asked.num_samples, seed=asked.seed)
         assert anchors.safe is not None  # the finish tells
         return AnchorBatch(

@@ -134,7 +134,8 @@ def run_contest(
     ]
     known = {} if log is None else log.known()
     to_drive = [heat for heat in heats if heat.key not in known]
-    progress(len(heats) - len(to_drive))
+    if to_drive != heats:
+        progress(len(heats) - len(to_drive))
     with ProcessPoolExecutor(
         workers, mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,)
     ) as pool:
