@@ -1,8 +1,10 @@
 """MPPI (Williams et al., 2017) from the `pytorch_mppi` package, helped by anchors or alone.
 
-Anchors are warm starts: the robot's model drives along each of them, and where one of these
-motions costs less than the plan that is held, MPPI goes on from it. Every such motion takes the
-place of one of MPPI's samples, so that each tick rolls out the same number with and without.
+Anchors are warm starts: the robot's model drives along the shortest clear ones, and where one of
+these motions costs less than the plan that is held, MPPI goes on from it. What MPPI then makes of
+it is taken where it is no worse. Every such motion takes the place of one of MPPI's samples, so
+that each tick rolls out the same number with and without. Clear anchors also tell the way that is
+left beyond the horizon (`ways_left`).
 """
 
 from __future__ import annotations
