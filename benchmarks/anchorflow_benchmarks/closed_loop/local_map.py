@@ -22,7 +22,7 @@ class LocalMap:
 
     What no beam has told of counts as free: a robot that took the unseen for occupied would plan
     no way out of its own field of view. Poses are taken for exact. A cell is hit where no fewer
-    beams end in it than go on behind it: the tail of the noise makes no gap narrower. Within a
+    beams end in it than go on behind it, so that a few that end early narrow no gap. Within a
     cell the mean place of its hits is kept, which is nearer to the surface than the cell's rim.
     """
 
