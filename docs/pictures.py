@@ -12,6 +12,7 @@ from pathlib import Path
 
 from anchorflow_docs.pictures import (
     classes,
+    drive,
     fields,
     flow,
     overview,
@@ -38,6 +39,7 @@ PICTURES: dict[str, Callable[[Stage], Drawing]] = {
     "styles": styles.styles,
     "classes": classes.classes,
     "warm_start": warm_starts.warm_start,
+    "drive": drive.drive,
 }
 
 

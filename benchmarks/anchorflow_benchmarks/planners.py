@@ -103,6 +103,7 @@ def scene_of(request: ResolvedRequest) -> Scene:
         x_goal=request.x_goal[0],
         w_style=request.w_style[0],
         motion=MotionLimits(request.limits.v_max, request.limits.a_max, request.limits.horizon_s),
+        certified_margin=request.certified_margin,
     )
 
 

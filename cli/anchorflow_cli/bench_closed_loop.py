@@ -48,10 +48,15 @@ def closed_loop(
         float | None,
         typer.Option(min=0, help="Of an answer in simulated time.", show_default="as it took"),
     ] = None,
+    lost: Annotated[float, typer.Option(min=0, max=1, help="Share of the answers.")] = 0.0,
+    noise: Annotated[float, typer.Option(min=0, help="Of the lidar's ranges, m.")] = 0.01,
     robot: Annotated[str, typer.Option(help="unicycle or double-integrator.")] = "unicycle",
     limit_s: Annotated[float, typer.Option(min=0.1, help="Simulated time of a run.")] = 50.0,
     workers: Annotated[int, typer.Option(min=1, help="Processes, one run each at a time.")] = 1,
     threads: ThreadsOption = None,
+    log: Annotated[
+        Path | None, typer.Option(help="A file that takes down each run, to go on from.")
+    ] = None,
     out: OutOption = RESULTS,
 ) -> None:
     """Drive a robot by MPPI alone, with lines, with routes and a finish, with served anchors."""
@@ -63,6 +68,7 @@ def closed_loop(
         )
         from anchorflow_benchmarks.closed_loop.drive import DriveConfig
         from anchorflow_benchmarks.closed_loop.robots import ROBOTS
+        from anchorflow_benchmarks.closed_loop.run_log import RunLog
         from anchorflow_benchmarks.closed_loop.scoring import contest_tables
         from anchorflow_benchmarks.closed_loop.world_sources import load_worlds
     if robot not in ROBOTS:
@@ -75,9 +81,11 @@ def closed_loop(
         url=url,
         threads=threads,
         latency_ms=latency_ms,
+        lost=lost,
         robot=robot,
         drive=DriveConfig(
             limit_s=limit_s,
+            lidar_noise=noise,
             horizon_s=opened.card.cost_map.limits.horizon_s,
             options={
                 "w_style": style,
@@ -87,16 +95,20 @@ def closed_loop(
         ),
     )
     found = load_worlds(worlds, limit=limit)
-    with progress("driving", len(found) * seeds * len(contenders)) as advance:
-        results = run_contest(
-            contenders, found, config, seeds=seeds, workers=workers, progress=advance
-        )
+    narrowest = min(world.to_spare for world in found)
     about = {
-        "worlds": f"{Path(worlds).name}, {len(found)} driven, {seeds} runs each",
-        "robot": f"{robot}, {1 / config.drive.tick_s:g} commands a second",
+        "worlds": f"{Path(worlds).name}, {len(found)} driven, {seeds} runs each; at least "
+        f"{narrowest:.2f} m to spare on the widest way",
+        "robot": f"{robot}, {1 / config.drive.tick_s:g} commands a second, lidar noise {noise:g} m",
         "anchors": f"{num} a request, {sampler}, of {url or opened.card.name}",
         "style": style_text(style),
         "latency": "as measured" if latency_ms is None else f"{latency_ms:g} ms",
+        "answers lost": f"{lost:.0%}",
     }
+    known = None if log is None else RunLog(log, about)
+    with progress("driving", len(found) * seeds * len(contenders)) as advance:
+        results = run_contest(
+            contenders, found, config, seeds=seeds, workers=workers, progress=advance, log=known
+        )
     tables = contest_tables(results, [contender.name for contender in contenders])
     report("Closed loop", about, tables, out)

@@ -41,14 +41,19 @@ class PacedTime(SimulatedTime):
 
 
 class ErrorLog:
-    """Prints why requests fail, each reason once in a row."""
+    """Prints why requests fail or bring nothing safe, each reason once in a row."""
 
     def __init__(self) -> None:
         self._told = ""
 
     def __call__(self, tick: Tick) -> None:
-        error = tick.plan and tick.plan.last_error
-        reason = f"{type(error).__name__}: {error}" if error else ""
+        plan = tick.plan
+        if plan is None:
+            return
+        if plan.stuck:
+            print(f"{tick.time_s:5.1f} s  stuck: another route, or another seed")
+        error = plan.last_error
+        reason = f"{type(error).__name__}: {error}" if error else plan.reason or ""
         if reason not in ("", self._told):
             print(f"{tick.time_s:5.1f} s  {reason}")
         self._told = reason or self._told
@@ -82,13 +87,13 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
             "sampler": {"method": options.method, "schedule": {"uniform": options.steps}},
         },
     )
-    robot = ROBOTS[options.robot]()
+    clock, robot = PacedTime(), ROBOTS[options.robot]()
     controller = MppiController(robot, MppiConfig(), tick_s=config.tick_s)
     planner = None
     if client is not None:
-        # Ages are told by the wall clock: the answers come from outside the simulation.
-        asking = replace(config.asking, max_age_ms=options.max_age)
-        planner = stack.enter_context(Planner(client, asking))
+        # The world stands still while this program is late, and with it the age of a plan.
+        asking = replace(config.asking(controller.config.cost.margin), max_age_ms=options.max_age)
+        planner = stack.enter_context(Planner(client, asking, clock=clock))
     watchers: list[Callable[[Tick], None]] = [ErrorLog()]
     if options.view:
         watchers.append(LiveView(world, robot.radius))
@@ -99,8 +104,7 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
         for watch in watchers:
             watch(tick)
 
-    clock, seed = PacedTime(), options.seed
-    run = Drive(world, controller, planner=planner, clock=clock, config=config, seed=seed)
+    run = Drive(world, controller, planner=planner, clock=clock, config=config, seed=options.seed)
     return run.run(on_tick)
 
 

@@ -20,6 +20,7 @@ from anchorflow_benchmarks.closed_loop.world import World
 SIZE_INCHES, DPI = (4.2, 8.4), 75
 MARGIN = 1.0  # m round start, goal and posts
 EVERY = 2  # ticks between two frames of a GIF
+OTHER_ROUTE = "tab:olive"
 PLAN_COLOR = {"fresh": "tab:green", "held": "tab:orange", "expired": "tab:red"}
 
 
@@ -59,8 +60,10 @@ class Picture:
         if tick.plan is not None:
             state = tick.plan.state.value
             paths = list(tick.plan.states()[..., :2]) if tick.plan.usable else []
+            color = PLAN_COLOR.get(state, "0.5")
             self._anchors.set_segments(paths)
-            self._anchors.set_color(PLAN_COLOR.get(state, "0.5"))
+            own = [] if tick.plan.on_route is None else tick.plan.on_route
+            self._anchors.set_color([color if same else OTHER_ROUTE for same in own] or [color])
             title += f", plan {state}" + (f", {tick.plan.age_ms:.0f} ms old" if paths else "")
         self.axes.set_title(title, fontsize=9)
 

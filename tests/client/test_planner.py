@@ -452,6 +452,55 @@ def test_an_anchor_that_is_used_up_starts_nothing(stage: Stage) -> None:
     assert stage.requests[1].warm_start is None
 
 
+def test_the_margin_is_sent_and_certified() -> None:
+    stage = Stage(PlannerConfig(margin_m=0.07))
+    stage.cycle()
+    stage.cycle(refine={"project": False, "certified_margin": 0.2})
+
+    first, second = (request.refine for request in stage.requests)
+    assert first is not None
+    assert first.certified_margin == 0.07
+    assert second is not None
+    assert (second.project, second.certified_margin) == (False, 0.2)
+
+
+def test_a_plan_names_its_best_anchor_and_those_of_its_route(stage: Stage) -> None:
+    plan = stage.cycle()
+
+    assert plan.best == 1
+    assert plan.on_route is not None
+    assert plan.on_route.tolist() == [True, True]
+    assert plan.reason is None
+    assert stage.update(x_curr=[0.0] * 6).batch is not None
+
+
+def test_an_answer_without_anything_safe_says_why(stage: Stage) -> None:
+    def unsafe(request: AnchorRequest) -> AnchorBatch:
+        batch = batch_for(request)
+        narrow = {"safe": np.zeros(2, bool), "clearance": np.array([-0.1, -0.02], np.float32)}
+        return replace(batch, arrays={**batch.arrays, **narrow})
+
+    stage.reply = unsafe
+    reason = stage.cycle().reason
+
+    assert reason is not None
+    assert "keeps -0.02 m of the 0.00 m" in reason
+
+
+def test_a_robot_that_gets_nowhere_asks_with_another_seed_and_from_noise() -> None:
+    stage = Stage(PlannerConfig(stuck_s=0.45, stuck_m=0.3, cold_every=100))
+    plans = [stage.cycle(seed=7) for _ in range(5)]
+    assert not any(plan.stuck for plan in plans)
+    assert stage.update(seed=7).stuck
+    stage.answer()
+
+    assert stage.planner.counts["stuck"] == 1
+    seeds = [request.seed for request in stage.requests]
+    assert seeds == [7] * 5 + [8]
+    assert stage.requests[-2].warm_start is not None
+    assert stage.requests[-1].warm_start is None
+
+
 def test_after_a_reset_nothing_old_comes_back(stage: Stage) -> None:
     stage.cycle()
     stage.update()

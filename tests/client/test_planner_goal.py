@@ -89,3 +89,20 @@ def test_the_local_goal_keeps_its_distance(
     # The point lies in its cell, so at most half a diagonal from the centre that was looked at.
     distance = np.linalg.norm(centres - point, axis=1).min(initial=np.inf)
     assert distance >= clearance_m - RESOLUTION / np.sqrt(2) - 1e-9
+
+
+def test_a_goal_in_a_pocket_is_not_taken_where_another_place_can_be_reached() -> None:
+    data = empty_map()
+    data[0, 8:24, 22] = data[0, 8:24, 29] = data[0, 8, 22:30] = data[0, 23, 22:30] = 1.0
+
+    def reached(passage_m: float) -> np.ndarray:
+        cost_map = CostMap.build(data, RESOLUTION)
+        goal = np.array([2.5, 0.0, 0.0, 0.0])
+        return local_goal(
+            cost_map, HERE, goal, clearance_m=0.3, through_speed=1.5, passage_m=passage_m
+        )
+
+    assert reached(0.3)[0] < 1.5 or abs(reached(0.3)[1]) > 2.0  # outside the pocket
+    data[0, 14:18, 22] = 0.0  # a door of 1 m
+    np.testing.assert_array_equal(reached(0.3), [2.5, 0.0, 0.0, 0.0])
+    assert reached(0.8)[0] != 2.5  # too narrow for a wider robot

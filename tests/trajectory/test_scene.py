@@ -56,6 +56,18 @@ def test_a_field_is_worked_out_once_and_anew_for_another_scene(
     assert calls == [0.2, 0.3]
 
 
+def test_routes_that_cannot_keep_the_certified_margin_are_not_offered(scene: Scene) -> None:
+    occupancy = scene.cost_map.copy()
+    occupancy[0, 8:14, 18:21] = 0.0  # a door of 0.6 m, straight ahead
+    by_door = replace(scene, cost_map=occupancy)
+    round_the_end = replace(by_door, certified_margin=0.09)
+    nobody_has_it = replace(by_door, certified_margin=1.0)
+
+    assert [route.points[:, 1].max() < 3.2 for route in by_door.routes] == [True]
+    assert [route.points[:, 1].max() > 4.4 for route in round_the_end.routes] == [True]
+    assert len(nobody_has_it.routes) == 1  # offered all the same, and called unsafe
+
+
 def test_the_routes_lead_through_the_gap_and_durations_are_measured_by_the_first(
     scene: Scene,
 ) -> None:

@@ -16,7 +16,7 @@ from anchorflow_trajectory.lock_free import cached_property
 from anchorflow_trajectory.ray_signature import ObstacleRays
 from anchorflow_trajectory.route_shortening import pulled_tight
 from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
-from anchorflow_trajectory.routes import Route, find_routes
+from anchorflow_trajectory.routes import SLACK, Route, find_routes
 from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basis
 
 FloatArray = NDArray[np.floating]
@@ -46,6 +46,7 @@ class Scene:
     w_style: [3] weights of safety, energy and smoothness, which sum to 1
     motion: what anchors keep
     basis: of the splines along the routes
+    certified_margin: m beyond robot_radius that routes keep, where any can
     """
 
     cost_map: NDArray[np.float32]
@@ -57,6 +58,7 @@ class Scene:
     w_style: FloatArray
     motion: MotionLimits
     basis: SplineBasis = field(default_factory=lambda: spline_basis(NUM_STEPS))
+    certified_margin: float = 0.0
 
     @cached_property
     def occupied(self) -> NDArray[np.bool_]:
@@ -77,10 +79,21 @@ class Scene:
     def routes(self) -> list[Route]:
         """The shortest ways round the obstacles, the shortest first; empty where none is free."""
         grid = {"resolution": self.resolution, "origin": self.origin, "rays": self.rays}
-        found = find_routes(
-            self.clearance_field, **grid, start=self.x_curr[:2], goal=self.x_goal[:2]
-        )
+        found = self._found_routes(SLACK + self.certified_margin)
+        if not found and self.certified_margin > 0.0:  # none can be certified: `safe` says so
+            found = self._found_routes(SLACK)
         return pulled_tight(found, self.clearance_field, **grid)
+
+    def _found_routes(self, slack: float) -> list[Route]:
+        return find_routes(
+            self.clearance_field,
+            resolution=self.resolution,
+            origin=self.origin,
+            start=self.x_curr[:2],
+            goal=self.x_goal[:2],
+            slack=slack,
+            rays=self.rays,
+        )
 
     @cached_property
     def rays(self) -> ObstacleRays:

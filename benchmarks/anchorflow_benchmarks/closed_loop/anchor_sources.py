@@ -1,4 +1,4 @@
-"""Who proposes anchors beside a client: straight lines, and a search for routes."""
+"""Who proposes anchors beside a client: straight lines, a search for routes, a bad connection."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from anchorflow_client.contract import (
     ModelId,
     resolve_for_card,
 )
+from anchorflow_client.errors import ConnectionFailed
+from anchorflow_client.planner import AnchorSource
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 
@@ -107,7 +109,8 @@ class RoutesSource:
         """To the limits that the request and the card agree on. Raises `InvalidRequest`."""
         asked = resolve_for_card(request, self.bundle.card)
         scene = scene_of(asked)
-        planner = RoutesPlanner(scene.motion, self.finish, self.finish.steps)
+        finish = self.finish.model_copy(update={"certified_margin": asked.certified_margin})
+        planner = RoutesPlanner(scene.motion, finish, finish.steps)
         anchors = planner.plan(scene, num=asked.num_samples, seed=asked.seed)
         assert anchors.safe is not None  # the finish tells
         return AnchorBatch(
@@ -123,3 +126,19 @@ class RoutesSource:
             timing_ms={},
             request_id=request.request_id,
         )
+
+
+class LossySource:
+    """Another source, some of whose answers are lost."""
+
+    def __init__(self, source: AnchorSource, *, share: float, seed: int) -> None:
+        """share: of the answers, in [0, 1]; seed: which of them."""
+        self._source, self._share = source, share
+        self._rng = np.random.default_rng([seed, 2])
+
+    def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+        """Works an answer out in any case. Raises `ConnectionFailed` where it is lost."""
+        batch = self._source.plan_request(request)
+        if self._rng.random() < self._share:
+            raise ConnectionFailed(f"the answer to {request.request_id} was lost")
+        return batch

@@ -13,10 +13,15 @@ from time import perf_counter, process_time
 
 import torch
 
-from anchorflow_benchmarks.closed_loop.anchor_sources import LinesSource, RoutesSource
+from anchorflow_benchmarks.closed_loop.anchor_sources import (
+    LinesSource,
+    LossySource,
+    RoutesSource,
+)
 from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
+from anchorflow_benchmarks.closed_loop.run_log import RunKey, RunLog
 from anchorflow_benchmarks.closed_loop.scoring import Result
 from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, SimulatedTime
 from anchorflow_benchmarks.closed_loop.world import World
@@ -72,12 +77,14 @@ class ContestConfig:
     url: of a service that answers in place of the bundle
     threads: of a request to the bundle's engine
     latency_ms: of an answer in simulated time; None: as long as it took, see `run_contest`
+    lost: share of the answers that never arrive
     """
 
     bundle: Path
     url: str | None = None
     threads: int | None = None
     latency_ms: float | None = None
+    lost: float = 0.0
     robot: str = "unicycle"
     mppi: MppiConfig = field(default_factory=MppiConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
@@ -91,6 +98,11 @@ class Heat:
     world: World
     seed: int
 
+    @property
+    def key(self) -> RunKey:
+        """What tells it from the others of a contest."""
+        return self.contender.name, self.world.name, self.seed
+
 
 def run_contest(
     contenders: Sequence[Contender],
@@ -100,8 +112,11 @@ def run_contest(
     seeds: int = 1,
     workers: int = 1,
     progress: Callable[[int], None] = lambda _: None,
+    log: RunLog | None = None,
 ) -> list[Result]:
     """Every contender's run in every world, seed by seed; `progress` gets 1 a finished run.
+
+    What `log` holds already is not driven again.
 
     Each worker is a process with a single thread for torch. An engine's answer takes the time that
     this process keeps cores busy with it, so that a machine that others share makes no robot slow;
@@ -117,14 +132,20 @@ def run_contest(
         for seed in range(seeds)
         for contender in contenders
     ]
-    results = []
+    known = {} if log is None else log.known()
+    to_drive = [heat for heat in heats if heat.key not in known]
+    if to_drive != heats:
+        progress(len(heats) - len(to_drive))
     with ProcessPoolExecutor(
         workers, mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,)
     ) as pool:
-        for result in pool.map(partial(run_heat, config=config), heats):
-            results.append(result)
+        driven = pool.map(partial(run_heat, config=config), to_drive)
+        for heat, result in zip(to_drive, driven, strict=True):
+            known[heat.key] = result
+            if log is not None:
+                log.add(result)
             progress(1)
-    return results
+    return [known[heat.key] for heat in heats]
 
 
 def run_heat(heat: Heat, config: ContestConfig) -> Result:
@@ -139,7 +160,9 @@ def run_heat(heat: Heat, config: ContestConfig) -> Result:
     with _source(contender, config) as source:
         planner = None
         if source is not None:
-            planner = Planner(source, config.drive.asking, clock=clock, executor=executor)
+            source = LossySource(source, share=config.lost, seed=heat.seed)
+            asking = config.drive.asking(mppi.cost.margin)
+            planner = Planner(source, asking, clock=clock, executor=executor)
         drive = Drive(
             heat.world,
             controller,
@@ -165,7 +188,9 @@ def _source(contender: Contender, config: ContestConfig) -> Iterator[AnchorSourc
     elif config.url is None:
         yield LocalClient(_engine(config.bundle, config.threads))
     else:
-        with AnchorClient(config.url, timeout_s=1e-3 * config.drive.asking.max_age_ms) as client:
+        with AnchorClient(
+            config.url, timeout_s=1e-3 * config.drive.asking(0.0).max_age_ms
+        ) as client:
             yield client
 
 

@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.lidar import Lidar
 from anchorflow_benchmarks.closed_loop.local_map import LocalMap
 from anchorflow_benchmarks.closed_loop.mppi import MppiController
-from anchorflow_benchmarks.closed_loop.navigation_cost import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.path_following import timed_paths
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.world import GOAL_TOLERANCE, World
@@ -26,6 +26,8 @@ SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are loo
 SLOWEST = 4.0  # times slower than it is, as which a robot may ask
 OWN_DISC = 0.8  # of the robot's radius: hits within it are noise, the robot stands there
 PERIOD_MS = 200.0
+GOAL_CLEARANCE = 0.45  # m: local goals that are passed at speed want more room than the robot
+OFF_ROUTE = 1.5  # m by which ways count as longer that are not on the planner's route
 SLOW_THROUGH = 0.6  # m/s at local goals, which are passed in slow motion too
 
 
@@ -70,22 +72,28 @@ class DriveConfig:
     """tick_s: between two commands; options: further fields of each request for anchors.
 
     horizon_s: that all anchors last; None: each has its own duration
+    lidar_noise: m, standard deviation of a range
     cruise: m/s at which anchors that all last as long are driven, and others pass local goals
     """
 
     tick_s: float = 0.1
     limit_s: float = 50.0
-    map_cells: int = 128
-    map_resolution: float = 0.08
+    map_cells: int = 240
+    map_resolution: float = 0.04
     horizon_s: float | None = None
+    lidar_noise: float = 0.01
     cruise: float = 1.5
     options: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def asking(self) -> PlannerConfig:
-        """How anchors are asked for."""
+    def asking(self, margin: float) -> PlannerConfig:
+        """How anchors are asked for that keep a margin in m, as the controller does."""
         through_speed = self.cruise if self.horizon_s is None else SLOW_THROUGH
-        return PlannerConfig(period_ms=PERIOD_MS, through_speed=through_speed)
+        return PlannerConfig(
+            period_ms=PERIOD_MS,
+            through_speed=through_speed,
+            margin_m=margin,
+            goal_clearance_m=GOAL_CLEARANCE,
+        )
 
 
 class Drive:
@@ -117,7 +125,7 @@ class Drive:
         self.state: Tensor = self.robot.start(world.start)
         self._controller, self._planner = controller, planner
         self._clock = clock or SimulatedTime()
-        self._lidar = Lidar(self.robot.field_of_view)
+        self._lidar = Lidar(self.robot.field_of_view, noise=config.lidar_noise)
         self._map = LocalMap(cells=config.map_cells, resolution=config.map_resolution)
         self._rng = np.random.default_rng(seed)
         self._seeds = np.random.default_rng([seed, 1])
@@ -148,6 +156,7 @@ class Drive:
             resolution=local.resolution,
             origin=local.origin,
             robot_radius=robot.radius,
+            surface=local.surface,
         )
         goal = torch.tensor(self.world.goal, dtype=torch.float32)
         if self._planner is None:
@@ -168,6 +177,9 @@ class Drive:
             self._controller.rest()
             self._ticks_braked += 1
             return robot.braking(self.state, self.config.tick_s), plan
+        assert plan.on_route is not None  # a usable plan has one
+        if plan.stuck:
+            self._controller.rest()
         paths, paces = timed_paths(plan, period_s=self._controller.config.dt)
         command, chosen = self._controller.command(
             self.state,
@@ -175,6 +187,7 @@ class Drive:
             goal=goal,
             paths=paths,
             paces=paces if self.config.horizon_s is None else None,
+            handicap=OFF_ROUTE * torch.from_numpy(~plan.on_route),
         )
         if chosen is not None:
             self._planner.follow(chosen)

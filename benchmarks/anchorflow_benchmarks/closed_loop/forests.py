@@ -12,7 +12,7 @@ from itertools import islice
 import numpy as np
 from scipy.ndimage import binary_erosion
 
-from anchorflow_benchmarks.closed_loop.world import PASSAGE, World
+from anchorflow_benchmarks.closed_loop.world import LEAST_GAP, PASSAGE, World
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.grid_path import shortest_way
 from anchorflow_benchmarks.scene_files import held_out_scenes
@@ -66,9 +66,13 @@ def room_at_ends(world: World) -> float:
     return min(world.clearance(end, PASSAGE) for end in (world.start[:2], world.goal))
 
 
-def draw_forests(count: int, seed: int) -> list[World]:
-    """Forests of the generator that training uses, none of which is in a dataset."""
-    return list(islice(_forests(seed), count))
+def draw_forests(count: int, seed: int, *, least_gap: float = LEAST_GAP) -> list[World]:
+    """Forests of the generator that training uses, none of which is in a dataset.
+
+    least_gap: m that the widest way of each leaves a robot to spare on either side
+    """
+    passable = (world for world in _forests(seed) if world.to_spare >= least_gap)
+    return list(islice(passable, count))
 
 
 def _forests(seed: int) -> Iterator[World]:

@@ -1,8 +1,10 @@
 """MPPI (Williams et al., 2017) from the `pytorch_mppi` package, helped by anchors or alone.
 
-Anchors are warm starts: the robot's model drives along each of them, and where one of these
-motions costs less than the plan that is held, MPPI goes on from it. Every such motion takes the
-place of one of MPPI's samples, so that each tick rolls out the same number with and without.
+Anchors are warm starts: the robot's model drives along the shortest clear ones, and where one of
+these motions costs less than the plan that is held, MPPI goes on from it. What MPPI then makes of
+it is taken where it is no worse. Every such motion takes the place of one of MPPI's samples, so
+that each tick rolls out the same number with and without. Clear anchors also tell the way that is
+left beyond the horizon (`ways_left`).
 """
 
 from __future__ import annotations
@@ -15,13 +17,16 @@ from pytorch_mppi import MPPI
 from pytorch_mppi.mppi import SpecificActionSampler
 from torch import Tensor
 
-from anchorflow_benchmarks.closed_loop.navigation_cost import (
-    ClearanceGrid,
-    NavigationCost,
-    rollout,
-)
+from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
+from anchorflow_benchmarks.closed_loop.navigation_cost import NavigationCost, rollout
 from anchorflow_benchmarks.closed_loop.path_following import motions_along
 from anchorflow_benchmarks.closed_loop.robots import Robot
+from anchorflow_benchmarks.closed_loop.ways_left import WaysLeft, clear_ways
+
+STANDING = 2  # motions that need no anchor: the plan that is held, and braking
+TRIED_SHARE = 0.25  # of the motions of a tick, that may be along anchors
+KEPT_S = 2.0  # for which clear ways count, where the next answers have none
+BLOCKED_WAY = 100.0  # m by which one that is not clear counts as longer
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,8 @@ class MppiController:
         )
         self._grid: ClearanceGrid
         self._goal: Tensor
+        self._ways: WaysLeft | None = None
+        self._ways_kept = 0
 
     def command(
         self,
@@ -90,25 +97,41 @@ class MppiController:
         goal: Tensor,
         paths: Tensor | None = None,
         paces: Tensor | None = None,
+        handicap: Tensor | None = None,
     ) -> tuple[Tensor, int | None]:
         """The control [U] for a state [X], and which path it goes on from.
 
         grid: of what is known; goal: [2] m; paths: [M, S, 2] m, anchors from where the robot is;
-        paces: [M, S] m/s at which they want to be driven, None for the cruise of MppiConfig. The
-        second is None where MPPI keeps the plan that it has.
+        paces: [M, S] m/s at which they want to be driven, None for the cruise of MppiConfig;
+        handicap: [M] m by which each counts as longer than it is. The second is None where MPPI
+        keeps the plan that it has.
         """
         self._grid, self._goal = grid, goal
+        self._ways_kept -= 1
+        if self._ways_kept <= 0:
+            self._ways = None
         self._shift()
-        chosen, tried = None, 0
+        plans, motions = self._standing_plans(state)
+        tried: list[int] = []
         if paths is not None:
-            chosen, tried = self._start_from_best(state, paths, paces), 1 + len(paths)
-        self._mppi.K = self.config.samples - tried
+            tried = self._worth_trying(paths, handicap)
+            ways, pace = paths[tried], None if paces is None else paces[tried]
+            controls, driven = self._along(state, ways, pace)
+            plans, motions = torch.cat([plans, controls]), torch.cat([motions, driven])
+        costs = self._cost(motions[None], plans[None])
+        best = int(costs.argmin())
+        self._held.plan = plans[best]
+        self._mppi.K = self.config.samples - len(plans) - 1
         self._mppi.U = self._held.plan
-        control = self._mppi.command(state, shift_nominal_trajectory=False)
+        self._mppi.command(state, shift_nominal_trajectory=False)
         improved = self._mppi.get_action_sequence()
         assert improved is not None
-        self._held.plan = improved
-        return control, chosen
+        # The mean of good motions past both sides of a post is a bad one.
+        motion = rollout(self.robot, state, improved[None], self.config.dt)
+        if float(self._cost(motion[None], improved[None, None])) < float(costs[best]):
+            self._held.plan = improved
+        chosen = best - STANDING
+        return self._held.plan[0], tried[chosen] if chosen >= 0 else None
 
     def rest(self) -> None:
         """Forget the plan: the robot brakes."""
@@ -124,10 +147,38 @@ class MppiController:
         later = torch.cat([plan[1:], torch.zeros_like(plan[:1])])
         self._held.plan = (1.0 - share) * plan + share * later
 
-    def _start_from_best(self, state: Tensor, paths: Tensor, paces: Tensor | None) -> int | None:
-        """Go on from the best path where it beats the plan; says which it is."""
-        config, held = self.config, self._held.plan[None]
-        controls, motions = motions_along(
+    def _standing_plans(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        """The plan that is held and that of braking: controls [2, T, U], states [2, T, X]."""
+        robot, config = self.robot, self.config
+        held = self._held.plan[None]
+        now, controls, states = state[None], [], []
+        for _ in range(config.steps):
+            controls.append(robot.braking(now[0], config.dt)[None])
+            now = robot.step(now, controls[-1], config.dt)
+            states.append(now)
+        motion = rollout(robot, state, held, config.dt)
+        return (
+            torch.cat([held, torch.stack(controls, 1)]),
+            torch.cat([motion, torch.stack(states, 1)]),
+        )
+
+    def _worth_trying(self, paths: Tensor, handicap: Tensor | None) -> list[int]:
+        """Paths that are driven along, the shortest clear ones first; takes note of the ways left.
+
+        Where none is clear the last clear ones count for a while, and then the goal's distance.
+        """
+        clear = clear_ways(paths, self._grid, self.config.cost.margin)
+        extra = torch.zeros(len(paths)) if handicap is None else handicap
+        if bool(clear.any()):
+            self._ways = WaysLeft.along(paths[clear], self._goal, extra[clear])
+            self._ways_kept = round(KEPT_S / self._tick_s)
+        lengths = torch.diff(paths, dim=1).norm(dim=-1).sum(1) + extra
+        order = (lengths + BLOCKED_WAY * ~clear).argsort()
+        return order[: int(TRIED_SHARE * self.config.samples)].tolist()
+
+    def _along(self, state: Tensor, paths: Tensor, paces: Tensor | None) -> tuple[Tensor, Tensor]:
+        config = self.config
+        return motions_along(
             self.robot,
             paths,
             state,
@@ -136,13 +187,6 @@ class MppiController:
             speed=config.cruise * self.robot.v_max,
             paces=paces,
         )
-        controls = torch.cat([held, controls])
-        states = torch.cat([rollout(self.robot, state, held, config.dt), motions])
-        best = int(self._cost(states[None], controls[None]).argmin())
-        if best == 0:
-            return None
-        self._held.plan = controls[best]
-        return best - 1
 
     def _dynamics(self, state: Tensor, control: Tensor) -> Tensor:
         return self.robot.step(state, control, self.config.dt)
@@ -160,4 +204,5 @@ class MppiController:
             grid=self._grid,
             goal=self._goal,
             dt=self.config.dt,
+            ways=self._ways,
         )

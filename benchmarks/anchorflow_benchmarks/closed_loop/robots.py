@@ -106,14 +106,15 @@ class Unicycle:
         return torch.tensor([*pose, 0.0, 0.0], dtype=torch.float32)
 
     def step(self, state: Tensor, control: Tensor, dt: float) -> Tensor:
+        """Both rates change evenly, so that a long step ends where many short ones do."""
         x, y, yaw, speed, yaw_rate = state.unbind(-1)
         push, twist = control.unbind(-1)
-        speed = (speed + dt * push.clamp(-self.a_max, self.a_max)).clamp(self.v_min, self.v_max)
+        later = (speed + dt * push.clamp(-self.a_max, self.a_max)).clamp(self.v_min, self.v_max)
         twist = twist.clamp(-self.yaw_acceleration_max, self.yaw_acceleration_max)
-        yaw_rate = (yaw_rate + dt * twist).clamp(-self.yaw_rate_max, self.yaw_rate_max)
-        course, way = yaw + 0.5 * dt * yaw_rate, dt * speed
+        turning = (yaw_rate + dt * twist).clamp(-self.yaw_rate_max, self.yaw_rate_max)
+        course, way = yaw + dt / 6 * (2 * yaw_rate + turning), 0.5 * dt * (speed + later)
         place = (x + way * torch.cos(course), y + way * torch.sin(course))
-        return torch.stack([*place, yaw + dt * yaw_rate, speed, yaw_rate], -1)
+        return torch.stack([*place, yaw + 0.5 * dt * (yaw_rate + turning), later, turning], -1)
 
     def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
         """Pure pursuit (Coulter, 1992); far off its course it turns on the spot."""
@@ -138,8 +139,11 @@ class Unicycle:
         return state[:3].double().numpy()
 
     def x_curr(self, state: Tensor) -> Array:
-        x, y, yaw, speed, _ = state.double().numpy()
-        return np.array([x, y, speed * np.cos(yaw), speed * np.sin(yaw), 0.0, 0.0])
+        """In a bend it is drawn aside: an anchor that began straight would leave the bend."""
+        x, y, yaw, speed, yaw_rate = state.double().numpy()
+        along, aside = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+        pull = np.clip(speed * yaw_rate, -self.a_max, self.a_max)
+        return np.concatenate([[x, y], speed * along, pull * aside])
 
 
 @dataclass(frozen=True)
@@ -164,7 +168,8 @@ class DoubleIntegrator:
         velocity = state[..., 2:] + dt * _within(control, self.control_limit)
         size = velocity.norm(dim=-1, keepdim=True)
         velocity = velocity * (self.v_max / size.clamp(min=self.v_max))
-        return torch.cat([state[..., :2] + dt * velocity, velocity], -1)
+        mean = 0.5 * (state[..., 2:] + velocity)
+        return torch.cat([state[..., :2] + dt * mean, velocity], -1)
 
     def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
         way = carrot - state[:, :2]

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import zipfile
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_benchmarks.closed_loop.widest_way import widest_way
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.grid_path import shortest_grid_path
 from anchorflow_trajectory.clearance import distance_to_cells
@@ -25,7 +27,9 @@ GOAL_TOLERANCE = 1.0  # m; the challenge counts a robot as arrived from there
 SPACING, RADIUS, WIDTH, LENGTH = 0.15, 0.075, 4.5, 9.6  # m
 START, GOAL = (-2.25, 3.0, np.pi / 2), (-2.25, 13.0)
 FIRST_ROW = 5.1  # m along y, from which on posts stand in the corridor
-PASSAGE = 0.3  # m, the robot's radius and a little more, that a drawn world leaves open
+ROBOT_RADIUS = 0.25  # m, of the robots for which worlds are drawn
+LEAST_GAP = 0.08  # m to spare on either side at the narrowest place of a drawn world's widest way
+PASSAGE = 0.3  # m, the robot's radius and a little more, that a scene of a file has to leave open
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +50,12 @@ class World:
         """m between a robot at [2] and the nearest post; negative where they overlap."""
         nearest = np.sqrt(((self.posts - position) ** 2).sum(1).min(initial=np.inf))
         return float(nearest) - self.post_radius - robot_radius
+
+    @cached_property
+    def to_spare(self) -> float:
+        """m that a robot of ROBOT_RADIUS has on either side where its widest way is narrowest."""
+        ends = self.start[:2], self.goal
+        return widest_way(self.posts, self.post_radius, *ends) - ROBOT_RADIUS
 
 
 def read_worlds(path: Path) -> list[World]:
@@ -71,15 +81,20 @@ def read_worlds(path: Path) -> list[World]:
         raise BenchmarkError(f"{path}: not a file of worlds ({error})") from error
 
 
-def draw_world(seed: int) -> World:
-    """A corridor like BARN's with clusters of posts at random; there is a way through."""
+def draw_world(seed: int, *, least_gap: float = LEAST_GAP) -> World:
+    """A corridor like BARN's with clusters of posts at random; there is a way through.
+
+    least_gap: m that its widest way leaves a robot of ROBOT_RADIUS to spare on either side
+    """
     rng = np.random.default_rng(seed)
+    start, goal = np.array(START), np.array(GOAL)
     while True:
         posts = np.concatenate([_walls(), _clusters(rng, share=rng.uniform(0.08, 0.2))])
-        length = _shortest_way(posts)
+        length = _shortest_way(posts, passage=ROBOT_RADIUS + least_gap)
         if np.isfinite(length):
-            start, goal = np.array(START), np.array(GOAL)
-            return World(f"{DRAWN} {seed}", posts, RADIUS, start, goal, length)
+            world = World(f"{DRAWN} {seed}", posts, RADIUS, start, goal, length)
+            if world.to_spare >= least_gap:
+                return world
 
 
 def _walls() -> Array:
@@ -100,15 +115,15 @@ def _clusters(rng: np.random.Generator, share: float) -> Array:
     return np.stack([x[columns], y[rows]], 1)
 
 
-def _shortest_way(posts: Array) -> float:
-    """m from START to GOAL for a robot of PASSAGE; NaN where there is no way."""
-    cell = 0.1
+def _shortest_way(posts: Array, *, passage: float) -> float:
+    """m from START to GOAL for a robot of a radius in m; NaN where there is no way."""
+    cell = 0.05
     low = np.array([-WIDTH - 1.0, -1.0])
     width, height = np.ceil((np.array([1.0, GOAL[1] + 1.0]) - low) / cell).astype(int)
     columns, rows = np.floor((posts - low) / cell).astype(int).T
     occupied = np.zeros((height, width), bool)
     occupied[rows, columns] = True
-    passable = distance_to_cells(occupied, cell) > PASSAGE + RADIUS - cell / 2
+    passable = distance_to_cells(occupied, cell) > passage + RADIUS - cell / 2
     ends = [np.floor((np.array(point[:2]) - low) / cell).astype(int) for point in (START, GOAL)]
     start, goal = ((int(y), int(x)) for x, y in ends)
     return cell * shortest_grid_path(passable, start, goal)

@@ -46,6 +46,11 @@ class ResolvedRequest(AnchorRequest):
     """What the anchors keep, its horizon_s None where each has its own duration; None for a
     planner without a cost map."""
 
+    @property
+    def certified_margin(self) -> float:
+        """m beyond robot_radius that every anchor called safe keeps; 0 without a finish."""
+        return self.refine.certified_margin if isinstance(self.refine, RefineSpec) else 0.0
+
 
 def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest:
     """Complete a request by a card's defaults; a resolved request comes back unchanged.

@@ -39,6 +39,14 @@ class Plan:
     """Of the request that the newest good answer belongs to, expired or not."""
     last_error: AnchorFlowError | None = None
     """Why the last request failed; None where it was answered."""
+    best: int | None = None
+    """The anchor to follow: the best on the route in use, unless another route is better by far."""
+    on_route: NDArray[np.bool_] | None = None
+    """[N], the anchors that take the same route as `best`."""
+    stuck: bool = False
+    """The robot gets nowhere: the route was just given up, the next request tries another one."""
+    reason: str | None = None
+    """Why there is nothing safe to follow; None where there is."""
 
     @property
     def usable(self) -> bool:
@@ -63,3 +71,17 @@ class Plan:
             raise ValueError(f"expected a usable plan, got one that is {self.state.value}")
         states = states_of(self.batch)
         return shifted(states, dt=self.batch.dt, elapsed_s=1e-3 * self.age_ms)
+
+
+def why_unsafe(batch: AnchorBatch, margin_m: float) -> str | None:
+    """Why no anchor of a batch is safe; None where one is, or where the planner does not say."""
+    safe, clearance = batch.arrays.get("safe"), batch.arrays.get("clearance")
+    if safe is None or safe.any():
+        return None
+    told = f"none of {len(safe)} anchors is safe"
+    if clearance is None:
+        return told
+    widest = float(clearance.max())
+    if widest >= margin_m:
+        return f"{told}: those that have room break a limit or keep the margin only just"
+    return f"{told}: the widest way keeps {widest:.2f} m of the {margin_m:.2f} m that are asked for"

@@ -3,10 +3,7 @@
     with AnchorClient("http://127.0.0.1:8000", timeout_s=1.0) as client, Planner(client) as planner:
         while driving:
             plan = planner.update(cost_map=grid, resolution=0.08, x_curr=state, x_goal=goal)
-            if plan.usable:
-                planner.follow(drive_along(plan))
-            else:
-                brake()
+            drive_along(plan.states()[plan.best]) if plan.usable else brake()
 
 All methods are for the one thread that runs the loop.
 """
@@ -19,13 +16,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
 from types import TracebackType
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from anchorflow_client.contract import (
     AnchorBatch,
-    AnchorRequest,
     CostMap,
     RefineChoice,
     SamplerChoice,
@@ -33,43 +30,23 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.errors import AnchorFlowError, InvalidAnswer, TimedOut
 from anchorflow_client.plan_keywords import map_fields
+from anchorflow_client.planner.commitment import Commitment
 from anchorflow_client.planner.config import PlannerConfig
+from anchorflow_client.planner.in_flight import AnchorSource, Answer, RequestInFlight
 from anchorflow_client.planner.pacing import Pacing
-from anchorflow_client.planner.plan import Plan, PlanState
+from anchorflow_client.planner.plan import Plan, PlanState, why_unsafe
+from anchorflow_client.planner.progress import Progress
 from anchorflow_client.planner.request import AnchorInUse, Observation, build_request
+from anchorflow_client.planner.routes import Routes
 
 MAX_IN_FLIGHT = 2  # a request that hangs may be given up once before there is an answer again
-
-
-class AnchorSource(Protocol):
-    """Whatever answers requests: `AnchorClient`, or another client of the same interface."""
-
-    def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Blocks until there is an answer. Raises `AnchorFlowError` where there is none."""
-        ...
-
-
-class RequestInFlight(NamedTuple):
-    """A request on its way."""
-
-    request_id: str
-    seen_at: float
-    future: futures.Future[AnchorBatch]
-
-
-class Answer(NamedTuple):
-    """The newest good answer."""
-
-    request_id: str
-    seen_at: float
-    batch: AnchorBatch
 
 
 class Planner:
     """Asks a client for anchors in the background and hands out the newest finished batch.
 
     `counts` says how many requests were asked, answered, failed, and dropped because their answer
-    came too late.
+    came too late, and how often the robot was stuck.
     """
 
     def __init__(
@@ -100,7 +77,8 @@ class Planner:
         self._in_flight: RequestInFlight | None = None
         self._given_up: list[RequestInFlight] = []
         self._answer: Answer | None = None
-        self._in_use: AnchorInUse | None = None
+        self._commitment = Commitment(self._config)
+        self._progress = Progress(stuck_s=self._config.stuck_s, stuck_m=self._config.stuck_m)
         self._last_error: AnchorFlowError | None = None
         self._pacing = Pacing(self._config)
 
@@ -145,6 +123,7 @@ class Planner:
         """
         now = self._clock()
         self._collect(now)
+        stuck = self._is_stuck(now, x_curr, x_goal)
         if self._is_due(now):
             options = {
                 "w_style": w_style,
@@ -154,7 +133,7 @@ class Planner:
                 "a_max": a_max,
                 "horizon_s": horizon_s,
                 "model": model,
-                "seed": seed,
+                "seed": None if seed is None else seed + self.counts["stuck"],
                 "sampler": sampler,
                 "refine": refine,
                 "warm_start": warm_start,
@@ -170,15 +149,15 @@ class Planner:
                 options=options,
             )
             self._ask(seen)
-        return self._plan(now)
+        return self._plan(now, stuck=stuck)
 
     def follow(self, index: int) -> None:
-        """Say which anchor of the plan handed out last is driven along.
+        """Say which anchor of the plan handed out last is driven along, where it is not its best.
 
-        The next request starts from it. Where this is never said, from the batch's best.
+        Its route is the one in use, and the next request starts from it.
         """
         if self._answer is not None:
-            self._in_use = AnchorInUse(self._answer.batch, index, self._answer.seen_at)
+            self._commitment.in_use = AnchorInUse(self._answer.batch, index, self._answer.seen_at)
 
     def wait(self, timeout_s: float) -> Plan:
         """Wait for the request on its way, at most so long: before the robot starts to move."""
@@ -191,7 +170,9 @@ class Planner:
     def reset(self) -> None:
         """Forget the plan and the request on its way: another goal, or another place."""
         self._give_up()
-        self._answer = self._in_use = self._last_error = None
+        self._answer = self._last_error = None
+        self._commitment.reset()
+        self._progress.reset()
 
     def close(self) -> None:
         """Ask no more. The client stays open; a request on its way ends by itself."""
@@ -210,13 +191,13 @@ class Planner:
         self.close()
 
     def _is_due(self, now: float) -> bool:
-        has_room = self._in_flight is None and len(self._given_up) < MAX_IN_FLIGHT
-        return has_room and self._pacing.is_due(now)
+        hanging = len(self._given_up)
+        return self._in_flight is None and hanging < MAX_IN_FLIGHT and self._pacing.is_due(now)
 
     def _ask(self, seen: Observation) -> None:
         request_id = f"{self._run}-{self.counts['asked']}"
         cold = self.counts["asked"] % self._config.cold_every == 0
-        in_use = None if cold else self._in_use or self._best()
+        in_use = None if cold else self._commitment.in_use
         self.counts["asked"] += 1
         self._pacing.asked(seen.seen_at)
         future = self._executor.submit(self._answered, seen, request_id, in_use)
@@ -224,21 +205,28 @@ class Planner:
 
     def _answered(
         self, seen: Observation, request_id: str, in_use: AnchorInUse | None
-    ) -> AnchorBatch:
+    ) -> tuple[AnchorBatch, Routes]:
         """Runs in the background: the answer to what was seen. Raises `AnchorFlowError`."""
+        budget_ms = self._config.max_age_ms
         request = build_request(
-            seen,
-            self._config,
-            request_id=request_id,
-            budget_ms=self._config.max_age_ms,
-            in_use=in_use,
+            seen, self._config, request_id=request_id, budget_ms=budget_ms, in_use=in_use
         )
-        return self._client.plan_request(request)
+        batch = self._client.plan_request(request)
+        return batch, Routes.among(batch, CostMap.from_fields(seen.cost_map))
 
-    def _best(self) -> AnchorInUse | None:
-        if self._answer is None:
-            return None
-        return AnchorInUse(self._answer.batch, int(self._answer.batch.best), self._answer.seen_at)
+    def _is_stuck(self, now: float, x_curr: ArrayLike, x_goal: ArrayLike) -> bool:
+        """Whether the robot gets nowhere; its route is given up then."""
+        place, goal = (np.array(state, np.float64).ravel()[:2] for state in (x_curr, x_goal))
+        driving = self._answer is not None and not self._expired(self._answer, now)
+        if not self._progress.is_stuck(now, place, goal, driving=driving):
+            return False
+        self.counts["stuck"] += 1
+        self._progress.next_step(now)
+        self._commitment.give_up()
+        if (answer := self._answer) is not None:
+            best = self._commitment.choose(answer.batch, answer.routes, answer.seen_at)
+            self._answer = answer._replace(best=best)
+        return True
 
     def _collect(self, now: float) -> None:
         """Take the answer that has come, or give up the request that has taken too long."""
@@ -257,7 +245,7 @@ class Planner:
 
     def _finish(self, finished: RequestInFlight, now: float) -> None:
         try:
-            batch = finished.future.result()
+            batch, routes = finished.future.result()
         except AnchorFlowError as error:
             self._failed(error, now)
             return
@@ -266,7 +254,9 @@ class Planner:
             self._failed(InvalidAnswer(wrong), now)
             return
         self.counts["answered"] += 1
-        self._answer = Answer(finished.request_id, finished.seen_at, batch)
+        best = self._commitment.choose(batch, routes, finished.seen_at)
+        self._answer = Answer(finished.request_id, finished.seen_at, batch, routes, best)
+        self.follow(best)
         self._last_error = None
         self._pacing.answered()
 
@@ -283,17 +273,27 @@ class Planner:
     def _too_old(self, seen_at: float, now: float) -> bool:
         return 1e3 * (now - seen_at) > self._config.max_age_ms
 
-    def _plan(self, now: float) -> Plan:
-        if self._answer is None:
-            return Plan(PlanState.WAITING, last_error=self._last_error)
-        lasts_s = float(self._answer.batch.durations.max())
-        over = now - self._answer.seen_at >= lasts_s
-        expired = over or self._too_old(self._answer.seen_at, now)
-        alive = PlanState.FRESH if self._last_error is None else PlanState.HELD
+    def _expired(self, answer: Answer, now: float) -> bool:
+        over = now - answer.seen_at >= float(answer.batch.durations.max())
+        return over or self._too_old(answer.seen_at, now)
+
+    def _plan(self, now: float, *, stuck: bool = False) -> Plan:
+        answer = self._answer
+        if answer is None:
+            return Plan(PlanState.WAITING, last_error=self._last_error, reason="no answer has come")
+        told = {
+            "age_ms": 1e3 * (now - answer.seen_at),
+            "request_id": answer.request_id,
+            "last_error": self._last_error,
+            "stuck": stuck,
+        }
+        if self._expired(answer, now):
+            return Plan(PlanState.EXPIRED, **told, reason="the last answer is too old")
         return Plan(
-            PlanState.EXPIRED if expired else alive,
-            batch=None if expired else self._answer.batch,
-            age_ms=1e3 * (now - self._answer.seen_at),
-            request_id=self._answer.request_id,
-            last_error=self._last_error,
+            PlanState.FRESH if self._last_error is None else PlanState.HELD,
+            batch=answer.batch,
+            best=answer.best,
+            on_route=answer.routes.of == answer.routes.of[answer.best],
+            reason=why_unsafe(answer.batch, self._config.margin_m),
+            **told,
         )

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, WarmStart
+from anchorflow_client.contract import (
+    AnchorBatch,
+    AnchorRequest,
+    CostMap,
+    RefineChoice,
+    WarmStart,
+)
 from anchorflow_client.contract.checks import number
-from anchorflow_client.contract.ranges import HORIZON
+from anchorflow_client.contract.ranges import HORIZON, ROBOT_RADIUS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.planner.config import PlannerConfig
 from anchorflow_client.planner.local_goal import local_goal
@@ -70,6 +76,16 @@ class AnchorInUse:
     seen_at: float
     """s, when the state from which it starts was seen."""
 
+    def left(self, now: float) -> Array | None:
+        """[T,3D], what is left of it at `now` at its own time step; None where nothing is."""
+        duration_s = float(self.batch.durations[self.index])
+        if now - self.seen_at >= duration_s:
+            return None
+        states = states_of(self.batch)[self.index]
+        dt = duration_s / (len(states) - 1)
+        left_dt = dt - (now - self.seen_at) / (len(states) - 1)
+        return shifted(states, dt=dt, elapsed_s=now - self.seen_at, later_dt=left_dt)
+
     def warm_start(
         self, now: float, tau: float, *, horizon_s: float | None = None
     ) -> WarmStart | None:
@@ -111,17 +127,26 @@ def build_request(
         InvalidRequest: what was seen breaks the contract, or the map has no room for a goal.
     """
     cost_map = CostMap.from_fields(seen.cost_map)
+    radius = seen.options.get("robot_radius")
+    passage_m = None if radius is None else number(radius, "robot_radius", ROBOT_RADIUS)
+    if passage_m is not None:
+        passage_m += config.margin_m
     goal = local_goal(
         cost_map,
         seen.x_curr[:2],
         seen.x_goal,
-        clearance_m=config.goal_clearance_m,
+        clearance_m=max(config.goal_clearance_m, passage_m or 0.0),
         through_speed=config.through_speed,
+        passage_m=passage_m,
     )
     warm_start = in_use and in_use.warm_start(
         seen.seen_at, config.warm_tau, horizon_s=seen.options.get("horizon_s")
     )
     added = {"budget_ms": budget_ms, "warm_start": warm_start} | dict(seen.options)
+    if config.margin_m > 0.0:
+        refine = RefineChoice.from_fields(added.get("refine", {}))
+        if refine.certified_margin is None:
+            added["refine"] = replace(refine, certified_margin=config.margin_m)
     return AnchorRequest.build(
         cost_map=cost_map, x_curr=seen.x_curr, x_goal=goal, **added, request_id=request_id
     )

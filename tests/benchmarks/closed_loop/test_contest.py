@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from anchorflow_benchmarks.closed_loop.drive import DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig
 from anchorflow_benchmarks.closed_loop.world import World
 from anchorflow_client import AnchorRequest
-from anchorflow_client.contract import CostMap
+from anchorflow_client.contract import CostMap, RefineChoice
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 ALONE = Contender("MPPI", None, 48)
@@ -87,8 +88,21 @@ def test_routes_pass_an_obstacle_on_both_sides() -> None:
     )
     batch = RoutesSource.of(bundle).plan_request(request)
     middle = batch.trajectories[:, 32, 1]
+    too_much = RoutesSource.of(bundle).plan_request(
+        replace(request, refine=RefineChoice(certified_margin=5.0))
+    )
 
     assert batch.trajectories.shape[0] == 8
     assert batch.safe.all()
+    assert not too_much.safe.any()  # the margin is the routes' too
     assert (middle > 0.6).any()
     assert (middle < -0.6).any()
+
+
+def test_lost_answers_are_failures_of_the_connection(world: Callable[..., World]) -> None:
+    lost, kept = (
+        run_heat(Heat(LINES, world([(3.0, 0.0)]), 0), replace(CONFIG, lost=share))
+        for share in (1.0, 0.0)
+    )
+    assert lost.run.ticks_braked == 5  # none ever arrives, and without a plan it stands
+    assert kept.run.ticks_braked == 1

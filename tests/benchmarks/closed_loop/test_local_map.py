@@ -85,3 +85,36 @@ def test_the_robots_own_place_is_free(world: Callable[..., World]) -> None:
     assert near.any()
     left = local.occupied_beyond(np.zeros(2), 0.25)
     assert left.sum() == (~near).sum()
+
+
+def wall(x: float) -> np.ndarray:
+    """[M, 2] m, centres of posts of 0.1 m whose nearest rims lie at x."""
+    y = np.arange(-1.5, 1.51, 0.02)
+    return np.stack([np.full_like(y, x + 0.1), y], 1)
+
+
+def test_the_place_of_the_hits_is_nearer_to_a_wall_than_the_cells(
+    world: Callable[..., World],
+) -> None:
+    noisy, rng = Lidar(np.pi / 3, noise=0.02), np.random.default_rng(0)
+    local = LocalMap(cells=128, resolution=0.05)
+    for _ in range(20):
+        local.add(noisy.scan(world(wall(2.03)), np.zeros(3), rng))
+    rows, columns = np.nonzero(local.occupied)
+    x, y = local.surface[rows, columns].T
+    front = [x[rows == row].min() for row in np.unique(rows[np.abs(y) < 0.5])]
+
+    np.testing.assert_allclose(front, 2.03, atol=0.015)  # the cells begin at 2.00
+    np.testing.assert_array_equal(np.floor(x / 0.05) - np.floor(local.origin[0] / 0.05), columns)
+
+
+def test_a_beam_that_ends_early_marks_no_cell_through_which_others_pass(
+    world: Callable[..., World],
+) -> None:
+    # 2 cm behind the border of a cell, so that one beam in 44 ends before it.
+    noisy, rng = Lidar(np.pi / 3, noise=0.01), np.random.default_rng(0)
+    local = LocalMap(cells=128, resolution=0.05)
+    for _ in range(40):
+        local.add(noisy.scan(world(wall(2.02)), np.zeros(3), rng))
+    before = cells(local)[cells(local)[:, 0] < 2.0]
+    assert len(before) <= 0.05 * len(cells(local))

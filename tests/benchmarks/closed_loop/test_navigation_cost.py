@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
-from anchorflow_benchmarks.closed_loop.navigation_cost import ClearanceGrid, NavigationCost
+from anchorflow_benchmarks.closed_loop.navigation_cost import NavigationCost
 from anchorflow_benchmarks.closed_loop.robots import Unicycle
 from anchorflow_trajectory.clearance import GridField, distance_to_cells
 

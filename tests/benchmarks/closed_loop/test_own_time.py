@@ -134,7 +134,7 @@ def test_only_a_fixed_duration_makes_a_robot_ask_in_slow_motion(
     clock, source = SimulatedTime(), Recorded(horizon_s)
     config = DriveConfig(horizon_s=horizon_s, options={"num_samples": 8}, **MAP)
     planner = Planner(
-        source, config.asking, clock=clock, executor=LatencyExecutor(clock, fixed_s=0.05)
+        source, config.asking(0.03), clock=clock, executor=LatencyExecutor(clock, fixed_s=0.05)
     )
     robot = Unicycle()
     controller = MppiController(robot, MppiConfig(samples=64, steps=20), tick_s=0.1)

@@ -72,10 +72,23 @@ def test_braking_ends_at_rest_and_stays_there(robot: Robot) -> None:
     )
 
 
-def test_a_unicycle_tells_its_velocity_in_the_map_frame() -> None:
-    state = torch.tensor([1.0, 2.0, math.pi / 3, 1.5, 0.7])
-    expected = [1.0, 2.0, 0.75, 1.5 * math.sin(math.pi / 3), 0.0, 0.0]
+def test_a_unicycle_tells_its_velocity_and_its_bend_in_the_map_frame() -> None:
+    state, aside = torch.tensor([1.0, 2.0, math.pi / 3, 1.5, 0.7]), 1.5 * 0.7
+    expected = [1.0, 2.0, 0.75, 1.5 * math.sin(math.pi / 3)]
+    expected += [-aside * math.sin(math.pi / 3), 0.5 * aside]
     np.testing.assert_allclose(Unicycle().x_curr(state), expected, atol=1e-6)
+    # v w = 5 m/s^2 to the right is more than anchors may be asked to begin with.
+    state = torch.tensor([0.0, 0.0, 0.0, 2.0, -2.5])
+    np.testing.assert_allclose(Unicycle().x_curr(state), [0, 0, 2, 0, 0, -3], atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", BOTH)
+def test_a_long_step_ends_where_many_short_ones_do(robot: Robot) -> None:
+    start, control = robot.start(np.array([0.0, 0.0, 0.4])), torch.tensor([1.5, 1.0])
+    several = start
+    for _ in range(5):
+        several = robot.step(several, control, 0.02)
+    torch.testing.assert_close(robot.step(start, control, 0.1), several, atol=2e-4, rtol=0.0)
 
 
 @pytest.mark.parametrize("robot", BOTH)

@@ -72,6 +72,25 @@ def test_a_drawn_world_leaves_start_and_goal_free_and_a_way_between_them(seed: i
     np.testing.assert_array_equal(world.posts, draw_world(seed).posts)
 
 
+def test_the_widest_way_is_as_wide_as_its_narrowest_gap(world: Callable) -> None:
+    line = np.arange(-3.0, 3.1, 0.1)
+    wall = [(3.0, y) for y in line if not (0.45 < y < 1.15 or -1.75 < y < -0.65)]
+    fence = [(x, y) for x in np.arange(-1.0, 7.1, 0.1) for y in (-3.0, 3.0)]
+    ends = [(x, y) for x in (-1.0, 7.0) for y in line]
+    shut = world(np.array(wall + fence + ends))
+
+    # From centre to centre the wider gap is 1.2 m, and posts are 0.1 m round.
+    assert shut.to_spare == pytest.approx(0.6 - 0.1 - 0.25, abs=0.03)
+    assert world().to_spare > 1.0
+
+
+def test_a_drawn_world_leaves_the_gap_that_was_asked_for() -> None:
+    assert all(w.to_spare >= 0.12 for w in load_worlds("drawn:3:0:0.12"))
+    assert load_worlds("forests:1:0:0.2")[0].to_spare >= 0.2
+    with pytest.raises(BenchmarkError, match=r"expected a GAP from 0 to 0\.25 m, got drawn:3:0:x"):
+        load_worlds("drawn:3:0:x")
+
+
 def test_clearance_is_between_rims(world: Callable) -> None:
     posts = world([(0.0, 3.0), (0.0, -1.0)])
     assert posts.clearance(np.zeros(2), 0.25) == pytest.approx(1.0 - 0.1 - 0.25)

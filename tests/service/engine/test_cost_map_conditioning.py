@@ -77,6 +77,12 @@ def test_limits_and_durations_are_the_requests(free_bundle: Path, small_request:
     assert (durations[2] < 7.0).all()
 
 
+def test_the_certified_margin_is_the_routes_too(tiny: Bundle, small_request: Build) -> None:
+    (asked,) = scenes(small_request(refine={"certified_margin": 0.2}), tiny)
+    (plain,) = scenes(small_request(), tiny)
+    assert (asked.scene.certified_margin, plain.scene.certified_margin) == (0.2, 0.0)
+
+
 def test_where_no_way_is_free_one_curve_stands_for_the_routes(
     tiny: Bundle, small_request: Build
 ) -> None:

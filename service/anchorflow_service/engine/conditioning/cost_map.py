@@ -74,6 +74,7 @@ class CostMapConditioning:
             w_style=request.w_style[index],
             motion=MotionLimits(limits.v_max, limits.a_max, limits.horizon_s),
             basis=self._basis,
+            certified_margin=request.certified_margin,
         )
 
     def probe(self) -> AnchorRequest:

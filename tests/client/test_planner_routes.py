@@ -1,0 +1,151 @@
+"""Routes of an answer, the choice between them, and a robot that gets nowhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from anchorflow_client import AnchorBatch, CostMap, ModelId, PlannerConfig
+from anchorflow_client.planner.commitment import Commitment
+from anchorflow_client.planner.plan import why_unsafe
+from anchorflow_client.planner.progress import Progress
+from anchorflow_client.planner.request import AnchorInUse
+from anchorflow_client.planner.routes import Routes, landmarks, signatures
+
+STEPS = 33
+RESOLUTION = 0.1
+
+
+def wall_map() -> CostMap:
+    """8 m by 8 m round (0, 0) with a block in the middle, 1 m a side."""
+    data = np.zeros((1, 80, 80), np.float32)
+    data[0, 35:45, 35:45] = 1.0
+    return CostMap.build(data, RESOLUTION)
+
+
+def bent(sides: Sequence[float]) -> np.ndarray:
+    """[N, T, 2] from (-3, 0) to (3, 0), each as far to the side in the middle as it says."""
+    share = np.linspace(0.0, 1.0, STEPS)
+    along = np.broadcast_to(6.0 * share - 3.0, (len(sides), STEPS))
+    return np.stack([along, np.multiply.outer(sides, np.sin(np.pi * share))], -1)
+
+
+def batch_of(
+    sides: Sequence[float], *, scores: Sequence[float], safe: Sequence[bool] | None = None
+) -> AnchorBatch:
+    paths = bent(sides).astype(np.float32)
+    velocities = np.gradient(paths, axis=1) / 0.1
+    arrays = {
+        "trajectories": paths,
+        "velocities": velocities,
+        "accelerations": np.zeros_like(paths),
+        "scores": np.array(scores),
+        "safe": np.ones(len(sides), bool) if safe is None else np.array(safe),
+    }
+    model = ModelId("bends", "1", "")
+    return AnchorBatch(arrays=arrays, dt=0.1, seed=0, model=model, timing_ms={})
+
+
+def test_sides_of_an_obstacle_are_two_routes() -> None:
+    batch = batch_of([1.5, -1.5, 2.0, -0.9], scores=[-1, -1, -1, -1])
+    of = Routes.among(batch, wall_map()).of
+    assert of[0] == of[2] != of[1] == of[3]
+
+
+def test_every_obstacle_has_a_landmark_and_open_ground_none() -> None:
+    data = np.zeros((1, 80, 80), np.float32)
+    assert len(landmarks(CostMap.build(data, RESOLUTION))) == 0
+    data[0, 10:14, 10:14] = data[0, 60, 20] = 1.0
+    np.testing.assert_allclose(
+        landmarks(CostMap.build(data, RESOLUTION)), [[-2.95, -2.95], [-1.95, 2.05]], atol=1e-6
+    )
+
+
+def test_a_loop_round_a_point_is_told_from_a_way_past_it() -> None:
+    circle = np.linspace(0.0, 2.0 * np.pi, 50)
+    loop = np.stack([np.cos(circle), np.sin(circle)], 1)
+    there_and_back = np.stack([np.abs(circle - np.pi) - np.pi, 0.0 * circle], 1)
+    counted = signatures(np.stack([loop, there_and_back]), np.zeros((1, 2)))
+    assert abs(int(counted[0, 0])) == 1
+    assert counted[1, 0] == 0
+
+
+def test_a_path_that_begins_and_ends_elsewhere_finds_its_route() -> None:
+    routes = Routes.among(batch_of([1.5, -1.5], scores=[-1, -1]), wall_map())
+    for side, anchor in ((1.4, 0), (-1.7, 1)):
+        path = bent([side])[0, 4:-3] + 0.1
+        assert routes.route_of(path) == routes.of[anchor]
+
+
+def test_a_path_far_from_every_route_has_none() -> None:
+    data = np.zeros((1, 80, 80), np.float32)
+    data[0, 35:45, 35:45] = data[0, 60:64, 38:42] = 1.0
+    routes = Routes.among(batch_of([1.2, -1.5], scores=[-1, -1]), CostMap.build(data, RESOLUTION))
+    assert routes.route_of(bent([3.5])[0]) is None
+
+
+@pytest.mark.parametrize(("gain", "chosen"), [(0.15, 1), (0.02, 0)])
+def test_a_robot_stays_on_its_route_until_another_is_better_by_the_margin(
+    gain: float, chosen: int
+) -> None:
+    commitment = Commitment(PlannerConfig(switch_gain=gain))
+    batch = batch_of([1.5, -1.5, -1.8], scores=[-9.0, -10.0, -11.0])
+    routes = Routes.among(batch, wall_map())
+    assert commitment.choose(batch, routes, 0.0) == 0  # none is in use: the best
+    commitment.in_use = AnchorInUse(batch, 2, 0.0)
+
+    assert commitment.choose(batch, routes, 0.2) == chosen
+
+
+def test_a_route_that_is_not_safe_any_more_is_left() -> None:
+    commitment = Commitment(PlannerConfig())
+    batch = batch_of([1.5, -1.5], scores=[-10.0, -9.0], safe=[True, False])
+    commitment.in_use = AnchorInUse(batch, 1, 0.0)
+
+    assert commitment.choose(batch, Routes.among(batch, wall_map()), 0.0) == 0
+
+
+def test_a_route_that_was_given_up_comes_last() -> None:
+    commitment = Commitment(PlannerConfig())
+    batch = batch_of([1.5, -1.5], scores=[-5.0, -9.0])
+    routes = Routes.among(batch, wall_map())
+    commitment.in_use = AnchorInUse(batch, 0, 0.0)
+    commitment.give_up()
+    assert commitment.choose(batch, routes, 0.1) == 1
+
+    only = batch_of([1.5, 1.6], scores=[-5.0, -9.0])
+    assert commitment.choose(only, Routes.among(only, wall_map()), 0.2) == 0
+    commitment.reset()
+    assert commitment.choose(batch, routes, 0.3) == 0
+
+
+def test_a_robot_that_stays_in_place_is_stuck_after_a_while() -> None:
+    progress, goal = Progress(stuck_s=5.0, stuck_m=0.5), np.array([9.0, 0.0])
+
+    def at(now: float, x: float, *, driving: bool = True) -> bool:
+        return progress.is_stuck(now, np.array([x, 0.0]), goal, driving=driving)
+
+    assert not at(0.0, 0.0)
+    assert not at(4.9, 0.4)
+    assert at(5.0, -0.4)
+    progress.next_step(5.0)
+    assert not at(9.9, 0.0)
+    assert at(10.0, 0.0)
+    assert not at(10.1, 0.6)  # it moves again
+    assert not at(15.0, 0.6)
+    assert not at(15.2, 0.6, driving=False)  # without a plan it has to stand
+    assert not at(21.0, 8.8)
+    assert not at(30.0, 8.8)  # it has arrived
+
+
+def test_the_reason_says_how_much_room_there_is() -> None:
+    batch = batch_of([1.5, -1.5], scores=[-1, -1], safe=[False, False])
+    assert why_unsafe(batch, 0.05) == "none of 2 anchors is safe"
+    clearance = np.array([0.01, -0.2], np.float32)
+    told = why_unsafe(replace(batch, arrays={**batch.arrays, "clearance": clearance}), 0.05)
+    assert told is not None
+    assert "keeps 0.01 m of the 0.05 m" in told
+    assert why_unsafe(batch_of([1.5], scores=[-1]), 0.05) is None
