@@ -71,6 +71,7 @@ QUICK = (
     Session(
         "both", (f"anchorflow serve --bundle {SHIPPED}/default --bundle {SHIPPED}/student", PLAN)
     ),
+    Session("compiled loops", ("python -m anchorflow_trajectory.warm_up",)),
     Session("student", (f"anchorflow serve --bundle {SHIPPED}/student", PLAN)),
     Session("workers", ("anchorflow serve --workers 2", PLAN)),
     Session("any address", ("anchorflow serve --host 0.0.0.0", PLAN)),
