@@ -60,8 +60,8 @@ class BundleDriver:
 
     Raises:
         BundleError: the bundle is broken.
-        BenchmarkError: it asks for what no log tells, answers at other times than PLAN_TIMES, or has
-            no such sampler.
+        BenchmarkError: it asks for what no log tells, answers at other times than PLAN_TIMES, or
+            has no such sampler.
     """
 
     def __init__(

@@ -1,8 +1,9 @@
 """What a trajectory is worth: a soft PDM score among boxes at constant velocity.
 
-    score = route^a · goal^b · reach · DAC · NC · (5 EP + 5 TTC + 2 C) / 12
+    score = route^a · goal^b · reach · DAC · NC · (e EP + t TTC + c C) / (e + t + c)
 
-Each term lies between 0 and 1, and no trajectory's depends on the others.
+Each term lies between 0 and 1, and no trajectory's depends on the others. The weights are
+`ScoreWeights`.
 """
 
 from __future__ import annotations
@@ -66,11 +67,13 @@ def trajectory_scores(
         "DAC": _on_road(poses, around, config),
         "NC": _clear(poses, speed, around, config),
     }
-    worth = (
-        5 * _progress(poses, around.speed, config)
-        + 5 * _time_to_collision(poses, speed, around, config)
-        + 2 * _comfort(poses, speed, around, dt=config.dt)
-    ) / 12
+    means = (
+        (weights.progress, _progress(poses, around.speed, config)),
+        (weights.time_to_collision, _time_to_collision(poses, speed, around, config)),
+        (weights.comfort, _comfort(poses, speed, around, dt=config.dt)),
+    )
+    total = sum(weight for weight, _ in means)
+    worth = torch.stack([weight / total * part for weight, part in means]).sum(0)
     for part in parts.values():
         worth = worth * part
     return worth
