@@ -22,8 +22,8 @@ serve: $(VENV)/.service  ## Serve the default bundle at HOST and PORT (127.0.0.1
 
 toolkit: $(VENV)/.toolkit  ## Add what training and export need (torch, onnx) to .venv
 
-test: $(VENV)/.dev  ## Run every test
-	$(BIN)/python -m pytest
+test: $(VENV)/.dev  ## Run every test, on every core
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 lint: $(VENV)/.dev  ## Check style, import walls and types
 	$(BIN)/ruff check

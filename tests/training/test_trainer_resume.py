@@ -16,12 +16,10 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config
-from anchorflow_models.flow_matching import LossWeights
 from anchorflow_training.batches import BatchConfig
-from anchorflow_training.checkpoint import FORMER_TERMS, CheckpointError, load_checkpoint
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.config import EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.provenance import provenance
 from anchorflow_training.restore import restore_model
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 
@@ -38,18 +36,6 @@ CONFIG = TrainerConfig(
 PATIENCE_S = 180.0  # for a subprocess on a busy machine
 
 # What the first checkpoints of this project knew of a model.
-FIRST_MODEL_FIELDS = (
-    "variant",
-    "num_steps",
-    "dim",
-    "map_channels",
-    "map_size",
-    "feature_channels",
-    "steps_per_token",
-    "num_control_points",
-    "degree",
-)
-FIRST_KEYS = ("step", "config", "data", "model", "average", "optimiser", "curve")
 
 
 class Cut(Exception):
@@ -152,25 +138,6 @@ def test_another_model_is_refused_by_name(tiny_dataset: SceneDataset, tmp_path: 
         CFMTrainer(other, tiny_dataset, tmp_path)
 
 
-def test_a_checkpoint_of_the_first_format_is_restored_and_resumed(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    run = CFMTrainer(replace(CONFIG, steps=2), tiny_dataset, tmp_path)
-    run.fit()
-    saved = vars(load_checkpoint(run.checkpoint_path))
-    first = {name: saved[name] for name in FIRST_KEYS}
-    model = {name: saved["config"]["model"][name] for name in FIRST_MODEL_FIELDS}
-    first["config"] = {"steps": 2, "bfloat16": True, "model": model}
-    torch.save(first, run.checkpoint_path)
-
-    checkpoint = load_checkpoint(run.checkpoint_path)
-    assert restore_model(checkpoint).config == CONFIG.model
-    assert provenance(checkpoint)["steps"] == 2
-    resumed = CFMTrainer(replace(CONFIG, steps=3), tiny_dataset, tmp_path)
-    resumed.fit()
-    assert [row["step"] for row in resumed.curve] == [1, 2, 3]
-
-
 def test_a_checkpoint_of_one_horizon_for_all_is_refused_in_words(
     tiny_dataset: SceneDataset, tmp_path: Path
 ) -> None:
@@ -182,33 +149,6 @@ def test_a_checkpoint_of_one_horizon_for_all_is_refused_in_words(
     torch.save(saved, run.checkpoint_path)
     with pytest.raises(CheckpointError, match=r"checkpoint: .*horizon_s"):
         restore_model(load_checkpoint(run.checkpoint_path))
-
-
-def test_earlier_names_of_loss_terms_and_weights_are_translated(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    config = replace(CONFIG, steps=3, report_every=2, checkpoint_every=1)
-    run = CFMTrainer(config, tiny_dataset, tmp_path)
-    run.fit()
-    now = load_checkpoint(run.checkpoint_path)
-    saved = dict(vars(now))
-    former = {new: old for old, new in FORMER_TERMS.items()}
-    saved["curve"] = [{former.get(n, n): v for n, v in row.items()} for row in now.curve]
-    sums = {former.get(name, name): value for name, value in now.pending["sums"].items()}
-    saved["pending"] = {**now.pending, "sums": sums}
-    weights = {"lambda_vel": 0.5, "lambda_acc": 0.25, "lambda_jerk": 0.05}
-    saved["config"] = {**now.config, "flow": {**now.config["flow"], "weights": weights}}
-    torch.save(saved, run.checkpoint_path)
-
-    found = load_checkpoint(run.checkpoint_path)
-    assert found.curve == now.curve
-    assert found.pending == now.pending
-    known = asdict(LossWeights())
-    del known["lambda_duration"]  # of which checkpoints of then know nothing
-    assert found.config["flow"]["weights"] == known
-    resumed = CFMTrainer(replace(config, steps=4), tiny_dataset, tmp_path)
-    resumed.fit()
-    assert [set(row) for row in resumed.curve] == [set(now.curve[0])] * 2
 
 
 def test_the_checkpoint_holds_the_whole_configuration(

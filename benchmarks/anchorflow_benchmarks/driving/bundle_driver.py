@@ -15,7 +15,8 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_client.contract import AnchorBatch, OdeSpec
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.sensors import draw_bev, status_of
+from anchorflow_driving.sensors.bev import draw_bev
+from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import PlannerView, Window
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine

@@ -32,16 +32,18 @@ class BevLayout:
 class ScoreWeights:
     """What a trajectory is worth; see `trajectory_score`.
 
-    route, goal: exponents of how likely it follows the route, and ends near where was driven
+    route, goal, drivable: exponents of how likely it follows the route, ends near where was driven
+        and stays on the road, as the network thinks
     reach: m, spread of the distance from its goal
     progress, time_to_collision, comfort: of the weighted mean; progress counts more than in the PDM
         score, for it is measured against a clear road, which few have
     clear_speed: m/s that a clear road is driven at
     """
 
-    route: float = 0.25
-    goal: float = 0.1
-    reach: float = 2.0
+    route: float = 0.5
+    goal: float = 0.2
+    drivable: float = 1.0
+    reach: float = 4.0
     progress: float = 10.0
     time_to_collision: float = 5.0
     comfort: float = 2.0

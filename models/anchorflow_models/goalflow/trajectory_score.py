@@ -1,6 +1,6 @@
 """What a trajectory is worth: a soft PDM score among boxes at constant velocity.
 
-    score = route^a · goal^b · reach · DAC · NC · (e EP + t TTC + c C) / (e + t + c)
+    score = route^a · goal^b · drivable^d · reach · DAC · NC · (e EP + t TTC + c C) / (e + t + c)
 
 Each term lies between 0 and 1, and no trajectory's depends on the others. The weights are
 `ScoreWeights`.
@@ -63,6 +63,7 @@ def trajectory_scores(
     parts = {
         "route": ways.route.sigmoid() ** weights.route,
         "goal": ways.distance.sigmoid() ** weights.goal,
+        "drivable": ways.drivable.sigmoid() ** weights.drivable,
         "reach": torch.exp(-0.5 * (missed / weights.reach).square()),
         "DAC": _on_road(poses, around, config),
         "NC": _clear(poses, speed, around, config),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_driving.sensors import BEV, BevGrid, draw_bev
+from anchorflow_driving.sensors.bev import BEV, BevGrid, draw_bev
 from anchorflow_driving.window import REAR_AXLE, Window
 
 LENGTH, WIDTH = 5.0, 2.0  # of the street's boxes

@@ -19,7 +19,8 @@ from anchorflow_client import AnchorBatch, AnchorClient, JsonCodec, OipCodec
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
-from anchorflow_driving.sensors import draw_bev, status_of
+from anchorflow_driving.sensors.bev import draw_bev
+from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
@@ -182,11 +183,11 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "NaN": (
         {"ego_status": np.full(8, np.nan, np.float32)},
-        "inputs.ego_status: expected",
+        "expected finite numbers, got nan at inputs.ego_status[0]",
     ),
     "a size below a bicycle's": (
         {"vehicle_size": np.array([4.0, 0.0], np.float32)},
-        "inputs.vehicle_size: expected",
+        "expected numbers in [0.3, 30] m, got 0.0 at inputs.vehicle_size[1]",
     ),
     "none": ({"vehicle_size": None}, "inputs.vehicle_size: this field is required"),
 }

@@ -11,7 +11,8 @@ from driven_bend import SPEED, bend, write_bends
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.sensors import BEV, draw_bev, status_of
+from anchorflow_driving.sensors.bev import BEV, draw_bev
+from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import augmentation
 from anchorflow_training.driving.augmentation import AugmentationConfig, disturbed, poses_on

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from anchorflow_driving.sensors import BEV
+from anchorflow_driving.sensors.bev import BEV
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_training.batches import Batch, BatchConfig, batch_rng, batch_scenes
 from anchorflow_training.config import JudgeConfig, RunConfig

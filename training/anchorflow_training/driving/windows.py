@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, read_log
-from anchorflow_driving.sensors import BEV, draw_bev, status_of
+from anchorflow_driving.sensors.bev import BEV, draw_bev
+from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
 
 Floats = NDArray[np.float32]

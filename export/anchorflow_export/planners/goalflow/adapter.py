@@ -46,7 +46,7 @@ BLOCK = 8  # cells a side of what is drawn in a random raster
 STATUS = TensorSpec(
     "ego_status", F32, ("B", 8), "command one-hot; m/s, m/s; m/s^2, m/s^2", (-60.0, 60.0)
 )
-SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m, m", (0.3, 30.0))
+SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
 TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
 
 
