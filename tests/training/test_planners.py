@@ -191,7 +191,10 @@ def test_the_commands_of_flowmp_refuse_another_planner(trained: Path, data: Path
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--planner", "nobody"], "planner: expected one of flowmp, goalflow, tiny_camera, got 'nobody'"),
+        (
+            ["--planner", "nobody"],
+            "expected one of flowmp, goalflow, tiny_camera, got 'nobody'",
+        ),
         (["--planner", "flowmp"], "train.yaml: planner: expected 'flowmp', got 'tiny_camera'"),
         (["--model.variant", "small"], "command line: unknown key 'model.variant'"),
     ],

@@ -72,6 +72,7 @@ QUICK = (
         "both", (f"anchorflow serve --bundle {SHIPPED}/default --bundle {SHIPPED}/student", PLAN)
     ),
     Session("student", (f"anchorflow serve --bundle {SHIPPED}/student", PLAN)),
+    Session("a planner that drives", (f"anchorflow serve --bundle {SHIPPED}/goalflow", READY)),
     Session("workers", ("anchorflow serve --workers 2", PLAN)),
     Session("any address", ("anchorflow serve --host 0.0.0.0", PLAN)),
     Session(
@@ -210,6 +211,15 @@ NOT_HERE = {
     "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
     "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
+    "anchorflow bench drive --logs ../shared/data/driving --drivers none"
+    " --bundle bundles/goalflow"
+    " --samplers euler:uniform1,euler:uniform5,euler:uniform20": MEASURES,
+    "anchorflow train data/drive --planner goalflow --out runs/goalflow --steps 1700"
+    " --batch.scenes 16 --batch.samples 6 --objective.scored 40 --augmentation.moved 0.35"
+    " --model.channels 16": TRAINS,
+    "anchorflow export runs/goalflow/checkpoint.pt --out bundles/goalflow": (
+        "exports the run that the line above it trains; tests/service/http exports a smaller one"
+    ),
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"
     ),
