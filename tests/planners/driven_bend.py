@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -68,7 +69,7 @@ def _states(curvature: float, way: np.ndarray) -> np.ndarray:
     return np.concatenate([poses, velocity], -1)
 
 
-def _family(name: str, *lines: np.ndarray) -> dict[str, np.ndarray]:
+def _family(name: str, *lines: np.ndarray) -> dict[str, Any]:
     offsets = np.cumsum([0, *map(len, lines)], dtype=np.int32)
     points = np.concatenate([*lines, np.zeros((0, 2))]).astype(np.float32)
     return {f"{name}_points": points, f"{name}_offsets": offsets}

@@ -244,7 +244,7 @@ def _write(path: Path, verdicts: Sequence[Judged], trajectories: Sequence[Array]
             log=np.array([verdict.log for verdict in verdicts]),
             window=np.array([verdict.window for verdict in verdicts]),
             trajectories=np.stack(trajectories),
-            **_proposed(verdicts),
+            **_proposed(verdicts),  # pyright: ignore[reportArgumentType] - arrays by their names
         )
     except OSError as error:
         raise BenchmarkError(f"{path}: {error.strerror}") from error

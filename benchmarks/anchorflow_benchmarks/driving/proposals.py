@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
+from scipy.stats import rankdata
 
 from anchorflow_benchmarks.driving.bundle_driver import Proposals
 from anchorflow_driving.drivers import PLAN_TIMES
@@ -47,7 +47,7 @@ def proposal_figures(window: Window, scorer: PdmScorer, proposals: Proposals) ->
 def _rank(scores: Array | None, pdms: Array) -> float:
     if scores is None or np.ptp(pdms) == 0 or np.ptp(scores) == 0:
         return float("nan")
-    return float(np.asarray(spearmanr(scores, pdms).statistic))
+    return float(np.corrcoef(rankdata(scores), rankdata(pdms))[0, 1])
 
 
 def _of_goals(window: Window, proposals: Proposals) -> dict[str, float]:

@@ -123,7 +123,7 @@ def _drivable(view: PlannerView, grid: BevGrid) -> Bytes:
     step = grid.cell / FINE
     x = grid.extent[1] - step * (np.arange(grid.rows * FINE) + 0.5)
     y = grid.extent[3] - step * (np.arange(grid.columns * FINE) + 0.5)
-    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).astype(np.float64)
     held = view.road.is_drivable(out_of_frame(places, view.state.pose)).astype(np.float32)
     cells = held.reshape(grid.rows, FINE, grid.columns, FINE).mean((1, 3))
     return np.rint(FULL * cells).astype(np.uint8)
@@ -162,9 +162,9 @@ class _Painter:
         """[4, H, W] of polylines: the parts of their directions that point each way."""
         cells = np.zeros((4, self._grid.rows * self._grid.columns), np.uint8)
         points, heading = _dense(self._segments(lines))
-        cell = np.floor((self._high - points) / self._grid.cell).astype(int)
+        cell: NDArray[np.int64] = np.floor((self._high - points) / self._grid.cell).astype(np.int64)
         inside = ((cell >= 0) & (cell < (self._grid.rows, self._grid.columns))).all(1)
-        place = cell[inside] @ (self._grid.columns, 1)
+        place = cell[inside, 0] * self._grid.columns + cell[inside, 1]
         for channel, turn in zip(cells, np.pi / 2 * np.arange(4), strict=True):
             share = np.rint(FULL * np.maximum(0.0, np.cos(heading[inside] - turn)))
             np.maximum.at(channel, place, share.astype(np.uint8))

@@ -94,7 +94,7 @@ def test_a_mirrored_window_is_the_window_of_the_mirrored_bend(windows: DrivingWi
 
 
 def test_a_disturbed_start_rejoins() -> None:
-    course = np.stack([SPACING * np.arange(73), np.zeros(73)], -1)
+    course = np.stack([SPACING * np.arange(73), np.zeros(73)], -1).astype(np.float64)
     moved = np.array([0.0, 0.5, 0.1])
     seen = disturbed(course, moved, speed=8.0)
 

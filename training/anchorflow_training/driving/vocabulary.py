@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.vq import kmeans2
+from scipy.spatial import KDTree
 
 from anchorflow_training.settings import ConfigError
 
@@ -21,8 +21,28 @@ def clustered(ends: NDArray[np.floating], *, count: int, seed: int) -> NDArray[n
     points = np.asarray(ends, np.float64)[chosen]
     if len(points) < count:  # too few to cluster: the same ones, a little apart
         points = np.resize(points, (count, 2)) + rng.normal(0.0, 0.5, (count, 2))
-    centres, _ = kmeans2(points, count, iter=ITERATIONS, minit="++", seed=rng, missing="warn")
+    centres = _spread(points, count, rng)
+    for _ in range(ITERATIONS):
+        nearest = KDTree(centres).query(points)[1]
+        size = np.bincount(nearest, minlength=count)
+        sums = np.stack([np.bincount(nearest, axis, count) for axis in points.T], axis=-1)
+        centres = np.where(size[:, None] > 0, sums / np.maximum(size, 1)[:, None], centres)
     return centres[np.argsort(np.hypot(*centres.T))].astype(np.float32)
+
+
+def _spread(
+    points: NDArray[np.float64], count: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Points to begin with [K, 2], each drawn by its squared distance from those before it
+    (k-means++; Arthur and Vassilvitskii, 2007)."""
+    centres = [points[rng.integers(len(points))]]
+    away = np.full(len(points), np.inf)
+    for _ in range(count - 1):
+        away = np.minimum(away, ((points - centres[-1]) ** 2).sum(1))
+        total = away.sum()
+        chance = away / total if total > 0 else None
+        centres.append(points[rng.choice(len(points), p=chance)])
+    return np.stack(centres)
 
 
 def read_vocabulary(path: Path, *, count: int) -> NDArray[np.float32]:

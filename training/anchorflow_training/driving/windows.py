@@ -62,7 +62,7 @@ class DrivingWindows:
     def rasters(self, windows: Iterable[int]) -> NDArray[np.uint8]:
         """[B, C, H, W] of these windows; may be written to."""
         streams = (self.bev[self.bev_offsets[w] : self.bev_offsets[w + 1]] for w in windows)
-        drawn = [np.frombuffer(zlib.decompress(stream), np.uint8) for stream in streams]
+        drawn = [np.frombuffer(zlib.decompress(stream.tobytes()), np.uint8) for stream in streams]
         return np.stack(drawn).reshape(-1, *BEV.shape)
 
     def part(self, windows: slice) -> DrivingWindows:
@@ -101,7 +101,7 @@ def keep_windows(path: Path) -> None:
     scratch = kept.with_suffix(f".{os.getpid()}")
     try:
         with scratch.open("wb") as file:
-            np.savez(file, **drawn)
+            np.savez(file, **drawn)  # pyright: ignore[reportArgumentType] - its own keyword is no array
         scratch.replace(kept)
     except OSError as error:
         raise LogError(kept, "file", expected="a place to write", found=str(error)) from error
@@ -110,7 +110,7 @@ def keep_windows(path: Path) -> None:
 def course_of(window: Window) -> tuple[Floats, Floats]:
     """`course` [P, 2] and `along` [T] of a window, in the ego's frame."""
     frames = np.arange(FUTURE_FRAMES + 1)
-    driven = window.recorded(frames * FRAME_S)[:, :2]
+    driven = window.recorded(np.asarray(frames * FRAME_S, np.float64))[:, :2]
     steps = np.linalg.norm(np.diff(driven, axis=0), axis=1)
     way = np.concatenate([[0.0], np.cumsum(np.where(steps > _MOVED, steps, 0.0))])
     along = np.interp(PLAN_TIMES, frames * FRAME_S, way)
