@@ -191,7 +191,10 @@ def test_the_commands_of_flowmp_refuse_another_planner(trained: Path, data: Path
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--planner", "nobody"], "planner: expected one of flowmp, tiny_camera, got 'nobody'"),
+        (
+            ["--planner", "nobody"],
+            "expected one of flowmp, goalflow, tiny_camera, got 'nobody'",
+        ),
         (["--planner", "flowmp"], "train.yaml: planner: expected 'flowmp', got 'tiny_camera'"),
         (["--model.variant", "small"], "command line: unknown key 'model.variant'"),
     ],
@@ -209,7 +212,7 @@ def test_a_wrong_planner_is_one_line(
 
 def test_a_file_of_a_planner_that_there_is_not_is_one_line(data: Path, config_file: Path) -> None:
     said = command("train", data, "--config", config_file, "--print-config")
-    assert said == "anchorflow train: planner: expected one of flowmp, got 'tiny_camera'"
+    assert said == "anchorflow train: planner: expected one of flowmp, goalflow, got 'tiny_camera'"
 
 
 def test_a_checkpoint_of_a_planner_that_there_is_not_is_one_line(
@@ -217,7 +220,7 @@ def test_a_checkpoint_of_a_planner_that_there_is_not_is_one_line(
 ) -> None:
     path = tmp_path / "other.pt"
     save_checkpoint(path, replace(load_checkpoint(trained / "checkpoint.pt"), planner="goalflux"))
-    wanted = "planner: expected one of flowmp, tiny_camera, got 'goalflux'"
+    wanted = "planner: expected one of flowmp, goalflow, tiny_camera, got 'goalflux'"
     with pytest.raises(CheckpointError, match=wanted):
         restore_model(load_checkpoint(path))
     assert command("export", path, "--out", tmp_path / "b") == f"anchorflow export: {wanted}"

@@ -73,6 +73,7 @@ QUICK = (
     ),
     Session("compiled loops", ("python -m anchorflow_trajectory.warm_up",)),
     Session("student", (f"anchorflow serve --bundle {SHIPPED}/student", PLAN)),
+    Session("a planner that drives", (f"anchorflow serve --bundle {SHIPPED}/goalflow", READY)),
     Session("workers", ("anchorflow serve --workers 2", PLAN)),
     Session("any address", ("anchorflow serve --host 0.0.0.0", PLAN)),
     Session(
@@ -214,6 +215,15 @@ NOT_HERE = {
     "anchorflow bench drive-closed-loop": MEASURES,
     "anchorflow data import-log USA_US101-1_1_T-1.xml --out us101.npz": (
         "needs a scenario that others publish; tests/driving/importers runs it on a made one"
+    ),
+    "anchorflow bench drive --logs ../shared/data/driving --drivers none"
+    " --bundle bundles/goalflow"
+    " --samplers euler:uniform1,euler:uniform5,euler:uniform20": MEASURES,
+    "anchorflow train data/drive --planner goalflow --out runs/goalflow --steps 1700"
+    " --batch.scenes 16 --batch.samples 6 --objective.scored 40 --augmentation.moved 0.35"
+    " --model.channels 16": TRAINS,
+    "anchorflow export runs/goalflow/checkpoint.pt --out bundles/goalflow": (
+        "exports the run that the line above it trains; tests/service/http exports a smaller one"
     ),
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"

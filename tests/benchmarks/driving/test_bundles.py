@@ -1,0 +1,76 @@
+"""Bundles that drive, judged with what they propose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from driven_bend import bend
+from image_planner import write_image_bundle
+
+from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals
+from anchorflow_benchmarks.driving.open_loop import Entry, drive_tables, judge_drivers, write_plans
+from anchorflow_benchmarks.driving.proposals import proposal_figures
+from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_driving.drivers import PLAN_TIMES
+from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.window import Scenes
+from anchorflow_service.bundle import DEFAULT_BUNDLE
+
+GOALFLOW = DEFAULT_BUNDLE.parent / "goalflow"
+N = 16
+
+
+def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
+    driver = BundleDriver(GOALFLOW, num=N, sampler="euler:uniform2", threads=1)
+    judged = judge_drivers({driver.name: Entry(driver)}, [bend(0)])
+
+    tables = {table.title: table.rows for table in drive_tables(judged)}
+    (row,) = tables["Proposals"]
+    assert row["driver"] == "goalflow_euler_uniform2"
+    assert row["N"] == N
+    assert float(str(row["PDMS"])) <= float(str(row["oracle"])) <= 1.0
+    (goals,) = tables["Goals"]
+    assert 0.0 <= float(str(goals["off-road score"])) < 0.5
+
+    (path,) = write_plans(judged, tmp_path)
+    with np.load(path) as plans:
+        windows = len(plans["window"])
+        assert plans["proposals"].shape == (windows, N, 8, 3)
+        best = plans["scores"].argmax(1)
+        chosen = plans["proposals"][np.arange(windows), best]
+        np.testing.assert_array_equal(plans["trajectories"], chosen)
+
+
+def test_figures_of_known_proposals() -> None:
+    window = Scenes(bend(0))[0]
+    driven = window.recorded(PLAN_TIMES)
+    away = np.add(driven, (0.0, 2.5, 0.0))
+    end = driven[-1, :2]
+    proposals = Proposals(
+        trajectories=np.stack([away, driven]),
+        scores=np.array([0.2, 0.9]),
+        goals=np.stack([*[end + 50.0] * 5, end]),
+        goal_scores=np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.9]),
+        drawing_ms=1.0,
+        flow_ms=1.0,
+    )
+    figures = proposal_figures(window, PdmScorer(window), proposals)
+
+    assert proposals.best == 1
+    assert figures["minADE"] == pytest.approx(0.0)
+    assert figures["oracle"] == pytest.approx(1.0, abs=0.1)
+    assert figures["rank"] == pytest.approx(1.0)
+    assert (figures["top 5"], figures["top 5 by score"]) == (0.0, 1.0)
+    assert figures["off-road score"] == pytest.approx(np.mean([0.5, 0.4, 0.3, 0.2, 0.1]))
+
+
+def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BenchmarkError, match=r"expected inputs among bev, .* got camera"):
+        BundleDriver(write_image_bundle(tmp_path), num=4)
+
+
+def test_a_sampler_that_there_is_not_is_named() -> None:
+    with pytest.raises(BenchmarkError, match="METHOD:uniformN"):
+        BundleDriver(GOALFLOW, num=4, sampler="often")
