@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from anchorflow_benchmarks.driving.bundle_driver import BundleDriver
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_cli.bench_options import RESULTS, OutOption
+from anchorflow_cli.bench_options import RESULTS, NumOption, OutOption, ThreadsOption
 from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
 
@@ -15,15 +17,24 @@ from anchorflow_cli.extras import needs_extra
 def drive_closed_loop(
     *,
     drivers: Annotated[
-        str, typer.Option(metavar="A,B", help="Who drives.", show_default="the baselines")
+        str,
+        typer.Option(
+            metavar="A,B", help="Who drives; none for none.", show_default="the baselines"
+        ),
     ] = "",
+    bundle: Annotated[
+        list[Path] | None,
+        typer.Option("--bundle", help="Folder of a bundle that drives too; repeatable."),
+    ] = None,
+    num: NumOption = 64,
+    threads: ThreadsOption = None,
     routes: Annotated[int, typer.Option(min=1, help="How many, each on a net of its own.")] = 20,
     length: Annotated[float, typer.Option(min=50.0, help="Of a route [m].")] = 300.0,
     seconds: Annotated[float, typer.Option(min=5.0, help="Until a route is given up.")] = 90.0,
     seed: Annotated[int, typer.Option(min=0, help="Of nets and traffic.")] = 2000,
     out: OutOption = RESULTS,
 ) -> None:
-    """Let drivers drive in SUMO's traffic; a table of what happened."""
+    """Let drivers and bundles drive in SUMO's traffic; a table of what happened."""
     with needs_extra("driving", who="anchorflow bench drive-closed-loop"):
         from anchorflow_benchmarks.driving.closed_loop import (
             BASELINES,
@@ -32,12 +43,16 @@ def drive_closed_loop(
             drive_routes,
             routes_table,
         )
-    names = drivers.split(",") if drivers else BASELINES
+    names = [name for name in (drivers or ",".join(BASELINES)).split(",") if name != "none"]
     for name in names:
         if name not in BASELINES:
             raise BenchmarkError(f"expected drivers among {', '.join(BASELINES)}, got {name!r}")
+    chosen = baselines(names)
+    for folder in bundle or []:
+        driver = BundleDriver(folder, num=num, threads=threads)
+        chosen[driver.name] = driver
     config = ClosedLoopConfig(seed=seed, length_m=length, seconds=seconds)
-    with progress("driving", routes * len(names)) as advance:
-        driven = drive_routes(baselines(names), config, routes=routes, progress=advance)
+    with progress("driving", routes * len(chosen)) as advance:
+        driven = drive_routes(chosen, config, routes=routes, progress=advance)
     about = {"traffic": f"SUMO, seed {seed}, right-hand, no traffic lights"}
     report("Drive closed loop", about, [routes_table(driven, config)], out)

@@ -89,6 +89,15 @@ class BundleDriver:
         self.name = card.name if sampler == CARD else f"{card.name}_{sampler.replace(':', '_')}"
         self._client = LocalClient(Engine(bundle, threads=threads))
 
+    def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array:
+        """Its best proposal [T, 3]; NaN at times (s) that are none of PLAN_TIMES."""
+        proposals = self.propose(window)
+        poses = proposals.trajectories[proposals.best]
+        plan = np.full((len(times), 3), np.nan)
+        for time, pose in zip(PLAN_TIMES, poses, strict=True):
+            plan[np.isclose(times, time)] = pose
+        return plan
+
     def propose(self, window: Window) -> Proposals:
         """What it answers on a window's view."""
         started = perf_counter()

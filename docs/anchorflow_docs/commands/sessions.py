@@ -212,7 +212,7 @@ NOT_HERE = {
     "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
     "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
-    "anchorflow bench drive-closed-loop": MEASURES,
+    f"anchorflow bench drive-closed-loop --bundle {SHIPPED}/goalflow": MEASURES,
     "anchorflow data import-log USA_US101-1_1_T-1.xml --out us101.npz": (
         "needs a scenario that others publish; tests/driving/importers runs it on a made one"
     ),

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from anchorflow_cli.main import main
+from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 for _module in ("sumo", "libsumo"):
     pytest.importorskip(_module, reason=f"{_module} is not installed")
@@ -46,14 +47,16 @@ def test_the_table_counts_how_routes_ended() -> None:
 
 def test_the_command_writes_it(tmp_path: Path) -> None:
     options = ["--drivers", "stop", "--routes", "1", "--seconds", "5", "--out", str(tmp_path)]
+    options += ["--bundle", str(DEFAULT_BUNDLE.parent / "goalflow")]
 
     with pytest.raises(SystemExit) as ended:
         main(["bench", "drive-closed-loop", *options])
 
     assert not ended.value.code
     (table,) = json.loads((tmp_path / "drive_closed_loop.json").read_text())["tables"]
-    assert table["rows"][0]["driver"] == "stop"
+    assert [row["driver"] for row in table["rows"]] == ["stop", "goalflow"]
     assert table["rows"][0]["completed"] == 0
+    assert table["rows"][1]["km"] > table["rows"][0]["km"]
 
 
 def test_an_unknown_driver_is_named(tmp_path: Path) -> None:
