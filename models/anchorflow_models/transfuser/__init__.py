@@ -1,6 +1,6 @@
 """The backbone of planners that see by camera and LiDAR, and its heads."""
 
-from anchorflow_models.transfuser.backbone import BevFeatures, TransfuserBackbone
+from anchorflow_models.transfuser.backbone import BevFeatures, FeaturePyramid, TransfuserBackbone
 from anchorflow_models.transfuser.config import TransfuserConfig, small_transfuser
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
@@ -14,6 +14,7 @@ __all__ = [
     "AGENT_STATE",
     "AgentHead",
     "BevFeatures",
+    "FeaturePyramid",
     "SemanticHead",
     "TransfuserBackbone",
     "TransfuserConfig",

@@ -22,7 +22,9 @@ PIXEL_SPREAD = (0.229, 0.224, 0.225)
 
 @dataclass(frozen=True, eq=False)
 class BevFeatures:
-    """What the backbone sees, from above; both over the LiDAR's square, row and column as there.
+    """What the backbone sees, from above, over the LiDAR's square.
+
+    Row 0 lies farthest ahead, column 0 farthest left, as in every raster of driving.
 
     features: [B, C, h, h], 512 channels of 8 by 8 cells as published
     upscaled: [B, C', H/4, H/4], 64 channels of 64 by 64 cells as published, for semantics
@@ -97,13 +99,13 @@ class Fusion(nn.Module):
 
 
 class FeaturePyramid(nn.Module):
-    """BEV features, upscaled from the last stage down: [B, C, h, h] -> [B, C', H/4, H/4]."""
+    """BEV features of a width, upscaled: [B, width, h, h] -> [B, C', H/4, H/4]."""
 
-    def __init__(self, config: TransfuserConfig) -> None:
+    def __init__(self, width: int, config: TransfuserConfig) -> None:
         super().__init__()
         channels = config.bev_channels
         self.size = config.upscaled_size
-        self.lateral = nn.Conv2d(config.bev_width, channels, 1)
+        self.lateral = nn.Conv2d(width, channels, 1)
         self.middle = nn.Conv2d(channels, channels, 3, padding=1)
         self.fine = nn.Conv2d(channels, channels, 3, padding=1)
 
@@ -126,12 +128,12 @@ class TransfuserBackbone(nn.Module):
         self.config = config
         self.image, self.lidar = ResNet(3, config), ResNet(1, config)
         self.fusions = nn.ModuleList(Fusion(width, config) for width in config.widths)
-        self.pyramid = FeaturePyramid(config)
+        self.pyramid = FeaturePyramid(config.bev_width, config)
         for name, values in (("pixel_mean", PIXEL_MEAN), ("pixel_spread", PIXEL_SPREAD)):
             self.register_buffer(name, 255 * torch.tensor(values)[:, None, None], persistent=False)
 
     def forward(self, camera: Tensor, lidar: Tensor) -> BevFeatures:
-        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1]"""
+        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1], rows and columns as above"""
         image = self.image.stem((camera.float() - self.pixel_mean) / self.pixel_spread)
         bev = self.lidar.stem(lidar)
         for index, fusion in enumerate(self.fusions):

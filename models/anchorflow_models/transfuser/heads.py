@@ -19,7 +19,7 @@ class SemanticHead(nn.Module):
     """The upscaled BEV to classes of the half before the ego.
 
     The published head stretches the whole square over that half, and leaves the rest to learning.
-    This one cuts the half out first: the rows that lie ahead.
+    This one cuts the half out first: row 0 lies farthest ahead.
     """
 
     def __init__(self, config: TransfuserConfig, classes: int) -> None:
@@ -31,7 +31,7 @@ class SemanticHead(nn.Module):
 
     def forward(self, upscaled: Tensor) -> Tensor:
         """[B, C', H/4, H/4] -> logits [B, classes, H/2, H], row and column as of the LiDAR"""
-        ahead = upscaled[:, :, upscaled.shape[2] // 2 :]
+        ahead = upscaled[:, :, : upscaled.shape[2] // 2]
         logits = self.out(F.relu(self.hidden(ahead)))
         return F.interpolate(logits, size=self.size, mode="bilinear", align_corners=False)
 

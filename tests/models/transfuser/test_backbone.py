@@ -71,7 +71,7 @@ def test_only_what_lies_ahead_is_told_by_the_semantic_head() -> None:
     head, upscaled = SemanticHead(SMALL, 8), torch.rand(1, 32, 32, 32)
     before = head(upscaled)
     behind, ahead = upscaled.clone(), upscaled.clone()
-    behind[:, :, :16], ahead[:, :, 16:] = 0, 0
+    behind[:, :, 16:], ahead[:, :, :16] = 0, 0
     torch.testing.assert_close(head(behind), before)
     assert (head(ahead) - before).abs().max() > 1e-3
 
