@@ -166,7 +166,7 @@ def test_zenoh_carries_the_sensors(planning: PlanningService) -> None:
 
 def test_the_card_says_what_the_rasters_cover(client: AnchorClient) -> None:
     (card,) = client.models()
-    extents = {spec.name: spec.extent for spec in (*card.inputs, *card.answer.extras)}
-    assert extents["lidar"] == (-32.0, 32.0, -32.0, 32.0)
-    assert extents["bev_semantics"] == (0.0, 32.0, -32.0, 32.0)
+    specs = {spec.name: spec for spec in (*card.inputs, *card.answer.extras)}
+    assert specs["lidar"].unit == "rows x, columns y, both from -32 to 32 m"
+    assert specs["bev_semantics"].extent == (0.0, 32.0, -32.0, 32.0)
     assert (card.sampler.kind, card.planner) == ("vocabulary", "wote")

@@ -49,8 +49,8 @@ def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
             "lidar",
             F32,
             ("B", *sizes["lidar"]),
+            f"rows x, columns y, both from {-reach:g} to {reach:g} m",
             range=(0.0, 1.0),
-            extent=(-reach, reach, -reach, reach),
         ),
         TensorSpec(
             "ego_status",
