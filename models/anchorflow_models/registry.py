@@ -13,6 +13,7 @@ from typing import Any
 from torch import nn
 
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
+from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.wote import WoteConfig, create_wote
 
 
@@ -33,6 +34,7 @@ PLANNERS: Mapping[str, Planner] = {
     planner.name: planner
     for planner in (
         Planner("flowmp", L2Config, create_l2_safety_cfm),
+        Planner("goalflow", GoalFlowConfig, GoalFlow),
         Planner("wote", WoteConfig, create_wote),
     )
 }
