@@ -1,4 +1,4 @@
-"""`anchorflow data anchors` and `sensors`: what WoTE learns from, made beforehand of driving logs."""
+"""`anchorflow data anchors` and `sensors`: what WoTE learns from, made of driving logs."""
 
 from __future__ import annotations
 
