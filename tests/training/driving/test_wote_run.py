@@ -14,6 +14,7 @@ from tiny_wote import TINY
 
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.sensors.rendering import Renderer, RenderingUnavailable
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.wote import WoTE
 from anchorflow_training.batches import BatchConfig
@@ -198,3 +199,25 @@ def _stop_after(step: int) -> object:
             raise InterruptedError
 
     return report
+
+
+def test_the_simulated_sensors_agree_on_where_the_leader_is(folder: Path) -> None:
+    try:
+        Renderer()
+    except RenderingUnavailable as error:
+        pytest.skip(str(error))
+    window = Scenes(read_log(folder / "bend-0.npz"))[0]
+    told = sensor_windows.simulated(window, SensorSizes(32, 128, 256, 32.0))
+    assert told["camera"].shape == (3, 32, 128)
+    assert told["camera"].std() > 1  # something is drawn
+    assert told["agent_count"] == 1
+    vehicle = told["semantics"] == CLASSES.index("vehicle")
+    # The histogram begins behind on the right, the semantics ahead on the left.
+    struck = told["lidar"][0, ::-1, ::-1][:128] > 0
+    rows, columns = np.nonzero(vehicle)
+    assert struck.any()
+    for row, column in zip(*np.nonzero(struck), strict=True):
+        assert np.hypot(rows - row, columns - column).min() <= 2  # half a metre
+    x, y = told["agents"][0, :2]
+    assert abs(4 * (32 - x) - rows.mean()) < 3
+    assert abs(4 * (32 - y) - columns.mean()) < 3
