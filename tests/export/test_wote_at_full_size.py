@@ -111,4 +111,6 @@ def assert_equal(
     for name, got in zip(names, session.run(names, arrays), strict=True):
         wanted = expected[name].numpy()
         scale = max(1.0, float(np.abs(wanted).max()))
-        np.testing.assert_allclose(got, wanted, atol=TOLERANCE * scale, rtol=0, err_msg=name)
+        np.testing.assert_allclose(
+            np.asarray(got), wanted, atol=TOLERANCE * scale, rtol=0, err_msg=name
+        )

@@ -66,7 +66,7 @@ def test_steps_make_every_term_smaller() -> None:
     objective = WoteObjective(model, WoteObjectiveConfig())
     order = torch.rand(2, TINY.anchors, generator=torch.Generator().manual_seed(0))
     optimiser = torch.optim.AdamW(model.parameters(), 3e-3)
-    first = objective(given, order)[1]
+    first = terms = objective(given, order)[1]
     for _ in range(60):
         loss, terms = objective(given, order)
         optimiser.zero_grad()

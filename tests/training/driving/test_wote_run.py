@@ -38,6 +38,7 @@ from anchorflow_training.driving.sensor_windows import (
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
 from anchorflow_training.planners import TRAININGS
 from anchorflow_training.restore import restore_model
+from anchorflow_training.run import Report
 from anchorflow_training.settings import ConfigError
 
 MODEL = replace(TINY, semantic_classes=len(CLASSES))
@@ -70,7 +71,7 @@ def drawn(window: Window, sizes: SensorSizes) -> Drawn:
         "ego_status": np.eye(8, dtype=np.float32)[1],
         "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
         "agents": np.zeros((MODEL.agents, 5), np.float32),
-        "agent_count": np.int64(1),
+        "agent_count": np.array(1),
     }
 
 
@@ -193,7 +194,7 @@ def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
     assert wote_run.wote_settings(logs) == {}
 
 
-def _stop_after(step: int) -> object:
+def _stop_after(step: int) -> Report:
     def report(at: int, _row: object) -> None:
         if at == step:
             raise InterruptedError

@@ -144,7 +144,7 @@ def keep_sensors(
     """Draw what the sensors tell of a log's windows, and keep it beside the log."""
     rows = [draw(window, sizes) for window in Scenes(read_log(log))]
     streams = [
-        zlib.compress(b"".join(np.ascontiguousarray(row[n], np.uint8) for n in PICTURES), LEVEL)
+        zlib.compress(b"".join(row[name].astype(np.uint8).tobytes() for name in PICTURES), LEVEL)
         for row in rows
     ]
     arrays = {name: np.array([row[name] for row in rows]) for name in NUMBERS}
@@ -191,7 +191,7 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
         "ego_status": status_of(view),
         "future": window.recorded(PLAN_TIMES).astype(np.float32),
         "agents": agents,
-        "agent_count": np.int64(there.sum()),
+        "agent_count": np.array(there.sum()),
     }
 
 
