@@ -42,6 +42,7 @@ WALLS: dict[str, set[str]] = {
         "numpy",
         "torch",
         "torchdiffeq",
+        "transformers",  # ResNet, imported where one is made
     },
     "anchorflow_training": {
         "anchorflow_client",
@@ -52,6 +53,7 @@ WALLS: dict[str, set[str]] = {
         "scipy",
         "torch",
         "h5py",  # trajectory files
+        "transformers",  # pretrained weights, imported where they are read
         "yaml",  # configurations
         "lightning_fabric",
         "matplotlib",  # pictures, imported where one is drawn

@@ -14,6 +14,7 @@ from torch import nn
 
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.wote import WoteConfig, create_wote
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ PLANNERS: Mapping[str, Planner] = {
     for planner in (
         Planner("flowmp", L2Config, create_l2_safety_cfm),
         Planner("goalflow", GoalFlowConfig, GoalFlow),
+        Planner("wote", WoteConfig, create_wote),
     )
 }
 

@@ -225,6 +225,15 @@ NOT_HERE = {
     "anchorflow export runs/goalflow/checkpoint.pt --out bundles/goalflow": (
         "exports the run that the line above it trains; tests/service/http exports a smaller one"
     ),
+    "anchorflow bench drive --logs ../shared/data/driving --bundle bundles/wote": MEASURES,
+    "anchorflow data drive --out drive --logs 300": DRAWS,
+    "anchorflow data anchors drive --out anchors.npy": DRAWS,
+    "anchorflow data sensors drive --config examples/wote-small.yaml": DRAWS,
+    "anchorflow train drive --config examples/wote-small.yaml --anchors anchors.npy"
+    " --out runs/wote": TRAINS,
+    "anchorflow export runs/wote/checkpoint.pt --out bundles/wote": (
+        "needs what the training above leaves; tests/service/http/test_wote_bundle.py exports one"
+    ),
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"
     ),

@@ -15,19 +15,20 @@ ITERATIONS = 30
 
 
 def clustered(ends: NDArray[np.floating], *, count: int, seed: int) -> NDArray[np.float32]:
-    """K centres [K, 2] of ends [M, 2] m, the nearest to the ego first."""
+    """K centres [K, P] of ends [M, 2] m, or of points of more numbers, the nearest to 0 first."""
     rng = np.random.default_rng(seed)
     chosen = rng.choice(len(ends), min(len(ends), MOST_ENDS), replace=False)
     points = np.asarray(ends, np.float64)[chosen]
     if len(points) < count:  # too few to cluster: the same ones, a little apart
-        points = np.resize(points, (count, 2)) + rng.normal(0.0, 0.5, (count, 2))
+        size = count, points.shape[1]
+        points = np.resize(points, size) + rng.normal(0.0, 0.5, size)
     centres = _spread(points, count, rng)
     for _ in range(ITERATIONS):
         nearest = KDTree(centres).query(points)[1]
-        size = np.bincount(nearest, minlength=count)
+        members = np.bincount(nearest, minlength=count)
         sums = np.stack([np.bincount(nearest, axis, count) for axis in points.T], axis=-1)
-        centres = np.where(size[:, None] > 0, sums / np.maximum(size, 1)[:, None], centres)
-    return centres[np.argsort(np.hypot(*centres.T))].astype(np.float32)
+        centres = np.where(members[:, None] > 0, sums / np.maximum(members, 1)[:, None], centres)
+    return centres[np.argsort(np.linalg.norm(centres, axis=1))].astype(np.float32)
 
 
 def _spread(

@@ -1,0 +1,22 @@
+"""The backbone of planners that see by camera and LiDAR, and its heads."""
+
+from anchorflow_models.transfuser.backbone import BevFeatures, FeaturePyramid, TransfuserBackbone
+from anchorflow_models.transfuser.config import TransfuserConfig, small_transfuser
+from anchorflow_models.transfuser.heads import (
+    AGENT_QUERIES,
+    AGENT_STATE,
+    AgentHead,
+    SemanticHead,
+)
+
+__all__ = [
+    "AGENT_QUERIES",
+    "AGENT_STATE",
+    "AgentHead",
+    "BevFeatures",
+    "FeaturePyramid",
+    "SemanticHead",
+    "TransfuserBackbone",
+    "TransfuserConfig",
+    "small_transfuser",
+]

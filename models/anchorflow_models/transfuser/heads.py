@@ -1,0 +1,58 @@
+"""What a Transfuser backbone is asked besides a plan: where the others are, what is where."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from anchorflow_models.transfuser.config import TransfuserConfig
+
+AGENT_QUERIES = 30
+AGENT_STATE = 5
+"""x, y, heading, length, width"""
+
+
+class SemanticHead(nn.Module):
+    """The upscaled BEV to classes of the half before the ego.
+
+    The published head stretches the whole square over that half, and leaves the rest to learning.
+    This one cuts the half out first: row 0 lies farthest ahead.
+    """
+
+    def __init__(self, config: TransfuserConfig, classes: int) -> None:
+        super().__init__()
+        self.size = config.semantic_size
+        channels = config.bev_channels
+        self.hidden = nn.Conv2d(channels, channels, 3, padding=1)
+        self.out = nn.Conv2d(channels, classes, 1)
+
+    def forward(self, upscaled: Tensor) -> Tensor:
+        """[B, C', H/4, H/4] -> logits [B, classes, H/2, H], row and column as of the LiDAR"""
+        ahead = upscaled[:, :, : upscaled.shape[2] // 2]
+        logits = self.out(F.relu(self.hidden(ahead)))
+        return F.interpolate(logits, size=self.size, mode="bilinear", align_corners=False)
+
+
+class AgentHead(nn.Module):
+    """Decoded queries to boxes in the ego's frame, and how sure it is of each.
+
+    reach: m, the greatest x or y
+    """
+
+    def __init__(self, width: int, hidden: int, *, reach: float) -> None:
+        super().__init__()
+        self.reach = reach
+        self.state = nn.Sequential(
+            nn.Linear(width, hidden), nn.ReLU(), nn.Linear(hidden, AGENT_STATE)
+        )
+        self.label = nn.Linear(width, 1)
+
+    def forward(self, queries: Tensor) -> tuple[Tensor, Tensor]:
+        """[B, Q, W] -> x, y [m], heading [rad], length, width [m] as [B, Q, 5]; logits [B, Q]"""
+        raw = self.state(queries)
+        place = self.reach * raw[..., :2].tanh()
+        heading = math.pi * raw[..., 2:3].tanh()
+        return torch.cat([place, heading, raw[..., 3:]], -1), self.label(queries).squeeze(-1)

@@ -1,0 +1,115 @@
+"""The Transfuser backbone: its shapes, who hears whom, scenes that never touch one another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from anchorflow_models.transfuser import (
+    AgentHead,
+    SemanticHead,
+    TransfuserBackbone,
+    TransfuserConfig,
+    small_transfuser,
+)
+
+SMALL = small_transfuser()
+
+
+def backbone(config: TransfuserConfig = SMALL) -> TransfuserBackbone:
+    torch.manual_seed(0)
+    return TransfuserBackbone(config).eval()
+
+
+def sensors(config: TransfuserConfig = SMALL, B: int = 2) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    sizes = dict(config.input_sizes())
+    camera = torch.randint(0, 256, (B, *sizes["camera"]), dtype=torch.uint8, generator=generator)
+    return camera, torch.rand(B, *sizes["lidar"], generator=generator)
+
+
+@torch.no_grad()
+def test_the_small_shapes() -> None:
+    seen = backbone()(*sensors())
+    assert seen.features.shape == (2, 96, 8, 8)
+    assert seen.upscaled.shape == (2, 32, 64, 64)
+    assert SemanticHead(SMALL, 8)(seen.upscaled).shape == (2, 8, 128, 256)
+
+
+def test_the_published_sizes() -> None:
+    config = TransfuserConfig()
+    assert dict(config.input_sizes()) == {"camera": (3, 256, 1024), "lidar": (1, 256, 256)}
+    assert (config.image_grid, config.bev_size, config.bev_width) == ((8, 32), 8, 512)
+    assert (config.upscaled_size, config.semantic_size) == (64, (128, 256))
+
+
+@pytest.mark.parametrize("changed", ["camera", "lidar"])
+@torch.no_grad()
+def test_the_bev_hears_both_sensors(changed: str) -> None:
+    network, (camera, lidar) = backbone(), sensors()
+    before = network(camera, lidar).features
+    after = network(255 - camera, lidar) if changed == "camera" else network(camera, 1 - lidar)
+    assert (after.features - before).abs().max() > 1e-3
+
+
+@torch.no_grad()
+def test_scenes_do_not_touch_one_another() -> None:
+    network, (camera, lidar) = backbone(), sensors()
+    alone = network(camera[1:], lidar[1:])
+    other = network(torch.stack([255 - camera[0], camera[1]]), lidar)
+    torch.testing.assert_close(other.features[1:], alone.features, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(other.upscaled[1:], alone.upscaled, rtol=1e-5, atol=1e-5)
+
+
+@torch.no_grad()
+def test_what_lies_ahead_on_the_left_is_in_the_first_row_and_column() -> None:
+    network = backbone(replace(SMALL, fusion_layers=0))
+    for fusion in network.fusions:  # nothing is mixed, so a place stays a place
+        fusion.align_fused.weight.zero_()  # type: ignore[union-attr,operator]
+        fusion.align_fused.bias.zero_()  # type: ignore[union-attr,operator]
+    camera, empty = torch.zeros(1, 3, 128, 512, dtype=torch.uint8), torch.zeros(1, 1, 256, 256)
+    told = empty.clone()
+    told[..., 250, 250] = 1.0  # x and y near 32 m
+    changed = (network(camera, told).features - network(camera, empty).features).abs().sum(1)[0]
+    assert changed.argmax() == 0
+    assert changed[4:, 4:].max() < changed[0, 0] / 10
+
+
+@torch.no_grad()
+def test_only_what_lies_ahead_is_told_by_the_semantic_head() -> None:
+    torch.manual_seed(0)
+    head, upscaled = SemanticHead(SMALL, 8), torch.rand(1, 32, 32, 32)
+    before = head(upscaled)
+    behind, ahead = upscaled.clone(), upscaled.clone()
+    behind[:, :, 16:], ahead[:, :, :16] = 0, 0
+    torch.testing.assert_close(head(behind), before)
+    assert (head(ahead) - before).abs().max() > 1e-3
+
+
+@torch.no_grad()
+def test_boxes_stay_within_reach() -> None:
+    torch.manual_seed(0)
+    states, logits = AgentHead(16, 32, reach=32.0)(100 * torch.randn(2, 30, 16))
+    assert (states.shape, logits.shape) == ((2, 30, 5), (2, 30))
+    assert 16 < states[..., :2].abs().max() <= 32
+    assert states[..., 2].abs().max() <= torch.pi
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"image_height": 70}, "image_height: expected a multiple of 32, got 70"),
+        ({"lidar_size": 0}, "lidar_size: expected a multiple of 32, got 0"),
+        ({"lidar_range": 0.0}, "lidar_range: expected more than 0, got 0.0"),
+        ({"depths": (1, 1)}, "depths: expected 4 numbers, one a stage"),
+        ({"widths": (16, 30, 64, 96)}, "widths: expected multiples of fusion_heads, 4"),
+        ({"fusion_layers": -1}, "fusion_layers: expected at least 0, got -1"),
+    ],
+)
+def test_a_wrong_size_is_named(wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(SMALL, **wrong)

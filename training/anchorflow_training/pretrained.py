@@ -1,0 +1,42 @@
+"""ResNet weights that were trained elsewhere, on ImageNet say, from a local folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from anchorflow_models.transfuser import TransfuserBackbone
+from anchorflow_training.settings import ConfigError
+
+FIRST = "embedder.embedder.convolution.weight"  # [stem, colours, 7, 7]
+
+
+def load_resnet(backbone: TransfuserBackbone, folder: Path) -> None:
+    """Begin both networks of a backbone with the weights of a ResNet.
+
+    folder: what `save_pretrained` of a `transformers` ResNet writes, config.json and
+        model.safetensors; nothing is downloaded. LiDAR has one channel, whose first weights are
+        the sum of the colours'.
+
+    Raises:
+        ConfigError: there is no ResNet in the folder, or one of another shape.
+    """
+    weights = _weights(folder)
+    grey = {**weights, FIRST: weights[FIRST].sum(1, keepdim=True)}
+    try:
+        backbone.image.load_state_dict(weights)
+        backbone.lidar.load_state_dict(grey)
+    except RuntimeError as error:
+        raise ConfigError(f"{folder}: its ResNet does not fit the backbone: {error}") from error
+
+
+def _weights(folder: Path) -> dict[str, Any]:
+    from transformers import ResNetBackbone
+
+    if not (folder / "config.json").is_file():
+        raise ConfigError(f"{folder}: expected a ResNet's config.json and model.safetensors")
+    try:
+        network = ResNetBackbone.from_pretrained(folder, local_files_only=True)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{folder}: cannot be read as a ResNet ({error})") from error
+    return network.state_dict()
