@@ -130,8 +130,8 @@ PYTHON = """# Python types
 read-only. A field that is None is left to the model's card. One that says nothing here means what
 it means in [the request](request.md) or [the answer](answer.md). A card's `conditioning` is a
 `CostMapSpec` or a `TensorsSpec`, its `sampler` an `OdeSpec`, a `VocabularySpec` or a
-`TruncatedDiffusionSpec`, its `finish` a `RefineSpec` or `NoFinish`; each has a `kind`, and a kind that the client does not know is an
-`UnknownPart`.
+`TruncatedDiffusionSpec`, its `finish` a `RefineSpec` or `NoFinish`; each has a `kind`, and a kind
+that the client does not know is an `UnknownPart`.
 
 {types}
 """

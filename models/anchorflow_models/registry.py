@@ -12,6 +12,7 @@ from typing import Any
 
 from torch import nn
 
+from anchorflow_models.diffusiondrive import DiffusionDriveConfig, create_diffusiondrive
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
 
 
@@ -29,7 +30,11 @@ class Planner:
 
 
 PLANNERS: Mapping[str, Planner] = {
-    planner.name: planner for planner in (Planner("flowmp", L2Config, create_l2_safety_cfm),)
+    planner.name: planner
+    for planner in (
+        Planner("flowmp", L2Config, create_l2_safety_cfm),
+        Planner("diffusiondrive", DiffusionDriveConfig, create_diffusiondrive),
+    )
 }
 
 UNNAMED = "flowmp"

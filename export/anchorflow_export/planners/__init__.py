@@ -7,9 +7,13 @@ from typing import Any
 
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter
 from anchorflow_export.errors import ExportError
+from anchorflow_export.planners.diffusiondrive import diffusiondrive_adapter
 from anchorflow_export.planners.flowmp import flowmp_adapter
 
-ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {"flowmp": flowmp_adapter}
+ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
+    "flowmp": flowmp_adapter,
+    "diffusiondrive": diffusiondrive_adapter,
+}
 """By the name in the registry of planners: from a network to its adapter."""
 
 
