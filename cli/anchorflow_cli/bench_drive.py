@@ -1,4 +1,4 @@
-"""`anchorflow bench drive`: drivers on recorded logs, open loop."""
+"""`anchorflow bench drive`: drivers and bundles on recorded logs, open loop."""
 
 from __future__ import annotations
 
@@ -7,15 +7,24 @@ from typing import Annotated
 
 import typer
 
+from anchorflow_benchmarks.driving.bundle_driver import BundleDriver
 from anchorflow_benchmarks.driving.open_loop import (
     ENTRIES,
+    Entry,
     drive_tables,
     judge_drivers,
     named_drivers,
     write_plans,
 )
 from anchorflow_benchmarks.driving.score_time import score_time_table
-from anchorflow_cli.bench_options import RESULTS, OutOption
+from anchorflow_benchmarks.samplers import CARD
+from anchorflow_cli.bench_options import (
+    RESULTS,
+    NumOption,
+    OutOption,
+    SamplersOption,
+    ThreadsOption,
+)
 from anchorflow_cli.bench_output import progress, report, say
 from anchorflow_driving.log import read_logs
 
@@ -24,20 +33,34 @@ def drive(
     *,
     logs: Annotated[Path, typer.Option(help="Folder of driving logs (*.npz).")],
     drivers: Annotated[
-        str, typer.Option(metavar="A,B", help="Who drives.", show_default="all")
+        str, typer.Option(metavar="A,B", help="Who drives; none for none.", show_default="all")
     ] = ",".join(ENTRIES),
+    bundle: Annotated[
+        list[Path] | None,
+        typer.Option("--bundle", help="Folder of a bundle that drives too; repeatable."),
+    ] = None,
+    num: NumOption = 64,
+    samplers: SamplersOption = CARD,
+    threads: ThreadsOption = None,
     plans: Annotated[
         Path | None,
         typer.Option(help="Folder that plans_*.npz are written to.", show_default="that of --out"),
     ] = None,
     out: OutOption = RESULTS,
 ) -> None:
-    """Score rule-based drivers on recorded logs with the PDM score; tables and plans."""
-    found, chosen = read_logs(logs), named_drivers(drivers.split(","))
+    """Score drivers and bundles on recorded logs with the PDM score; tables and plans."""
+    found = read_logs(logs)
+    chosen = {} if drivers == "none" else named_drivers(drivers.split(","))
+    for folder in bundle or []:
+        for sampler in samplers.split(","):
+            driver = BundleDriver(folder, num=num, sampler=sampler, threads=threads)
+            chosen[driver.name] = Entry(driver)
     windows = sum(log.windows for log in found)
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)
     about = {"logs": f"{logs.name}: {len(found)} files, {windows} windows"}
+    if bundle:
+        about["proposals"] = f"{num} a window"
     report("Drive", about, [*drive_tables(judged), score_time_table(found)], out)
     for path in write_plans(judged, plans or out):
         say(str(path))

@@ -14,6 +14,8 @@ from torch import nn
 
 from anchorflow_models.diffusiondrive import DiffusionDriveConfig, create_diffusiondrive
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
+from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.wote import WoteConfig, create_wote
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ PLANNERS: Mapping[str, Planner] = {
     planner.name: planner
     for planner in (
         Planner("flowmp", L2Config, create_l2_safety_cfm),
+        Planner("goalflow", GoalFlowConfig, GoalFlow),
+        Planner("wote", WoteConfig, create_wote),
         Planner("diffusiondrive", DiffusionDriveConfig, create_diffusiondrive),
     )
 }

@@ -11,6 +11,12 @@ from anchorflow_models.registry import UNNAMED
 from anchorflow_training.config import RunConfig, TrainerConfig
 from anchorflow_training.config_file import model_settings, planner_in
 from anchorflow_training.dataset import open_dataset
+from anchorflow_training.driving.goalflow_run import (
+    GoalFlowRun,
+    GoalFlowRunConfig,
+    goalflow_settings,
+)
+from anchorflow_training.driving.windows import open_windows
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer
@@ -34,7 +40,10 @@ class Training:
 
 TRAININGS: Mapping[str, Training] = {
     training.config.planner: training
-    for training in (Training(TrainerConfig, open_dataset, model_settings, CFMTrainer),)
+    for training in (
+        Training(TrainerConfig, open_dataset, model_settings, CFMTrainer),
+        Training(GoalFlowRunConfig, open_windows, goalflow_settings, GoalFlowRun),
+    )
 }
 
 

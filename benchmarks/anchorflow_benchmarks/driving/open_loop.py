@@ -11,6 +11,13 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals
+from anchorflow_benchmarks.driving.proposals import (
+    GOALS_NOTE,
+    OF_GOALS,
+    PROPOSALS_NOTE,
+    proposal_figures,
+)
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, Driver
@@ -30,9 +37,9 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Entry:
-    """Who is judged, at which poses: 8, or all 40 that a driver has."""
+    """Who is judged, at which poses: 8, or all 40 that a driver has; or a bundle's proposals."""
 
-    driver: Driver
+    driver: Driver | BundleDriver
     times: Array = field(default_factory=lambda: PLAN_TIMES)
 
 
@@ -55,6 +62,7 @@ class Judged:
     waypoints: Array | None  # [45, 2], of drivers that plan 4.5 s
     figures: Mapping[str, float]
     ms: float
+    proposals: Proposals | None = None  # of a bundle
 
 
 def named_drivers(names: Sequence[str]) -> dict[str, Entry]:
@@ -98,13 +106,14 @@ def drive_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
         count = sum(map(belongs, everything))
         rows = [_row(name, [v for v in all_ if belongs(v)]) for name, all_ in judged.items()]
         tables.append(ResultTable(f"{title} ({count})", rows, NOTE if not tables else ""))
-    return [*tables, _by_log(judged)]
+    return [*tables, *bundle_tables(judged), _by_log(judged)]
 
 
 def write_plans(judged: Mapping[str, Sequence[Judged]], folder: Path) -> list[Path]:
     """plans_DRIVER.npz of 8 poses and, of drivers that plan 4.5 s, waypoints_DRIVER.npz.
 
-    Keys: log [W] file name without suffix, window [W], trajectories [W, 8, 3] or [W, 45, 2].
+    Keys: log [W] file name without suffix, window [W], trajectories [W, 8, 3] or [W, 45, 2]; of
+    bundles proposals [W, N, 8, 3] and, where it scores them, scores [W, N] too.
 
     Raises:
         BenchmarkError: a file cannot be written.
@@ -123,24 +132,41 @@ def write_plans(judged: Mapping[str, Sequence[Judged]], folder: Path) -> list[Pa
 def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Judged]:
     scorer, judged = PdmScorer(window), {}
     for name, entry in drivers.items():
-        started = perf_counter()
-        plan = entry.driver(window, entry.times)
+        started, proposals = perf_counter(), None
+        if isinstance(entry.driver, BundleDriver):
+            proposals = entry.driver.propose(window)
+            plan = proposals.trajectories[proposals.best]
+        else:
+            plan = entry.driver(window, entry.times)
         ms = 1e3 * (perf_counter() - started)
         scores = scorer.score(plan[None])
-        waypoints = entry.driver(window, WAYPOINT_TIMES)[:, :2]
-        whole = bool(np.isfinite(waypoints).all())
-        hit = float(collides(window, waypoints)) if whole else float("nan")
+        waypoints = _waypoints(entry.driver, window)
+        hit = float("nan") if waypoints is None else float(collides(window, waypoints))
         judged[name] = Judged(
             log=Path(window.log.path).stem,
             window=window.index,
             source=window.log.source,
             command=window.command_name,
             plan=plan,
-            waypoints=waypoints if whole else None,
-            figures={**_sub_scores(scores), **_distances(window, plan, entry.times), "hit": hit},
+            waypoints=waypoints,
+            figures={
+                **_sub_scores(scores),
+                **_distances(window, plan, entry.times),
+                "hit": hit,
+                **(proposal_figures(window, scorer, proposals) if proposals else {}),
+            },
             ms=ms,
+            proposals=proposals,
         )
     return judged
+
+
+def _waypoints(driver: Driver | BundleDriver, window: Window) -> Array | None:
+    """[45, 2] of a driver that plans 4.5 s."""
+    if isinstance(driver, BundleDriver):
+        return None
+    waypoints = driver(window, WAYPOINT_TIMES)[:, :2]
+    return waypoints if np.isfinite(waypoints).all() else None
 
 
 def _sub_scores(scores: PdmScores) -> dict[str, float]:
@@ -164,8 +190,36 @@ def _distances(window: Window, plan: Array, times: Array) -> dict[str, float]:
 
 def _row(name: str, verdicts: Sequence[Judged]) -> Row:
     figures = verdicts[0].figures if verdicts else {}
-    means = {key: float(np.mean([v.figures[key] for v in verdicts])) for key in figures}
+    means = {
+        key: float(np.mean([v.figures[key] for v in verdicts]))
+        for key in figures
+        if key not in OF_GOALS
+    }
     return {"driver": name, **means, "ms": median(v.ms for v in verdicts) if verdicts else None}
+
+
+def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
+    """What bundles propose, how long that takes, and how good their goals are."""
+    rows, of_goals = [], []
+    for name, verdicts in judged.items():
+        proposed = [verdict.proposals for verdict in verdicts if verdict.proposals]
+        if not proposed:
+            continue
+        mean = {
+            key: float(np.nanmean([verdict.figures[key] for verdict in verdicts]))
+            for key in ("PDMS", "oracle", "minADE", "rank")
+        }
+        times = {
+            "inputs ms": median(each.drawing_ms for each in proposed),
+            "flow ms": median(each.flow_ms for each in proposed),
+            "ms": median(verdict.ms for verdict in verdicts),
+        }
+        rows.append({"driver": name, "N": len(proposed[0].trajectories), **mean, **times})
+        if OF_GOALS[0] in verdicts[0].figures:
+            figures = {k: float(np.nanmean([v.figures[k] for v in verdicts])) for k in OF_GOALS}
+            of_goals.append({"driver": name, **figures})
+    tables = [ResultTable("Proposals", rows, PROPOSALS_NOTE)] if rows else []
+    return [*tables, *([ResultTable("Goals", of_goals, GOALS_NOTE)] if of_goals else [])]
 
 
 def _by_log(judged: Mapping[str, Sequence[Judged]]) -> ResultTable:
@@ -190,7 +244,16 @@ def _write(path: Path, verdicts: Sequence[Judged], trajectories: Sequence[Array]
             log=np.array([verdict.log for verdict in verdicts]),
             window=np.array([verdict.window for verdict in verdicts]),
             trajectories=np.stack(trajectories),
+            **_proposed(verdicts),
         )
     except OSError as error:
         raise BenchmarkError(f"{path}: {error.strerror}") from error
     return path
+
+
+def _proposed(verdicts: Sequence[Judged]) -> dict[str, Array]:
+    """All proposals and their scores, of a bundle."""
+    proposed = [verdict.proposals for verdict in verdicts if verdict.proposals]
+    scores = [each.scores for each in proposed if each.scores is not None]
+    found = {"proposals": [each.trajectories for each in proposed], "scores": scores}
+    return {name: np.stack(arrays) for name, arrays in found.items() if arrays}

@@ -11,6 +11,8 @@ POSES = 8
 FIRST_S = STEP_S = 0.5
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
+STATUS = 8
+"""Numbers that tell the ego's command (4), velocity and acceleration."""
 START = 8
 """The level of 1000 at which the diffusion is cut off: anchors begin with its noise."""
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}
@@ -23,7 +25,6 @@ TRAINED_LEVELS = 50
 class DiffusionDriveConfig:
     """Everything that fixes the network's shapes and units; the defaults are the published ones.
 
-    status: numbers that tell the ego's command, velocity and acceleration
     classes: of the semantic BEV
     width, heads, hidden: of the queries and of the denoiser
     query_layers: of the decoder that finds the ego's query and the agents'
@@ -45,7 +46,6 @@ class DiffusionDriveConfig:
     """
 
     backbone: TransfuserConfig = field(default_factory=TransfuserConfig)
-    status: int = 8
     classes: int = 7
     width: int = 256
     heads: int = 8
@@ -70,7 +70,7 @@ class DiffusionDriveConfig:
 
     def __post_init__(self) -> None:
         for name in (
-            *("status", "classes", "anchors", "heads", "scorer_heads", "hidden", "scorer_hidden"),
+            *("classes", "anchors", "heads", "scorer_heads", "hidden", "scorer_hidden"),
             *("query_layers", "denoiser_layers", "fine_layers", "groups", "variants", "keep"),
         ):
             check(name, getattr(self, name) >= 1, "at least 1", getattr(self, name))

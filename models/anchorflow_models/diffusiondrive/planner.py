@@ -17,6 +17,7 @@ from anchorflow_models.diffusiondrive.bev_attention import BevValues
 from anchorflow_models.diffusiondrive.config import (
     FIRST_S,
     POSES,
+    STATUS,
     STEP_S,
     DiffusionDriveConfig,
 )
@@ -61,7 +62,7 @@ class Perception(nn.Module):
         self.cells = backbone.bev_size
         self.backbone = TransfuserBackbone(backbone)
         self.narrow = nn.Conv2d(backbone.bev_width, width, 1)
-        self.status = nn.Linear(config.status, width)
+        self.status = nn.Linear(STATUS, width)
         self.places = nn.Parameter(0.02 * torch.randn(1, self.cells**2 + 1, width))
         self.queries = nn.Parameter(0.02 * torch.randn(1, 1 + AGENT_QUERIES, width))
         self.decoder = Decoder(
@@ -78,7 +79,7 @@ class Perception(nn.Module):
         )
 
     def forward(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Perceived:
-        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H']; ego_status: [B, 8]"""
+        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] as the backbone takes it; ego_status: [B, 8]"""
         seen = self.backbone(camera, lidar)
         cells = self.narrow(seen.features).flatten(2).transpose(1, 2)
         known = torch.cat([cells, self.status(ego_status)[:, None]], 1) + self.places

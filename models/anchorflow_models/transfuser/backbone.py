@@ -133,9 +133,10 @@ class TransfuserBackbone(nn.Module):
             self.register_buffer(name, 255 * torch.tensor(values)[:, None, None], persistent=False)
 
     def forward(self, camera: Tensor, lidar: Tensor) -> BevFeatures:
-        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1], rows and columns as above"""
+        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1], as its histogram has it:
+        row 0 lies farthest behind, column 0 farthest right"""
         image = self.image.stem((camera.float() - self.pixel_mean) / self.pixel_spread)
-        bev = self.lidar.stem(lidar)
+        bev = self.lidar.stem(lidar.flip(-2, -1))
         for index, fusion in enumerate(self.fusions):
             image, bev = self.image.stage(index, image), self.lidar.stage(index, bev)
             image, bev = fusion(image, bev)

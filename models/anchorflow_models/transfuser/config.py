@@ -96,15 +96,13 @@ class TransfuserConfig:
 
 
 def small_transfuser() -> TransfuserConfig:
-    """Narrow, and a quarter of the image's and half of the LiDAR's cells a side: for two cores."""
+    """Narrow and shallow, over an image of half the height and width: for two cores."""
     return TransfuserConfig(
-        image_height=64,
-        image_width=256,
-        lidar_size=128,
+        image_height=128,
+        image_width=512,
         stem_width=16,
         widths=(16, 32, 64, 96),
         depths=(1, 1, 1, 1),
-        stem_pooling=False,
         fusion_layers=1,
         bev_channels=32,
     )

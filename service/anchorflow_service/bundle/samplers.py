@@ -23,8 +23,8 @@ from anchorflow_trajectory.ode.schedule import check_schedule
 class PriorEntry(Entry):
     """What turns noise [N,R] into x_0 = mean + noise · basis.
 
-    mean: name of [B,T,S] that encode gives; or of [B,M,T,S] that a scene has, the M components of
-        a mixture over which the anchors are dealt out in turn
+    mean: name of [B,T,S] that encode gives; or of [B,M,T,S] that encode gives or a scene has, the M
+        components of a mixture over which the anchors are dealt out in turn
     basis: name of [B,R,T*S] that encode gives
     """
 

@@ -38,7 +38,7 @@ def sensors(config: DiffusionDriveConfig = SMALL, B: int = 1) -> dict[str, Tenso
     return {
         "camera": torch.randint(0, 256, (B, *sizes["camera"])).byte(),
         "lidar": torch.rand(B, *sizes["lidar"]),
-        "ego_status": torch.randn(B, config.status),
+        "ego_status": torch.randn(B, 8),
     }
 
 

@@ -36,8 +36,8 @@ def sensors(config: TransfuserConfig = SMALL, B: int = 2) -> tuple[Tensor, Tenso
 def test_the_small_shapes() -> None:
     seen = backbone()(*sensors())
     assert seen.features.shape == (2, 96, 8, 8)
-    assert seen.upscaled.shape == (2, 32, 32, 32)
-    assert SemanticHead(SMALL, 8)(seen.upscaled).shape == (2, 8, 64, 128)
+    assert seen.upscaled.shape == (2, 32, 64, 64)
+    assert SemanticHead(SMALL, 8)(seen.upscaled).shape == (2, 8, 128, 256)
 
 
 def test_the_published_sizes() -> None:
@@ -66,6 +66,20 @@ def test_scenes_do_not_touch_one_another() -> None:
 
 
 @torch.no_grad()
+def test_what_lies_ahead_on_the_left_is_in_the_first_row_and_column() -> None:
+    network = backbone(replace(SMALL, fusion_layers=0))
+    for fusion in network.fusions:  # nothing is mixed, so a place stays a place
+        fusion.align_fused.weight.zero_()  # type: ignore[union-attr,operator]
+        fusion.align_fused.bias.zero_()  # type: ignore[union-attr,operator]
+    camera, empty = torch.zeros(1, 3, 128, 512, dtype=torch.uint8), torch.zeros(1, 1, 256, 256)
+    told = empty.clone()
+    told[..., 250, 250] = 1.0  # x and y near 32 m
+    changed = (network(camera, told).features - network(camera, empty).features).abs().sum(1)[0]
+    assert changed.argmax() == 0
+    assert changed[4:, 4:].max() < changed[0, 0] / 10
+
+
+@torch.no_grad()
 def test_only_what_lies_ahead_is_told_by_the_semantic_head() -> None:
     torch.manual_seed(0)
     head, upscaled = SemanticHead(SMALL, 8), torch.rand(1, 32, 32, 32)
@@ -88,8 +102,8 @@ def test_boxes_stay_within_reach() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"image_height": 70}, "image_height: expected a multiple of 16, got 70"),
-        ({"lidar_size": 0}, "lidar_size: expected a multiple of 16, got 0"),
+        ({"image_height": 70}, "image_height: expected a multiple of 32, got 70"),
+        ({"lidar_size": 0}, "lidar_size: expected a multiple of 32, got 0"),
         ({"lidar_range": 0.0}, "lidar_range: expected more than 0, got 0.0"),
         ({"depths": (1, 1)}, "depths: expected 4 numbers, one a stage"),
         ({"widths": (16, 30, 64, 96)}, "widths: expected multiples of fusion_heads, 4"),

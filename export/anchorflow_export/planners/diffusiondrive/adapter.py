@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from anchorflow_client.contract import AnchorRequest, TensorSpec, resolve_for_card
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
+from anchorflow_export.planners.wote.adapter import sensor_inputs
 from anchorflow_export.tracing import random_tensor, trace
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, START, STEP_S
@@ -35,7 +36,6 @@ Outputs = dict[str, Tensor]
 
 F32 = "float32"
 LEVELS = NoiseLevels()
-STATUS_UNIT = "left, straight, right, unknown; m/s, m/s, m/s^2, m/s^2"
 OUTPUTS = {
     "encode": (
         *("anchors", "bev", "values", "agent_queries", "ego_query"),
@@ -85,7 +85,7 @@ class DiffusionDriveAdapter:
         rows, columns = config.backbone.semantic_size
         reach = config.backbone.lidar_range
         return PlannerParts(
-            inputs=self.inputs,
+            inputs=sensor_inputs(config.backbone),
             conditioning=TensorsEntry(),
             sampler=TruncatedDiffusionEntry(
                 anchors=config.anchors,
@@ -119,37 +119,20 @@ class DiffusionDriveAdapter:
             ),
         )
 
-    @property
-    def inputs(self) -> tuple[TensorSpec, ...]:
-        """What a request brings: camera and LiDAR of the backbone's sizes, and the status."""
-        config = self.model.config
-        sizes = dict(config.backbone.input_sizes())
-        reach = config.backbone.lidar_range
-        return (
-            TensorSpec("camera", "uint8", ("B", *sizes["camera"])),
-            TensorSpec(
-                "lidar",
-                F32,
-                ("B", *sizes["lidar"]),
-                range=(0.0, 1.0),
-                extent=(-reach, reach, -reach, reach),
-            ),
-            TensorSpec("ego_status", F32, ("B", config.status), STATUS_UNIT, (-100.0, 100.0)),
-        )
-
     def trace(self) -> dict[str, TracedGraph]:
         """encode, denoise, coarse and fine, each fed with what the ones before give."""
         graphs: dict[str, TracedGraph] = {}
         given = {
             spec.name: spec
             for spec in (
+                *sensor_inputs(self.model.config.backbone),
                 TensorSpec("x_t", F32, ("B", "N", POSES, 2), range=(-1.0, 1.0)),
                 TensorSpec("t", F32, ("B",), range=(0.0, 50.0)),
                 TensorSpec("diversity", F32, ("B", "N", "V", 2), range=(-1.0, 1.0)),
             )
         }
         for role in OUTPUTS:
-            inputs = self.inputs if role == "encode" else self._inputs(role, given)
+            inputs = self._inputs(role, given)
             graphs[role] = trace(Role(self.model, role), inputs=inputs, outputs=OUTPUTS[role])
             given |= {spec.name: _of_anchors(spec) for spec in graphs[role].outputs}
         return graphs

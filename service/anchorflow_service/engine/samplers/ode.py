@@ -3,10 +3,11 @@
     encode    once a scene                           -> context
     modulate  once a scene, for all its flow times   -> modulation [K,M]
     field     at each stage of each step             -> dx/dt [N,T,S]
+    score     once, where a bundle has it            -> scores [N]
 
 What a graph needs of the others it takes by name. Where the prior is a mixture, its components
-are a scene's own, the anchors are dealt out over them in turn, and the field may ask for each
-anchor's own as `prior_mean`.
+are a scene's own or what encode gives, the anchors are dealt out over them in turn, and the field
+may ask for each anchor's own as `prior_mean`.
 """
 
 from __future__ import annotations
@@ -32,6 +33,12 @@ from anchorflow_service.engine.parts import (
     missing_roles,
     unknown_names,
 )
+from anchorflow_service.engine.samplers.flow_score import (
+    PRIOR_MEAN,
+    ROLE,
+    FlowScore,
+    answer_faults,
+)
 from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
 from anchorflow_service.engine.samplers.warm_start import renoised
 from anchorflow_trajectory.guidance import Guidance
@@ -42,7 +49,6 @@ from anchorflow_trajectory.scene import ROUTE_STATES
 
 Array = NDArray[np.float32]
 
-PRIOR_MEAN = "prior_mean"
 # What each role is fed besides the outputs of encode, and what it may ask for beside that where
 # the prior is a mixture.
 OWN_INPUTS = {"modulate": ("times",), "field": ("x_t", "modulation")}
@@ -83,6 +89,16 @@ def state_shape(manifest: Manifest) -> tuple[int, int]:
     return steps, size  # pyright: ignore[reportReturnType] - `faults` looks for letters
 
 
+def has_mixture(manifest: Manifest) -> bool:
+    """Whether the prior's means are several to a scene, and each anchor has its own."""
+    assert isinstance(manifest.sampler, OdeEntry)
+    prior = manifest.sampler.prior
+    if prior is None or prior.mean == ROUTE_STATES:
+        return prior is not None
+    given = {spec.name: spec for spec in manifest.graphs["encode"].outputs}
+    return prior.mean in given and len(given[prior.mean].shape) == 4
+
+
 class OdeSampler:
     """The graphs of an "ode" bundle, opened; several threads may sample at once.
 
@@ -103,6 +119,12 @@ class OdeSampler:
         self._encode = WideGraph(bundle, "encode", threads=threads, provider=provider)
         self._modulate = open_graph(bundle, "modulate", provider=provider)
         self._field = open_graph(bundle, "field", provider=provider)
+        self._score = (
+            FlowScore(bundle, threads=threads, provider=provider)
+            if ROLE in bundle.manifest.graphs
+            else None
+        )
+        self._extras = [spec.name for spec in bundle.manifest.answer.extras]
         self._state_shape = state_shape(bundle.manifest)
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix="anchorflow-field")
@@ -118,7 +140,7 @@ class OdeSampler:
             yield from missing
             return
         context, prior = manifest.graphs["encode"].output_names, manifest.sampler.prior
-        is_mixture = prior is not None and prior.mean == ROUTE_STATES
+        is_mixture = has_mixture(manifest)
         if prior is not None:
             yield from unknown_names("sampler.prior", (prior.basis,), context)
             yield from unknown_names("sampler.prior", (prior.mean,), (*context, ROUTE_STATES))
@@ -130,6 +152,7 @@ class OdeSampler:
             if graph.output_names != OWN_OUTPUTS[role]:
                 names = ", ".join(graph.output_names)
                 yield f"graphs.{role}.outputs: expected {OWN_OUTPUTS[role][0]}, got {names}"
+        yield from answer_faults(manifest, context, mixture=is_mixture)
         steps, size = state_shape(manifest)
         finished = isinstance(manifest.finish, SplineEntry)
         least = 3 * manifest.D + 1 if finished else manifest.D
@@ -148,6 +171,8 @@ class OdeSampler:
         count = MIN_SLICE * self._threads
         noise = self.draw_noise(context, num_samples=count, seed=scene.request.seed)
         begun = self.beginning(context, noise)
+        if self._score:
+            self._score.settle(context, begun.x, begun.mean)
         x, field = begun.x, self._field_over(context, OdeSpec("euler", (0.0, 1.0)), None)
         whole = _evaluated(field(begun.mean), x)
         self.cuts_freely = all(
@@ -186,7 +211,11 @@ class OdeSampler:
         states = self.integrate(
             context, begun, spec, guidance=guidance, threads=threads, check=check
         )
-        return Samples(states, begun.route)
+        arrays = {name: context[name][0] for name in self._extras}
+        if self._score:
+            arrays["scores"] = self._score(context, states, begun.mean, threads=threads)
+            check()
+        return Samples(states, begun.route, arrays)
 
     def flow_states(self, scene: ConditionedScene) -> FlowStates:
         """The states that `sample` passes through, noise and the last included."""
@@ -302,8 +331,9 @@ class OdeSampler:
         field_inputs = self._field.select(context)
 
         def new_field(mean: Array | None) -> VectorField:
+            # Of a mixture that encode gives, the field gets what each anchor began on.
             own = self._field.select({} if mean is None else {PRIOR_MEAN: mean[None]})
-            field = _ModulatedField(self._field.bind(**field_inputs, **own), modulation)
+            field = _ModulatedField(self._field.bind(**{**field_inputs, **own}), modulation)
             if guidance is None:
                 return field
             return GuidedField(field, guidance, times, stage_strides(method, sampler.schedule))

@@ -1,0 +1,220 @@
+"""GoalFlow on its way to a bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from anchorflow_client.contract import AnchorRequest, OdeSpec, TensorSpec, resolve_for_card
+from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
+from anchorflow_export.planners.goalflow.graphs import (
+    ENCODE_OUTPUTS,
+    Encode,
+    Field,
+    Modulate,
+    Score,
+)
+from anchorflow_export.tracing import trace
+from anchorflow_models.goalflow import BevLayout, GoalFlow
+from anchorflow_models.goalflow.goalflow import POSE, STATE, Context
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.graphs import open_graph
+from anchorflow_service.bundle.manifest import (
+    AnswerEntry,
+    NoFinishEntry,
+    OdeEntry,
+    TensorsEntry,
+    TimeEntry,
+)
+from anchorflow_service.bundle.samplers import PriorEntry
+from anchorflow_service.engine.conditioning.tensors import TensorConditioning
+from anchorflow_service.engine.samplers.ode import OdeSampler
+
+F32 = "float32"
+COMPONENTS = ("x", "y", "heading")
+SIZES = ((1, 1, 3), (3, 5, 1))  # B, N and K of the trials; traced at others
+SAMPLED = 9  # anchors, enough for two slices
+SEED = 11
+# m/s and m/s² of random cars.
+FASTEST, SHARPEST_STATUS = 16.0, 2.0
+BLOCK = 8  # cells a side of what is drawn in a random raster
+
+STATUS = TensorSpec(
+    "ego_status", F32, ("B", 8), "command one-hot; m/s, m/s; m/s^2, m/s^2", (-60.0, 60.0)
+)
+SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m, m", (0.3, 30.0))
+TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
+
+
+def bev_spec(layout: BevLayout) -> TensorSpec:
+    """What a caller sends of the scene."""
+    shape = ("B", layout.channels, layout.rows, layout.columns)
+    return TensorSpec("bev", "uint8", shape, extent=layout.extent)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GoalFlowAdapter:
+    """Four graphs; sampler: what a request that leaves it open gets."""
+
+    model: GoalFlow
+    sampler: OdeSpec
+
+    @property
+    def inputs(self) -> tuple[TensorSpec, ...]:
+        """Of a request, and of encode."""
+        return bev_spec(self.model.config.bev), STATUS, SIZE
+
+    @property
+    def parts(self) -> PlannerParts:
+        """A planner with tensors, an "ode" sampler whose anchors are scored, and no finish."""
+        config = self.model.config
+        goals = TensorSpec("goals", F32, ("B", config.goals, 2), "m")
+        scores = TensorSpec("goal_scores", F32, ("B", config.goals), "", (0.0, 1.0))
+        return PlannerParts(
+            inputs=self.inputs,
+            conditioning=TensorsEntry(),
+            sampler=OdeEntry(
+                method=self.sampler.method,
+                schedule=self.sampler.schedule,
+                prior=PriorEntry(mean="prior_mean", basis="prior_basis"),
+            ),
+            finish=NoFinishEntry(),
+            time=TimeEntry(steps=config.num_steps, first_s=config.dt, dt=config.dt),
+            answer=AnswerEntry(components=COMPONENTS, arrays=("scores",), extras=(goals, scores)),
+        )
+
+    def trace(self) -> dict[str, TracedGraph]:
+        """encode, modulate, field and score.
+
+        Raises:
+            ExportError: a graph cannot be traced, or holds only for the examples' sizes.
+        """
+        model = self.model
+        encode = trace(Encode(model), inputs=self.inputs, outputs=ENCODE_OUTPUTS)
+        context = {spec.name: spec for spec in encode.outputs}
+        states = [
+            TensorSpec(name, F32, ("B", "N", model.config.num_steps, STATE))
+            for name in ("x_t", "prior_mean", "x_1")
+        ]
+        x_t, mean, x_1 = states
+        told = {
+            role: [context[name] for name in names]
+            for role, names in {
+                "modulate": model.context_for_modulate,
+                "field": model.context_for_field,
+                "score": model.context_for_score,
+            }.items()
+        }
+        modulate = trace(
+            Modulate(model), inputs=(TIMES, *told["modulate"]), outputs=("modulation",)
+        )
+        one_time = TensorSpec("modulation", F32, ("B", modulate.outputs[0].shape[-1]))
+        return {
+            "encode": encode,
+            "modulate": modulate,
+            "field": trace(
+                Field(model), inputs=(x_t, mean, one_time, *told["field"]), outputs=("dx_t",)
+            ),
+            "score": trace(Score(model), inputs=(x_1, mean, *told["score"]), outputs=("scores",)),
+        }
+
+    def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
+        """Every graph at several sizes, each fed from torch's own context."""
+        for seed, (B, N, K) in enumerate(SIZES):
+            inputs, size = self.random_inputs(B, seed=seed), f"B={B}, N={N}, K={K}"
+            context = self._encoded(bundle, inputs)
+            expected = {name: context[name] for name in ENCODE_OUTPUTS}
+            yield GraphTrial(f"encode at {size}", "encode", inputs, expected)
+
+            generator = torch.Generator().manual_seed(seed)
+            times = torch.rand(K, generator=generator).sort().values
+            modulation = self.model.modulate(times, context)
+            told = {**context, "times": times}
+            yield GraphTrial(f"modulate at {size}", "modulate", told, {"modulation": modulation})
+
+            noise = torch.randn(N, context["prior_basis"].shape[1], generator=generator)
+            mean, x_t = self._beginning(context, noise)
+            told = {**context, "x_t": x_t, "x_1": x_t, "prior_mean": mean}
+            told["modulation"] = modulation[:, 0]
+            slope = self.model.field(x_t, mean, modulation[:, 0], context)
+            yield GraphTrial(f"field at {size}", "field", told, {"dx_t": slope})
+            scores = self.model.score(x_t, mean, context)
+            yield GraphTrial(f"score at {size}", "score", told, {"scores": scores})
+
+    def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
+        """The engine's trajectories and scores, beside torch's in a plain Euler loop."""
+        inputs = self.random_inputs(2, seed=SEED)
+        request = AnchorRequest.build(
+            inputs={name: tensor.numpy() for name, tensor in inputs.items()},
+            num_samples=SAMPLED,
+            seed=SEED,
+            sampler={"method": "euler", "schedule": {"uniform": 3}},
+        )
+        sampler = OdeSampler(bundle, threads=1)
+        scenes = TensorConditioning(bundle.manifest).scenes(resolve_for_card(request, bundle.card))
+        for b, scene in enumerate(scenes):
+            encoded = sampler.encode(scene)
+            noise = sampler.draw_noise(encoded, num_samples=SAMPLED, seed=SEED)
+            drawn = sampler.sample(scene, encoded, threads=1)
+            context = {name: torch.from_numpy(array) for name, array in encoded.items()}
+            mean, x = self._beginning(context, torch.from_numpy(noise))
+            for step in range(3):
+                modulation = self.model.modulate(torch.tensor([step / 3]), context)[:, 0]
+                x = x + self.model.field(x, mean, modulation, context) / 3
+            yield SampleTrial(f"sample of scene {b}", drawn.states, x[0].numpy())
+            scores = self.model.score(x, mean, context)[0].numpy()
+            yield SampleTrial(f"scores of scene {b}", drawn.arrays["scores"], scores)
+            yield self._order_trial(f"order of goals in scene {b}", context)
+
+    def _encoded(self, bundle: Bundle, inputs: dict[str, Tensor]) -> Context:
+        """What torch's encode gives where its goals stand in the order of the bundle's.
+
+        Goals whose scores differ by a rounding may change places; `_order_trial` holds the order.
+        """
+        model, graph = self.model, open_graph(bundle, "encode")
+        told = graph(**{name: tensor.numpy() for name, tensor in inputs.items()})
+        order = torch.cdist(torch.from_numpy(told["goals"]), model.vocabulary[None]).argmin(-1)
+        context, status = model.look(**inputs), inputs["ego_status"]
+        ways = model.ways_to(model.vocabulary.expand(len(order), -1, -1), context["speed"])
+        scores = model.goal_scores(model.rate(ways[..., :POSE], context))
+        return context | model.arranged(ways, scores, order, status)
+
+    def _order_trial(self, what: str, context: Context) -> SampleTrial:
+        """By how much a goal's score is above one that stands before it; nought in order."""
+        config, goals, scores = self.model.config, context["goals"][0], context["goal_scores"][0]
+        near = torch.cdist(goals, goals) < config.spacing
+        wrong = [scores[config.picked :].diff()]
+        for place in range(config.picked):
+            # Apart from all that are picked before it, or all that are left are near one.
+            left = ~near[:place].any(0)
+            left[:place] = False
+            rivals = scores[left] if left.any() else scores[place:]
+            wrong.append((rivals.max() - scores[place])[None])
+        above = torch.cat(wrong).clamp(min=0.0).numpy()
+        return SampleTrial(what, above, np.zeros_like(above))
+
+    def _beginning(self, context: Context, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Means [B,N,T,S], dealt out in turn, and x_0 from noise [N,R]."""
+        components = context["prior_mean"]
+        mean = components[:, torch.arange(len(noise)) % components.shape[1]]
+        return mean, mean + (noise @ context["prior_basis"]).unflatten(-1, mean.shape[2:])
+
+    def random_inputs(self, B: int, *, seed: int) -> dict[str, Tensor]:
+        """Scenes of blocks, of cars at some speed."""
+        generator = torch.Generator().manual_seed(seed)
+        layout = self.model.config.bev
+        blocks = (B, layout.channels, layout.rows // BLOCK, layout.columns // BLOCK)
+        bev = 255 * torch.randint(0, 2, blocks, dtype=torch.uint8, generator=generator)
+        bev = bev.repeat_interleave(BLOCK, -1).repeat_interleave(BLOCK, -2)
+        command = torch.eye(4)[torch.randint(0, 4, (B,), generator=generator)]
+        speed = FASTEST * torch.rand(B, 1, generator=generator)
+        pulls = SHARPEST_STATUS * (2 * torch.rand(B, 2, generator=generator) - 1)
+        return {
+            "bev": bev,
+            "ego_status": torch.cat([command, speed, torch.zeros(B, 1), pulls], -1),
+            "vehicle_size": 2 + 3 * torch.rand(B, 2, generator=generator),
+        }

@@ -1,0 +1,192 @@
+"""WoTE on its way to a bundle: the sensors in one graph, all anchors in another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from anchorflow_client.contract import AnchorRequest, TensorSpec, resolve_for_card
+from anchorflow_export.adapter import (
+    ExportChoices,
+    GraphTrial,
+    PlannerParts,
+    SampleTrial,
+    TracedGraph,
+)
+from anchorflow_export.tracing import random_tensor, trace
+from anchorflow_models.transfuser import AGENT_STATE, TransfuserConfig
+from anchorflow_models.wote import SIMULATED, WoTE, WoteConfig
+from anchorflow_models.wote.wote import POSE, STATUS
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.manifest import (
+    AnswerEntry,
+    NoFinishEntry,
+    TensorsEntry,
+    TimeEntry,
+    VocabularyEntry,
+)
+from anchorflow_service.engine.conditioning.tensors import TensorConditioning
+from anchorflow_service.engine.samplers.vocabulary import VocabularySampler
+
+F32 = "float32"
+COMPONENTS = ("x", "y", "heading")
+ENCODED = ("bev_tokens", "ego", "agents", "agent_scores", "bev_semantics")
+SCORED = ("trajectories", "scores", "offsets", "im_rewards", "sim_rewards")
+TRIALS = (1, 3)  # B; traced at another
+FASTEST = 60.0  # m/s, and m/s²: what a status may say
+
+
+def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
+    """What a planner with a Transfuser backbone is asked with: camera, LiDAR, ego status."""
+    sizes, reach = dict(backbone.input_sizes()), backbone.lidar_range
+    return (
+        TensorSpec("camera", "uint8", ("B", *sizes["camera"])),
+        TensorSpec(
+            "lidar",
+            F32,
+            ("B", *sizes["lidar"]),
+            f"rows x, columns y, both from {-reach:g} to {reach:g} m",
+            range=(0.0, 1.0),
+        ),
+        TensorSpec(
+            "ego_status",
+            F32,
+            ("B", STATUS),
+            "command left, straight, right, unknown: 0 or 1; velocity x, y: m/s; "
+            "acceleration x, y: m/s^2",
+            range=(-FASTEST, FASTEST),
+        ),
+    )
+
+
+def answer_extras(config: WoteConfig) -> tuple[TensorSpec, ...]:
+    """What is sent along where a request asks for it."""
+    backbone, reach = config.backbone, config.backbone.lidar_range
+    return (
+        TensorSpec("offsets", F32, ("B", "N", config.num_steps, POSE), "m, m, rad"),
+        TensorSpec("im_rewards", F32, ("B", "N"), range=(0.0, 1.0)),
+        TensorSpec("sim_rewards", F32, ("B", "N", len(SIMULATED)), range=(0.0, 1.0)),
+        TensorSpec("agents", F32, ("B", config.agents, AGENT_STATE), "m, m, rad, m, m"),
+        TensorSpec("agent_scores", F32, ("B", config.agents), range=(0.0, 1.0)),
+        TensorSpec(
+            "bev_semantics",
+            F32,
+            ("B", config.semantic_classes, *backbone.semantic_size),
+            range=(0.0, 1.0),
+            extent=(0.0, reach, -reach, reach),
+        ),
+    )
+
+
+class Encode(nn.Module):
+    """camera, lidar, ego_status -> what ENCODED names"""
+
+    def __init__(self, model: WoTE) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> tuple[Tensor, ...]:
+        context = self.model.encode(camera, lidar, ego_status)
+        return tuple(context[name] for name in ENCODED)
+
+
+class Score(nn.Module):
+    """bev_tokens, ego -> what SCORED names; the anchors' own encoding is worked out beforehand."""
+
+    anchors: Tensor
+
+    def __init__(self, model: WoTE) -> None:
+        super().__init__()
+        self.model = model
+        with torch.no_grad():
+            self.register_buffer("anchors", model.encoded_anchors(), persistent=False)
+
+    def forward(self, bev_tokens: Tensor, ego: Tensor) -> tuple[Tensor, ...]:
+        scored = self.model.score(bev_tokens, ego, self.anchors)
+        return tuple(scored[name] for name in SCORED)
+
+
+@dataclass(frozen=True)
+class WoteAdapter:
+    """Two graphs, encode and score, and the best of the anchors."""
+
+    model: WoTE
+
+    @property
+    def parts(self) -> PlannerParts:
+        """What the manifest says of it."""
+        config = self.model.config
+        return PlannerParts(
+            inputs=sensor_inputs(config.backbone),
+            conditioning=TensorsEntry(),
+            sampler=VocabularyEntry(size=config.judged),
+            finish=NoFinishEntry(),
+            time=TimeEntry(steps=config.num_steps, first_s=config.dt, dt=config.dt),
+            answer=AnswerEntry(
+                components=COMPONENTS, arrays=("scores",), extras=answer_extras(config)
+            ),
+        )
+
+    def trace(self) -> dict[str, TracedGraph]:
+        """encode and score."""
+        inputs = sensor_inputs(self.model.config.backbone)
+        encode = trace(Encode(self.model), inputs=inputs, outputs=ENCODED)
+        wanted = self.model.context_for_score
+        context = [spec for spec in encode.outputs if spec.name in wanted]
+        return {"encode": encode, "score": trace(Score(self.model), inputs=context, outputs=SCORED)}
+
+    def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
+        """Both graphs at several B."""
+        for B in TRIALS:
+            inputs = random_inputs(bundle, B)
+            context = self.model.encode(**inputs)
+            yield GraphTrial(f"encode at B={B}", "encode", inputs, context)
+            given = {name: context[name] for name in self.model.context_for_score}
+            yield GraphTrial(f"score at B={B}", "score", given, self.model.score(**given))
+
+    def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
+        """The engine's answer of a scene beside torch's, the best first."""
+        inputs = random_inputs(bundle, 1)
+        request = AnchorRequest.build(
+            inputs={name: tensor.numpy() for name, tensor in inputs.items()},
+            num_samples=self.model.config.judged,
+        )
+        sampler = VocabularySampler(bundle, threads=1, provider="cpu")
+        resolved = resolve_for_card(request, bundle.card)
+        (scene,) = TensorConditioning(bundle.manifest).scenes(resolved)
+        drawn = sampler.sample(scene, sampler.encode(scene, threads=1), threads=1, check=_go_on)
+        context = self.model.encode(**inputs)
+        given = self.model.score(*(context[name] for name in self.model.context_for_score))
+        states, scores = given["trajectories"][0].numpy(), given["scores"][0].numpy()
+        # Scores that are nearly equal may stand in either order, so each is found by its place.
+        apart = np.abs(drawn.states[:, None] - states).max((-2, -1))
+        nearest, got = apart.argmin(1), drawn.arrays["scores"]
+        yield SampleTrial("sample, trajectories", drawn.states, states[nearest])
+        yield SampleTrial("sample, scores", got, scores[nearest])
+        yield SampleTrial("sample, the best first", got, -np.sort(-scores))
+
+
+def random_inputs(bundle: Bundle, B: int) -> dict[str, Tensor]:
+    """Of the types and ranges that the bundle says; a status that a car may have."""
+    generator = torch.Generator().manual_seed(B)
+    inputs = {
+        spec.name: random_tensor(spec, {"B": B}, generator=generator)
+        for spec in bundle.manifest.request.inputs
+    }
+    inputs["ego_status"] = torch.zeros(B, STATUS)
+    inputs["ego_status"][:, 1] = 1.0
+    inputs["ego_status"][:, 4] = 15.0 * torch.rand(B, generator=generator)
+    return inputs
+
+
+def wote_adapter(model: WoTE, _choices: ExportChoices) -> WoteAdapter:
+    """The adapter of a network; it has no use for the choices."""
+    return WoteAdapter(model)
+
+
+def _go_on() -> None:
+    """Nothing stops a trial."""

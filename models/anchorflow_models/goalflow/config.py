@@ -1,0 +1,92 @@
+"""The configuration of GoalFlow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+BACKBONES = ("mlp", "transformer")
+LEAST = {"goals": 8, "picked": 1, "feature_channels": 1, "width": 16, "layers": 1, "channels": 8}
+
+
+@dataclass(frozen=True)
+class BevLayout:
+    """The raster that the network looks at, as `anchorflow_driving.sensors.bev` draws it.
+
+    channels: C; extent: least and greatest x, least and greatest y, m
+    drivable: the channel of the drivable area
+    boxes: the first of three of who is where now: vehicles, people, static objects
+    occupied: the first of those that foretell it, `foretold` of them, the first dt from now
+    """
+
+    channels: int = 20
+    rows: int = 192
+    columns: int = 128
+    extent: tuple[float, float, float, float] = (-16.0, 80.0, -32.0, 32.0)
+    drivable: int = 0
+    boxes: int = 7
+    occupied: int = 11
+    foretold: int = 9
+
+
+@dataclass(frozen=True)
+class ScoreWeights:
+    """What a trajectory is worth; see `trajectory_score`.
+
+    route: exponent of how likely it follows the route
+    goal: exponent of how likely its goal is
+    reach: m, spread of the distance from its goal
+    clear_speed: m/s that a clear road is driven at, for the progress
+    """
+
+    route: float = 1.0
+    goal: float = 0.1
+    reach: float = 4.0
+    clear_speed: float = 15.0
+
+
+@dataclass(frozen=True)
+class GoalFlowConfig:
+    """Everything that fixes the network's shape and its units.
+
+    num_steps: T; dt: s between two poses, the first dt from now
+    goals: K of the vocabulary; picked: how many of them trajectories are drawn to, a shadow beside
+    spacing: m that picked goals keep from each other
+    sigma: spread of the noise, in units of what trajectories stray from the way to their goal
+    backbone: "mlp" or "transformer", the network that is the vector field
+    width, layers: of the backbone; channels: of the scene encoder's first level
+    feature_channels: that poses look up at their places
+
+    Raises:
+        ValueError: a field is out of its range; the message names it, what was expected and got.
+    """
+
+    num_steps: int = 8
+    dt: float = 0.5
+    goals: int = 256
+    picked: int = 31
+    spacing: float = 2.0
+    sigma: float = 0.1
+    backbone: str = "mlp"
+    width: int = 192
+    layers: int = 2
+    channels: int = 24
+    feature_channels: int = 24
+    bev: BevLayout = field(default_factory=BevLayout)
+    score: ScoreWeights = field(default_factory=ScoreWeights)
+
+    def __post_init__(self) -> None:
+        if self.backbone not in BACKBONES:
+            known = ", ".join(BACKBONES)
+            raise ValueError(f"backbone: expected one of {known}, got {self.backbone!r}")
+        for name, least in LEAST.items():
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}: expected at least {least}, got {getattr(self, name)}")
+        if self.picked >= self.goals:
+            raise ValueError(f"picked: expected below goals, {self.goals}, got {self.picked}")
+        for name in ("dt", "sigma"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name}: expected above 0, got {getattr(self, name)}")
+        for name in ("rows", "columns"):
+            if getattr(self.bev, name) % 16:
+                got = getattr(self.bev, name)
+                raise ValueError(f"bev.{name}: expected a multiple of 16, got {got}")

@@ -1,0 +1,213 @@
+"""GoalFlow: trajectories drawn to goals by conditional flow matching (Xing et al., CVPR 2025).
+
+    encode     a scene                     -> goals with scores, the ways that trajectories begin on
+    modulate   flow times                  -> what the field is told of them
+    field      x_t on the way to a goal    -> dx/dt
+    score      trajectories                -> scores
+
+A state is a pose (x, y, heading) and three numbers that no flow moves: whether it has a goal, and
+the acceleration and curvature of the way that it began on.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models.goalflow.config import GoalFlowConfig
+from anchorflow_models.goalflow.field import BACKBONES
+from anchorflow_models.goalflow.goals import WayScorer, WayScores, in_units, pick
+from anchorflow_models.goalflow.kinematics import BRAKING, PULLING, SHARPEST, arc_to, roll_out
+from anchorflow_models.goalflow.raster import at_places
+from anchorflow_models.goalflow.scene_encoder import VELOCITY, SceneEncoder
+from anchorflow_models.goalflow.trajectory_score import Surroundings, trajectory_scores
+
+Context = dict[str, Tensor]
+
+POSE = 3
+STATE = 6  # x, y, heading; has a goal, acceleration, curvature of the way it began on
+CONTEXT = 96  # numbers that tell of a scene as a whole
+SCORER = 96  # width
+TIME_LEFT = 0.02  # least, that a slope is divided by
+FULL = 255.0
+BEND = 10.0  # m, in which networks hear of curvatures
+STRAYS = (0.4, 4.0)  # m, before the data are known, at the first pose and at the last
+SLOWEST_TURN = 1.0  # m/s; below it a curvature is noise
+GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
+
+
+class GoalFlow(nn.Module):
+    """vocabulary: [K, 2] m, the goals; stray: [T, 3] how far poses lie from the way to their goal
+
+    noise_scale: of sigma, when trajectories are drawn; 1: as in training
+    """
+
+    vocabulary: Tensor
+    stray: Tensor
+
+    context_for_modulate = ("context",)
+    context_for_field = ("features", "speed")
+    context_for_score = ("features", "context", "speed", "drivable", "occupied", "size")
+
+    def __init__(self, config: GoalFlowConfig) -> None:
+        super().__init__()
+        self.config = config
+        features, steps = config.feature_channels, config.num_steps
+        self.scene = SceneEncoder(
+            inputs=config.bev.channels, channels=config.channels, features=features, context=CONTEXT
+        )
+        self.scorer = WayScorer(steps=steps, features=features, context=CONTEXT, width=SCORER)
+        # A pose's own numbers, those of the way, what lies there; has a goal, controls of the way.
+        token = POSE + 4 + features + 3
+        self.flow = BACKBONES[config.backbone](config, token=token, context=CONTEXT)
+        self.noise_scale = 1.0
+        self.register_buffer("vocabulary", _fan(config.goals))
+        stray = torch.linspace(*STRAYS, steps)[:, None] * torch.tensor([1.0, 1.0, 0.05])
+        self.register_buffer("stray", stray)
+
+    def encode(self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor) -> Context:
+        """bev: uint8 [B, C, H, W]; ego_status: [B, 8]; vehicle_size: [B, 2] length, width (m).
+
+        Returns by name: goals [B, K, 2] and goal_scores [B, K], those that are picked first, then
+        by score; prior_mean [B, 1 + picked, T, S], the shadow last; prior_basis [B, 3T, T·S]; and
+        what the other graphs ask for.
+        """
+        context = self.look(bev, ego_status, vehicle_size)
+        ways = self.ways_to(self.vocabulary.expand(bev.shape[0], -1, -1), context["speed"])
+        scores = self.goal_scores(self.rate(ways[..., :POSE], context))
+        return context | self.arranged(ways, scores, self.order(scores), ego_status)
+
+    def order(self, scores: Tensor) -> Tensor:
+        """Goals [B, K] by their scores [B, K]: those that are picked, and then the others."""
+        count = self.config.picked
+        picked = pick(self.vocabulary, scores, count=count, spacing=self.config.spacing)
+        first = 2.0 - torch.arange(count, device=scores.device) / count
+        return scores.scatter(1, picked, first.expand_as(picked)).argsort(-1, descending=True)
+
+    def arranged(self, ways: Tensor, scores: Tensor, order: Tensor, ego_status: Tensor) -> Context:
+        """Goals and the ways to them [B, K, T, S], in an order [B, K]: encode's own outputs."""
+        picked = order[:, : self.config.picked, None, None]
+        # Plain gathers: the exporter takes the scenes of take_along_dim for a constant.
+        taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
+        shadow = self.shadow(ego_status, ego_status[:, VELOCITY])
+        return {
+            "prior_mean": torch.cat([taken, shadow], 1),
+            "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
+            "goals": self.vocabulary[order],
+            "goal_scores": scores.gather(1, order),
+        }
+
+    def look(self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor) -> Context:
+        """What the networks see of a scene."""
+        layout, cells = self.config.bev, bev.float() / FULL
+        features, context = self.scene(cells, ego_status, vehicle_size)
+        now = cells[:, layout.boxes : layout.boxes + 3].amax(1, keepdim=True)
+        foretold = cells[:, layout.occupied : layout.occupied + layout.foretold]
+        return {
+            "features": features,
+            "context": context,
+            "speed": ego_status[:, VELOCITY],
+            "size": vehicle_size,
+            "drivable": cells[:, layout.drivable, :, :, None],
+            "occupied": torch.cat([now, foretold], 1),
+        }
+
+    def ways_to(self, goals: Tensor, speed: Tensor) -> Tensor:
+        """Arcs [B, P, T, S] that end at goals [B, P, 2] in time, of cars at speeds [B]."""
+        steps, dt = self.config.num_steps, self.config.dt
+        speed = speed[:, None].expand(goals.shape[:2])
+        return self._way(speed, *arc_to(goals, speed, duration=steps * dt), aimed=1.0)
+
+    def shadow(self, ego_status: Tensor, speed: Tensor) -> Tensor:
+        """The way [B, 1, T, S] that goes on as the ego moves now, to no goal."""
+        forward, left = ego_status[:, None, VELOCITY + 2 :].unbind(-1)
+        speed = speed[:, None]
+        bend = left / speed.clamp(min=SLOWEST_TURN).square()
+        # What accelerates now does not for 4 s.
+        acceleration = (0.5 * forward).clamp(-BRAKING, PULLING)
+        return self._way(speed, acceleration, bend.clamp(-SHARPEST, SHARPEST), aimed=0.0)
+
+    def _way(
+        self, speed: Tensor, acceleration: Tensor, curvature: Tensor, *, aimed: float
+    ) -> Tensor:
+        steps = self.config.num_steps
+        controls = torch.stack([acceleration, curvature], -1)[..., None, :]
+        controls = controls.expand(*speed.shape, steps, 2)
+        poses = roll_out(speed, *controls.unbind(-1), dt=self.config.dt)
+        return torch.cat([poses, torch.full_like(poses[..., :1], aimed), controls], -1)
+
+    def rate(self, poses: Tensor, context: Context) -> WayScores:
+        """Logits of ways [B, P, T, 3]."""
+        return self.scorer(
+            poses, context["features"], context["context"], extent=self.config.bev.extent
+        )
+
+    @staticmethod
+    def goal_scores(ways: WayScores) -> Tensor:
+        """delta = delta_dac · delta_dis, [B, P]."""
+        return ways.drivable.sigmoid() * ways.distance.sigmoid()
+
+    def basis(self) -> Tensor:
+        """[1, 3T, T·S]: each number of noise moves one number of a pose, sigma times its stray."""
+        steps = self.config.num_steps
+        spread = torch.zeros(steps * POSE, steps, STATE, device=self.stray.device)
+        number = torch.arange(steps * POSE, device=self.stray.device)
+        spread[number, number // POSE, number % POSE] = (
+            self.noise_scale * self.config.sigma * self.stray.flatten()
+        )
+        return spread.flatten(1)[None]
+
+    def modulate(self, times: Tensor, context: Context) -> Tensor:
+        """Flow times [K], or [B, K] each scene's own -> modulation [B, K, 1 + M]."""
+        scenes = context["context"]
+        times = times.expand(scenes.shape[0], times.shape[-1])
+        left = (1 - times).clamp(min=TIME_LEFT)
+        return torch.cat([1 / left[..., None], self.flow.modulate(times, scenes)], -1)
+
+    def field(
+        self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: Context
+    ) -> Tensor:
+        """x_t, prior_mean [B, N, T, S], modulation [B, 1 + M] of one time -> dx/dt [B, N, T, S]."""
+        hurry = modulation[:, None, None, :1]
+        expected = self.expected(x_t, prior_mean, modulation[:, None, 1:], context)
+        slope = (expected - x_t[..., :POSE]) * hurry
+        return torch.cat([slope, torch.zeros_like(x_t[..., POSE:])], -1)
+
+    def expected(
+        self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: Context
+    ) -> Tensor:
+        """Poses [B, N, T, 3] that x_t [B, N, T, S] is expected to come to at t = 1.
+
+        modulation: [B, 1 or N, M]
+        """
+        poses, way = x_t[..., :POSE], prior_mean[..., :POSE]
+        seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
+        aimed, acceleration, curvature = prior_mean[..., POSE:].unbind(-1)
+        told = torch.stack([aimed, acceleration / GAINS[0], curvature * BEND], -1)
+        tokens = torch.cat([(poses - way) / self.stray, in_units(way), seen, told], -1)
+        change = self.flow(tokens, modulation).tanh()
+        acceleration = (acceleration + GAINS[0] * change[..., 0]).clamp(-BRAKING, PULLING)
+        curvature = (curvature + GAINS[1] * change[..., 1]).clamp(-SHARPEST, SHARPEST)
+        speed = context["speed"][:, None].expand(acceleration.shape[:2])
+        return roll_out(speed, acceleration, curvature, dt=self.config.dt)
+
+    def score(self, x_1: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
+        """Scores [B, N] of trajectories and of the ways that they began on, [B, N, T, S]."""
+        poses, way = x_1[..., :POSE], prior_mean[..., :POSE]
+        missed = (poses[..., -1, :2] - way[..., -1, :2]).square().sum(-1).sqrt()
+        around = Surroundings(
+            *(context[name] for name in ("drivable", "occupied", "speed", "size"))
+        )
+        return trajectory_scores(
+            poses, missed * prior_mean[..., 0, POSE], self.rate(poses, context), around, self.config
+        )
+
+
+def _fan(count: int) -> Tensor:
+    """Goals [K, 2] over 50 m and 10 m to either side, before those of the data are known."""
+    rows = max(1, round((count / 2) ** 0.5))
+    number = torch.arange(count)
+    columns = -(-count // rows)
+    ahead = 50.0 * (number // rows + 1) / columns
+    left = 10.0 * (2 * (number % rows) - (rows - 1)) / max(1, rows - 1)
+    return torch.stack([ahead, left], -1)

@@ -1,0 +1,52 @@
+"""Poses of a car's rear axle by its controls, acceleration and curvature."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+SUBSTEPS = 4
+"""Of the integration, between two poses."""
+BRAKING, PULLING = 6.0, 2.3
+"""m/s², of the acceleration that is drawn."""
+SHARPEST = 0.2
+"""1/m, of the curvature."""
+_LEAST = 1e-3
+
+
+def roll_out(speed: Tensor, acceleration: Tensor, curvature: Tensor, *, dt: float) -> Tensor:
+    """Poses [..., T, 3] (x, y, heading) of a car that starts at the origin along x.
+
+    speed: [...] m/s now; it does not fall below 0
+    acceleration, curvature: [..., T] m/s², 1/m, each constant until its pose
+    """
+    step = dt / SUBSTEPS
+    fine = acceleration.repeat_interleave(SUBSTEPS, -1)
+    after = speed[..., None] + step * fine.cumsum(-1)
+    middle = (after - 0.5 * step * fine).clamp(min=0.0)
+    way = step * middle
+    turn = way * curvature.repeat_interleave(SUBSTEPS, -1)
+    heading = turn.cumsum(-1)
+    course = heading - 0.5 * turn
+    x, y = ((way * part).cumsum(-1) for part in (course.cos(), course.sin()))
+    poses = torch.stack([x, y, heading], -1)
+    return poses[..., SUBSTEPS - 1 :: SUBSTEPS, :]
+
+
+def arc_to(goal: Tensor, speed: Tensor, *, duration: float) -> tuple[Tensor, Tensor]:
+    """Constant acceleration and curvature [...] of the arc that ends at goals [..., 2] in time.
+
+    speed: [...] m/s now; where the goal is nearer than a halt in time, it halts there
+    """
+    x, y = goal[..., 0], goal[..., 1]
+    square = (x.square() + y.square()).clamp(min=_LEAST)
+    curvature = (2 * y / square).clamp(-SHARPEST, SHARPEST)
+    chord = square.sqrt()
+    # Of half the arc's angle; a chord is as long as the arc times sinc of it.
+    half = (0.5 * curvature * chord).clamp(-0.999, 0.999).asin()
+    bent = half.abs() > _LEAST
+    way = chord * torch.where(bent, half / half.sin().where(bent, 1.0), 1.0)
+    meeting = 2 * (way - speed * duration) / duration**2
+    halting = -speed.square() / (2 * way.clamp(min=_LEAST))
+    acceleration = torch.where(way < 0.5 * speed * duration, halting, meeting)
+    return acceleration.clamp(-BRAKING, PULLING), curvature

@@ -1,0 +1,199 @@
+"""What a trajectory is worth: a soft PDM score among boxes at constant velocity.
+
+    score = route^a · goal^b · reach · DAC · NC · (5 EP + 5 TTC + 2 C) / 12
+
+Each term lies between 0 and 1, and no trajectory's depends on the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from anchorflow_models.goalflow.config import GoalFlowConfig
+from anchorflow_models.goalflow.goals import WayScores
+from anchorflow_models.goalflow.raster import at_places, at_times
+
+FRONT, REAR = 0.7823, -0.2177
+"""Of the bumpers before the rear axle, in lengths (`anchorflow_driving.window.REAR_AXLE`)."""
+# Who is hit with what lies behind these was not hit by the ego's fault.
+ROWS, FILES = (FRONT, 0.53, 0.28), (-1.0, 0.0, 1.0)
+AHEAD_S = (0.5, 0.9)
+"""That the time to collision looks ahead."""
+PULL = 1.5  # m/s², of a car that nothing holds up
+HALF, SHARP = 0.5, 0.1  # of a cell's share: what counts as covered, and how sharply
+MOVING = 0.3  # m/s; who stands hits nobody
+# Bounds of comfort and how sharply each is kept: m/s², m/s², m/s², m/s³, rad/s.
+COMFORT = {
+    "pulling": (2.3, 0.1),
+    "braking": (3.9, 0.2),
+    "lateral": (4.4, 0.3),
+    "jerk": (4.0, 0.4),
+    "yaw_rate": (0.9, 0.05),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What a score looks at.
+
+    drivable: [B, H, W, 1]; occupied: [B, 1 + K, H, W] now and foretold, all from 0 to 1
+    speed: [B] now, m/s; size: [B, 2] of the ego, m
+    """
+
+    drivable: Tensor
+    occupied: Tensor
+    speed: Tensor
+    size: Tensor
+
+
+def trajectory_scores(
+    poses: Tensor, missed: Tensor, ways: WayScores, around: Surroundings, config: GoalFlowConfig
+) -> Tensor:
+    """Scores [B, N] of trajectories [B, N, T, 3].
+
+    missed: [B, N] m between a trajectory's end and its goal; 0 where it has none
+    ways: logits of the trajectories
+    """
+    weights = config.score
+    speed = _speeds(poses, dt=config.dt)
+    parts = {
+        "route": ways.route.sigmoid() ** weights.route,
+        "goal": ways.distance.sigmoid() ** weights.goal,
+        "reach": torch.exp(-0.5 * (missed / weights.reach).square()),
+        "DAC": _on_road(poses, around, config),
+        "NC": _clear(poses, speed, around, config),
+    }
+    worth = (
+        5 * _progress(poses, around.speed, config)
+        + 5 * _time_to_collision(poses, speed, around, config)
+        + 2 * _comfort(poses, speed, around, dt=config.dt)
+    ) / 12
+    for part in parts.values():
+        worth = worth * part
+    return worth
+
+
+def _on_road(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:
+    """[B, N]: whether all corners stay on what may be driven on."""
+    corners = body_places(_halved(poses), around.size, rows=(FRONT, REAR), files=(-1.0, 1.0))
+    share = at_places(around.drivable, corners, config.bev.extent)[..., 0]
+    return _covered(share.flatten(2).amin(-1))
+
+
+def _clear(poses: Tensor, speed: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:
+    """[B, N]: whether the front of a moving ego touches nobody."""
+    moving = (speed / MOVING).clamp(0.0, 1.0)
+    layer = torch.arange(poses.shape[-2], device=poses.device)
+    middles = _halved(poses)[..., ::2, :]
+    # Halfway between two layers a box may still be where it was, or be where it will be.
+    hits = [
+        _hits(poses, layer + 1, around, config),
+        _hits(middles, layer, around, config),
+        _hits(middles, layer + 1, around, config),
+    ]
+    return 1 - _covered((torch.stack(hits).amax(0) * moving).amax(-1))
+
+
+def _time_to_collision(
+    poses: Tensor, speed: Tensor, around: Surroundings, config: GoalFlowConfig
+) -> Tensor:
+    """[B, N]: whether nobody is touched straight on at the same speed for AHEAD_S."""
+    worst = torch.zeros_like(speed[..., 0])
+    count = around.occupied.shape[1] - 1
+    moving = (speed / MOVING).clamp(0.0, 1.0)
+    layers = torch.arange(poses.shape[-2], device=poses.device) + 1
+    for more, seconds in enumerate(AHEAD_S, start=1):
+        known = min(poses.shape[-2], count - more)
+        ahead = _moved(poses, speed * seconds)[..., :known, :]
+        hit = _hits(ahead, layers[:known] + more, around, config) * moving[..., :known]
+        worst = torch.maximum(worst, hit.amax(-1))
+    return 1 - _covered(worst)
+
+
+def _comfort(poses: Tensor, speed: Tensor, around: Surroundings, *, dt: float) -> Tensor:
+    """[B, N]: whether what passengers feel keeps its bounds."""
+    now = around.speed[:, None, None].expand_as(speed[..., :1])
+    acceleration = torch.cat([now, speed], -1).diff(dim=-1) / dt
+    jerk = acceleration.diff(dim=-1) / dt
+    heading = torch.cat([torch.zeros_like(poses[..., :1, 2]), poses[..., 2]], -1)
+    yaw_rate = heading.diff(dim=-1) / dt
+    felt = {
+        "pulling": acceleration,
+        "braking": -acceleration,
+        "lateral": (speed * yaw_rate).abs(),
+        "jerk": jerk.abs(),
+        "yaw_rate": yaw_rate.abs(),
+    }
+    kept = torch.ones_like(speed[..., 0])
+    for name, values in felt.items():
+        bound, sharp = COMFORT[name]
+        kept = kept * ((bound - values.amax(-1)) / sharp).sigmoid()
+    return kept
+
+
+def _progress(poses: Tensor, speed: Tensor, config: GoalFlowConfig) -> Tensor:
+    """[B, N]: of the way that a clear road allows."""
+    way = _steps(poses).sum(-1)
+    fast = torch.full_like(speed, config.score.clear_speed)
+    duration = poses.shape[-2] * config.dt
+    pulling = ((fast - speed) / PULL).clamp(0.0, duration)
+    allowed = speed * duration + PULL * pulling * (duration - 0.5 * pulling)
+    return (way / allowed.clamp(min=5.0)[:, None]).clamp(max=1.0)
+
+
+def _hits(poses: Tensor, layer: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:
+    """[B, N, P]: how much of a cell under the ego's front is taken, of poses [B, N, P, 3]."""
+    body = body_places(poses, around.size, rows=ROWS, files=FILES)
+    count = body.shape[-2]
+    asked = layer.repeat_interleave(count)
+    share = at_times(around.occupied, body.flatten(2, 3), asked, config.bev.extent)
+    return share.unflatten(-1, (-1, count)).amax(-1)
+
+
+def body_places(
+    poses: Tensor, size: Tensor, *, rows: tuple[float, ...], files: tuple[float, ...]
+) -> Tensor:
+    """Places [B, N, P, R, 2] on the ego's body at poses [B, N, P, 3].
+
+    rows: before the rear axle, in lengths; files: left of its middle, in half widths
+    """
+    grid = torch.tensor([[row, 0.5 * file] for row in rows for file in files], device=poses.device)
+    own = (grid * size[:, None])[:, None, None]
+    cos, sin = poses[..., 2].cos()[..., None], poses[..., 2].sin()[..., None]
+    ahead, left = own[..., 0], own[..., 1]
+    x = poses[..., 0, None] + cos * ahead - sin * left
+    y = poses[..., 1, None] + sin * ahead + cos * left
+    return torch.stack([x, y], -1)
+
+
+def _halved(poses: Tensor) -> Tensor:
+    """Poses [..., 2T, 3] with one in the middle of every two, the first being that of now."""
+    before = torch.cat([torch.zeros_like(poses[..., :1, :]), poses[..., :-1, :]], -2)
+    return torch.stack([0.5 * (before + poses), poses], -2).flatten(-3, -2)
+
+
+def _moved(poses: Tensor, way: Tensor) -> Tensor:
+    """Poses [..., 3] straight ahead by ways [...]."""
+    x, y, heading = poses.unbind(-1)
+    return torch.stack([x + way * heading.cos(), y + way * heading.sin(), heading], -1)
+
+
+def _steps(poses: Tensor) -> Tensor:
+    """[..., T] m from each pose to the next, the first from now."""
+    places = poses[..., :2]
+    before = torch.cat([torch.zeros_like(places[..., :1, :]), places[..., :-1, :]], -2)
+    return (places - before).square().sum(-1).clamp(min=1e-8).sqrt()
+
+
+def _speeds(poses: Tensor, *, dt: float) -> Tensor:
+    """[..., T] m/s at the poses; that between two is the mean of theirs."""
+    mean = _steps(poses) / dt
+    following = torch.cat([mean[..., 1:], 1.5 * mean[..., -1:] - 0.5 * mean[..., -2:-1]], -1)
+    return (0.5 * (mean + following)).clamp(min=0.0)
+
+
+def _covered(share: Tensor) -> Tensor:
+    return ((share - HALF) / SHARP).sigmoid()

@@ -1,0 +1,111 @@
+"""The configuration of WoTE."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from anchorflow_models.generation.checks import check
+from anchorflow_models.transfuser import AGENT_QUERIES, TransfuserConfig, small_transfuser
+
+LEAST = {
+    "anchors": 1,
+    "num_steps": 2,
+    "width": 1,
+    "heads": 1,
+    "hidden": 1,
+    "anchor_layers": 0,
+    "offset_layers": 0,
+    "world_layers": 0,
+    "future_steps": 1,
+    "agents": 1,
+    "agent_layers": 1,
+    "semantic_classes": 2,
+}
+
+
+@dataclass(frozen=True)
+class RewardWeights:
+    """What each reward counts in the final score; the defaults are the published ones.
+
+    score = im log(im) + nc log(NC) + dac log(DAC) + rest log(ttc TTC + c C + ep EP)
+    """
+
+    im: float = 0.1
+    nc: float = 0.5
+    dac: float = 0.5
+    rest: float = 1.0
+    ttc: float = 5.0
+    c: float = 2.0
+    ep: float = 5.0
+
+    def __post_init__(self) -> None:
+        for name, weight in vars(self).items():
+            check(name, weight >= 0, "at least 0", weight)
+
+
+@dataclass(frozen=True)
+class WoteConfig:
+    """Everything that fixes the network's shape and units; the defaults are the published ones.
+
+    anchors: K; kept: of them, by their offset scores, that the world model looks at; 0: all
+    num_steps: T poses; dt: s between two, the first dt from now
+    width, heads, hidden: of all transformers behind the backbone; hidden: of their feed-forwards
+    anchor_layers: of the encoder in which anchors hear each other
+    offsets: whether anchors are moved before they are answered; offset_layers: of what moves them
+    world_layers: of the world model, one step of it; 0: the future BEV is the present one
+    future_steps: steps of the world model over the horizon
+    agents, agent_layers: boxes that are detected, layers of their decoder
+    semantic_classes: of the semantic BEV
+    rewards: what each counts
+
+    Raises:
+        ValueError: a field is out of its range; the message names it, what was expected and got.
+    """
+
+    anchors: int = 256
+    kept: int = 0
+    num_steps: int = 8
+    dt: float = 0.5
+    width: int = 256
+    heads: int = 8
+    hidden: int = 1024
+    anchor_layers: int = 2
+    offsets: bool = True
+    offset_layers: int = 3
+    world_layers: int = 2
+    future_steps: int = 1
+    agents: int = AGENT_QUERIES
+    agent_layers: int = 3
+    semantic_classes: int = 8
+    rewards: RewardWeights = field(default_factory=RewardWeights)
+    backbone: TransfuserConfig = field(default_factory=TransfuserConfig)
+
+    def __post_init__(self) -> None:
+        for name, least in LEAST.items():
+            value = getattr(self, name)
+            check(name, value >= least, f"at least {least}", value)
+        check("dt", self.dt > 0, "more than 0", self.dt)
+        fits = self.width % self.heads == 0
+        check("width", fits, f"a multiple of heads, {self.heads}", self.width)
+        check("kept", 0 <= self.kept <= self.anchors, f"from 0 to {self.anchors}", self.kept)
+        ranked = self.offsets or self.kept in (0, self.anchors)
+        check("kept", ranked, "0 without offsets, whose scores choose", self.kept)
+
+    @property
+    def judged(self) -> int:
+        """Anchors that the world model looks at, and that are answered."""
+        return self.kept or self.anchors
+
+
+def small_wote() -> WoteConfig:
+    """Narrow, and shallow: for training on two cores."""
+    return WoteConfig(
+        width=64,
+        heads=4,
+        hidden=128,
+        anchor_layers=1,
+        offset_layers=2,
+        world_layers=1,
+        agent_layers=1,
+        backbone=small_transfuser(),
+    )

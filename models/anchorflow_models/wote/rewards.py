@@ -1,0 +1,63 @@
+"""Rewards: how a person would like an anchor, and what the PDM score would say of it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from anchorflow_models.wote.config import RewardWeights
+
+SIMULATED = ("NC", "DAC", "EP", "TTC", "C")
+"""The heads of the simulation reward, in this order wherever they appear."""
+_NC, _DAC, _EP, _TTC, _C = range(len(SIMULATED))
+TINY = 1e-6
+
+
+class RewardHead(nn.Module):
+    """The present and a future BEV, and the ego in it, to rewards.
+
+    The first convolution is one of both BEVs, one upon the other, taken apart: its share of the
+    present is the same for all anchors.
+    """
+
+    def __init__(self, width: int, size: int) -> None:
+        super().__init__()
+        self.size = size
+        self.present = nn.Conv2d(width, width, 3, padding=1)
+        self.future = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.both = nn.Conv2d(width, width, 3, padding=1)
+        self.with_ego = nn.Linear(2 * width, width)
+        self.imitation = _head(width)
+        self.simulation = nn.ModuleList(_head(width) for _ in SIMULATED)
+
+    def forward(self, ego: Tensor, bev: Tensor, future: Tensor) -> tuple[Tensor, Tensor]:
+        """ego: [B, K, W]; bev: [B, M, W]; future: [B, K, M, W].
+
+        Returns logits of imitation [B, K] and of simulation [B, K, 5].
+        """
+        batch, count, cells, width = future.shape
+        images = self.future(self._image(future.reshape(batch * count, cells, width)))
+        present = self.present(self._image(bev))[:, None]
+        x = F.relu(images.unflatten(0, (batch, count)) + present).flatten(0, 1)
+        # ReLU and mean as one number a channel: what is anywhere counts.
+        seen = F.relu(self.both(x)).mean((-2, -1)).reshape(batch, count, width)
+        feature = F.relu(self.with_ego(torch.cat([seen, ego], -1)))
+        simulated = torch.cat([head(feature) for head in self.simulation], -1)
+        return self.imitation(feature).squeeze(-1), simulated
+
+    def _image(self, tokens: Tensor) -> Tensor:
+        return tokens.transpose(1, 2).unflatten(-1, (self.size, self.size))
+
+
+def final_scores(imitation: Tensor, simulation: Tensor, weights: RewardWeights) -> Tensor:
+    """Scores [B, K] of logits [B, K] over all anchors and [B, K, 5]; higher is better."""
+    log_im = imitation.log_softmax(-1)
+    log_sim, sim = F.logsigmoid(simulation), simulation.sigmoid()
+    rest = weights.ttc * sim[..., _TTC] + weights.c * sim[..., _C] + weights.ep * sim[..., _EP]
+    safe = weights.nc * log_sim[..., _NC] + weights.dac * log_sim[..., _DAC]
+    return weights.im * log_im + safe + weights.rest * (rest + TINY).log()
+
+
+def _head(width: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(width, width // 2), nn.ReLU(), nn.Linear(width // 2, 1))

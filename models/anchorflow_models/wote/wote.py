@@ -1,0 +1,242 @@
+"""WoTE: anchors judged by what a latent world model imagines of each (Li et al., 2025).
+
+encode     camera, LiDAR, ego status   -> BEV tokens, ego; agents and semantics on request
+score      BEV tokens, ego             -> anchors moved by their offsets, rewards, scores
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models.layers.attention import Decoder, EncoderLayer
+from anchorflow_models.transfuser import (
+    AgentHead,
+    FeaturePyramid,
+    SemanticHead,
+    TransfuserBackbone,
+)
+from anchorflow_models.wote.anchors import arcs, cells
+from anchorflow_models.wote.config import WoteConfig
+from anchorflow_models.wote.rewards import RewardHead, final_scores
+from anchorflow_models.wote.world_model import WorldModel
+
+POSE = 3
+STATUS = 8  # command as one of four; velocity x, y; acceleration x, y
+STATUS_UNITS = (1.0,) * 4 + (10.0,) * 2 + (3.0,) * 2
+OFFSET_UNITS = (1.0, 1.0, 0.1)  # m, m, rad
+
+Context = dict[str, Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What the sensors tell.
+
+    bev: [B, M, W] tokens; ego: [B, W]
+    agents: [B, Q, 5] x, y, heading, length, width; agent_logits: [B, Q]
+    semantic_logits: [B, classes, H/2, H] of the half before the ego
+    """
+
+    bev: Tensor
+    ego: Tensor
+    agents: Tensor
+    agent_logits: Tensor
+    semantic_logits: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Anchors, each with the ego that would drive it.
+
+    index: [B, K'] of the anchors; ego: [B, K', W]; offsets: [B, K', T, 3]; logits: [B, K']
+    """
+
+    index: Tensor
+    ego: Tensor
+    offsets: Tensor
+    logits: Tensor
+
+    def taken(self, chosen: Tensor) -> Moved:
+        """Those at [B, K''] of the K'."""
+        egos = chosen[..., None].expand(-1, -1, self.ego.shape[-1])
+        poses = chosen[..., None, None].expand(-1, -1, *self.offsets.shape[-2:])
+        return Moved(
+            self.index.gather(1, chosen),
+            self.ego.gather(1, egos),
+            self.offsets.gather(1, poses),
+            self.logits.gather(1, chosen),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What follows from each anchor.
+
+    future: [B, K', M, W] the BEV that is imagined
+    imitation: [B, K'] logits; simulation: [B, K', 5] logits of NC, DAC, EP, TTC, C
+    """
+
+    future: Tensor
+    imitation: Tensor
+    simulation: Tensor
+
+
+class WoTE(nn.Module):
+    """anchors: [K, T, 3] poses in the ego's frame, m and rad"""
+
+    anchors: Tensor
+    status_units: Tensor
+    offset_units: Tensor
+
+    context_for_score = ("bev_tokens", "ego")
+
+    def __init__(self, config: WoteConfig) -> None:
+        super().__init__()
+        self.config = config
+        width, heads, hidden, backbone = config.width, config.heads, config.hidden, config.backbone
+        poses, tokens = config.num_steps * POSE, backbone.bev_size**2
+        self.register_buffer("anchors", arcs(config.anchors, steps=config.num_steps, dt=config.dt))
+        for name, units in (("status_units", STATUS_UNITS), ("offset_units", OFFSET_UNITS)):
+            self.register_buffer(name, torch.tensor(units), persistent=False)
+
+        self.backbone = TransfuserBackbone(backbone)
+        self.to_bev = nn.Conv2d(backbone.bev_width, width, 1)
+        self.keys = nn.Parameter(0.02 * torch.randn(1, tokens, width))
+        self.to_ego = nn.Linear(STATUS, width)
+
+        self.queries = nn.Parameter(torch.randn(1, config.agents, width))
+        self.agent_decoder = Decoder(width, heads, hidden=hidden, layers=config.agent_layers)
+        self.agent_head = AgentHead(width, hidden, reach=backbone.lidar_range)
+        self.semantics = SemanticHead(backbone, config.semantic_classes)
+        self.future_pyramid = FeaturePyramid(width, backbone)
+        self.future_semantics = SemanticHead(backbone, config.semantic_classes)
+
+        self.to_anchor = _mlp(poses, width, width)
+        self.anchor_encoder = nn.Sequential(
+            *[EncoderLayer(width, heads, hidden=hidden) for _ in range(config.anchor_layers)]
+        )
+        self.with_anchor = _mlp(2 * width, width, width)
+        self.offset_decoder = Decoder(width, heads, hidden=hidden, layers=config.offset_layers)
+        self.to_offset, self.to_offset_score = _mlp(width, hidden, poses), _mlp(width, hidden, 1)
+
+        self.world_model = WorldModel(
+            width,
+            heads,
+            hidden=hidden,
+            layers=config.world_layers,
+            cells=tokens,
+            steps=config.future_steps,
+        )
+        self.rewards = RewardHead(width, backbone.bev_size)
+
+    def set_anchors(self, anchors: Tensor) -> None:
+        """Take other anchors [K, T, 3]. Raises ValueError where their shape is another."""
+        if anchors.shape != self.anchors.shape:
+            wanted, came = [*self.anchors.shape], [*anchors.shape]
+            raise ValueError(f"anchors: expected shape {wanted}, got {came}")
+        self.anchors.copy_(anchors)
+
+    def encode(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Context:
+        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1]; ego_status: [B, 8].
+
+        Returns by name: bev_tokens [B, M, W], ego [B, W]; agents [B, Q, 5], agent_scores [B, Q]
+        and bev_semantics [B, classes, H'/2, H'], both in [0, 1].
+        """
+        seen = self.look(camera, lidar, ego_status)
+        return {
+            "bev_tokens": seen.bev,
+            "ego": seen.ego,
+            "agents": seen.agents,
+            "agent_scores": seen.agent_logits.sigmoid(),
+            "bev_semantics": seen.semantic_logits.softmax(1),
+        }
+
+    def score(self, bev_tokens: Tensor, ego: Tensor, anchors: Tensor | None = None) -> Context:
+        """bev_tokens: [B, M, W]; ego: [B, W]; anchors: [K, W] where they are encoded already.
+
+        Returns by name: trajectories [B, K', T, 3] m, m, rad; scores [B, K']; offsets [B, K', T, 3]
+        from the anchors; im_rewards [B, K'], which sum to 1; sim_rewards [B, K', 5] in [0, 1]. K'
+        is `config.judged`; without `kept` they stand in the order of the anchors.
+        """
+        moved = self.move(bev_tokens, ego, anchors)
+        if self.config.judged < self.config.anchors:
+            moved = moved.taken(moved.logits.topk(self.config.judged).indices)
+        judged = self.judge(bev_tokens, moved)
+        return {
+            "trajectories": self.anchors[moved.index] + moved.offsets,
+            "scores": final_scores(judged.imitation, judged.simulation, self.config.rewards),
+            "offsets": moved.offsets,
+            "im_rewards": judged.imitation.softmax(-1),
+            "sim_rewards": judged.simulation.sigmoid(),
+        }
+
+    def look(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Seen:
+        """What the sensors tell; shapes as of `encode`."""
+        features = self.backbone(camera, lidar)
+        bev = self.to_bev(features.features).flatten(2).transpose(1, 2) + self.keys
+        queries = self.agent_decoder(self.queries.expand(bev.shape[0], -1, -1), bev)
+        agents, agent_logits = self.agent_head(queries)
+        return Seen(
+            bev,
+            self.to_ego(ego_status / self.status_units),
+            agents,
+            agent_logits,
+            self.semantics(features.upscaled),
+        )
+
+    def encoded_anchors(self) -> Tensor:
+        """[K, W] what the anchors are, which no scene changes."""
+        scale = torch.tensor([*[1 / self.config.backbone.lidar_range] * 2, 1.0])
+        poses = (self.anchors * scale.to(self.anchors)).flatten(1)
+        return self.anchor_encoder(self.to_anchor(poses)[None])[0]
+
+    def move(self, bev: Tensor, ego: Tensor, anchors: Tensor | None = None) -> Moved:
+        """All anchors, moved to suit the scene.
+
+        bev: [B, M, W]; ego: [B, W]; anchors: [K, W] as `encoded_anchors` gives them
+        """
+        encoded = self.encoded_anchors() if anchors is None else anchors
+        batch, count = ego.shape[0], len(encoded)
+        each = torch.cat([ego[:, None].expand(-1, count, -1), encoded.expand(batch, -1, -1)], -1)
+        each = self.with_anchor(each)
+        index = torch.arange(count, device=ego.device).expand(batch, -1)
+        if not self.config.offsets:
+            still = self.anchors.new_zeros(batch, *self.anchors.shape)
+            return Moved(index, each, still, each.new_zeros(batch, count))
+        decoded = self.offset_decoder(each, bev)
+        offsets = self.to_offset(decoded).unflatten(-1, (-1, POSE)) * self.offset_units
+        return Moved(index, each, offsets, self.to_offset_score(decoded).squeeze(-1))
+
+    def judge(self, bev: Tensor, moved: Moved) -> Judged:
+        """Imagine what follows from each anchor and rate it; bev: [B, M, W]."""
+        here, there = self._cells()
+        ego, future = self.world_model(moved.ego, bev, here=here, there=there[moved.index])
+        imitation, simulation = self.rewards(ego, bev, future)
+        return Judged(future, imitation, simulation)
+
+    def future_semantic_logits(self, future: Tensor) -> Tensor:
+        """Of an imagined BEV [B, M, W] -> [B, classes, H/2, H]; for training."""
+        size = self.config.backbone.bev_size
+        image = future.transpose(1, 2).unflatten(-1, (size, size))
+        return self.future_semantics(self.future_pyramid(image))
+
+    def _cells(self) -> tuple[Tensor, Tensor]:
+        """One-hot: the ego's cell now [M], and on each anchor after each future step [K, n, M]."""
+        backbone, steps = self.config.backbone, self.config.future_steps
+        last = torch.arange(1, steps + 1) * self.config.num_steps // steps - 1
+        places = self.anchors[:, last.clamp(min=0), :2]
+        size, reach = backbone.bev_size, backbone.lidar_range
+        here = cells(places.new_zeros(2), size=size, reach=reach)
+        return here, cells(places, size=size, reach=reach)
+
+
+def create_wote(config: WoteConfig) -> WoTE:
+    """A network of that configuration, its weights drawn at random."""
+    return WoTE(config)
+
+
+def _mlp(inputs: int, hidden: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, hidden), nn.ReLU(), nn.Linear(hidden, outputs))

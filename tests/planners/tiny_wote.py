@@ -1,0 +1,54 @@
+"""WoTE as small as it can be: for tests of all but its size."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from anchorflow_models.transfuser import TransfuserConfig
+from anchorflow_models.wote import WoTE, WoteConfig, create_wote
+
+TINY = WoteConfig(
+    anchors=12,
+    width=16,
+    heads=2,
+    hidden=16,
+    anchor_layers=1,
+    offset_layers=1,
+    world_layers=1,
+    agents=4,
+    agent_layers=1,
+    semantic_classes=3,
+    backbone=TransfuserConfig(
+        image_height=16,
+        image_width=32,
+        lidar_size=32,
+        stem_width=4,
+        widths=(4, 8),
+        depths=(1, 1),
+        fusion_layers=1,
+        fusion_heads=2,
+        bev_channels=4,
+    ),
+)
+
+
+def tiny_wote(config: WoteConfig = TINY) -> WoTE:
+    """Of the same random weights every time, the offsets' as large as the others'."""
+    torch.manual_seed(0)
+    return create_wote(config).eval()
+
+
+def sensors(config: WoteConfig = TINY, B: int = 2) -> dict[str, Tensor]:
+    """camera, lidar and ego_status of B scenes, none like another."""
+    generator = torch.Generator().manual_seed(1)
+    sizes = dict(config.backbone.input_sizes())
+    status = torch.zeros(B, 8)
+    status[:, 1], status[:, 4] = 1.0, 15.0 * torch.rand(B, generator=generator)
+    return {
+        "camera": torch.randint(
+            0, 256, (B, *sizes["camera"]), dtype=torch.uint8, generator=generator
+        ),
+        "lidar": torch.rand(B, *sizes["lidar"], generator=generator),
+        "ego_status": status,
+    }

@@ -1,0 +1,172 @@
+"""WoTE through the whole house: exported, opened, asked over every transport."""
+
+from __future__ import annotations
+
+import base64
+import io
+import socket
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from anyio.from_thread import start_blocking_portal
+from fastapi import FastAPI
+from PIL import Image
+from tiny_wote import TINY, sensors, tiny_wote
+
+from anchorflow_client import AnchorBatch, AnchorClient, JsonCodec, OipCodec
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
+from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.bundle import BundleDescription, export_bundle
+from anchorflow_export.planners import adapter_of
+from anchorflow_service.http import create_app
+from anchorflow_service.local import LocalClient
+from anchorflow_service.planning import PlanningService, ServiceLimits
+from anchorflow_service.zenoh_endpoint import ZenohEndpoint
+
+MODEL = "tiny-wote"
+CONFIG = replace(TINY, kept=5)
+OF_EACH = ("offsets", "im_rewards", "sim_rewards")
+OF_THE_SCENE = ("agents", "agent_scores", "bev_semantics")
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("wote") / "bundle"
+    adapter = adapter_of("wote", tiny_wote(CONFIG), ExportChoices())
+    description = BundleDescription(name=MODEL, version="1.0.0", planner="wote")
+    differences = export_bundle(adapter, description, out=out)
+    tried = {part.what.split(",")[0] for part in differences}
+    assert tried == {f"{r} at B={B}" for r in ("encode", "score") for B in (1, 3)} | {"sample"}
+    assert max(part.error for part in differences) <= 1e-5
+    return out
+
+
+@pytest.fixture(scope="module")
+def planning(bundle: Path) -> PlanningService:
+    engine = LocalClient.of(bundle, threads=1).engine
+    return PlanningService({MODEL: engine}, default=MODEL, limits=ServiceLimits(threads=1))
+
+
+@pytest.fixture
+def app(planning: PlanningService) -> FastAPI:
+    return create_app(planning)
+
+
+@pytest.fixture(params=[JsonCodec(), OipCodec()], ids=["json", "binary"])
+def client(request: pytest.FixtureRequest, service: Any) -> Iterator[AnchorClient]:
+    with AnchorClient("http://test", transport=service, codec=request.param) as client:
+        yield client
+
+
+def scenes(B: int = 1) -> dict[str, np.ndarray]:
+    return {name: tensor.numpy() for name, tensor in sensors(CONFIG, B).items()}
+
+
+def scene() -> dict[str, np.ndarray]:
+    return {name: array[0] for name, array in scenes().items()}
+
+
+def assert_torchs(anchors: AnchorBatch, *, outputs: tuple[str, ...]) -> None:
+    model = tiny_wote(CONFIG)
+    with torch.inference_mode():
+        context = model.encode(**sensors(CONFIG, 1))
+        given = model.score(context["bev_tokens"], context["ego"])
+    best = given["scores"][0].argsort(descending=True)[: anchors.trajectories.shape[0]]
+    for name in ("trajectories", "scores", *outputs):
+        wanted = context[name][0] if name in OF_THE_SCENE else given[name][0, best]
+        got = anchors.arrays[name]
+        np.testing.assert_allclose(got, wanted, rtol=1e-4, atol=1e-4, err_msg=name)
+
+
+def test_the_best_come_first_with_their_rewards(client: AnchorClient) -> None:
+    anchors = client.plan(inputs=scene(), num_samples=3, outputs=[*OF_EACH])
+    assert list(anchors.arrays) == ["trajectories", "scores", *OF_EACH]
+    assert (anchors.trajectories.shape, anchors.arrays["sim_rewards"].shape) == ((3, 8, 3), (3, 5))
+    assert (anchors.first_s, anchors.dt) == (0.5, 0.5)
+    assert_torchs(anchors, outputs=OF_EACH)
+
+
+def test_what_is_where_is_told_where_it_is_asked_for(client: AnchorClient) -> None:
+    anchors = client.plan(inputs=scene(), num_samples=1, outputs=[*OF_THE_SCENE])
+    assert anchors.arrays["agents"].shape == (4, 5)
+    np.testing.assert_allclose(anchors.arrays["bev_semantics"].sum(0), 1.0, rtol=1e-5)
+    assert_torchs(anchors, outputs=OF_THE_SCENE)
+
+
+def test_a_batch_is_its_scenes_alone(client: AnchorClient) -> None:
+    asked, outputs = scenes(3), [*OF_EACH, *OF_THE_SCENE]
+    together = client.plan(inputs=asked, num_samples=5, outputs=outputs)
+    for b in range(3):
+        one = {name: array[b] for name, array in asked.items()}
+        alone = client.plan(inputs=one, num_samples=5, outputs=outputs)
+        for name, array in alone.arrays.items():
+            assert together.arrays[name][b].tobytes() == array.tobytes(), name
+
+
+ODD: dict[str, tuple[str, Any, str]] = {
+    "a square camera": ("camera", np.zeros((3, 16, 16), np.uint8), "expected shape"),
+    "a camera of floats": ("camera", np.zeros((3, 16, 32), np.float32), "expected uint8"),
+    "a LiDAR without channel": ("lidar", np.zeros((32, 32), np.float32), "expected shape"),
+    "LiDAR counts": ("lidar", np.full((1, 32, 32), 5, np.float32), r"numbers in \[0, 1\]"),
+    "NaN in LiDAR": ("lidar", np.full((1, 32, 32), np.nan, np.float32), "finite numbers"),
+    "a status of seven": ("ego_status", np.zeros(7, np.float32), "expected shape"),
+    "a status too fast": ("ego_status", np.full(8, 61, np.float32), r"numbers in \[-60, 60\]"),
+}
+
+
+@pytest.mark.parametrize("case", ODD)
+def test_what_no_sensor_gives_is_refused_by_name(client: AnchorClient, case: str) -> None:
+    name, value, words = ODD[case]
+    with pytest.raises(InvalidRequest, match=words) as caught:
+        client.plan(inputs={**scene(), name: value})
+    assert str(caught.value.field).startswith(f"inputs.{name}")
+
+
+def test_no_more_are_answered_than_the_world_model_saw(client: AnchorClient) -> None:
+    with pytest.raises(InvalidRequest, match=r"num_samples: expected 1 to 5, .* got 6"):
+        client.plan(inputs=scene(), num_samples=6)
+
+
+def test_the_camera_may_be_a_jpeg(service: Any) -> None:
+    grey, data = np.full((3, 16, 32), 128, np.uint8), io.BytesIO()
+    Image.fromarray(np.moveaxis(grey, 0, -1)).save(data, "JPEG")
+    rest = {name: array.tolist() for name, array in scene().items() if name != "camera"}
+
+    def scores(camera: Any) -> list[float]:
+        answer = service.post({"inputs": {**rest, "camera": camera}, "num_samples": 5})
+        assert answer.status_code == 200, answer.text
+        return answer.json()["scores"]
+
+    sent = scores({"jpeg": base64.b64encode(data.getvalue()).decode()})
+    np.testing.assert_allclose(sent, scores(grey.tolist()), rtol=1e-6)
+
+
+def test_zenoh_carries_the_sensors(planning: PlanningService) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        endpoint = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    session = open_session(ZenohSettings(listen=(endpoint,)))
+    app = create_app(planning, endpoints=[ZenohEndpoint(planning, session)])
+    with (
+        start_blocking_portal() as portal,
+        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
+        ZenohAnchorClient(endpoint, timeout_s=20) as client,
+    ):
+        anchors = client.plan(inputs=scene(), num_samples=4, outputs=["sim_rewards", "agents"])
+        assert_torchs(anchors, outputs=("sim_rewards", "agents"))
+        with pytest.raises(InvalidRequest, match=r"inputs\.lidar"):
+            client.plan(inputs={**scene(), "lidar": np.zeros((1, 8, 8), np.float32)})
+
+
+def test_the_card_says_what_the_rasters_cover(client: AnchorClient) -> None:
+    (card,) = client.models()
+    specs = {spec.name: spec for spec in (*card.inputs, *card.answer.extras)}
+    assert specs["lidar"].unit == "rows x, columns y, both from -32 to 32 m"
+    assert specs["bev_semantics"].extent == (0.0, 32.0, -32.0, 32.0)
+    assert (card.sampler.kind, card.planner) == ("vocabulary", "wote")

@@ -1,0 +1,142 @@
+"""The losses of WoTE, each against what the hand works out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from tiny_wote import TINY, sensors, tiny_wote
+from torch import Tensor
+
+from anchorflow_models.wote import WoteConfig
+from anchorflow_training.driving.perception_losses import agent_loss, focal_loss, match
+from anchorflow_training.driving.wote_objective import (
+    WoteObjective,
+    WoteObjectiveConfig,
+    anchor_distances,
+    soft_cross_entropy,
+)
+
+
+def batch(config: WoteConfig = TINY, B: int = 2) -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(3)
+    rows, columns = config.backbone.semantic_size
+    classes = torch.randint(0, config.semantic_classes, (2, B, rows, columns), generator=generator)
+    driven = tiny_wote(config).anchors[[3, 7]]
+    return {
+        **sensors(config, B),
+        "future": driven + torch.tensor([0.2, 0.1, 0.0]),
+        "pdm": torch.rand(B, config.anchors, 5, generator=generator),
+        "agents": 10 * torch.rand(B, config.agents, 5, generator=generator),
+        "agent_count": torch.tensor([3, 0]),
+        "semantics": classes[0],
+        "future_semantics": classes[1],
+    }
+
+
+def test_the_loss_is_the_weighted_sum_of_its_terms() -> None:
+    config = WoteObjectiveConfig(semantics=3.0, future_semantics=0.0)
+    objective = WoteObjective(tiny_wote(), config)
+    loss, terms = objective(batch(), *objective.draw(2, 1, torch.Generator()))
+    assert set(terms) == {
+        "offset",
+        "offset_imitation",
+        "imitation",
+        "simulation",
+        "agents",
+        "semantics",
+        "future_semantics",
+    }
+    wanted = sum(getattr(config, name) * term for name, term in terms.items())
+    torch.testing.assert_close(loss, torch.as_tensor(wanted))
+
+
+def test_every_weight_is_reached() -> None:
+    model = tiny_wote().train()
+    objective = WoteObjective(model, WoteObjectiveConfig())
+    loss, _ = objective(batch(), *objective.draw(2, 1, torch.Generator().manual_seed(0)))
+    loss.backward()
+    missed = [name for name, weight in model.named_parameters() if weight.grad is None]
+    assert missed == []
+
+
+def test_steps_make_every_term_smaller() -> None:
+    model, given = tiny_wote().train(), batch()
+    objective = WoteObjective(model, WoteObjectiveConfig())
+    order = torch.rand(2, TINY.anchors, generator=torch.Generator().manual_seed(0))
+    optimiser = torch.optim.AdamW(model.parameters(), 3e-3)
+    first = objective(given, order)[1]
+    for _ in range(60):
+        loss, terms = objective(given, order)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    # Random numbers say nothing of what soft labels and rewards could fall to.
+    for name in first:
+        assert terms[name] < first[name], name
+    assert terms["offset"] < 0.5 * first["offset"]
+
+
+def test_some_anchors_are_judged_the_nearest_first() -> None:
+    objective = WoteObjective(tiny_wote(), WoteObjectiveConfig(judged=4))
+    order = torch.rand(2, 12, generator=torch.Generator().manual_seed(0))
+    chosen = objective._chosen(order, torch.tensor([3, 7]))
+    assert chosen.shape == (2, 4)
+    assert chosen[:, 0].tolist() == [3, 7]
+    assert all(len(set(row)) == 4 for row in chosen.tolist())
+    # The loss of all anchors in any order is one loss.
+    whole = WoteObjective(tiny_wote(), WoteObjectiveConfig())
+    with torch.no_grad():
+        one, other = (whole(batch(), each)[0] for each in (order, order.flip(1)))
+    torch.testing.assert_close(one, other)
+
+
+def test_without_offsets_they_are_not_learnt() -> None:
+    objective = WoteObjective(tiny_wote(replace(TINY, offsets=False)), WoteObjectiveConfig())
+    _, terms = objective(batch(), torch.rand(2, 12))
+    assert "offset" not in terms
+    assert "offset_imitation" not in terms
+
+
+def test_distances_and_labels() -> None:
+    anchors = torch.zeros(2, 3, 3)
+    anchors[1, :, 0] = 3.0
+    future = torch.zeros(1, 3, 3)
+    future[..., 1] = 4.0
+    torch.testing.assert_close(anchor_distances(anchors, future), torch.tensor([[4.0, 5.0]]))
+    labels = torch.tensor([[0.25, 0.75]])
+    wanted = -(labels * torch.tensor([[0.25, 0.75]]).log()).sum()
+    torch.testing.assert_close(soft_cross_entropy(labels.log(), labels), wanted)
+
+
+def test_the_focal_loss_of_half_a_chance() -> None:
+    logits, classes = torch.zeros(1, 2, 1, 2), torch.tensor([[[0, 1]]])
+    wanted = 0.5 * 0.25 * torch.tensor(2.0).log()
+    torch.testing.assert_close(focal_loss(logits, classes), wanted)
+    sure = torch.tensor([[[[9.0]], [[-9.0]]]])
+    assert focal_loss(sure, torch.tensor([[[0]]])) < 1e-6
+
+
+def test_boxes_are_matched_at_the_least_cost() -> None:
+    boxes = torch.tensor([[0.0, 0, 0, 4, 2], [10.0, 0, 3.1, 4, 2]])
+    # The first query lies between both; alone it would take the second box.
+    states = torch.tensor([[6.0, 0, 0, 4, 2], [10.0, 0, -3.1, 4, 2], [50.0, 0, 0, 4, 2]])
+    query, box = match(states, torch.zeros(3), boxes)
+    assert dict(zip(query.tolist(), box.tolist(), strict=True)) == {0: 0, 1: 1}
+
+
+def test_the_loss_of_boxes_that_are_all_found() -> None:
+    boxes = torch.tensor([[[1.0, 2, 0.5, 4, 2], [0.0, 0, 0, 0, 0]]])
+    states = boxes.flip(1)
+    sure = torch.tensor([[-20.0, 20.0]])
+    assert agent_loss(states, sure, boxes, torch.tensor([1])) < 1e-6
+    nobody = agent_loss(states, sure, boxes, torch.tensor([0]))
+    assert nobody == pytest.approx(10.0, rel=1e-3)  # one of two queries is wrong by 20
+
+
+def test_a_turn_is_measured_the_short_way() -> None:
+    states, boxes = torch.zeros(1, 1, 5), torch.zeros(1, 1, 5)
+    states[..., 2], boxes[..., 2] = torch.pi - 0.1, -torch.pi + 0.1
+    loss = agent_loss(states, torch.tensor([[20.0]]), boxes, torch.tensor([1]))
+    assert loss == pytest.approx(0.2 / 5, rel=1e-4)

@@ -1,0 +1,1 @@
+"""Planners that drive: windows of driving logs, and how each planner learns from them."""

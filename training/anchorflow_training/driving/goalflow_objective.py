@@ -1,0 +1,176 @@
+"""What GoalFlow learns: which goals are good, and the flow to a goal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from anchorflow_models.flow_matching import interpolate
+from anchorflow_models.goalflow import GoalFlow
+from anchorflow_models.goalflow.goalflow import POSE
+from anchorflow_models.goalflow.raster import at_places
+from anchorflow_models.goalflow.trajectory_score import FRONT, REAR, body_places
+from anchorflow_training.settings import setting
+
+CLEAR = 0.5  # share of a cell that is drivable where its middle is
+
+
+@dataclass(frozen=True)
+class GoalFlowObjectiveConfig:
+    """The losses, their weights, and what they aim at."""
+
+    goal_weight: float = setting(1.0, "Of the goals' scores.", least=0)
+    flow_weight: float = setting(10.0, "Of the flow.", least=0)
+    flow_time: Literal["uniform", "middle"] = setting(
+        "uniform", "How flow times are drawn; middle: sigmoid of a Gaussian."
+    )
+    scored: int = setting(64, "Goals a window that are scored in a step.", least=8)
+    near: float = setting(2.0, "m, spread of what counts as near the recorded end.", above=0)
+    aside: float = setting(1.2, "m, spread of what counts as on the route.", above=0)
+    jitter: float = setting(0.8, "m, spread of a goal around the end that it is for.", least=0)
+    shadows: int = setting(1, "Targets a window that are learnt without a goal.", least=0)
+    least_left: float = setting(
+        0.3, "Of flow time, that an error counts by; less would be noise.", above=0, most=1
+    )
+
+
+class GoalFlowObjective(nn.Module):
+    """Loss and its terms on a batch of `DrawnWindows`."""
+
+    places: Tensor
+
+    def __init__(self, model: GoalFlow, config: GoalFlowObjectiveConfig) -> None:
+        super().__init__()
+        self.model, self.config = model, config
+        layout = model.config.bev
+        low_x, high_x, low_y, high_y = layout.extent
+        x = high_x - (high_x - low_x) * (torch.arange(layout.rows) + 0.5) / layout.rows
+        y = high_y - (high_y - low_y) * (torch.arange(layout.columns) + 0.5) / layout.columns
+        grid = torch.stack(torch.meshgrid(x, y, indexing="ij"), -1)
+        self.register_buffer("places", grid, persistent=False)
+
+    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:
+        """Noise [B, N, 3T], flow times [B, N], jitter [B, N, 2], order of goals [B, K]."""
+        shape, config = (scenes, samples), self.model.config
+        noise = torch.randn(*shape, POSE * config.num_steps, generator=generator)
+        if self.config.flow_time == "middle":
+            times = torch.randn(shape, generator=generator).sigmoid()
+        else:
+            times = torch.rand(shape, generator=generator)
+        jitter = self.config.jitter * torch.randn(*shape, 2, generator=generator)
+        return noise, times, jitter, torch.rand(scenes, config.goals, generator=generator)
+
+    def forward(
+        self, batch: Mapping[str, Tensor], noise: Tensor, t: Tensor, jitter: Tensor, chance: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        model, targets = self.model, batch["targets"]
+        bev = self.moved(batch["bev"], batch["moved"])
+        context = model.look(bev, batch["status"], batch["size"])
+        flow, expected = self._flow(batch, context, noise, t, jitter)
+        goals = self._goals(batch, context, chance, expected.detach())
+        terms = {"flow": flow, **goals}
+        loss = (
+            self.config.flow_weight * flow
+            + self.config.goal_weight * torch.stack([*goals.values()]).sum()
+        )
+        with torch.no_grad():
+            miss = (expected - targets)[..., :2].square().sum(-1).sqrt()
+        return loss, {**terms, "displacement_m": miss.mean()}
+
+    def moved(self, bev: Tensor, moved: Tensor) -> Tensor:
+        """Rasters [B, C, H, W] seen from starts [B, 3] (x, y, heading) in the frame of each."""
+        which = moved.abs().sum(1) > 0
+        if not which.any():
+            return bev
+        bev, own = bev.float(), moved[which][:, None, None]
+        cos, sin = own[..., 2].cos(), own[..., 2].sin()
+        x, y = self.places.unbind(-1)
+        x, y = own[..., 0] + cos * x - sin * y, own[..., 1] + sin * x + cos * y
+        low_x, high_x, low_y, high_y = self.model.config.bev.extent
+        grid = torch.stack(
+            [1 - 2 * (y - low_y) / (high_y - low_y), 1 - 2 * (x - low_x) / (high_x - low_x)], -1
+        )
+        bev[which] = F.grid_sample(bev[which], grid, align_corners=False)
+        return bev
+
+    def begun(
+        self, targets: Tensor, status: Tensor, context: Mapping[str, Tensor], jitter: Tensor
+    ) -> Tensor:
+        """The ways [B, N, T, S] that targets [B, N, T, 3] begin on; the first have no goal."""
+        ways = self.model.ways_to(targets[..., -1, :2] + jitter, context["speed"])
+        shadows = min(self.config.shadows, targets.shape[1])
+        shadow = self.model.shadow(status, context["speed"]).expand(-1, shadows, -1, -1)
+        return torch.cat([shadow, ways[:, shadows:]], 1)
+
+    def _flow(
+        self,
+        batch: Mapping[str, Tensor],
+        context: dict[str, Tensor],
+        noise: Tensor,
+        t: Tensor,
+        jitter: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """The loss, and the poses [B, N, T, 3] that are expected of x_t."""
+        model, targets = self.model, batch["targets"]
+        mean = self.begun(targets, batch["status"], context, jitter)
+        spread = (noise @ model.basis()[0]).unflatten(-1, mean.shape[2:])
+        x_1 = torch.cat([targets, mean[..., POSE:]], -1)
+        x_t, _ = interpolate(mean + spread, x_1, t)
+        modulation = model.modulate(t, context)[..., 1:]
+        expected = model.expected(x_t, mean, modulation, context)
+        # u - u* = (expected - x_1) / (1 - t)
+        error = (expected - targets) / model.stray
+        left = (1 - t).clamp(min=self.config.least_left)[..., None, None]
+        return (error / left).clamp(-10, 10).square().mean(), expected
+
+    def _goals(
+        self,
+        batch: Mapping[str, Tensor],
+        context: dict[str, Tensor],
+        chance: Tensor,
+        expected: Tensor,
+    ) -> dict[str, Tensor]:
+        model, config = self.model, self.config
+        end = batch["targets"][:, :1, -1, :2]
+        away = (model.vocabulary - end).square().sum(-1)
+        # A quarter of them near the end, where scores change; the others anywhere.
+        near = config.scored // 4
+        first = away.argsort(-1)[:, :near]
+        order = chance.scatter(1, first, 2.0).argsort(-1, descending=True)[:, : config.scored]
+        ways = model.ways_to(model.vocabulary[order], context["speed"])[..., :POSE]
+        ways = torch.cat([ways, expected], 1)
+        with torch.no_grad():
+            distance = (ways[..., -1, :2] - end).square().sum(-1)
+            is_near = torch.exp(-0.5 * distance / config.near**2)
+            is_drivable = self._drivable(ways, batch["size"], context)
+            strayed = _from_line(ways[..., :2], batch["course"]).amax(-1)
+            on_route = torch.exp(-0.5 * (strayed / config.aside).square())
+        scores = model.rate(ways, context)
+        wanted = {"distance": is_near, "drivable": is_drivable, "route": on_route}
+        return {
+            name: F.binary_cross_entropy_with_logits(getattr(scores, name), target)
+            for name, target in wanted.items()
+        }
+
+    def _drivable(self, ways: Tensor, size: Tensor, context: Mapping[str, Tensor]) -> Tensor:
+        """[B, P]: whether all corners of the ego lie on the road at the ways' ends."""
+        ends = ways[..., -1:, :]
+        corners = body_places(ends, size, rows=(FRONT, REAR), files=(-1.0, 1.0))
+        share = at_places(context["drivable"], corners, self.model.config.bev.extent)
+        return (share.flatten(2).amin(-1) > CLEAR).float()
+
+
+def _from_line(points: Tensor, line: Tensor) -> Tensor:
+    """Distances [B, P, T] of points [B, P, T, 2] from lines [B, V, 2], by their vertices' spans."""
+    begin, along = line[:, :-1], line.diff(dim=1)
+    flat = points.flatten(1, 2)
+    offset = flat[:, :, None] - begin[:, None]
+    length = along.square().sum(-1).clamp(min=1e-6)
+    share = ((offset * along[:, None]).sum(-1) / length[:, None]).clamp(0.0, 1.0)
+    miss = offset - share[..., None] * along[:, None]
+    return miss.square().sum(-1).amin(-1).sqrt().unflatten(1, points.shape[1:3])

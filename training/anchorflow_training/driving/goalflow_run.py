@@ -1,0 +1,172 @@
+"""Train GoalFlow on windows of driving logs."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from anchorflow_driving.sensors import BEV
+from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_training.batches import Batch, BatchConfig, batch_rng, batch_scenes
+from anchorflow_training.config import JudgeConfig, RunConfig
+from anchorflow_training.curve import Row
+from anchorflow_training.driving.augmentation import (
+    AugmentationConfig,
+    draw,
+    poses_on,
+    retimed,
+)
+from anchorflow_training.driving.goalflow_objective import (
+    GoalFlowObjective,
+    GoalFlowObjectiveConfig,
+)
+from anchorflow_training.driving.vocabulary import clustered, read_vocabulary
+from anchorflow_training.driving.windows import DrivingWindows
+from anchorflow_training.run import TrainingRun
+from anchorflow_training.settings import ConfigError, setting
+
+RETIMED_SHARE = 1  # ends of re-timed targets to one of the record, in the vocabulary
+TOP, NEAR_M, MOVING_M = 5, 3.0, 2.0
+"""A success: the recorded end within NEAR_M of one of the TOP goals, where it is MOVING_M away."""
+
+
+@dataclass(frozen=True)
+class GoalFlowRunConfig(RunConfig):
+    """A run that learns GoalFlow from driving logs."""
+
+    planner: ClassVar[str] = "goalflow"
+
+    steps: int = 6000
+    warmup: int = 200
+    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=32, samples=8))
+    evaluation: JudgeConfig = field(default_factory=JudgeConfig)
+    model: GoalFlowConfig = field(default_factory=GoalFlowConfig)
+    objective: GoalFlowObjectiveConfig = field(default_factory=GoalFlowObjectiveConfig)
+    augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
+    vocabulary: str | None = setting(None, "File of goals [K, 2] (.npy) instead of clustered ones.")
+
+
+def goalflow_settings(_: DrivingWindows) -> Mapping[str, Any]:
+    """What windows fix of the model: the raster that they hold."""
+    names = BEV.channels
+    return {
+        "bev": {
+            "channels": len(names),
+            "rows": BEV.rows,
+            "columns": BEV.columns,
+            "extent": BEV.extent,
+            "drivable": names.index("drivable"),
+            "boxes": names.index("vehicles"),
+            "occupied": names.index(f"occupied_{BEV.ahead_s[0]:.1f}s"),
+            "foretold": len(BEV.ahead_s),
+        }
+    }
+
+
+class GoalFlowRun(TrainingRun):
+    """windows: those to train on; held_out: those to judge on, the last of the data"""
+
+    def __init__(self, config: GoalFlowRunConfig, windows: DrivingWindows, out: Path) -> None:
+        self.config, kept = config, config.evaluation.held_out
+        if len(windows) - kept < config.batch.scenes:
+            raise ConfigError(
+                f"batch.scenes: expected at most {len(windows) - kept}, the windows of "
+                f"{windows.path} less evaluation.held_out, got {config.batch.scenes}"
+            )
+        first = len(windows) - kept
+        self.windows, self.held_out = windows.part(slice(first)), windows.part(slice(first, None))
+        super().__init__(config, out)
+
+    def begin(self, model: GoalFlow) -> None:
+        """The vocabulary, and how far poses stray from the way to their goal."""
+        config = self.config
+        rng = np.random.default_rng(config.batch.seed)
+        speed = self.windows.status[:, 4].astype(float)
+        timed = retimed(speed, config.augmentation, count=RETIMED_SHARE, rng=rng)
+        timed = np.concatenate([self.windows.along[:, None].astype(float), timed], axis=1)
+        courses = self.windows.course.astype(float)
+        targets = np.stack([poses_on(c, s) for c, s in zip(courses, timed, strict=True)])
+        ends = targets[:, :, -1, :2].reshape(-1, 2)
+        ends = np.concatenate([ends, ends * [1, -1]])
+        count, file = config.model.goals, config.vocabulary
+        goals = (
+            read_vocabulary(Path(file), count=count)
+            if file
+            else clustered(ends, count=count, seed=config.batch.seed)
+        )
+        model.vocabulary.copy_(torch.from_numpy(goals))
+        to = torch.from_numpy(targets.astype(np.float32))
+        ways = model.ways_to(to[..., -1, :2], torch.from_numpy(speed.astype(np.float32)))
+        strays = (to - ways[..., :3]).flatten(0, 1)
+        strays = torch.cat([strays, strays * torch.tensor([1.0, -1.0, -1.0])])
+        model.stray.copy_(strays.std(0).clamp(min=1e-3).maximum(model.stray / 10))
+
+    def new_objective(self, model: GoalFlow) -> GoalFlowObjective:
+        return GoalFlowObjective(model, self.config.objective)
+
+    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
+        """The next batch is drawn while one is learnt from."""
+        with ThreadPoolExecutor(1) as pool:
+            waiting = None
+            for index in indices:
+                drawn, waiting = waiting, pool.submit(self.batch, index)
+                if drawn is not None:
+                    yield drawn.result()
+            if waiting is not None:
+                yield waiting.result()
+
+    def batch(self, index: int) -> Batch:
+        """Batch number `index`."""
+        config = self.config
+        chosen = batch_scenes(len(self.windows), config.batch, index)
+        rng = batch_rng(config.batch, index)
+        drawn = draw(
+            self.windows, chosen, config.augmentation, samples=config.batch.samples, rng=rng
+        )
+        return vars(drawn)
+
+    @property
+    def data(self) -> dict[str, Any]:
+        return {"windows": len(self.windows), "logs": len(np.unique(self.windows.log))}
+
+    @property
+    def evaluates(self) -> bool:
+        return len(self.held_out) > 0
+
+    def evaluate(self, model: GoalFlow) -> tuple[Row, None]:
+        """Goals and one-step trajectories on the windows that are held out."""
+        chosen = np.linspace(0, len(self.held_out) - 1, self.config.evaluation.scenes).astype(int)
+        rows = [self._judged(model, window) for window in np.unique(chosen)]
+        means = {name: float(np.nanmean([row[name] for row in rows])) for name in rows[0]}
+        return means, None
+
+    @torch.no_grad()
+    def _judged(self, model: GoalFlow, window: int) -> dict[str, float]:
+        held, device = self.held_out, model.vocabulary.device
+        told = (held.rasters([window]), held.status[[window]], held.size[[window]])
+        context = model.encode(*(torch.from_numpy(each).to(device) for each in told))
+        mean = context["prior_mean"]
+        modulation = model.modulate(torch.zeros(1, device=device), context)[:, 0]
+        x_1 = mean + model.field(mean, mean, modulation, context)
+        scores = model.score(x_1, mean, context)[0]
+        course, along = held.course[window].astype(float), held.along[window].astype(float)
+        driven = poses_on(course, along)
+        apart = _apart(x_1[0, ..., :2].cpu().numpy(), driven[:, :2]).mean(-1)
+        goals = context["goals"][0, :TOP].cpu().numpy()
+        near = bool((_apart(goals, driven[-1, :2]) < NEAR_M).any())
+        return {
+            "success": float(near) if along[-1] > MOVING_M else np.nan,
+            "best_ade_m": float(apart.min()),
+            "chosen_ade_m": float(apart[int(scores.argmax())]),
+        }
+
+
+def _apart(points: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:
+    return np.linalg.norm(points - others, axis=-1)

@@ -1,0 +1,174 @@
+"""Windows of driving logs as arrays to train on, their rasters kept compressed beside the logs.
+
+A raster of 480 kB comes to some ten kilobytes, and back in a millisecond; drawing takes ten times
+as long.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.drivers import PLAN_TIMES
+from anchorflow_driving.errors import LogError
+from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, read_log
+from anchorflow_driving.sensors import BEV, draw_bev, status_of
+from anchorflow_driving.window import Scenes, Window
+
+Floats = NDArray[np.float32]
+
+KEPT = ".windows"
+"""Suffix of the file beside a log that holds its windows."""
+LEVEL = 3  # of zlib
+SPACING = 1.25
+"""m between the points of a course."""
+COURSE_POINTS = 73  # to 90 m
+_RETURN = 15.0  # m over which an offset from the route fades behind the record
+_MOVED = 0.02  # m; nearer points of a record are one
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingWindows:
+    """W windows, those of a log beside one another.
+
+    bev: the zlib streams, one after another; bev_offsets: [W + 1]
+    status: [W, 8]; size: [W, 2] of the ego, m
+    course: [W, P, 2] places SPACING apart from the rear axle along what was driven and, beyond, the
+        route; along: [W, T] how far along it was driven at the poses' times, m
+    log: [W] its log, by number
+    """
+
+    bev: NDArray[np.uint8]
+    bev_offsets: NDArray[np.int64]
+    status: Floats
+    size: Floats
+    course: Floats
+    along: Floats
+    log: NDArray[np.int64]
+    path: Path
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def rasters(self, windows: Iterable[int]) -> NDArray[np.uint8]:
+        """[B, C, H, W] of these windows; may be written to."""
+        streams = (self.bev[self.bev_offsets[w] : self.bev_offsets[w + 1]] for w in windows)
+        drawn = [np.frombuffer(zlib.decompress(stream), np.uint8) for stream in streams]
+        return np.stack(drawn).reshape(-1, *BEV.shape)
+
+    def part(self, windows: slice) -> DrivingWindows:
+        """Some of them, one after another."""
+        first, last, _ = windows.indices(len(self))
+        begin, end = self.bev_offsets[[first, last]]
+        own = {name: getattr(self, name)[windows] for name in (*PER_WINDOW, "log")}
+        offsets = self.bev_offsets[first : last + 1] - begin
+        return DrivingWindows(bev=self.bev[begin:end], bev_offsets=offsets, path=self.path, **own)
+
+
+PER_WINDOW = ("status", "size", "course", "along")
+STORED = ("bev", "bev_sizes", *PER_WINDOW)
+
+
+def open_windows(folder: Path) -> DrivingWindows:
+    """The windows of all logs in a folder; each log's are drawn once and kept beside it.
+
+    Raises:
+        LogError: there is no log, one cannot be read, or there is no place to write beside it.
+    """
+    paths = sorted(folder.glob("*.npz"))
+    if not paths:
+        raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
+    missing = [path for path in paths if not _is_kept(path)]
+    if missing:
+        with ProcessPoolExecutor(min(len(missing), os.cpu_count() or 1)) as pool:
+            list(pool.map(keep_windows, missing, chunksize=4))
+    return _joined([_kept(path) for path in paths], folder)
+
+
+def keep_windows(path: Path) -> None:
+    """Draws the windows of a log and keeps them beside it. Raises `LogError`."""
+    drawn = _drawn([_of_window(window) for window in Scenes(read_log(path))])
+    kept = path.with_suffix(KEPT)
+    scratch = kept.with_suffix(f".{os.getpid()}")
+    try:
+        with scratch.open("wb") as file:
+            np.savez(file, **drawn)
+        scratch.replace(kept)
+    except OSError as error:
+        raise LogError(kept, "file", expected="a place to write", found=str(error)) from error
+
+
+def course_of(window: Window) -> tuple[Floats, Floats]:
+    """`course` [P, 2] and `along` [T] of a window, in the ego's frame."""
+    frames = np.arange(FUTURE_FRAMES + 1)
+    driven = window.recorded(frames * FRAME_S)[:, :2]
+    steps = np.linalg.norm(np.diff(driven, axis=0), axis=1)
+    way = np.concatenate([[0.0], np.cumsum(np.where(steps > _MOVED, steps, 0.0))])
+    along = np.interp(PLAN_TIMES, frames * FRAME_S, way)
+    kept = np.concatenate([[True], np.diff(way) > 0])
+    route = window.view.route
+    arc, left = (float(value) for value in route.project(driven[kept][-1]))
+    more = np.arange(SPACING, COURSE_POINTS * SPACING, SPACING)
+    beyond = route.poses(arc + more, left * np.maximum(0.0, 1 - more / _RETURN))[:, :2]
+    line = np.concatenate([driven[kept], beyond])
+    length = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
+    places = SPACING * np.arange(COURSE_POINTS)
+    course = np.stack([np.interp(places, length, axis) for axis in line.T], -1)
+    return course.astype(np.float32), along.astype(np.float32)
+
+
+def _is_kept(path: Path) -> bool:
+    """Whether a log's windows are there, and were drawn of the log as it is."""
+    kept = path.with_suffix(KEPT)
+    return kept.exists() and kept.stat().st_mtime >= path.stat().st_mtime
+
+
+def _kept(path: Path) -> dict[str, NDArray[Any]]:
+    with np.load(path.with_suffix(KEPT), allow_pickle=False) as file:
+        return {name: file[name] for name in STORED}
+
+
+def _of_window(window: Window) -> dict[str, Any]:
+    view = window.view
+    course, along = course_of(window)
+    return {
+        "bev": zlib.compress(draw_bev(view).tobytes(), LEVEL),
+        "status": status_of(view),
+        "size": view.vehicle.size.astype(np.float32),
+        "course": course,
+        "along": along,
+    }
+
+
+def _drawn(rows: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
+    """The rows of a log's windows as arrays."""
+    streams = [row["bev"] for row in rows]
+    sizes = np.array([len(stream) for stream in streams], np.int64)
+    return {
+        "bev": np.frombuffer(b"".join(streams), np.uint8),
+        "bev_sizes": sizes,
+        **{name: np.array([row[name] for row in rows], np.float32) for name in PER_WINDOW},
+    }
+
+
+def _joined(parts: Sequence[dict[str, NDArray[Any]]], folder: Path) -> DrivingWindows:
+    parts = [part for part in parts if len(part["bev_sizes"])]
+    if not parts:
+        raise LogError(folder, "window_ego", expected="windows", found="none in any log")
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in STORED}
+    sizes = whole.pop("bev_sizes")
+    counts = [len(part["bev_sizes"]) for part in parts]
+    return DrivingWindows(
+        bev_offsets=np.concatenate([[0], sizes.cumsum()]),
+        log=np.repeat(np.arange(len(parts)), counts),
+        path=folder,
+        **whole,
+    )

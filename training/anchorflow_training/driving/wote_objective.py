@@ -1,0 +1,101 @@
+"""What WoTE learns from: recorded futures, the PDM score of its anchors, boxes and semantics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from anchorflow_models.wote import WoTE
+from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
+from anchorflow_training.settings import setting
+
+
+@dataclass(frozen=True)
+class WoteObjectiveConfig:
+    """Weights of the terms; the defaults are the published ones.
+
+    judged: anchors a scene that the world model looks at in a step, drawn at random beside the
+        nearest to the record; 0: all
+    """
+
+    offset: float = setting(1.0, "L1 of the winner's refined poses.", least=0)
+    offset_imitation: float = setting(0.1, "Of the offset scores.", least=0)
+    imitation: float = setting(1.0, "Of the imitation reward.", least=0)
+    simulation: float = setting(1.0, "Of the five simulation rewards.", least=0)
+    agents: float = setting(1.0, "Of the boxes.", least=0)
+    semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
+    future_semantics: float = setting(0.1, "Of the semantic BEV that is imagined.", least=0)
+    likeness: float = setting(1.0, "m, over which an anchor's soft label falls by e.", above=0)
+    judged: int = setting(0, "Anchors that the world model looks at in a step; 0: all.", least=0)
+
+
+class WoteObjective(nn.Module):
+    """Loss and its terms on a batch."""
+
+    def __init__(self, model: WoTE, config: WoteObjectiveConfig) -> None:
+        super().__init__()
+        self.model, self.config = model, config
+
+    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor]:  # noqa: ARG002
+        """[B, K] numbers, by whose order anchors are taken."""
+        return (torch.rand(scenes, self.model.config.anchors, generator=generator),)
+
+    def forward(
+        self, batch: Mapping[str, Tensor], order: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """batch: camera, lidar, ego_status as of `WoTE.encode`; future [B, T, 3] m, rad;
+        pdm [B, K, 5] of the anchors in [0, 1]; agents [B, Q, 5] and agent_count [B];
+        semantics, future_semantics [B, H/2, H] classes."""
+        model, config = self.model, self.config
+        seen = model.look(batch["camera"], batch["lidar"], batch["ego_status"])
+        moved = model.move(seen.bev, seen.ego)
+        distance = anchor_distances(model.anchors, batch["future"])
+        nearest = distance.argmin(-1)
+        chosen = self._chosen(order, nearest)
+        judged = model.judge(seen.bev, moved.taken(chosen))
+        winner = nearest[:, None, None, None].expand(-1, 1, *moved.offsets.shape[2:])
+        refined = model.anchors[nearest] + moved.offsets.gather(1, winner)[:, 0]
+        pdm = batch["pdm"].gather(1, chosen[..., None].expand(-1, -1, batch["pdm"].shape[-1]))
+        terms = {
+            "offset": F.l1_loss(refined, batch["future"]),
+            "offset_imitation": soft_cross_entropy(moved.logits, self._labels(distance)),
+            "imitation": soft_cross_entropy(
+                judged.imitation, self._labels(distance.gather(1, chosen))
+            ),
+            "simulation": F.binary_cross_entropy_with_logits(judged.simulation, pdm),
+            "agents": agent_loss(
+                seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
+            ),
+            "semantics": focal_loss(seen.semantic_logits, batch["semantics"]),
+            # The first that is judged is the nearest to what was driven.
+            "future_semantics": focal_loss(
+                model.future_semantic_logits(judged.future[:, 0]), batch["future_semantics"]
+            ),
+        }
+        if not model.config.offsets:
+            terms = {name: term for name, term in terms.items() if not name.startswith("offset")}
+        total = torch.stack([getattr(config, name) * term for name, term in terms.items()]).sum()
+        return total, terms
+
+    def _chosen(self, order: Tensor, nearest: Tensor) -> Tensor:
+        """[B, K'] the nearest first, then others in a random order."""
+        rank = order.scatter(1, nearest[:, None], -1.0)
+        return rank.argsort(-1)[:, : self.config.judged or None]
+
+    def _labels(self, distance: Tensor) -> Tensor:
+        """Soft labels that sum to 1: the nearer, the likelier."""
+        return (-distance / self.config.likeness).softmax(-1)
+
+
+def anchor_distances(anchors: Tensor, future: Tensor) -> Tensor:
+    """Mean distance [B, K] in m of anchors [K, T, 3] from futures [B, T, 3], pose by pose."""
+    return (anchors[None, ..., :2] - future[:, None, :, :2]).norm(dim=-1).mean(-1)
+
+
+def soft_cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
+    """Of logits [B, K] and labels [B, K] that sum to 1."""
+    return -(labels * logits.log_softmax(-1)).sum(-1).mean()
