@@ -79,7 +79,7 @@ class Perception(nn.Module):
         )
 
     def forward(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Perceived:
-        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] as the backbone takes it; ego_status: [B, 8]"""
+        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'], as the backbone; ego_status: [B, 8]"""
         seen = self.backbone(camera, lidar)
         cells = self.narrow(seen.features).flatten(2).transpose(1, 2)
         known = torch.cat([cells, self.status(ego_status)[:, None]], 1) + self.places
@@ -156,10 +156,7 @@ class DiffusionDriveV2(nn.Module):
         """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none ->
         candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M]
         """
-        candidates = self.variants(trajectories, diversity)
-        if len(self.vocabulary):
-            fixed = self.vocabulary.expand(candidates.shape[0], -1, -1, -1)
-            candidates = torch.cat([candidates, fixed], 1)
+        candidates = self.candidates(trajectories, diversity)
         scene = SceneFeatures(bev, bev, agent_queries, ego_query)
         scored = self.coarse_scorer(candidates, scene)
         return {
@@ -167,6 +164,13 @@ class DiffusionDriveV2(nn.Module):
             "features": scored.features,
             "coarse_scores": scored.scores,
         }
+
+    def candidates(self, trajectories: Tensor, diversity: Tensor) -> Tensor:
+        """[B, M, T, 3]: the variants of trajectories [B, N, T, 3], and the vocabulary."""
+        made = self.variants(trajectories, diversity)
+        if not len(self.vocabulary):
+            return made
+        return torch.cat([made, self.vocabulary.expand(made.shape[0], -1, -1, -1)], 1)
 
     def fine(
         self,
