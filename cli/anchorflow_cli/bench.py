@@ -33,6 +33,7 @@ from anchorflow_benchmarks.style_quality import style_tables
 from anchorflow_cli import (
     bench_closed_loop,
     bench_drive,
+    bench_drive_closed_loop,
     bench_earns,
     bench_robots,
     bench_routes,
@@ -232,4 +233,5 @@ app.command()(bench_serving.swaps)
 app.command()(bench_serving.kill)
 app.command()(bench_serving.soak)
 app.command()(bench_drive.drive)
+app.command()(bench_drive_closed_loop.drive_closed_loop)
 app.command("closed-loop")(bench_closed_loop.closed_loop)

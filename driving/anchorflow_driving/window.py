@@ -82,6 +82,7 @@ class PlannerView:
     speed_limit: float  # m/s, NaN where unknown
     road: Road
     log_polylines: dict[str, Polylines]
+    line_solid: NDArray[np.bool_]  # of the lines
 
     def polylines(self, family: str) -> Polylines:
         """The map's lanes, centres, drivable rings, crosswalks or lines."""
@@ -144,24 +145,16 @@ class Window:
 
     @cached_property
     def view(self) -> PlannerView:
-        state = self._state(self.frame - 1, self.frame)
         seen = slice(self.frame - HISTORY_FRAMES, self.frame + 1)
-        tracks = self.log.track_state[:, seen].astype(np.float64)
-        turned = np.array([0.0, 0.0, state.pose[2]])
-        return PlannerView(
-            state=state,
-            vehicle=self.vehicle,
+        return planner_view(
+            self.log.track_state[:, seen].astype(np.float64),
             ego=self.ego,
-            tracks=np.concatenate(
-                [into_frame(tracks[..., :3], state.pose), into_frame(tracks[..., 3:], turned)], -1
-            ),
             track_type=self.log.track_type,
             track_size=self.log.track_size.astype(np.float64),
-            route=Route(into_frame(self.log.route(self.index), state.pose)),
+            route=self.log.route(self.index),
             command=self.command,
             speed_limit=self.speed_limit,
-            road=self.road,
-            log_polylines=self._scenes.map_polylines,
+            scenes=self._scenes,
         )
 
     def recorded(self, times: Array) -> Array:
@@ -178,15 +171,58 @@ class Window:
         return ahead_of(self._ego_track[frames, :3], -self.vehicle.rear_axle)
 
     def _state(self, before: int, after: int) -> EgoState:
-        now, elapsed = self._ego_track[self.frame], (after - before) * FRAME_S
-        heading, velocity = self._ego_track[:, 2], self._ego_track[:, 3:]
-        direction = np.stack([np.cos(heading), np.sin(heading)], -1)
-        along = (velocity * direction).sum(-1)
-        speed = max(0.0, float(along[self.frame]))
-        turn = float(wrap_angle(heading[after] - heading[before])) / elapsed
-        return EgoState(
-            pose=ahead_of(now[:3], -self.vehicle.rear_axle),
-            speed=speed,
-            acceleration=float(along[after] - along[before]) / elapsed,
-            curvature=turn / speed if speed > _SLOWEST_TURN else 0.0,
-        )
+        return _moving(self._ego_track, self.vehicle, now=self.frame, before=before, after=after)
+
+
+def planner_view(
+    tracks: Array,
+    *,
+    ego: int,
+    track_type: NDArray[np.uint8],
+    track_size: Array,
+    route: Array,
+    command: int,
+    speed_limit: float,
+    scenes: Scenes,
+) -> PlannerView:
+    """What a planner may see of the last frames of tracks [K, H + 1, 5], given in the log's frame.
+
+    route: [V, 2] in the log's frame; scenes: whose map it is
+    """
+    length, width = track_size[ego]
+    vehicle = Vehicle(float(length), float(width))
+    now = tracks.shape[1] - 1
+    state = _moving(tracks[ego], vehicle, now=now, before=now - 1, after=now)
+    turned = np.array([0.0, 0.0, state.pose[2]])
+    return PlannerView(
+        state=state,
+        vehicle=vehicle,
+        ego=ego,
+        tracks=np.concatenate(
+            [into_frame(tracks[..., :3], state.pose), into_frame(tracks[..., 3:], turned)], -1
+        ),
+        track_type=track_type,
+        track_size=track_size,
+        route=Route(into_frame(route, state.pose)),
+        command=command,
+        speed_limit=speed_limit,
+        road=scenes.road,
+        log_polylines=scenes.map_polylines,
+        line_solid=scenes.log.line_solid,
+    )
+
+
+def _moving(track: Array, vehicle: Vehicle, *, now: int, before: int, after: int) -> EgoState:
+    """How a track [F, 5] moves at a frame, its rates by differences between two others."""
+    elapsed = (after - before) * FRAME_S
+    heading, velocity = track[:, 2], track[:, 3:]
+    direction = np.stack([np.cos(heading), np.sin(heading)], -1)
+    along = (velocity * direction).sum(-1)
+    speed = max(0.0, float(along[now]))
+    turn = float(wrap_angle(heading[after] - heading[before])) / elapsed
+    return EgoState(
+        pose=ahead_of(track[now, :3], -vehicle.rear_axle),
+        speed=speed,
+        acceleration=float(along[after] - along[before]) / elapsed,
+        curvature=turn / speed if speed > _SLOWEST_TURN else 0.0,
+    )

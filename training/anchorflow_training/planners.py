@@ -16,7 +16,9 @@ from anchorflow_training.driving.goalflow_run import (
     GoalFlowRunConfig,
     goalflow_settings,
 )
+from anchorflow_training.driving.sensor_windows import open_logs
 from anchorflow_training.driving.windows import open_windows
+from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig, wote_settings
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer
@@ -43,6 +45,7 @@ TRAININGS: Mapping[str, Training] = {
     for training in (
         Training(TrainerConfig, open_dataset, model_settings, CFMTrainer),
         Training(GoalFlowRunConfig, open_windows, goalflow_settings, GoalFlowRun),
+        Training(WoteRunConfig, open_logs, wote_settings, WoteRun),
     )
 }
 

@@ -104,6 +104,10 @@ class _Leaders:
         along, left = route.project(np.concatenate([corners, states[..., None, :2]], axis=-2))
         self._tail, self._head = along.min(-1), along.max(-1)
         self._right, self._left = left.min(-1), left.max(-1)
+        # Of a box between two arms of a bent route, corners may belong to either: only a box whose
+        # middle is near the path can lie on it.
+        self._middle = left[..., -1]
+        self._reach = np.hypot(*others.size.T) / 2
         heading = np.interp(along[..., -1], route.arc_length, route.heading)
         self._speed = states[..., 3] * np.cos(heading) + states[..., 4] * np.sin(heading)
 
@@ -117,6 +121,7 @@ class _Leaders:
         leads = (
             (self._left[:, look] >= offset - half)
             & (self._right[:, look] <= offset + half)
+            & (np.abs(self._middle[:, look] - offset) <= half + self._reach)
             & (self._head[:, look] > place + self._vehicle.rear_axle)
             & (self._tail[:, look] < self._end)
         )

@@ -15,14 +15,15 @@ ITERATIONS = 30
 
 
 def clustered(ends: NDArray[np.floating], *, count: int, seed: int) -> NDArray[np.float32]:
-    """K centres [K, 2] of ends [M, 2] m, the nearest to the ego first."""
+    """K centres [K, P] of ends [M, 2] m, or of points of more numbers, the nearest to 0 first."""
     rng = np.random.default_rng(seed)
     chosen = rng.choice(len(ends), min(len(ends), MOST_ENDS), replace=False)
     points = np.asarray(ends, np.float64)[chosen]
     if len(points) < count:  # too few to cluster: the same ones, a little apart
-        points = np.resize(points, (count, 2)) + rng.normal(0.0, 0.5, (count, 2))
+        size = count, points.shape[1]
+        points = np.resize(points, size) + rng.normal(0.0, 0.5, size)
     centres, _ = kmeans2(points, count, iter=ITERATIONS, minit="++", seed=rng, missing="warn")
-    return centres[np.argsort(np.hypot(*centres.T))].astype(np.float32)
+    return centres[np.argsort(np.linalg.norm(centres, axis=1))].astype(np.float32)
 
 
 def read_vocabulary(path: Path, *, count: int) -> NDArray[np.float32]:

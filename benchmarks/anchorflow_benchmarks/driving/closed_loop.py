@@ -1,0 +1,71 @@
+"""Drivers in SUMO's traffic, closed loop: the others react to what is driven."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from statistics import fmean, median
+
+from anchorflow_benchmarks.report import ResultTable, Row
+from anchorflow_driving.drivers import DRIVERS, Driver
+from anchorflow_driving.simulation.closed_loop import (
+    ClosedLoopConfig,
+    RouteResult,
+    drive_route,
+)
+
+BASELINES = ("idm", "route_constant_speed", "constant_velocity", "stop")
+"""`human` is none: nobody drove here before."""
+
+NOTE = (
+    "A route ends with the first of: its length; a collision at fault, as the PDM score has it; a"
+    " corner off the road; its time. comfort: share of the 4 s stretches within the PDM score's"
+    " bounds; s: median of the completed routes; ms: median time of a plan. Every driver starts"
+    " from the same traffic."
+)
+
+
+def baselines(names: Sequence[str]) -> dict[str, Driver]:
+    return {name: DRIVERS[name] for name in names}
+
+
+def drive_routes(
+    drivers: Mapping[str, Driver],
+    config: ClosedLoopConfig,
+    *,
+    routes: int,
+    progress: Callable[[int], None] = lambda _: None,
+) -> dict[str, list[RouteResult]]:
+    """Every driver on routes 0, 1, …; `progress` hears of each."""
+    driven: dict[str, list[RouteResult]] = {name: [] for name in drivers}
+    for index in range(routes):
+        for name, driver in drivers.items():
+            driven[name].append(drive_route(driver, config, index))
+            progress(1)
+    return driven
+
+
+def routes_table(
+    driven: Mapping[str, Sequence[RouteResult]], config: ClosedLoopConfig
+) -> ResultTable:
+    count = max(map(len, driven.values()), default=0)
+    rows = [_row(name, results) for name, results in driven.items()]
+    return ResultTable(f"{count} routes of {config.length_m:g} m", rows, NOTE)
+
+
+def _row(name: str, results: Sequence[RouteResult]) -> Row:
+    ends = Counter(result.outcome for result in results)
+    km = sum(result.driven_m for result in results) / 1e3
+    finished = [result.seconds for result in results if result.outcome == "completed"]
+    comfort = [r.comfortable for r in results if r.comfortable == r.comfortable]
+    return {
+        "driver": name,
+        "completed": ends["completed"] / len(results),
+        "collisions/km": ends["collision"] / km if km else None,
+        "off road/km": ends["off road"] / km if km else None,
+        "out of time": ends["time"],
+        "km": km,
+        "comfort": fmean(comfort) if comfort else None,
+        "s": median(finished) if finished else None,
+        "ms": median(ms for result in results for ms in result.plan_ms),
+    }

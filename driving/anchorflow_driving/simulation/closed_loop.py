@@ -1,0 +1,318 @@
+"""A driver in traffic that reacts: routes on simulated nets, judged by what happened."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.drivers import PLAN_TIMES, Driver
+from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog
+from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
+from anchorflow_driving.pdm.comfort import comfort
+from anchorflow_driving.pdm.score import tracked
+from anchorflow_driving.pdm.tracker import STEPS, Motion
+from anchorflow_driving.pdm.traffic import Others, Traffic
+from anchorflow_driving.road import Road
+from anchorflow_driving.route import Route
+from anchorflow_driving.simulation.courses import SPACING, smooth_line
+from anchorflow_driving.simulation.demand import make_demand
+from anchorflow_driving.simulation.live_traffic import LiveTraffic, Seen
+from anchorflow_driving.simulation.parking import parked_cars
+from anchorflow_driving.simulation.road_net import RoadNet
+from anchorflow_driving.simulation.routes import line_ahead
+from anchorflow_driving.simulation.simulated_log import NO_WINDOWS, map_fields
+from anchorflow_driving.simulation.street_plan import make_net
+from anchorflow_driving.simulation.sumo_programs import SimulationError
+from anchorflow_driving.simulation.windows import command, fits_ego
+from anchorflow_driving.window import (
+    EgoState,
+    PlannerView,
+    Scenes,
+    Vehicle,
+    Window,
+    planner_view,
+)
+
+Array = NDArray[np.float64]
+
+ATTEMPTS = 10
+"""Draws until a vehicle is found that can drive so far."""
+LEAST_SPEED = 3.0
+"""m/s of the vehicle that is taken over: who holds its speed would stand for ever."""
+BEHIND, AHEAD = 20.0, 150.0
+"""m of the route that a planner is given."""
+COMMAND_S = 4.5
+DENSEST = 12.0
+"""Vehicles a lane and kilometre: in queues without lights nobody would get through in time."""
+
+
+@dataclass(frozen=True)
+class ClosedLoopConfig:
+    """How routes are driven.
+
+    length_m: of a route; seconds: after which it is given up; replan_s: between two plans
+    """
+
+    seed: int = 2000
+    length_m: float = 300.0
+    seconds: float = 90.0
+    replan_s: float = 0.5
+
+
+@dataclass(frozen=True)
+class RouteResult:
+    """What happened on a route, which ends with the first of completed, collision, off road, time.
+
+    comfortable: share of its stretches of 4 s
+    """
+
+    outcome: str
+    driven_m: float
+    seconds: float
+    comfortable: float
+    plan_ms: list[float] = field(repr=False)
+
+
+class LiveWindow(Window):
+    """What a driver is asked while it drives: there is a view, and no record of what comes."""
+
+    def __init__(self, view: PlannerView, scenes: Scenes) -> None:
+        self.view, self.state, self.vehicle = view, view.state, view.vehicle
+        self.log, self.road, self.index, self.ego, self.frame = (
+            scenes.log,
+            scenes.road,
+            0,
+            view.ego,
+            0,
+        )
+        self.command, self.speed_limit = view.command, view.speed_limit
+
+    def recorded(self, times: Array) -> Array:
+        raise SimulationError(f"nothing is recorded of the next {max(times):g} s: they are driven")
+
+
+def drive_route(driver: Driver, config: ClosedLoopConfig, index: int) -> RouteResult:
+    """One route; its net, its traffic and its start depend on the seed and the index alone.
+
+    Junctions have no traffic lights, since planners are not told of them.
+
+    Raises:
+        SimulationError: SUMO fails, or no vehicle is found that can drive so far.
+    """
+    for attempt in range(ATTEMPTS):
+        rng = np.random.default_rng([config.seed, index, attempt])
+        with tempfile.TemporaryDirectory() as name:
+            result = _drive(driver, config, rng, Path(name))
+        if result is not None:
+            return result
+    raise SimulationError(f"route {index}: no vehicle can drive {config.length_m:g} m")
+
+
+def _drive(
+    driver: Driver, config: ClosedLoopConfig, rng: np.random.Generator, folder: Path
+) -> RouteResult | None:
+    path = make_net(rng, folder, lights=False)
+    net = RoadNet(path)
+    warm_up_s = float(rng.uniform(12.0, 35.0))
+    demand = make_demand(
+        net, rng, folder, warm_up_s=warm_up_s, seconds=config.seconds, densest=DENSEST
+    )
+    scenes = Scenes(_bare_log(map_fields(net, level=0.2, mirror=1.0)))
+    parked = list(parked_cars(net, rng))
+    with LiveTraffic(path, demand, seed=int(rng.integers(2**31)), parked=parked) as traffic:
+        for _ in range(round(warm_up_s / FRAME_S)):
+            traffic.step()
+        for name in rng.permutation(traffic.vehicles):
+            line = _line_of(net, traffic, str(name), length=config.length_m)
+            if line is not None:
+                return _Drive(driver, config, traffic, scenes, str(name), line, net).go()
+    return None
+
+
+def _line_of(net: RoadNet, traffic: LiveTraffic, name: str, *, length: float) -> Array | None:
+    """The centreline of a vehicle's route, if it can be taken over here and drive so far."""
+    lane, position = traffic.lane_of(name)
+    fits = traffic.kind_of(name) == VEHICLE and fits_ego(traffic.size_of(name)[0])
+    fast = np.hypot(*traffic.state_of(name)[3:]) > LEAST_SPEED
+    if not (fits and fast and lane in net.lanes and not net.lanes[lane].in_junction):
+        return None
+    points = line_ahead(
+        net, net.lanes[lane], position, traffic.route_ahead(name), length=length + 2 * AHEAD
+    )
+    behind = traffic.state_of(name)[:2]
+    if np.linalg.norm(points[0] - behind) > 1.0:
+        points = np.concatenate([behind[None], points])
+    line = smooth_line(points, before=BEHIND, sigma=1.5)
+    return line if (len(line) - 1) * SPACING > length + BEHIND + 20.0 else None
+
+
+class _Drive:
+    """A vehicle that follows a driver's plans until its route ends."""
+
+    def __init__(
+        self,
+        driver: Driver,
+        config: ClosedLoopConfig,
+        traffic: LiveTraffic,
+        scenes: Scenes,
+        ego: str,
+        line: Array,
+        net: RoadNet,
+    ) -> None:
+        self._driver, self._config, self._traffic, self._ego = driver, config, traffic, ego
+        self._scenes, self._line, self._net = scenes, line, net
+        self._vehicle = Vehicle(*traffic.size_of(ego))
+        self._touched: set[str] = set()
+        self._place = self._begin = round(BEHIND / SPACING)
+        self._motions: list[Motion] = []
+        self._plan_ms: list[float] = []
+        self._limit = 13.9
+        traffic.take_over(ego)
+
+    def go(self) -> RouteResult:
+        state: EgoState | None = None
+        outcome, stride = "time", round(self._config.replan_s / FRAME_S)
+        for _ in range(round(self._config.seconds / self._config.replan_s)):
+            window = self._window(state)
+            motion = self._planned(window)
+            fault = self._execute(motion, stride)
+            state = _at(motion, stride)
+            if fault is not None:
+                outcome = fault
+                break
+            if self._driven() >= self._config.length_m:
+                outcome = "completed"
+                break
+        return RouteResult(
+            outcome=outcome,
+            driven_m=self._driven(),
+            seconds=sum(m.speed.shape[1] - 1 for m in self._motions) * FRAME_S,
+            comfortable=_comfortable(self._motions),
+            plan_ms=self._plan_ms,
+        )
+
+    def _driven(self) -> float:
+        return (self._place - self._begin) * SPACING
+
+    def _window(self, state: EgoState | None) -> LiveWindow:
+        seen = self._traffic.seen()
+        lane, _ = self._traffic.lane_of(self._ego)
+        if lane in self._net.lanes:
+            self._limit = self._net.lanes[lane].speed
+        ego = seen.names.index(self._ego)
+        middle = seen.states[ego, -1]
+        self._advance(middle[:2])
+        now, speed = self._place * SPACING, float(np.hypot(*middle[3:]))
+        begin, end = (round((now + away) / SPACING) for away in (-BEHIND, AHEAD))
+        view = planner_view(
+            seen.states,
+            ego=ego,
+            track_type=seen.kind,
+            track_size=seen.size,
+            route=self._line[max(begin, 0) : end],
+            command=command(self._line, now, now + COMMAND_S * speed),
+            speed_limit=self._limit,
+            scenes=self._scenes,
+        )
+        # The tracker's own state goes on without the errors of differences.
+        return LiveWindow(view if state is None else replace(view, state=state), self._scenes)
+
+    def _planned(self, window: LiveWindow) -> Motion:
+        started = perf_counter()
+        plan = self._driver(window, PLAN_TIMES)
+        self._plan_ms.append(1e3 * (perf_counter() - started))
+        return tracked(plan[None], window.view.state, self._vehicle)
+
+    def _execute(self, motion: Motion, stride: int) -> str | None:
+        """Drives so many steps; what ends the route, if anything does."""
+        for step in range(1, stride + 1):
+            middle = self._vehicle.middles(motion.poses[0, step])
+            self._traffic.step(self._ego, middle, float(motion.speed[0, step]))
+        driven = _part(motion, stride)
+        self._motions.append(driven)
+        seen = self._traffic.seen()
+        ego = seen.names.index(self._ego)
+        self._advance(seen.states[ego, -1, :2])
+        kept = [
+            i
+            for i in range(len(seen.states))
+            if i != ego and self._name(seen, i) not in self._touched
+        ]
+        others = Others(seen.states[kept, -stride - 1 :], seen.size[kept], seen.kind[kept])
+        scene = _scene(self._scenes.road, self._vehicle, others, self._line)
+        placement = Placement(driven, self._vehicle, self._scenes.road)
+        if placement.off_road.any():
+            return "off road"
+        fault, _ = no_collision(driven, scene, placement)
+        if fault[0] < 1:
+            return "collision"
+        contacts = find_contacts(driven, scene, ahead=0)
+        self._touched |= {self._name(seen, kept[i]) for i in contacts.track.tolist()}
+        return None
+
+    @staticmethod
+    def _name(seen: Seen, index: int) -> str:
+        return seen.names[index] if index < len(seen.names) else f"parked {index - len(seen.names)}"
+
+    def _advance(self, middle: Array) -> None:
+        """The nearest place on the route not far from the last one: a route may cross itself."""
+        low = max(self._place - 20, 0)
+        near = self._line[low : self._place + 80]
+        self._place = low + int(np.linalg.norm(near - middle, axis=1).argmin())
+
+
+def _bare_log(fields: dict) -> DrivingLog:
+    """A log of a map alone."""
+    return DrivingLog(
+        name="closed loop",
+        source="simulated",
+        licence="none",
+        city="",
+        dt=FRAME_S,
+        track_type=np.zeros(1, np.uint8),
+        track_size=np.ones((1, 2), np.float32),
+        track_state=np.full((1, 1, 5), np.nan, np.float32),
+        **fields,
+        **NO_WINDOWS,
+    )
+
+
+def _scene(road: Road, vehicle: Vehicle, others: Others, line: Array) -> Traffic:
+    start = EgoState(np.zeros(3), 0.0, 0.0, 0.0)
+    return Traffic(road, Route(line), vehicle, start, np.nan, others)
+
+
+def _part(motion: Motion, steps: int) -> Motion:
+    cut = slice(0, steps + 1)
+    return Motion(
+        motion.poses[:, cut],
+        motion.speed[:, cut],
+        motion.acceleration[:, cut],
+        motion.yaw_rate[:, cut],
+    )
+
+
+def _at(motion: Motion, step: int) -> EgoState:
+    speed = float(motion.speed[0, step])
+    return EgoState(
+        pose=motion.poses[0, step],
+        speed=max(speed, 0.0),
+        acceleration=float(motion.acceleration[0, step]),
+        curvature=float(motion.yaw_rate[0, step]) / speed if abs(speed) > 0.1 else 0.0,
+    )
+
+
+def _comfortable(motions: list[Motion]) -> float:
+    """Share of the stretches of 4 s, one after the other, that are comfortable."""
+    whole = [
+        np.concatenate([getattr(m, name)[:, 1:] for m in motions], axis=1)
+        for name in ("poses", "speed", "acceleration", "yaw_rate")
+    ]
+    begins = range(0, whole[0].shape[1] - STEPS, STEPS)
+    parts = [Motion(*(each[:, begin : begin + STEPS + 1] for each in whole)) for begin in begins]
+    return float(np.mean([comfort(part)[0] for part in parts])) if parts else float("nan")

@@ -1,0 +1,143 @@
+"""SUMO's traffic while somebody else drives one of its vehicles."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import libsumo
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.geometry import ahead_of
+from anchorflow_driving.log import HISTORY_FRAMES, PEDESTRIAN, VEHICLE
+from anchorflow_driving.simulation.demand import Demand
+from anchorflow_driving.simulation.recording import PERSON_SIZE, Traffic
+
+Array = NDArray[np.float64]
+
+FREE_PLACEMENT = 2
+"""moveToXY's keepRoute: exactly there, on the route or off it."""
+UNCHECKED = 0
+"""Speed and lane-change modes in which SUMO leaves a vehicle to us."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Everybody in the last frames; K tracks."""
+
+    names: list[str]
+    states: Array  # [K, HISTORY_FRAMES + 1, 5], NaN where absent; the last frame is now
+    size: Array  # [K, 2]
+    kind: NDArray[np.uint8]  # [K]
+
+
+class LiveTraffic:
+    """Steps SUMO, moves the ego, remembers who was where.
+
+    parked: who stands beside the road all the time
+    """
+
+    def __init__(
+        self,
+        net: Path,
+        demand: Demand,
+        *,
+        seed: int,
+        parked: list[tuple[tuple[float, float], Array]],
+    ) -> None:
+        self._sumo, self._demand = Traffic(net, demand, seed=seed), demand
+        self._parked = parked
+        self._past: deque[dict[str, Array]] = deque(maxlen=HISTORY_FRAMES + 1)
+        self._size: dict[str, tuple[float, float]] = {}
+        self._kind: dict[str, int] = {}
+
+    def __enter__(self) -> LiveTraffic:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._sumo.__exit__()
+
+    @property
+    def vehicles(self) -> list[str]:
+        return sorted(name for name in self._past[-1] if self._kind[name] != PEDESTRIAN)
+
+    def size_of(self, name: str) -> tuple[float, float]:
+        return self._size[name]
+
+    def state_of(self, name: str) -> Array:
+        """[5] now."""
+        return self._past[-1][name]
+
+    def kind_of(self, name: str) -> int:
+        return self._kind[name]
+
+    def lane_of(self, name: str) -> tuple[str, float]:
+        """The lane and the position along it, m."""
+        return libsumo.vehicle.getLaneID(name), libsumo.vehicle.getLanePosition(name)
+
+    def route_ahead(self, name: str) -> list[str]:
+        """The edges that are left, the present one first."""
+        return self._demand.routes[name][libsumo.vehicle.getRouteIndex(name) :]
+
+    def take_over(self, name: str) -> None:
+        libsumo.vehicle.setSpeedMode(name, UNCHECKED)
+        libsumo.vehicle.setLaneChangeMode(name, UNCHECKED)
+
+    def step(self, ego: str | None = None, pose: Array | None = None, speed: float = 0.0) -> None:
+        """One frame; the middle of the ego's box goes to `pose` [3] and has `speed`."""
+        if ego is not None and pose is not None:
+            front = ahead_of(pose, self._size[ego][0] / 2)
+            bearing = 90.0 - np.rad2deg(pose[2])
+            libsumo.vehicle.setSpeed(ego, speed)
+            libsumo.vehicle.moveToXY(
+                ego, "", -1, front[0], front[1], angle=bearing % 360.0, keepRoute=FREE_PLACEMENT
+            )
+        self._sumo.step()
+        now = {**_vehicles(self._size, self._kind, self._demand), **_people(self._size, self._kind)}
+        if ego is not None and pose is not None:
+            velocity = speed * np.array([np.cos(pose[2]), np.sin(pose[2])])
+            now[ego] = np.concatenate([pose, velocity])
+        self._past.append(now)
+
+    def seen(self) -> Seen:
+        names = sorted({name for frame in self._past for name in frame})
+        absent = np.full(5, np.nan)
+        moving = [[frame.get(name, absent) for frame in self._past] for name in names]
+        standing = [[state] * len(self._past) for _, state in self._parked]
+        size = [self._size[name] for name in names] + [size for size, _ in self._parked]
+        kind = [self._kind[name] for name in names] + [VEHICLE] * len(self._parked)
+        states = np.array(moving + standing)
+        # Headings unwrapped, as a log has them.
+        turn = np.nan_to_num(states[..., 2])
+        states[..., 2] += np.unwrap(turn, axis=1) - turn
+        return Seen(names, states, np.array(size), np.array(kind, np.uint8))
+
+
+def _vehicles(
+    size: dict[str, tuple[float, float]], kind: dict[str, int], demand: Demand
+) -> dict[str, Array]:
+    states, vehicle = {}, libsumo.vehicle
+    for name in vehicle.getIDList():
+        if name not in size:
+            size[name] = vehicle.getLength(name), vehicle.getWidth(name)
+            kind[name] = demand.vehicle_kind[vehicle.getTypeID(name).partition("@")[0]]
+        heading = np.deg2rad(90.0 - vehicle.getAngle(name))
+        middle = ahead_of(np.array([*vehicle.getPosition(name), heading]), -size[name][0] / 2)
+        states[name] = _state(middle, vehicle.getSpeed(name))
+    return states
+
+
+def _people(size: dict[str, tuple[float, float]], kind: dict[str, int]) -> dict[str, Array]:
+    states, person = {}, libsumo.person
+    for name in person.getIDList():
+        size[name], kind[name] = PERSON_SIZE, PEDESTRIAN
+        heading = np.deg2rad(90.0 - person.getAngle(name))
+        place = np.array([*person.getPosition(name), heading])
+        states[name] = _state(place, person.getSpeed(name))
+    return states
+
+
+def _state(pose: Array, speed: float) -> Array:
+    return np.array([*pose, speed * np.cos(pose[2]), speed * np.sin(pose[2])])

@@ -1,0 +1,140 @@
+"""The centreline that a simulated driver followed, and goes on to follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.simulation.courses import SPACING, smooth_line
+from anchorflow_driving.simulation.recording import VehicleRecord
+from anchorflow_driving.simulation.road_net import NetLane, RoadNet
+
+Array = NDArray[np.float64]
+
+BLEND = 12.0
+"""m before and after a change of lanes that the route takes for it."""
+SIDESTEP = 1.0
+"""m between two frames that only a change of lanes explains, beyond what was driven."""
+CHANGING_SPACING = 2.0
+"""m between points where a line changes lanes."""
+BEYOND = 60.0
+"""m that a route goes on past the record."""
+
+
+def followed_line(net: RoadNet, vehicle: VehicleRecord) -> tuple[Array, Array]:
+    """The smoothed centreline [V, 2], and where on it [F] the front bumper was, m."""
+    front = np.asarray(vehicle.front)
+    points = [
+        _on_lane(net, name, [position for _, position in along], front[begin : begin + len(along)])
+        for name, begin, along in _runs(vehicle.lane)
+    ]
+    last = net.lanes.get(vehicle.lane[-1][0])
+    if last:
+        edges, place = vehicle.route[vehicle.on_route :], vehicle.lane[-1][1]
+        points.append(line_ahead(net, last, place, edges, length=BEYOND))
+    line = _blended(np.concatenate(points), front, len(front))
+    smoothed = smooth_line(line, sigma=1.5)
+    return smoothed, _places(smoothed, front)
+
+
+def _runs(lane: list[tuple[str, float]]) -> Iterator[tuple[str, int, list[tuple[str, float]]]]:
+    """Frames on one lane: its name, the first of them, and what was noted."""
+    begin = 0
+    for name, group in groupby(lane, key=lambda noted: noted[0]):
+        along = list(group)
+        yield name, begin, along
+        begin += len(along)
+
+
+def _on_lane(net: RoadNet, name: str, positions: list[float], front: Array) -> Array:
+    """[F, 2] of the lane's centreline; where SUMO names none of ours, where the vehicle was."""
+    lane = net.lanes.get(name)
+    return lane.points(np.array(positions)) if lane else front
+
+
+def line_ahead(
+    net: RoadNet, lane: NetLane, position: float, edges: Sequence[str], *, length: float
+) -> Array:
+    """Points [V, 2] from a position on a lane along edges, for `length` m or as far as they go.
+
+    edges: the lane's own, or the one before its junction, is the first. Where another lane of an
+    edge leads on, the line changes over in the middle of the edge.
+    """
+    parts, left = [], list(edges)
+    start, done = position / lane.sumo_length, 0.0
+    while done < length:
+        if lane.in_junction:
+            leaves, leading = lane, net.following[lane.name]
+        else:
+            while left and left[0] != lane.edge:
+                left.pop(0)
+            leaves, leading = _exit(net, lane, left[1]) if len(left) > 1 else (lane, [])
+        parts.append(_changing(lane, leaves, start))
+        done += (1 - start) * lane.arc_length[-1]
+        if not leading:
+            break
+        lane, start = net.lanes[leading[0]], 0.0
+    return np.concatenate(parts)
+
+
+def _exit(net: RoadNet, lane: NetLane, edge: str) -> tuple[NetLane, list[str]]:
+    """The nearest lane of the same edge that leads to another, and what follows it there."""
+    for leaves in sorted(net.edges[lane.edge], key=lambda beside: abs(beside.index - lane.index)):
+        leading = [
+            name for name in net.following[leaves.name] if _leads_to(net, net.lanes[name], edge)
+        ]
+        if leading:
+            return leaves, leading
+    return lane, []
+
+
+def _changing(lane: NetLane, leaves: NetLane, start: float) -> Array:
+    """From a share of a lane on to the end of another beside it, gradually."""
+    count = max(2, round((1 - start) * lane.arc_length[-1] / CHANGING_SPACING) + 1)
+    share = np.linspace(start, 1.0, count)
+    if leaves is lane:
+        # The lane's own points, so that its curves stay as they are.
+        inner = lane.arc_length / lane.arc_length[-1]
+        share = np.concatenate([[start], inner[inner > start]])
+    over = np.clip(((share - start) / max(1 - start, 1e-9) - 0.3) / 0.4, 0.0, 1.0)[:, None]
+    over = over**2 * (3 - 2 * over)
+    here, there = (each.points(share * each.sumo_length) for each in (lane, leaves))
+    return (1 - over) * here + over * there
+
+
+def _leads_to(net: RoadNet, lane: NetLane, edge: str) -> bool:
+    while lane.in_junction:
+        following = net.following[lane.name]
+        if not following:
+            return False
+        lane = net.lanes[following[0]]
+    return lane.edge == edge
+
+
+def _blended(points: Array, front: Array, recorded: int) -> Array:
+    """The line without the points around sideways steps, so that it goes over gradually."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    driven = np.concatenate([np.linalg.norm(np.diff(front, axis=0), axis=1), [0.0]])
+    allowed = np.full(len(steps), np.inf)
+    allowed[: recorded - 1] = driven[: recorded - 1] + SIDESTEP
+    kept = np.ones(len(points), bool)
+    length = np.concatenate([[0.0], np.minimum(steps, allowed).cumsum()])
+    for jump in np.flatnonzero(steps > allowed):
+        kept &= np.abs(length - length[jump]) > BLEND
+    kept[[0, -1]] = True
+    moved = np.append(True, steps > 1e-3)
+    return points[kept & moved]
+
+
+def _places(line: Array, front: Array) -> Array:
+    """Where on the line each point lies, m; never backwards, so a crossing line cannot mislead."""
+    place, places = 0, []
+    for point in front:
+        # Within what a vehicle may drive in a frame, and some.
+        near = line[place : place + 40]
+        place += int(np.linalg.norm(near - point, axis=1).argmin())
+        places.append(place * SPACING)
+    return np.array(places)

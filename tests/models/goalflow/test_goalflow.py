@@ -1,0 +1,136 @@
+"""GoalFlow's graphs in torch: what they give, and that neither scenes nor anchors hear others."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow.goalflow import POSE, Context
+
+
+def road(batch: int = 1) -> Tensor:
+    """uint8 [B, C, H, W]: drivable from 4 m left to 4 m right."""
+    bev = torch.zeros(batch, 20, 192, 128, dtype=torch.uint8)
+    bev[:, 0, :, 56:72] = 255
+    return bev
+
+
+def statuses(*speeds: float) -> Tensor:
+    return torch.tensor([[0, 1, 0, 0, speed, 0, 0, 0] for speed in speeds])
+
+
+SIZE = torch.tensor([[4.6, 1.9]])
+
+
+@pytest.fixture(params=["mlp", "transformer"])
+def model(request: pytest.FixtureRequest) -> GoalFlow:
+    torch.manual_seed(0)
+    config = GoalFlowConfig(
+        goals=32, picked=7, backbone=request.param, width=32, channels=8, feature_channels=4
+    )
+    return GoalFlow(config).eval()
+
+
+def sampled(model: GoalFlow, context: Context, noise: Tensor, *, steps: int) -> Tensor:
+    """Euler steps from noise [N, 3T]: [B, N, T, S]."""
+    components = context["prior_mean"]
+    mean = components[:, torch.arange(len(noise)) % components.shape[1]]
+    x = mean + (noise @ context["prior_basis"]).unflatten(-1, mean.shape[2:])
+    for step in range(steps):
+        modulation = model.modulate(torch.tensor([step / steps]), context)[:, 0]
+        x = x + model.field(x, mean, modulation, context) / steps
+    return x
+
+
+@torch.no_grad()
+def shaken(model: GoalFlow) -> GoalFlow:
+    """With a field that does something."""
+    for parameter in model.flow.parameters():
+        parameter.add_(0.05 * torch.randn(parameter.shape))
+    return model
+
+
+@torch.no_grad()
+def test_the_untrained_field_leads_from_noise_to_the_way(model: GoalFlow) -> None:
+    context = model.encode(road(), statuses(8.0), SIZE)
+    noise = torch.randn(8, 24)
+    for steps in (1, 4):
+        x_1 = sampled(model, context, noise, steps=steps)
+        torch.testing.assert_close(x_1, context["prior_mean"], atol=1e-4, rtol=0)
+
+
+@torch.no_grad()
+def test_goals_come_with_those_first_that_are_drawn_to(model: GoalFlow) -> None:
+    context = model.encode(road(), statuses(8.0), SIZE)
+    goals, scores = context["goals"][0], context["goal_scores"][0]
+
+    assert sorted(map(tuple, goals.tolist())) == sorted(map(tuple, model.vocabulary.tolist()))
+    assert (scores[7:].diff() <= 0).all()
+    ways = model.ways_to(goals[None, :7], torch.tensor([8.0]))
+    torch.testing.assert_close(context["prior_mean"][:, :7], ways)
+    assert context["prior_mean"][0, :, 0, POSE].tolist() == [1.0] * 7 + [0.0]  # the shadow
+
+
+@torch.no_grad()
+def test_scenes_and_anchors_hear_no_others(model: GoalFlow) -> None:
+    shaken(model)
+    bev = torch.cat([road(), torch.randint(0, 255, (2, 20, 192, 128), dtype=torch.uint8)])
+    status, size, noise = statuses(8.0, 3.0, 12.0), SIZE.expand(3, -1), torch.randn(9, 24)
+    context = model.encode(bev, status, size)
+    together = sampled(model, context, noise, steps=2)
+    mean = context["prior_mean"][:, torch.arange(9) % 8]
+    scores = model.score(together, mean, context)
+    for scene in range(3):
+        own = slice(scene, scene + 1)
+        alone = model.encode(bev[own], status[own], size[own])
+        x_1 = sampled(model, alone, noise, steps=2)
+        torch.testing.assert_close(x_1, together[own], atol=1e-4, rtol=1e-4)
+        first = sampled(model, alone, noise[:3], steps=2)
+        torch.testing.assert_close(first, together[own, :3], atol=1e-4, rtol=1e-4)
+        of_first = model.score(first, alone["prior_mean"][:, :3], alone)
+        torch.testing.assert_close(of_first, scores[own, :3], atol=1e-5, rtol=1e-3)
+
+
+@torch.no_grad()
+def test_every_answer_starts_at_the_present_speed(model: GoalFlow) -> None:
+    shaken(model)
+    context = model.encode(road(), statuses(10.0), SIZE)
+    x_1 = sampled(model, context, torch.randn(8, 24), steps=3)
+
+    # 0.5 s at 10 m/s, pulling or braking at no more than a car can; a bend shortens the chord.
+    first = x_1[0, :, 0, :2].norm(dim=-1)
+    assert ((first > 4.1) & (first < 5.0 + 0.3)).all()
+
+
+@torch.no_grad()
+def test_a_box_in_the_way_and_a_road_that_ends_cost_score(model: GoalFlow) -> None:
+    def score(bev: Tensor) -> float:
+        context = model.encode(bev, statuses(10.0), SIZE)
+        way = model.ways_to(torch.tensor([[[40.0, 0.0]]]), context["speed"])
+        return float(model.score(way, way, {**context, **blind}))
+
+    blind = {name: model.encode(road(), statuses(10.0), SIZE)[name] for name in ("features",)}
+    blind["context"] = model.encode(road(), statuses(10.0), SIZE)["context"]
+    free = score(road())
+    parked, gone, ends = road(), road(), road()
+    parked[:, 11:, 90:110, 60:68] = 255  # 25 to 35 m ahead, at all times
+    gone[:, 11, 90:110, 60:68] = 255  # there in 0.5 s and no later
+    ends[:, 0, :100] = 0  # beyond 30 m
+    assert score(gone) == pytest.approx(free, rel=1e-3)
+    assert score(parked) < 0.05 * free
+    assert score(ends) < 0.05 * free
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"backbone": "unet"}, "backbone: expected one of mlp, transformer, got 'unet'"),
+        ({"picked": 256}, "picked: expected below goals, 256, got 256"),
+        ({"sigma": 0.0}, "sigma: expected above 0"),
+    ],
+)
+def test_a_wrong_configuration_is_named(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        GoalFlowConfig(**wrong)  # pyright: ignore[reportArgumentType]
