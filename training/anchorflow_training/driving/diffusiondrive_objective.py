@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import torch
@@ -20,10 +21,12 @@ from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive import DiffusionDriveV2, Perceived
 from anchorflow_models.diffusiondrive.config import SCHEDULES, START, TRAINED_LEVELS
+from anchorflow_models.diffusiondrive.denoiser import Denoised
+from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import pdm_score
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
 from anchorflow_training.settings import setting
-from anchorflow_trajectory.ddim import CLEAN, NoiseLevels, ddim_step, noised
+from anchorflow_trajectory.ddim import NoiseLevels, ddim_step, noised
 
 Terms = dict[str, Tensor]
 Judge = Callable[[Tensor, Tensor], Tensor]
@@ -101,6 +104,7 @@ class DiffusionDriveObjective(nn.Module):
         [B, Q, 5] and agent_count [B]; semantics [B, H/2, H] classes; window [B], for the judge."""
         sensors = (batch["camera"], batch["lidar"], batch["ego_status"])
         if self.config.stage == "scorers":
+            self.model.perception.eval()  # it does not learn, its normalisation neither
             with torch.no_grad():
                 seen = self.model.perception(*sensors)
             terms = self._scorers(seen, batch["window"], noise, diversity, order)
@@ -122,7 +126,7 @@ class DiffusionDriveObjective(nn.Module):
     ) -> Terms:
         model, future = self.model, batch["future"]
         signal = torch.as_tensor(SIGNAL, dtype=noise.dtype, device=noise.device)[level]
-        x_t = noised(self._begin(1), noise, signal[:, None, None, None])
+        x_t = noised(begun(model, groups=1), noise, signal[:, None, None, None])
         winner = self.nearest(future)
         rows = torch.arange(len(winner), device=winner.device)
         classes, poses = [], []
@@ -150,7 +154,7 @@ class DiffusionDriveObjective(nn.Module):
         with torch.no_grad():
             diversity = diversity.clone()
             diversity[:, :, 0] = 0.0  # as the sampler has it
-            candidates = model.candidates(self._denoised(seen, noise), diversity)
+            candidates = model.candidates(denoised(model, scene, noise).trajectories, diversity)
             chosen = order.argsort(-1)[:, : self.config.judged, None, None]
             candidates = torch.take_along_dim(candidates, chosen, 1)
             truth = self._judged(windows, candidates)
@@ -177,7 +181,7 @@ class DiffusionDriveObjective(nn.Module):
         self, seen: Perceived, windows: Tensor, noise: Tensor, factors: Tensor
     ) -> Terms:
         """The last step as a policy: a Gaussian about its poses, as wide as they are long."""
-        made = self._denoised(seen, noise)
+        made = denoised(self.model, seen.scene, noise).trajectories
         mean = made[..., :2]
         spread = self.config.exploration
         sample = mean.detach() * (1 + spread * factors[:, :, None])
@@ -194,30 +198,28 @@ class DiffusionDriveObjective(nn.Module):
             "failed": (advantage == FAILED).float().mean(),
         }
 
-    def _begin(self, groups: int) -> Tensor:
-        """[1, A G, T, 2] in the diffusion's units."""
-        return self.model.denoiser.space.normalised(self.model.anchors)[None].repeat(
-            1, groups, 1, 1
-        )
-
-    def _denoised(self, seen: Perceived, noise: Tensor) -> Tensor:
-        """Trajectories [B, A G, T, 3] of the card's sampler; gradients of the last step alone."""
-        model, levels = self.model, SCHEDULES[self.model.config.steps]
-        begin = self._begin(noise.shape[1] // model.config.anchors)
-        x = noised(begin, noise, float(SIGNAL[START]))
-        signals = [float(SIGNAL[level]) for level in levels]
-        for level, signal, following in zip(levels, signals, (*signals[1:], CLEAN), strict=True):
-            last = following == CLEAN
-            with torch.set_grad_enabled(last and torch.is_grad_enabled()):
-                t = torch.full((1,), float(level), device=x.device)
-                made = model.denoiser(x, t, seen.scene)[-1].trajectories
-                x_0 = model.denoiser.space.normalised(made[..., :2])
-                x = ddim_step(x, x_0, signal, following=following)
-        return made  # pyright: ignore[reportPossiblyUnboundVariable] - a schedule has a step
-
     def _judged(self, windows: Tensor, trajectories: Tensor) -> Tensor:
         assert self.judge is not None  # as the constructor found
         return self.judge(windows, trajectories).to(trajectories)
+
+
+def begun(model: DiffusionDriveV2, *, groups: int) -> Tensor:
+    """The anchors of all groups [1, A G, T, 2] in the diffusion's units, before any noise."""
+    anchors = model.denoiser.space.normalised(model.anchors)
+    return anchors[None].repeat(1, groups, 1, 1)
+
+
+def denoised(model: DiffusionDriveV2, scene: SceneFeatures, noise: Tensor) -> Denoised:
+    """What the card's sampler makes of noise [B, A G, T, 2]; gradients of its last step alone."""
+    *before, last = SCHEDULES[model.config.steps]
+    begin = begun(model, groups=noise.shape[1] // len(model.anchors))
+    x = noised(begin, noise, float(SIGNAL[START]))
+    with torch.no_grad():
+        for level, after in pairwise((*before, last)):
+            made = model.denoiser(x, torch.full((1,), float(level), device=x.device), scene)[-1]
+            x_0 = model.denoiser.space.normalised(made.trajectories[..., :2])
+            x = ddim_step(x, x_0, float(SIGNAL[level]), following=float(SIGNAL[after]))
+    return model.denoiser(x, torch.full((1,), float(last), device=x.device), scene)[-1]
 
 
 def advantages(sub_scores: Tensor, anchors: int) -> Tensor:
