@@ -63,6 +63,8 @@ class Noise:
 class TruncatedDiffusionSampler:
     """The graphs of a "truncated_diffusion" bundle, opened; several threads may sample at once.
 
+    graphs: by role
+
     Raises:
         BundleError: a graph cannot be opened or its signature is not the manifest's.
         ProviderError: the provider is not to be had.
@@ -73,7 +75,7 @@ class TruncatedDiffusionSampler:
         assert isinstance(manifest.sampler, TruncatedDiffusionEntry)
         self._entry = manifest.sampler
         self._signal = self._entry.noise.variances().signal
-        self._graphs = {
+        self.graphs = {
             role: WideGraph(bundle, role, threads=threads, provider=provider) for role in NEEDED
         }
         self._T = manifest.time.steps
@@ -112,7 +114,7 @@ class TruncatedDiffusionSampler:
 
     def settle(self, scene: ConditionedScene) -> None:
         """Look whether each graph gives the same bytes on one thread and on many."""
-        graphs, entry = self._graphs, self._entry
+        graphs, entry = self.graphs, self._entry
         context = graphs["encode"].settle(scene.inputs(graphs["encode"].input_names))
         noise = self.draw_noise(seed=0)
         level = self._t(entry.start)
@@ -127,7 +129,7 @@ class TruncatedDiffusionSampler:
 
     def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
         """What the first graph gives."""
-        encode = self._graphs["encode"]
+        encode = self.graphs["encode"]
         return encode(scene.inputs(encode.input_names), threads=threads)
 
     def draw_noise(self, *, seed: int) -> Noise:
@@ -148,7 +150,7 @@ class TruncatedDiffusionSampler:
         self, context: Context, noise: Noise, *, steps: int, threads: int = 1, check: Check
     ) -> Array:
         """Trajectories [A G, T, D] after so many steps; `check` is called after each."""
-        denoise = self._graphs["denoise"]
+        denoise = self.graphs["denoise"]
         levels = self._entry.levels_of(steps)
         signals = [*(float(self._signal[level]) for level in levels), CLEAN]
         x, fixed, told = self.beginning(context, noise), denoise.select(context), {}
@@ -167,7 +169,7 @@ class TruncatedDiffusionSampler:
         noise = self.draw_noise(seed=request.seed)
         found = self.denoised(context, noise, steps=spec.steps, threads=threads, check=check)
         fed = {**context, TRAJECTORIES: found[None], "diversity": noise.diversity[None]}
-        coarse, fine = self._graphs["coarse"], self._graphs["fine"]
+        coarse, fine = self.graphs["coarse"], self.graphs["fine"]
         judged = coarse(coarse.select(fed), threads=threads)
         check()
         kept = self._picked(judged, _best(judged[COARSE_SCORES][0], self._entry.keep))
