@@ -93,7 +93,7 @@ def test_every_size_may_be_another() -> None:
     told = shapes(whole(planner(config), sensors(config, B=2)))
     assert told["trajectories"] == (2, 14, 8, 3)
     assert told["candidates"] == (2, 7 * 2 * 3 + 4, 8, 3)
-    assert (told["scores"], told["bev_semantics"]) == ((2, 5), (2, 3, 64, 128))
+    assert (told["scores"], told["bev_semantics"]) == ((2, 5), (2, 3, 128, 256))
 
 
 @torch.inference_mode()

@@ -120,15 +120,15 @@ def test_steps_make_every_term_smaller(stage: str) -> None:
 
 def test_reinforcement_drives_farther() -> None:
     loss_of = objective("reinforcement", classes=0, poses=0, agents=0, semantics=0)
-    given, optimiser = batch(), torch.optim.AdamW(loss_of.model.denoiser.parameters(), 1e-3)
+    given, optimiser = batch(), torch.optim.AdamW(loss_of.model.denoiser.parameters(), 1e-2)
     before = loss_of(given, *drawn_for(loss_of))[1]["pdms"]
-    for seed in range(25):
+    for seed in range(20):
         draws = loss_of.draw(B, 1, torch.Generator().manual_seed(seed + 1))
         loss, _ = loss_of(given, *draws)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-    assert loss_of(given, *drawn_for(loss_of))[1]["pdms"] > before + 0.005
+    assert loss_of(given, *drawn_for(loss_of))[1]["pdms"] > before + 0.1
 
 
 def test_advantages_by_hand() -> None:
