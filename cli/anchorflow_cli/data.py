@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from anchorflow_cli.data_anchors import anchors, sensors
 from anchorflow_cli.data_drive import drive
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
@@ -83,6 +84,8 @@ def make(
 
 
 app.command()(drive)
+app.command()(anchors)
+app.command()(sensors)
 
 
 @app.command("import")

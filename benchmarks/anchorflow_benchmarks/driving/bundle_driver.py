@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
-from anchorflow_client.contract import AnchorBatch, OdeSpec
+from anchorflow_client.contract import AnchorBatch, OdeSpec, TensorSpec
+from anchorflow_client.sensors import resize_image
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.sensors import draw_bev, status_of
+from anchorflow_driving.sensors.bev import draw_bev
+from anchorflow_driving.sensors.lidar import simulated_lidar
+from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import PlannerView, Window
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
@@ -25,12 +28,32 @@ Array = NDArray[np.float64]
 
 SEED = 0
 
-SENSORS: Mapping[str, Callable[[PlannerView], NDArray[Any]]] = {
-    "bev": draw_bev,
-    "ego_status": status_of,
-    "vehicle_size": lambda view: view.vehicle.size.astype(np.float32),
+Sensor = Callable[[PlannerView, TensorSpec], NDArray[Any]]
+
+
+def _camera(view: PlannerView, spec: TensorSpec) -> NDArray[np.uint8]:
+    """The simulated cameras, in the size that the card asks for."""
+    # Here, because it needs the extra "driving", which other bundles do without.
+    from anchorflow_driving.sensors.cameras import simulated_camera
+    from anchorflow_driving.sensors.rendering import Renderer
+
+    if not _RENDERER:
+        _RENDERER.append(Renderer())
+    rows, columns = (int(size) for size in spec.shape[-2:])
+    picture = simulated_camera(view, _RENDERER[0]).transpose(1, 2, 0)
+    return resize_image(picture, rows=rows, columns=columns).transpose(2, 0, 1)
+
+
+_RENDERER: list[Any] = []  # one a process: it holds a context of the graphics driver
+
+SENSORS: Mapping[str, Sensor] = {
+    "bev": lambda view, _: draw_bev(view),
+    "camera": _camera,
+    "ego_status": lambda view, _: status_of(view),
+    "lidar": lambda view, _: simulated_lidar(view),
+    "vehicle_size": lambda view, _: view.vehicle.size.astype(np.float32),
 }
-"""What a bundle may ask for, by the name of its input."""
+"""What a bundle may ask for, by the name of its input; camera and LiDAR are simulated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +83,8 @@ class BundleDriver:
 
     Raises:
         BundleError: the bundle is broken.
-        BenchmarkError: it asks for what no log tells, answers at other times than PLAN_TIMES, or has
-            no such sampler.
+        BenchmarkError: it asks for what no log tells, answers at other times than PLAN_TIMES, or
+            has no such sampler.
     """
 
     def __init__(
@@ -84,14 +107,14 @@ class BundleDriver:
             raise BenchmarkError(f"{card.name}: expected sampler {CARD}, got {sampler!r}")
         extras = {spec.name for spec in card.answer.extras}
         self._goals = [name for name in ("goals", "goal_scores") if name in extras]
-        self._inputs = [spec.name for spec in card.inputs]
+        self._inputs = card.inputs
         self.name = card.name if sampler == CARD else f"{card.name}_{sampler.replace(':', '_')}"
         self._client = LocalClient(Engine(bundle, threads=threads))
 
     def propose(self, window: Window) -> Proposals:
         """What it answers on a window's view."""
         started = perf_counter()
-        inputs = {name: SENSORS[name](window.view) for name in self._inputs}
+        inputs = {spec.name: SENSORS[spec.name](window.view, spec) for spec in self._inputs}
         drawing_ms = 1e3 * (perf_counter() - started)
         answer = self._client.plan(inputs=inputs, outputs=self._goals, **self._options)
         arrays = answer.arrays

@@ -210,6 +210,15 @@ NOT_HERE = {
     "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
     "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
+    "anchorflow bench drive --logs ../shared/data/driving --bundle bundles/wote": MEASURES,
+    "anchorflow data drive --out drive --logs 300": DRAWS,
+    "anchorflow data anchors drive --out anchors.npy": DRAWS,
+    "anchorflow data sensors drive --config examples/wote-small.yaml": DRAWS,
+    "anchorflow train drive --config examples/wote-small.yaml --anchors anchors.npy"
+    " --out runs/wote": TRAINS,
+    "anchorflow export runs/wote/checkpoint.pt --out bundles/wote": (
+        "needs what the training above leaves; tests/service/http/test_wote_bundle.py exports one"
+    ),
     "anchorflow bench drive-closed-loop": MEASURES,
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log
-from anchorflow_driving.sensors import status_of
+from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_training.batches import Batch
 from anchorflow_training.driving.semantic_bev import semantic_bev, view_after

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from anchorflow_models.transfuser import TransfuserConfig
 from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_training.batches import Batch, BatchConfig, batch_scenes
 from anchorflow_training.config import JudgeConfig, RunConfig
@@ -55,6 +56,13 @@ def wote_settings(_logs: Sequence[Path]) -> Mapping[str, Any]:
     return {}
 
 
+def sensor_sizes(backbone: TransfuserConfig) -> SensorSizes:
+    """Of what a backbone looks at."""
+    return SensorSizes(
+        backbone.image_height, backbone.image_width, backbone.lidar_size, backbone.lidar_range
+    )
+
+
 class WoteRun(TrainingRun):
     """windows: with what sensors tell of them; the last are held out
 
@@ -65,11 +73,7 @@ class WoteRun(TrainingRun):
         if config.batch.mirror:
             raise ConfigError("batch.mirror: expected false: a picture of the left is not right")
         self.config, self.logs = config, logs
-        backbone = config.model.backbone
-        sizes = SensorSizes(
-            backbone.image_height, backbone.image_width, backbone.lidar_size, backbone.lidar_range
-        )
-        self.windows = open_sensor_windows(logs, sizes)
+        self.windows = open_sensor_windows(logs, sensor_sizes(config.model.backbone))
         self.count = len(self.windows) - config.evaluation.held_out
         if self.count < config.batch.scenes:
             raise ConfigError(

@@ -1,0 +1,69 @@
+"""`anchorflow data anchors` and `sensors`: what WoTE learns from, made of driving logs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.progress import Progress
+
+from anchorflow_cli.extras import needs_extra
+from anchorflow_training.config_file import layers
+from anchorflow_training.driving.anchor_scores import anchor_scores, driven, trajectory_anchors
+from anchorflow_training.driving.sensor_windows import open_logs, open_sensor_windows
+from anchorflow_training.driving.wote_run import WoteRunConfig, sensor_sizes
+
+LogsArgument = Annotated[Path, typer.Argument(metavar="LOGS", help="Folder of driving logs.")]
+
+
+def anchors(
+    logs: LogsArgument,
+    *,
+    out: Annotated[Path, typer.Option(help="File to write (.npy), [K, 8, 3].")],
+    count: Annotated[int, typer.Option(min=1, help="K.")] = 256,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
+) -> None:
+    """Cluster what was driven into anchors, and score each in every window.
+
+    The PDM sub-scores are kept beside the logs; stopped, it goes on where it was.
+    """
+    paths = open_logs(logs)
+    futures = driven(paths)
+    centres = trajectory_anchors(futures, count=count, seed=seed)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    np.save(out, centres)
+    table = with_bar("logs scored", lambda tell: anchor_scores(paths, centres, progress=tell))
+    apart = np.linalg.norm(futures[:, None, :, :2] - centres[None, ..., :2], axis=-1).mean(-1)
+    typer.echo(
+        f"{out}: {count} anchors of {len(table)} windows, the nearest {apart.min(1).mean():.2f} m "
+        "from what was driven"
+    )
+
+
+def sensors(
+    logs: LogsArgument,
+    *,
+    config: Annotated[Path, typer.Option(help="Of the run that is to learn from them (YAML).")],
+) -> None:
+    """Draw the simulated camera and LiDAR of every window, and keep them beside the logs.
+
+    Stopped, it goes on where it was. `anchorflow train` draws by itself what is missing.
+    """
+    sizes = sensor_sizes(layers(WoteRunConfig, {}, config).model.backbone)
+    with needs_extra("driving", who="anchorflow data sensors"):
+        import moderngl  # noqa: F401 - so that its absence is one line
+    windows = with_bar(
+        "logs drawn", lambda tell: open_sensor_windows(open_logs(logs), sizes, progress=tell)
+    )
+    size = sum(map(len, windows.streams)) / 1e6
+    typer.echo(f"{logs}: simulated sensors of {len(windows)} windows, {size:.1f} MB")
+
+
+def with_bar(what: str, work: Callable[[Callable[[int, int], None]], Any]) -> Any:
+    """Do some work, with a bar that it tells how far it is."""
+    with Progress() as bar:
+        task = bar.add_task(what)
+        return work(lambda done, of: bar.update(task, completed=done, total=of))

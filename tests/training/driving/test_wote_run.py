@@ -1,0 +1,200 @@
+"""WoTE learns from logs: sensors and scores kept beside them, steps that can be gone on with."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from driven_bend import write_bends
+from tiny_wote import TINY
+
+from anchorflow_driving.log import read_log
+from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.window import Scenes, Window
+from anchorflow_models.wote import WoTE
+from anchorflow_training.batches import BatchConfig
+from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.config import JudgeConfig
+from anchorflow_training.driving import sensor_windows, wote_run
+from anchorflow_training.driving.anchor_scores import (
+    anchor_scores,
+    driven,
+    pdms,
+    read_anchors,
+    trajectory_anchors,
+)
+from anchorflow_training.driving.semantic_bev import CLASSES, semantic_bev, view_after
+from anchorflow_training.driving.sensor_windows import (
+    Drawn,
+    SensorSizes,
+    open_logs,
+    open_sensor_windows,
+)
+from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
+from anchorflow_training.planners import TRAININGS
+from anchorflow_training.restore import restore_model
+from anchorflow_training.settings import ConfigError
+
+MODEL = replace(TINY, semantic_classes=len(CLASSES))
+SIZES = SensorSizes(16, 32, 32, 32.0)
+CONFIG = WoteRunConfig(
+    steps=4,
+    warmup=0,
+    report_every=1,
+    checkpoint_every=2,
+    tensorboard=False,
+    accelerator="cpu",
+    batch=BatchConfig(scenes=2, mirror=False),
+    evaluation=JudgeConfig(held_out=1, scenes=1, every=2),
+    model=MODEL,
+)
+
+
+def drawn(window: Window, sizes: SensorSizes) -> Drawn:
+    """Sensors of a window without a graphics driver: its number in every picture."""
+    view = window.view
+    pictures = {
+        name: np.full(shape, window.index, np.uint8) for name, shape in sizes.shapes.items()
+    }
+    later = view_after(window, 4.0)
+    return {
+        **pictures,
+        "lidar": pictures["lidar"] % 6,
+        "semantics": semantic_bev(view, rows=16, reach=32.0),
+        "future_semantics": semantic_bev(later, rows=16, reach=32.0),
+        "ego_status": np.eye(8, dtype=np.float32)[1],
+        "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
+        "agents": np.zeros((MODEL.agents, 5), np.float32),
+        "agent_count": np.int64(1),
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bends(tmp_path_factory.mktemp("bends"), count=2)
+
+
+@pytest.fixture
+def logs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    monkeypatch.setattr(sensor_windows, "simulated", drawn)
+    return [*open_logs(folder)]
+
+
+def test_windows_come_back_as_they_were_drawn(logs: list[Path]) -> None:
+    windows = open_sensor_windows(logs, SIZES, draw=drawn)
+    assert len(windows) == sum(len(Scenes(read_log(log))) for log in logs)
+    per_log = len(windows) // 2
+    batch = windows.batch(np.array([2, per_log + 1]))
+    assert batch["camera"].shape == (2, 3, 16, 32)
+    assert [camera.max() for camera in batch["camera"]] == [2, 1]
+    assert (batch["lidar"].dtype, float(batch["lidar"][0].max())) == (np.float32, np.float32(0.4))
+    wanted = Scenes(read_log(logs[1]))[1].recorded(np.arange(1, 9) / 2)
+    np.testing.assert_allclose(batch["future"][1], wanted, atol=1e-5)
+
+
+def test_what_is_kept_is_not_drawn_again(logs: list[Path]) -> None:
+    kept = [log.with_suffix(sensor_windows.KEPT) for log in logs]
+    open_sensor_windows(logs, SIZES, draw=drawn)
+    before, told = [path.stat().st_mtime_ns for path in kept], []
+    os.utime(logs[1])  # as if it had been made anew
+    open_sensor_windows(logs, SIZES, draw=drawn, progress=lambda done, of: told.append((done, of)))
+    after = [path.stat().st_mtime_ns for path in kept]
+    assert after[0] == before[0]
+    assert after[1] > before[1]
+    assert told == [(1, 2), (2, 2)]
+    other = open_sensor_windows(logs, replace(SIZES, camera_rows=8), draw=drawn)
+    assert other.batch(np.array([0]))["camera"].shape == (1, 3, 8, 32)
+
+
+def test_scores_are_the_scorers_and_are_kept(logs: list[Path]) -> None:
+    anchors = trajectory_anchors(driven(logs), count=5, seed=0)
+    told: list[int] = []
+    table = anchor_scores(logs, anchors, progress=lambda done, _: told.append(done))
+    again = anchor_scores(logs, anchors, progress=lambda done, _: told.append(done))
+    np.testing.assert_array_equal(table, again)
+    assert told == [0, 1, 2, 2]
+    window = Scenes(read_log(logs[0]))[1]
+    wanted = PdmScorer(window).score(anchors.astype(float))
+    np.testing.assert_allclose(pdms(table[1]), wanted.pdms, atol=2e-3)  # kept in half precision
+    np.testing.assert_allclose(table[1, :, 2], wanted.ep, atol=1e-3)
+
+
+def test_anchors_are_centres_of_what_was_driven(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    kinds = np.zeros((3, 8, 3))
+    kinds[:, :, 0] = np.arange(1, 9) * np.array([[1.0], [5.0], [9.0]])
+    kinds[2, :, 2] = 0.5
+    futures = np.repeat(kinds, 20, axis=0) + rng.normal(0, 0.05, (60, 8, 3))
+    anchors = trajectory_anchors(futures, count=3, seed=0)
+    np.testing.assert_allclose(anchors, kinds, atol=0.05)
+    np.save(tmp_path / "anchors.npy", anchors)
+    np.testing.assert_array_equal(read_anchors(tmp_path / "anchors.npy", count=3, steps=8), anchors)
+    with pytest.raises(
+        ConfigError, match=r"anchors: .*expected shape \[4, 8, 3\], got \[3, 8, 3\]"
+    ):
+        read_anchors(tmp_path / "anchors.npy", count=4, steps=8)
+
+
+def test_semantics_show_the_leader_where_it_is_and_will_be(logs: list[Path]) -> None:
+    window = Scenes(read_log(logs[0]))[0]
+    now = semantic_bev(window.view, rows=32, reach=32.0)
+    assert now.shape == (32, 64)
+    vehicle = CLASSES.index("vehicle")
+    rows, columns = np.nonzero(now == vehicle)
+    # 20 m before the ego's middle along a bend to the left, 1 m a cell.
+    assert 7 <= rows.mean() <= 13
+    assert columns.mean() < 31
+    assert (now[-1, 30:34] > 0).all()  # the road under the ego
+    # In 4 s it has driven out of sight.
+    later = semantic_bev(view_after(window, 4.0), rows=32, reach=32.0)
+    assert (later == vehicle).sum() == 0
+    still = later == now
+    assert still[now != vehicle].all()
+
+
+def test_a_run_goes_on_as_if_it_had_not_stopped(logs: list[Path], tmp_path: Path) -> None:
+    whole = WoteRun(CONFIG, logs, tmp_path / "whole")
+    whole.fit()
+    cut = WoteRun(CONFIG, logs, tmp_path / "cut")
+    with pytest.raises(InterruptedError):
+        cut.fit(report=_stop_after(3))
+    again = WoteRun(CONFIG, logs, tmp_path / "cut")
+    assert again.step == 2
+    again.fit()
+    for name, weight in whole.model.state_dict().items():
+        torch.testing.assert_close(again.model.state_dict()[name], weight, rtol=0, atol=0)
+    row = again.evaluations[-1]
+    assert 0 <= row["success"] <= row["pdms_of_the_best"] <= 1
+
+
+def test_a_checkpoint_brings_back_its_anchors(logs: list[Path], tmp_path: Path) -> None:
+    anchors = trajectory_anchors(driven(logs), count=12, seed=3)
+    np.save(tmp_path / "anchors.npy", anchors)
+    config = replace(CONFIG, steps=1, anchors=str(tmp_path / "anchors.npy"))
+    WoteRun(config, logs, tmp_path / "run").fit()
+    restored = restore_model(load_checkpoint(tmp_path / "run" / "checkpoint.pt"))
+    assert isinstance(restored, WoTE)
+    np.testing.assert_array_equal(restored.anchors.numpy(), anchors)
+
+
+def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
+    mirrored = replace(CONFIG, batch=BatchConfig(scenes=2))
+    with pytest.raises(ConfigError, match=r"batch.mirror: expected false"):
+        WoteRun(mirrored, logs, tmp_path)
+    many = replace(CONFIG, batch=BatchConfig(scenes=99, mirror=False))
+    with pytest.raises(ConfigError, match=r"batch.scenes: expected at most \d+, .* got 99"):
+        WoteRun(many, logs, tmp_path)
+    assert TRAININGS["wote"].config is WoteRunConfig
+    assert wote_run.wote_settings(logs) == {}
+
+
+def _stop_after(step: int) -> object:
+    def report(at: int, _row: object) -> None:
+        if at == step:
+            raise InterruptedError
+
+    return report
