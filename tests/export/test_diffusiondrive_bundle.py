@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 
-from anchorflow_client.contract import AnchorRequest, TruncatedDiffusionSpec
+from anchorflow_client.contract import TruncatedDiffusionSpec
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
@@ -104,5 +104,5 @@ def test_a_batch_has_the_bytes_of_its_scenes(client: LocalClient) -> None:
 )
 def test_a_wrong_input_is_named(client: LocalClient, name: str, value: np.ndarray) -> None:
     with pytest.raises(InvalidRequest) as raised:
-        client.plan(AnchorRequest.build(inputs=sensors() | {name: value}))
+        client.plan(inputs=sensors() | {name: value})
     assert raised.value.field == f"inputs.{name}"

@@ -108,7 +108,7 @@ def test_steps_make_every_term_smaller(stage: str) -> None:
     loss_of, given = objective(stage), batch()
     draws = drawn_for(loss_of)
     optimiser = torch.optim.AdamW(loss_of.parameters(), 3e-3)
-    first = loss_of(given, *draws)[1]
+    first = terms = loss_of(given, *draws)[1]
     for _ in range(40):
         loss, terms = loss_of(given, *draws)
         optimiser.zero_grad()
@@ -206,7 +206,7 @@ def sensed(window: Window, sizes: SensorSizes) -> Drawn:
         "ego_status": np.eye(8, dtype=np.float32)[1],
         "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
         "agents": np.ones((30, 5), np.float32),
-        "agent_count": np.int64(1),
+        "agent_count": np.array(1),
     }
 
 

@@ -26,7 +26,8 @@ from anchorflow_training.driving.diffusiondrive_objective import (
 )
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
-from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
+from anchorflow_training.driving.sensor_windows import open_sensor_windows
+from anchorflow_training.driving.wote_run import sensor_sizes
 from anchorflow_training.pretrained import load_resnet
 from anchorflow_training.restore import restore_model
 from anchorflow_training.run import TrainingRun
@@ -67,11 +68,7 @@ class DiffusionDriveRun(TrainingRun):
         if stage != "imitation" and config.before is None:
             raise ConfigError(f"before: expected a checkpoint to begin {stage} with, got none")
         self.config, self.logs = config, logs
-        backbone = config.model.backbone
-        sizes = SensorSizes(
-            backbone.image_height, backbone.image_width, backbone.lidar_size, backbone.lidar_range
-        )
-        self.windows = open_sensor_windows(logs, sizes)
+        self.windows = open_sensor_windows(logs, sensor_sizes(config.model.backbone))
         self.judge = PdmJudge(logs, self.windows.log)
         self.count = len(self.windows) - config.evaluation.held_out
         if self.count < config.batch.scenes:
