@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from anchorflow_benchmarks.baselines import BASELINES, ExpertPlanner, named_baselines
+from anchorflow_benchmarks.diffusion_stages import stage_table
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.judged_bundles import open_bundle
 from anchorflow_benchmarks.latency import (
@@ -182,10 +183,18 @@ def latency(
     repeat_inputs: Annotated[
         bool, typer.Option("--repeat-inputs", help="Also time ONNX with N encodings a call.")
     ] = False,
+    stages_of: Annotated[
+        list[Path] | None,
+        typer.Option(help="A truncated diffusion to time stage by stage, and nothing else."),
+    ] = None,
     threads: ThreadsOption = None,
     out: OutOption = RESULTS,
 ) -> None:
     """Time a request in this process against plain loops and the machine's floor."""
+    if stages_of:
+        table = stage_table(stages_of, rounds=rounds, threads=threads or usable_cores())
+        report("Stages", {"threads": str(threads or usable_cores())}, [table], out)
+        return
     bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
     config = LatencyConfig(
         counts=whole_numbers(nums, "--nums"),

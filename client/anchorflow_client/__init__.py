@@ -28,6 +28,7 @@ from anchorflow_client.contract import (
     TensorSpec,
     TensorsSpec,
     TimeSpec,
+    TruncatedDiffusionSpec,
     VocabularySpec,
     WarmStart,
 )
@@ -108,6 +109,7 @@ __all__ = [
     "TooLarge",
     "Transport",
     "TransportError",
+    "TruncatedDiffusionSpec",
     "Unauthorized",
     "UnknownModel",
     "VocabularySpec",

@@ -20,6 +20,7 @@ from anchorflow_service.bundle.manifest import (
     SplineEntry,
     TensorsEntry,
     TimeEntry,
+    TruncatedDiffusionEntry,
     VocabularyEntry,
 )
 from anchorflow_trajectory.cost import MotionLimits
@@ -70,7 +71,7 @@ class PlannerParts:
 
     inputs: tuple[TensorSpec, ...]
     conditioning: CostMapEntry | TensorsEntry
-    sampler: OdeEntry | VocabularyEntry
+    sampler: OdeEntry | VocabularyEntry | TruncatedDiffusionEntry
     finish: SplineEntry | NoFinishEntry
     time: TimeEntry
     answer: AnswerEntry

@@ -12,6 +12,7 @@ from typing import Any
 
 from torch import nn
 
+from anchorflow_models.diffusiondrive import DiffusionDriveConfig, create_diffusiondrive
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.wote import WoteConfig, create_wote
@@ -36,6 +37,7 @@ PLANNERS: Mapping[str, Planner] = {
         Planner("flowmp", L2Config, create_l2_safety_cfm),
         Planner("goalflow", GoalFlowConfig, GoalFlow),
         Planner("wote", WoteConfig, create_wote),
+        Planner("diffusiondrive", DiffusionDriveConfig, create_diffusiondrive),
     )
 }
 

@@ -20,7 +20,7 @@ from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_models.flowmp import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.bundle.manifest import OdeEntry, PriorEntry
+from anchorflow_service.bundle.samplers import OdeEntry, PriorEntry
 from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.cost import MotionLimits
 

@@ -11,6 +11,11 @@ from anchorflow_models.registry import UNNAMED
 from anchorflow_training.config import RunConfig, TrainerConfig
 from anchorflow_training.config_file import model_settings, planner_in
 from anchorflow_training.dataset import open_dataset
+from anchorflow_training.driving.diffusiondrive_run import (
+    DiffusionDriveRun,
+    DiffusionDriveRunConfig,
+    diffusiondrive_settings,
+)
 from anchorflow_training.driving.goalflow_run import (
     GoalFlowRun,
     GoalFlowRunConfig,
@@ -46,6 +51,7 @@ TRAININGS: Mapping[str, Training] = {
         Training(TrainerConfig, open_dataset, model_settings, CFMTrainer),
         Training(GoalFlowRunConfig, open_windows, goalflow_settings, GoalFlowRun),
         Training(WoteRunConfig, open_logs, wote_settings, WoteRun),
+        Training(DiffusionDriveRunConfig, open_logs, diffusiondrive_settings, DiffusionDriveRun),
     )
 }
 

@@ -7,10 +7,16 @@ the same parts; a card of a later version may hold kinds that are not known here
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypeAlias
 
-from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
+from anchorflow_client.contract.sampling import (
+    OdeSpec,
+    RefineSpec,
+    SamplerChoice,
+    uniform_schedule,
+)
+from anchorflow_client.errors import InvalidRequest
 
 
 @dataclass(frozen=True)
@@ -132,6 +138,47 @@ class VocabularySpec:
 
 
 @dataclass(frozen=True)
+class TruncatedDiffusionSpec:
+    """A diffusion that begins near fixed trajectories, and chooses the best of what it makes."""
+
+    size: int
+    """The most anchors that a request may ask for: those that are scored finely."""
+    candidates: int
+    """How many are scored coarsely for them."""
+    steps: int
+    """Of denoising."""
+    choices: tuple[int, ...] = ()
+    """The numbers of steps that a request may ask for, as `sampler.schedule` {"uniform": n}."""
+    kind: Literal["truncated_diffusion"] = "truncated_diffusion"
+
+    @classmethod
+    def from_dict(cls, value: Mapping[str, Any]) -> TruncatedDiffusionSpec:
+        """Read `asdict` back."""
+        choices = tuple(value.get("choices", ()))
+        return cls(value["size"], value["candidates"], value["steps"], choices)
+
+    def chosen(self, choice: SamplerChoice) -> TruncatedDiffusionSpec:
+        """With the number of steps that a request asks for.
+
+        Raises:
+            InvalidRequest: it asks for a method, or for another number than those of `choices`.
+        """
+        if choice.method is not None:
+            raise InvalidRequest(
+                f"expected none, as a diffusion has none, got {choice.method!r}", "sampler.method"
+            )
+        if choice.schedule is None:
+            return self
+        steps = len(choice.schedule) - 1
+        if steps not in self.choices or choice.schedule != uniform_schedule(steps):
+            known = ", ".join(map(str, self.choices))
+            came = f"{steps} steps at {[round(t, 4) for t in choice.schedule]}"
+            message = f'expected {{"uniform": n}}, n one of {known}, got {came}'
+            raise InvalidRequest(message, "sampler.schedule")
+        return replace(self, steps=steps)
+
+
+@dataclass(frozen=True)
 class NoFinish:
     """Anchors are answered as they were sampled."""
 
@@ -146,11 +193,15 @@ class UnknownPart:
 
 
 ConditioningSpec: TypeAlias = CostMapSpec | TensorsSpec | UnknownPart
-SamplerSpec: TypeAlias = OdeSpec | VocabularySpec | UnknownPart
+SamplerSpec: TypeAlias = OdeSpec | VocabularySpec | TruncatedDiffusionSpec | UnknownPart
 FinishSpec: TypeAlias = RefineSpec | NoFinish | UnknownPart
 
 CONDITIONINGS: Mapping[str, type] = {"cost_map": CostMapSpec, "tensors": TensorsSpec}
-SAMPLERS: Mapping[str, type] = {"ode": OdeSpec, "vocabulary": VocabularySpec}
+SAMPLERS: Mapping[str, type] = {
+    "ode": OdeSpec,
+    "vocabulary": VocabularySpec,
+    "truncated_diffusion": TruncatedDiffusionSpec,
+}
 FINISHES: Mapping[str, type] = {"spline": RefineSpec, "none": NoFinish}
 
 

@@ -17,6 +17,7 @@ from anchorflow_client.contract.kinds import (
     FinishSpec,
     LimitsSpec,
     SamplerSpec,
+    TruncatedDiffusionSpec,
     VocabularySpec,
 )
 from anchorflow_client.contract.request import LIMIT_INTERVALS, MAP_FIELDS, AnchorRequest
@@ -114,8 +115,9 @@ def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:
 
 
 def _num_samples(request: AnchorRequest, sampler: SamplerSpec) -> int:
-    """N: of a vocabulary at most its size."""
-    most = sampler.size if isinstance(sampler, VocabularySpec) else int(ranges.NUM_SAMPLES.high)
+    """N: of a sampler that chooses among so many at most its size."""
+    chooses = isinstance(sampler, VocabularySpec | TruncatedDiffusionSpec)
+    most = sampler.size if chooses else int(ranges.NUM_SAMPLES.high)
     if request.num_samples is None:
         return min(ranges.DEFAULT_NUM_SAMPLES, most)
     if request.num_samples > most:
@@ -127,6 +129,8 @@ def _num_samples(request: AnchorRequest, sampler: SamplerSpec) -> int:
 def _sampler(request: AnchorRequest, card: ModelCard) -> SamplerSpec:
     if isinstance(card.sampler, OdeSpec):
         return (request.sampler or SamplerChoice()).over(card.sampler)
+    if isinstance(card.sampler, TruncatedDiffusionSpec):
+        return card.sampler.chosen(request.sampler or SamplerChoice())
     if request.sampler is not None:
         raise _not_chosen(card, "sampler", card.sampler.kind)
     return card.sampler

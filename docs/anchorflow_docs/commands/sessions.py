@@ -234,6 +234,16 @@ NOT_HERE = {
     "anchorflow export runs/wote/checkpoint.pt --out bundles/wote": (
         "needs what the training above leaves; tests/service/http/test_wote_bundle.py exports one"
     ),
+    "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/imitation": (
+        TRAINS
+    ),
+    "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/scorers"
+    " --before runs/imitation/checkpoint.pt --objective.stage scorers": TRAINS,
+    "anchorflow export runs/scorers/checkpoint.pt --out bundles/diffusiondrive": (
+        "needs what the training above leaves; tests/export exports one of random weights"
+    ),
+    "anchorflow bench drive --logs ../shared/data/driving"
+    " --bundle bundles/diffusiondrive": MEASURES,
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"
     ),

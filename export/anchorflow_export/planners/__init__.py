@@ -7,6 +7,7 @@ from typing import Any
 
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter
 from anchorflow_export.errors import ExportError
+from anchorflow_export.planners.diffusiondrive import diffusiondrive_adapter
 from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_export.planners.goalflow import goalflow_adapter
 from anchorflow_export.planners.wote import wote_adapter
@@ -15,6 +16,7 @@ ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
     "flowmp": flowmp_adapter,
     "goalflow": goalflow_adapter,
     "wote": wote_adapter,
+    "diffusiondrive": diffusiondrive_adapter,
 }
 """By the name in the registry of planners: from a network to its adapter."""
 

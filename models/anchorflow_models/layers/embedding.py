@@ -17,6 +17,17 @@ def sinusoidal_positions(count: int, width: int) -> Tensor:
     return torch.stack([angles.sin(), angles.cos()], -1).flatten(1)
 
 
+def sinusoidal(values: Tensor, features: int, *, longest: float, shortest: float) -> Tensor:
+    """[...] -> [..., features]: sines and cosines at wavelengths from longest to shortest.
+
+    In the unit of the values; the wavelengths are a geometric row (Vaswani et al., 2017).
+    """
+    exponents = torch.linspace(0, 1, features // 2, device=values.device)
+    rates = 2 * math.pi / longest * (longest / shortest) ** exponents
+    angles = values[..., None] * rates
+    return torch.cat([angles.sin(), angles.cos()], -1)
+
+
 def fourier_places(points: Tensor, *, octaves: int = PLACE_OCTAVES) -> Tensor:
     """Places [..., 2] -> [..., 4 * octaves]: sines and cosines at wavelengths 4, 2, 1, 1/2, ...
 

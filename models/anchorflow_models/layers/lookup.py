@@ -29,3 +29,26 @@ def lookup(features: Tensor, points: Tensor) -> Tensor:
     both = right * up
     low = take(0) * (1 - right - up + both) + take(1) * (right - both)
     return low + take(width) * (up - both) + take(width + 1) * both
+
+
+def lookup_sum(features: Tensor, points: Tensor, weights: Tensor) -> Tensor:
+    """Sums over P points of weighted features: [B, H, W, F], [B, N, P, 2], [B, N, P] -> [B, N, F].
+
+    Places outside the map give what lies at its edge. One gather of the 4 P corners and one
+    product: in onnxruntime on a CPU about twice as fast as `lookup` and a sum, and many times
+    as fast as its GridSample, which goes by channel, and a sum.
+    """
+    batch, height, width, channels = features.shape
+    x = (points[..., 0] * (width / 2) + (width - 1) / 2).clamp(0, width - 1)
+    y = (points[..., 1] * (height / 2) + (height - 1) / 2).clamp(0, height - 1)
+    column, row = x.floor().clamp(max=width - 2), y.floor().clamp(max=height - 2)
+    right, up = x - column, y - row
+    scene = torch.arange(batch, device=features.device)[:, None, None] * (height * width)
+    corner = (row * width + column).long() + scene
+    corners = torch.stack([corner, corner + 1, corner + width, corner + width + 1], -1).flatten(-2)
+    shares = torch.stack(
+        [(1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up], -1
+    )
+    share = (shares * weights[..., None]).flatten(-2)[..., None, :]
+    rows = features.reshape(batch * height * width, channels).index_select(0, corners.reshape(-1))
+    return (share @ rows.reshape(*corners.shape, channels)).squeeze(-2)

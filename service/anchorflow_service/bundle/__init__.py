@@ -1,6 +1,7 @@
 """Bundles on disk: a folder of manifest.json and ONNX graphs.
 
 manifest   what manifest.json says; the exporter writes it with the same classes
+samplers   what it says of how anchors are drawn
 reader     a bundle read, and checked before it serves
 graphs     its graphs, opened by onnxruntime
 providers  where onnxruntime runs them

@@ -14,7 +14,6 @@ from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    AfterValidator,
     Field,
     NonNegativeFloat,
     PositiveFloat,
@@ -28,17 +27,14 @@ from anchorflow_client.contract import (
     AnswerSpec,
     ModelCard,
     NoFinish,
-    OdeSpec,
     RefineSpec,
     TensorSpec,
     TimeSpec,
-    VocabularySpec,
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.oip_codec import RESERVED
 from anchorflow_service.bundle.conditioning import CostMapEntry, Entry, TensorsEntry
-from anchorflow_trajectory.ode.method import method_named
-from anchorflow_trajectory.ode.schedule import check_schedule
+from anchorflow_service.bundle.samplers import OdeEntry, TruncatedDiffusionEntry, VocabularyEntry
 from anchorflow_trajectory.refine import DESCENT_RATE
 
 FORMAT = 2
@@ -81,42 +77,6 @@ class RequestEntry(Entry):
     """inputs: what a caller sends, by name; the first axis of each is B."""
 
     inputs: Annotated[tuple[TensorSpec, ...], Field(min_length=1)]
-
-
-class PriorEntry(Entry):
-    """What turns noise [N,R] into x_0 = mean + noise · basis.
-
-    mean: name of [B,T,S] that encode gives; or of [B,M,T,S] that encode gives or a scene has, the M
-        components of a mixture over which the anchors are dealt out in turn
-    basis: name of [B,R,T*S] that encode gives
-    """
-
-    mean: str
-    basis: str
-
-
-class OdeEntry(Entry):
-    """A flow, carried from noise by an explicit method; the card's defaults."""
-
-    kind: Literal["ode"] = "ode"
-    method: Annotated[str, AfterValidator(lambda name: method_named(name).name)]
-    schedule: Annotated[tuple[float, ...], AfterValidator(check_schedule)]
-    prior: PriorEntry | None = None
-
-    def spec(self) -> OdeSpec:
-        """What the card says of it."""
-        return OdeSpec(self.method, self.schedule)
-
-
-class VocabularyEntry(Entry):
-    """The best N of `size` trajectories, which the graphs give and may have refined."""
-
-    kind: Literal["vocabulary"] = "vocabulary"
-    size: PositiveInt
-
-    def spec(self) -> VocabularySpec:
-        """What the card says of it."""
-        return VocabularySpec(self.size)
 
 
 class SplineEntry(Entry):
@@ -191,7 +151,9 @@ class Manifest(Entry):
     planner: str
     request: RequestEntry
     conditioning: Annotated[CostMapEntry | TensorsEntry, Field(discriminator="kind")]
-    sampler: Annotated[OdeEntry | VocabularyEntry, Field(discriminator="kind")]
+    sampler: Annotated[
+        OdeEntry | VocabularyEntry | TruncatedDiffusionEntry, Field(discriminator="kind")
+    ]
     finish: Annotated[SplineEntry | NoFinishEntry, Field(discriminator="kind")]
     time: TimeEntry
     answer: AnswerEntry

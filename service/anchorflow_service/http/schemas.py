@@ -193,7 +193,7 @@ class AnchorRequestBody(_Body):
     )
     num_samples: int | None = _within(
         ranges.NUM_SAMPLES,
-        "N, anchors a scene; of a fixed vocabulary the best N, at most its size",
+        "N, anchors a scene; of a sampler that chooses the best N, at most its size",
         default=ranges.DEFAULT_NUM_SAMPLES,
     )
     robot_radius: float | None = _within(

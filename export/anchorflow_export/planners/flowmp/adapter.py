@@ -32,10 +32,10 @@ from anchorflow_service.bundle.manifest import (
     AnswerEntry,
     CostMapEntry,
     OdeEntry,
-    PriorEntry,
     SplineEntry,
     TimeEntry,
 )
+from anchorflow_service.bundle.samplers import PriorEntry
 from anchorflow_service.engine.samplers.ode import PRIOR_MEAN, OdeSampler
 from anchorflow_trajectory.ode.method import Method, method_named
 from anchorflow_trajectory.ode.reference import integrate_plainly

@@ -27,10 +27,10 @@ from anchorflow_service.bundle.manifest import (
     AnswerEntry,
     NoFinishEntry,
     OdeEntry,
-    PriorEntry,
     TensorsEntry,
     TimeEntry,
 )
+from anchorflow_service.bundle.samplers import PriorEntry
 from anchorflow_service.engine.conditioning.tensors import TensorConditioning
 from anchorflow_service.engine.samplers.ode import OdeSampler
 

@@ -12,6 +12,7 @@ from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.parts import Sampler
 from anchorflow_service.engine.samplers.ode import OdeSampler
+from anchorflow_service.engine.samplers.truncated_diffusion import TruncatedDiffusionSampler
 from anchorflow_service.engine.samplers.vocabulary import VocabularySampler
 
 
@@ -27,4 +28,8 @@ class SamplerKind(Protocol):
         ...
 
 
-SAMPLERS: Mapping[str, SamplerKind] = {"ode": OdeSampler, "vocabulary": VocabularySampler}
+SAMPLERS: Mapping[str, SamplerKind] = {
+    "ode": OdeSampler,
+    "vocabulary": VocabularySampler,
+    "truncated_diffusion": TruncatedDiffusionSampler,
+}

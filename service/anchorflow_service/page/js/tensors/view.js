@@ -47,7 +47,7 @@ export class TensorView {
   }
 
   useCard(card) {
-    const { kind, size = MOST_ANCHORS } = card.sampler;
+    const { kind, size = MOST_ANCHORS, candidates = kind === "vocabulary" ? size : 0 } = card.sampler;
     Object.assign(this, { card, active: true, most: size, kept: null });
     this.options.num = Math.min(FEW_ANCHORS, size);
     Object.assign(this.eye.show, { anchors: null, raster: null, focus: null, step: null });
@@ -57,7 +57,7 @@ export class TensorView {
     this.#clearFigures();
     const { steps, first_s: first, dt } = card.time;
     const lasting = dt === null ? "each anchor in its own time" : `up to ${(first + (steps - 1) * dt).toFixed(1)} s`;
-    byId("bundle-hint").textContent = `What answers: ${steps} poses ${lasting}${kind === "vocabulary" ? `, the best of ${size}` : ""}.`;
+    byId("bundle-hint").textContent = `What answers: ${steps} poses ${lasting}${candidates ? `, the best of ${candidates}` : ""}.`;
     this.amount.show({ ...this.options, most: this.most });
     this.planner.ask();
   }

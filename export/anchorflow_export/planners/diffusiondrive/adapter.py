@@ -1,0 +1,231 @@
+"""DiffusionDriveV2 on its way to a bundle: four graphs, each tried at sizes of its own."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from anchorflow_client.contract import AnchorRequest, TensorSpec, resolve_for_card
+from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
+from anchorflow_export.planners.wote.adapter import sensor_inputs
+from anchorflow_export.tracing import random_tensor, trace
+from anchorflow_models.diffusiondrive import DiffusionDriveV2
+from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, START, STEP_S
+from anchorflow_models.transfuser import AGENT_QUERIES, AGENT_STATE
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.manifest import (
+    AnswerEntry,
+    NoFinishEntry,
+    TensorsEntry,
+    TimeEntry,
+    TruncatedDiffusionEntry,
+)
+from anchorflow_service.bundle.samplers import NoiseLevelsEntry
+from anchorflow_service.engine.conditioning.tensors import TensorConditioning
+from anchorflow_service.engine.samplers.truncated_diffusion import (
+    Noise,
+    TruncatedDiffusionSampler,
+)
+from anchorflow_trajectory.ddim import CLEAN, NoiseLevels, ddim_step, noised
+
+Outputs = dict[str, Tensor]
+
+F32 = "float32"
+LEVELS = NoiseLevels()
+OUTPUTS = {
+    "encode": (
+        *("anchors", "bev", "values", "agent_queries", "ego_query"),
+        *("agents", "agent_scores", "bev_semantics"),
+    ),
+    "denoise": ("x_0", "trajectories", "class_scores"),
+    "coarse": ("candidates", "features", "coarse_scores"),
+    "fine": ("scores", "sub_scores"),
+}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Sizes that graphs are tried at; none is the one it was traced at."""
+
+    B: int
+    N: int
+    V: int
+
+
+TRIALS = (Trial(1, 20, 2), Trial(3, 5, 1))
+SAMPLED = 5  # anchors that a sample trial asks for
+
+
+class Role(nn.Module):
+    """A method of the network as a module of its own, its outputs in order."""
+
+    def __init__(self, model: DiffusionDriveV2, role: str) -> None:
+        super().__init__()
+        self.model, self.role = model, role
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        made = getattr(self.model, self.role)(*inputs)
+        return tuple(made[name] for name in OUTPUTS[self.role])
+
+
+@dataclass(frozen=True)
+class DiffusionDriveAdapter:
+    """Four graphs, and the sampler that the network's configuration describes."""
+
+    model: DiffusionDriveV2
+
+    @property
+    def parts(self) -> PlannerParts:
+        """A planner asked with tensors, a "truncated_diffusion" sampler and no finish."""
+        config = self.model.config
+        rows, columns = config.backbone.semantic_size
+        reach = config.backbone.lidar_range
+        return PlannerParts(
+            inputs=sensor_inputs(config.backbone),
+            conditioning=TensorsEntry(),
+            sampler=TruncatedDiffusionEntry(
+                anchors=config.anchors,
+                groups=config.groups,
+                variants=config.variants,
+                vocabulary=config.vocabulary,
+                keep=config.keep,
+                noise=NoiseLevelsEntry(levels=LEVELS.levels, first=LEVELS.first, last=LEVELS.last),
+                start=START,
+                schedules=tuple(SCHEDULES.values()),
+                steps=config.steps,
+            ),
+            finish=NoFinishEntry(),
+            time=TimeEntry(steps=POSES, first_s=FIRST_S, dt=STEP_S),
+            answer=AnswerEntry(
+                components=("x", "y", "heading"),
+                arrays=("scores",),
+                extras=(
+                    TensorSpec("coarse_scores", F32, ("B", "N"), range=(0.0, 1.0)),
+                    TensorSpec("sub_scores", F32, ("B", "N", 5), range=(0.0, 1.0)),
+                    TensorSpec("agents", F32, ("B", AGENT_QUERIES, AGENT_STATE), "m, m, rad, m, m"),
+                    TensorSpec("agent_scores", F32, ("B", AGENT_QUERIES), range=(0.0, 1.0)),
+                    TensorSpec(
+                        "bev_semantics",
+                        F32,
+                        ("B", config.classes, rows, columns),
+                        range=(0.0, 1.0),
+                        extent=(0.0, reach, -reach, reach),
+                    ),
+                ),
+            ),
+        )
+
+    def trace(self) -> dict[str, TracedGraph]:
+        """encode, denoise, coarse and fine, each fed with what the ones before give."""
+        graphs: dict[str, TracedGraph] = {}
+        given = {
+            spec.name: spec
+            for spec in (
+                *sensor_inputs(self.model.config.backbone),
+                TensorSpec("x_t", F32, ("B", "N", POSES, 2), range=(-1.0, 1.0)),
+                TensorSpec("t", F32, ("B",), range=(0.0, 50.0)),
+                TensorSpec("diversity", F32, ("B", "N", "V", 2), range=(-1.0, 1.0)),
+            )
+        }
+        for role in OUTPUTS:
+            inputs = self._inputs(role, given)
+            graphs[role] = trace(Role(self.model, role), inputs=inputs, outputs=OUTPUTS[role])
+            given |= {spec.name: _of_anchors(spec) for spec in graphs[role].outputs}
+        return graphs
+
+    def _inputs(self, role: str, given: dict[str, TensorSpec]) -> tuple[TensorSpec, ...]:
+        taken = inspect.signature(getattr(self.model, role)).parameters
+        return tuple(given[name] for name in taken)
+
+    def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
+        """Every graph at several sizes, each fed from torch's own outputs."""
+        for seed, trial in enumerate(TRIALS):
+            generator = torch.Generator().manual_seed(seed)
+            inputs = _random_inputs(bundle, trial.B, generator)
+            yield from self._graph_trials(trial, inputs, generator)
+
+    def _graph_trials(
+        self, trial: Trial, inputs: Outputs, generator: torch.Generator
+    ) -> Iterator[GraphTrial]:
+        model, B = self.model, trial.B
+        told = {**inputs, **model.encode(**inputs)}
+        yield GraphTrial(f"encode at {trial}", "encode", inputs, told)
+        told["x_t"] = 2 * torch.rand(B, trial.N, POSES, 2, generator=generator) - 1
+        told["t"] = 50 * torch.rand(B, generator=generator)
+        told["diversity"] = torch.randn(B, trial.N, trial.V, 2, generator=generator)
+        for role in ("denoise", "coarse", "fine"):
+            fed = _taken(getattr(model, role), told)
+            told |= getattr(model, role)(**fed)
+            yield GraphTrial(f"{role} at {trial}", role, fed, told)
+
+    def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
+        """The engine's best of two scenes at every number of steps, beside torch's."""
+        inputs = _random_inputs(bundle, 2, torch.Generator().manual_seed(len(TRIALS)))
+        sampler = TruncatedDiffusionSampler(bundle, threads=1, provider="cpu")
+        count = min(SAMPLED, self.model.config.keep)
+        for steps in SCHEDULES:
+            request = AnchorRequest.build(
+                inputs={name: tensor.numpy() for name, tensor in inputs.items()},
+                num_samples=count,
+                seed=steps,
+                sampler={"schedule": {"uniform": steps}},
+            )
+            resolved = resolve_for_card(request, bundle.card)
+            noise = sampler.draw_noise(seed=steps)
+            for b, scene in enumerate(TensorConditioning(bundle.manifest).scenes(resolved)):
+                encoded = sampler.encode(scene, threads=1)
+                drawn = sampler.sample(scene, encoded, threads=1, check=lambda: None)
+                own = {name: tensor[b : b + 1] for name, tensor in inputs.items()}
+                expected = torch_sample(self.model, own, noise, steps=steps, count=count)
+                got = {"trajectories": drawn.states, **drawn.arrays}
+                for name, tensor in expected.items():
+                    what = f"{steps} steps in scene {b}, {name}"
+                    yield SampleTrial(what, got[name], tensor.numpy())
+
+
+def torch_sample(
+    model: DiffusionDriveV2, inputs: Outputs, noise: Noise, *, steps: int, count: int
+) -> Outputs:
+    """The sampler written the plain way for one scene: the best N, the best first."""
+    config, signal = model.config, LEVELS.signal
+    told = model.encode(**inputs)
+    start = torch.from_numpy(noise.start)[None]
+    x = noised(told["anchors"].repeat(1, config.groups, 1, 1), start, float(signal[START]))
+    levels = SCHEDULES[steps]
+    for level, after in zip(levels, (*levels[1:], None), strict=True):
+        told |= {"x_t": x, "t": torch.tensor([float(level)])}
+        told |= model.denoise(**_taken(model.denoise, told))
+        following = CLEAN if after is None else float(signal[after])
+        x = ddim_step(x, told["x_0"], float(signal[level]), following=following)
+    told["diversity"] = torch.from_numpy(noise.diversity)[None]
+    told |= model.coarse(**_taken(model.coarse, told))
+    best = told["coarse_scores"][0].argsort(descending=True, stable=True)[: config.keep]
+    told |= {name: told[name][:, best] for name in ("candidates", "features", "coarse_scores")}
+    told |= model.fine(**_taken(model.fine, told))
+    best = told["scores"][0].argsort(descending=True, stable=True)[:count]
+    picked = {name: told[name][0, best] for name in ("scores", "sub_scores", "coarse_scores")}
+    return {"trajectories": told["candidates"][0, best], **picked}
+
+
+def _taken(method: Callable[..., Outputs], told: Outputs) -> Outputs:
+    """What a method of the network takes by name."""
+    return {name: told[name] for name in inspect.signature(method).parameters}
+
+
+def _of_anchors(spec: TensorSpec) -> TensorSpec:
+    """An output as the input of a later graph, where an axis that was computed has a name."""
+    axes = tuple("M" if isinstance(a, str) and not a.isidentifier() else a for a in spec.shape)
+    return TensorSpec(spec.name, spec.dtype, axes, spec.unit, spec.range)
+
+
+def _random_inputs(bundle: Bundle, B: int, generator: torch.Generator) -> Outputs:
+    inputs = {
+        spec.name: random_tensor(spec, {"B": B}, generator=generator)
+        for spec in bundle.manifest.request.inputs
+    }
+    inputs["ego_status"] = inputs["ego_status"] / 10  # m/s that are driven
+    return inputs

@@ -1,0 +1,16 @@
+"""DiffusionDriveV2: truncated diffusion from a few anchors, scored coarse to fine."""
+
+from anchorflow_models.diffusiondrive.config import DiffusionDriveConfig, small_diffusiondrive
+from anchorflow_models.diffusiondrive.planner import (
+    DiffusionDriveV2,
+    Perceived,
+    create_diffusiondrive,
+)
+
+__all__ = [
+    "DiffusionDriveConfig",
+    "DiffusionDriveV2",
+    "Perceived",
+    "create_diffusiondrive",
+    "small_diffusiondrive",
+]

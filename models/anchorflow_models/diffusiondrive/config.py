@@ -1,0 +1,111 @@
+"""The configuration of DiffusionDriveV2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from anchorflow_models.generation.checks import check
+from anchorflow_models.transfuser import TransfuserConfig, small_transfuser
+
+POSES = 8
+FIRST_S = STEP_S = 0.5
+"""s; a trajectory's poses are at 0.5 … 4.0 s."""
+
+STATUS = 8
+"""Numbers that tell the ego's command (4), velocity and acceleration."""
+START = 8
+"""The level of 1000 at which the diffusion is cut off: anchors begin with its noise."""
+SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}
+"""The levels at which so many steps denoise."""
+TRAINED_LEVELS = 50
+"""Levels from 0 up to this one are drawn in training."""
+
+
+@dataclass(frozen=True)
+class DiffusionDriveConfig:
+    """Everything that fixes the network's shapes and units; the defaults are the published ones.
+
+    classes: of the semantic BEV
+    width, heads, hidden: of the queries and of the denoiser
+    query_layers: of the decoder that finds the ego's query and the agents'
+    anchors: trajectories that the diffusion begins near
+    denoiser_layers: each refines the poses of the one before
+    scorer_width, scorer_heads, scorer_hidden: of both scorers
+    fine_layers: of the fine scorer, each with heads of its own
+    value_kernel: cells a side that a value looked up in the BEV has seen
+    x_range, y_range: m, what the diffusion's unit interval spans; a place beyond is drawn to it
+    diversity: spread of the factors on x and on y that make variants of a denoised trajectory
+    bezier_degree: of the curve that each variant is fitted to
+    vocabulary: fixed trajectories that are scored beside those denoised
+    groups, variants: how often each anchor begins, and each denoised trajectory is varied
+    keep: the best by coarse scores that are scored finely
+    steps: of denoising, of those that SCHEDULES has
+
+    Raises:
+        ValueError: a field is out of its range; the message names it, what was expected and got.
+    """
+
+    backbone: TransfuserConfig = field(default_factory=TransfuserConfig)
+    classes: int = 7
+    width: int = 256
+    heads: int = 8
+    hidden: int = 1024
+    query_layers: int = 3
+    anchors: int = 20
+    denoiser_layers: int = 2
+    scorer_width: int = 512
+    scorer_heads: int = 16
+    scorer_hidden: int = 2048
+    fine_layers: int = 3
+    value_kernel: int = 3
+    x_range: tuple[float, float] = (-1.2, 55.7)
+    y_range: tuple[float, float] = (-20.0, 26.0)
+    diversity: tuple[float, float] = (0.1, 0.1)
+    bezier_degree: int = 5
+    vocabulary: int = 0
+    groups: int = 10
+    variants: int = 4
+    keep: int = 32
+    steps: int = 2
+
+    def __post_init__(self) -> None:
+        for name in (
+            *("classes", "anchors", "heads", "scorer_heads", "hidden", "scorer_hidden"),
+            *("query_layers", "denoiser_layers", "fine_layers", "groups", "variants", "keep"),
+        ):
+            check(name, getattr(self, name) >= 1, "at least 1", getattr(self, name))
+        for name, heads in (("width", self.heads), ("scorer_width", self.scorer_heads)):
+            width = getattr(self, name)
+            fits = width > 0 and width % heads == 0 and width % 2 == 0
+            check(name, fits, f"an even multiple of its {heads} heads", width)
+        for name in ("x_range", "y_range"):
+            low, high = getattr(self, name)
+            check(name, low < 0.0 < high, "least below 0, greatest above", (low, high))
+        check("value_kernel", self.value_kernel in (1, 3, 5), "1, 3 or 5", self.value_kernel)
+        check("diversity", min(self.diversity) >= 0, "at least 0 each", self.diversity)
+        fits = 1 <= self.bezier_degree <= POSES
+        check("bezier_degree", fits, f"1 to {POSES}", self.bezier_degree)
+        check("steps", self.steps in SCHEDULES, f"one of {[*SCHEDULES]}", self.steps)
+        check("keep", self.keep <= self.candidates, f"at most {self.candidates}", self.keep)
+        check("vocabulary", self.vocabulary >= 0, "at least 0", self.vocabulary)
+
+    @property
+    def candidates(self) -> int:
+        """All that the coarse scorer judges."""
+        return self.anchors * self.groups * self.variants + self.vocabulary
+
+
+def small_diffusiondrive() -> DiffusionDriveConfig:
+    """Narrow, over the small backbone: trains on two cores."""
+    return DiffusionDriveConfig(
+        backbone=small_transfuser(),
+        width=64,
+        heads=4,
+        hidden=256,
+        query_layers=2,
+        scorer_width=96,
+        scorer_heads=4,
+        scorer_hidden=192,
+        fine_layers=2,
+        value_kernel=1,
+    )

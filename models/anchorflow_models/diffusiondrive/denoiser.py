@@ -1,0 +1,98 @@
+"""Stage 1: noisy points near an anchor to the trajectory that was meant, and how likely it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models.diffusiondrive.bev_attention import BevAttention
+from anchorflow_models.diffusiondrive.config import POSES, DiffusionDriveConfig
+from anchorflow_models.diffusiondrive.scene import SceneFeatures
+from anchorflow_models.diffusiondrive.trajectories import (
+    POINT_FEATURES,
+    TrajectorySpace,
+    embedded_points,
+)
+from anchorflow_models.layers.attention import Attention, FeedForward
+from anchorflow_models.layers.embedding import sinusoidal
+from anchorflow_models.layers.zero_linear import zero_linear
+
+LEVELS = 1000.0  # the longest wavelength of a diffusion time
+
+
+@dataclass(frozen=True, eq=False)
+class Denoised:
+    """What a layer of the denoiser makes of noisy points.
+
+    trajectories: [B, N, T, 3] m, rad; logits: [B, N], whether it is the one that is driven
+    """
+
+    trajectories: Tensor
+    logits: Tensor
+
+
+class DenoiserLayer(nn.Module):
+    """A query a trajectory: it looks along its points, hears agents and ego, learns the time, and
+    says how to move its points.
+    """
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        width, heads = config.width, config.heads
+        self.look = BevAttention(width, points=POSES, reach=config.backbone.lidar_range)
+        self.agents, self.ego = Attention(width, heads), Attention(width, heads)
+        self.feed_forward = FeedForward(width, config.hidden)
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(4))
+        self.modulation = nn.Sequential(nn.Mish(), nn.Linear(width, 2 * width))
+        self.poses = nn.Sequential(
+            nn.Linear(width, width), nn.ReLU(), zero_linear(width, 3 * POSES)
+        )
+        self.likely = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1))
+
+    def forward(
+        self, x: Tensor, points: Tensor, time: Tensor, scene: SceneFeatures, values: Tensor
+    ) -> tuple[Tensor, Denoised]:
+        """x: [B, N, W]; points: [B, N, T, 2] m; time: [B or 1, W]; values: [B, H, H, W]"""
+        look, agents, ego, feed = self.norms
+        x = look(x + self.look(x, points, values))
+        x = agents(x + self.agents(x, scene.agents))
+        x = ego(x + self.ego(x, scene.ego))
+        x = feed(x + self.feed_forward(x))
+        scale, shift = self.modulation(time)[:, None].chunk(2, -1)
+        x = x * (1 + scale) + shift
+        moved = self.poses(x).unflatten(-1, (POSES, 3))
+        heading = math.pi * moved[..., 2:].tanh()
+        poses = torch.cat([points + moved[..., :2], heading], -1)
+        return x, Denoised(poses, self.likely(x).squeeze(-1))
+
+
+class Denoiser(nn.Module):
+    """Each layer begins where the one before has moved the points."""
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        width = config.width
+        self.width = width
+        self.space = TrajectorySpace(config)
+        self.embed = nn.Sequential(
+            nn.Linear(POSES * POINT_FEATURES, width), nn.ReLU(), nn.Linear(width, width)
+        )
+        self.time = nn.Sequential(
+            nn.Linear(width, 4 * width), nn.Mish(), nn.Linear(4 * width, width)
+        )
+        self.layers = nn.ModuleList(DenoiserLayer(config) for _ in range(config.denoiser_layers))
+
+    def forward(self, x_t: Tensor, t: Tensor, scene: SceneFeatures) -> list[Denoised]:
+        """x_t: [B, N, T, 2] in the diffusion's units; t: [B or 1] levels -> one a layer"""
+        points = self.space.metric(x_t)
+        time = self.time(sinusoidal(t, self.width, longest=10 * LEVELS, shortest=2 * math.pi))
+        x = self.embed(embedded_points(points))
+        made = []
+        for layer, values in zip(self.layers, scene.values.unbind(1), strict=True):
+            x, denoised = layer(x, points, time, scene, values)
+            points = denoised.trajectories[..., :2].detach()
+            made.append(denoised)
+        return made

@@ -1,0 +1,201 @@
+"""DiffusionDriveV2: truncated diffusion from a few anchors, scored coarse to fine.
+
+Its parts are those of Zou et al. (DiffusionDriveV2, 2025) over Liao et al. (DiffusionDrive, CVPR
+2025); docs/decisions/0017-truncated-diffusion.md says where it departs from them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from anchorflow_models.diffusiondrive.bev_attention import BevValues
+from anchorflow_models.diffusiondrive.config import (
+    FIRST_S,
+    POSES,
+    STATUS,
+    STEP_S,
+    DiffusionDriveConfig,
+)
+from anchorflow_models.diffusiondrive.denoiser import Denoiser
+from anchorflow_models.diffusiondrive.scene import SceneFeatures
+from anchorflow_models.diffusiondrive.scorers import CoarseScorer, FineScorer
+from anchorflow_models.diffusiondrive.trajectories import Variants
+from anchorflow_models.layers.attention import Decoder
+from anchorflow_models.transfuser import (
+    AGENT_QUERIES,
+    AgentHead,
+    SemanticHead,
+    TransfuserBackbone,
+)
+
+Outputs: TypeAlias = dict[str, Tensor]
+
+USUAL_SPEEDS = (0.0, 2.0, 5.0, 9.0, 14.0)  # m/s
+USUAL_CURVATURE = 0.03  # 1/m, of the outermost of the arcs that anchors are before k-means
+
+
+@dataclass(frozen=True, eq=False)
+class Perceived:
+    """What the network makes of camera, LiDAR and status.
+
+    agents: [B, Q, 5] x, y [m], heading [rad], length, width [m]; agent_logits: [B, Q]
+    semantics: logits [B, classes, h, w]
+    """
+
+    scene: SceneFeatures
+    agents: Tensor
+    agent_logits: Tensor
+    semantics: Tensor
+
+
+class Perception(nn.Module):
+    """Camera, LiDAR and status to what denoiser and scorers look at."""
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        width, backbone = config.width, config.backbone
+        self.cells = backbone.bev_size
+        self.backbone = TransfuserBackbone(backbone)
+        self.narrow = nn.Conv2d(backbone.bev_width, width, 1)
+        self.status = nn.Linear(STATUS, width)
+        self.places = nn.Parameter(0.02 * torch.randn(1, self.cells**2 + 1, width))
+        self.queries = nn.Parameter(0.02 * torch.randn(1, 1 + AGENT_QUERIES, width))
+        self.decoder = Decoder(
+            width, config.heads, hidden=config.hidden, layers=config.query_layers
+        )
+        self.agents = AgentHead(width, config.hidden, reach=backbone.lidar_range)
+        self.semantics = SemanticHead(backbone, config.classes)
+        self.joined = nn.Sequential(
+            nn.Linear(width + backbone.bev_channels, width), nn.ReLU(), nn.LayerNorm(width)
+        )
+        self.values = nn.ModuleList(
+            BevValues(width, width, kernel=config.value_kernel)
+            for _ in range(config.denoiser_layers)
+        )
+
+    def forward(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Perceived:
+        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'], as the backbone; ego_status: [B, 8]"""
+        seen = self.backbone(camera, lidar)
+        cells = self.narrow(seen.features).flatten(2).transpose(1, 2)
+        known = torch.cat([cells, self.status(ego_status)[:, None]], 1) + self.places
+        decoded = self.decoder(self.queries.expand(known.shape[0], -1, -1), known)
+        bev = self._joined(known[:, :-1], seen.upscaled)
+        values = torch.stack([value(bev) for value in self.values], 1)
+        scene = SceneFeatures(bev, values, agents=decoded[:, 1:], ego=decoded[:, :1])
+        agents, logits = self.agents(scene.agents)
+        return Perceived(scene, agents, logits, self.semantics(seen.upscaled))
+
+    def _joined(self, cells: Tensor, upscaled: Tensor) -> Tensor:
+        """The coarse cells [B, h h, W] over the fine ones [B, C, H, H] -> [B, W, H, H]"""
+        coarse = cells.transpose(1, 2).unflatten(-1, (self.cells, self.cells))
+        size = [int(side) for side in upscaled.shape[-2:]]
+        spread = F.interpolate(coarse, size=size, mode="bilinear", align_corners=False)
+        both = torch.cat([spread, upscaled], 1).permute(0, 2, 3, 1)
+        return self.joined(both).permute(0, 3, 1, 2)
+
+
+class DiffusionDriveV2(nn.Module):
+    """encode, then denoise a few times, then coarse over all candidates and fine over the best.
+
+    anchors: [A, T, 2] m, which the diffusion begins near; vocabulary: [K, T, 3], candidates always
+    """
+
+    anchors: Tensor
+    vocabulary: Tensor
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.perception = Perception(config)
+        self.denoiser = Denoiser(config)
+        self.variants = Variants(config)
+        self.coarse_scorer, self.fine_scorer = CoarseScorer(config), FineScorer(config)
+        self.register_buffer("anchors", usual_anchors(config.anchors))
+        self.register_buffer("vocabulary", torch.zeros(config.vocabulary, POSES, 3))
+
+    def encode(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Outputs:
+        """What the other graphs take, by name, and what is told of the scene beside."""
+        seen = self.perception(camera, lidar, ego_status)
+        begin = self.denoiser.space.normalised(self.anchors)
+        return {
+            "anchors": begin.expand(camera.shape[0], -1, -1, -1),
+            "bev": seen.scene.bev,
+            "values": seen.scene.values,
+            "agent_queries": seen.scene.agents,
+            "ego_query": seen.scene.ego,
+            "agents": seen.agents,
+            "agent_scores": seen.agent_logits.sigmoid(),
+            "bev_semantics": seen.semantics.softmax(1),
+        }
+
+    def denoise(
+        self, x_t: Tensor, t: Tensor, values: Tensor, agent_queries: Tensor, ego_query: Tensor
+    ) -> Outputs:
+        """x_t: [B, N, T, 2] in the diffusion's units; t: [B] -> x_0, trajectories, class_scores"""
+        scene = SceneFeatures(values, values, agent_queries, ego_query)
+        found = self.denoiser(x_t, t, scene)[-1]
+        return {
+            "x_0": self.denoiser.space.normalised(found.trajectories[..., :2]),
+            "trajectories": found.trajectories,
+            "class_scores": found.logits,
+        }
+
+    def coarse(
+        self,
+        trajectories: Tensor,
+        diversity: Tensor,
+        bev: Tensor,
+        agent_queries: Tensor,
+        ego_query: Tensor,
+    ) -> Outputs:
+        """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none ->
+        candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M]
+        """
+        candidates = self.candidates(trajectories, diversity)
+        scene = SceneFeatures(bev, bev, agent_queries, ego_query)
+        scored = self.coarse_scorer(candidates, scene)
+        return {
+            "candidates": candidates,
+            "features": scored.features,
+            "coarse_scores": scored.scores,
+        }
+
+    def candidates(self, trajectories: Tensor, diversity: Tensor) -> Tensor:
+        """[B, M, T, 3]: the variants of trajectories [B, N, T, 3], and the vocabulary."""
+        made = self.variants(trajectories, diversity)
+        if not len(self.vocabulary):
+            return made
+        return torch.cat([made, self.vocabulary.expand(made.shape[0], -1, -1, -1)], 1)
+
+    def fine(
+        self,
+        candidates: Tensor,
+        features: Tensor,
+        bev: Tensor,
+        agent_queries: Tensor,
+        ego_query: Tensor,
+    ) -> Outputs:
+        """candidates: [B, M, T, 3]; features: [B, M, F] -> scores [B, M], sub_scores [B, M, 5]"""
+        scene = SceneFeatures(bev, bev, agent_queries, ego_query)
+        scored = self.fine_scorer(candidates, features, scene)[-1]
+        return {"scores": scored.scores, "sub_scores": scored.sub_scores}
+
+
+def usual_anchors(count: int) -> Tensor:
+    """[A, T, 2]: arcs of some speeds and curvatures, until k-means of data takes their place."""
+    rows = -(-count // len(USUAL_SPEEDS))
+    curvature = torch.linspace(-1, 1, rows) * USUAL_CURVATURE if rows > 1 else torch.zeros(1)
+    speed = torch.tensor(USUAL_SPEEDS).repeat(rows)[:count, None]
+    bend = curvature.repeat_interleave(len(USUAL_SPEEDS))[:count, None]
+    along = speed * (FIRST_S + STEP_S * torch.arange(POSES))
+    return torch.stack([along, 0.5 * bend * along.square()], -1)
+
+
+def create_diffusiondrive(config: DiffusionDriveConfig) -> DiffusionDriveV2:
+    """A network of that configuration, its weights drawn at random."""
+    return DiffusionDriveV2(config)

@@ -1,0 +1,23 @@
+"""What the denoiser and the scorers know of a scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFeatures:
+    """Worked out once a scene.
+
+    bev: [B, W, H, H], of the square that the LiDAR sees
+    values: [B, L, H, H, W], what each layer of the denoiser looks up in it
+    agents: [B, Q, W], a query each
+    ego: [B, 1, W]
+    """
+
+    bev: Tensor
+    values: Tensor
+    agents: Tensor
+    ego: Tensor

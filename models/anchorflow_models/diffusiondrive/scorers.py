@@ -1,0 +1,108 @@
+"""Stages 2 and 3: how well each of many candidates would drive, coarsely and then finely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models.diffusiondrive.bev_attention import BevAttention, BevValues
+from anchorflow_models.diffusiondrive.config import POSES, DiffusionDriveConfig
+from anchorflow_models.diffusiondrive.scene import SceneFeatures
+from anchorflow_models.diffusiondrive.trajectories import (
+    HEADING_FEATURES,
+    POINT_FEATURES,
+    embedded_poses,
+)
+from anchorflow_models.layers.attention import Attention, FeedForward
+
+SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
+
+
+def pdm_score(sub_scores: Tensor) -> Tensor:
+    """[..., 5] in the order of SUB_SCORES -> [...]: NC DAC (5 EP + 5 TTC + 2 C) / 12."""
+    nc, dac, ep, ttc, comfort = sub_scores.unbind(-1)
+    return nc * dac * (5 * ep + 5 * ttc + 2 * comfort) / 12
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """features: [B, M, F]; logits: [B, M, 5] in the order of SUB_SCORES"""
+
+    features: Tensor
+    logits: Tensor
+
+    @property
+    def sub_scores(self) -> Tensor:
+        """[B, M, 5] in [0, 1]"""
+        return self.logits.sigmoid()
+
+    @property
+    def scores(self) -> Tensor:
+        """[B, M] in [0, 1]"""
+        return pdm_score(self.sub_scores)
+
+
+class ScorerLayer(nn.Module):
+    """Candidates look along their points, hear the agents, each other and the ego."""
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        width, heads = config.scorer_width, config.scorer_heads
+        self.values = BevValues(config.width, width, kernel=config.value_kernel)
+        self.look = BevAttention(width, points=POSES, reach=config.backbone.lidar_range)
+        self.widen = nn.Linear(config.width, width)
+        self.agents, self.ego = Attention(width, heads), Attention(width, heads)
+        self.others = Attention(width, heads)
+        self.feed_forward = FeedForward(width, config.scorer_hidden)
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(5))
+        self.heads = nn.ModuleList(
+            nn.Sequential(nn.Linear(width, width // 2), nn.ReLU(), nn.Linear(width // 2, 1))
+            for _ in SUB_SCORES
+        )
+
+    def forward(self, x: Tensor, points: Tensor, scene: SceneFeatures) -> Scored:
+        """x: [B, M, F]; points: [B, M, T, 2] m"""
+        look, agents, others, ego, feed = self.norms
+        x = look(x + self.look(x, points, self.values(scene.bev)))
+        x = agents(x + self.agents(x, self.widen(scene.agents)))
+        x = others(x + self.others(x))
+        x = ego(x + self.ego(x, self.widen(scene.ego)))
+        x = feed(x + self.feed_forward(x))
+        return Scored(x, torch.cat([head(x) for head in self.heads], -1))
+
+
+class CoarseScorer(nn.Module):
+    """One layer over all candidates."""
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        width = config.scorer_width
+        self.embed = nn.Sequential(
+            nn.Linear(POSES * (POINT_FEATURES + HEADING_FEATURES), width),
+            nn.ReLU(),
+            nn.Linear(width, width),
+        )
+        self.layer = ScorerLayer(config)
+
+    def forward(self, candidates: Tensor, scene: SceneFeatures) -> Scored:
+        """candidates: [B, M, T, 3]"""
+        return self.layer(self.embed(embedded_poses(candidates)), candidates[..., :2], scene)
+
+
+class FineScorer(nn.Module):
+    """Some layers over the few best, which go on from what the coarse scorer made of them."""
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(ScorerLayer(config) for _ in range(config.fine_layers))
+
+    def forward(self, candidates: Tensor, features: Tensor, scene: SceneFeatures) -> list[Scored]:
+        """candidates: [B, M, T, 3]; features: [B, M, F] -> one a layer, of which the last counts"""
+        made = []
+        for layer in self.layers:
+            scored = layer(features, candidates[..., :2], scene)
+            features = scored.features
+            made.append(scored)
+        return made

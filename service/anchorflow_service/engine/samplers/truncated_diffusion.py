@@ -1,0 +1,196 @@
+"""The truncated diffusion: a few steps from anchors with a little noise, then the best of many.
+
+    encode    the request's inputs               -> anchors [A,T,2], context, extras
+    denoise   x_t [N,T,2], t, the context        -> x_0 [N,T,2], trajectories [N,T,D]
+    coarse    trajectories, diversity, context   -> candidates [M,T,D], coarse_scores [M], features
+    fine      the best of the candidates         -> scores [K], sub_scores [K,5], extras
+
+x_t, x_0 and the anchors of encode are in the diffusion's own units, everything else in SI's. The
+noise is drawn here from the request's seed; what the graphs do with it is deterministic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import TruncatedDiffusionSpec
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.graphs import WideGraph
+from anchorflow_service.bundle.manifest import Manifest
+from anchorflow_service.bundle.samplers import TruncatedDiffusionEntry
+from anchorflow_service.engine.parts import (
+    Arrays,
+    Check,
+    ConditionedScene,
+    Context,
+    Samples,
+    missing_roles,
+    unknown_names,
+)
+from anchorflow_trajectory.ddim import CLEAN, ddim_step, noised
+
+Array = NDArray[np.float32]
+
+ANCHORS, TRAJECTORIES, CANDIDATES = "anchors", "trajectories", "candidates"
+COARSE_SCORES, SCORES = "coarse_scores", "scores"
+# What each role is fed besides the outputs of encode, and what the loop needs of it.
+FED = {"denoise": ("x_t", "t"), "coarse": (TRAJECTORIES, "diversity"), "fine": (CANDIDATES,)}
+NEEDED = {
+    "encode": (ANCHORS,),
+    "denoise": ("x_0", TRAJECTORIES),
+    "coarse": (CANDIDATES, COARSE_SCORES),
+    "fine": (SCORES,),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """All that is random in an answer.
+
+    start: [A G, T, 2], what the anchors of each group begin with
+    diversity: [A G, V, 2], of each denoised trajectory's variants; 0 for the first
+    """
+
+    start: Array
+    diversity: Array
+
+
+class TruncatedDiffusionSampler:
+    """The graphs of a "truncated_diffusion" bundle, opened; several threads may sample at once.
+
+    graphs: by role
+
+    Raises:
+        BundleError: a graph cannot be opened or its signature is not the manifest's.
+        ProviderError: the provider is not to be had.
+    """
+
+    def __init__(self, bundle: Bundle, *, threads: int, provider: str) -> None:
+        manifest = bundle.manifest
+        assert isinstance(manifest.sampler, TruncatedDiffusionEntry)
+        self._entry = manifest.sampler
+        self._signal = self._entry.noise.variances().signal
+        self.graphs = {
+            role: WideGraph(bundle, role, threads=threads, provider=provider) for role in NEEDED
+        }
+        self._T = manifest.time.steps
+        extras = manifest.answer.extras
+        self._of_each = {spec.name for spec in extras if spec.shape[1:2] == ("N",)}
+        self._extras = {spec.name for spec in extras}
+        fine = manifest.graphs["fine"]
+        coarse = manifest.graphs["coarse"].output_names
+        # By candidate, so that the best are picked out of it; the rest of coarse is not read on.
+        self._by_candidate = {
+            name for name in coarse if name in (*fine.input_names, *self._of_each)
+        }
+
+    @staticmethod
+    def faults(manifest: Manifest) -> Iterator[str]:
+        """Roles, inputs and outputs that are missing."""
+        assert isinstance(manifest.sampler, TruncatedDiffusionEntry)
+        if missing := list(missing_roles(manifest, NEEDED)):
+            yield from missing
+            return
+        graphs, given = manifest.graphs, manifest.graphs["encode"].output_names
+        for role, needed in NEEDED.items():
+            yield from unknown_names(f"graphs.{role}.outputs", needed, graphs[role].output_names)
+        for role, fed in FED.items():
+            where, takes = f"graphs.{role}.inputs", graphs[role].input_names
+            yield from unknown_names(where, fed, takes)
+            before = graphs["coarse"].output_names if role == "fine" else ()
+            yield from unknown_names(where, takes, (*fed, *before, *given))
+        told = (*given, *graphs["coarse"].output_names, *graphs["fine"].output_names)
+        extras = [spec.name for spec in manifest.answer.extras]
+        yield from unknown_names("answer.extras", extras, told)
+        anchors = next(s.shape for s in graphs["encode"].outputs if s.name == ANCHORS)
+        wanted = (manifest.sampler.anchors, manifest.time.steps, 2)
+        if anchors[1:] != wanted:
+            yield f"graphs.encode.outputs: {ANCHORS} is {[*anchors]}, expected {['B', *wanted]}"
+
+    def settle(self, scene: ConditionedScene) -> None:
+        """Look whether each graph gives the same bytes on one thread and on many."""
+        graphs, entry = self.graphs, self._entry
+        context = graphs["encode"].settle(scene.inputs(graphs["encode"].input_names))
+        noise = self.draw_noise(seed=0)
+        level = self._t(entry.start)
+        x_t = self.beginning(context, noise)
+        denoised = graphs["denoise"].settle(
+            graphs["denoise"].select({**context, "x_t": x_t[None], "t": level})
+        )
+        fed = {**context, **denoised, "diversity": noise.diversity[None]}
+        coarse = graphs["coarse"].settle(graphs["coarse"].select(fed))
+        best = self._picked(coarse, np.arange(entry.keep))
+        graphs["fine"].settle(graphs["fine"].select({**context, **best}))
+
+    def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
+        """What the first graph gives."""
+        encode = self.graphs["encode"]
+        return encode(scene.inputs(encode.input_names), threads=threads)
+
+    def draw_noise(self, *, seed: int) -> Noise:
+        """Standard normal, of a seed."""
+        entry, generator = self._entry, np.random.Generator(np.random.PCG64(seed))
+        count = entry.anchors * entry.groups
+        start = generator.standard_normal((count, self._T, 2), dtype=np.float32)
+        diversity = generator.standard_normal((count, entry.variants, 2), dtype=np.float32)
+        diversity[:, 0] = 0.0
+        return Noise(start, diversity)
+
+    def beginning(self, context: Context, noise: Noise) -> Array:
+        """x [A G, T, 2] where the diffusion is cut off; every group has each anchor."""
+        anchors = np.tile(context[ANCHORS][0], (self._entry.groups, 1, 1))
+        return noised(anchors, noise.start, np.float32(self._signal[self._entry.start]))
+
+    def denoised(
+        self, context: Context, noise: Noise, *, steps: int, threads: int = 1, check: Check
+    ) -> Array:
+        """Trajectories [A G, T, D] after so many steps; `check` is called after each."""
+        denoise = self.graphs["denoise"]
+        levels = self._entry.levels_of(steps)
+        signals = [*(float(self._signal[level]) for level in levels), CLEAN]
+        x, fixed, told = self.beginning(context, noise), denoise.select(context), {}
+        for level, (signal, following) in zip(levels, pairwise(signals), strict=True):
+            told = denoise({**fixed, "x_t": x[None], "t": self._t(level)}, threads=threads)
+            x = ddim_step(x, told["x_0"][0], signal, following=following).astype(np.float32)
+            check()
+        return told[TRAJECTORIES][0]
+
+    def sample(
+        self, scene: ConditionedScene, context: Context, *, threads: int, check: Check
+    ) -> Samples:
+        """The best N by the fine scores, the best first."""
+        request, spec = scene.request, scene.request.sampler
+        assert isinstance(spec, TruncatedDiffusionSpec)
+        noise = self.draw_noise(seed=request.seed)
+        found = self.denoised(context, noise, steps=spec.steps, threads=threads, check=check)
+        fed = {**context, TRAJECTORIES: found[None], "diversity": noise.diversity[None]}
+        coarse, fine = self.graphs["coarse"], self.graphs["fine"]
+        judged = coarse(coarse.select(fed), threads=threads)
+        check()
+        kept = self._picked(judged, _best(judged[COARSE_SCORES][0], self._entry.keep))
+        told = {**context, **kept}
+        told |= fine(fine.select(told), threads=threads)
+        best = _best(told[SCORES][0], request.num_samples)
+        arrays = {name: told[name][0] for name in (*self._extras, SCORES)}
+        arrays = {
+            name: array[best] if name in self._of_each or name == SCORES else array
+            for name, array in arrays.items()
+        }
+        return Samples(told[CANDIDATES][0][best], arrays=arrays)
+
+    def _picked(self, coarse: Arrays, best: NDArray[np.intp]) -> Arrays:
+        """Of what coarse says of each candidate, what it says of these."""
+        return {name: np.ascontiguousarray(coarse[name][:, best]) for name in self._by_candidate}
+
+    def _t(self, level: int) -> Array:
+        return np.array([level], np.float32)
+
+
+def _best(scores: Array, count: int) -> NDArray[np.intp]:
+    """Indices of the highest scores, ties in the order of the graph."""
+    return np.argsort(-scores, kind="stable")[:count]

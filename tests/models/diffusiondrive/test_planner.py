@@ -1,0 +1,175 @@
+"""DiffusionDriveV2: the published shapes, and what depends on what."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from anchorflow_models.diffusiondrive import (
+    DiffusionDriveConfig,
+    DiffusionDriveV2,
+    create_diffusiondrive,
+    small_diffusiondrive,
+)
+from anchorflow_models.diffusiondrive.scorers import pdm_score
+
+SMALL = small_diffusiondrive()
+OF_SCENE = ("agent_queries", "ego_query")
+
+
+def planner(config: DiffusionDriveConfig = SMALL) -> DiffusionDriveV2:
+    """Of random weights, those that begin at zero too."""
+    torch.manual_seed(0)
+    model = create_diffusiondrive(config).eval()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            if not parameter.any():
+                parameter.normal_(0, 0.05)
+    return model
+
+
+def sensors(config: DiffusionDriveConfig = SMALL, B: int = 1) -> dict[str, Tensor]:
+    torch.manual_seed(1)
+    sizes = dict(config.backbone.input_sizes())
+    return {
+        "camera": torch.randint(0, 256, (B, *sizes["camera"])).byte(),
+        "lidar": torch.rand(B, *sizes["lidar"]),
+        "ego_status": torch.randn(B, 8),
+    }
+
+
+def whole(
+    model: DiffusionDriveV2, inputs: dict[str, Tensor], **changed: Tensor
+) -> dict[str, Tensor]:
+    """Every stage once, with all candidates."""
+    config = model.config
+    told = model.encode(**inputs) | changed
+    torch.manual_seed(2)
+    begin = told["anchors"].repeat(1, config.groups, 1, 1)
+    noise = torch.randn(begin.shape[1:])
+    diversity = torch.randn(begin.shape[1], config.variants, 2)
+    scene = [told[name] for name in OF_SCENE]
+    told |= model.denoise(begin + 0.03 * noise, torch.tensor([8.0]), told["values"], *scene)
+    diversity = diversity.expand(len(begin), -1, -1, -1)
+    told |= model.coarse(told["trajectories"], diversity, told["bev"], *scene)
+    best = told["coarse_scores"].argsort(-1, descending=True)[:, : config.keep]
+    told["kept"] = torch.take_along_dim(told["candidates"], best[..., None, None], 1)
+    features = torch.take_along_dim(told["features"], best[..., None], 1)
+    return told | model.fine(told["kept"], features, told["bev"], *scene)
+
+
+def shapes(told: dict[str, Tensor]) -> dict[str, tuple[int, ...]]:
+    return {name: tuple(tensor.shape) for name, tensor in told.items()}
+
+
+@torch.inference_mode()
+def test_the_published_shapes() -> None:
+    config = DiffusionDriveConfig()
+    with torch.device("meta"):  # shapes alone: nothing is computed
+        model = create_diffusiondrive(config).to("meta").eval()
+        told = shapes(whole(model, sensors(config)))
+    assert {name: told[name] for name in ("bev", "values", "agent_queries", "ego_query")} == {
+        "bev": (1, 256, 64, 64),
+        "values": (1, 2, 64, 64, 256),
+        "agent_queries": (1, 30, 256),
+        "ego_query": (1, 1, 256),
+    }
+    assert (told["agents"], told["agent_scores"]) == ((1, 30, 5), (1, 30))
+    assert (told["anchors"], told["bev_semantics"]) == ((1, 20, 8, 2), (1, 7, 128, 256))
+    assert (told["x_0"], told["trajectories"]) == ((1, 200, 8, 2), (1, 200, 8, 3))
+    assert (told["class_scores"], told["coarse_scores"]) == ((1, 200), (1, 800))
+    assert (told["candidates"], told["features"]) == ((1, 800, 8, 3), (1, 800, 512))
+    assert told["kept"] == (1, 32, 8, 3)
+    assert (told["scores"], told["sub_scores"]) == ((1, 32), (1, 32, 5))
+
+
+@torch.inference_mode()
+def test_every_size_may_be_another() -> None:
+    config = replace(SMALL, anchors=7, groups=2, variants=3, keep=5, vocabulary=4, classes=3)
+    told = shapes(whole(planner(config), sensors(config, B=2)))
+    assert told["trajectories"] == (2, 14, 8, 3)
+    assert told["candidates"] == (2, 7 * 2 * 3 + 4, 8, 3)
+    assert (told["scores"], told["bev_semantics"]) == ((2, 5), (2, 3, 128, 256))
+
+
+@torch.inference_mode()
+def test_scenes_do_not_touch_one_another() -> None:
+    model = planner()
+    inputs = sensors(B=2)
+    both = model.encode(**inputs)
+    second = model.encode(**{name: tensor[1:] for name, tensor in inputs.items()})
+    for name, tensor in second.items():
+        torch.testing.assert_close(both[name][1:], tensor, rtol=1e-4, atol=1e-5)
+
+
+@torch.inference_mode()
+def test_trajectories_are_denoised_each_for_itself() -> None:
+    model = planner()
+    told = model.encode(**sensors())
+    scene = (told["values"], told["agent_queries"], told["ego_query"])
+    x_t, t = told["anchors"].clone(), torch.tensor([8.0])
+    before = model.denoise(x_t, t, *scene)["trajectories"]
+    x_t[:, 0] += 0.2
+    after = model.denoise(x_t, t, *scene)["trajectories"]
+    torch.testing.assert_close(after[:, 1:], before[:, 1:])
+    assert (after[:, 0] - before[:, 0]).abs().max() > 0.1
+
+
+@pytest.mark.parametrize("told", ["agent_queries", "ego_query", "values", "bev"])
+@torch.inference_mode()
+def test_every_stage_hears_the_scene(told: str) -> None:
+    model = planner()
+    before = whole(model, sensors())
+    after = whole(
+        model, sensors(), **{told: before[told] + torch.linspace(0, 1, before[told].shape[-1])}
+    )
+    for name in ("trajectories", "coarse_scores", "scores"):
+        heard = not torch.allclose(after[name], before[name], atol=1e-6)
+        assert heard is not (told == "bev" and name == "trajectories"), name
+
+
+@torch.inference_mode()
+def test_the_time_is_heard() -> None:
+    model = planner()
+    told = model.encode(**sensors())
+    scene = (told["values"], told["agent_queries"], told["ego_query"])
+    near, far = (model.denoise(told["anchors"], torch.tensor([t]), *scene) for t in (0.0, 40.0))
+    assert (near["trajectories"] - far["trajectories"]).abs().max() > 1e-3
+
+
+@torch.inference_mode()
+def test_an_untrained_denoiser_leaves_points_where_they_are() -> None:
+    torch.manual_seed(0)
+    model = create_diffusiondrive(SMALL).eval()
+    told = model.encode(**sensors())
+    scene = (told["values"], told["agent_queries"], told["ego_query"])
+    x_t = torch.linspace(-0.9, 0.9, 20 * 8 * 2).reshape(1, 20, 8, 2)
+    torch.testing.assert_close(model.denoise(x_t, torch.tensor([8.0]), *scene)["x_0"], x_t)
+
+
+def test_the_score_is_that_of_pdm() -> None:
+    nc, dac, ep, ttc, c = 0.5, 0.8, 0.6, 0.9, 1.0
+    expected = nc * dac * (5 * ep + 5 * ttc + 2 * c) / 12
+    assert pdm_score(torch.tensor([nc, dac, ep, ttc, c])).item() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"width": 60, "heads": 8}, "width: expected an even multiple of its 8 heads, got 60"),
+        ({"x_range": (1.0, 2.0)}, "x_range: expected least below 0"),
+        ({"steps": 3}, r"steps: expected one of \[1, 2, 4\], got 3"),
+        ({"keep": 801}, "keep: expected at most 800, got 801"),
+        ({"value_kernel": 2}, "value_kernel: expected 1, 3 or 5, got 2"),
+        ({"bezier_degree": 9}, "bezier_degree: expected 1 to 8, got 9"),
+        ({"diversity": (-0.1, 0.1)}, "diversity: expected at least 0 each"),
+        ({"anchors": 0}, "anchors: expected at least 1, got 0"),
+    ],
+)
+def test_a_wrong_configuration_names_its_field(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        replace(SMALL, **wrong)

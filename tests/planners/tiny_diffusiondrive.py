@@ -1,0 +1,54 @@
+"""DiffusionDriveV2 as small as it can be, of random weights: what its tests export and train."""
+
+from __future__ import annotations
+
+import torch
+
+from anchorflow_models.diffusiondrive import (
+    DiffusionDriveConfig,
+    DiffusionDriveV2,
+    create_diffusiondrive,
+)
+from anchorflow_models.transfuser import TransfuserConfig
+
+TINY = DiffusionDriveConfig(
+    backbone=TransfuserConfig(
+        image_height=16,
+        image_width=32,
+        lidar_size=16,
+        stem_width=8,
+        widths=(8, 8),
+        depths=(1, 1),
+        stem_pooling=False,
+        fusion_layers=1,
+        fusion_heads=2,
+        bev_channels=8,
+    ),
+    classes=3,
+    width=16,
+    heads=2,
+    hidden=32,
+    query_layers=1,
+    anchors=4,
+    denoiser_layers=1,
+    scorer_width=16,
+    scorer_heads=2,
+    scorer_hidden=32,
+    fine_layers=1,
+    value_kernel=1,
+    vocabulary=3,
+    groups=2,
+    variants=2,
+    keep=6,
+)
+
+
+def tiny_diffusiondrive(config: DiffusionDriveConfig = TINY) -> DiffusionDriveV2:
+    """Of random weights, those that begin at zero too."""
+    torch.manual_seed(0)
+    model = create_diffusiondrive(config).eval()
+    with torch.no_grad():
+        for parameter in model.parameters():
+            if not parameter.any():
+                parameter.normal_(0, 0.05)
+    return model

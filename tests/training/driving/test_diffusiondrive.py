@@ -1,0 +1,298 @@
+"""DiffusionDriveV2 learns: its losses by hand, its stages, and a run that can be gone on with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from driven_bend import write_bends
+from tiny_diffusiondrive import TINY, tiny_diffusiondrive
+from torch import Tensor
+
+from anchorflow_driving.log import read_log
+from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.window import Scenes, Window
+from anchorflow_training.batches import BatchConfig
+from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.config import JudgeConfig
+from anchorflow_training.driving import sensor_windows
+from anchorflow_training.driving.diffusiondrive_objective import (
+    FAILED,
+    DiffusionDriveObjective,
+    DiffusionDriveObjectiveConfig,
+    advantages,
+    denoised,
+    pose_distance,
+)
+from anchorflow_training.driving.diffusiondrive_run import (
+    DiffusionDriveRun,
+    DiffusionDriveRunConfig,
+    diffusiondrive_settings,
+)
+from anchorflow_training.driving.pdm_judge import PdmJudge
+from anchorflow_training.driving.semantic_bev import CLASSES
+from anchorflow_training.driving.sensor_windows import Drawn, SensorSizes, open_logs
+from anchorflow_training.restore import restore_model
+from anchorflow_training.settings import ConfigError
+
+B, T = 2, 8
+MODEL = replace(TINY, classes=len(CLASSES))
+STAGES = ("imitation", "scorers", "reinforcement")
+
+
+def batch() -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(3)
+    future = torch.cat([tiny_diffusiondrive().anchors[[1, 2]], torch.zeros(B, T, 1)], -1)
+    return {
+        "camera": torch.randint(0, 256, (B, 3, 16, 32), generator=generator).byte(),
+        "lidar": torch.rand(B, 1, 16, 16, generator=generator),
+        "ego_status": torch.randn(B, 8, generator=generator),
+        "future": future + torch.tensor([0.4, 0.2, 0.1]),
+        "agents": 10 * torch.rand(B, 30, 5, generator=generator),
+        "agent_count": torch.tensor([3, 0]),
+        "semantics": torch.randint(0, TINY.classes, (B, 8, 16), generator=generator),
+        "window": torch.tensor([4, 9]),
+    }
+
+
+def farther_is_better(windows: Tensor, trajectories: Tensor) -> Tensor:
+    """A judge for whom progress is all, up to 60 m; who ends far to the right fails."""
+    told = torch.ones(*trajectories.shape[:2], 5)
+    told[..., 2] = (trajectories[..., -1, 0] / 60).clamp(0, 1)
+    told[..., 1] = (trajectories[..., -1, 1] > -15).float()
+    assert windows.tolist() == [4, 9]
+    return told
+
+
+def objective(stage: Any, **config: Any) -> DiffusionDriveObjective:
+    settings = DiffusionDriveObjectiveConfig(stage=stage, judged=12, group=3, **config)
+    return DiffusionDriveObjective(tiny_diffusiondrive().train(), settings, farther_is_better)
+
+
+def drawn_for(objective: DiffusionDriveObjective) -> tuple[Tensor, ...]:
+    return objective.draw(B, 1, torch.Generator().manual_seed(0))
+
+
+TERMS = {
+    "imitation": {"classes", "poses", "agents", "semantics"},
+    "scorers": {"coarse", "fine"},
+    "reinforcement": {"classes", "poses", "agents", "semantics", "reinforcement"},
+}
+LEARNS = {
+    "imitation": {"perception", "denoiser"},
+    "scorers": {"coarse_scorer", "fine_scorer"},
+    "reinforcement": {"perception", "denoiser"},
+}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_each_stage_reaches_its_own_weights_and_no_others(stage: str) -> None:
+    loss_of = objective(stage)
+    loss, terms = loss_of(batch(), *drawn_for(loss_of))
+    weighted = [getattr(loss_of.config, name) * terms[name] for name in TERMS[stage]]
+    torch.testing.assert_close(loss, torch.stack(weighted).sum())
+    loss.backward()
+    reached: dict[bool, set[str]] = {True: set(), False: set()}
+    for name, weight in loss_of.model.named_parameters():
+        reached[weight.grad is not None].add(name.split(".")[0])
+    assert reached[True] == LEARNS[stage]
+    assert not reached[False] & LEARNS[stage]
+
+
+@pytest.mark.parametrize("stage", ["imitation", "scorers"])
+def test_steps_make_every_term_smaller(stage: str) -> None:
+    loss_of, given = objective(stage), batch()
+    draws = drawn_for(loss_of)
+    optimiser = torch.optim.AdamW(loss_of.parameters(), 3e-3)
+    first = terms = loss_of(given, *draws)[1]
+    for _ in range(40):
+        loss, terms = loss_of(given, *draws)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    for name in TERMS[stage]:
+        assert terms[name] < first[name], name
+
+
+def test_reinforcement_drives_farther() -> None:
+    loss_of = objective("reinforcement", classes=0, poses=0, agents=0, semantics=0)
+    given, optimiser = batch(), torch.optim.AdamW(loss_of.model.denoiser.parameters(), 1e-2)
+    before = loss_of(given, *drawn_for(loss_of))[1]["pdms"]
+    for seed in range(20):
+        draws = loss_of.draw(B, 1, torch.Generator().manual_seed(seed + 1))
+        loss, _ = loss_of(given, *draws)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert loss_of(given, *drawn_for(loss_of))[1]["pdms"] > before + 0.1
+
+
+def test_advantages_by_hand() -> None:
+    # Two anchors, three samples each, groups one after another; EP tells them apart.
+    told = torch.ones(1, 6, 5)
+    told[0, :, 2] = torch.tensor([0.2, 0.9, 0.4, 0.9, 0.6, 0.9])
+    told[0, 3, 0] = 0.5
+    score = [(5 * ep + 5 + 2) / 12 for ep in (0.2, 0.4, 0.6)]
+    spread = float(np.std(score, ddof=1))
+    found = advantages(told, 2)[0]
+    # The first anchor's samples are 0, 2 and 4: only the last lies above their mean. The second's
+    # are 1, 3 and 5, of which one collided.
+    assert found[[0, 2]].tolist() == [0.0, 0.0]
+    assert found[4].item() == pytest.approx((score[2] - score[1]) / spread, rel=1e-4)
+    assert found[3].item() == FAILED
+    assert (found[[1, 5]] > 0).all()
+
+
+def test_the_winner_is_the_nearest_anchor() -> None:
+    loss_of = objective("imitation")
+    assert loss_of.nearest(batch()["future"]).tolist() == [1, 2]
+
+
+def test_headings_are_apart_the_short_way_round() -> None:
+    poses, others = torch.zeros(2, T, 3), torch.zeros(2, T, 3)
+    poses[0, :, 2], others[0, :, 2] = 3.1, -3.1
+    others[1, :, 0] = 3.0
+    expected = torch.tensor([(2 * np.pi - 6.2) / 3, 1.0])
+    torch.testing.assert_close(pose_distance(poses, others), expected, atol=1e-5, rtol=0)
+
+
+def test_training_denoises_as_the_service_does() -> None:
+    from anchorflow_export.planners.diffusiondrive.adapter import torch_sample
+    from anchorflow_service.engine.samplers.truncated_diffusion import Noise
+
+    model, given = tiny_diffusiondrive(), batch()
+    own = {name: given[name][:1] for name in ("camera", "lidar", "ego_status")}
+    count = TINY.anchors * TINY.groups
+    start = torch.randn(count, T, 2)
+    noise = Noise(start.numpy(), np.zeros((count, 1, 2), np.float32))
+    with torch.no_grad():
+        scene = model.perception(**own).scene
+        made = model.candidates(
+            denoised(model, scene, start[None]).trajectories, torch.zeros(1, count, 1, 2)
+        )
+        best = torch_sample(model, own, noise, steps=TINY.steps, count=1)["trajectories"]
+    assert torch.cdist(best.flatten(1), made[0].flatten(1)).min() < 1e-3
+
+
+SIZES = SensorSizes(16, 32, 16, 32.0)
+CONFIG = DiffusionDriveRunConfig(
+    steps=3,
+    warmup=0,
+    report_every=1,
+    checkpoint_every=2,
+    tensorboard=False,
+    accelerator="cpu",
+    batch=BatchConfig(scenes=2, mirror=False),
+    evaluation=JudgeConfig(held_out=1, scenes=1, every=3),
+    model=MODEL,
+    objective=DiffusionDriveObjectiveConfig(judged=6, group=2),
+)
+
+
+def sensed(window: Window, sizes: SensorSizes) -> Drawn:
+    """Sensors of a window without a graphics driver: its number in every picture."""
+    pictures = {
+        name: np.full(shape, window.index, np.uint8) for name, shape in sizes.shapes.items()
+    }
+    return {
+        **pictures,
+        "lidar": pictures["lidar"] % 6,
+        "semantics": pictures["semantics"] % len(CLASSES),
+        "future_semantics": pictures["semantics"] % len(CLASSES),
+        "ego_status": np.eye(8, dtype=np.float32)[1],
+        "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
+        "agents": np.ones((30, 5), np.float32),
+        "agent_count": np.array(1),
+    }
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bends(tmp_path_factory.mktemp("bends"), count=2)
+
+
+@pytest.fixture
+def logs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    monkeypatch.setattr(sensor_windows, "simulated", sensed)
+    return [*open_logs(folder)]
+
+
+def test_the_judge_is_the_scorer_of_each_window(logs: list[Path]) -> None:
+    scenes = [Scenes(read_log(log)) for log in logs]
+    of_log = np.repeat([0, 1], [len(each) for each in scenes])
+    judge = PdmJudge(logs, of_log)
+    last = len(of_log) - 1
+    plans = torch.zeros(2, 3, T, 3)
+    plans[:, 1, :, 0] = 2.0 * torch.arange(1, 9)
+    plans[:, 2, :, 1] = 30.0
+    told = judge(torch.tensor([0, last]), plans).numpy()
+    for row, window in zip(told, (scenes[0][0], scenes[1][len(scenes[1]) - 1]), strict=True):
+        wanted = PdmScorer(window).score(plans[0].numpy())
+        np.testing.assert_allclose(row[:, 0], wanted.nc)
+        np.testing.assert_allclose(row[:, 2], wanted.ep, atol=1e-6)
+        np.testing.assert_allclose(row[:, 4], wanted.c)
+
+
+def test_the_stages_follow_one_another_and_go_on_where_they_stopped(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    whole = DiffusionDriveRun(CONFIG, logs, tmp_path / "imitation")
+    whole.fit()
+    assert whole.model.anchors.abs().max() > 1  # clustered from what was driven
+    cut = DiffusionDriveRun(CONFIG, logs, tmp_path / "cut")
+    with pytest.raises(InterruptedError):
+        cut.fit(report=_stop_after_the_checkpoint)
+    again = DiffusionDriveRun(CONFIG, logs, tmp_path / "cut")
+    assert again.step == 2
+    again.fit()
+    for name, weight in whole.model.state_dict().items():
+        torch.testing.assert_close(again.model.state_dict()[name], weight, rtol=0, atol=0)
+
+    before = tmp_path / "imitation" / "checkpoint.pt"
+    for stage in STAGES[1:]:
+        settings = replace(CONFIG.objective, stage=stage)
+        config = replace(CONFIG, objective=settings, before=str(before))
+        run = DiffusionDriveRun(config, logs, tmp_path / stage)
+        start = {name: weight.clone() for name, weight in run.model.state_dict().items()}
+        for name, weight in restore_model(load_checkpoint(before)).state_dict().items():
+            torch.testing.assert_close(start[name], weight, rtol=0, atol=0)
+        run.fit()
+        changed = {
+            name.split(".")[0]
+            for name, weight in run.model.state_dict().items()
+            if not torch.equal(weight, start[name])
+        }
+        assert changed == LEARNS[stage]
+        row = run.evaluations[-1]
+        best = row["pdms_of_the_best"]
+        assert 0 <= row["success"] <= best <= 1
+        assert row["pdms_of_the_best_plain"] <= best
+        assert row["spread_m"] > 0
+
+
+def _stop_after_the_checkpoint(at: int, _row: object) -> None:
+    if at == 3:
+        raise InterruptedError
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"batch": BatchConfig(scenes=2)}, "batch.mirror: expected false"),
+        ({"batch": BatchConfig(scenes=99, mirror=False)}, "batch.scenes: expected at most"),
+        ({"objective": DiffusionDriveObjectiveConfig(stage="scorers")}, "before: expected a chec"),
+    ],
+)
+def test_what_does_not_fit_is_named(
+    logs: list[Path], tmp_path: Path, changed: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        DiffusionDriveRun(replace(CONFIG, **changed), logs, tmp_path)
+
+
+def test_the_classes_are_those_that_are_drawn(logs: list[Path]) -> None:
+    assert diffusiondrive_settings(logs) == {"classes": len(CLASSES)}
