@@ -28,6 +28,7 @@ from anchorflow_client.contract import (
     TensorSpec,
     TensorsSpec,
     TimeSpec,
+    VisionLanguageSpec,
     VocabularySpec,
     WarmStart,
 )
@@ -110,6 +111,7 @@ __all__ = [
     "TransportError",
     "Unauthorized",
     "UnknownModel",
+    "VisionLanguageSpec",
     "VocabularySpec",
     "WarmStart",
     "resample",

@@ -24,6 +24,7 @@ from anchorflow_client.contract import (
     TensorSpec,
     TensorsSpec,
     TimeSpec,
+    VisionLanguageSpec,
     VocabularySpec,
     WarmStart,
 )
@@ -54,6 +55,7 @@ TYPES = (
     LimitsSpec,
     TensorsSpec,
     OdeSpec,
+    VisionLanguageSpec,
     VocabularySpec,
     RefineSpec,
     NoFinish,
@@ -127,9 +129,9 @@ PYTHON = """# Python types
 `anchorflow_client.contract`, which the service uses too. All of them are frozen; arrays are
 read-only. A field that is None is left to the model's card. One that says nothing here means what
 it means in [the request](request.md) or [the answer](answer.md). A card's `conditioning` is a
-`CostMapSpec` or a `TensorsSpec`, its `sampler` an `OdeSpec` or a `VocabularySpec`, its `finish` a
-`RefineSpec` or `NoFinish`; each has a `kind`, and a kind that the client does not know is an
-`UnknownPart`.
+`CostMapSpec`, a `TensorsSpec` or a `VisionLanguageSpec`, its `sampler` an `OdeSpec` or a
+`VocabularySpec`, its `finish` a `RefineSpec` or `NoFinish`; each has a `kind`, and a kind that the
+client does not know is an `UnknownPart`.
 
 {types}
 """

@@ -13,6 +13,7 @@ from typing import Any
 from torch import nn
 
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
+from anchorflow_models.v2x_vlm import V2XConfig, create_v2x_vlm
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,11 @@ class Planner:
 
 
 PLANNERS: Mapping[str, Planner] = {
-    planner.name: planner for planner in (Planner("flowmp", L2Config, create_l2_safety_cfm),)
+    planner.name: planner
+    for planner in (
+        Planner("flowmp", L2Config, create_l2_safety_cfm),
+        Planner("v2x_vlm", V2XConfig, create_v2x_vlm),
+    )
 }
 
 UNNAMED = "flowmp"

@@ -12,6 +12,7 @@ from anchorflow_client.contract.kinds import (
     TensorSpec,
     TensorsSpec,
     TimeSpec,
+    VisionLanguageSpec,
     VocabularySpec,
 )
 from anchorflow_client.contract.ranges import (
@@ -61,6 +62,7 @@ __all__ = [
     "TensorSpec",
     "TensorsSpec",
     "TimeSpec",
+    "VisionLanguageSpec",
     "VocabularySpec",
     "WarmStart",
     "resolve_for_card",

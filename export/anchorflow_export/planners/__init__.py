@@ -8,8 +8,12 @@ from typing import Any
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter
 from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.flowmp import flowmp_adapter
+from anchorflow_export.planners.v2x_vlm import v2x_vlm_adapter
 
-ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {"flowmp": flowmp_adapter}
+ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
+    "flowmp": flowmp_adapter,
+    "v2x_vlm": v2x_vlm_adapter,
+}
 """By the name in the registry of planners: from a network to its adapter."""
 
 
