@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
 from anchorflow_training.data import TrajectoryDataset
@@ -79,6 +80,11 @@ def make(
     )
     for line in limits_in_words(config.limits, meta["ranges"]):
         typer.echo(line)
+
+
+app.command()(crossings)
+app.command()(verify)
+app.command()(pairs)
 
 
 @app.command("import")

@@ -45,7 +45,7 @@ def _along(values: NDArray[Any], size: int) -> NDArray[np.float32]:
 
 
 def _taps(before: int, after: int) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Which rows make up each new one, and how much of it, 0 beyond the last: [after, taps] each."""
+    """Which rows make up a new one, and how much of it, 0 beyond the last: [after, taps] each."""
     stride = before / after
     stretch = max(stride, 1.0)  # where it shrinks, the kernel covers what falls together
     middle = (np.arange(after) + 0.5) * stride

@@ -344,7 +344,7 @@ def test_another_tokenizer_is_found_out(bundle: Path, tmp_path: Path) -> None:
         (lambda m: m["conditioning"].update(text="words"), "expected words of text among request"),
         (
             lambda m: m["conditioning"].update(images=["vehicle_image"]),
-            "conditioning has no use for infrastructure_image",
+            "graphs.encode.inputs: expected has_infrastructure_image, tokens",
         ),
         (lambda m: m["graphs"].pop("vision"), "needs the role vision"),
         (lambda m: m["request"]["inputs"][1].update(optional=False), "graphs.encode.inputs"),

@@ -14,6 +14,9 @@ from anchorflow_training.dataset import open_dataset
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer
+from anchorflow_training.v2x import run as v2x
+from anchorflow_training.v2x.config import V2XRunConfig
+from anchorflow_training.v2x.dataset import open_pairs
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,10 @@ class Training:
 
 TRAININGS: Mapping[str, Training] = {
     training.config.planner: training
-    for training in (Training(TrainerConfig, open_dataset, model_settings, CFMTrainer),)
+    for training in (
+        Training(TrainerConfig, open_dataset, model_settings, CFMTrainer),
+        Training(V2XRunConfig, open_pairs, v2x.model_settings, v2x.V2XRun),
+    )
 }
 
 
