@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from anchorflow_cli.data_drive import drive
 from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
@@ -82,6 +83,7 @@ def make(
         typer.echo(line)
 
 
+app.command()(drive)
 app.command()(crossings)
 app.command()(verify)
 app.command()(pairs)

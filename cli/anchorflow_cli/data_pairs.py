@@ -1,4 +1,4 @@
-"""`anchorflow data crossings`, `verify` and `pairs`: from cooperative recordings to V2X-VLM's data."""
+"""`anchorflow data crossings`, `verify` and `pairs`: recordings of two cameras for V2X-VLM."""
 
 from __future__ import annotations
 

@@ -60,10 +60,7 @@ class DrivableGrid:
         columns, rows = np.ceil((start.max(0) + 1.0 - self._low) / CELL).astype(int)
         # In cells, with their middles at whole numbers.
         start, end = ((ends - self._low) / CELL - 0.5 for ends in (start, end))
-        upward = (start[:, 1] <= end[:, 1])[:, None]
-        self._cells = _fill(
-            np.where(upward, start, end), np.where(upward, end, start), rows, columns
-        )
+        self._cells = cells_inside(start, end, (rows, columns))
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
         column, row = np.moveaxis(np.floor((points - self._low) / CELL).astype(int), -1, 0)
@@ -72,11 +69,15 @@ class DrivableGrid:
         return inside & self._cells[np.where(inside, row, 0), np.where(inside, column, 0)]
 
 
-def _fill(below: Array, above: Array, rows: int, columns: int) -> NDArray[np.bool_]:
-    """Even-odd rule: every edge toggles, in each row that it crosses, all cells to its right.
+def cells_inside(start: Array, end: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """Cells [rows, columns] inside an odd number of rings, whose edges [E, 2] are given in cells.
 
-    below, above: lower and upper ends of the edges [E, 2]
+    Even-odd rule: every edge toggles, in each row that it crosses, all cells to its right. A cell's
+    middle has whole numbers.
     """
+    rows, columns = shape
+    upward = (start[:, 1] <= end[:, 1])[:, None]
+    below, above = np.where(upward, start, end), np.where(upward, end, start)
     first = np.clip(np.ceil(below[:, 1]), 0, rows).astype(int)
     last = np.clip(np.ceil(above[:, 1]), 0, rows).astype(int)
     crossings = last - first

@@ -82,6 +82,7 @@ class PlannerView:
     speed_limit: float  # m/s, NaN where unknown
     road: Road
     log_polylines: dict[str, Polylines]
+    line_solid: NDArray[np.bool_]  # of the lines
 
     def polylines(self, family: str) -> Polylines:
         """The map's lanes, centres, drivable rings, crosswalks or lines."""
@@ -162,6 +163,7 @@ class Window:
             speed_limit=self.speed_limit,
             road=self.road,
             log_polylines=self._scenes.map_polylines,
+            line_solid=self.log.line_solid,
         )
 
     def recorded(self, times: Array) -> Array:

@@ -116,7 +116,7 @@ def recorded(name: str, form: str, came: dict[str, Any]) -> dict[str, Any]:
 
 
 def machine() -> dict[str, str]:
-    libraries = {library: version(library) for library in ("numpy", "onnxruntime", "scipy")}
+    libraries = {library: version(library) for library in ("numba", "numpy", "onnxruntime")}
     return {"processor": processor()} | libraries
 
 

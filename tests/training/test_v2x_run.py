@@ -151,7 +151,7 @@ def test_a_frozen_tower_stays_as_it_is(
 
 
 def test_published_weights_come_from_a_folder_of_the_same_shape(
-    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+    config: V2XRunConfig, tmp_path: Path
 ) -> None:
     one, other = (V2XVLM(config.model) for _ in range(2))
     one.florence.save_pretrained(tmp_path / "weights")

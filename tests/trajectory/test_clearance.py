@@ -9,8 +9,8 @@ from anchorflow_trajectory.clearance import (
     GridField,
     clearance_field,
     distance_to_cells,
-    path_clearance,
 )
+from anchorflow_trajectory.verify import path_clearance
 
 ORIGIN = np.array([-1.0, -2.0])
 

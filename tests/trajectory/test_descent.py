@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.clearance import path_clearance
 from anchorflow_trajectory.cost import TrajectoryCost
 from anchorflow_trajectory.descent import descend, whitening
 from anchorflow_trajectory.spline import Ends, Splines
-from anchorflow_trajectory.verify import verify
+from anchorflow_trajectory.verify import path_clearance, verify
 
 BALANCED = (0.4, 0.3, 0.3)
 

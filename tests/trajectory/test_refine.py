@@ -274,3 +274,13 @@ def test_one_anchor_of_a_scene_that_is_sound_never_touches_another() -> None:
     assert alone.safe.all()
     np.testing.assert_allclose(together.positions[5:6], alone.positions, atol=1e-3)
     np.testing.assert_allclose(together.duration[5:6], alone.duration, rtol=1e-3)
+
+
+def test_where_nothing_can_be_safe_all_are_answered() -> None:
+    """A robot that is too weak for its own start: no anchor is within the limits on any route."""
+    scene = scene_of(x_curr=np.asarray([0.8, 3.2, 0.3, 0.0, 0.0, 9.0], np.float32))
+    assert len(scene.routes) > 1
+    route = np.arange(6) % len(scene.routes)
+    refined = Refiner(scene, steps=6).refine(scene.route_states[route], route, Spec())
+    assert not refined.safe.any()
+    assert np.isfinite(refined.positions).all()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from anchorflow_trajectory.resample import resampled_states, whole_fields
 
@@ -24,6 +25,18 @@ def test_missing_derivatives_and_steps_are_filled(steps: int, columns: int) -> N
     got = resampled_states(given, dim=2, num_steps=8, horizon_s=HORIZON_S)
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, parabola(8), atol=1e-5)
+
+
+@pytest.mark.parametrize("steps", [2, 3, 4, 5, 12, 64])
+@pytest.mark.parametrize("num_steps", [2, 7, 64])
+def test_splines_are_those_of_scipy(steps: int, num_steps: int) -> None:
+    given = np.random.default_rng(steps).normal(size=(3, steps, 2))
+    spline = CubicSpline(np.linspace(0.0, HORIZON_S, steps), given, axis=1)
+    times = np.linspace(0.0, HORIZON_S, num_steps)
+
+    got = resampled_states(given, dim=2, num_steps=num_steps, horizon_s=HORIZON_S)
+    expected = np.concatenate([spline(times, order) for order in range(3)], axis=-1)
+    np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_columns_are_whole_fields() -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import heapq
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.grid import LENGTHS, STEPS, free_steps
 from anchorflow_trajectory.ray_signature import ObstacleRays
 from anchorflow_trajectory.route_shortening import pulled_tight
 from anchorflow_trajectory.routes import MOST, SLACK, STRETCH, Route, find_routes, free_cells
@@ -183,6 +187,37 @@ def test_every_route_is_free_and_no_two_are_alike(case: World) -> None:
         assert signature == route.signature
     again = case.routes()
     assert [r.points.tolist() for r in again] == [r.points.tolist() for r in routes]
+
+
+@settings(max_examples=40, deadline=None)
+@given(worlds())
+def test_the_shortest_route_is_as_long_as_scipy_finds_it(case: World) -> None:
+    ends = [32 * 64 + 6, 32 * 64 + 57]
+    steps = free_steps(free_cells(case.clearance, ends, slack=SLACK))
+    cells, places = np.nonzero(steps[:, None] >> np.arange(8) & 1)
+    heads = cells + STEPS[places] @ (64, 1)
+    graph = csr_array((LENGTHS[places], (cells, heads)), shape=(64 * 64, 64 * 64))
+    length = float(dijkstra(graph, indices=ends[0])[ends[1]])
+
+    found = case.routes(most=1)
+    assert [route.length for route in found] == pytest.approx(
+        [CELL * length] if np.isfinite(length) else [], rel=1e-12
+    )
+
+
+def test_threads_find_the_same_routes() -> None:
+    rng = np.random.default_rng(5)
+    cases = [
+        world(*(box(*rng.integers((12, 14), (52, 50)).tolist()) for _ in range(count)))
+        for count in range(24)
+    ]
+
+    def told(case: World) -> list[bytes]:
+        return [route.points.tobytes() for route in case.tight()]
+
+    alone = [told(case) for case in cases]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(told, 4 * cases)) == 4 * alone
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
-from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basis
+from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, basis_functions, spline_basis
 
 ENDS = Ends(np.array([1.0, -2.0, 0.5, 0.3, -0.2, 0.1], np.float32), np.array([4.0, 1.0, -0.3, 0.2]))
 DURATION = np.array([0.6, 2.0, 5.0, 8.0, 30.0])
@@ -21,6 +22,19 @@ def splines(basis: SplineBasis) -> Splines:
     control = basis.end_points(ENDS, DURATION)
     control[..., basis.free] += rng.normal(size=control[..., basis.free].shape)
     return Splines(control, DURATION)
+
+
+@pytest.mark.parametrize("degree", [3, 4, 5])
+@pytest.mark.parametrize("derivative", range(4))
+def test_basis_functions_are_those_of_a_clamped_uniform_b_spline(
+    degree: int, derivative: int
+) -> None:
+    count, times = 18, np.linspace(0.0, 1.0, 61)
+    inner = np.linspace(0.0, 1.0, count - degree + 1)
+    knots = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
+    found = basis_functions(knots, degree, times, derivative=derivative)
+    expected = BSpline(knots, np.eye(count), degree)(times, nu=derivative)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_ends_are_met_in_every_duration(basis: SplineBasis, splines: Splines) -> None:

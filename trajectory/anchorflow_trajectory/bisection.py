@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import Ends, SplineBasis, Splines
-from anchorflow_trajectory.verify import verify
+from anchorflow_trajectory.spline_kernels import EndPoints, end_point
+from anchorflow_trajectory.verify import Judge, is_safe
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -21,6 +23,7 @@ BoolArray = NDArray[np.bool_]
 ROUNDS = 5
 STRIDE = 4  # samples between the points by which trajectories are compared
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # whose multiples, modulo 1, lie well apart
+LOST, FIRST, SECOND, NEAREST, TRIED = range(5)  # places of what is worked with
 ELSEWHERE = 1e6  # m^2 by which a trajectory of another route is further away
 
 
@@ -50,35 +53,78 @@ def bisect_to_safe(
     failed, sound = np.flatnonzero(~safe), np.flatnonzero(safe)
     away = route[failed, None] != route[sound]
     first, second = sound[_two_nearest(positions[failed], positions[sound], away)].T
-
-    def is_safe(mixture: Splines) -> BoolArray:
-        states = basis.states(mixture)
-        return verify(states, field, limits, certified_margin=certified_margin).safe
-
-    lost, share = splines[failed], np.arange(1, len(failed) + 1) * GOLDEN % 1.0
-    between = _mixed(splines[first], splines[second], share, ends, basis)
-    same_route = route[first] == route[second]
-    share = np.where(same_route & is_safe(between), share, 0.0)
-    nearest = _mixed(splines[first], splines[second], share, ends, basis)
-    reached, beyond = np.zeros(len(failed)), np.ones(len(failed))
-    for _ in range(ROUNDS):
-        tried = 0.5 * (reached + beyond)
-        good = is_safe(_mixed(nearest, lost, tried, ends, basis))
-        reached, beyond = np.where(good, tried, reached), np.where(good, beyond, tried)
-    return splines.replaced(failed, _mixed(nearest, lost, reached, ends, basis))
+    apart = np.arange(1, len(failed) + 1) * GOLDEN % 1.0
+    control = np.ascontiguousarray(splines.control)
+    moved, duration = _bisected(
+        control,
+        splines.duration,
+        np.stack([failed, first, second], axis=1),
+        np.where(route[first] == route[second], apart, 0.0),
+        basis.points_of(ends),
+        Judge.of(basis, field, limits, certified_margin, dtype=control.dtype),
+    )
+    return splines.replaced(failed, Splines(moved, duration))
 
 
-def _mixed(
-    near: Splines, far: Splines, share: FloatArray, ends: Ends, basis: SplineBasis
-) -> Splines:
-    """What lies a share [M] of the way from one to the other, with both ends met."""
-    weight = share.astype(np.float32)[:, None]
-    control = near.control + weight * (far.control - near.control)
-    duration = near.duration + share * (far.duration - near.duration)
-    free = basis.free
-    fixed = basis.end_points(ends, duration)
-    fixed[..., free] = control[..., free]
-    return Splines(fixed, duration)
+@compiled
+def _bisected(
+    control: FloatArray,
+    duration: NDArray[np.float64],
+    places: NDArray[np.int64],
+    share: NDArray[np.float64],
+    ends: EndPoints,
+    judge: Judge,
+) -> tuple[FloatArray, NDArray[np.float64]]:
+    """The failed ones [D, P, K] of splines [D, M, K], and their durations [P], moved.
+
+    places: [P, 3], of each failed one and of its nearest two neighbours
+    share: [P], of the way from the first of these to the second that is its own
+    """
+    dim, _, points = control.shape
+    moved, lasting = np.empty((dim, len(places), points), control.dtype), np.empty(len(places))
+    work, lasts = np.empty((dim, 5, points), control.dtype), np.empty(5)
+    for p in range(len(places)):
+        for place, m in ((LOST, places[p, 0]), (FIRST, places[p, 1]), (SECOND, places[p, 2])):
+            work[:, place], lasts[place] = control[:, m], duration[m]
+        _mix(work, lasts, FIRST, SECOND, share[p], ends, NEAREST)
+        if not is_safe(work, lasts, NEAREST, judge):
+            _mix(work, lasts, FIRST, SECOND, 0.0, ends, NEAREST)
+        reached, beyond = 0.0, 1.0
+        for _ in range(ROUNDS):
+            middle = 0.5 * (reached + beyond)
+            _mix(work, lasts, NEAREST, LOST, middle, ends, TRIED)
+            if is_safe(work, lasts, TRIED, judge):
+                reached = middle
+            else:
+                beyond = middle
+        _mix(work, lasts, NEAREST, LOST, reached, ends, TRIED)
+        moved[:, p], lasting[p] = work[:, TRIED], lasts[TRIED]
+    return moved, lasting
+
+
+@compiled
+def _mix(
+    control: FloatArray,
+    duration: NDArray[np.float64],
+    near: int,
+    far: int,
+    share: float,
+    ends: EndPoints,
+    place: int,
+) -> None:
+    """Write what lies a share of the way from one of splines [D, M, K] to another, at a place.
+
+    Both ends are met.
+    """
+    weight = control.dtype.type(share)
+    for d in range(control.shape[0]):
+        for k in range(control.shape[2]):
+            begin = control[d, near, k]
+            control[d, place, k] = begin + weight * (control[d, far, k] - begin)
+    duration[place] = duration[near] + share * (duration[far] - duration[near])
+    for d in range(control.shape[0]):
+        for e in range(len(ends.points)):
+            control[d, place, ends.points[e]] = end_point(ends, e, d, duration[place])
 
 
 def _two_nearest(points: FloatArray, others: FloatArray, away: BoolArray) -> NDArray[np.intp]:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+
+from anchorflow_trajectory.distance_transform import distance_in_cells
+from anchorflow_trajectory.lock_free import cached_property
+from anchorflow_trajectory.map_cache import MapCache
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 OCCUPIED = 0.5  # occupancy from which a cell is an obstacle
+# Requests come again on the map of the last one, at other starts and for other robots.
+SHARED = MapCache(most_bytes=32 << 20)
 
 
 def distance_to_cells(cells: BoolArray, resolution: float) -> FloatArray:
@@ -21,11 +25,7 @@ def distance_to_cells(cells: BoolArray, resolution: float) -> FloatArray:
     Measuring to the square and not to its centre matters: a centre distance overstates clearance by
     half a cell. Where no cell is set the distance is infinite.
     """
-    if not cells.any():
-        return np.full(cells.shape, np.inf, np.float32)
-    nearest = distance_transform_edt(~cells, return_distances=False, return_indices=True)
-    offset = np.abs(np.asarray(nearest) - np.indices(cells.shape))
-    return (np.hypot(*np.maximum(offset - 0.5, 0.0)) * resolution).astype(np.float32)
+    return (distance_in_cells(np.ascontiguousarray(cells)) * resolution).astype(np.float32)
 
 
 def clearance_field(occupied: BoolArray, resolution: float, robot_radius: float) -> FloatArray:
@@ -34,16 +34,21 @@ def clearance_field(occupied: BoolArray, resolution: float, robot_radius: float)
     The robot's centre must also stay on the map, so the distance to the map's edge is a bound too.
     Inside obstacles the field goes on falling, so that its gradient leads out.
     """
-    outside = distance_to_cells(occupied, resolution)
-    inside = distance_to_cells(~occupied, resolution)
-    inside[~np.isfinite(inside)] = max(occupied.shape) * resolution
+    signed = SHARED.of(occupied, resolution, signed_distance)
     height, width = occupied.shape
     to_edge = [
         np.minimum(i, n - 1 - i) + 0.5
         for n, i in ((height, np.arange(height)), (width, np.arange(width)))
     ]
     edge = np.minimum(to_edge[0][:, None], to_edge[1]) * resolution
-    return np.minimum(outside - inside - robot_radius, edge).astype(np.float32)
+    return np.minimum(signed - robot_radius, edge).astype(np.float32)
+
+
+def signed_distance(occupied: BoolArray, resolution: float) -> FloatArray:
+    """Distance [m] to obstacles [H, W], less the distance to free ground inside of them."""
+    inside = distance_to_cells(~occupied, resolution)
+    inside[~np.isfinite(inside)] = max(occupied.shape) * resolution
+    return distance_to_cells(occupied, resolution) - inside
 
 
 @dataclass(frozen=True)
@@ -98,17 +103,3 @@ class GridField:
         along_x = np.where(over_u == 0, slope_u * scale, -np.sign(over_u))
         along_y = np.where(over_v == 0, slope_v * scale, -np.sign(over_v))
         return value, along_x, along_y
-
-
-def path_clearance(field: GridField, positions: FloatArray, *, max_step: float) -> FloatArray:
-    """Smallest clearance [m] along each polyline; positions [M, T, D >= 2] -> [M].
-
-    Between two samples the polyline is followed at steps of at most `max_step` metres.
-    """
-    start, chord = positions[:, :-1, :2], np.diff(positions[..., :2], axis=1)
-    longest = float(np.sqrt((chord**2).sum(-1).max(initial=0.0)))
-    pieces = max(1, int(np.ceil(longest / max_step)))
-    along = (np.arange(pieces, dtype=np.float32) / pieces)[:, None, None, None]
-    x, y = np.moveaxis(start + along * chord, -1, 0)
-    last = field.sample(positions[:, -1, 0], positions[:, -1, 1])
-    return np.minimum(field.sample(x, y).min(axis=(0, 2)), last)

@@ -15,8 +15,7 @@
 Speeds and accelerations count in shares of the limits, durations in shares of the reference time:
 a robot of half the speed and a quarter of the acceleration is asked the same in twice the time.
 
-Gradients are written out by hand: numpy on one core then takes well under a millisecond for 64
-trajectories of 64 samples.
+Gradients are written out by hand, in `cost_kernels`.
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from anchorflow_trajectory.cost_fields import CostFields
+from anchorflow_trajectory.cost_fields import CostFields, Grid
+from anchorflow_trajectory.cost_kernels import Gains, Problem, cost_of_splines
 from anchorflow_trajectory.spline import SplineBasis, Splines
 
 FloatArray = NDArray[np.floating]
 
 TURN = 4.0 / 3.0  # m in which a robot that may accelerate as it likes reaches its speed smoothly
-DEEP = 0.25  # m of intrusion, about a robot's size, beyond which the hinge grows linearly
 
 
 @dataclass(frozen=True)
@@ -127,82 +126,29 @@ class TrajectoryCost:
 
     def value_and_gradient(self, splines: Splines) -> tuple[FloatArray, Gradient]:
         """J [M] and its gradient."""
-        samples = splines.control @ self.basis.stacked
-        position, first, second, third = _quarters(samples)
-        slope = np.empty_like(samples)
-        on_position, on_first, on_second, on_third = _quarters(slope)
-        safety, energy, smooth = self.weights.leaning(self.style).astype(np.float32)[..., None]
+        control = np.ascontiguousarray(splines.control)
+        cost, slope, by_duration = cost_of_splines(
+            self.problem(control.dtype),
+            control,
+            splines.duration.astype(control.dtype),
+            self.leaning(len(splines), control.dtype),
+        )
+        return cost, Gradient(slope, by_duration)
+
+    def leaning(self, count: int, dtype: DTypeLike) -> FloatArray:
+        """u of each of M trajectories: [3, M]."""
+        leaning = self.weights.leaning(self.style).reshape(3, -1)
+        return np.array(np.broadcast_to(leaning, (3, count)), dtype)
+
+    def problem(self, dtype: DTypeLike) -> Problem:
+        """The same as compiled loops read it, in numbers of that type."""
         w, limits = self.weights, self.limits
-        duration = splines.duration.astype(np.float32)
-        pace = 1.0 / duration[:, None]
-        # Shares of the limits are p', p'' and p''' times these.
-        by_speed, by_acceleration = pace / limits.v_max, pace**2 / limits.a_max
-        by_jerk = pace**3 / limits.jerk_scale
-        by_way = np.float32(1.0 / (limits.v_max * self.reference_s))
-
-        place = self._place(position, safety * w.safety, on_position)
-        slow_gain, short_gain = safety * w.slow * by_speed**2, energy * w.short * by_way**2
-        speeds = _squared(first, slow_gain + short_gain, on_first)
-        fast = _excess(first, by_speed, w.limit_share, w.speed, on_first)
-        on_second[...] = 0.0
-        hard = _excess(second, by_acceleration, w.limit_share, w.acceleration, on_second)
-        jerk = _squared(third, smooth * w.smooth * by_jerk**2, on_third)
-
-        count = position.shape[-1]
-        gained = speeds * (-2.0 * slow_gain / (slow_gain + short_gain + 1e-30)) - 6.0 * jerk
-        gained -= fast.rate + 2.0 * hard.rate
-        later = (w.time + w.quick * energy[..., 0]) * duration / self.reference_s
-        gradient = Gradient((slope @ self.basis.stacked.T) / count, later + gained.sum(-1) / count)
-        cost = place + speeds + fast.cost + hard.cost + jerk
-        return cost.sum(-1) / count + later, gradient
-
-    def _place(self, position: FloatArray, safety: FloatArray, slope: FloatArray) -> FloatArray:
-        """Cost [M, T] of where the samples lie; writes its derivatives into slope [D, M, T]."""
-        x, y = position[0], position[1]
-        clearance, along_x, along_y = self.fields.clearance.sample_with_gradient(x, y)
-        hard = np.maximum(self.margin - clearance, 0.0)
-        lack = np.maximum(1.0 - clearance / self.weights.comfort, 0.0)
-        deep = np.minimum(hard, DEEP)  # a deep start must not explode
-        cost = self.weights.collision * deep * (2.0 * hard - deep) + safety * lack**2
-        rate = -2.0 * (self.weights.collision * deep + safety / self.weights.comfort * lack)
-        slope[0], slope[1], slope[2:] = rate * along_x, rate * along_y, 0.0
-        if self.fields.soft is not None:
-            value, soft_x, soft_y = self.fields.soft.sample_with_gradient(x, y)
-            cost += safety * value
-            slope[0] += safety * soft_x
-            slope[1] += safety * soft_y
-        return cost
-
-
-class _Excess(NamedTuple):
-    """cost [M, T] beyond a limit, and what it gains a unit of log scale [M, T]."""
-
-    cost: FloatArray
-    rate: FloatArray
-
-
-def _quarters(stacked: FloatArray) -> list[FloatArray]:
-    """Views of [..., 4 T]; np.split takes a tenth of the whole gradient's time."""
-    count = stacked.shape[-1] // 4
-    return [stacked[..., k * count : (k + 1) * count] for k in range(4)]
-
-
-def _squared(samples: FloatArray, gain: FloatArray, slope: FloatArray) -> FloatArray:
-    """gain * |samples|^2, [M, T]; writes the derivative into slope [D, M, T]."""
-    np.multiply(samples, 2.0 * gain, out=slope)
-    return gain * np.einsum("dmt,dmt->mt", samples, samples)
-
-
-def _excess(
-    samples: FloatArray, scale: FloatArray, share: float, gain: float, slope: FloatArray
-) -> _Excess:
-    """gain * max(|scale samples| - share, 0)^2 over the planar part; adds to slope [D, M, T].
-
-    scale: [M, 1]
-    """
-    planar = samples[:2]
-    size = np.sqrt(np.einsum("dmt,dmt->mt", planar, planar)) + 1e-9
-    scaled = size * scale
-    excess = np.maximum(scaled - share, 0.0)
-    slope[:2] += planar * (2.0 * gain * excess * scale / size)
-    return _Excess(gain * excess**2, 2.0 * gain * excess * scaled)
+        gains = (w.time, w.safety, w.slow, w.quick, w.short, w.smooth, w.collision, w.speed)
+        gains += (w.acceleration, w.comfort, w.limit_share, self.margin)
+        gains += (limits.v_max, limits.a_max, limits.jerk_scale, self.reference_s)
+        return Problem(
+            self.basis.band(dtype),
+            Grid.of(self.fields.clearance, dtype),
+            Grid.of(self.fields.soft, dtype),
+            Gains(*np.array(gains, dtype)),
+        )

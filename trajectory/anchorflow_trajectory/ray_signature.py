@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label
+
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.grid import STEPS
 
 FloatArray = NDArray[np.floating]
 Signature = tuple[int, ...]
 
-EIGHT_NEIGHBOURS = np.ones((3, 3))
 KEYS_SEED = 0
 
 
@@ -41,11 +42,7 @@ class ObstacleRays:
         An obstacle is a connected part of the ground where it is negative. Those that touch the
         map's edge have no ray: nothing passes behind them.
         """
-        labels = np.asarray(label(clearance < 0.0, EIGHT_NEIGHBOURS)[0])  # type: ignore[index]
-        numbers, first = np.unique(labels, return_index=True)
-        edges = (labels[0], labels[-1], labels[:, 0], labels[:, -1])
-        inner = ~np.isin(numbers, np.concatenate([[0], *edges]))
-        rows, columns = np.divmod(first[inner], clearance.shape[1])
+        rows, columns = np.divmod(_inner_obstacles(clearance < 0.0), clearance.shape[1])
         return ObstacleRays(columns, rows, (clearance.shape[0], clearance.shape[1]))
 
     def keys_crossed(self) -> NDArray[np.uint64]:
@@ -57,26 +54,91 @@ class ObstacleRays:
         keys = np.random.default_rng(KEYS_SEED).integers(
             0, 2**64 - 1, len(self.rows), np.uint64, endpoint=True
         )
-        starts = np.zeros((self.shape[0] + 1, self.shape[1]), np.uint64)
-        np.add.at(starts, (self.rows + 1, self.columns), keys)
-        return np.cumsum(starts, axis=0, dtype=np.uint64)[:-1]
-
-    def crossings(
-        self, points: FloatArray, *, resolution: float, origin: FloatArray
-    ) -> NDArray[np.int64]:
-        """Signed crossings [..., T - 1, K] of each leg of polylines [..., T, 2] in m."""
-        cells = (np.asarray(points, np.float64) - origin) / resolution
-        x, y = cells[..., None, 0], cells[..., None, 1]
-        right = (x > self.columns + 1.0).astype(np.int64)
-        step = np.diff(right, axis=-2)
-        run = np.where(step == 0, 1.0, np.diff(x, axis=-2))
-        share = (self.columns + 1.0 - x[..., :-1, :]) / run
-        above = y[..., :-1, :] + share * np.diff(y, axis=-2) > self.rows + 0.5
-        return step * above
+        return _crossed(keys, self.columns, self.rows, *self.shape)
 
     def signatures(
         self, paths: FloatArray, *, resolution: float, origin: FloatArray
     ) -> list[Signature]:
         """A signature for each of the polylines [N, T, 2] in m of the map's frame."""
-        crossings = self.crossings(paths, resolution=resolution, origin=origin).sum(-2)
-        return [tuple(row) for row in crossings.tolist()]
+        cells = in_cells(paths, resolution, origin)
+        summed = _summed_crossings(cells, self.columns, self.rows)
+        return [tuple(row) for row in summed.tolist()]
+
+
+def in_cells(points: FloatArray, resolution: float, origin: FloatArray) -> NDArray[np.float64]:
+    """Points [..., 2] in cells from the map's corner."""
+    return np.ascontiguousarray((np.asarray(points, np.float64) - origin) / resolution)
+
+
+@compiled
+def _inner_obstacles(blocked: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """[K], the first flat cell of each connected part of a grid [H, W] that touches no edge.
+
+    Cells that touch in a corner are connected.
+    """
+    height, width = blocked.shape
+    seen, waiting = np.zeros(blocked.shape, np.bool_), np.empty(blocked.size, np.int64)
+    first = np.empty(blocked.size, np.int64)
+    count = 0
+    for begin in range(blocked.size):
+        if seen.flat[begin] or not blocked.flat[begin]:
+            continue
+        seen.flat[begin], waiting[0], left, is_inner = True, begin, 1, True
+        while left:
+            left -= 1
+            row, column = divmod(waiting[left], width)
+            is_inner &= 0 < row < height - 1 and 0 < column < width - 1
+            for k in range(len(STEPS)):
+                to_row, to_column = row + STEPS[k, 0], column + STEPS[k, 1]
+                if not (0 <= to_row < height and 0 <= to_column < width):
+                    continue
+                if blocked[to_row, to_column] and not seen[to_row, to_column]:
+                    seen[to_row, to_column] = True
+                    waiting[left] = to_row * width + to_column
+                    left += 1
+        if is_inner:
+            first[count] = begin
+            count += 1
+    return first[:count].copy()
+
+
+@compiled
+def _crossed(
+    keys: NDArray[np.uint64],
+    columns: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    height: int,
+    width: int,
+) -> NDArray[np.uint64]:
+    """The sums [H, W] of the keys [K] whose rays a step to the right crosses."""
+    crossed = np.zeros((height, width), np.uint64)
+    for k in range(len(keys)):
+        for row in range(rows[k] + 1, height):
+            crossed[row, columns[k]] += keys[k]
+    return crossed
+
+
+@compiled
+def _summed_crossings(
+    paths: NDArray[np.float64], columns: NDArray[np.int64], rows: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Signed crossings [N, K] of K rays by polylines [N, T, 2] in cells."""
+    summed = np.zeros((len(paths), len(columns)), np.int64)
+    for n in range(len(paths)):
+        for k in range(len(columns)):
+            summed[n, k] = crossings(paths[n], columns[k], rows[k])
+    return summed
+
+
+@compiled
+def crossings(path: NDArray[np.float64], column: int, row: int) -> int:
+    """Crossings of a ray by a polyline [T, 2] in cells: to the right, less those to the left."""
+    edge, found = column + 1.0, 0
+    for leg in range(len(path) - 1):
+        x, to_x = path[leg, 0], path[leg + 1, 0]
+        if (x > edge) == (to_x > edge):
+            continue
+        y, to_y = path[leg, 1], path[leg + 1, 1]
+        if y + (edge - x) / (to_x - x) * (to_y - y) > row + 0.5:
+            found += 1 if to_x > edge else -1
+    return found

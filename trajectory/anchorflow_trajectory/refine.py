@@ -15,7 +15,7 @@ from anchorflow_trajectory.cost import TrajectoryCost
 from anchorflow_trajectory.descent import descend
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import Splines
-from anchorflow_trajectory.verify import required_clearance, verify
+from anchorflow_trajectory.verify import are_safe, largest_length, required_clearance, verify
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -176,8 +176,11 @@ class Refiner:
             tried, gained = self._corrected(self._stretched(tried), certified, barrier)
             splines = splines.replaced(failed, tried)
             safe[failed] = gained
-            helped = ~safe & ~np.isin(route, route[safe])
-        lost = np.setdiff1d(route, route[safe & self._on_route(splines, route)])
+            helped = ~safe & ~self._has_any(route[safe])[route]
+        sound = np.flatnonzero(safe)
+        sound = sound[self._on_route(splines[sound], route[sound])]
+        reached = self._has_any(route[sound])
+        lost = np.flatnonzero(self._has_any(route) & ~reached)
         if len(lost):
             splines, safe = self._rescued(cost, splines, safe, route, lost, certified, barrier)
         return bisect_to_safe(
@@ -212,6 +215,12 @@ class Refiner:
         safe[places[gained]] = True
         return splines.replaced(places[gained], tried[gained]), safe
 
+    def _has_any(self, route: NDArray[np.intp]) -> BoolArray:
+        """Which of the scene's routes are among these: [R]."""
+        found = np.zeros(len(self.scene.route_splines), np.bool_)
+        found[route] = True
+        return found
+
     def _on_route(self, splines: Splines, route: NDArray[np.intp]) -> BoolArray:
         """Which still pass the obstacles on the same sides as their route: [M]."""
         scene = self.scene
@@ -221,7 +230,8 @@ class Refiner:
         found = scene.rays.signatures(
             positions[:, :2].swapaxes(1, 2), resolution=scene.resolution, origin=scene.origin
         )
-        return np.array([a == scene.routes[k].signature for a, k in zip(found, route, strict=True)])
+        kept = [a == scene.routes[k].signature for a, k in zip(found, route, strict=True)]
+        return np.array(kept, np.bool_)
 
     def _stretched(self, splines: Splines) -> Splines:
         """The same ways, gone so slowly that they keep both limits, as far as the ends allow.
@@ -234,9 +244,7 @@ class Refiner:
         _, velocity, acceleration = scene.basis.states(splines)
         given = scene.ends.in_own_time(np.ones(1))[:, 0, :2]
         start_speed, start_acceleration, goal_speed = np.linalg.norm(given[[1, 2, 4]], axis=-1)
-        speed, hardest = (
-            np.sqrt((vectors[..., :2] ** 2).sum(-1)).max(1) for vectors in (velocity, acceleration)
-        )
+        speed, hardest = largest_length(velocity), largest_length(acceleration)
         needed = np.maximum(
             speed / max(motion.v_max, start_speed, goal_speed),
             (hardest / max(motion.a_max, start_acceleration)) ** 0.5,
@@ -268,10 +276,13 @@ class Refiner:
 
     def _safe(self, splines: Splines, certified: float) -> BoolArray:
         scene = self.scene
-        states = scene.basis.states(splines)
-        return verify(
-            states, scene.cost_fields.clearance, scene.motion, certified_margin=certified
-        ).safe
+        return are_safe(
+            splines,
+            scene.basis,
+            scene.cost_fields.clearance,
+            scene.motion,
+            certified_margin=certified,
+        )
 
     def _barrier(self, field: GridField, certified: float) -> ControlBarrier:
         return ControlBarrier(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 FloatArray = NDArray[np.floating]
 
@@ -24,8 +25,39 @@ def resampled_states(
     What is given is interpolated by cubic splines, and derivatives that are missing are theirs.
     """
     steps, columns = trajectories.shape[-2:]
-    spline = CubicSpline(np.linspace(0.0, horizon_s, steps), trajectories, axis=-2)
-    times = np.linspace(0.0, horizon_s, num_steps)
+    weights, step_s = cubic_weights(steps, num_steps), horizon_s / (steps - 1)
     missing = FIELDS - columns // dim
-    derived = [spline(times, order)[..., -dim:] for order in range(1, missing + 1)]
-    return np.concatenate([spline(times), *derived], axis=-1).astype(np.float32)
+    derived = [
+        (weights[order] / step_s**order) @ trajectories[..., -dim:]
+        for order in range(1, missing + 1)
+    ]
+    return np.concatenate([weights[0] @ trajectories, *derived], axis=-1).astype(np.float32)
+
+
+@lru_cache(maxsize=32)
+def cubic_weights(steps: int, num_steps: int) -> NDArray[np.float64]:
+    """[3, T, T']: value, slope and bend of the cubic spline through T' samples a unit apart, at T
+    equal steps, as sums of the samples.
+
+    The spline is one cubic over the first two pieces and one over the last two ("not a knot"; de
+    Boor, *A Practical Guide to Splines*, 1978, chapter IV): the parabola through three samples, the
+    line through two.
+    """
+    samples = np.eye(steps)
+    bends = np.diff(samples, n=2, axis=0)
+    known, ties = np.zeros((steps, steps)), np.zeros((steps, steps))
+    known[1:-1], ties[1:-1] = 6.0 * bends, bends + 6.0 * samples[1:-1]
+    ties[[0, -1]] = np.diff(samples, n=min(2, steps - 2), axis=0)[[0, -1]]
+    second = np.linalg.solve(ties, known)  # at the samples
+
+    at = np.linspace(0.0, steps - 1.0, num_steps)
+    piece = np.minimum(at.astype(int), steps - 2)
+    right = (at - piece)[:, None]
+    left = 1.0 - right
+    value = left * samples[piece] + right * samples[piece + 1]
+    value += ((left**3 - left) * second[piece] + (right**3 - right) * second[piece + 1]) / 6.0
+    slope = samples[piece + 1] - samples[piece]
+    slope += ((3 * right**2 - 1) * second[piece + 1] - (3 * left**2 - 1) * second[piece]) / 6.0
+    weights = np.stack([value, slope, left * second[piece] + right * second[piece + 1]])
+    weights.setflags(write=False)
+    return weights

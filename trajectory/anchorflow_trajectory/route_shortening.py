@@ -7,11 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.ray_signature import ObstacleRays
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.ray_signature import ObstacleRays, crossings, in_cells
 from anchorflow_trajectory.routes import Route, polyline_length
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
+Points = NDArray[np.float64]
+Cells = NDArray[np.int64]
 
 # m of clearance that a chord keeps: more than the search asks, a spline needs room for its bends.
 CHORD_SLACK = 0.1
@@ -45,37 +48,80 @@ def pulled_tight(
     """
     free, rays, tight = clearance >= slack, rays or ObstacleRays.of(clearance), []
     for route in routes:
-        corners = route.points[_corners(route.points)]
-        crossed = rays.crossings(corners, resolution=resolution, origin=origin)
-        before = np.concatenate([np.zeros((1, crossed.shape[1]), int), np.cumsum(crossed, axis=0)])
-        at, kept = 0, [0]
-        while at < len(corners) - 1:
-            chords = np.stack(np.broadcast_arrays(corners[at], corners[at + 1 :]), axis=1)
-            around = rays.crossings(chords, resolution=resolution, origin=origin)[:, 0]
-            good = (around == before[at + 1 :] - before[at]).all(1)
-            good &= _clear(chords, free, resolution, origin)
-            good[0] = True  # a straight piece of the route itself
-            at += 1 + int(np.flatnonzero(good)[-1])
-            kept.append(at)
-        points = corners[kept]
+        cells = in_cells(route.points, resolution, origin)
+        kept = _kept(cells, _corners(route.points), free, rays.columns, rays.rows)
+        points = route.points[kept]
         tight.append(Route(points, polyline_length(points), route.signature))
     return sorted(tight, key=lambda route: route.length)
 
 
-def _corners(points: FloatArray) -> NDArray[np.intp]:
+@compiled
+def _corners(points: Points) -> Cells:
     """The places of both ends, of the points [K, 2] at which the way turns, and of some between."""
-    legs = np.diff(points, axis=0)
-    turns = np.abs(np.diff(legs, axis=0)).max(1) > SAME_LEG * np.abs(legs).max()
-    turns[STRIDE - 1 :: STRIDE] = True
-    return np.concatenate([[0], np.flatnonzero(turns) + 1, [len(points) - 1]])
+    legs = points[1:] - points[:-1]
+    longest = np.abs(legs).max()
+    corners, count = np.zeros(len(points), np.int64), 1
+    for k in range(1, len(legs)):
+        turn = np.abs(legs[k] - legs[k - 1]).max()
+        if turn > SAME_LEG * longest or k % STRIDE == 0:
+            corners[count] = k
+            count += 1
+    corners[count] = len(legs)
+    return corners[: count + 1]
 
 
-def _clear(chords: FloatArray, free: BoolArray, resolution: float, origin: FloatArray) -> BoolArray:
-    """Whether all cells on straight ways [M, 2, 2] in m are free: [M]."""
-    cells = (chords - origin) / resolution
-    longest = float(np.abs(cells[:, 1] - cells[:, 0]).max())
-    share = np.linspace(0.0, 1.0, int(longest * LOOKS_A_CELL) + 2)[:, None, None]
-    x, y = np.moveaxis(cells[:, 0] + share * (cells[:, 1] - cells[:, 0]), -1, 0)
+@compiled
+def _kept(
+    points: Points,
+    corners: Cells,
+    free: BoolArray,
+    columns: Cells,
+    rows: Cells,
+) -> Cells:
+    """The corners that are left of a route's points [K, 2] in cells, where chords cut the others.
+
+    free: [H, W] cells that chords may cross; columns, rows: of the obstacles' rays
+    """
+    kept, count, at = np.zeros(len(corners), np.int64), 1, 0
+    while at < len(corners) - 1:
+        begin, to = points[corners[at]], at + 1
+        reach = 0.0
+        for later in range(at + 1, len(corners)):
+            reach = max(reach, np.abs(points[corners[later]] - begin).max())
+        # As many of every chord from here as the longest needs.
+        looks = int(reach * LOOKS_A_CELL) + 2
+        for later in range(len(corners) - 1, at + 1, -1):
+            end = points[corners[later]]
+            if _is_clear(begin, end, free, looks) and _same_sides(
+                points[corners[at : later + 1]], columns, rows
+            ):
+                to = later
+                break
+        at = to
+        kept[count] = corners[at]
+        count += 1
+    return kept[:count]
+
+
+@compiled
+def _is_clear(begin: Points, end: Points, free: BoolArray, looks: int) -> bool:
+    """Whether the cells at so many points of the straight way [2] to [2] in cells are free."""
     height, width = free.shape
-    rows, columns = (np.clip(v.astype(int), 0, n - 1) for v, n in ((y, height), (x, width)))
-    return np.asarray(free[rows, columns].all(0))
+    apart = 1.0 / (looks - 1)
+    for look in range(looks):
+        share = look * apart
+        column = int(begin[0] + share * (end[0] - begin[0]))
+        row = int(begin[1] + share * (end[1] - begin[1]))
+        if not free[min(max(row, 0), height - 1), min(max(column, 0), width - 1)]:
+            return False
+    return True
+
+
+@compiled
+def _same_sides(points: Points, columns: Cells, rows: Cells) -> bool:
+    """Whether the chord between both ends of a polyline [K, 2] crosses every ray as often."""
+    chord = np.stack((points[0], points[-1]))
+    for k in range(len(columns)):
+        if crossings(points, columns[k], rows[k]) != crossings(chord, columns[k], rows[k]):
+            return False
+    return True

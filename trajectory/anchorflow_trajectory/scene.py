@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import clearance
 from anchorflow_trajectory.cost import CostWeights, MotionLimits
 from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
-from anchorflow_trajectory.geodesic import cell_index
+from anchorflow_trajectory.grid import cell_index
+from anchorflow_trajectory.lock_free import cached_property
 from anchorflow_trajectory.ray_signature import ObstacleRays
 from anchorflow_trajectory.route_shortening import pulled_tight
 from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along

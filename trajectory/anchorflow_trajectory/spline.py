@@ -16,8 +16,15 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from numpy.typing import DTypeLike, NDArray
+
+from anchorflow_trajectory.spline_kernels import (
+    Band,
+    EndPoints,
+    fit_free_points,
+    sample_splines,
+    set_end_points,
+)
 
 FloatArray = NDArray[np.floating]
 
@@ -61,10 +68,15 @@ class Ends:
         dim = len(self.x_goal) // 2
         return not (self.x_curr[dim:].any() or self.x_goal[dim:].any())
 
+    @property
+    def derivatives(self) -> NDArray[np.float64]:
+        """[5, D]: p, v, a at the start and p, v at the goal."""
+        ends = (self.x_curr.reshape(3, -1), self.x_goal.reshape(2, -1))
+        return np.concatenate(ends, dtype=np.float64)
+
     def in_own_time(self, duration: FloatArray) -> FloatArray:
         """[5, M, D]: p, p', p'' at s = 0 and p, p' at s = 1 of trajectories that last so long."""
-        ends = np.concatenate([self.x_curr.reshape(3, -1), self.x_goal.reshape(2, -1)])
-        return ends[:, None] * (duration ** END_ORDERS[:, None])[..., None]
+        return self.derivatives[:, None] * (duration ** END_ORDERS[:, None])[..., None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +113,10 @@ class SplineBasis:
         rows = (self.position, self.velocity, self.acceleration, self.jerk)
         return np.ascontiguousarray(np.concatenate(rows).T)
 
+    def band(self, dtype: DTypeLike) -> Band:
+        """What is not zero of the four orders, as compiled loops read it."""
+        return _band(self, np.dtype(dtype))
+
     @cached_property
     def fit_matrix(self) -> FloatArray:
         """[F, 3T]: least-squares free control points from weighted (p, p', p'') residuals."""
@@ -111,8 +127,23 @@ class SplineBasis:
 
     def end_points(self, ends: Ends, duration: FloatArray) -> FloatArray:
         """Control points [D, M, K] that meet both ends in durations [M], free ones zero."""
-        fixed = np.einsum("ke,emd->dmk", self.ends, ends.in_own_time(duration))
-        return fixed.astype(np.float32)
+        fixed = self.points_of(ends)
+        shape = (fixed.derivatives.shape[1], len(duration), self.num_control_points)
+        control = np.zeros(shape, np.float32)
+        set_end_points(control, np.ascontiguousarray(duration, np.float64), fixed)
+        return control
+
+    def points_of(self, ends: Ends) -> EndPoints:
+        """The same, as compiled loops read it."""
+        points, matrix = self._fixed
+        return EndPoints(points, matrix, ends.derivatives, END_ORDERS)
+
+    @cached_property
+    def _fixed(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """[5], the control points that the ends set, and [5, 5], their rows of `ends`."""
+        count = self.num_control_points
+        points = np.array([*range(START_POINTS), *range(count - GOAL_POINTS, count)])
+        return points, self.ends[points]
 
     def end_slopes(self, ends: Ends, duration: FloatArray) -> FloatArray:
         """Their derivatives by log duration, [D, M, K]."""
@@ -133,15 +164,22 @@ class SplineBasis:
 
     def fit(self, states: FloatArray, ends: Ends, duration: FloatArray) -> Splines:
         """Nearest splines that meet both ends to p, p', p'' in own time [M, T, 3D]."""
-        fixed = self.end_points(ends, duration)
-        fixed[..., self.free] = self.fit_free(states - self.own_time_states(fixed))
-        return Splines(fixed, duration)
+        control = self.end_points(ends, duration)
+        self._add_fit(states, control)
+        return Splines(control, duration)
 
     def fit_free(self, states: FloatArray) -> FloatArray:
         """Free control points [D, M, F] nearest to p, p', p'' [M, T, 3D] with fixed ones zero."""
-        trajectories, samples, size = states.shape
-        fields = states.reshape(trajectories, samples, 3, size // 3).transpose(3, 0, 2, 1)
-        return fields.reshape(size // 3, trajectories, 3 * samples) @ self.fit_matrix.T
+        count, _, size = states.shape
+        control = np.zeros((size // 3, count, self.num_control_points), states.dtype)
+        self._add_fit(states, control)
+        return control[..., self.free]
+
+    def _add_fit(self, states: FloatArray, control: FloatArray) -> None:
+        """Make the free points of [D, M, K], which are zero, those nearest to p, p', p''."""
+        dtype = control.dtype
+        states, matrix = np.ascontiguousarray(states, dtype), self.fit_matrix.astype(dtype)
+        fit_free_points(states, control, matrix, self.band(dtype), self.free.start)
 
     def fit_positions(self, positions: FloatArray, ends: Ends, duration: FloatArray) -> Splines:
         """Nearest splines that meet both ends to positions [M, T, D] alone."""
@@ -156,15 +194,16 @@ class SplineBasis:
 
     def own_time_states(self, control: FloatArray) -> FloatArray:
         """p, p', p'' [M, T, 3D] of control points [D, M, K]."""
-        samples = (control @ self.stacked[:, : 3 * self.num_samples]).transpose(1, 2, 0)
-        return np.concatenate(np.split(samples, 3, axis=1), axis=-1)
+        return np.concatenate(self._sampled(control, np.ones(control.shape[1])), axis=-1)
 
     def states(self, splines: Splines) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions, velocities and accelerations [M, T, D] in SI."""
-        samples = (splines.control @ self.stacked[:, : 3 * self.num_samples]).transpose(1, 2, 0)
-        position, first, second = np.split(samples, 3, axis=1)
-        pace = (1.0 / splines.duration)[:, None, None].astype(samples.dtype)
-        return position, first * pace, second * pace**2
+        position, velocity, acceleration = self._sampled(splines.control, 1.0 / splines.duration)
+        return position, velocity, acceleration
+
+    def _sampled(self, control: FloatArray, pace: FloatArray) -> FloatArray:
+        control = np.ascontiguousarray(control)
+        return sample_splines(control, pace.astype(control.dtype), self.band(control.dtype))
 
 
 @lru_cache(maxsize=32)
@@ -172,11 +211,45 @@ def spline_basis(num_samples: int, *, num_control_points: int = 18, degree: int 
     """Basis of a clamped uniform B-spline sampled at `num_samples` equal steps of its own time."""
     inner = np.linspace(0.0, 1.0, num_control_points - degree + 1)
     knots = np.concatenate([np.zeros(degree), inner, np.ones(degree)])
-    spline = BSpline(knots, np.eye(num_control_points), degree)
     times = np.linspace(0.0, 1.0, num_samples)
-    orders = [spline.derivative(k)(times) for k in range(4)]
+    orders = [basis_functions(knots, degree, times, derivative=k) for k in range(4)]
     position, velocity, acceleration, jerk = (order.astype(np.float32) for order in orders)
     return SplineBasis(position, velocity, acceleration, jerk, _ends(orders))
+
+
+def basis_functions(
+    knots: NDArray[np.float64], degree: int, times: NDArray[np.float64], *, derivative: int = 0
+) -> NDArray[np.float64]:
+    """Values [T, K], or derivatives, by the recursions of Cox and de Boor."""
+    if degree == 0:
+        # The last time belongs to the last piece that is not empty.
+        spans = np.minimum(np.searchsorted(knots, times, "right"), _last_piece(knots)) - 1
+        inside = spans[:, None] == np.arange(len(knots) - 1)
+        return inside.astype(np.float64) * (derivative == 0)
+    lower = basis_functions(knots, degree - 1, times, derivative=max(derivative - 1, 0))
+    width = knots[degree:] - knots[:-degree]
+    share = lower * np.divide(1.0, width, out=np.zeros_like(width), where=width > 0.0)
+    if derivative:
+        return degree * (share[:, :-1] - share[:, 1:])
+    rising = times[:, None] - knots[: -degree - 1]
+    falling = knots[degree + 1 :] - times[:, None]
+    return rising * share[:, :-1] + falling * share[:, 1:]
+
+
+def _last_piece(knots: NDArray[np.float64]) -> int:
+    return int(np.searchsorted(knots, knots[-1]))
+
+
+@lru_cache(maxsize=32)
+def _band(basis: SplineBasis, dtype: np.dtype[np.floating]) -> Band:
+    rows = np.stack([basis.position, basis.velocity, basis.acceleration, basis.jerk], axis=1)
+    # At a knot what leaves and what joins are both zero, in rows that jump there too.
+    is_used = rows.any(1)
+    width = int(is_used.sum(1).max())
+    first = np.minimum(is_used.argmax(1), basis.num_control_points - width)
+    columns = first[:, None] + np.arange(width)
+    weights = np.take_along_axis(rows, columns[:, None], axis=2)
+    return Band(np.ascontiguousarray(weights, dtype), first)
 
 
 def _ends(orders: list[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost import MotionLimits
 
 FloatArray = NDArray[np.floating]
@@ -46,13 +47,38 @@ def time_along(
     start_share, goal_share: the speeds at both ends, in shares of the mean speed; where they leave
         nothing to the cruise, it stands still and they are scaled down.
     """
-    tau = np.linspace(0.0, 1.0, num_samples)
-    rise = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(tau, 1.0 - tau) / ramp, 0.0, 1.0))
     cruise = max(0.0, (1.0 - 0.5 * ramp * (start_share + goal_share)) / (1.0 - ramp))
-    first = np.where(tau < 0.5, start_share, goal_share)
-    speed = first + (cruise - first) * rise
-    along = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    marks = np.concatenate([[0.0], np.cumsum(steps)])
-    at = along / along[-1] * marks[-1]
-    return np.stack([np.interp(at, marks, path[:, k]) for k in (0, 1)], -1).astype(np.float32)
+    points = np.ascontiguousarray(path, np.float64)
+    return _gone(points, num_samples, float(ramp), (float(start_share), cruise, float(goal_share)))
+
+
+@compiled
+def _gone(
+    path: NDArray[np.float64], num_samples: int, ramp: float, speeds: tuple[float, float, float]
+) -> NDArray[np.float32]:
+    """Positions [T, 2] along a polyline [K, 2] at the speeds of start, cruise and goal."""
+    start, cruise, goal = speeds
+    speed, gone = np.empty(num_samples), np.zeros(num_samples)
+    for k in range(num_samples):
+        tau = k / (num_samples - 1)
+        rise = 0.5 - 0.5 * np.cos(np.pi * min(min(tau, 1.0 - tau) / ramp, 1.0))
+        first = start if tau < 0.5 else goal
+        speed[k] = first + (cruise - first) * rise
+        if k:
+            gone[k] = gone[k - 1] + 0.5 * (speed[k] + speed[k - 1])
+    marks = np.zeros(len(path))
+    for leg in range(1, len(path)):
+        step = path[leg] - path[leg - 1]
+        marks[leg] = marks[leg - 1] + np.sqrt(step[0] ** 2 + step[1] ** 2)
+    positions = np.empty((num_samples, 2), np.float32)
+    for k in range(num_samples):
+        at = gone[k] / gone[-1] * marks[-1]
+        if at >= marks[-1]:
+            positions[k] = path[-1].astype(np.float32)
+            continue
+        leg = np.searchsorted(marks, at, "right")
+        share = (at - marks[leg - 1]) / (marks[leg] - marks[leg - 1])
+        for axis in range(2):
+            change = path[leg, axis] - path[leg - 1, axis]
+            positions[k, axis] = path[leg - 1, axis] + share * change
+    return positions

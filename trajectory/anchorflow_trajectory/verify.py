@@ -6,12 +6,17 @@ The service's `safe`, the expert's `good` and the trainer's scores are this one 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
-from anchorflow_trajectory.clearance import GridField, path_clearance
+from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.cost_fields import Grid, look_up
+from anchorflow_trajectory.spline import SplineBasis, Splines
+from anchorflow_trajectory.spline_kernels import Band, sample_one
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -54,11 +59,83 @@ def verify(
         from the map's edge; the share of a cell comes on top, so it holds for another reader too
     """
     position, velocity, acceleration = states
-    clearance = path_clearance(field, position, max_step=CHECK_STEP)
+    clearance = path_clearance(field, position)
     free = clearance >= required_clearance(field, certified_margin)
-    feasible = _largest(velocity) <= SPEED_TOLERANCE * limits.v_max
-    feasible &= _largest(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
+    feasible = largest_length(velocity) <= SPEED_TOLERANCE * limits.v_max
+    feasible &= largest_length(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
     return Verdict(clearance, free, feasible)
+
+
+def are_safe(
+    splines: Splines,
+    basis: SplineBasis,
+    field: GridField,
+    limits: MotionLimits,
+    *,
+    certified_margin: float = 0.0,
+) -> BoolArray:
+    """The verdict of `verify` on the states of M splines, `safe` [M], in less time."""
+    control = np.ascontiguousarray(splines.control)
+    judge = Judge.of(basis, field, limits, certified_margin, dtype=control.dtype)
+    return _are_safe(control, splines.duration, judge)
+
+
+class Judge(NamedTuple):
+    """What makes a spline safe, as compiled loops read it; both limits with their tolerances."""
+
+    band: Band
+    grid: Grid
+    clearance: float
+    speed: float
+    acceleration: float
+
+    @staticmethod
+    def of(
+        basis: SplineBasis,
+        field: GridField,
+        limits: MotionLimits,
+        certified_margin: float,
+        *,
+        dtype: DTypeLike,
+    ) -> Judge:
+        """For splines of that type."""
+        return Judge(
+            basis.band(dtype),
+            Grid.of(field, dtype),
+            float(required_clearance(field, certified_margin)),
+            float(SPEED_TOLERANCE * limits.v_max),
+            float(ACCELERATION_TOLERANCE * limits.a_max),
+        )
+
+
+@compiled
+def _are_safe(control: FloatArray, duration: NDArray[np.float64], judge: Judge) -> BoolArray:
+    safe = np.empty(len(duration), np.bool_)
+    for m in range(len(duration)):
+        safe[m] = is_safe(control, duration, m, judge)
+    return safe
+
+
+@compiled
+def is_safe(control: FloatArray, duration: NDArray[np.float64], m: int, judge: Judge) -> bool:
+    """Whether the m-th of splines [D, M, K] and durations [M] is safe."""
+    pace = control.dtype.type(1.0 / duration[m])
+    last_x, last_y = sample_one(control, m, judge.band, 0, 0)
+    for t in range(len(judge.band.first)):
+        x, y = sample_one(control, m, judge.band, t, 1)
+        x, y = x * pace, y * pace
+        if not np.sqrt(x * x + y * y) <= judge.speed:
+            return False
+        x, y = sample_one(control, m, judge.band, t, 2)
+        x, y = x * pace * pace, y * pace * pace
+        if not np.sqrt(x * x + y * y) <= judge.acceleration:
+            return False
+        x, y = sample_one(control, m, judge.band, t, 0)
+        clearance = _leg_clearance(judge.grid, last_x, last_y, x, y, CHECK_STEP)
+        if not clearance >= judge.clearance:
+            return False
+        last_x, last_y = x, y
+    return look_up(judge.grid, last_x, last_y)[0] >= judge.clearance
 
 
 def required_clearance(field: GridField, certified_margin: float) -> float:
@@ -66,6 +143,56 @@ def required_clearance(field: GridField, certified_margin: float) -> float:
     return certified_margin + SHARE_OF_CELL * field.resolution
 
 
-def _largest(vectors: FloatArray) -> FloatArray:
+def path_clearance(
+    field: GridField, positions: FloatArray, *, max_step: float = CHECK_STEP
+) -> FloatArray:
+    """Smallest clearance [m] along each polyline; positions [M, T, D >= 2] -> [M].
+
+    Between two samples the polyline is followed at steps of at most `max_step` metres.
+    """
+    positions = np.ascontiguousarray(positions)
+    return _path_clearance(Grid.of(field, positions.dtype), positions, max_step)
+
+
+@compiled
+def _path_clearance(grid: Grid, positions: FloatArray, max_step: float) -> FloatArray:
+    count, steps, _ = positions.shape
+    least = np.empty(count, positions.dtype)
+    for m in range(count):
+        x, y = positions[m, 0, 0], positions[m, 0, 1]
+        least[m] = look_up(grid, positions[m, steps - 1, 0], positions[m, steps - 1, 1])[0]
+        for t in range(1, steps):
+            next_x, next_y = positions[m, t, 0], positions[m, t, 1]
+            least[m] = min(least[m], _leg_clearance(grid, x, y, next_x, next_y, max_step))
+            x, y = next_x, next_y
+    return least
+
+
+@compiled
+def _leg_clearance(
+    grid: Grid, x: float, y: float, to_x: float, to_y: float, max_step: float
+) -> float:
+    """The smallest along a straight leg, its end left out."""
+    along_x, along_y = to_x - x, to_y - y
+    pieces = np.ceil(np.sqrt(along_x * along_x + along_y * along_y) / max_step)
+    least = look_up(grid, x, y)[0]
+    for piece in range(1, int(pieces)):
+        share = np.float32(piece) / np.float32(pieces)
+        least = min(least, look_up(grid, x + share * along_x, y + share * along_y)[0])
+    return least
+
+
+def largest_length(vectors: FloatArray) -> FloatArray:
     """Greatest planar length along each trajectory: [M, T, D] -> [M]."""
-    return np.sqrt((vectors[..., :2] ** 2).sum(-1)).max(1)
+    return _largest_length(np.ascontiguousarray(vectors))
+
+
+@compiled
+def _largest_length(vectors: FloatArray) -> FloatArray:
+    count, steps, _ = vectors.shape
+    largest = np.zeros(count, vectors.dtype)
+    for m in range(count):
+        for t in range(steps):
+            x, y = vectors[m, t, 0], vectors[m, t, 1]
+            largest[m] = max(largest[m], x * x + y * y)
+    return np.sqrt(largest)

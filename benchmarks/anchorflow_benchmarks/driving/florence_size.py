@@ -50,7 +50,7 @@ def florence_size_table(
         tell(f"{what}: {figure:.4g}")
 
     run = V2XRunConfig(model=config, freeze_vision=freeze_vision)
-    note("training step of one pair, s", _timed(lambda: _train_once(model.train(), run, tokenizer)))
+    note("training step of one pair, s", _timed(lambda: _train_once(model, run, tokenizer)))
     model.eval().requires_grad_(False)
     with tempfile.TemporaryDirectory() as scratch:
         out = Path(scratch, "bundle")
@@ -62,7 +62,6 @@ def florence_size_table(
         note("largest difference from torch", max(each.error for each in differences))
         for file in sorted(out.glob("*.onnx")):
             note(f"{file.name}, MB", file.stat().st_size / 1e6)
-        del model, adapter
         client = LocalClient.of(out)
         pictures = np.random.default_rng(0).integers(0, 256, (2, 3, 1200, 1920), np.uint8)
         inputs: dict[str, Any] = {
@@ -94,7 +93,7 @@ def _train_once(model: Any, run: V2XRunConfig, tokenizer: bytes) -> None:
         "tokens": torch.from_numpy(tokens),
         "mask": torch.from_numpy(mask),
     }
-    objective = V2XObjective(model, run, None)
+    objective = V2XObjective(model.train(), run, None)
     learnt = [each for each in model.parameters() if each.requires_grad]
     optimiser = torch.optim.AdamW(learnt, 1e-5)
     before = model.head[0].weight.detach().clone()

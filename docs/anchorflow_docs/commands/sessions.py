@@ -96,6 +96,7 @@ QUICK = (
         (".venv/bin/anchorflow plan --map map.yaml --start 2.0,3.5 --goal 9.0,6.0 --out plan.png",),
         (given.ros_map,),
     ),
+    Session("simulated driving", ("anchorflow data drive --out drive --logs 2",), needs="libsumo"),
     Session("hooks", (".venv/bin/pre-commit install",), (given.repository,)),
     Session("Ray Serve", ON_RAY, needs="ray.serve"),
 )

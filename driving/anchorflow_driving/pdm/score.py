@@ -11,7 +11,7 @@ from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.pdm.closed import PdmClosed, pdm_closed
 from anchorflow_driving.pdm.rating import PdmScores, rate
 from anchorflow_driving.pdm.tracker import Motion, interpolate, track
-from anchorflow_driving.pdm.traffic import recorded_traffic
+from anchorflow_driving.pdm.traffic import Traffic, recorded_traffic
 from anchorflow_driving.window import Window
 
 Array = NDArray[np.float64]
@@ -55,7 +55,11 @@ class PdmScorer:
             raise ValueError(f"plans: expected [P, 8, 3] or [P, 40, 3], got {list(plans.shape)}")
         if not np.isfinite(plans).all():
             raise ValueError("plans: expected finite numbers, got NaN or infinity")
-        traffic = self._traffic
-        poses = np.concatenate([np.zeros((len(plans), 1, 3)), plans], axis=1)
-        reference = interpolate(out_of_frame(poses, traffic.start.pose))
-        return track(reference, traffic.start, wheelbase=traffic.vehicle.wheelbase)
+        return tracked(plans, self._traffic)
+
+
+def tracked(plans: Array, traffic: Traffic) -> Motion:
+    """What the traffic's vehicle drives when it follows plans [P, 8, 3] or [P, 40, 3]."""
+    poses = np.concatenate([np.zeros((len(plans), 1, 3)), plans], axis=1)
+    reference = interpolate(out_of_frame(poses, traffic.start.pose))
+    return track(reference, traffic.start, wheelbase=traffic.vehicle.wheelbase)

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from anchorflow_training.data.trajectory_statistics import FIELDS
 from anchorflow_training.dataset import Row, scene_row
-from anchorflow_trajectory.clearance import path_clearance
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene, with_neutral_channels
 from anchorflow_trajectory.spline import GOAL_POINTS, START_POINTS, SplineBasis, spline_basis
-from anchorflow_trajectory.verify import CHECK_STEP
+from anchorflow_trajectory.verify import path_clearance
 from anchorflow_trajectory.warm_start import nearest_route
 
 FloatArray = NDArray[np.floating]
@@ -87,7 +86,7 @@ def imported_scene(source: SceneSource) -> Row | str:
     if not options.keep_collisions:
         margin = float(arrays.get("safety_margins", np.zeros(())))
         positions = fields[0].astype(np.float32)[None]
-        clearance = path_clearance(scene.cost_fields.clearance, positions, max_step=CHECK_STEP)
+        clearance = path_clearance(scene.cost_fields.clearance, positions)
         if clearance[0] < margin:
             return "collision"
     route = nearest_route(scene.route_states, fields[0])

@@ -14,8 +14,9 @@ from torch import Tensor, nn
 from anchorflow_models import L2Config
 from anchorflow_models.generation.clearance_map import ClearanceMap
 from anchorflow_models.generation.scenes import basis_of
-from anchorflow_trajectory.cost import DEEP, TURN, CostWeights
+from anchorflow_trajectory.cost import TURN, CostWeights
 from anchorflow_trajectory.cost_fields import RISK, TRAVERSABILITY
+from anchorflow_trajectory.cost_kernels import DEEP
 from anchorflow_trajectory.spline import END_ORDERS
 
 LEAST_SQUARE = 1e-18  # beside a squared size, whose root then has a slope at rest too

@@ -10,10 +10,10 @@ from scipy.ndimage import gaussian_filter
 from scipy.sparse.csgraph import dijkstra
 
 from anchorflow_client.errors import AnchorFlowError
+from anchorflow_training.scenes.geodesic import grid_graph
 from anchorflow_training.scenes.layouts import LAYOUTS, BoolArray, Canvas
 from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.geodesic import grid_graph
 from anchorflow_trajectory.scene import Scene
 
 FloatArray = NDArray[np.floating]

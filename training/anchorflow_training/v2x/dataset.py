@@ -51,6 +51,8 @@ ARRAYS: Mapping[str, str] = {
     "box_offsets": "int64",
     "labelled": "bool",
 }
+GROUP = ":"
+"""Between a simulated log and its ego in a sequence's name."""
 HELD_OUT = 0.2
 """The share of the sequences that is kept from training."""
 
@@ -145,7 +147,7 @@ def make_pairs(
         "format": FORMAT,
         "image_size": image_size,
         "names": names,
-        "held_out": [names[number] for number in _held_out(present, seed)],
+        "held_out": _held_out([names[number] for number in present], seed),
         "prompts": prompts,
     }
     (out / FILE_NAME).write_bytes(tokenizer or train_tokenizer([*prompts, UNTOLD]))
@@ -182,10 +184,12 @@ def _array(file: Path, dtype: str) -> Array:
     return array
 
 
-def _held_out(sequences: list[int], seed: int) -> list[int]:
-    """A fifth of the sequences, at least one."""
-    order = np.random.default_rng([seed, 2]).permutation(sequences)
-    return sorted(order[: max(1, round(HELD_OUT * len(sequences)))].tolist())
+def _held_out(names: list[str], seed: int) -> list[str]:
+    """A fifth of the sequences, at least one; those of one simulated log stay together."""
+    groups = sorted({name.partition(GROUP)[0] for name in names})
+    order = np.random.default_rng([seed, 2]).permutation(len(groups))
+    kept = {groups[number] for number in order[: max(1, round(HELD_OUT * len(groups)))]}
+    return [name for name in names if name.partition(GROUP)[0] in kept]
 
 
 def _prompt(sequence: Sequence, frame: int, *, describe: bool) -> str:

@@ -7,6 +7,7 @@ from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.parts import DT, Arrays, ConditionedScene, Samples
 from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.warm_up import compile_loops
 
 
 def refiner_of(manifest: Manifest, scene: MapScene) -> Refiner:
@@ -17,10 +18,14 @@ def refiner_of(manifest: Manifest, scene: MapScene) -> Refiner:
 
 
 class SplineFinish:
-    """What `anchorflow_trajectory` does, on the spline that the manifest describes."""
+    """What `anchorflow_trajectory` does, on the spline that the manifest describes.
+
+    Its loops are compiled when the first of these is made.
+    """
 
     def __init__(self, manifest: Manifest) -> None:
         self._manifest = manifest
+        compile_loops()
 
     def finish(self, samples: Samples, scene: ConditionedScene) -> Arrays:
         """Anchors that meet both ends, and what they are worth."""

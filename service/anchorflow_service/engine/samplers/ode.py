@@ -38,6 +38,7 @@ from anchorflow_trajectory.guidance import Guidance
 from anchorflow_trajectory.ode.integrate import VectorField, integrate
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.schedule import remaining, stage_strides, stage_times
+from anchorflow_trajectory.prior import drawn
 from anchorflow_trajectory.scene import ROUTE_STATES
 
 Array = NDArray[np.float32]
@@ -144,7 +145,7 @@ class OdeSampler:
         service is.
         """
         encoded = self._encode.settle(scene.inputs(self._encode.input_names))
-        context = self._with_prior(scene, encoded)
+        context = {**self._own_prior(scene), **encoded}
         count = MIN_SLICE * self._threads
         noise = self.draw_noise(context, num_samples=count, seed=scene.request.seed)
         begun = self.beginning(context, noise)
@@ -162,15 +163,22 @@ class OdeSampler:
 
     def encode(self, scene: ConditionedScene, *, threads: int = 1) -> Context:
         """What the other graphs need to know of a scene, and the components of its prior."""
-        encoded = self._encode(scene.inputs(self._encode.input_names), threads=threads)
-        return self._with_prior(scene, encoded)
+        inputs = scene.inputs(self._encode.input_names)
+        if threads == 1 or not self._searches:
+            return {**self._own_prior(scene), **self._encode(inputs, threads=threads)}
+        # A graph lets go of the interpreter's lock, and so does the search for a scene's routes.
+        encoding = self._pool.submit(self._encode, inputs, threads=threads - 1)
+        own = self._own_prior(scene)
+        return {**own, **encoding.result()}
 
-    def _with_prior(self, scene: ConditionedScene, context: Context) -> Context:
-        """The context with the components [1,M,T,S] of a mixture that is the scene's own."""
-        prior = self._prior
-        if prior is None or prior.mean in context:
-            return context
-        return {**context, **scene.inputs((prior.mean,))}
+    @property
+    def _searches(self) -> bool:
+        """Whether the prior is a mixture whose components are a scene's own."""
+        return self._prior is not None and self._prior.mean == ROUTE_STATES
+
+    def _own_prior(self, scene: ConditionedScene) -> Context:
+        """The components [1,M,T,S] of such a mixture; of another prior, encode gives them."""
+        return scene.inputs((ROUTE_STATES,)) if self._searches else {}
 
     def sample(
         self,
@@ -223,7 +231,7 @@ class OdeSampler:
         prior, first = self._prior, np.zeros(len(noise), np.intp)
         if prior is None:
             return Beginning(noise, first, None)
-        spread = (noise @ context[prior.basis][0]).reshape(-1, *self._state_shape)
+        spread = drawn(noise, context[prior.basis][0]).reshape(-1, *self._state_shape)
         (components,) = context[prior.mean]
         if components.ndim == 2:
             return Beginning(components + spread, first, None)

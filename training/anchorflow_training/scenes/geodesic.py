@@ -33,11 +33,3 @@ def grid_graph(cost: FloatArray, cell_size: float) -> csr_array:
     flat = cost.ravel()
     weights = steps * cell_size * 0.5 * (flat[tails] + flat[heads])
     return csr_array((weights, (tails, heads)), shape=(flat.size, flat.size))
-
-
-def cell_index(
-    point: FloatArray, origin: FloatArray, cell_size: float, shape: tuple[int, int]
-) -> int:
-    """Flat index of the cell that holds a point [2] in m, clamped to the map."""
-    column, row = ((np.asarray(point[:2]) - origin) / cell_size).astype(int)
-    return int(np.clip(row, 0, shape[0] - 1) * shape[1] + np.clip(column, 0, shape[1] - 1))

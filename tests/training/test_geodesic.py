@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
-from anchorflow_trajectory.geodesic import cell_index, grid_graph
+from anchorflow_training.scenes.geodesic import grid_graph
 
 
 def test_steps_weigh_their_length_times_the_mean_cost() -> None:
@@ -24,15 +24,3 @@ def test_open_ground_is_as_far_as_steps_to_eight_neighbours_lead() -> None:
     assert far[0, 29] == pytest.approx(2.9, rel=1e-5)
     assert far[10, 10] == pytest.approx(np.sqrt(2.0), rel=1e-5)
     assert far[4, 9] == pytest.approx(0.5 + 0.4 * np.sqrt(2.0), rel=1e-5)
-
-
-def test_a_point_is_in_its_cell_and_one_beyond_in_the_nearest() -> None:
-    origin = np.array([-1.0, 2.0])
-
-    def cell(x: float, y: float) -> int:
-        return cell_index(np.array([x, y]), origin, 0.5, (4, 6))
-
-    assert cell(-0.9, 2.1) == 0
-    assert cell(0.1, 2.6) == 6 + 2
-    assert cell(9.0, 9.0) == 4 * 6 - 1
-    assert cell(-9.0, 2.6) == 6

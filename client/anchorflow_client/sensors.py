@@ -1,0 +1,143 @@
+"""What driving planners take for inputs, made of what a vehicle's sensors give; numpy alone.
+
+Simulated sensors use the same functions, so that a planner meets what it was trained on. Frame: the
+rear axle, x forward, y left, metres.
+
+Example:
+    camera = stitch_cameras(left, front, right)
+    lidar = lidar_histogram(points)
+    status = ego_status(command="left", velocity=(8.0, 0.0), acceleration=(0.3, 0.1))
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anchorflow_client.errors import InvalidRequest
+
+Bytes = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+COMMANDS = ("left", "straight", "right", "unknown")
+
+CAMERA_ROWS, CAMERA_COLUMNS = 256, 1024
+CROPPED_ROWS = 28 / 1080
+"""Of each image's height, at its top and at its bottom."""
+CROPPED_COLUMNS = 416 / 1920
+"""Of the side images' width, at either side."""
+
+LIDAR_RANGE_M = 32.0
+LIDAR_CELLS_PER_M = 4
+LIDAR_LEAST_HEIGHT_M = 0.2
+LIDAR_MOST_POINTS = 5
+
+
+def stitch_cameras(left: ArrayLike, front: ArrayLike, right: ArrayLike) -> Bytes:
+    """Three cameras side by side as NAVSIM has them: uint8 [3, 256, 1024].
+
+    Of images of 1920 x 1080 pixels, 28 rows are cut at the top and at the bottom, and 416 columns
+    at either side of the left and the right one; of others, as large a share. What is left is
+    resized by averaging areas.
+
+    Args:
+        left, front, right: uint8 [H, W, 3], of one size, red first.
+
+    Raises:
+        InvalidRequest: names `camera_left`, `camera_front` or `camera_right`.
+    """
+    images = {"left": left, "front": front, "right": right}
+    arrays = {name: _image(image, f"camera_{name}") for name, image in images.items()}
+    height, width = arrays["front"].shape[:2]
+    for name, image in arrays.items():
+        if image.shape != (height, width, 3):
+            told = f"expected the front's shape [{height}, {width}, 3], got {list(image.shape)}"
+            raise InvalidRequest(told, f"camera_{name}")
+    rows, columns = round(CROPPED_ROWS * height), round(CROPPED_COLUMNS * width)
+    cut = slice(rows, height - rows)
+    sides = slice(columns, width - columns)
+    stitched = np.concatenate(
+        [arrays["left"][cut, sides], arrays["front"][cut], arrays["right"][cut, sides]], axis=1
+    )
+    resized = resize_image(stitched, rows=CAMERA_ROWS, columns=CAMERA_COLUMNS)
+    return np.ascontiguousarray(resized.transpose(2, 0, 1))
+
+
+def resize_image(image: ArrayLike, *, rows: int, columns: int) -> Bytes:
+    """uint8 [rows, columns, 3] of an image [H, W, 3]: each pixel the mean of what it covers.
+
+    Raises:
+        InvalidRequest: names `image`.
+    """
+    pixels = _image(image, "image")
+    if pixels.shape[:2] == (rows, columns):
+        return pixels
+    across = _area_weights(pixels.shape[1], columns)
+    down = _area_weights(pixels.shape[0], rows)
+    mean = np.einsum("rh,hwc,kw->rkc", down, pixels.astype(np.float32), across, optimize=True)
+    return np.rint(mean).clip(0, 255).astype(np.uint8)
+
+
+def lidar_histogram(points: ArrayLike) -> Floats:
+    """Points [P, 3 or more] (x, y, z above the ground, m) as counts [1, 256, 256] in [0, 1].
+
+    Rows go by x and columns by y, both from -32 to 32 m, four cells a metre, as NAVSIM has it.
+    Points higher than 0.2 m are counted; five or more make 1.
+
+    Raises:
+        InvalidRequest: names `lidar`.
+    """
+    cloud = np.asarray(points, np.float32)
+    if cloud.ndim != 2 or cloud.shape[1] < 3:
+        raise InvalidRequest(f"expected shape [P, 3], got {list(cloud.shape)}", "lidar")
+    if not np.isfinite(cloud[:, :3]).all():
+        raise InvalidRequest("expected finite numbers, got NaN or infinity", "lidar")
+    cells = round(2 * LIDAR_RANGE_M * LIDAR_CELLS_PER_M)
+    high = cloud[cloud[:, 2] > LIDAR_LEAST_HEIGHT_M, :2]
+    # Beyond the range may lie beyond what an integer holds.
+    near = high[(np.abs(high) <= LIDAR_RANGE_M).all(1)]
+    cell = np.floor((near + LIDAR_RANGE_M) * LIDAR_CELLS_PER_M).astype(int)
+    cell = cell[(cell < cells).all(1)]
+    counts = np.bincount(cell @ (cells, 1), minlength=cells**2).reshape(1, cells, cells)
+    return (np.minimum(counts, LIDAR_MOST_POINTS) / LIDAR_MOST_POINTS).astype(np.float32)
+
+
+def ego_status(*, command: str, velocity: ArrayLike, acceleration: ArrayLike) -> Floats:
+    """[8]: the command as one of four, velocity x, y (m/s), acceleration x, y (m/s²).
+
+    Args:
+        command: left, straight, right or unknown.
+        velocity, acceleration: of the rear axle, in its frame.
+
+    Raises:
+        InvalidRequest: names `command`, `velocity` or `acceleration`.
+    """
+    if command not in COMMANDS:
+        raise InvalidRequest(f"expected one of {', '.join(COMMANDS)}, got {command!r}", "command")
+    vectors = {"velocity": velocity, "acceleration": acceleration}
+    numbers = {name: np.asarray(value, np.float32) for name, value in vectors.items()}
+    for name, value in numbers.items():
+        if value.shape != (2,):
+            raise InvalidRequest(f"expected shape [2], got {list(value.shape)}", name)
+        if not np.isfinite(value).all():
+            raise InvalidRequest(f"expected finite numbers, got {value.tolist()}", name)
+    one_hot = np.array([name == command for name in COMMANDS], np.float32)
+    return np.concatenate([one_hot, *numbers.values()])
+
+
+def _image(image: ArrayLike, field: str) -> Bytes:
+    pixels = np.asarray(image)
+    if pixels.dtype != np.uint8:
+        raise InvalidRequest(f"expected uint8, got {pixels.dtype}", field)
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
+        raise InvalidRequest(f"expected shape [H, W, 3], got {list(pixels.shape)}", field)
+    return pixels
+
+
+def _area_weights(before: int, after: int) -> Floats:
+    """[after, before]: the share that each old pixel has of each new one."""
+    edges = np.linspace(0.0, before, after + 1)
+    start, end = edges[:-1, None], edges[1:, None]
+    pixel = np.arange(before)
+    covered = np.minimum(end, pixel + 1) - np.maximum(start, pixel)
+    return (np.maximum(covered, 0.0) / (end - start)).astype(np.float32)

@@ -1,0 +1,83 @@
+"""A simulated lidar: beams against the others' boxes and the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.sensors import lidar_histogram
+from anchorflow_driving.geometry import into_frame
+from anchorflow_driving.sensors.solids import solids
+from anchorflow_driving.window import PlannerView
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lidar:
+    """A spinning lidar over the middle of the ego's box.
+
+    beams: elevations, evenly between `lowest` and `highest`, degrees
+    azimuths: a turn
+    height: m above the ground
+    """
+
+    beams: int = 32
+    lowest: float = -25.0
+    highest: float = 10.0
+    azimuths: int = 900
+    height: float = 1.85
+    reach: float = 60.0
+
+
+LIDAR = Lidar()
+
+
+def simulated_points(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[np.float32]:
+    """Where the beams end: [P, 3] x, y, z above the ground, in the frame of the rear axle, m."""
+    azimuth = 2 * np.pi * np.arange(lidar.azimuths) / lidar.azimuths
+    slope = np.tan(np.deg2rad(np.linspace(lidar.lowest, lidar.highest, lidar.beams)))
+    others = solids(view, reach=lidar.reach + 10.0)
+    origin = np.array([view.vehicle.rear_axle, 0.0])
+    distance = np.full((lidar.beams, lidar.azimuths), np.inf)
+    with np.errstate(divide="ignore"):
+        ground = np.where(slope < 0, lidar.height / -slope, np.inf)
+    np.minimum(distance, ground[:, None], out=distance)
+    for pose, size in zip(others.poses, others.size, strict=True):
+        enter, leave, ray = _crossed(pose, size, origin, azimuth)
+        if not len(ray):
+            continue
+        hit = enter[None]
+        if size[2] < lidar.height:  # what passes over its near edge may come down on its top
+            falls = np.where(slope < 0, (size[2] - lidar.height) / np.minimum(slope, -1e-9), 0.0)
+            hit = np.maximum(hit, falls[:, None])
+        height = lidar.height + slope[:, None] * hit
+        struck = (hit <= leave) & (height >= 0) & (height <= size[2] + 1e-6)
+        distance[:, ray] = np.minimum(distance[:, ray], np.where(struck, hit, np.inf))
+    beam, ray = np.nonzero(distance < lidar.reach)
+    away = distance[beam, ray]
+    x, y = origin[0] + away * np.cos(azimuth[ray]), origin[1] + away * np.sin(azimuth[ray])
+    return np.stack([x, y, lidar.height + slope[beam] * away], -1).astype(np.float32)
+
+
+def simulated_lidar(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[np.float32]:
+    """The histogram [1, 256, 256] of the simulated points."""
+    return lidar_histogram(simulated_points(view, lidar))
+
+
+def _crossed(
+    pose: Array, size: Array, origin: Array, azimuth: Array
+) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Where rays enter and leave a box in the plane, m, and which rays do (the slab method)."""
+    start = into_frame(origin, pose)
+    turned = azimuth - pose[2]
+    direction = np.stack([np.cos(turned), np.sin(turned)], -1)
+    direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+    near = (-size[:2] / 2 - start) / direction
+    far = (size[:2] / 2 - start) / direction
+    enter = np.minimum(near, far).max(1)
+    leave = np.maximum(near, far).min(1)
+    ray = np.flatnonzero((enter < leave) & (enter > 0))
+    return enter[ray], leave[ray], ray

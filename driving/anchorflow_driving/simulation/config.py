@@ -1,0 +1,20 @@
+"""What is simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class LogConfig:
+    """What a simulated log holds.
+
+    seconds: recorded
+    windows: at most, a third of them turning where there are as many
+    left_hand: share of logs in which traffic keeps left
+    """
+
+    seed: int = 0
+    seconds: float = 25.0
+    windows: int = 48
+    left_hand: float = 0.3

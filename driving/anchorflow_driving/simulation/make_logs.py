@@ -1,0 +1,70 @@
+"""A folder of simulated logs. Log i depends on the seed and on i alone, whoever makes it."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from anchorflow_driving.log import write_log
+from anchorflow_driving.simulation.config import LogConfig
+from anchorflow_driving.simulation.simulated_log import simulate_log
+
+SUMMARY = "drive.json"
+
+
+def make_logs(
+    folder: Path,
+    config: LogConfig,
+    *,
+    logs: int,
+    workers: int,
+    progress: Callable[[int], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Writes logs and `drive.json`, which it returns; `progress` gets 1 a finished log.
+
+    The summary holds the numbers of logs, windows, turning and standing ones among them, and what
+    was dropped or redrawn by its reason.
+
+    Raises:
+        SimulationError: SUMO's programs do not run here.
+        LogError: a log cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    counts: Counter[str] = Counter()
+    tasks = ((folder, config, index) for index in range(logs))
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        for counted in pool.imap(_made, tasks):
+            counts += counted
+            progress(1)
+    summary = {
+        "format": 1,
+        "source": "simulated",
+        "logs": logs,
+        **{name: counts[name] for name in ("windows", "turning", "moving", "standing")},
+        "commands": {name: counts[name] for name in ("left", "straight", "right")},
+        "dropped": _counted(counts, "dropped: "),
+        "redrawn": _counted(counts, "redrawn: "),
+        "config": asdict(config),
+    }
+    (folder / SUMMARY).write_text(json.dumps(summary, indent=1) + "\n")
+    return summary
+
+
+def _made(task: tuple[Path, LogConfig, int]) -> Counter[str]:
+    folder, config, index = task
+    log, counts = simulate_log(config, index)
+    write_log(log, folder / f"{log.name}.npz")
+    return counts
+
+
+def _counted(counts: Counter[str], prefix: str) -> dict[str, int]:
+    return {
+        name.removeprefix(prefix): count
+        for name, count in sorted(counts.items())
+        if name.startswith(prefix)
+    }

@@ -1,0 +1,196 @@
+"""A simulated log: a net, traffic on it, and the windows that a planner is asked about."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.log import (
+    FRAME_S,
+    FUTURE_FRAMES,
+    HISTORY_FRAMES,
+    PEDESTRIAN,
+    VEHICLE,
+    DrivingLog,
+)
+from anchorflow_driving.simulation.config import LogConfig
+from anchorflow_driving.simulation.courses import person_states, vehicle_states
+from anchorflow_driving.simulation.demand import make_demand
+from anchorflow_driving.simulation.families import family
+from anchorflow_driving.simulation.recording import Recording, VehicleRecord, as_array, record
+from anchorflow_driving.simulation.road_net import RoadNet
+from anchorflow_driving.simulation.routes import followed_line
+from anchorflow_driving.simulation.street_plan import make_net
+from anchorflow_driving.simulation.sumo_programs import SimulationError
+from anchorflow_driving.simulation.windows import Driven, choose_windows
+
+Array = NDArray[np.float64]
+
+ATTEMPTS = 5
+"""Draws of a log before it is taken as it is."""
+LEAST_FRAMES = 3
+"""Of a track; who is seen more briefly is left out."""
+NO_WINDOWS = {
+    "window_ego": np.zeros(0, np.int32),
+    "window_frame": np.zeros(0, np.int32),
+    "window_command": np.zeros(0, np.uint8),
+    "window_speed_limit": np.zeros(0, np.float32),
+    **family("route", []),
+}
+AFTER = 10
+"""Frames simulated past the log's end, so that smoothing knows how its motions go on."""
+
+
+@dataclass(frozen=True)
+class Tracks:
+    kind: list[int]
+    size: list[tuple[float, float]]
+    states: list[Array]  # [F, 5] each
+
+    def add(self, kind: int, size: tuple[float, float], states: Array) -> None:
+        self.kind.append(kind)
+        self.size.append(size)
+        self.states.append(states)
+
+
+def simulate_log(config: LogConfig, index: int) -> tuple[DrivingLog, Counter[str]]:
+    """Log `index` of a seed, and what was counted: windows, what was dropped and redrawn.
+
+    Raises:
+        SimulationError: SUMO did not run in any of ATTEMPTS draws.
+    """
+    redrawn: Counter[str] = Counter()
+    for attempt in range(ATTEMPTS):
+        rng = np.random.default_rng([config.seed, index, attempt])
+        try:
+            log, counts = _simulated(config, f"simulated-{config.seed}-{index:05d}", rng)
+        except SimulationError:
+            if attempt == ATTEMPTS - 1:
+                raise
+            redrawn["redrawn: SUMO failed"] += 1
+            continue
+        if log.windows >= config.windows / 4 or attempt == ATTEMPTS - 1:
+            return log, counts + redrawn
+        redrawn["redrawn: few windows"] += 1
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _simulated(
+    config: LogConfig, name: str, rng: np.random.Generator
+) -> tuple[DrivingLog, Counter[str]]:
+    warm_up_s = float(rng.uniform(12.0, 35.0))
+    begin, frames = round(warm_up_s / FRAME_S), round(config.seconds / FRAME_S)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        path = make_net(rng, folder)
+        net = RoadNet(path)
+        demand = make_demand(net, rng, folder, warm_up_s=warm_up_s, seconds=config.seconds)
+        seed = int(rng.integers(2**31))
+        recording = record(path, demand, seed=seed, frames=begin + frames + AFTER)
+    tracks, driven = _tracks(recording, net, begin=begin, frames=frames)
+    _park(tracks, net, rng, frames=frames)
+    mirror = -1.0 if rng.random() < config.left_hand else 1.0
+    fields = _map_fields(net, level=rng.uniform(0.1, 0.38), mirror=mirror)
+    fields |= _track_fields(tracks, mirror=mirror)
+    for each in driven:
+        each.line[:, 1] *= mirror
+    log = DrivingLog(
+        name=name,
+        source="simulated",
+        licence="none",
+        city="left-hand traffic" if mirror < 0 else "right-hand traffic",
+        dt=FRAME_S,
+        **fields,
+        **NO_WINDOWS,
+    )
+    return choose_windows(log, driven, rng, most=config.windows)
+
+
+def _tracks(
+    recording: Recording, net: RoadNet, *, begin: int, frames: int
+) -> tuple[Tracks, list[Driven]]:
+    """Tracks of the frames from `begin`, and the lines that the vehicles among them followed."""
+    tracks, driven = Tracks([], [], []), []
+    for vehicle in recording.vehicles:
+        states = vehicle_states(as_array(vehicle.front), vehicle.size[0])
+        cut = _cut(states, vehicle.first, begin=begin, frames=frames)
+        seen = int(np.isfinite(cut[:, 0]).sum())
+        if seen > HISTORY_FRAMES + FUTURE_FRAMES:
+            driven.append(_driven(len(tracks.kind), vehicle, net, begin=begin, frames=frames))
+        if seen >= LEAST_FRAMES:
+            tracks.add(vehicle.kind, vehicle.size, cut)
+    for person in recording.people:
+        states = person_states(as_array(person.place))
+        cut = _cut(states, person.first, begin=begin, frames=frames)
+        if np.isfinite(cut[:, 0]).sum() >= LEAST_FRAMES:
+            tracks.add(PEDESTRIAN, person.size, cut)
+    return tracks, driven
+
+
+def _driven(track: int, vehicle: VehicleRecord, net: RoadNet, *, begin: int, frames: int) -> Driven:
+    line, place = followed_line(net, vehicle)
+    limits = [net.lanes[name].speed if name in net.lanes else np.nan for name, _ in vehicle.lane]
+    known = _cut(np.column_stack([place, limits]), vehicle.first, begin=begin, frames=frames)
+    middle = known[:, 0] - vehicle.size[0] / 2
+    return Driven(track, vehicle.kind, line, middle, known[:, 1])
+
+
+def _cut(values: Array, first: int, *, begin: int, frames: int) -> Array:
+    """The frames from `begin` of values [F, ...] that start at frame `first`; NaN elsewhere."""
+    held = np.full((frames, values.shape[1]), np.nan)
+    start, end = max(first, begin), min(first + len(values), begin + frames)
+    if start < end:
+        held[start - begin : end - begin] = values[start - first : end - first]
+    return held
+
+
+def _park(tracks: Tracks, net: RoadNet, rng: np.random.Generator, *, frames: int) -> None:
+    """Cars that stand in the parking lanes."""
+    occupied = rng.uniform(0.1, 0.9)
+    for band in net.parking:
+        right, left = band[: len(band) // 2], band[len(band) // 2 :][::-1]
+        middle = (right + left) / 2
+        length = np.concatenate([[0.0], np.linalg.norm(np.diff(middle, axis=0), axis=1).cumsum()])
+        for place in np.arange(6.0, length[-1] - 6.0, 6.5):
+            if rng.random() > occupied:
+                continue
+            x, y = (np.interp(place, length, axis) for axis in middle.T)
+            ahead = [np.interp(place + 1.0, length, axis) for axis in middle.T]
+            heading = np.arctan2(ahead[1] - y, ahead[0] - x) + rng.normal(0.0, 0.03)
+            state = np.array([x, y, heading, 0.0, 0.0])
+            size = (float(rng.uniform(3.7, 5.0)), float(rng.uniform(1.65, 1.95)))
+            tracks.add(VEHICLE, size, np.repeat(state[None], frames, axis=0))
+
+
+def _map_fields(net: RoadNet, *, level: float, mirror: float) -> dict[str, Any]:
+    """Fields of a log's map; level: as `union_rings` takes it."""
+    lanes = list(net.lanes.values())
+    number = {lane.name: index for index, lane in enumerate(lanes)}
+    edges = [(number[a], number[b]) for a, after in net.following.items() for b in after]
+    lines = list(net.lines())
+    return {
+        **family("lane", [lane.polygon for lane in lanes], mirror=mirror),
+        "lane_intersection": np.array([lane.in_junction for lane in lanes], bool),
+        "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
+        **family("centre", [lane.centre for lane in lanes], mirror=mirror),
+        **family("drivable", net.drivable_rings(level=level), mirror=mirror),
+        **family("crosswalk", net.crossings, mirror=mirror),
+        **family("line", [line for line, _ in lines], mirror=mirror),
+        "line_solid": np.array([solid for _, solid in lines], bool),
+    }
+
+
+def _track_fields(tracks: Tracks, *, mirror: float) -> dict[str, Any]:
+    states = np.stack(tracks.states)
+    states[..., [1, 2, 4]] *= mirror
+    return {
+        "track_type": np.array(tracks.kind, np.uint8),
+        "track_size": np.array(tracks.size, np.float32),
+        "track_state": states.astype(np.float32),
+    }

@@ -1,0 +1,117 @@
+"""The inputs of driving planners, of what real sensors give."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.sensors import ego_status, lidar_histogram, resize_image, stitch_cameras
+
+
+def image(red: int, rows: int = 1080, columns: int = 1920) -> np.ndarray:
+    pixels = np.zeros((rows, columns, 3), np.uint8)
+    pixels[..., 0] = red
+    return pixels
+
+
+def test_three_cameras_are_cropped_and_put_side_by_side() -> None:
+    left, front, right = image(10), image(20), image(30)
+    left[:, :416] = left[:, -416:] = 255
+    left[:28] = front[:28] = front[-28:] = 255
+
+    stitched = stitch_cameras(left, front, right)
+
+    assert stitched.shape == (3, 256, 1024)
+    assert stitched.dtype == np.uint8
+    assert np.unique(stitched[0, :, :272]).tolist() == [10]
+    assert np.unique(stitched[0, :, 272:752]).tolist() == [20]
+    assert np.unique(stitched[0, :, 752:]).tolist() == [30]
+    assert not stitched[1:].any()
+
+
+def test_a_quarter_of_the_size_needs_no_resizing() -> None:
+    rng = np.random.default_rng(0)
+    images = [rng.integers(0, 256, (270, 480, 3), np.uint8) for _ in range(3)]
+
+    stitched = stitch_cameras(*images)
+
+    np.testing.assert_array_equal(stitched[:, :, 272:752], images[1][7:-7].transpose(2, 0, 1))
+
+
+def test_resizing_averages_what_a_pixel_covers() -> None:
+    pixels = np.arange(6 * 9 * 3, dtype=np.uint8).reshape(6, 9, 3)
+
+    thirds = resize_image(pixels, rows=2, columns=3)
+    uneven = resize_image(pixels[:, :3], rows=6, columns=2)
+
+    np.testing.assert_array_equal(
+        thirds, np.rint(pixels.reshape(2, 3, 3, 3, 3).mean((1, 3), dtype=np.float64))
+    )
+    first = (pixels[:, 0] * 2.0 + pixels[:, 1]) / 3
+    np.testing.assert_array_equal(uneven[:, 0], np.rint(first))
+
+
+@pytest.mark.parametrize(
+    ("images", "field"),
+    [
+        ((image(0).astype(np.float32), image(0), image(0)), "camera_left"),
+        ((image(0), image(0)[..., 0], image(0)), "camera_front"),
+        ((image(0), image(0), image(0, rows=900)), "camera_right"),
+    ],
+)
+def test_a_wrong_image_is_named(images: tuple[np.ndarray, ...], field: str) -> None:
+    with pytest.raises(InvalidRequest) as told:
+        stitch_cameras(*images)
+
+    assert told.value.field == field
+
+
+def test_points_are_counted_in_their_cells() -> None:
+    points = np.array(
+        [
+            [0.1, -31.9, 1.0],
+            *([[31.99, 31.99, 0.3]] * 7),
+            [0.1, -31.9, 0.2],  # too low
+            [32.0, 0.0, 1.0],  # outside
+            [1e30, 0.0, 1.0],
+        ]
+    )
+
+    histogram = lidar_histogram(points)
+
+    assert histogram.shape == (1, 256, 256)
+    assert histogram.dtype == np.float32
+    assert histogram[0, 128, 0] == pytest.approx(0.2)
+    assert histogram[0, 255, 255] == 1.0
+    assert np.count_nonzero(histogram) == 2
+
+
+@pytest.mark.parametrize("points", [np.zeros((4, 2)), np.zeros(3), [[0.0, np.nan, 1.0]]])
+def test_a_wrong_cloud_is_named(points: np.ndarray) -> None:
+    with pytest.raises(InvalidRequest) as told:
+        lidar_histogram(points)
+
+    assert told.value.field == "lidar"
+
+
+def test_ego_status() -> None:
+    status = ego_status(command="right", velocity=(8.0, 0.5), acceleration=(-1.0, 0.0))
+
+    np.testing.assert_array_equal(status, np.array([0, 0, 1, 0, 8, 0.5, -1, 0], np.float32))
+
+
+@pytest.mark.parametrize(
+    ("changed", "field"),
+    [
+        ({"command": "back"}, "command"),
+        ({"velocity": (1.0, 2.0, 3.0)}, "velocity"),
+        ({"acceleration": (0.0, np.inf)}, "acceleration"),
+    ],
+)
+def test_a_wrong_status_is_named(changed: dict, field: str) -> None:
+    right = {"command": "unknown", "velocity": (0.0, 0.0), "acceleration": (0.0, 0.0)}
+    with pytest.raises(InvalidRequest) as told:
+        ego_status(**{**right, **changed})
+
+    assert told.value.field == field

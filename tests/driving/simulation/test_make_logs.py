@@ -1,0 +1,78 @@
+"""Whole simulated logs: what they hold, and that only the seed decides it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anchorflow_driving.drivers import human
+from anchorflow_driving.log import FUTURE_FRAMES, DrivingLog, read_logs
+from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.simulation.config import LogConfig
+from anchorflow_driving.window import Scenes
+
+CONFIG = LogConfig(seed=3, seconds=12.0, windows=12)
+
+
+def made(folder: Path, *, logs: int) -> Path:
+    for module in ("sumo", "libsumo"):
+        pytest.importorskip(module, reason=f"{module} is not installed")
+    from anchorflow_driving.simulation.make_logs import make_logs
+
+    make_logs(folder, CONFIG, logs=logs, workers=logs)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made(tmp_path_factory.mktemp("drive"), logs=2)
+
+
+@pytest.fixture(scope="module")
+def logs(folder: Path) -> list[DrivingLog]:
+    return read_logs(folder)
+
+
+def test_a_log_depends_on_seed_and_index_alone(folder: Path, tmp_path: Path) -> None:
+    (alone,) = made(tmp_path, logs=1).glob("*.npz")
+    assert alone.read_bytes() == (folder / alone.name).read_bytes()
+    first, second = sorted(folder.glob("*.npz"))
+    assert first.read_bytes() != second.read_bytes()
+
+
+def test_the_summary_counts_the_logs_windows(folder: Path, logs: list[DrivingLog]) -> None:
+    summary = json.loads((folder / "drive.json").read_text())
+
+    assert summary["windows"] == sum(log.windows for log in logs) > 0
+    commands = np.concatenate([log.window_command for log in logs])
+    assert list(summary["commands"].values()) == np.bincount(commands, minlength=3).tolist()
+    turned = sum(
+        abs(track[frame + FUTURE_FRAMES, 2] - track[frame, 2]) > np.deg2rad(20)
+        for log in logs
+        for ego, frame in zip(log.window_ego, log.window_frame, strict=True)
+        for track in [log.track_state[ego]]
+    )
+    assert summary["turning"] == turned
+    assert turned / summary["windows"] == pytest.approx(1 / 3, abs=0.1)
+
+
+def test_its_drivers_keep_the_rules_that_planners_are_judged_by(logs: list[DrivingLog]) -> None:
+    scores = [
+        PdmScorer(window).score(human(window)[None]) for log in logs for window in Scenes(log)
+    ]
+
+    assert np.mean([score.nc for score in scores]) > 0.9
+    assert np.mean([score.dac for score in scores]) > 0.9
+    assert np.mean([score.c for score in scores]) > 0.9
+    assert all(log.source == "simulated" for log in logs)
+
+
+def test_the_route_leads_along_what_was_driven(logs: list[DrivingLog]) -> None:
+    for log in logs:
+        for window in Scenes(log):
+            driven = window.recorded(np.arange(0, 46) / 10)
+            _, aside = window.view.route.project(driven[:, :2])
+            assert np.abs(aside).max() < 2.5

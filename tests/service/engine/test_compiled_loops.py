@@ -1,0 +1,52 @@
+"""No caller waits for a compiler: an engine that is ready has compiled all that requests need."""
+
+from __future__ import annotations
+
+import gc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from anchorflow_client import AnchorRequest
+from anchorflow_service.local import LocalClient
+
+REST = [0.0, 0.0]
+START, GOAL = [-3.0, 0.1, 0.5, 0.0, *REST], [3.0, 0.2, *REST]
+EVERYTHING = {"project": True, "barrier": True, "guidance": 0.5, "certified_margin": 0.05}
+
+
+def variants() -> dict[str, int]:
+    """How many types each of this project's loops is compiled for."""
+    found = (each for each in gc.get_objects() if isinstance(each, Dispatcher))
+    return {
+        f"{each.py_func.__module__}.{each.py_func.__name__}": len(each.overloads)
+        for each in found
+        if each.py_func.__module__.startswith("anchorflow_")
+    }
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {},
+        {"refine": EVERYTHING, "v_max": 1.1},
+        {"refine": {"project": False}, "num_samples": 1},
+        {"horizon_s": 11.0, "refine": {"project": True}},
+        {"warm_start": {"trajectory": [START[:2], [0.0, 1.5], GOAL[:2]], "tau": 0.75}},
+    ],
+    ids=str,
+)
+def test_a_request_compiles_nothing(free_bundle_built: Path, asked: dict[str, Any]) -> None:
+    client = LocalClient.of(free_bundle_built, threads=2)
+    data = np.zeros((3, 16, 16), np.float32)
+    data[0, 7:9, 7:9], data[1], data[2, 9:] = 1.0, 1.0, 0.5
+    before = variants()
+    assert before
+    fields = {"x_curr": START, "x_goal": GOAL, "num_samples": 12, "seed": 7} | asked
+    client.plan_request(
+        AnchorRequest.from_fields(fields | {"cost_map": {"data": data, "resolution": 0.5}})
+    )
+    assert variants() == before

@@ -1,0 +1,67 @@
+"""Everything that is compiled, run once: a process that serves keeps nobody waiting for it.
+
+    python -m anchorflow_trajectory.warm_up
+
+compiles what a later process then finds on disk.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from anchorflow_trajectory.bisection import bisect_to_safe
+from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.prior import drawn
+from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.scene import Scene
+
+CELLS, RESOLUTION = 32, 0.2  # of a map of 6.4 m
+POST = slice(14, 18)
+
+
+@dataclass(frozen=True)
+class _Everything:
+    """All that can be asked of a finish."""
+
+    smooth: bool = True
+    project: bool = True
+    safety_margin: float = 0.1
+    barrier: bool = True
+    certified_margin: float = 0.0
+
+
+@cache
+def compile_loops() -> None:
+    """Run them on a small scene: its routes, its finish, and a bisection.
+
+    A second or less where they are found on disk, else about twenty.
+    """
+    cost_map = np.zeros((3, CELLS, CELLS), np.float32)
+    cost_map[0, POST, POST], cost_map[1], cost_map[2, :4] = 1.0, 1.0, 0.5
+    scene = Scene(
+        cost_map=cost_map,
+        resolution=RESOLUTION,
+        origin=np.zeros(2),
+        robot_radius=0.25,
+        x_curr=np.array([0.8, 3.2, 0.3, 0.0, 0.0, 0.0]),
+        x_goal=np.array([5.6, 3.2, 0.0, 0.0]),
+        w_style=np.array([0.4, 0.3, 0.3]),
+        motion=MotionLimits(v_max=2.0, a_max=3.0),
+    )
+    drawn(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
+    routes = scene.route_splines
+    Refiner(scene, steps=1).refine(scene.route_states, np.arange(len(routes)), _Everything())
+    pair = routes[np.zeros(2, np.intp)]
+    safe, route, clearance = (
+        np.array([True, False]),
+        np.zeros(2, np.intp),
+        scene.cost_fields.clearance,
+    )
+    bisect_to_safe(pair, safe, scene.ends, scene.basis, clearance, scene.motion, route=route)
+
+
+if __name__ == "__main__":
+    compile_loops()
