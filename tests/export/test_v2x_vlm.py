@@ -23,6 +23,7 @@ from PIL import Image
 from small_v2x import IMAGE_SIZE, PROMPTS, small_sizes, small_v2x
 from starlette.testclient import TestClient
 
+from anchorflow_benchmarks.driving.pairs import judged_crossings, pair_tables
 from anchorflow_client import (
     AnchorBatch,
     AnchorRequest,
@@ -368,3 +369,18 @@ def test_a_network_without_a_tokenizer_is_not_exported(model: V2XVLM) -> None:
             V2XAdapter(model)
     finally:
         model.tokenizer = tokenizer
+
+
+def test_a_bundle_is_judged_on_crossings_it_has_not_seen(engine: Engine, tmp_path: Path) -> None:
+    dataset, groups = judged_crossings(tmp_path, scenes=3, image_size=IMAGE_SIZE)
+    assert [group.title for group in groups] == ["All pairs", "Hidden"]
+    assert 0 < len(groups[1].indices) < len(groups[0].indices) == 15
+
+    tables = pair_tables(LocalClient(engine), dataset, groups)
+
+    rows = {str(row["plan"]): row for row in tables[0].rows}
+    assert rows["driven"]["L2 mean"] == 0
+    assert rows["driven"]["collision mean"] == 0
+    assert [*rows][2:] == ["bundle", "bundle without roadside", "bundle without text"]
+    with_it, without = rows["bundle"], rows["bundle without roadside"]
+    assert with_it["L2 4.5 s"] != without["L2 4.5 s"]

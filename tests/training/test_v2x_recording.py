@@ -1,4 +1,4 @@
-"""Cooperative recordings: read as DAIR-V2X lays them out, and told by file where they are broken."""
+"""Cooperative recordings: read as DAIR-V2X lays them out; what is broken is told by its file."""
 
 from __future__ import annotations
 
@@ -239,7 +239,7 @@ def test_plans_are_judged_by_who_was_there(tmp_path: Path) -> None:
         touched = [gone_after > 26] * 3
         assert [row[f"collision_{each}s"] for each in (2.5, 3.5, 4.5)] == touched
         assert row["l2_mean"] == pytest.approx(0.0, abs=1e-5)
-        away = plans + [0.0, 3.0]
+        away = plans + np.array([0.0, 3.0])
         beside = judge(dataset, indices, away)
         assert (beside["collision_mean"], beside["success"]) == (0.0, 0.0)
         assert beside["l2_2.5s"] == pytest.approx(3.0, abs=1e-5)

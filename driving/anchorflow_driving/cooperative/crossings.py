@@ -78,16 +78,17 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
         car = Camera((ego[number] + 1.5, -LANE / 2, 1.5), 0.0, 0.0, 0.57 * size[0], *size)
         unseen = setting.crosses and hidden(car, others[0, :2], houses)
         occluded.append(unseen)
-        pictures: tuple = (None, None)
+        vehicle = infrastructure = None
         if number % every == 1 and number + 45 < FRAMES:
             blocks = [Block(box, 1.5, c) for box, c in zip(others, colours, strict=True)] + houses
             own = Block(np.array([ego[number], -LANE / 2, 0.0, *CAR]), 1.5, (60, 160, 90))
             pole = Camera(POLE, np.pi, 0.25, 0.55 * size[0], *size)
-            pictures = (paint(car, _roads(), blocks), paint(pole, _roads(), [*blocks, own]))
+            vehicle = paint(car, _roads(), blocks)
+            infrastructure = paint(pole, _roads(), [*blocks, own])
         pose = out_of_frame(np.array([ego[number], -LANE / 2, 0.0]), world)
         placed = out_of_frame(others[:, :3], world)
         boxes = np.concatenate([placed, others[:, 3:]], 1)
-        frames.append(CooperativeFrame(time, pose, *pictures, boxes))
+        frames.append(CooperativeFrame(time, pose, vehicle, infrastructure, boxes))
     conflict = setting.crosses and _conflicts(setting)
     return Crossing(frames, np.array(occluded), conflict)
 

@@ -91,8 +91,8 @@ def paint(
         order = np.argsort([-np.linalg.norm(middle - position) for middle in middles])
         for side in order:
             face, light = FACES[side]
-            lit = tuple(min(255, int(light * value)) for value in block.colour)
-            _fill(draw, camera, corners[list(face)], lit)
+            red, green, blue = (min(255, int(light * value)) for value in block.colour)
+            _fill(draw, camera, corners[list(face)], (red, green, blue))
     return np.ascontiguousarray(np.asarray(image).transpose(2, 0, 1))
 
 

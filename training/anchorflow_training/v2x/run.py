@@ -112,8 +112,9 @@ class V2XRun(TrainingRun):
             inputs = {name: torch.from_numpy(each) for name, each in self._rows(part).items()}
             inputs = self.fabric.to_device(inputs)
             there = torch.full((len(part),), roadside, device=self.fabric.device)
-            seen = [model.look(inputs[f"{side}_image"]) for side in ("vehicle", "infrastructure")]
-            fused = model.fuse(*seen, there, inputs["tokens"], inputs["mask"])
+            vehicle = model.look(inputs["vehicle_image"])
+            infrastructure = model.look(inputs["infrastructure_image"])
+            fused = model.fuse(vehicle, infrastructure, there, inputs["tokens"], inputs["mask"])
             plans.append(model.drive(fused).double().cpu().numpy())
         return np.concatenate(plans)
 
