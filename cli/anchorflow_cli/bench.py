@@ -39,6 +39,7 @@ from anchorflow_cli import (
     bench_robots,
     bench_routes,
     bench_serving,
+    bench_v2x,
     bench_zenoh,
 )
 from anchorflow_cli.bench_options import (
@@ -243,4 +244,6 @@ app.command()(bench_serving.kill)
 app.command()(bench_serving.soak)
 app.command()(bench_drive.drive)
 app.command()(bench_drive_closed_loop.drive_closed_loop)
+app.command()(bench_v2x.pairs)
+app.command()(bench_v2x.florence)
 app.command("closed-loop")(bench_closed_loop.closed_loop)

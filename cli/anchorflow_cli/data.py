@@ -16,6 +16,7 @@ from rich.table import Table
 from anchorflow_cli.data_anchors import anchors, sensors
 from anchorflow_cli.data_drive import drive
 from anchorflow_cli.data_import_log import import_log
+from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app
 from anchorflow_training.data import TrajectoryDataset
@@ -88,6 +89,9 @@ app.command()(drive)
 app.command()(import_log)
 app.command()(anchors)
 app.command()(sensors)
+app.command()(crossings)
+app.command()(verify)
+app.command()(pairs)
 
 
 @app.command("import")

@@ -12,6 +12,8 @@ from rich.progress import Progress
 from anchorflow_cli.extras import needs_extra
 from anchorflow_driving.simulation.config import LogConfig
 
+COOPERATIVE = "cooperative-vehicle-infrastructure"
+
 
 def drive(
     *,
@@ -26,6 +28,10 @@ def drive(
         float, typer.Option(min=0.0, max=1.0, help="Share of logs with left-hand traffic.")
     ] = LogConfig.left_hand,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    v2x: Annotated[
+        bool,
+        typer.Option("--v2x", help="Draw car and roadside cameras too, laid out as DAIR-V2X."),
+    ] = False,
 ) -> None:
     """Simulate traffic with SUMO and write driving logs of it."""
     with needs_extra("driving", who="anchorflow data drive"):
@@ -41,3 +47,21 @@ def drive(
     for what in ("dropped", "redrawn"):
         told = ", ".join(f"{count} {reason}" for reason, count in summary[what].items())
         typer.echo(f"{what}: {told or 'none'}")
+    if v2x:
+        _draw_both_cameras(out)
+
+
+def _draw_both_cameras(out: Path) -> None:
+    """A cooperative recording of the logs of a folder, inside it."""
+    from anchorflow_driving.cooperative.from_logs import log_drives
+    from anchorflow_driving.cooperative.layout import write_recording
+    from anchorflow_driving.log import read_log
+    from anchorflow_driving.sensors.rendering import Renderer
+
+    paths = sorted(out.glob("*.npz"))
+    folder = out / COOPERATIVE
+    renderer = Renderer()
+    with Progress() as bar:
+        read = (read_log(path) for path in bar.track(paths, description="pictures"))
+        pairs = write_recording(folder, log_drives(read, renderer))
+    typer.echo(f"{folder}: {pairs} pairs")

@@ -29,6 +29,7 @@ from anchorflow_client.contract import (
     TensorsSpec,
     TimeSpec,
     TruncatedDiffusionSpec,
+    VisionLanguageSpec,
     VocabularySpec,
     WarmStart,
 )
@@ -112,6 +113,7 @@ __all__ = [
     "TruncatedDiffusionSpec",
     "Unauthorized",
     "UnknownModel",
+    "VisionLanguageSpec",
     "VocabularySpec",
     "WarmStart",
     "resample",

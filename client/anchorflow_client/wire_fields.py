@@ -45,6 +45,7 @@ def request_fields(request: AnchorRequest) -> dict[str, Any]:
 
 def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
     """An answer's fields, arrays as numpy holds them."""
+    absent = {"absent_inputs": ",".join(batch.absent_inputs)} if batch.absent_inputs else {}
     return dict(batch.arrays) | {
         "dt": batch.dt,
         "first_s": batch.first_s,
@@ -52,6 +53,7 @@ def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
         "model": asdict(batch.model),
         "timing_ms": dict(batch.timing_ms),
         "request_id": batch.request_id,
+        **absent,
     }
 
 
@@ -101,6 +103,7 @@ def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch
         model=ModelId(*names),
         timing_ms={str(stage): float(ms) for stage, ms in fields["timing_ms"].items()},
         request_id=fields.get("request_id"),
+        absent_inputs=tuple(name for name in fields.get("absent_inputs", "").split(",") if name),
     )
 
 

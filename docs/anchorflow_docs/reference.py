@@ -25,6 +25,7 @@ from anchorflow_client.contract import (
     TensorsSpec,
     TimeSpec,
     TruncatedDiffusionSpec,
+    VisionLanguageSpec,
     VocabularySpec,
     WarmStart,
 )
@@ -55,6 +56,7 @@ TYPES = (
     LimitsSpec,
     TensorsSpec,
     OdeSpec,
+    VisionLanguageSpec,
     VocabularySpec,
     TruncatedDiffusionSpec,
     RefineSpec,
@@ -129,9 +131,9 @@ PYTHON = """# Python types
 `anchorflow_client.contract`, which the service uses too. All of them are frozen; arrays are
 read-only. A field that is None is left to the model's card. One that says nothing here means what
 it means in [the request](request.md) or [the answer](answer.md). A card's `conditioning` is a
-`CostMapSpec` or a `TensorsSpec`, its `sampler` an `OdeSpec`, a `VocabularySpec` or a
-`TruncatedDiffusionSpec`, its `finish` a `RefineSpec` or `NoFinish`; each has a `kind`, and a kind
-that the client does not know is an `UnknownPart`.
+`CostMapSpec`, a `TensorsSpec` or a `VisionLanguageSpec`, its `sampler` an `OdeSpec`, a
+`VocabularySpec` or a `TruncatedDiffusionSpec`, its `finish` a `RefineSpec` or `NoFinish`; each has
+a `kind`, and a kind that the client does not know is an `UnknownPart`.
 
 {types}
 """

@@ -21,6 +21,7 @@ from anchorflow_service.bundle.manifest import (
     TensorsEntry,
     TimeEntry,
     TruncatedDiffusionEntry,
+    VisionLanguageEntry,
     VocabularyEntry,
 )
 from anchorflow_trajectory.cost import MotionLimits
@@ -67,14 +68,16 @@ class PlannerParts:
     """What a manifest says of the planner, beside its graphs.
 
     inputs: of a request
+    files: beside the graphs, by role: a name and what it holds
     """
 
     inputs: tuple[TensorSpec, ...]
-    conditioning: CostMapEntry | TensorsEntry
+    conditioning: CostMapEntry | TensorsEntry | VisionLanguageEntry
     sampler: OdeEntry | VocabularyEntry | TruncatedDiffusionEntry
     finish: SplineEntry | NoFinishEntry
     time: TimeEntry
     answer: AnswerEntry
+    files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

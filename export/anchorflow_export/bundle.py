@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from anchorflow_export.adapter import PlannerAdapter, TracedGraph
+from anchorflow_export.adapter import PlannerAdapter, PlannerParts, TracedGraph
 from anchorflow_export.errors import ExportError
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
 from anchorflow_export.tracing import OPSET
@@ -18,6 +18,7 @@ from anchorflow_service.bundle import load_bundle
 from anchorflow_service.bundle.manifest import (
     FILE_NAME,
     FORMAT,
+    FileEntry,
     GraphEntry,
     Manifest,
     RequestEntry,
@@ -59,7 +60,11 @@ def export_bundle(
         graphs = {
             role: _write(graph, folder / f"{role}.onnx") for role, graph in adapter.trace().items()
         }
-        manifest = _manifest(adapter, description, graphs)
+        parts = adapter.parts
+        files = {
+            role: _write_file(folder / name, data) for role, (name, data) in parts.files.items()
+        }
+        manifest = _manifest(parts, description, graphs, files)
         (folder / FILE_NAME).write_bytes(manifest.to_json())
         return prove_parity(adapter, load_bundle(folder), tolerance=tolerance)
 
@@ -88,10 +93,17 @@ def _write(graph: TracedGraph, path: Path) -> GraphEntry:
     )
 
 
+def _write_file(path: Path, data: bytes) -> FileEntry:
+    path.write_bytes(data)
+    return FileEntry(file=path.name, sha256=hashlib.sha256(data).hexdigest())
+
+
 def _manifest(
-    adapter: PlannerAdapter, description: BundleDescription, graphs: dict[str, GraphEntry]
+    parts: PlannerParts,
+    description: BundleDescription,
+    graphs: dict[str, GraphEntry],
+    files: dict[str, FileEntry],
 ) -> Manifest:
-    parts = adapter.parts
     try:
         return Manifest(
             format=FORMAT,
@@ -105,6 +117,7 @@ def _manifest(
             time=parts.time,
             answer=parts.answer,
             graphs=graphs,
+            files=files,
             training=dict(description.training),
             quality=dict(description.quality),
         )

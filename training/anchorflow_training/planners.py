@@ -27,6 +27,9 @@ from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig, wote_se
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer
+from anchorflow_training.v2x import run as v2x
+from anchorflow_training.v2x.config import V2XRunConfig
+from anchorflow_training.v2x.dataset import open_pairs
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ TRAININGS: Mapping[str, Training] = {
         Training(GoalFlowRunConfig, open_windows, goalflow_settings, GoalFlowRun),
         Training(WoteRunConfig, open_logs, wote_settings, WoteRun),
         Training(DiffusionDriveRunConfig, open_logs, diffusiondrive_settings, DiffusionDriveRun),
+        Training(V2XRunConfig, open_pairs, v2x.model_settings, v2x.V2XRun),
     )
 }
 

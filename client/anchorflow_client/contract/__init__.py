@@ -13,6 +13,7 @@ from anchorflow_client.contract.kinds import (
     TensorsSpec,
     TimeSpec,
     TruncatedDiffusionSpec,
+    VisionLanguageSpec,
     VocabularySpec,
 )
 from anchorflow_client.contract.ranges import (
@@ -63,6 +64,7 @@ __all__ = [
     "TensorsSpec",
     "TimeSpec",
     "TruncatedDiffusionSpec",
+    "VisionLanguageSpec",
     "VocabularySpec",
     "WarmStart",
     "resolve_for_card",

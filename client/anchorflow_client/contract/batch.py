@@ -45,6 +45,8 @@ class AnchorBatch:
     timing_ms: Mapping[str, float]
     """queue, encode, sample, refine, total."""
     request_id: str | None = None
+    absent_inputs: tuple[str, ...] = ()
+    """Optional inputs of the card that the request did not bring."""
 
     def __post_init__(self) -> None:
         """Freeze the arrays.

@@ -56,14 +56,17 @@ def read_inputs(value: Any) -> Inputs:
 
     Args:
         value: by name: an array, nested lists of numbers, {"dtype", "shape", "base64"},
-            {"png" or "jpeg": base64}, an `EncodedImage`, a string or a list of strings.
+            {"png" or "jpeg": base64}, an `EncodedImage`, a string or a list of strings; None stands
+            for one that is left out.
 
     Raises:
         InvalidRequest: names inputs.NAME.
     """
     if not isinstance(value, Mapping):
         raise expected("inputs", "an object of inputs by name", value)
-    return {text(name, "inputs"): _read(name, each) for name, each in value.items()}
+    return {
+        text(name, "inputs"): _read(name, each) for name, each in value.items() if each is not None
+    }
 
 
 def texts(values: Sequence[str], field: str, shape: Sequence[int]) -> NDArray[Any]:
@@ -83,10 +86,12 @@ def bind(inputs: Inputs, specs: Sequence[TensorSpec]) -> tuple[Inputs, int, bool
     """Inputs held against a card: each [B,…] of its card's dtype, B, and whether one was batched.
 
     Raises:
-        InvalidRequest: names inputs.NAME: it is missing, unknown, or of another dtype, shape or
-            range than the card's.
+        InvalidRequest: names inputs.NAME: it is missing and not optional, unknown, or of another
+            dtype, shape or range than the card's.
     """
-    fields_of(inputs, "inputs", [spec.name for spec in specs], [spec.name for spec in specs])
+    needed = [spec.name for spec in specs if not spec.optional]
+    fields_of(inputs, "inputs", [spec.name for spec in specs], needed)
+    specs = [spec for spec in specs if spec.name in inputs]
     sizes: dict[str, tuple[int, str]] = {}
     bound: dict[str, NDArray[Any]] = {}
     for spec in specs:

@@ -35,6 +35,8 @@ class TensorSpec:
     """m, of a raster [B,…,H,W] seen from above, in the frame of the anchors: least and greatest x,
     least and greatest y. Its first row lies at the greatest x, its first column at the greatest y.
     """
+    optional: bool = False
+    """Of a request's input: it may be left out, and the answer tells where it was."""
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> TensorSpec:
@@ -47,6 +49,7 @@ class TensorSpec:
             unit=value.get("unit", ""),
             range=None if limits is None else tuple(limits),
             extent=None if extent is None else tuple(extent),
+            optional=value.get("optional", False),
         )
 
 
@@ -129,6 +132,17 @@ class TensorsSpec:
 
 
 @dataclass(frozen=True)
+class VisionLanguageSpec:
+    """Asked with pictures of any size and a text, which the service makes tokens of."""
+
+    image_size: int
+    """Pixels along a side of what the model sees; pictures sent so are not resized."""
+    max_tokens: int
+    """Of the text."""
+    kind: Literal["vision_language"] = "vision_language"
+
+
+@dataclass(frozen=True)
 class VocabularySpec:
     """Chooses the best N of a fixed number of trajectories, which it may refine."""
 
@@ -192,11 +206,15 @@ class UnknownPart:
     kind: str
 
 
-ConditioningSpec: TypeAlias = CostMapSpec | TensorsSpec | UnknownPart
+ConditioningSpec: TypeAlias = CostMapSpec | TensorsSpec | VisionLanguageSpec | UnknownPart
 SamplerSpec: TypeAlias = OdeSpec | VocabularySpec | TruncatedDiffusionSpec | UnknownPart
 FinishSpec: TypeAlias = RefineSpec | NoFinish | UnknownPart
 
-CONDITIONINGS: Mapping[str, type] = {"cost_map": CostMapSpec, "tensors": TensorsSpec}
+CONDITIONINGS: Mapping[str, type] = {
+    "cost_map": CostMapSpec,
+    "tensors": TensorsSpec,
+    "vision_language": VisionLanguageSpec,
+}
 SAMPLERS: Mapping[str, type] = {
     "ode": OdeSpec,
     "vocabulary": VocabularySpec,

@@ -58,6 +58,8 @@ MAX_WARM_START_STEPS = 1024
 MAX_TEXT_LENGTH = 128
 MAX_INPUT_TEXT_LENGTH = 64 * 1024
 """Characters of an input that is a text, such as a prompt."""
+MAX_PIXELS = 16 * 2**20
+"""Of one picture; a file of a few kB may unpack to gigabytes."""
 
 UNIT = Interval(0.0, 1.0)
 INSIDE_UNIT = Interval(0.0, 1.0, open_low=True, open_high=True)

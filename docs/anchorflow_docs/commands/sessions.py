@@ -118,6 +118,17 @@ WALKTHROUGH = (
         ),
     ),
     Session(
+        "two cameras",
+        (
+            ".venv/bin/anchorflow data crossings data/crossings --scenes 20",
+            ".venv/bin/anchorflow data verify data/crossings",
+            ".venv/bin/anchorflow data pairs data/crossings data/pairs --image-size 96",
+            ".venv/bin/anchorflow train data/pairs --planner v2x_vlm --out runs/v2x --steps 20",
+            ".venv/bin/anchorflow export runs/v2x/checkpoint.pt --out bundles/v2x",
+            ".venv/bin/anchorflow serve --bundle bundles/v2x",
+        ),
+    ),
+    Session(
         "training",
         (
             "pip install -e '.[train]'",
@@ -244,6 +255,8 @@ NOT_HERE = {
     ),
     "anchorflow bench drive --logs ../shared/data/driving"
     " --bundle bundles/diffusiondrive": MEASURES,
+    "anchorflow bench pairs bundles/v2x": MEASURES,
+    "anchorflow bench florence": MEASURES,
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"
     ),

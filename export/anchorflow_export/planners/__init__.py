@@ -10,6 +10,7 @@ from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.diffusiondrive import diffusiondrive_adapter
 from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_export.planners.goalflow import goalflow_adapter
+from anchorflow_export.planners.v2x_vlm import v2x_vlm_adapter
 from anchorflow_export.planners.wote import wote_adapter
 
 ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
@@ -17,6 +18,7 @@ ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
     "goalflow": goalflow_adapter,
     "wote": wote_adapter,
     "diffusiondrive": diffusiondrive_adapter,
+    "v2x_vlm": v2x_vlm_adapter,
 }
 """By the name in the registry of planners: from a network to its adapter."""
 

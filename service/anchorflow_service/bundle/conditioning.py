@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from anchorflow_client.contract import CostMapSpec, LimitsSpec, TensorsSpec
+from anchorflow_client.contract import CostMapSpec, LimitsSpec, TensorsSpec, VisionLanguageSpec
 from anchorflow_client.contract.request import LIMIT_INTERVALS
 
 Limit = Literal["robot_radius", "v_max", "a_max", "horizon_s"]
@@ -74,3 +74,22 @@ class TensorsEntry(Entry):
     def spec(self) -> TensorsSpec:
         """What the card says of it."""
         return TensorsSpec()
+
+
+class VisionLanguageEntry(Entry):
+    """Asked with pictures and a text, which become the pixels and tokens that the graphs take.
+
+    images: the request's inputs that are pictures; of those that are optional the features are
+        remembered by what they show
+    text: its input that is a text, written in the tokens of the bundle's file "tokenizer"
+    """
+
+    kind: Literal["vision_language"] = "vision_language"
+    images: Annotated[tuple[str, ...], Field(min_length=1)]
+    text: str
+    image_size: PositiveInt
+    max_tokens: PositiveInt
+
+    def spec(self) -> VisionLanguageSpec:
+        """What the card says of it."""
+        return VisionLanguageSpec(self.image_size, self.max_tokens)

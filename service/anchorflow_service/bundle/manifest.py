@@ -33,7 +33,12 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.oip_codec import RESERVED
-from anchorflow_service.bundle.conditioning import CostMapEntry, Entry, TensorsEntry
+from anchorflow_service.bundle.conditioning import (
+    CostMapEntry,
+    Entry,
+    TensorsEntry,
+    VisionLanguageEntry,
+)
 from anchorflow_service.bundle.samplers import OdeEntry, TruncatedDiffusionEntry, VocabularyEntry
 from anchorflow_trajectory.refine import DESCENT_RATE
 
@@ -150,7 +155,9 @@ class Manifest(Entry):
     version: Annotated[str, Field(min_length=1)]
     planner: str
     request: RequestEntry
-    conditioning: Annotated[CostMapEntry | TensorsEntry, Field(discriminator="kind")]
+    conditioning: Annotated[
+        CostMapEntry | TensorsEntry | VisionLanguageEntry, Field(discriminator="kind")
+    ]
     sampler: Annotated[
         OdeEntry | VocabularyEntry | TruncatedDiffusionEntry, Field(discriminator="kind")
     ]
@@ -170,7 +177,7 @@ class Manifest(Entry):
 
     def _time_faults(self) -> Iterator[str]:
         """A planner with a cost map answers from now to the horizon, or each anchor to its end."""
-        if isinstance(self.conditioning, TensorsEntry):
+        if not isinstance(self.conditioning, CostMapEntry):
             if self.time.dt is None:
                 yield "time.dt is null, expected s between two poses of a planner without limits"
             return
@@ -191,7 +198,7 @@ class Manifest(Entry):
         for spec in self.request.inputs:
             if spec.shape[:1] != ("B",):
                 yield f"request.inputs: {spec.name} has shape {[*spec.shape]}, expected B first"
-            if spec.name in RESERVED and isinstance(self.conditioning, TensorsEntry):
+            if spec.name in RESERVED and not isinstance(self.conditioning, CostMapEntry):
                 yield f"request.inputs: {spec.name} is a name that requests with a cost map have"
 
     def _answer_faults(self) -> Iterator[str]:

@@ -48,6 +48,10 @@ class Bundle:
         """Where the graph of a role lies."""
         return self.path / self.manifest.graphs[role].file
 
+    def file_path(self, role: str) -> Path:
+        """Where another file of a role lies."""
+        return self.path / self.manifest.files[role].file
+
     def fault(self, wrong: str) -> BundleError:
         """The error that says what is wrong with the manifest."""
         return BundleError(self.path / FILE_NAME, wrong)

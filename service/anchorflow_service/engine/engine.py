@@ -44,7 +44,7 @@ class Engine:
         kind = SAMPLERS[manifest.sampler.kind]
         self.card: ModelCard = bundle.card
         self._threads = threads or usable_cores()
-        self._conditioning = CONDITIONINGS[manifest.conditioning.kind](manifest)
+        self._conditioning = CONDITIONINGS[manifest.conditioning.kind](bundle)
         for fault in chain(kind.faults(manifest), self._conditioning.faults()):
             raise bundle.fault(fault)
         self.sampler: Sampler = kind(bundle, threads=self._threads, provider=provider)
@@ -89,6 +89,11 @@ class Engine:
             model=self.card.id,
             timing_ms=clock.elapsed_ms,
             request_id=request.request_id,
+            absent_inputs=tuple(
+                spec.name
+                for spec in self.card.inputs
+                if spec.optional and spec.name not in request.inputs
+            ),
         )
 
     def flow_states(self, request: ResolvedRequest, /) -> FlowStates:

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from anchorflow_client.contract import AnchorRequest, EncodedImage
+from anchorflow_client.contract.ranges import MAX_PIXELS
 from anchorflow_client.errors import InvalidRequest
 
 BROKEN = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)
 """What Pillow raises of broken files, by their format."""
-MAX_PIXELS = 16 * 2**20
-"""Of one picture; a file of a few kB may unpack to gigabytes."""
 
 
 def with_pixels(request: AnchorRequest) -> AnchorRequest:

@@ -281,6 +281,11 @@ class AnchorAnswerBody(BaseModel):
     model: ModelIdBody
     timing_ms: TimingBody
     request_id: str
+    absent_inputs: str | None = Field(
+        None,
+        description="Optional inputs of the card that the request did not bring, separated by "
+        "commas.",
+    )
 
 
 class ErrorDetail(BaseModel):

@@ -24,11 +24,11 @@ from PIL import Image
 
 from anchorflow_client import AnchorBatch, AnchorClient, AnchorRequest, JsonCodec, OipCodec
 from anchorflow_client.contract import EncodedImage
+from anchorflow_client.contract.ranges import MAX_PIXELS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.http import create_app
-from anchorflow_service.http.images import MAX_PIXELS
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import Call, PlanningService, ServiceLimits
 from anchorflow_service.repository import BundleFolders, Repository

@@ -92,8 +92,8 @@ def read_novatel(folder: Path, pose_rate_hz: float) -> list[PoseTrack]:
     if not files:
         raise DatasetError(f"{folder}: expected poses *.json, found none")
     drives = _drives(folder, files, pose_rate_hz)
-    matrices = [np.stack([_novatel_pose(files[f]) for f, _ in drive]) for drive in drives.values()]
-    axis = _forward_axis(matrices)
+    matrices = [np.stack([novatel_pose(files[f]) for f, _ in drive]) for drive in drives.values()]
+    axis = forward_axis(matrices)
     tracks = []
     for (name, drive), matrix in zip(drives.items(), matrices, strict=True):
         ahead = matrix[:, :2, :3] @ axis
@@ -111,11 +111,11 @@ def _drives(folder: Path, files: dict[str, Path], pose_rate_hz: float) -> dict[s
     info = folder.parent.parent / "data_info.json"
     frames: list[tuple[str, str, float]] = []
     if info.exists():
-        for entry in _entries(info):
+        for entry in data_entries(info):
             stem = Path(str(entry.get(f"calib_{NOVATEL}_path") or entry.get("image_path"))).stem
             if stem in files:
                 sequence = _first(info, entry, SEQUENCE_KEYS)
-                frames.append((sequence, stem, _microseconds(info, entry) * SECONDS))
+                frames.append((sequence, stem, microseconds(info, entry) * SECONDS))
     else:
         for stem in files:
             number = re.search(r"\d+$", stem)
@@ -134,14 +134,14 @@ def _drives(folder: Path, files: dict[str, Path], pose_rate_hz: float) -> dict[s
     return drives
 
 
-def _entries(info: Path) -> list[dict[str, Any]]:
-    found = _json(info)
+def data_entries(info: Path) -> list[dict[str, Any]]:
+    found = read_json(info)
     if not isinstance(found, list) or not all(isinstance(entry, dict) for entry in found):
         raise DatasetError(f"{info}: expected a list of objects, an entry a frame")
     return found
 
 
-def _microseconds(info: Path, entry: dict[str, Any]) -> float:
+def microseconds(info: Path, entry: dict[str, Any]) -> float:
     text = _first(info, entry, TIME_KEYS)
     try:
         return float(text)
@@ -156,9 +156,9 @@ def _first(info: Path, entry: dict[str, Any], keys: Sequence[str]) -> str:
     raise DatasetError(f"{info}: expected {' or '.join(keys)} in each entry, found {sorted(entry)}")
 
 
-def _novatel_pose(file: Path) -> NDArray[np.float64]:
+def novatel_pose(file: Path) -> NDArray[np.float64]:
     """[3, 4]: rotation and translation."""
-    found = _json(file)
+    found = read_json(file)
     if not isinstance(found, dict):
         raise DatasetError(f"{file}: expected an object with rotation and translation")
     parts = []
@@ -177,7 +177,7 @@ def _novatel_pose(file: Path) -> NDArray[np.float64]:
     return np.concatenate(parts, 1)
 
 
-def _forward_axis(drives: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def forward_axis(drives: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     """The vehicle's axis [3] along which it drives: x or y, by the unit's mounting."""
     # Published copies do not agree on which it is, but vehicles drive forward nearly always.
     forward = np.zeros(3)
@@ -197,7 +197,7 @@ def _forward_axis(drives: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return axis
 
 
-def _json(file: Path) -> Any:
+def read_json(file: Path) -> Any:
     try:
         return json.loads(file.read_text())
     except (OSError, ValueError) as error:

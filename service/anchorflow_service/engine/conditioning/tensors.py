@@ -31,6 +31,8 @@ class TensorConditioning:
             if spec.name in given and spec.dtype != given[spec.name].dtype:
                 own = f"{spec.name} is {spec.dtype}"
                 yield f"graphs.encode.inputs: {own}, in request.inputs {given[spec.name].dtype}"
+            if spec.name in given and given[spec.name].optional:
+                yield f"request.inputs: {spec.name} is optional, but graphs.encode takes it always"
 
     def scenes(self, request: ResolvedRequest) -> list[TensorScene]:
         """The scenes of a request, whose inputs are bound to the card's."""
@@ -38,7 +40,7 @@ class TensorConditioning:
 
     def probe(self) -> AnchorRequest:
         """Zeros, or the nearest to them that the card allows."""
-        inputs = {spec.name: _probe(spec) for spec in self._manifest.request.inputs}
+        inputs = {spec.name: probe_of(spec) for spec in self._manifest.request.inputs}
         return AnchorRequest.build(inputs=inputs, seed=0)
 
 
@@ -60,7 +62,8 @@ class TensorScene:
         return arrays
 
 
-def _probe(spec: TensorSpec) -> Array | str:
+def probe_of(spec: TensorSpec) -> Array | str:
+    """Of one input without its B axis: zeros, or the nearest to them that the card allows."""
     if spec.dtype == TEXT:
         return "probe"
     low, high = spec.range or (None, None)

@@ -3,6 +3,7 @@
     encode   the request's inputs     -> context, or all that follows
     score    the context (optional)   -> trajectories [K,T,D], scores [K], extras
 
+A planner that is asked with pictures and a text has the graph `vision` before them (`views.py`).
 Either graph may give any of them. Without scores the trajectories stand in the order of the graph.
 """
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.graphs import WideGraph
-from anchorflow_service.bundle.manifest import Manifest
+from anchorflow_service.bundle.manifest import Manifest, VisionLanguageEntry
 from anchorflow_service.engine.parts import (
     Arrays,
     Check,
@@ -24,6 +25,7 @@ from anchorflow_service.engine.parts import (
     missing_roles,
     unknown_names,
 )
+from anchorflow_service.engine.samplers.views import Views, view_faults
 
 TRAJECTORIES, SCORES = "trajectories", "scores"
 
@@ -42,6 +44,8 @@ class VocabularySampler:
             for role in ("encode", "score")
             if role in bundle.manifest.graphs
         }
+        looks = isinstance(bundle.manifest.conditioning, VisionLanguageEntry)
+        self.views = Views(bundle, threads=threads, provider=provider) if looks else None
         answer = bundle.manifest.answer
         self._of_each = {spec.name for spec in answer.extras if spec.shape[1:2] == ("N",)}
         self._extras = {spec.name for spec in answer.extras}
@@ -52,6 +56,8 @@ class VocabularySampler:
         if missing := list(missing_roles(manifest, ("encode",))):
             yield from missing
             return
+        if isinstance(manifest.conditioning, VisionLanguageEntry):
+            yield from view_faults(manifest)
         encode = manifest.graphs["encode"]
         given = encode.output_names
         if score := manifest.graphs.get("score"):
@@ -63,15 +69,21 @@ class VocabularySampler:
 
     def settle(self, scene: ConditionedScene) -> None:
         """Look whether each graph gives the same bytes on one thread and on many."""
-        encode = self._graphs["encode"]
-        context = encode.settle(scene.inputs(encode.input_names))
+        if self.views:
+            self.views.settle(scene)
+        context = self._graphs["encode"].settle(self._inputs(scene, threads=1))
         if score := self._graphs.get("score"):
             score.settle(score.select(context))
 
     def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
         """What the first graph gives."""
-        encode = self._graphs["encode"]
-        return encode(scene.inputs(encode.input_names), threads=threads)
+        return self._graphs["encode"](self._inputs(scene, threads=threads), threads=threads)
+
+    def _inputs(self, scene: ConditionedScene, *, threads: int) -> Arrays:
+        """Of the first graph: the features of pictures, and what the scene has itself."""
+        seen = self.views.features(scene, threads=threads) if self.views else {}
+        names = self._graphs["encode"].input_names
+        return seen | scene.inputs(name for name in names if name not in seen)
 
     def sample(
         self, scene: ConditionedScene, context: Context, *, threads: int, check: Check

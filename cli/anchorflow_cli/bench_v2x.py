@@ -1,0 +1,62 @@
+"""`anchorflow bench pairs` and `bench florence`: V2X-VLM judged, and at its full size."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from anchorflow_benchmarks.driving.pairs import Group, judged_crossings, pair_tables
+from anchorflow_cli.bench_options import RESULTS, OutOption, ThreadsOption
+from anchorflow_cli.bench_output import progress, report, say
+from anchorflow_cli.extras import needs_extra
+from anchorflow_client.contract import VisionLanguageSpec
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.local import LocalClient
+from anchorflow_training.v2x.dataset import open_pairs
+
+
+def pairs(
+    bundle: Annotated[Path, typer.Argument(help="Folder of a V2X-VLM bundle.")],
+    *,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of pairs; those held out are judged.", show_default="drawn"),
+    ] = None,
+    crossings: Annotated[int, typer.Option(min=2, help="Scenes drawn, without --data.")] = 200,
+    threads: ThreadsOption = None,
+    out: OutOption = RESULTS,
+) -> None:
+    """Judge a V2X-VLM bundle by L2 and collisions, with and without the roadside picture."""
+    conditioning = load_bundle(bundle).card.conditioning
+    if not isinstance(conditioning, VisionLanguageSpec):
+        raise typer.BadParameter(f"expected a bundle asked with pictures, got {conditioning.kind}")
+    client = LocalClient.of(bundle, threads=threads)
+    with tempfile.TemporaryDirectory() as scratch:
+        if data is None:
+            size = conditioning.image_size
+            dataset, groups = judged_crossings(Path(scratch), scenes=crossings, image_size=size)
+        else:
+            dataset = open_pairs(data)
+            groups = [Group("Held out", dataset.indices(held_out=True))]
+        with progress("pairs", 3 * len(groups[0].indices)) as advance:
+            tables = pair_tables(client, dataset, groups, progress=advance)
+    about = {"bundle": bundle.name, "pairs": data.name if data else f"{crossings} drawn crossings"}
+    report("Pairs", about, tables, out)
+
+
+def florence(
+    *,
+    variant: Annotated[Literal["base", "large"], typer.Option(help="Of Florence-2.")] = "base",
+    train_vision: Annotated[
+        bool, typer.Option("--train-vision", help="Train the tower too: twice the memory.")
+    ] = False,
+    out: OutOption = RESULTS,
+) -> None:
+    """Train V2X-VLM one step at its full size, with random weights, export and serve it."""
+    with needs_extra("train", who="anchorflow bench florence"):
+        from anchorflow_benchmarks.driving.florence_size import florence_size_table
+    table = florence_size_table(variant, tell=say, freeze_vision=not train_vision)
+    report("Florence", {"variant": variant}, [table], out)

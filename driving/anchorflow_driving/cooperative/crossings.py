@@ -1,0 +1,177 @@
+"""Made crossings: a house at the corner hides from the car who comes, and a pole sees him.
+
+The ego drives towards a junction. Where somebody crosses at the moment when it would be there, it
+brakes, lets him pass and drives on; else it keeps its speed, or follows who drives slowly ahead.
+A share of the scenes has no house, so that the car sees for itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.cooperative.layout import CooperativeFrame
+from anchorflow_driving.cooperative.painter import Block, Camera, hidden, paint
+from anchorflow_driving.geometry import out_of_frame
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.1
+FRAMES = 66
+CAR = (4.6, 1.9)
+STOP = 7.0
+"""m before the junction's middle, where the ego waits."""
+BRAKE, PULL = 2.5, 2.0  # m/s²
+LANE = 3.5
+HOUSE_COLOURS = ((150, 110, 90), (130, 130, 140), (170, 150, 120))
+CAR_COLOURS = ((190, 40, 40), (40, 70, 180), (230, 230, 230), (30, 30, 35), (200, 170, 40))
+ROAD = (78, 78, 82)
+POLE = (26.0, -6.0, 8.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """frames: of the drive; occluded: [F], whether a house hides who crosses from the car then
+
+    conflict: whether the ego has to let somebody pass
+    """
+
+    frames: list[CooperativeFrame]
+    occluded: NDArray[np.bool_]
+    conflict: bool
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is drawn of a scene, in the junction's frame: the ego comes along x from the left."""
+
+    speed: float
+    begin: float  # m before the junction's middle
+    house: bool
+    crosses: bool
+    side: int  # from which he comes: 1 left, -1 right
+    other_speed: float
+    other_time: float  # s, when he is at the junction
+    leader: float | None  # m ahead of the ego
+
+
+def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int = 4) -> Crossing:
+    """A drawn scene; pictures of width and height `size` at every n-th frame.
+
+    The same seed gives the same scene.
+    """
+    rng = np.random.default_rng([seed, 7])
+    setting = _draw_setting(rng)
+    world = np.array([*rng.uniform(-500, 500, 2), rng.uniform(-np.pi, np.pi)])
+    looks = {name: int(rng.integers(0, len(CAR_COLOURS))) for name in ("other", "leader")}
+    house_colour = HOUSE_COLOURS[rng.integers(0, len(HOUSE_COLOURS))]
+    house = _house(setting, rng)
+    ego = _ego_path(setting)
+    frames, occluded = [], []
+    for number in range(FRAMES):
+        time = number * STEP_S
+        others, colours = _others(setting, time, looks)
+        houses = [Block(house, 8.0, house_colour)] if setting.house else []
+        car = Camera((ego[number] + 1.5, -LANE / 2, 1.5), 0.0, 0.0, 0.57 * size[0], *size)
+        unseen = setting.crosses and hidden(car, others[0, :2], houses)
+        occluded.append(unseen)
+        vehicle = infrastructure = None
+        if number % every == 1 and number + 45 < FRAMES:
+            blocks = [Block(box, 1.5, c) for box, c in zip(others, colours, strict=True)] + houses
+            own = Block(np.array([ego[number], -LANE / 2, 0.0, *CAR]), 1.5, (60, 160, 90))
+            pole = Camera(POLE, np.pi, 0.25, 0.55 * size[0], *size)
+            vehicle = paint(car, _roads(), blocks)
+            infrastructure = paint(pole, _roads(), [*blocks, own])
+        pose = out_of_frame(np.array([ego[number], -LANE / 2, 0.0]), world)
+        placed = out_of_frame(others[:, :3], world)
+        boxes = np.concatenate([placed, others[:, 3:]], 1)
+        frames.append(CooperativeFrame(time, pose, vehicle, infrastructure, boxes))
+    conflict = setting.crosses and _conflicts(setting)
+    return Crossing(frames, np.array(occluded), conflict)
+
+
+def draw_crossings(scenes: int, *, seed: int = 0) -> Iterator[tuple[str, list[CooperativeFrame]]]:
+    """Drives by name, for `write_recording`."""
+    for number in range(scenes):
+        yield str(number), draw_crossing(seed * 1_000_003 + number).frames
+
+
+def _draw_setting(rng: np.random.Generator) -> Setting:
+    speed, begin = rng.uniform(6.0, 11.0), rng.uniform(26.0, 48.0)
+    crosses = rng.random() < 0.7
+    arrival = begin / speed
+    # Half of those who cross do so when the ego would.
+    early = rng.uniform(-1.2, 1.2) if rng.random() < 0.6 else rng.choice([-1, 1]) * 3.2
+    return Setting(
+        speed=speed,
+        begin=begin,
+        house=bool(rng.random() < 0.75),
+        crosses=bool(crosses),
+        side=int(rng.choice([-1, 1])),
+        other_speed=rng.uniform(8.0, 9.5),
+        other_time=arrival + early,
+        leader=rng.uniform(16.0, 24.0) if not crosses and rng.random() < 0.4 else None,
+    )
+
+
+def _conflicts(setting: Setting) -> bool:
+    return abs(setting.other_time - setting.begin / setting.speed) < 2.0
+
+
+def _ego_path(setting: Setting) -> Array:
+    """[F] m along x, 0 at the junction's middle."""
+    position, speed = -setting.begin, setting.speed
+    path = []
+    for number in range(FRAMES):
+        path.append(position)
+        time = number * STEP_S
+        wanted = _acceleration(setting, position, speed, time)
+        speed = min(max(speed + STEP_S * wanted, 0.0), setting.speed)
+        position += STEP_S * speed
+    return np.array(path)
+
+
+def _acceleration(setting: Setting, position: float, speed: float, time: float) -> float:
+    if setting.crosses and _conflicts(setting) and time < setting.other_time + 0.9:
+        left = -STOP - position
+        if left > 0 and speed**2 / (2 * left) > 0.8 * BRAKE:
+            return -(speed**2) / (2 * left)
+        return 0.0
+    if setting.leader is not None:
+        gap = _leader_at(setting, time) - position - 8.0
+        return float(np.clip(0.4 * gap + 0.9 * (0.6 * setting.speed - speed), -BRAKE, PULL))
+    return PULL
+
+
+def _leader_at(setting: Setting, time: float) -> float:
+    assert setting.leader is not None
+    return -setting.begin + setting.leader + 0.6 * setting.speed * time
+
+
+def _others(setting: Setting, time: float, looks: dict[str, int]) -> tuple[Array, list]:
+    boxes, colours = [], []
+    if setting.crosses:
+        along = setting.other_speed * (time - setting.other_time)
+        lane = LANE / 2 if setting.side < 0 else -LANE / 2
+        heading = -setting.side * np.pi / 2
+        boxes.append([lane, -setting.side * along, heading, *CAR])
+        colours.append(CAR_COLOURS[looks["other"]])
+    if setting.leader is not None:
+        boxes.append([_leader_at(setting, time), -LANE / 2, 0.0, *CAR])
+        colours.append(CAR_COLOURS[looks["leader"]])
+    return np.array(boxes).reshape(-1, 5), colours
+
+
+def _house(setting: Setting, rng: np.random.Generator) -> Array:
+    """[5], at the corner on the side from which somebody comes, before the junction."""
+    length, width = rng.uniform(14, 20), rng.uniform(14, 24)
+    gap = 5.0
+    return np.array([-gap - length / 2, setting.side * (gap + width / 2), 0.0, length, width])
+
+
+def _roads() -> list[tuple[Array, tuple[int, int, int]]]:
+    along = np.array([[-90.0, -LANE], [90.0, -LANE], [90.0, LANE], [-90.0, LANE]])
+    return [(along, ROAD), (along[:, ::-1], ROAD)]

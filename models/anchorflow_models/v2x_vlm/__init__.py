@@ -1,0 +1,17 @@
+"""V2X-VLM: two cameras, a sentence and 45 waypoints [1].
+
+config      what fixes the network: a size of Florence-2, its pictures, its prompt
+florence    the native Florence-2 classes [2] of a configuration
+network     pictures and tokens to hidden states, and hidden states to waypoints
+losses      regression, alignment, distillation
+
+[1] You et al., V2X-VLM: End-to-End V2X Cooperative Autonomous Driving Through Large Vision-Language
+    Models, 2024.
+[2] Xiao et al., Florence-2: Advancing a Unified Representation for a Variety of Vision Tasks,
+    CVPR 2024.
+"""
+
+from anchorflow_models.v2x_vlm.config import V2XConfig
+from anchorflow_models.v2x_vlm.network import V2XVLM, create_v2x_vlm
+
+__all__ = ["V2XVLM", "V2XConfig", "create_v2x_vlm"]

@@ -1,0 +1,180 @@
+"""V2X-VLM's run: what it learns from, that it resumes, and what its options leave out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from small_v2x import small_sizes
+
+from anchorflow_driving.cooperative.crossings import draw_crossing
+from anchorflow_driving.cooperative.layout import write_recording
+from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig
+from anchorflow_training.batches import BatchConfig
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.config import JudgeConfig
+from anchorflow_training.restore import restore_model
+from anchorflow_training.settings import ConfigError
+from anchorflow_training.v2x.config import LossConfig, V2XRunConfig
+from anchorflow_training.v2x.dataset import PairDataset, make_pairs
+from anchorflow_training.v2x.pretrained import load_pretrained
+from anchorflow_training.v2x.run import V2XRun, model_settings
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small() -> Iterator[None]:
+    with small_sizes():
+        yield
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory: pytest.TempPathFactory) -> PairDataset:
+    folder = tmp_path_factory.mktemp("v2x")
+    drives = ((str(n), draw_crossing(n, size=(48, 32)).frames) for n in range(4))
+    write_recording(folder / "recording", drives)
+    return make_pairs(folder / "recording", folder / "pairs", image_size=32)
+
+
+@pytest.fixture
+def config(pairs: PairDataset) -> V2XRunConfig:
+    return V2XRunConfig(
+        steps=3,
+        warmup=1,
+        learning_rate=1e-3,
+        report_every=1,
+        checkpoint_every=1,
+        tensorboard=False,
+        batch=BatchConfig(scenes=3, samples=1, mirror=False),
+        evaluation=JudgeConfig(every=100, scenes=4),
+        model=V2XConfig(**model_settings(pairs), positions=256, dropout=0.0),
+    )
+
+
+def test_a_run_that_stops_goes_on_as_if_it_had_not(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    whole = V2XRun(config, pairs, tmp_path / "whole")
+    whole.fit()
+    stopped = V2XRun(config, pairs, tmp_path / "parts")
+    stopped.run_config = replace(config, steps=2)
+    stopped.fit()
+    parts = V2XRun(config, pairs, tmp_path / "parts")
+    assert parts.step == 2
+    parts.fit()
+    then, now = whole.model.state_dict(), parts.model.state_dict()
+    assert all(torch.equal(then[name], now[name]) for name in then if name[0] != "_")
+
+    saved = load_checkpoint(whole.checkpoint_path)
+    assert {"loss", "regression", "alignment"} <= {*saved.curve[0]}
+    assert {"success", "l2_4.5s", "collision_mean"} <= {*saved.evaluations[-1]}
+    model = restore_model(saved)
+    assert isinstance(model, V2XVLM)
+    assert model.tokenizer == pairs.tokenizer
+    driven = np.asarray(pairs.arrays["waypoints"][whole.trained_on])
+    np.testing.assert_allclose(model.mean.numpy(), driven.mean(0), rtol=1e-5)
+
+
+def test_it_learns_what_it_is_shown(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    run = V2XRun(config, pairs, tmp_path)
+    batch = {name: torch.from_numpy(each) for name, each in run._batch(0).items()}
+    nothing = torch.zeros(3, dtype=torch.bool)
+    optimiser = torch.optim.Adam(run.model.parameters(), 3e-3)
+    losses = []
+    for _ in range(40):
+        loss, terms = run.objective.module(batch, nothing)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(terms["regression"].item())
+    assert losses[-1] < 0.3 * losses[0]
+
+
+def test_a_withheld_picture_is_never_used(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    withheld = V2XRun(replace(config, roadside_dropout=1.0), pairs, tmp_path)
+    batch = {name: torch.from_numpy(each) for name, each in withheld._batch(0).items()}
+    changed = {**batch, "infrastructure_image": 255 - batch["infrastructure_image"]}
+    objective = withheld.objective.module
+    (drawn,) = objective.draw(3, 1, torch.Generator().manual_seed(0))
+    assert drawn.all()
+    losses = [objective(each, drawn)[0].item() for each in (batch, changed)]
+    assert losses[0] == losses[1]
+    (shown,) = V2XRun(
+        replace(config, roadside_dropout=0.0), pairs, tmp_path / "b"
+    ).objective.module.draw(3, 1, torch.Generator().manual_seed(0))
+    assert not shown.any()
+
+
+def test_without_text_all_prompts_are_the_same(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    tokens = V2XRun(replace(config, text=False), pairs, tmp_path)._batch(0)["tokens"]
+    assert (tokens == tokens[0]).all()
+
+
+@pytest.mark.parametrize("distil", ["distribution", "regression"])
+def test_a_student_learns_from_its_teacher(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path, distil: str
+) -> None:
+    V2XRun(replace(config, steps=1), pairs, tmp_path / "teacher").fit()
+    loss = LossConfig(distil=distil, next_token=0.1)  # type: ignore[arg-type]
+    teacher = str(tmp_path / "teacher" / "checkpoint.pt")
+    student = V2XRun(replace(config, loss=loss, teacher=teacher), pairs, tmp_path / "student")
+    before = {name: each.clone() for name, each in student._teacher.state_dict().items()}  # type: ignore[union-attr]
+    student.fit()
+    assert {"distillation", "next_token"} <= {*student.curve[0]}
+    assert student.curve[0]["distillation"] > 0
+    after = student._teacher.state_dict()  # type: ignore[union-attr]
+    assert all(torch.equal(before[name], after[name]) for name in before)
+    assert load_checkpoint(student.checkpoint_path).teacher == {"checkpoint": teacher}
+    with pytest.raises(CheckpointError, match="expected the teacher"):
+        V2XRun(replace(config, loss=loss), pairs, tmp_path / "student")
+
+
+def test_a_frozen_tower_stays_as_it_is(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    run = V2XRun(replace(config, freeze_vision=True), pairs, tmp_path)
+    before = {name: each.clone() for name, each in run.model.state_dict().items()}
+    run.fit()
+    after = run.model.state_dict()
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    assert not any("vision_tower" in name for name in changed)
+    assert any("language_model" in name for name in changed)
+
+
+def test_published_weights_come_from_a_folder_of_the_same_shape(
+    config: V2XRunConfig, tmp_path: Path
+) -> None:
+    one, other = (V2XVLM(config.model) for _ in range(2))
+    one.florence.save_pretrained(tmp_path / "weights")
+    load_pretrained(other, tmp_path / "weights")
+    wanted = one.florence.state_dict()
+    assert all(
+        torch.equal(each, wanted[name]) for name, each in other.florence.state_dict().items()
+    )
+
+    longer = V2XVLM(replace(config.model, positions=300))
+    words = r"text_config\.max_position_embeddings: expected 300, .* found 256"
+    with pytest.raises(ConfigError, match=words):
+        load_pretrained(longer, tmp_path / "weights")
+    with pytest.raises(ConfigError, match=r"config\.json"):
+        load_pretrained(longer, tmp_path / "none")
+
+
+def test_a_model_of_another_shape_than_the_pairs_is_refused(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    model = replace(config.model, image_size=64)
+    with pytest.raises(ConfigError, match=r"model\.image_size: expected 32, as the pairs have"):
+        V2XRun(replace(config, model=model), pairs, tmp_path)
+    batch = replace(config.batch, scenes=1000)
+    with pytest.raises(ConfigError, match=r"batch\.scenes: expected at most 15, the pairs"):
+        V2XRun(replace(config, batch=batch), pairs, tmp_path)

@@ -1,0 +1,217 @@
+"""Pairs to train on: pictures resized once, waypoints, prompts and boxes, in a folder.
+
+N pairs that can be asked about, of sequences with F frames in all; S pixels along a side:
+
+    vehicle_image         uint8   [N, 3, S, S]
+    infrastructure_image  uint8   [N, 3, S, S]
+    waypoints             float32 [N, 45, 2]   m ahead and to the left
+    speed                 float32 [N]          m/s, of the frame before to this one
+    sequence              int32   [N]          a number in `names`
+    frame                 int32   [N]          a row of `poses`
+    poses                 float64 [F, 3]       in the world
+    boxes                 float64 [M, 5]       x, y, heading, length, width in the world
+    box_offsets           int64   [F + 1]      those of the k-th frame
+    labelled              bool    [F]          whether the boxes of a frame are known
+    dataset.json          names, held_out, prompts, image_size, format
+    tokenizer.json
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.images import resized
+from anchorflow_training.dataset import DatasetError
+from anchorflow_training.v2x.boxes import read_boxes, without_own
+from anchorflow_training.v2x.prompts import UNTOLD, prompt, seen_scene
+from anchorflow_training.v2x.recording import FUTURE, Sequence, read_recording
+from anchorflow_training.v2x.tokenizer import FILE_NAME, opened, train_tokenizer
+from anchorflow_training.v2x.verify import read_picture
+
+Array = NDArray[Any]
+
+FORMAT = "v2x pairs 1"
+META = "dataset.json"
+ARRAYS: Mapping[str, str] = {
+    "vehicle_image": "uint8",
+    "infrastructure_image": "uint8",
+    "waypoints": "float32",
+    "speed": "float32",
+    "sequence": "int32",
+    "frame": "int32",
+    "poses": "float64",
+    "boxes": "float64",
+    "box_offsets": "int64",
+    "labelled": "bool",
+}
+GROUP = ":"
+"""Between a simulated log and its ego in a sequence's name."""
+HELD_OUT = 0.2
+"""The share of the sequences that is kept from training."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairDataset:
+    """A folder of pairs, its arrays memory-mapped."""
+
+    path: Path
+    arrays: Mapping[str, Array]
+    meta: Mapping[str, Any]
+    tokenizer: bytes
+
+    def __len__(self) -> int:
+        return len(self.arrays["waypoints"])
+
+    @property
+    def prompts(self) -> list[str]:
+        """One a pair."""
+        return self.meta["prompts"]
+
+    @property
+    def vocabulary(self) -> int:
+        return opened(self.tokenizer).get_vocab_size()
+
+    def indices(self, *, held_out: bool) -> NDArray[np.int64]:
+        """The pairs of the sequences that are held out, or of the others."""
+        names = self.meta["names"]
+        kept = [number for number, name in enumerate(names) if name in self.meta["held_out"]]
+        return np.flatnonzero(np.isin(self.arrays["sequence"], kept) == held_out)
+
+    def boxes_of(self, row: int) -> Array:
+        """[n,5] of a frame, by its row of `poses`."""
+        begin, end = self.arrays["box_offsets"][row : row + 2]
+        return np.asarray(self.arrays["boxes"][begin:end])
+
+
+def make_pairs(
+    recording: Path,
+    out: Path,
+    *,
+    image_size: int,
+    tokenizer: bytes | None = None,
+    describe: bool = False,
+    seed: int = 0,
+    progress: Callable[[int, int], object] = lambda *_: None,
+) -> PairDataset:
+    """Write the pairs of a recording.
+
+    image_size: S; the published 768 takes 3.5 MB a pair
+    tokenizer: its JSON; None: a small one is trained on the prompts
+    describe: whether prompts tell of the boxes around, as a perception would
+    seed: of which sequences are held out
+
+    Raises:
+        DatasetError: naming the file that is wrong, or the folder that is there already.
+    """
+    if out.exists() and any(out.iterdir()):
+        raise DatasetError(f"{out}: expected a new or an empty folder, found files")
+    sequences = read_recording(recording)
+    asked = [(number, frame) for number, each in enumerate(sequences) for frame in each.askable()]
+    if len({number for number, _ in asked}) < 2:
+        what = f"pairs with {FUTURE} frames after them in two sequences or more"
+        raise DatasetError(f"{recording}: expected {what}, found {len(asked)} in fewer")
+    out.mkdir(parents=True, exist_ok=True)
+    rows = np.cumsum([0, *(len(sequence.times) for sequence in sequences)])
+    shape = (len(asked), 3, image_size, image_size)
+    pictures = {
+        side: np.lib.format.open_memmap(out / f"{side}.npy", "w+", np.uint8, shape)
+        for side in ("vehicle_image", "infrastructure_image")
+    }
+    prompts = []
+    for index, (number, frame) in enumerate(asked):
+        pair = sequences[number].pairs[frame]
+        for side, array in pictures.items():
+            array[index] = resized(read_picture(getattr(pair, side)), image_size)
+        prompts.append(_prompt(sequences[number], frame, describe=describe))
+        progress(index + 1, len(asked))
+    arrays = {
+        "waypoints": [sequences[number].waypoints(frame) for number, frame in asked],
+        "speed": [sequences[number].speed(frame) for number, frame in asked],
+        "sequence": [number for number, _ in asked],
+        "frame": [rows[number] + frame for number, frame in asked],
+        "poses": np.concatenate([sequence.poses for sequence in sequences]),
+        **_boxes(sequences),
+    }
+    for name, values in arrays.items():
+        np.save(out / f"{name}.npy", np.asarray(values, ARRAYS[name]))
+    names = [sequence.name for sequence in sequences]
+    present = sorted({number for number, _ in asked})
+    meta = {
+        "format": FORMAT,
+        "image_size": image_size,
+        "names": names,
+        "held_out": _held_out([names[number] for number in present], seed),
+        "prompts": prompts,
+    }
+    (out / FILE_NAME).write_bytes(tokenizer or train_tokenizer([*prompts, UNTOLD]))
+    (out / META).write_text(json.dumps(meta))  # the last: a folder without it is not whole
+    return open_pairs(out)
+
+
+def open_pairs(path: Path) -> PairDataset:
+    """The pairs of a folder. Raises `DatasetError` naming the file that is wrong."""
+    file = path / META
+    try:
+        meta = json.loads(file.read_text())
+        found = meta["format"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        what = "a folder of `anchorflow data pairs`"
+        raise DatasetError(f"{file}: expected {what} ({error!r})") from error
+    if found != FORMAT:
+        raise DatasetError(f"{file}: format: expected {FORMAT!r}, found {found!r}")
+    arrays = {name: _array(path / f"{name}.npy", dtype) for name, dtype in ARRAYS.items()}
+    try:
+        tokenizer = (path / FILE_NAME).read_bytes()
+    except OSError as error:
+        raise DatasetError(f"{path / FILE_NAME}: {error.strerror}") from error
+    return PairDataset(path, arrays, meta, tokenizer)
+
+
+def _array(file: Path, dtype: str) -> Array:
+    try:
+        array = np.load(file, mmap_mode="r")
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{file}: {error}") from error
+    if array.dtype != dtype:
+        raise DatasetError(f"{file}: expected {dtype}, found {array.dtype}")
+    return array
+
+
+def _held_out(names: list[str], seed: int) -> list[str]:
+    """A fifth of the sequences, at least one; those of one simulated log stay together."""
+    groups = sorted({name.partition(GROUP)[0] for name in names})
+    order = np.random.default_rng([seed, 2]).permutation(len(groups))
+    kept = {groups[number] for number in order[: max(1, round(HELD_OUT * len(groups)))]}
+    return [name for name in names if name.partition(GROUP)[0] in kept]
+
+
+def _prompt(sequence: Sequence, frame: int, *, describe: bool) -> str:
+    scene = ""
+    if describe:
+        pose = sequence.poses[frame]
+        scene = seen_scene(without_own(read_boxes(sequence.pairs[frame].label), pose), pose)
+    return prompt(speed=sequence.speed(frame), turn_rate=sequence.turn_rate(frame), scene=scene)
+
+
+def _boxes(sequences: list[Sequence]) -> dict[str, Array]:
+    """Boxes, offsets and which frames are labelled; the vehicle's own box is left out."""
+    boxes, counts, labelled = [np.zeros((0, 5))], [0], []
+    for sequence in sequences:
+        for frame, pose in enumerate(sequence.poses):
+            file = sequence.label_of(frame)
+            own = np.zeros((0, 5)) if file is None else without_own(read_boxes(file), pose)
+            boxes.append(own)
+            counts.append(len(own))
+            labelled.append(file is not None)
+    return {
+        "boxes": np.concatenate(boxes),
+        "box_offsets": np.cumsum(counts),
+        "labelled": np.array(labelled, bool),
+    }

@@ -1,0 +1,209 @@
+"""A cooperative recording in the layout of DAIR-V2X [1].
+
+    cooperative/data_info.json              pairs: vehicle_image_path, infrastructure_image_path,
+                                            cooperative_label_path, all from the folder's root
+    cooperative/label_world/*.json          boxes of a pair: `world_8_points`
+    vehicle-side/data_info.json             frames: image_path, image_timestamp [µs], batch_id,
+                                            calib_novatel_to_world_path, from vehicle-side/
+    vehicle-side/calib/novatel_to_world/    poses: rotation 3x3, translation 3x1
+    vehicle-side/image/, infrastructure-side/image/
+
+Sequences are the frames of one `batch_id` in the order of their times. A frame can be asked about
+where the 45 frames after it exist, 0.1 s apart: the waypoints are frames 1 to 45 after it. (Taking
+45 poses from the frame itself on, as published recipes do, asks for the place where one is, and
+ends 0.1 s early.)
+
+[1] Yu et al., DAIR-V2X: A Large-Scale Dataset for Vehicle-Infrastructure Cooperative 3D Object
+    Detection, CVPR 2022.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.geometry import into_frame
+from anchorflow_training.data.pose_files import (
+    SECONDS,
+    data_entries,
+    forward_axis,
+    microseconds,
+    novatel_pose,
+)
+from anchorflow_training.dataset import DatasetError
+
+Array = NDArray[np.float64]
+
+COOPERATIVE, VEHICLE, INFRASTRUCTURE = "cooperative", "vehicle-side", "infrastructure-side"
+INFO = "data_info.json"
+LABELS = "label_world"
+PAIR_KEYS = ("vehicle_image_path", "infrastructure_image_path", "cooperative_label_path")
+FRAME_KEYS = ("image_path", "image_timestamp", "batch_id", "calib_novatel_to_world_path")
+FUTURE = 45
+"""Frames after one that is asked about."""
+STEP_S = 0.1
+JITTER_S = 0.05
+"""By how much the time between two frames may differ from STEP_S."""
+ROTATION_ERROR = 1e-3
+"""By which a rotation may miss being one."""
+
+Fault = Callable[[DatasetError], None]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What both sides saw at a frame: pictures and boxes, as files."""
+
+    vehicle_image: Path
+    infrastructure_image: Path
+    label: Path
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One drive: times [F] s, rising; poses [F,3] x, y [m], heading [rad] in the world.
+
+    pairs: by the number of the frame, where there is one
+    labels: [F] a file of boxes, or None
+    """
+
+    name: str
+    times: Array
+    poses: Array
+    pairs: Mapping[int, Pair]
+    labels: tuple[Path | None, ...]
+
+    def label_of(self, frame: int) -> Path | None:
+        """The boxes of a frame: its pair's or, without a pair, those of the same name."""
+        pair = self.pairs.get(frame)
+        return pair.label if pair else self.labels[frame]
+
+    def askable(self) -> Iterator[int]:
+        """The frames with a pair, a frame before and 45 after them, without a gap."""
+        steps = np.abs(np.diff(self.times) - STEP_S) <= JITTER_S
+        for frame in sorted(self.pairs):
+            whole = steps[frame - 1 : frame + FUTURE] if frame else steps[:0]
+            if len(whole) == FUTURE + 1 and whole.all():
+                yield frame
+
+    def waypoints(self, frame: int) -> Array:
+        """[45,2] m ahead and to the left of the frame's pose, of the 45 frames after it."""
+        after = self.poses[frame + 1 : frame + 1 + FUTURE]
+        return into_frame(after, self.poses[frame])[:, :2]
+
+    def speed(self, frame: int) -> float:
+        """m/s ahead, from the frame before to this one: what is known at the time."""
+        moved = into_frame(self.poses[frame - 1 : frame], self.poses[frame])[0]
+        return float(-moved[0] / (self.times[frame] - self.times[frame - 1]))
+
+    def turn_rate(self, frame: int) -> float:
+        """rad/s to the left, likewise."""
+        turned = self.poses[frame, 2] - self.poses[frame - 1, 2]
+        return float(turned / (self.times[frame] - self.times[frame - 1]))
+
+
+def read_recording(folder: Path, *, fault: Fault | None = None) -> list[Sequence]:
+    """The sequences of a folder, by name.
+
+    fault: hears of each fault, and reading goes on without what is at fault
+
+    Raises:
+        DatasetError: naming the file and what is wrong with it, where no `fault` is given.
+    """
+    report = fault or _raise
+    frames = _frames(folder, report)
+    pairs = _pairs(folder, frames, report)
+    matrices = {}
+    for path, frame in frames.items():
+        with told(report):
+            matrices[path] = _pose(folder / VEHICLE / frame["calib_novatel_to_world_path"])
+    drives: dict[str, list[tuple[float, str]]] = {}
+    for path, frame in frames.items():
+        if path in matrices:
+            drives.setdefault(str(frame["batch_id"]), []).append((frame["time"], path))
+    ordered = {name: sorted(drives[name]) for name in sorted(drives)}
+    of_drives = {
+        name: np.stack([matrices[path] for _, path in drive]) for name, drive in ordered.items()
+    }
+    axis = forward_axis([*of_drives.values()])
+    sequences = []
+    for name, drive in ordered.items():
+        ahead = of_drives[name][:, :2, :3] @ axis
+        heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+        poses = np.concatenate([of_drives[name][:, :2, 3], heading[:, None]], 1)
+        own = {number: pairs[path] for number, (_, path) in enumerate(drive) if path in pairs}
+        times = np.array([time for time, _ in drive]) - drive[0][0]
+        files = [folder / COOPERATIVE / LABELS / f"{Path(path).stem}.json" for _, path in drive]
+        labels = tuple(file if file.exists() else None for file in files)
+        sequences.append(Sequence(name, times, poses, own, labels))
+    return sequences
+
+
+@contextmanager
+def told(report: Fault) -> Iterator[None]:
+    """A fault inside the block is reported, and what comes after it goes on."""
+    try:
+        yield
+    except DatasetError as error:
+        report(error)
+
+
+def _raise(error: DatasetError) -> None:
+    raise error
+
+
+def _frames(folder: Path, report: Fault) -> dict[str, dict[str, Any]]:
+    """The vehicle's frames by the path of their picture, from the folder's root."""
+    file = folder / VEHICLE / INFO
+    frames = {}
+    for number, entry in enumerate(_listed(file, report)):
+        with told(report):
+            _check_keys(file, number, entry, FRAME_KEYS)
+            time = microseconds(file, {"image_timestamp": entry["image_timestamp"]}) * SECONDS
+            frames[f"{VEHICLE}/{entry['image_path']}"] = {**entry, "time": time}
+    return frames
+
+
+def _pairs(folder: Path, frames: Mapping[str, Any], report: Fault) -> dict[str, Pair]:
+    file = folder / COOPERATIVE / INFO
+    pairs = {}
+    for number, entry in enumerate(_listed(file, report)):
+        with told(report):
+            _check_keys(file, number, entry, PAIR_KEYS)
+            vehicle, infrastructure, label = (str(entry[key]) for key in PAIR_KEYS)
+            if vehicle not in frames:
+                known = f"a picture that {folder / VEHICLE / INFO} lists"
+                raise DatasetError(f"{file}: entry {number}: expected {known}, found {vehicle}")
+            pairs[vehicle] = Pair(folder / vehicle, folder / infrastructure, folder / label)
+    return pairs
+
+
+def _listed(file: Path, report: Fault) -> list[dict[str, Any]]:
+    with told(report):
+        return data_entries(file)
+    return []
+
+
+def _check_keys(file: Path, number: int, entry: Mapping[str, Any], keys: tuple[str, ...]) -> None:
+    for key in keys:
+        if not isinstance(entry.get(key), str | int) or entry[key] == "":
+            found = sorted(entry)
+            raise DatasetError(f"{file}: entry {number}: expected {key}, found {found}")
+
+
+def _pose(file: Path) -> Array:
+    """[3,4] rotation and translation; the rotation is one."""
+    matrix = novatel_pose(file)
+    rotation = matrix[:, :3]
+    if not np.isfinite(matrix).all():
+        raise DatasetError(f"{file}: expected finite numbers, found others")
+    error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if error > ROTATION_ERROR or np.linalg.det(rotation) < 0:
+        raise DatasetError(f"{file}: rotation: expected a rotation, found {rotation.tolist()}")
+    return matrix

@@ -1,0 +1,130 @@
+"""A training run of V2X-VLM; `TrainingRun` says the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from anchorflow_models.v2x_vlm import V2XVLM
+from anchorflow_training.batches import Batch, batch_scenes, prefetched
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.curve import Row
+from anchorflow_training.restore import restore_model
+from anchorflow_training.run import TrainingRun
+from anchorflow_training.settings import ConfigError
+from anchorflow_training.v2x.config import V2XRunConfig
+from anchorflow_training.v2x.dataset import PairDataset
+from anchorflow_training.v2x.evaluation import judge
+from anchorflow_training.v2x.objective import V2XObjective
+from anchorflow_training.v2x.pretrained import load_pretrained
+from anchorflow_training.v2x.prompts import UNTOLD
+from anchorflow_training.v2x.tokenizer import opened, token_rows
+
+SMALLEST_SPREAD = 0.1
+"""m, below which the spread of a waypoint is no unit to learn in."""
+
+
+def model_settings(dataset: PairDataset) -> dict[str, Any]:
+    """What of V2X-VLM's configuration the pairs fix."""
+    return {"image_size": dataset.meta["image_size"], "vocabulary": dataset.vocabulary}
+
+
+class V2XRun(TrainingRun):
+    """Learns waypoints from the pairs of the sequences that are not held out.
+
+    Raises:
+        ConfigError: the model is not of the dataset's shape, or there are fewer pairs than a batch
+            has.
+    """
+
+    def __init__(self, config: V2XRunConfig, dataset: PairDataset, out: Path) -> None:
+        self.config, self.dataset = config, dataset
+        for name, value in model_settings(dataset).items():
+            if getattr(config.model, name) != value:
+                own = getattr(config.model, name)
+                raise ConfigError(f"model.{name}: expected {value}, as the pairs have, got {own}")
+        self.trained_on = dataset.indices(held_out=False)
+        if len(self.trained_on) < config.batch.scenes:
+            most = f"at most {len(self.trained_on)}, the pairs that there are"
+            raise ConfigError(f"batch.scenes: expected {most}, got {config.batch.scenes}")
+        self._tokenizer = opened(dataset.tokenizer)
+        super().__init__(config, out)
+
+    @cached_property
+    def _teacher(self) -> V2XVLM | None:
+        if self.config.teacher is None:
+            return None
+        path = Path(self.config.teacher)
+        saved = load_checkpoint(path)
+        if saved.planner != self.config.planner:
+            raise CheckpointError(f"{path}: expected a v2x_vlm, got one of {saved.planner}")
+        teacher = restore_model(saved)
+        if teacher.tokenizer != self.dataset.tokenizer:
+            raise CheckpointError(f"{path}: expected a teacher with the tokenizer of the pairs")
+        return teacher
+
+    def begin(self, model: V2XVLM) -> None:
+        model.tokenizer = self.dataset.tokenizer
+        if self.config.pretrained:
+            load_pretrained(model, Path(self.config.pretrained))
+        waypoints = torch.from_numpy(np.array(self.dataset.arrays["waypoints"][self.trained_on]))
+        model.mean.copy_(waypoints.mean(0))
+        model.scale.copy_(waypoints.std(0).clamp_min(SMALLEST_SPREAD))
+
+    def new_objective(self, model: V2XVLM) -> nn.Module:
+        return V2XObjective(model, self.config, self._teacher)
+
+    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
+        return prefetched(self._batch, indices)
+
+    @property
+    def learnt_from(self) -> dict[str, Any]:
+        return {} if self.config.teacher is None else {"checkpoint": self.config.teacher}
+
+    @property
+    def data(self) -> dict[str, Any]:
+        meta = self.dataset.meta
+        return {name: meta[name] for name in ("format", "image_size", "names", "held_out")}
+
+    @property
+    def evaluates(self) -> bool:
+        return True
+
+    def evaluate(self, model: V2XVLM) -> tuple[Row, None]:
+        indices = self.dataset.indices(held_out=True)[: self.config.evaluation.scenes]
+        see = self.config.roadside_dropout < 1
+        return judge(self.dataset, indices, self.plans(model, indices, roadside=see)), None
+
+    @torch.no_grad()
+    def plans(
+        self, model: V2XVLM, indices: NDArray[np.int64], *, roadside: bool = True
+    ) -> NDArray[np.float64]:
+        """[N,45,2] m, of pairs; without the roadside picture where `roadside` is false."""
+        plans = []
+        for part in np.array_split(indices, max(1, len(indices) // self.config.batch.scenes)):
+            inputs = {name: torch.from_numpy(each) for name, each in self._rows(part).items()}
+            inputs = self.fabric.to_device(inputs)
+            there = torch.full((len(part),), roadside, device=self.fabric.device)
+            vehicle = model.look(inputs["vehicle_image"])
+            infrastructure = model.look(inputs["infrastructure_image"])
+            fused = model.fuse(vehicle, infrastructure, there, inputs["tokens"], inputs["mask"])
+            plans.append(model.drive(fused).double().cpu().numpy())
+        return np.concatenate(plans)
+
+    def _batch(self, index: int) -> Batch:
+        rows = batch_scenes(len(self.trained_on), self.config.batch, index)
+        return self._rows(self.trained_on[rows])
+
+    def _rows(self, indices: NDArray[np.int64]) -> Batch:
+        texts = [self.dataset.prompts[index] if self.config.text else UNTOLD for index in indices]
+        tokens, mask = token_rows(self._tokenizer, texts, most=self.config.model.max_tokens)
+        names = ("vehicle_image", "infrastructure_image", "waypoints")
+        arrays = {name: np.array(self.dataset.arrays[name][indices]) for name in names}
+        return {**arrays, "tokens": tokens, "mask": mask}
