@@ -23,7 +23,7 @@ serve: $(VENV)/.service  ## Serve the default bundle at HOST and PORT (127.0.0.1
 toolkit: $(VENV)/.toolkit  ## Add what training and export need (torch, onnx) to .venv
 
 test: $(VENV)/.dev  ## Run every test, on every core
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: $(VENV)/.dev  ## Check style, import walls and types
 	$(BIN)/ruff check

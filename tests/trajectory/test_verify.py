@@ -5,7 +5,7 @@ import numpy as np
 from anchorflow_trajectory.clearance import GridField, clearance_field
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import Ends, Splines, spline_basis
-from anchorflow_trajectory.verify import verify
+from anchorflow_trajectory.verify import path_clearance, verify
 
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 BASIS = spline_basis(64)
@@ -52,3 +52,15 @@ def test_the_verdict_holds_against_a_finer_look() -> None:
         if clear > 0:
             assert exact > clear - 0.02
     assert 0.2 < verdict.safe.mean() < 0.9
+
+
+def test_ways_without_end_are_told_at_once_and_lie_far_out() -> None:
+    """Followed at steps of 4 cm, the longest of these would take longer than the universe has."""
+    ends = np.array([1e9, 3e38, np.inf, np.nan], np.float32)
+    paths = np.zeros((len(ends), 3, 2), np.float32)
+    paths[:, 1, 0] = ends
+
+    clearance = path_clearance(post(), paths)
+
+    assert (clearance < -1e6).all()
+    assert abs(clearance[0] / 1e9 + 1) < 1e-3

@@ -22,6 +22,7 @@ FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 CHECK_STEP = 0.04  # m between the points at which clearance is looked up
+FAR_OUT = 4  # sides of the map: a leg of so many has an end where the field is lower than within
 # A bilinear field and another reader's rounding to cells differ by less than this share of a cell.
 SHARE_OF_CELL = 0.3
 SPEED_TOLERANCE, ACCELERATION_TOLERANCE = 1.02, 1.05
@@ -174,8 +175,13 @@ def _leg_clearance(
 ) -> float:
     """The smallest along a straight leg, its end left out."""
     along_x, along_y = to_x - x, to_y - y
-    pieces = np.ceil(np.sqrt(along_x * along_x + along_y * along_y) / max_step)
+    length = np.sqrt(along_x * along_x + along_y * along_y)
     least = look_up(grid, x, y)[0]
+    rows, columns = grid.values.shape
+    if not length <= FAR_OUT * (rows + columns) * grid.resolution:
+        # So far out of the map the field falls with every metre: an end lies lowest.
+        return min(least, look_up(grid, to_x, to_y)[0]) if np.isfinite(length) else -np.inf
+    pieces = np.ceil(length / max_step)
     for piece in range(1, int(pieces)):
         share = np.float32(piece) / np.float32(pieces)
         least = min(least, look_up(grid, x + share * along_x, y + share * along_y)[0])
