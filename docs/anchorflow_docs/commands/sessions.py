@@ -256,7 +256,6 @@ NOT_HERE = {
     "anchorflow bench drive --logs ../shared/data/driving"
     " --bundle bundles/diffusiondrive": MEASURES,
     "anchorflow bench pairs bundles/v2x": MEASURES,
-    "anchorflow bench florence": MEASURES,
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"
     ),

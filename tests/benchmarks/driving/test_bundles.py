@@ -9,7 +9,7 @@ import pytest
 from driven_bend import bend
 from image_planner import write_image_bundle
 
-from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals
+from anchorflow_benchmarks.driving.bundle_driver import SENSORS, BundleDriver, Proposals
 from anchorflow_benchmarks.driving.open_loop import Entry, drive_tables, judge_drivers, write_plans
 from anchorflow_benchmarks.driving.proposals import proposal_figures
 from anchorflow_benchmarks.errors import BenchmarkError
@@ -66,7 +66,11 @@ def test_figures_of_known_proposals() -> None:
     assert figures["off-road score"] == pytest.approx(np.mean([0.5, 0.4, 0.3, 0.2, 0.1]))
 
 
-def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(tmp_path: Path) -> None:
+def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = {name: sensor for name, sensor in SENSORS.items() if name != "camera"}
+    monkeypatch.setattr("anchorflow_benchmarks.driving.bundle_driver.SENSORS", known)
     with pytest.raises(BenchmarkError, match=r"expected inputs among bev, .* got camera"):
         BundleDriver(write_image_bundle(tmp_path), num=4)
 
