@@ -37,6 +37,7 @@ from anchorflow_training.trainer import CFMTrainer
 Arrays = dict[str, np.ndarray]
 
 SCENES = 5
+SHIPPED = "flowmp, goalflow, wote, diffusiondrive, v2x_vlm"
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ def test_the_commands_of_flowmp_refuse_another_planner(trained: Path, data: Path
     [
         (
             ["--planner", "nobody"],
-            "expected one of flowmp, goalflow, tiny_camera, got 'nobody'",
+            f"expected one of {SHIPPED}, tiny_camera, got 'nobody'",
         ),
         (["--planner", "flowmp"], "train.yaml: planner: expected 'flowmp', got 'tiny_camera'"),
         (["--model.variant", "small"], "command line: unknown key 'model.variant'"),
@@ -212,7 +213,7 @@ def test_a_wrong_planner_is_one_line(
 
 def test_a_file_of_a_planner_that_there_is_not_is_one_line(data: Path, config_file: Path) -> None:
     said = command("train", data, "--config", config_file, "--print-config")
-    assert said == "anchorflow train: planner: expected one of flowmp, goalflow, got 'tiny_camera'"
+    assert said == f"anchorflow train: planner: expected one of {SHIPPED}, got 'tiny_camera'"
 
 
 def test_a_checkpoint_of_a_planner_that_there_is_not_is_one_line(
@@ -220,7 +221,7 @@ def test_a_checkpoint_of_a_planner_that_there_is_not_is_one_line(
 ) -> None:
     path = tmp_path / "other.pt"
     save_checkpoint(path, replace(load_checkpoint(trained / "checkpoint.pt"), planner="goalflux"))
-    wanted = "planner: expected one of flowmp, goalflow, tiny_camera, got 'goalflux'"
+    wanted = f"planner: expected one of {SHIPPED}, tiny_camera, got 'goalflux'"
     with pytest.raises(CheckpointError, match=wanted):
         restore_model(load_checkpoint(path))
     assert command("export", path, "--out", tmp_path / "b") == f"anchorflow export: {wanted}"
