@@ -10,6 +10,8 @@ TORCH ?= torch==2.13.0
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+# Once, so that the first start does not have to.
+COMPILE := $(BIN)/python -m anchorflow_trajectory.warm_up
 
 .DEFAULT_GOAL := help
 .PHONY: help serve toolkit test lint format bench docs walkthrough image clean
@@ -58,11 +60,13 @@ $(VENV)/.created:
 
 $(VENV)/.service: pyproject.toml $(VENV)/.created
 	$(PIP) install --editable '.[service]'
+	$(COMPILE)
 	touch $@
 
 $(VENV)/.toolkit: pyproject.toml $(VENV)/.created
 	$(PIP) install '$(TORCH)'
 	$(PIP) install --editable '.[service,train,plot]'
+	$(COMPILE)
 	touch $@
 
 $(VENV)/.docs: pyproject.toml $(VENV)/.created
@@ -72,4 +76,5 @@ $(VENV)/.docs: pyproject.toml $(VENV)/.created
 $(VENV)/.dev: pyproject.toml $(VENV)/.created
 	$(PIP) install '$(TORCH)'
 	$(PIP) install --editable '.[dev]'
+	$(COMPILE)
 	touch $@

@@ -50,6 +50,12 @@ def _folder(chosen: str) -> str:
     return str(folder)
 
 
+def kept() -> bool:
+    """Whether there is machine code of these sources on disk."""
+    folder = _folder(vars(config)["CACHE_DIR"])
+    return bool(folder) and any(Path(folder).rglob("*.nbc"))
+
+
 def stamp(package: Path) -> str:
     """Of this file and of all in a folder that hold compiled functions."""
     sources = [path.read_bytes() for path in sorted(package.glob("*.py"))]

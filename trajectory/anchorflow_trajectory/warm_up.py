@@ -7,16 +7,20 @@ compiles what a later process then finds on disk.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from anchorflow_trajectory.bisection import bisect_to_safe
+from anchorflow_trajectory.compiled import kept
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.prior import drawn
 from anchorflow_trajectory.refine import Refiner
 from anchorflow_trajectory.scene import Scene
+
+logger = logging.getLogger(__name__)
 
 CELLS, RESOLUTION = 32, 0.2  # of a map of 6.4 m
 POST = slice(14, 18)
@@ -39,6 +43,8 @@ def compile_loops() -> None:
 
     A second or less where they are found on disk, else about twenty.
     """
+    if not kept():
+        logger.warning("compiling loops for this processor, once: about half a minute")
     cost_map = np.zeros((3, CELLS, CELLS), np.float32)
     cost_map[0, POST, POST], cost_map[1], cost_map[2, :4] = 1.0, 1.0, 0.5
     scene = Scene(
