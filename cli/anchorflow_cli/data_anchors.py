@@ -13,8 +13,12 @@ from rich.progress import Progress
 from anchorflow_cli.extras import needs_extra
 from anchorflow_training.config_file import layers
 from anchorflow_training.driving.anchor_scores import anchor_scores, driven, trajectory_anchors
-from anchorflow_training.driving.sensor_windows import open_logs, open_sensor_windows
-from anchorflow_training.driving.wote_run import WoteRunConfig, sensor_sizes
+from anchorflow_training.driving.sensor_windows import (
+    SensorSizes,
+    open_logs,
+    open_sensor_windows,
+)
+from anchorflow_training.driving.wote_run import WoteRunConfig
 
 LogsArgument = Annotated[Path, typer.Argument(metavar="LOGS", help="Folder of driving logs.")]
 
@@ -52,7 +56,7 @@ def sensors(
 
     Stopped, it goes on where it was. `anchorflow train` draws by itself what is missing.
     """
-    sizes = sensor_sizes(layers(WoteRunConfig, {}, config).model.backbone)
+    sizes = SensorSizes.of(layers(WoteRunConfig, {}, config).model.backbone)
     with needs_extra("driving", who="anchorflow data sensors"):
         import moderngl  # noqa: F401 - so that its absence is one line
     windows = with_bar(

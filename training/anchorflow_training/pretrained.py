@@ -1,4 +1,4 @@
-"""ResNet weights that were trained elsewhere, on ImageNet say, from a local folder."""
+"""Weights that a backbone begins with: a ResNet of ImageNet, or what another planner learnt."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from anchorflow_models.transfuser import TransfuserBackbone
+from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.settings import ConfigError
 
+BACKBONE = "backbone."  # in the names of the weights of every planner that has one
 FIRST = "embedder.embedder.convolution.weight"  # [stem, colours, 7, 7]
 
 
@@ -28,6 +30,23 @@ def load_resnet(backbone: TransfuserBackbone, folder: Path) -> None:
         backbone.lidar.load_state_dict(grey)
     except RuntimeError as error:
         raise ConfigError(f"{folder}: its ResNet does not fit the backbone: {error}") from error
+
+
+def load_backbone(backbone: TransfuserBackbone, checkpoint: Path) -> None:
+    """Begin with the averaged weights of the backbone of any planner's checkpoint.
+
+    Raises:
+        CheckpointError: it cannot be read.
+        ConfigError: it has no backbone, or one of another shape.
+    """
+    average = load_checkpoint(checkpoint).average
+    weights = {
+        name.partition(BACKBONE)[2]: value for name, value in average.items() if BACKBONE in name
+    }
+    try:
+        backbone.load_state_dict(weights)
+    except RuntimeError as error:
+        raise ConfigError(f"backbone: {checkpoint}: does not fit: {error}") from error
 
 
 def _weights(folder: Path) -> dict[str, Any]:

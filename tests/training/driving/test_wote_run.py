@@ -183,6 +183,20 @@ def test_a_checkpoint_brings_back_its_anchors(logs: list[Path], tmp_path: Path) 
     np.testing.assert_array_equal(restored.anchors.numpy(), anchors)
 
 
+def test_a_run_begins_with_the_backbone_of_another(logs: list[Path], tmp_path: Path) -> None:
+    first = WoteRun(CONFIG, logs, tmp_path / "first")
+    first.fit()
+    saved = tmp_path / "first" / "checkpoint.pt"
+    other = replace(CONFIG, backbone=str(saved), model=replace(MODEL, width=MODEL.width * 2))
+    run = WoteRun(other, logs, tmp_path / "other")
+    wanted = first.averaged_model().backbone.state_dict()
+    torch.testing.assert_close(run.model.backbone.state_dict(), wanted)
+    wide = replace(MODEL.backbone, bev_channels=MODEL.backbone.bev_channels + 1)
+    unlike = replace(other, model=replace(MODEL, backbone=wide))
+    with pytest.raises(ConfigError, match=r"backbone: .*first/checkpoint.pt: does not fit"):
+        WoteRun(unlike, logs, tmp_path / "unlike")
+
+
 def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
     mirrored = replace(CONFIG, batch=BatchConfig(scenes=2))
     with pytest.raises(ConfigError, match=r"batch.mirror: expected false"):

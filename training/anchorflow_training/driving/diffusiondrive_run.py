@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,11 +15,9 @@ from numpy.typing import NDArray
 from anchorflow_models.diffusiondrive import DiffusionDriveConfig, DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import POSES
 from anchorflow_models.diffusiondrive.scorers import pdm_score
-from anchorflow_training.batches import Batch, BatchConfig, batch_scenes
+from anchorflow_training.batches import Batch
 from anchorflow_training.checkpoint import load_checkpoint
-from anchorflow_training.config import JudgeConfig, RunConfig
 from anchorflow_training.curve import Row
-from anchorflow_training.driving.anchor_scores import read_anchors, trajectory_anchors
 from anchorflow_training.driving.diffusiondrive_objective import (
     DiffusionDriveObjective,
     DiffusionDriveObjectiveConfig,
@@ -26,31 +25,20 @@ from anchorflow_training.driving.diffusiondrive_objective import (
 )
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
-from anchorflow_training.driving.sensor_windows import open_sensor_windows
-from anchorflow_training.driving.wote_run import sensor_sizes
-from anchorflow_training.pretrained import load_resnet
+from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
 from anchorflow_training.restore import restore_model
-from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import ConfigError, setting
 
 
 @dataclass(frozen=True)
-class DiffusionDriveRunConfig(RunConfig):
+class DiffusionDriveRunConfig(SensorRunConfig):
     """A run of one of the stages of `DiffusionDriveObjective`."""
 
     planner: ClassVar[str] = "diffusiondrive"
 
-    learning_rate: float = 3e-4
-    # Left is not right for anchors that were clustered.
-    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=8, mirror=False))
-    evaluation: JudgeConfig = field(default_factory=JudgeConfig)
     model: DiffusionDriveConfig = field(default_factory=DiffusionDriveConfig)
     objective: DiffusionDriveObjectiveConfig = field(default_factory=DiffusionDriveObjectiveConfig)
     before: str | None = setting(None, "Checkpoint of the stage before, to begin with.")
-    anchors: str | None = setting(
-        None, "File of anchors [K, T, 3] (.npy) instead of clustered ones."
-    )
-    resnet: str | None = setting(None, "Folder of ResNet weights to begin with.")
 
 
 def diffusiondrive_settings(_logs: Sequence[Path]) -> Mapping[str, Any]:
@@ -58,29 +46,29 @@ def diffusiondrive_settings(_logs: Sequence[Path]) -> Mapping[str, Any]:
     return {"classes": len(CLASSES)}
 
 
-class DiffusionDriveRun(TrainingRun):
-    """windows: with what sensors tell of them; the last are held out"""
+class DiffusionDriveRun(SensorRun):
+    """Learns to denoise anchors, or to score what was denoised.
+
+    Raises:
+        ConfigError: names `before`, too.
+    """
+
+    config: DiffusionDriveRunConfig
 
     def __init__(self, config: DiffusionDriveRunConfig, logs: Sequence[Path], out: Path) -> None:
-        if config.batch.mirror:
-            raise ConfigError("batch.mirror: expected false: a picture of the left is not right")
         stage = config.objective.stage
         if stage != "imitation" and config.before is None:
             raise ConfigError(f"before: expected a checkpoint to begin {stage} with, got none")
-        self.config, self.logs = config, logs
-        self.windows = open_sensor_windows(logs, sensor_sizes(config.model.backbone))
-        self.judge = PdmJudge(logs, self.windows.log)
-        self.count = len(self.windows) - config.evaluation.held_out
-        if self.count < config.batch.scenes:
-            raise ConfigError(
-                f"batch.scenes: expected at most {self.count}, the windows of the logs less "
-                f"evaluation.held_out, got {config.batch.scenes}"
-            )
-        super().__init__(config, out)
+        super().__init__(config, logs, out)
+
+    @cached_property
+    def judge(self) -> PdmJudge:
+        """Of trajectories in the windows."""
+        return PdmJudge(self.logs, self.windows.log)
 
     def begin(self, model: DiffusionDriveV2) -> None:
         """The weights of the stage before; or anchors, and a backbone that has seen pictures."""
-        config, count = self.config, self.config.model.anchors
+        config = self.config
         if config.before:
             saved = load_checkpoint(Path(config.before))
             if saved.planner != config.planner:
@@ -92,56 +80,23 @@ class DiffusionDriveRun(TrainingRun):
                 raise ConfigError(f"before: {config.before}: its model is of another configuration")
             model.load_state_dict(before.state_dict())
             return
-        anchors = (
-            read_anchors(Path(config.anchors), count=count, steps=POSES)
-            if config.anchors
-            else trajectory_anchors(
-                self.windows.numbers["future"][: self.count], count=count, seed=config.batch.seed
-            )
-        )
-        model.anchors.copy_(torch.from_numpy(anchors[..., :2]))
-        if config.resnet:
-            load_resnet(model.perception.backbone, Path(config.resnet))
+        model.anchors.copy_(self.first_anchors(count=config.model.anchors, steps=POSES)[..., :2])
+        self.first_weights(model.perception.backbone)
 
     def new_objective(self, model: DiffusionDriveV2) -> DiffusionDriveObjective:
         return DiffusionDriveObjective(model, self.config.objective, self.judge)
 
-    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        for index in indices:
-            yield self.batch(batch_scenes(self.count, self.config.batch, index))
-
     def batch(self, windows: NDArray[np.integer]) -> Batch:
-        """What the objective takes of these windows."""
         return {**self.windows.batch(windows), "window": windows.astype(np.int64)}
 
-    @property
-    def data(self) -> dict[str, Any]:
-        return {"windows": self.count, "logs": len(self.logs), "sensors": "simulated"}
-
-    @property
-    def evaluates(self) -> bool:
-        return self.config.evaluation.held_out > 0
-
-    def evaluate(self, model: DiffusionDriveV2) -> tuple[Row, None]:
-        """PDMS on windows that are held out, by who chooses: see `choices`."""
-        held = np.arange(self.count, len(self.windows))
-        picked = np.linspace(0, len(held) - 1, self.config.evaluation.scenes).astype(int)
-        rows = [self._judged(model, int(window)) for window in held[np.unique(picked)]]
-        return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}, None
-
-    def _judged(self, model: DiffusionDriveV2, window: int) -> Row:
-        device = model.anchors.device
-        batch = {
-            name: torch.from_numpy(array).to(device)
-            for name, array in self.batch(np.array([window])).items()
-        }
+    def judged(self, model: DiffusionDriveV2, window: int, batch: dict[str, torch.Tensor]) -> Row:
+        """The window's candidates by who chooses among them: see `choices`."""
         generator = torch.Generator().manual_seed(window)
         row = choices(model, batch, self.judge, generator)
         learnt = "pdms_by_class" if self.config.objective.stage == "imitation" else "pdms_by_fine"
         return {"success": row[learnt], **row}
 
 
-@torch.no_grad()
 def choices(
     model: DiffusionDriveV2,
     batch: Mapping[str, torch.Tensor],

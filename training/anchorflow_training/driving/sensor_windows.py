@@ -19,6 +19,7 @@ from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
+from anchorflow_models.transfuser import TransfuserConfig
 from anchorflow_training.batches import Batch
 from anchorflow_training.driving.semantic_bev import semantic_bev, view_after
 
@@ -42,6 +43,13 @@ class SensorSizes:
     camera_columns: int
     lidar_size: int
     lidar_range: float
+
+    @classmethod
+    def of(cls, backbone: TransfuserConfig) -> SensorSizes:
+        """Of what a backbone looks at."""
+        return cls(
+            backbone.image_height, backbone.image_width, backbone.lidar_size, backbone.lidar_range
+        )
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:

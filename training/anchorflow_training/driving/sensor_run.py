@@ -1,0 +1,117 @@
+"""What every run on driving logs with simulated sensors has, whichever planner learns there."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Generator, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from anchorflow_models.transfuser import TransfuserBackbone
+from anchorflow_training.batches import Batch, BatchConfig, batch_scenes, prefetched
+from anchorflow_training.config import JudgeConfig, RunConfig
+from anchorflow_training.curve import Row
+from anchorflow_training.driving.anchor_scores import read_anchors, trajectory_anchors
+from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
+from anchorflow_training.pretrained import load_backbone, load_resnet
+from anchorflow_training.run import TrainingRun
+from anchorflow_training.settings import ConfigError, setting
+
+
+@dataclass(frozen=True)
+class SensorRunConfig(RunConfig):
+    """A run that learns from camera, LiDAR and ego status, and begins with anchors."""
+
+    learning_rate: float = 3e-4
+    # Left is not right for anchors that were clustered.
+    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=8, mirror=False))
+    evaluation: JudgeConfig = field(default_factory=JudgeConfig)
+    anchors: str | None = setting(
+        None, "File of anchors [K, T, 3] (.npy) instead of clustered ones."
+    )
+    resnet: str | None = setting(None, "Folder of ResNet weights to begin with.")
+    backbone: str | None = setting(
+        None, "Checkpoint of any planner with the same backbone, to begin with its weights."
+    )
+
+
+class SensorRun(TrainingRun):
+    """windows: with what sensors tell of them; those from `count` on are held out
+
+    Raises:
+        ConfigError: names `batch.mirror` or `batch.scenes`.
+    """
+
+    config: Any
+    """A `SensorRunConfig` with the `model` of the planner."""
+
+    def __init__(self, config: Any, logs: Sequence[Path], out: Path) -> None:
+        if config.batch.mirror:
+            raise ConfigError("batch.mirror: expected false: a picture of the left is not right")
+        self.config, self.logs = config, logs
+        self.windows = open_sensor_windows(logs, SensorSizes.of(config.model.backbone))
+        self.count = len(self.windows) - config.evaluation.held_out
+        if self.count < config.batch.scenes:
+            raise ConfigError(
+                f"batch.scenes: expected at most {self.count}, the windows of the logs less "
+                f"evaluation.held_out, got {config.batch.scenes}"
+            )
+        super().__init__(config, out)
+
+    @abstractmethod
+    def batch(self, windows: NDArray[np.integer]) -> Batch:
+        """What the objective takes of these windows."""
+
+    @abstractmethod
+    def judged(self, model: Any, window: int, batch: dict[str, torch.Tensor]) -> Row:
+        """What a model makes of one window, its `batch` on the model's device; has a `success`."""
+
+    def first_anchors(self, *, count: int, steps: int) -> torch.Tensor:
+        """[K, T, 3] to begin with: those of the configuration's file, or clustered ones."""
+        anchors = (
+            read_anchors(Path(self.config.anchors), count=count, steps=steps)
+            if self.config.anchors
+            else trajectory_anchors(
+                self.windows.numbers["future"][: self.count],
+                count=count,
+                seed=self.config.batch.seed,
+            )
+        )
+        return torch.from_numpy(anchors)
+
+    def first_weights(self, backbone: TransfuserBackbone) -> None:
+        """Those that have seen pictures, where the configuration names some."""
+        if self.config.resnet:
+            load_resnet(backbone, Path(self.config.resnet))
+        if self.config.backbone:
+            load_backbone(backbone, Path(self.config.backbone))
+
+    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
+        return prefetched(
+            lambda index: self.batch(batch_scenes(self.count, self.config.batch, index)), indices
+        )
+
+    @property
+    def data(self) -> dict[str, Any]:
+        return {"windows": self.count, "logs": len(self.logs), "sensors": "simulated"}
+
+    @property
+    def evaluates(self) -> bool:
+        return self.config.evaluation.held_out > 0
+
+    @torch.no_grad()
+    def evaluate(self, model: Any) -> tuple[Row, None]:
+        """The means over windows that are held out of what `judged` finds."""
+        held = np.arange(self.count, len(self.windows))
+        picked = np.linspace(0, len(held) - 1, self.config.evaluation.scenes).astype(int)
+        rows = []
+        for window in held[np.unique(picked)]:
+            arrays = self.batch(np.array([window]))
+            batch = {name: torch.from_numpy(array) for name, array in arrays.items()}
+            rows.append(self.judged(model, int(window), self.fabric.to_device(batch)))
+        return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}, None
