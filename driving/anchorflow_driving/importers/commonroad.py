@@ -10,18 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.contours import union_rings
-from anchorflow_driving.families import family
-from anchorflow_driving.importers.lane_following import LaneFollowing
+from anchorflow_driving.importers.recording import Lane, RoadMap, Track, recorded_log
 from anchorflow_driving.importers.xml_fields import Element, as_number
-from anchorflow_driving.log import (
-    CYCLIST,
-    FRAME_S,
-    PEDESTRIAN,
-    STATIC,
-    VEHICLE,
-    DrivingLog,
-)
-from anchorflow_driving.window_choice import all_windows
+from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
 
 Array = NDArray[np.float64]
 
@@ -107,29 +98,15 @@ def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
         for way in ("successorsRight", "successorsStraight", "successorsLeft")
         for lane in incoming.children(way)
     }
-    log = DrivingLog(
+    tracks = [_track(obstacle) for obstacle in obstacles]
+    log, chosen = recorded_log(
+        tracks,
+        _road(lanelets, driven, junctions),
         name=root.attribute("benchmarkID"),
         source="commonroad",
         licence="the scenario's",
-        city="",
-        dt=FRAME_S,
-        **_track_fields(obstacles),
-        **_map_fields(lanelets, driven, junctions),
-        window_ego=np.zeros(0, np.int32),
-        window_frame=np.zeros(0, np.int32),
-        window_command=np.zeros(0, np.uint8),
-        window_speed_limit=np.zeros(0, np.float32),
-        **family("route", []),
-        path=str(path),
+        path=path,
     )
-    matched, found = LaneFollowing(log), []
-    for track in np.flatnonzero(log.track_type == VEHICLE).tolist():
-        line = matched.driven(track, log.track_state[track].astype(np.float64))
-        if line is None:
-            counts["dropped: vehicle off the lanes"] += 1
-        else:
-            found.append(line)
-    log, chosen = all_windows(log, found)
     return log, counts + chosen
 
 
@@ -201,46 +178,28 @@ def _dynamic(element: Element, step: float) -> _Obstacle:
             "times that grow from 0", time.tolist(), within="trajectory.state.time"
         )
     states = np.array([_state(node) for node in nodes])
-    states[:, 2] = np.unwrap(states[:, 2])
     return _Obstacle(_kind(element), _size(element), time, states)
 
 
-def _track_fields(obstacles: list[_Obstacle]) -> dict:
-    frames = 1 + int(np.floor(max(obstacle.time[-1] for obstacle in obstacles) / FRAME_S + 1e-6))
-    now = np.arange(frames) * FRAME_S
-    tracks = np.full((len(obstacles), frames, 5), np.nan)
-    for track, obstacle in zip(tracks, obstacles, strict=True):
-        time, stands = obstacle.time, len(obstacle.time) == 1
-        seen = (now >= time[0] - 1e-6) & (now <= time[-1] + 1e-6) | stands
-        x, y, heading, speed = (np.interp(now[seen], time, axis) for axis in obstacle.states.T)
-        track[seen] = np.stack(
-            [x, y, heading, speed * np.cos(heading), speed * np.sin(heading)], -1
-        )
-    return {
-        "track_type": np.array([obstacle.kind for obstacle in obstacles], np.uint8),
-        "track_size": np.array([obstacle.size for obstacle in obstacles], np.float32),
-        "track_state": tracks.astype(np.float32),
-    }
+def _track(obstacle: _Obstacle) -> Track:
+    heading, speed = obstacle.states[:, 2], obstacle.states[:, 3:]
+    return Track(
+        obstacle.kind,
+        obstacle.size,
+        obstacle.time,
+        obstacle.states[:, :3],
+        speed * np.stack([np.cos(heading), np.sin(heading)], -1),
+        always=len(obstacle.time) == 1,
+    )
 
 
-def _map_fields(lanelets: list[_Lanelet], driven: list[_Lanelet], junctions: set[str]) -> dict:
-    number = {lanelet.name: index for index, lanelet in enumerate(driven)}
-    edges = [
-        (number[lanelet.name], number[after])
-        for lanelet in driven
-        for after in lanelet.successors
-        if after in number
-    ]
-    walks = [lanelet.polygon for lanelet in lanelets if "crosswalk" in lanelet.kinds]
-    marked = [line for lanelet in lanelets for line in lanelet.marked]
-    polygons = [lanelet.polygon for lanelet in driven]
-    return {
-        **family("lane", polygons),
-        "lane_intersection": np.array([each.name in junctions for each in driven], bool),
-        "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
-        **family("centre", [lanelet.centre for lanelet in driven]),
-        **family("drivable", union_rings(polygons, level=LEVEL)),
-        **family("crosswalk", walks),
-        **family("line", [line for line, _ in marked]),
-        "line_solid": np.array([solid for _, solid in marked], bool),
-    }
+def _road(lanelets: list[_Lanelet], driven: list[_Lanelet], junctions: set[str]) -> RoadMap:
+    return RoadMap(
+        lanes=[
+            Lane(each.name, each.polygon, each.centre, each.successors, each.name in junctions)
+            for each in driven
+        ],
+        drivable=union_rings([lanelet.polygon for lanelet in driven], level=LEVEL),
+        crosswalks=[each.polygon for each in lanelets if "crosswalk" in each.kinds],
+        lines=[line for lanelet in lanelets for line in lanelet.marked],
+    )

@@ -1,0 +1,180 @@
+"""Tracks and a map, whatever layout they came in, as a driving log with its windows."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.families import family
+from anchorflow_driving.importers.lane_following import LaneFollowing
+from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog
+from anchorflow_driving.window_choice import all_windows
+
+Array = NDArray[np.float64]
+
+CLOSED_GAP = 1.0
+"""s between two states, up to which a track is interpolated."""
+AROUND = 80.0
+"""m around the tracks in which a map is kept: a route goes 60 m past the record."""
+_SLACK = 1e-6  # s
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Somebody's recorded states, at times of their own."""
+
+    kind: int  # VEHICLE, PEDESTRIAN, CYCLIST or STATIC
+    size: tuple[float, float]  # length, width
+    time: Array  # [M] s, growing from 0
+    poses: Array  # [M, 3] x, y, heading of the box's middle; headings may jump by 2 pi
+    velocity: Array  # [M, 2]
+    always: bool = False  # stands in every frame, at its only state
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    name: str
+    polygon: Array  # [V, 2]
+    centre: Array  # [V, 2] in driving direction
+    successors: Sequence[str]  # names; those of no lane are left out
+    in_junction: bool
+
+
+@dataclass(frozen=True, eq=False)
+class RoadMap:
+    lanes: Sequence[Lane]
+    drivable: Sequence[Array]  # rings; inside an odd number of them one may drive
+    crosswalks: Sequence[Array]
+    lines: Sequence[tuple[Array, bool]]  # painted lines, and whether they are solid
+
+
+def recorded_log(
+    tracks: Sequence[Track],
+    road: RoadMap,
+    *,
+    name: str,
+    source: str,
+    path: Path,
+    licence: str,
+    city: str = "",
+    origin: Array | None = None,
+) -> tuple[DrivingLog, Counter[str]]:
+    """The log at 10 Hz, with every window whose recorded future is good, and what was counted.
+
+    origin: [2] what becomes (0, 0); far from it, float32 is too coarse
+    """
+    origin = np.zeros(2) if origin is None else origin
+    log = DrivingLog(
+        name=name,
+        source=source,
+        licence=licence,
+        city=city,
+        dt=FRAME_S,
+        **_track_fields(tracks, origin),
+        **_map_fields(road, origin),
+        window_ego=np.zeros(0, np.int32),
+        window_frame=np.zeros(0, np.int32),
+        window_command=np.zeros(0, np.uint8),
+        window_speed_limit=np.zeros(0, np.float32),
+        **family("route", []),
+        path=str(path),
+    )
+    counts: Counter[str] = Counter()
+    matched, found = LaneFollowing(log), []
+    for track in np.flatnonzero(log.track_type == VEHICLE).tolist():
+        line = matched.driven(track, log.track_state[track].astype(np.float64))
+        if line is None:
+            counts["dropped: vehicle off the lanes"] += 1
+        else:
+            found.append(line)
+    log, chosen = all_windows(log, found)
+    return log, counts + chosen
+
+
+def resampled(time: Array, values: Array, now: Array) -> Array:
+    """Columns of values [M, ...] at other times, by straight lines."""
+    return np.stack([np.interp(now, time, axis) for axis in values.T], -1)
+
+
+def resampled_poses(time: Array, poses: Array, now: Array) -> Array:
+    """Poses [M, 3] at other times; headings turn the short way."""
+    return resampled(time, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]), now)
+
+
+def velocities(time: Array, positions: Array) -> Array:
+    """[M, 2] by central differences; M >= 2."""
+    return np.gradient(positions, time, axis=0)
+
+
+def yaw(quaternions: Array) -> Array:
+    """Headings [...] of unit quaternions [..., 4], w, x, y, z."""
+    w, x, y, z = np.moveaxis(quaternions, -1, 0)
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def surroundings(tracks: Sequence[Track]) -> tuple[Array, Array]:
+    """The low and the high corner of where a map is needed."""
+    places = np.concatenate([track.poses[:, :2] for track in tracks])
+    return places.min(0) - AROUND, places.max(0) + AROUND
+
+
+def is_near(points: Array, box: tuple[Array, Array]) -> bool:
+    """Whether the bounds of some points [V, 2] touch a box, low and high."""
+    low, high = box
+    return bool((points.min(0) <= high).all() and (points.max(0) >= low).all())
+
+
+def _track_fields(tracks: Sequence[Track], origin: Array) -> dict[str, Any]:
+    frames = 1 + int(np.floor(max(track.time[-1] for track in tracks) / FRAME_S + _SLACK))
+    now = np.arange(frames) * FRAME_S
+    states = np.full((len(tracks), frames, 5), np.nan)
+    for state, track in zip(states, tracks, strict=True):
+        seen = np.ones(frames, bool) if track.always else _seen(track.time, now)
+        poses = resampled_poses(track.time, track.poses, now[seen])
+        velocity = resampled(track.time, track.velocity, now[seen])
+        state[seen] = np.concatenate([poses - [*origin, 0.0], velocity], axis=1)
+    return {
+        "track_type": np.array([track.kind for track in tracks], np.uint8),
+        "track_size": np.array([track.size for track in tracks], np.float32),
+        "track_state": states.astype(np.float32),
+    }
+
+
+def _seen(time: Array, now: Array) -> NDArray[np.bool_]:
+    """Which frames lie at a state or in a gap that is closed."""
+    before = np.searchsorted(time, now + _SLACK, side="right") - 1
+    after = np.searchsorted(time, now - _SLACK, side="left")
+    inside = (before >= 0) & (after < len(time))
+    gap = time[np.minimum(after, len(time) - 1)] - time[np.maximum(before, 0)]
+    return inside & (gap <= CLOSED_GAP + _SLACK)
+
+
+def _map_fields(road: RoadMap, origin: Array) -> dict[str, Any]:
+    number = {lane.name: index for index, lane in enumerate(road.lanes)}
+    edges = [
+        (number[lane.name], number[after])
+        for lane in road.lanes
+        for after in lane.successors
+        if after in number
+    ]
+    families = {
+        "lane": [lane.polygon for lane in road.lanes],
+        "centre": [lane.centre for lane in road.lanes],
+        "drivable": road.drivable,
+        "crosswalk": road.crosswalks,
+        "line": [line for line, _ in road.lines],
+    }
+    fields: dict[str, Any] = {}
+    for kind, lines in families.items():
+        fields |= family(kind, [line - origin for line in lines])
+    return fields | {
+        "lane_intersection": np.array([lane.in_junction for lane in road.lanes], bool),
+        "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
+        "line_solid": np.array([solid for _, solid in road.lines], bool),
+    }
