@@ -18,6 +18,8 @@ BLUR = 2.0
 """Cells by which the raster is blurred, so that contours lie between its cells."""
 TOLERANCE = 0.04
 """m by which a ring may leave its contour when points are left out."""
+MARGIN = 3.0
+"""m of the raster around what is looked at: contours must close in it."""
 LEAST_AREA = 4.0
 """m² of a ring; smaller holes and islands are artefacts."""
 
@@ -28,21 +30,40 @@ def union_rings(
     *,
     again: Sequence[Array] = (),
     level: float,
+    within: tuple[Array, Array] | None = None,
 ) -> list[Array]:
     """Rings [V, 2] around the union of polygons `added`, less `taken`, and `again` after all.
 
     level: of the blurred raster; below 0.5 the rings lie outside (0.23: 0.3 m)
+    within: low and high corner of a box, outside of which nothing is looked at
     """
+    if not added:
+        return []
     corners = np.concatenate(added)
-    low = corners.min(0) - 3.0
-    columns, rows = np.ceil((corners.max(0) + 3.0 - low) / CELL).astype(int)
+    low, high = corners.min(0), corners.max(0)
+    if within is not None:
+        low, high = np.maximum(low, within[0]), np.minimum(high, within[1])
+        if (low >= high).any():
+            return []
+    low, high = low - MARGIN, high + MARGIN
+    columns, rows = np.ceil((high - low) / CELL).astype(int)
     covered = np.zeros((rows, columns), np.float32)
     for polygons, value in ((added, 1.0), (taken, 0.0), (again, 1.0)):
         for polygon in polygons:
             _fill(covered, (polygon - low) / CELL - 0.5, value)
+    rim = round(MARGIN / CELL)
+    covered[:rim] = covered[-rim:] = covered[:, :rim] = covered[:, -rim:] = 0.0
     rings = contour_rings(gaussian_filter(covered, BLUR).astype(np.float32), level)
     rings = [(ring + 0.5) * CELL + low for ring in rings]
     return [_simplified(ring) for ring in rings if abs(_area(ring)) > LEAST_AREA]
+
+
+def keyholed(exterior: Array, holes: Sequence[Array]) -> Array:
+    """A polygon with holes as one ring [V, 2]: it goes to each hole and back on the same line."""
+    parts = [exterior]
+    for hole in holes:
+        parts += [exterior[:1], hole, hole[:1]]
+    return np.concatenate([*parts, exterior[:1]] if holes else parts)
 
 
 def contour_rings(values: NDArray[np.float32], level: float) -> list[Array]:
@@ -115,8 +136,10 @@ def _linked(joined: dict[int, list[int]], points: dict[int, Array]) -> list[Arra
 def _fill(covered: NDArray[np.float32], polygon: Array, value: float) -> None:
     """Sets the cells whose middles lie in a polygon given in cells."""
     low = np.maximum(np.floor(polygon.min(0)).astype(int), 0)
-    high = np.ceil(polygon.max(0)).astype(int) + 1
+    high = np.maximum(np.ceil(polygon.max(0)).astype(int) + 1, 0)
     block = covered[low[1] : high[1], low[0] : high[0]]
+    if not block.size:
+        return
     inside = cells_inside(polygon - low, np.roll(polygon, -1, axis=0) - low, block.shape)
     block[inside] = value
 

@@ -1,0 +1,127 @@
+"""Mappings and lists of a file, with errors that name the file and the field."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.errors import LogError
+
+NAMES = ("token", "id")
+"""Keys by which an entry of a list is called, before its index."""
+
+
+class Entry:
+    """A value of a file, and where it stands in it."""
+
+    def __init__(self, path: Path, field: str, value: Any) -> None:
+        self.path, self.field, self.value = path, field, value
+
+    @classmethod
+    def of_json(cls, path: Path) -> Entry:
+        """The root.
+
+        Raises:
+            LogError: the file cannot be read, or is no JSON.
+        """
+        try:
+            return cls(path, "", json.loads(path.read_bytes()))
+        except (OSError, ValueError, RecursionError) as error:
+            raise LogError(path, "file", expected="a JSON file", found=str(error)) from error
+
+    def refuse(self, expected: str, found: object, *, within: str = "") -> LogError:
+        field = self._inner(within) if within else self.field
+        return LogError(self.path, field or "root", expected=expected, found=str(found))
+
+    def __getitem__(self, key: str) -> Entry:
+        found = self.maybe(key)
+        if found is None:
+            raise self.refuse("the field", "none", within=key)
+        return found
+
+    def maybe(self, key: str) -> Entry | None:
+        """None where the key is missing or null."""
+        value = self._mapping().get(key)
+        return None if value is None else Entry(self.path, self._inner(key), value)
+
+    def values(self) -> Iterator[Entry]:
+        """Of a mapping."""
+        for key, value in self._mapping().items():
+            yield Entry(self.path, self._inner(str(key)), value)
+
+    def __iter__(self) -> Iterator[Entry]:
+        """Of a list."""
+        if not isinstance(self.value, (list, tuple)):
+            raise self.refuse("a list", _kind(self.value))
+        for index, value in enumerate(self.value):
+            yield Entry(self.path, f"{self.field}[{_name(value, index)}]", value)
+
+    @property
+    def text(self) -> str:
+        if not isinstance(self.value, (str, int)) or isinstance(self.value, bool):
+            raise self.refuse("a text", _kind(self.value))
+        return str(self.value)
+
+    @property
+    def texts(self) -> list[str]:
+        return [each.text for each in self]
+
+    @property
+    def flag(self) -> bool:
+        if not isinstance(self.value, (bool, np.bool_)):
+            raise self.refuse("true or false", _kind(self.value))
+        return bool(self.value)
+
+    @property
+    def number(self) -> float:
+        return float(self.numbers())
+
+    def numbers(self, *shape: int | None) -> NDArray[np.float64]:
+        """An array of this shape, None for any size.
+
+        Raises:
+            LogError: it is of another shape, or not all finite numbers.
+        """
+        expected = f"finite numbers [{', '.join('n' if n is None else str(n) for n in shape)}]"
+        try:
+            array = np.asarray(self.value)
+        except ValueError as error:  # lists of several lengths
+            raise self.refuse(expected, error) from error
+        if not array.size and None in shape:
+            array = np.zeros([n or 0 for n in shape])
+        fits = array.ndim == len(shape) and all(
+            n in (None, size) for n, size in zip(shape, array.shape, strict=True)
+        )
+        if not fits or array.dtype.kind not in "iuf":
+            raise self.refuse(expected, f"{array.dtype} {list(array.shape)}")
+        if not np.isfinite(array).all():
+            raise self.refuse(expected, "NaN or infinity")
+        return array.astype(np.float64)
+
+    def _mapping(self) -> Mapping[Any, Any]:
+        if not isinstance(self.value, Mapping):
+            raise self.refuse("a mapping", _kind(self.value))
+        return self.value
+
+    def _inner(self, key: str) -> str:
+        return f"{self.field}.{key}" if self.field else key
+
+
+def by_token(entries: Entry) -> dict[str, Entry]:
+    """The entries of a list by their tokens."""
+    return {entry["token"].text: entry for entry in entries}
+
+
+def _name(value: Any, index: int) -> object:
+    if isinstance(value, Mapping):
+        return next((value[name] for name in NAMES if name in value), index)
+    return index
+
+
+def _kind(value: Any) -> str:
+    return type(value).__name__

@@ -1,0 +1,164 @@
+"""NAVSIM and OpenScene logs (Dauner et al., 2024): a pickled list of frames at 2 Hz."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.errors import LogError
+from anchorflow_driving.geometry import ahead_of, out_of_frame
+from anchorflow_driving.importers.entries import Entry
+from anchorflow_driving.importers.nuplan_map import read_map
+from anchorflow_driving.importers.plain_pickle import load_plain_pickle
+from anchorflow_driving.importers.recording import (
+    Track,
+    recorded_log,
+    surroundings,
+    velocities,
+    yaw,
+)
+from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
+
+Array = NDArray[np.float64]
+
+EGO_SIZE = (5.176, 2.297)
+"""Length and width of nuPlan's recording Chrysler Pacifica, m."""
+EGO_AHEAD = 1.461
+"""m from its rear axle, whose pose is recorded, to its middle."""
+KINDS = {
+    "vehicle": VEHICLE,
+    "pedestrian": PEDESTRIAN,
+    "bicycle": CYCLIST,
+    "traffic_cone": STATIC,
+    "barrier": STATIC,
+    "czone_sign": STATIC,
+    "generic_object": STATIC,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Boxes:
+    """One of the others, as it was found in frames."""
+
+    kind: int
+    time: list[float] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    sizes: list[Array] = field(default_factory=list)
+
+
+def import_navsim(
+    path: Path, *, map_file: Path | None = None, scene: str | None = None
+) -> tuple[DrivingLog, Counter[str]]:
+    """The log of a scene, with every window whose recorded future is good, and what was counted.
+
+    Boxes are interpolated between frames by straight lines, headings the short way; their
+    velocities are those of their places. Tracks seen once are left out. The pickle may hold arrays,
+    numbers, texts and containers; nothing in it is run.
+
+    map_file: nuPlan's `map.gpkg` of the city, since the pickle holds no map
+    scene: its `scene_token`; needed where there are several
+
+    Raises:
+        LogError: names the file, the field, what was expected and what was found.
+    """
+    frames = _frames(Entry(path, "", load_plain_pickle(path)), scene)
+    city = frames[0]["map_location"].text
+    if map_file is None:
+        raise LogError(path, "map", expected=f"the map.gpkg of {city} (--map)", found="none")
+    time = np.array([frame["timestamp"].number for frame in frames]) / 1e6
+    if (np.diff(time) <= 0).any():
+        raise frames[0].refuse("times that grow", "others", within="timestamp")
+    time -= time[0]
+    axle = np.stack([_pose(frame) for frame in frames])
+    counts: Counter[str] = Counter()
+    ego = _ego(frames, time, axle)
+    tracks = [ego, *_others(frames, time, axle, counts)]
+    log, windows = recorded_log(
+        tracks,
+        read_map(map_file, surroundings(tracks), counts),
+        name=f"{frames[0]['log_name'].text} {frames[0]['scene_token'].text}",
+        source="navsim",
+        licence="nuPlan's and OpenScene's terms of use",
+        city=city,
+        path=path,
+        origin=ego.poses[0, :2],
+    )
+    return log, counts + windows
+
+
+def _frames(root: Entry, scene: str | None) -> list[Entry]:
+    scenes: dict[str, list[Entry]] = {}
+    for frame in root:
+        scenes.setdefault(frame["scene_token"].text, []).append(frame)
+    if scene is None and len(scenes) == 1:
+        (scene,) = scenes
+    if scene is None or scene not in scenes:
+        told = ", ".join([*list(scenes)[:20], *(["…"] if len(scenes) > 20 else [])])
+        raise root.refuse(f"one of {told}", scene or "no name (--scene)", within="scene_token")
+    if len(scenes[scene]) < 2:
+        raise root.refuse("two frames or more", len(scenes[scene]), within="scene_token")
+    return scenes[scene]
+
+
+def _pose(frame: Entry) -> Array:
+    """[3] of the rear axle."""
+    x, y, _ = frame["ego2global_translation"].numbers(3)
+    return np.array([x, y, float(yaw(frame["ego2global_rotation"].numbers(4)))])
+
+
+def _ego(frames: Sequence[Entry], time: Array, axle: Array) -> Track:
+    vx, vy, _, _ = np.stack([frame["ego_dynamic_state"].numbers(4) for frame in frames]).T
+    # The middle goes sideways where the axle does not.
+    vy = vy + EGO_AHEAD * np.gradient(np.unwrap(axle[:, 2]), time)
+    turned = np.column_stack([np.zeros((len(axle), 2)), axle[:, 2]])
+    velocity = out_of_frame(np.stack([vx, vy], -1), turned)
+    return Track(VEHICLE, EGO_SIZE, time, ahead_of(axle, EGO_AHEAD), velocity)
+
+
+def _others(frames: Sequence[Entry], time: Array, axle: Array, counts: Counter[str]) -> list[Track]:
+    found: dict[str, _Boxes] = {}
+    for frame, now, pose in zip(frames, time.tolist(), axle, strict=True):
+        boxes = frame["anns"]["gt_boxes"].numbers(None, 7)  # x, y, z, length, width, height, yaw
+        if (boxes[:, 3:5] <= 0).any():
+            raise frame.refuse(
+                "lengths and widths above 0", boxes[:, 3:5].min(), within="anns.gt_boxes"
+            )
+        names = _texts(frame["anns"]["gt_names"], len(boxes))
+        tokens = _texts(frame["anns"]["track_tokens"], len(boxes))
+        if len(set(tokens)) != len(tokens):
+            raise frame.refuse("each track once", "twice", within="anns.track_tokens")
+        for box, name, token in zip(boxes, names, tokens, strict=True):
+            if name not in KINDS:
+                told = f"one of {', '.join(KINDS)}"
+                raise frame.refuse(told, repr(name), within="anns.gt_names")
+            one = found.setdefault(token, _Boxes(KINDS[name]))
+            one.time.append(now)
+            one.poses.append(out_of_frame(box[[0, 1, 6]], pose))
+            one.sizes.append(box[3:5])
+    tracks = []
+    for one in found.values():
+        if len(one.time) < 2:
+            counts["dropped: track seen once"] += 1
+            continue
+        length, width = np.median(one.sizes, axis=0).tolist()
+        when, poses = np.array(one.time), np.stack(one.poses)
+        moves = velocities(when, poses[:, :2])
+        tracks.append(Track(one.kind, (length, width), when, poses, moves))
+    return tracks
+
+
+def _texts(entry: Entry, count: int) -> list[str]:
+    """A list or an array of texts."""
+    values = np.asarray(entry.value).tolist() if count else []
+    if (
+        not isinstance(values, list)
+        or len(values) != count
+        or not all(isinstance(value, str) for value in values)
+    ):
+        raise entry.refuse(f"{count} texts", values)
+    return values
