@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -56,3 +57,47 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     assert (
         "a.xml: commonRoad.dynamicObstacle[2].shape.rectangle.width: expected the element" in told
     )
+
+
+def ends(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """What `import-log` says as it ends with an error."""
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "import-log", *arguments, "--out", "never.npz"])
+    assert ended.value.code
+    told = capsys.readouterr().err + str(ended.value.code)
+    return " ".join(told.replace("│", " ").split())
+
+
+def test_a_pickle_is_opened_on_request_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "a.pkl"
+    file.write_bytes(b"never read")
+
+    assert "is a pickle: --unpickle opens it" in ends(capsys, str(file))
+    assert "expected a pickle of plain data" in ends(capsys, str(file), "--unpickle")
+
+
+def test_options_of_another_layout_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "a.xml"
+    file.write_text(SCENARIO)
+
+    assert "--scene: a recording of commonroad" in ends(capsys, str(file), "--scene", "a")
+    assert "for navsim, found commonroad" in ends(capsys, str(file), "--unpickle")
+    assert "for navsim, found commonroad" in ends(capsys, str(file), "--map", "map.gpkg")
+    assert "one v1.0-* with scene.json" in ends(capsys, str(file), "--format", "nuscenes")
+
+
+def test_argoverse_without_pyarrow_says_what_to_install(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.delitem(sys.modules, "anchorflow_driving.importers.argoverse", raising=False)
+    file = tmp_path / "scenario_a.parquet"
+    file.touch()
+
+    told = ends(capsys, str(file))
+
+    assert "needs pyarrow, which is not installed: pip install 'anchorflow[driving]'" in told

@@ -190,6 +190,7 @@ WALKTHROUGH = (
 BY_CI = ("make lint", "make format", "make test", "make docs", "make image", "make walkthrough")
 """What `.ci/run` itself types."""
 
+OTHERS_LOGS = "needs a recording that others publish; tests/driving/importers makes one"
 MEASURES = "measures for minutes, on all cores; tests/benchmarks runs it on less"
 TRAINS = "trains for the better part of an hour or more"
 DRAWS = "draws and solves scenes for a quarter of an hour"
@@ -224,9 +225,11 @@ NOT_HERE = {
     "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
     f"anchorflow bench drive-closed-loop --bundle {SHIPPED}/goalflow": MEASURES,
-    "anchorflow data import-log USA_US101-1_1_T-1.xml --out us101.npz": (
-        "needs a scenario that others publish; tests/driving/importers runs it on a made one"
-    ),
+    "anchorflow data import-log USA_US101-1_1_T-1.xml --out us101.npz": OTHERS_LOGS,
+    "anchorflow data import-log nuscenes --scene scene-0061 --out 0061.npz": OTHERS_LOGS,
+    "anchorflow data import-log scenario_0a0a.parquet --out av2.npz": OTHERS_LOGS,
+    "anchorflow data import-log 2021.06.14.pkl --unpickle --map map.gpkg --scene 3f1b"
+    " --out navsim.npz": OTHERS_LOGS,
     "anchorflow bench drive --logs ../shared/data/driving --drivers none"
     " --bundle bundles/goalflow"
     " --samplers euler:uniform1,euler:uniform5,euler:uniform20": MEASURES,

@@ -71,8 +71,9 @@ def import_navsim(
     if map_file is None:
         raise LogError(path, "map", expected=f"the map.gpkg of {city} (--map)", found="none")
     time = np.array([frame["timestamp"].number for frame in frames]) / 1e6
-    if (np.diff(time) <= 0).any():
-        raise frames[0].refuse("times that grow", "others", within="timestamp")
+    if (late := np.flatnonzero(np.diff(time) <= 0)).size:
+        found = f"{np.diff(time)[late[0]]:g} s after the frame before"
+        raise frames[late[0] + 1].refuse("a later time", found, within="timestamp")
     time -= time[0]
     axle = np.stack([_pose(frame) for frame in frames])
     counts: Counter[str] = Counter()

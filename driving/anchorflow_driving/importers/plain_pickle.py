@@ -72,7 +72,7 @@ class _Type:
             flat[:] = raw
         else:
             flat = np.zeros(0) if math.prod(shape) == 0 else np.frombuffer(raw, self._dtype())
-            flat = flat.astype(self._dtype())
+            flat = flat.astype(self._dtype().newbyteorder("="))
         return flat.reshape(shape, order="F" if order == "F" else "C")
 
     def _dtype(self) -> np.dtype:
@@ -105,6 +105,7 @@ class _PlainUnpickler(pickle.Unpickler):
             "numpy.core.multiarray.scalar": self._scalar,
             "numpy.core.numeric._frombuffer": self._from_buffer,
             "_codecs.encode": self._encode,
+            "builtins.bytes": self._no_bytes,
             "builtins.set": set,
             "builtins.frozenset": frozenset,
         }
@@ -123,12 +124,19 @@ class _PlainUnpickler(pickle.Unpickler):
     def _scalar(self, dtype: object, raw: Any) -> Any:
         return _checked(dtype).array(raw, (1,), "C")[0].item()
 
-    def _from_buffer(self, raw: Any, dtype: object, shape: tuple, order: str) -> _Array:
+    def _from_buffer(
+        self, raw: Any, dtype: object, shape: tuple, order: str, axes: tuple | None = None
+    ) -> _Array:
         array = _Array()
-        array._array = _checked(dtype).array(raw, shape, order)
+        filled = _checked(dtype).array(raw, shape, order)
+        array._array = filled if axes is None else filled.transpose(axes)
         return array
 
-    def _encode(self, text: str, encoding: str) -> bytes:
+    def _no_bytes(self) -> bytes:
+        """How protocols before 3 hold none."""
+        return b""
+
+    def _encode(self, text: str, *_: object) -> bytes:
         """How protocols before 3 hold bytes."""
         return text.encode("latin1")
 

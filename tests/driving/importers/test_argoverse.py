@@ -13,7 +13,8 @@ import pytest
 pyarrow = pytest.importorskip("pyarrow", reason="pyarrow reads parquet: pip install pyarrow")
 parquet = pytest.importorskip("pyarrow.parquet")
 
-from anchorflow_driving.drivers import human  # noqa: E402 - after what it may lack
+from anchorflow_cli.main import main  # noqa: E402 - after what it may lack
+from anchorflow_driving.drivers import human  # noqa: E402
 from anchorflow_driving.errors import LogError  # noqa: E402
 from anchorflow_driving.importers.argoverse import (  # noqa: E402
     EGO_SIZE,
@@ -193,3 +194,14 @@ def test_a_missing_map_and_a_broken_parquet_are_named(tmp_path: Path) -> None:
     (tmp_path / "two" / f"log_map_archive_{NAME}.json").unlink()
     with pytest.raises(LogError, match=r"expected one log_map_archive_\*\.json, found none"):
         import_argoverse(tmp_path / "two")
+
+
+def test_the_command_knows_the_layout(tmp_path: Path) -> None:
+    folder = write(tmp_path / "one", tracks(), archive())
+    out = tmp_path / "made.npz"
+
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "import-log", str(folder), "--out", str(out)])
+
+    assert not ended.value.code
+    assert read_log(out).windows > 5

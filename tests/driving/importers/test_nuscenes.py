@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from anchorflow_cli.main import main
 from anchorflow_driving.drivers import human
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.importers.entries import Entry
@@ -314,3 +315,13 @@ def test_an_arcline_path_turns_by_its_arcs() -> None:
     np.testing.assert_allclose(points[-1], [1 + 10 + 10, 2 + 10 + 5 + 10], atol=1e-9)
     first = points[1:9]  # on the circle around (1, 12)
     np.testing.assert_allclose(np.hypot(*(first - [1.0, 12.0]).T), 10.0, atol=1e-9)
+
+
+def test_the_command_knows_the_layout(tmp_path: Path, folder: Path) -> None:
+    out = tmp_path / "made.npz"
+
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "import-log", str(folder), "--out", str(out)])
+
+    assert not ended.value.code
+    assert read_log(out).windows > 5
