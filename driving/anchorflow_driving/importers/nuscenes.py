@@ -15,6 +15,7 @@ from anchorflow_driving.importers.entries import Entry, by_token
 from anchorflow_driving.importers.nuscenes_map import read_map
 from anchorflow_driving.importers.recording import (
     Track,
+    frame_times,
     recorded_log,
     resampled_poses,
     surroundings,
@@ -23,7 +24,6 @@ from anchorflow_driving.importers.recording import (
 )
 from anchorflow_driving.log import (
     CYCLIST,
-    FRAME_S,
     PEDESTRIAN,
     STATIC,
     VEHICLE,
@@ -156,7 +156,7 @@ def _ego(tables: _Tables, samples: dict[str, float]) -> Track:
     microseconds, index = np.unique([row["timestamp"].number for row in rows], return_index=True)
     poses = np.stack([_pose(rows[at]) for at in index])
     begin, end = max(first, microseconds[0]), min(last, microseconds[-1])
-    now = np.arange(int((end - begin) / 1e6 / FRAME_S + 1e-6) + 1) * FRAME_S
+    now = frame_times((end - begin) / 1e6)
     axle = resampled_poses((microseconds - begin) / 1e6, poses, now)
     middle = ahead_of(axle, EGO_AHEAD)
     since = now + (begin - first) / 1e6

@@ -97,6 +97,12 @@ def recorded_log(
     return log, counts + chosen
 
 
+def frame_times(seconds: float) -> Array:
+    """Of the log's frames, from 0 to so many seconds."""
+    frames = 1 + int(np.floor(seconds / FRAME_S + _SLACK))
+    return np.array([FRAME_S * frame for frame in range(frames)])
+
+
 def resampled(time: Array, values: Array, now: Array) -> Array:
     """Columns of values [M, ...] at other times, by straight lines."""
     return np.stack([np.interp(now, time, axis) for axis in values.T], -1)
@@ -131,8 +137,8 @@ def is_near(points: Array, box: tuple[Array, Array]) -> bool:
 
 
 def _track_fields(tracks: Sequence[Track], origin: Array) -> dict[str, Any]:
-    frames = 1 + int(np.floor(max(track.time[-1] for track in tracks) / FRAME_S + _SLACK))
-    now = np.arange(frames) * FRAME_S
+    now = frame_times(max(track.time[-1] for track in tracks))
+    frames = len(now)
     states = np.full((len(tracks), frames, 5), np.nan)
     for state, track in zip(states, tracks, strict=True):
         seen = np.ones(frames, bool) if track.always else _seen(track.time, now)

@@ -70,7 +70,7 @@ def frames(scene: str = "scene-a") -> list[dict]:
 
 def degrees(points: np.ndarray) -> np.ndarray:
     """Longitude and latitude of UTM coordinates [V, 2], by Newton's method."""
-    found = np.full_like(points, [-115.0, 36.0])
+    found: Any = np.full_like(points, [-115.0, 36.0])
     step = 1e-4
     for _ in range(6):
         here = utm(found, ZONE)

@@ -16,7 +16,7 @@ import pytest
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.importers.plain_pickle import load_plain_pickle
 
-RECONSTRUCT = np.zeros(1).__reduce__()[0]
+RECONSTRUCT: Any = np.zeros(1).__reduce__()[0]
 
 
 class Calls:
