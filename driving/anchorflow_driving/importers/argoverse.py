@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow
-import pyarrow.parquet
+import pyarrow  # pyright: ignore[reportMissingImports] - an extra that not every venv has
+import pyarrow.parquet  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
 from anchorflow_driving.contours import union_rings

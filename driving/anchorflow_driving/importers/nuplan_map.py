@@ -17,8 +17,8 @@ from anchorflow_driving.importers.recording import Lane, RoadMap, is_near
 
 Array = NDArray[np.float64]
 
-DRIVABLE = ("lane_groups_polygons", "intersections", "generic_drivable_areas", "carpark_areas")
-"""Layers whose union may be driven on, as in NAVSIM."""
+DRIVABLE = ("lane_groups_polygons", "lane_group_connectors", "intersections", "carpark_areas")
+"""Layers whose union may be driven on, as in NAVSIM 1.1."""
 CONNECTORS = "gen_lane_connectors_scaled_width_polygons"
 
 

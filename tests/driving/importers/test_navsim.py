@@ -133,7 +133,7 @@ def write_map(path: Path, *, left_out: str = "", system: int = 4326) -> Path:
         ),
         "lane_groups_polygons": (["geom"], [(road,)]),
         "intersections": (["geom"], [(area(rectangle(78, -2, 92, 6)),)]),
-        "generic_drivable_areas": (["geom"], []),
+        "lane_group_connectors": (["geom"], []),
         "crosswalks": (["geom"], [(area(rectangle(120, -2, 124, 6)),)]),
     }
     file = sqlite3.connect(path)
