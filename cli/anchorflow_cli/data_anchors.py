@@ -1,4 +1,4 @@
-"""`anchorflow data anchors` and `sensors`: what WoTE learns from, made of driving logs."""
+"""`anchorflow data anchors` and `sensors`: what planners that see learn from, of driving logs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from rich.progress import Progress
 from anchorflow_cli.extras import needs_extra
 from anchorflow_training.config_file import layers
 from anchorflow_training.driving.anchor_scores import anchor_scores, driven, trajectory_anchors
+from anchorflow_training.driving.sensor_run import SensorRunConfig
 from anchorflow_training.driving.sensor_windows import (
     SensorSizes,
     open_logs,
     open_sensor_windows,
 )
-from anchorflow_training.driving.wote_run import WoteRunConfig
+from anchorflow_training.planners import training_of
+from anchorflow_training.settings import ConfigError
 
 LogsArgument = Annotated[Path, typer.Argument(metavar="LOGS", help="Folder of driving logs.")]
 
@@ -56,7 +58,13 @@ def sensors(
 
     Stopped, it goes on where it was. `anchorflow train` draws by itself what is missing.
     """
-    sizes = SensorSizes.of(layers(WoteRunConfig, {}, config).model.backbone)
+    kind = training_of(None, config).config
+    if not issubclass(kind, SensorRunConfig):
+        raise ConfigError(
+            f"{config}: planner: expected one that sees by camera and LiDAR, got {kind.planner!r}"
+        )
+    run: Any = layers(kind, {}, config)
+    sizes = SensorSizes.of(run.model.backbone)
     with needs_extra("driving", who="anchorflow data sensors"):
         import moderngl  # noqa: F401 - so that its absence is one line
     windows = with_bar(

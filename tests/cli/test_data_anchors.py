@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from driven_bend import write_bends
 
+from anchorflow_cli import data_anchors
 from anchorflow_cli.main import main
+from anchorflow_training.driving.sensor_windows import SensorSizes, SensorWindows
 
 
 def test_anchors_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -26,3 +28,29 @@ def test_a_folder_without_logs_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["data", "anchors", str(tmp_path), "--out", str(tmp_path / "a.npy")])
     assert "expected logs (*.npz)" in str(ended.value)
+
+
+def test_sensors_are_drawn_for_any_planner_that_sees(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs, config = write_bends(tmp_path, count=1), tmp_path / "run.yaml"
+    config.write_text("planner: diffusiondrive\nmodel: {backbone: {image_height: 64}}\n")
+    heights = []
+
+    def opened(_logs: object, sizes: SensorSizes, **_: object) -> SensorWindows:
+        heights.append(sizes.camera_rows)
+        return SensorWindows([b"1"], {}, np.zeros(1, np.int64), [], sizes)
+
+    monkeypatch.setattr(data_anchors, "open_sensor_windows", opened)
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "sensors", str(logs), "--config", str(config)])
+    assert ended.value.code in (0, None)
+    assert (heights, "1 windows" in capsys.readouterr().out) == ([64], True)
+
+
+def test_sensors_for_a_planner_without_any_are_refused(tmp_path: Path) -> None:
+    config = tmp_path / "run.yaml"
+    config.write_text("planner: flowmp\n")
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "sensors", str(tmp_path), "--config", str(config)])
+    assert "planner: expected one that sees by camera and LiDAR, got 'flowmp'" in str(ended.value)

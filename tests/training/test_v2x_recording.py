@@ -257,3 +257,12 @@ def test_nobody_who_lets_others_pass_is_hit() -> None:
                 touching = boxes_overlap(frame.pose, own, frame.boxes[:, :3], frame.boxes[:, 3:])
                 assert not touching.any(), (seed, frame.time_s)
     assert 5 < conflicts < 35
+
+
+def test_the_pole_shows_who_the_car_has_to_let_pass() -> None:
+    asked = slice(1, FRAMES - 45, 4)
+    drawn = [draw_crossing(seed, size=SIZE, every=1000) for seed in range(200)]
+    conflicts = [crossing for crossing in drawn if crossing.conflict]
+    shown = np.mean([crossing.shown[asked] for crossing in conflicts])
+    hidden = np.mean([crossing.occluded[asked] for crossing in conflicts])
+    assert (shown > 0.85, hidden > 0.5) == (True, True), (shown, hidden)

@@ -29,18 +29,21 @@ LANE = 3.5
 HOUSE_COLOURS = ((150, 110, 90), (130, 130, 140), (170, 150, 120))
 CAR_COLOURS = ((190, 40, 40), (40, 70, 180), (230, 230, 230), (30, 30, 35), (200, 170, 40))
 ROAD = (78, 78, 82)
-POLE = (26.0, -6.0, 8.0)
+POLE = (34.0, -6.0, 8.0)
+"""m: from here 30 m of the crossing road to either side are in the picture."""
 
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
     """frames: of the drive; occluded: [F], whether a house hides who crosses from the car then
 
+    shown: [F], whether the pole's picture shows who crosses
     conflict: whether the ego has to let somebody pass
     """
 
     frames: list[CooperativeFrame]
     occluded: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
     conflict: bool
 
 
@@ -70,7 +73,8 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
     house_colour = HOUSE_COLOURS[rng.integers(0, len(HOUSE_COLOURS))]
     house = _house(setting, rng)
     ego = _ego_path(setting)
-    frames, occluded = [], []
+    frames, occluded, shown = [], [], []
+    pole = roadside_camera(size)
     for number in range(FRAMES):
         time = number * STEP_S
         others, colours = _others(setting, time, looks)
@@ -78,11 +82,15 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
         car = Camera((ego[number] + 1.5, -LANE / 2, 1.5), 0.0, 0.0, 0.57 * size[0], *size)
         unseen = setting.crosses and hidden(car, others[0, :2], houses)
         occluded.append(unseen)
+        shown.append(
+            setting.crosses
+            and pole.frames(np.array([*others[0, :2], 1.0]))
+            and not hidden(pole, others[0, :2], houses)
+        )
         vehicle = infrastructure = None
         if number % every == 1 and number + 45 < FRAMES:
             blocks = [Block(box, 1.5, c) for box, c in zip(others, colours, strict=True)] + houses
             own = Block(np.array([ego[number], -LANE / 2, 0.0, *CAR]), 1.5, (60, 160, 90))
-            pole = Camera(POLE, np.pi, 0.25, 0.55 * size[0], *size)
             vehicle = paint(car, _roads(), blocks)
             infrastructure = paint(pole, _roads(), [*blocks, own])
         pose = out_of_frame(np.array([ego[number], -LANE / 2, 0.0]), world)
@@ -90,7 +98,12 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
         boxes = np.concatenate([placed, others[:, 3:]], 1)
         frames.append(CooperativeFrame(time, pose, vehicle, infrastructure, boxes))
     conflict = setting.crosses and _conflicts(setting)
-    return Crossing(frames, np.array(occluded), conflict)
+    return Crossing(frames, np.array(occluded), np.array(shown), conflict)
+
+
+def roadside_camera(size: tuple[int, int]) -> Camera:
+    """The pole's, with pictures of width and height `size`, in the junction's frame."""
+    return Camera(POLE, np.pi, 0.25, 0.55 * size[0], *size)
 
 
 def draw_crossings(scenes: int, *, seed: int = 0) -> Iterator[tuple[str, list[CooperativeFrame]]]:
@@ -100,18 +113,18 @@ def draw_crossings(scenes: int, *, seed: int = 0) -> Iterator[tuple[str, list[Co
 
 
 def _draw_setting(rng: np.random.Generator) -> Setting:
-    speed, begin = rng.uniform(6.0, 11.0), rng.uniform(26.0, 48.0)
+    # Short enough a time that the pole sees who will be there when the ego is.
+    speed, arrival = rng.uniform(6.0, 11.0), rng.uniform(2.4, 4.2)
     crosses = rng.random() < 0.7
-    arrival = begin / speed
     # Half of those who cross do so when the ego would.
-    early = rng.uniform(-1.2, 1.2) if rng.random() < 0.6 else rng.choice([-1, 1]) * 3.2
+    early = rng.uniform(-1.0, 1.0) if rng.random() < 0.6 else rng.choice([-1, 1]) * 3.2
     return Setting(
         speed=speed,
-        begin=begin,
+        begin=speed * arrival,
         house=bool(rng.random() < 0.75),
         crosses=bool(crosses),
         side=int(rng.choice([-1, 1])),
-        other_speed=rng.uniform(8.0, 9.5),
+        other_speed=rng.uniform(5.5, 7.5),
         other_time=arrival + early,
         leader=rng.uniform(16.0, 24.0) if not crosses and rng.random() < 0.4 else None,
     )

@@ -56,6 +56,14 @@ class Camera:
         across = self.width / 2 + self.focal * x / z
         return list(zip(across, self.height / 2 + self.focal * y / z, strict=True))
 
+    def frames(self, point: Array) -> bool:
+        """Whether a world point [3] lies within the picture, hidden or not."""
+        seen = self.seen(point[None])
+        if seen[0, 2] < NEAR:
+            return False
+        ((x, y),) = self.project(seen)
+        return bool(0 <= x < self.width and 0 <= y < self.height)
+
 
 @dataclass(frozen=True)
 class Block:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.graphs import BoundGraph, WideGraph, open_graph
-from anchorflow_service.bundle.manifest import Manifest, OdeEntry, SplineEntry
+from anchorflow_service.bundle.manifest import Manifest, OdeEntry
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.parts import (
@@ -30,16 +30,10 @@ from anchorflow_service.engine.parts import (
     ConditionedScene,
     Context,
     Samples,
-    missing_roles,
-    unknown_names,
 )
-from anchorflow_service.engine.samplers.flow_score import (
-    PRIOR_MEAN,
-    ROLE,
-    FlowScore,
-    answer_faults,
-)
+from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN, ROLE, FlowScore
 from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
+from anchorflow_service.engine.samplers.ode_faults import ode_faults, state_shape
 from anchorflow_service.engine.samplers.warm_start import renoised
 from anchorflow_trajectory.guidance import Guidance
 from anchorflow_trajectory.ode.integrate import VectorField, integrate
@@ -50,11 +44,6 @@ from anchorflow_trajectory.scene import ROUTE_STATES
 
 Array = NDArray[np.float32]
 
-# What each role is fed besides the outputs of encode, and what it may ask for beside that where
-# the prior is a mixture.
-OWN_INPUTS = {"modulate": ("times",), "field": ("x_t", "modulation")}
-OF_A_MIXTURE = {"modulate": (), "field": (PRIOR_MEAN,)}
-OWN_OUTPUTS = {"modulate": ("modulation",), "field": ("dx_t",)}
 MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it brings
 
 
@@ -81,23 +70,6 @@ class FlowStates:
 
     times: NDArray[np.float64]
     positions: Array
-
-
-def state_shape(manifest: Manifest) -> tuple[int, int]:
-    """T and S of a flow's states, poses of D components first, as its field takes them."""
-    graph = manifest.graphs["field"]
-    steps, size = next(spec.shape[-2:] for spec in graph.inputs if spec.name == "x_t")
-    return steps, size  # pyright: ignore[reportReturnType] - `faults` looks for letters
-
-
-def has_mixture(manifest: Manifest) -> bool:
-    """Whether the prior's means are several to a scene, and each anchor has its own."""
-    assert isinstance(manifest.sampler, OdeEntry)
-    prior = manifest.sampler.prior
-    if prior is None or prior.mean == ROUTE_STATES:
-        return prior is not None
-    given = {spec.name: spec for spec in manifest.graphs["encode"].outputs}
-    return prior.mean in given and len(given[prior.mean].shape) == 4
 
 
 class OdeSampler:
@@ -135,32 +107,8 @@ class OdeSampler:
 
     @staticmethod
     def faults(manifest: Manifest) -> Iterator[str]:
-        """Roles that are missing, and inputs that no other graph gives."""
-        assert isinstance(manifest.sampler, OdeEntry)
-        if missing := list(missing_roles(manifest, ("encode", *OWN_INPUTS))):
-            yield from missing
-            return
-        context, prior = manifest.graphs["encode"].output_names, manifest.sampler.prior
-        is_mixture = has_mixture(manifest)
-        if prior is not None:
-            yield from unknown_names("sampler.prior", (prior.basis,), context)
-            yield from unknown_names("sampler.prior", (prior.mean,), (*context, ROUTE_STATES))
-        for role, own in OWN_INPUTS.items():
-            graph, where = manifest.graphs[role], f"graphs.{role}.inputs"
-            known = (*own, *(OF_A_MIXTURE[role] if is_mixture else ()), *context)
-            yield from unknown_names(where, graph.input_names, known)
-            yield from unknown_names(where, own, graph.input_names)
-            if graph.output_names != OWN_OUTPUTS[role]:
-                names = ", ".join(graph.output_names)
-                yield f"graphs.{role}.outputs: expected {OWN_OUTPUTS[role][0]}, got {names}"
-        yield from answer_faults(manifest, context, mixture=is_mixture)
-        steps, size = state_shape(manifest)
-        finished = isinstance(manifest.finish, SplineEntry)
-        least = 3 * manifest.D + 1 if finished else manifest.D
-        if steps != manifest.time.steps or not isinstance(size, int) or size < least:
-            own = f"{[steps, size]} for [T,S]"
-            wanted = f"{manifest.time.steps} and at least {least} numbers"
-            yield f"graphs.field.inputs: x_t has {own}, expected {wanted}"
+        """What its manifest lacks: see `ode_faults`."""
+        return ode_faults(manifest)
 
     def settle(self, scene: ConditionedScene) -> None:
         """Look whether these graphs give the same bytes on one thread and on many, in one piece
