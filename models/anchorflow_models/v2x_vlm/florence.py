@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from torch import nn
+
 from anchorflow_models.v2x_vlm.config import V2XConfig
 
 # transformers is slow to import, and needed only where a network is made.
@@ -54,7 +56,17 @@ def florence_config(config: V2XConfig) -> Florence2Config:
 
 
 def new_florence(config: V2XConfig) -> Florence2ForConditionalGeneration:
-    """Random weights."""
+    """Random weights.
+
+    Those of the published sizes are drawn as `transformers` does, with a spread of 0.02. That is
+    for layers a thousand wide: in the tiny one, which has to learn from nothing, they follow the
+    layers' widths (Glorot and Bengio, 2010).
+    """
     from transformers import Florence2ForConditionalGeneration
 
-    return Florence2ForConditionalGeneration(florence_config(config))
+    florence = Florence2ForConditionalGeneration(florence_config(config))
+    if config.variant == "tiny":
+        for module in florence.modules():
+            if isinstance(module, nn.Linear | nn.Conv2d):
+                nn.init.xavier_uniform_(module.weight)
+    return florence
