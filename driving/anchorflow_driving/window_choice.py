@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.families import family
 from anchorflow_driving.geometry import box_corners, boxes_overlap
+from anchorflow_driving.line_fields import line_fields
 from anchorflow_driving.log import (
     COMMANDS,
     FRAME_S,
@@ -231,7 +231,7 @@ def _with_windows(log: DrivingLog, candidates: Sequence[_Candidate]) -> DrivingL
         window_frame=np.array(frames, np.int32),
         window_command=np.array(commands, np.uint8),
         window_speed_limit=np.array(limits, np.float32),
-        **family("route", [_route(candidate.driven) for candidate in candidates]),
+        **line_fields("route", [_route(candidate.driven) for candidate in candidates]),
     )
 
 

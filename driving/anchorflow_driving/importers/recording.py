@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.families import family
 from anchorflow_driving.importers.lane_following import LaneFollowing
+from anchorflow_driving.line_fields import line_fields
 from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog
 from anchorflow_driving.window_choice import all_windows
 
@@ -82,7 +82,7 @@ def recorded_log(
         window_frame=np.zeros(0, np.int32),
         window_command=np.zeros(0, np.uint8),
         window_speed_limit=np.zeros(0, np.float32),
-        **family("route", []),
+        **line_fields("route", []),
         path=str(path),
     )
     counts: Counter[str] = Counter()
@@ -178,7 +178,7 @@ def _map_fields(road: RoadMap, origin: Array) -> dict[str, Any]:
     }
     fields: dict[str, Any] = {}
     for kind, lines in families.items():
-        fields |= family(kind, [line - origin for line in lines])
+        fields |= line_fields(kind, [line - origin for line in lines])
     return fields | {
         "lane_intersection": np.array([lane.in_junction for lane in road.lanes], bool),
         "lane_edges": np.array(edges, np.int32).reshape(-1, 2),

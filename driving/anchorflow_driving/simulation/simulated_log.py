@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.families import family
+from anchorflow_driving.line_fields import line_fields
 from anchorflow_driving.log import (
     FRAME_S,
     FUTURE_FRAMES,
@@ -42,7 +42,7 @@ NO_WINDOWS = {
     "window_frame": np.zeros(0, np.int32),
     "window_command": np.zeros(0, np.uint8),
     "window_speed_limit": np.zeros(0, np.float32),
-    **family("route", []),
+    **line_fields("route", []),
 }
 AFTER = 10
 """Frames simulated past the log's end, so that smoothing knows how its motions go on."""
@@ -159,13 +159,13 @@ def map_fields(net: RoadNet, *, level: float, mirror: float) -> dict[str, Any]:
     edges = [(number[a], number[b]) for a, after in net.following.items() for b in after]
     lines = list(net.lines())
     return {
-        **family("lane", [lane.polygon for lane in lanes], mirror=mirror),
+        **line_fields("lane", [lane.polygon for lane in lanes], mirror=mirror),
         "lane_intersection": np.array([lane.in_junction for lane in lanes], bool),
         "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
-        **family("centre", [lane.centre for lane in lanes], mirror=mirror),
-        **family("drivable", net.drivable_rings(level=level), mirror=mirror),
-        **family("crosswalk", net.crossings, mirror=mirror),
-        **family("line", [line for line, _ in lines], mirror=mirror),
+        **line_fields("centre", [lane.centre for lane in lanes], mirror=mirror),
+        **line_fields("drivable", net.drivable_rings(level=level), mirror=mirror),
+        **line_fields("crosswalk", net.crossings, mirror=mirror),
+        **line_fields("line", [line for line, _ in lines], mirror=mirror),
         "line_solid": np.array([solid for _, solid in lines], bool),
     }
 

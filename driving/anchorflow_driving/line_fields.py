@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def family(
+def line_fields(
     name: str, lines: Sequence[NDArray[np.float64]], *, mirror: float = 1.0
 ) -> dict[str, Any]:
     """`NAME_points` and `NAME_offsets` of polylines [V, 2]; y is multiplied by `mirror`."""
