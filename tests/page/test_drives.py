@@ -99,7 +99,6 @@ def test_keys_and_the_play_button_go_through_the_drive(
 ) -> None:
     opened(driving, drive, tmp_path)
     frames = drive["frames"]
-    driving.page.evaluate("document.activeElement.blur()")
 
     driving.answer(lambda: driving.page.keyboard.press("ArrowRight"), asks_about(frames[1]))
     driving.answer(lambda: driving.page.keyboard.press("ArrowLeft"), asks_about(frames[0]))
@@ -166,6 +165,9 @@ def test_a_drive_of_other_shapes_is_refused(
     expect(beside).to_contain_text("bev: expected uint8 [20, 192, 128]")
     driving.locate("#drive-file").set_input_files(tmp_path / "scene.json")
     expect(trouble).to_contain_text("scene.json: expected a drive")
+    (tmp_path / "cut.json").write_text(json.dumps({**drive, "map": None}))
+    driving.locate("#drive-file").set_input_files(tmp_path / "cut.json")
+    expect(trouble).to_have_text("cut.json: expected map, got none.")
 
     expect(driving.locate("#drive-bar")).to_be_hidden()
 
@@ -174,11 +176,13 @@ def test_a_drive_that_is_closed_leaves_the_last_inputs(
     driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:
     opened(driving, drive, tmp_path)
-    driving.locate("#close-drive").click()
+
+    told = driving.answer(
+        lambda: driving.locate("#close-drive").click(), lambda asked: "inputs" in asked
+    )
+
     expect(driving.locate("#drive-bar")).to_be_hidden()
-
-    told = driving.answer(lambda: driving.locate("#plan").click(), lambda asked: "inputs" in asked)
-
+    expect(driving.locate("#sensed")).to_be_hidden()
     np.testing.assert_array_equal(sent(told), drawn(drive["frames"][0]))
     expect(driving.locate("#summary")).to_contain_text("64 anchors")
 

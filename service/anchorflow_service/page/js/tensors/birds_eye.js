@@ -45,10 +45,10 @@ export class BirdsEye extends Surface {
     if (show.street) show.street.paintRoad(this, show.frame);
     if (show.raster?.extent) this.#paintRaster(show.raster);
     this.#paintGrid();
-    if (show.street) show.street.paintTraffic(this, show.frame);
+    if (show.street) show.street.paintOthers(this, show.frame);
     else this.#paintEgo();
     if (show.anchors) drawAnchors(context, this, show);
-    if (show.street) show.street.paintDriven(this, show.frame);
+    if (show.street) show.street.paintEgo(this, show.frame);
     if (show.anchors && !show.stale) this.#paintPoses(show.anchors, show.focus ?? show.anchors.best);
     return true;
   }

@@ -7,7 +7,7 @@ import { hideSensed, showSensed } from "./sensed.js";
 import { Street } from "./street.js";
 
 export class Drive {
-  /** What the fields hold: {drive, index, values} of a frame; null where no drive is open. */
+  /** What the fields hold: {drive, street, index, values} of a frame; null: none of a drive. */
   held = null;
   #street = null;
   #card = null;
@@ -83,14 +83,14 @@ export class Drive {
     }
     // The newest wins: meanwhile the slider may have gone on.
     if (drive !== this.player.drive || index !== this.player.index || card !== this.#card) return;
-    this.held = { drive, index, values };
+    this.held = { drive, street: this.#street, index, values };
     this.inputs.fill(values);
     if (!this.eye.show.anchors) this.#paint(this.held);
     this.onFilled();
   }
 
-  #paint({ drive, index, values }) {
-    Object.assign(this.eye.show, { street: this.#street, frame: drive.frames[index] });
+  #paint({ drive, street, index, values }) {
+    Object.assign(this.eye.show, { street, frame: drive.frames[index] });
     showSensed(this.#card, values, this.eye.colours.classes);
     this.eye.request();
   }

@@ -5,6 +5,12 @@ import { ARRAYS, axesOf, base64 } from "./tensor.js";
 
 const FORMAT = "anchorflow-drive";
 const VERSION = 1;
+const PARTS = ["inputs", "ego", "map", "frames"];
+
+/** m that are shown around the ego at least. */
+const SHOWN = { behind: 12, ahead: 36, aside: 20 };
+/** How much farther one sees than was driven: proposals may be faster. */
+const BEYOND = 1.3;
 
 /** An input of the card that the drive does not have as the card wants it. */
 export class InputMismatch extends Error {
@@ -24,7 +30,8 @@ export class DriveFile {
       throw new Error(`${name}: expected JSON: ${cause.message}`, { cause });
     }
     if (held?.format !== FORMAT || held.version !== VERSION) throw new Error(`${name}: expected a drive that "anchorflow data frames" has made, "format": "${FORMAT}", "version": ${VERSION}.`);
-    if (!held.frames?.length) throw new Error(`${name}: expected frames, got none.`);
+    const missing = PARTS.find((part) => !held[part]) ?? (held.frames.length ? undefined : "frames");
+    if (missing) throw new Error(`${name}: expected ${missing}, got none.`);
     Object.assign(this, held, { name });
   }
 
@@ -49,16 +56,14 @@ export class DriveFile {
   /** [least x, greatest x, least y, greatest y] m of the ego's frame, the same for all frames. */
   get extent() {
     const driven = this.frames.flatMap(({ recorded }) => recorded.map(([x]) => x));
-    return [-SHOWN.behind, Math.max(SHOWN.ahead, ...driven), -SHOWN.aside, SHOWN.aside];
+    return [-SHOWN.behind, Math.max(SHOWN.ahead, BEYOND * Math.max(...driven)), -SHOWN.aside, SHOWN.aside];
   }
 }
 
-/** m that are shown around the ego at least. */
-const SHOWN = { behind: 12, ahead: 36, aside: 20 };
-
 /** Deflated bytes become bytes in base64; everything else is what it is. */
 async function unpack(value, place) {
-  if (!value?.zlib) return value;
+  if (value === undefined) throw new Error(`${place}: expected a value, got none.`);
+  if (!value.zlib) return value;
   const { dtype, shape, zlib } = value;
   const bytes = await inflate(zlib);
   const expected = shape.reduce((count, size) => count * size, ARRAYS[dtype].BYTES_PER_ELEMENT);

@@ -109,8 +109,8 @@ export class DrivePlayer {
   #press(event) {
     if (!this.drive || !this.isShown() || event.ctrlKey || event.metaKey || event.altKey) return;
     // What has the focus may mean something else by these keys, as the slider does.
-    if (event.target !== document.body && event.target !== byId("birds-eye")) return;
-    if (event.key === " ") this.#play(!this.#playing);
+    if (event.target.closest("input, textarea, select, summary")) return;
+    if (event.key === " " && !event.target.closest("button")) this.#play(!this.#playing);
     else if (event.key in KEYS) this.#step(KEYS[event.key]);
     else return;
     event.preventDefault();

@@ -37,17 +37,16 @@ export class Street {
     context.restore();
   }
 
-  /** The others, and the ego. */
-  paintTraffic(eye, { boxes }) {
+  /** The boxes of the others. */
+  paintOthers(eye, { boxes }) {
     const { colours } = eye;
     for (const [x, y, heading, length, width, type] of boxes) {
       paintBox(eye, [x, y, heading, length, width], colours[BOX_COLOURS[type] ?? "soft"]);
     }
-    paintBox(eye, this.ego, colours.start);
   }
 
-  /** The ego's way as it was driven from here on. */
-  paintDriven(eye, { recorded }) {
+  /** The ego, and its way as it was driven from here on. */
+  paintEgo(eye, { recorded }) {
     const { context, colours } = eye;
     context.lineJoin = context.lineCap = "round";
     context.setLineDash(DRIVEN_DASH);
@@ -59,6 +58,7 @@ export class Street {
       context.stroke();
     }
     context.setLineDash([]);
+    paintBox(eye, this.ego, colours.start);
   }
 }
 

@@ -36,7 +36,7 @@ export class TensorView {
       eye: this.eye,
       isShown: () => this.active,
       onFilled: () => this.planner.ask(),
-      onClose: () => this.#changed(),
+      onClose: () => this.planner.ask(),
     });
     byId("ask").addEventListener("submit", () => {
       if (this.active) this.planner.ask();
