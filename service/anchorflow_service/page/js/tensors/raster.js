@@ -66,14 +66,16 @@ export class Raster {
   #byLayer() {
     const level = this.#level();
     const plane = this.width * this.height;
-    return (k) => {
-      let colour = [0, 0, 0];
-      for (let c = 0; c < this.channels; c++) {
+    const mixed = new Float32Array(3 * plane);
+    for (let c = 0; c < this.channels; c++) {
+      const colour = this.#colour(c);
+      for (let k = 0; k < plane; k++) {
         const share = level(this.values[c * plane + k]) / 255;
-        if (share) colour = colour.map((below, axis) => below + share * (this.#colour(c)[axis] - below));
+        if (!share) continue;
+        for (let axis = 0; axis < 3; axis++) mixed[3 * k + axis] += share * (colour[axis] - mixed[3 * k + axis]);
       }
-      return colour;
-    };
+    }
+    return (k) => mixed.subarray(3 * k, 3 * k + 3);
   }
 
   #byClass() {
