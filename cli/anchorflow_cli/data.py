@@ -15,6 +15,7 @@ from rich.table import Table
 
 from anchorflow_cli.data_anchors import anchors, sensors
 from anchorflow_cli.data_drive import drive
+from anchorflow_cli.data_frames import frames
 from anchorflow_cli.data_import_log import import_log
 from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
@@ -87,6 +88,7 @@ def make(
 
 app.command()(drive)
 app.command()(import_log)
+app.command()(frames)
 app.command()(anchors)
 app.command()(sensors)
 app.command()(crossings)

@@ -1,4 +1,4 @@
-"""What is wrong with a recording."""
+"""What is wrong with a recording, or with what is asked of it."""
 
 from __future__ import annotations
 
@@ -13,3 +13,7 @@ class LogError(AnchorFlowError):
     def __init__(self, path: Path | str, field: str, *, expected: str, found: str) -> None:
         self.path, self.field = str(path), field
         super().__init__(f"{path}: {field}: expected {expected}, found {found}")
+
+
+class SensorError(AnchorFlowError):
+    """A planner asks for what no log tells."""

@@ -117,6 +117,16 @@ def served_both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.fixture(scope="session")
+def served_driving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A service with GoalFlow, and with a planner that asks for something else."""
+    camera = write_image_bundle(tmp_path_factory.mktemp("camera"))
+    served = Served("--bundle", str(DEFAULT_BUNDLE.parent / "goalflow"), "--bundle", str(camera))
+    served.start()
+    yield served
+    served.stop()
+
+
+@pytest.fixture(scope="session")
 def served_one_robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """A service whose card lets a request set no limit, and whose anchors all last 8 s."""
     folder = tmp_path_factory.mktemp("robot") / "bundle"

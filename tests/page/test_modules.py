@@ -182,7 +182,8 @@ def test_the_strongest_class_of_a_picture_is_shown(call: Callable[..., Any]) -> 
     logits = np.random.default_rng(0).normal(size=(5, 4, 6))
     palette = [[10 * k, 20 * k, 30 * k] for k in range(5)]
     make = """(m, [logits, palette]) => {
-        const raster = new m.Raster({ range: null }, logits, palette);
+        const tensor = { shape: [5, 4, 6], values: logits.flat(2) };
+        const raster = new m.Raster({ range: null }, tensor, palette);
         const { width, height } = raster;
         const { data } = raster.canvas.getContext("2d").getImageData(0, 0, width, height);
         return [Array.from(data), raster.classes];
@@ -194,3 +195,20 @@ def test_the_strongest_class_of_a_picture_is_shown(call: Callable[..., Any]) -> 
     shown = np.array(data).reshape(4, 6, 4)
     np.testing.assert_array_equal(shown[..., :3], np.array(palette)[strongest])
     assert classes == np.unique(strongest).tolist()
+
+
+def test_layers_cover_each_other_as_much_as_their_values_say(call: Callable[..., Any]) -> None:
+    values = np.random.default_rng(0).integers(0, 256, (4, 3, 5))
+    palette = [[10, 250, 30], [200, 20, 90]]
+    make = """(m, [values, palette]) => {
+        const tensor = { shape: [4, 3, 5], values: values.flat(2) };
+        const raster = new m.Raster({ range: [0, 255] }, tensor, palette, true);
+        return Array.from(raster.canvas.getContext("2d").getImageData(0, 0, 5, 3).data);
+    }"""
+
+    data = call("tensors/raster", make, [values.tolist(), palette])
+
+    expected = np.zeros((3, 5, 3))
+    for channel, shares in enumerate(values / 255):
+        expected += shares[..., None] * (np.array(palette[channel % 2]) - expected)
+    np.testing.assert_allclose(np.reshape(data, (3, 5, 4))[..., :3], expected, atol=0.51)

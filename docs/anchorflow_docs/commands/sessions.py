@@ -98,7 +98,15 @@ QUICK = (
         (".venv/bin/anchorflow plan --map map.yaml --start 2.0,3.5 --goal 9.0,6.0 --out plan.png",),
         (given.ros_map,),
     ),
-    Session("simulated driving", ("anchorflow data drive --out drive --logs 2",), needs="libsumo"),
+    Session(
+        "simulated driving",
+        (
+            "anchorflow data drive --out drive --logs 2",
+            "anchorflow data frames drive/simulated-0-00000.npz"
+            f" --bundle {SHIPPED}/goalflow --out drive.json",
+        ),
+        needs="libsumo",
+    ),
     Session("hooks", (".venv/bin/pre-commit install",), (given.repository,)),
     Session("Ray Serve", ON_RAY, needs="ray.serve"),
 )

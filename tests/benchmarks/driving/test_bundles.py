@@ -9,12 +9,14 @@ import pytest
 from driven_bend import bend
 from image_planner import write_image_bundle
 
-from anchorflow_benchmarks.driving.bundle_driver import SENSORS, BundleDriver, Proposals
+from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals
 from anchorflow_benchmarks.driving.open_loop import Entry, drive_tables, judge_drivers, write_plans
 from anchorflow_benchmarks.driving.proposals import proposal_figures
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_driving.drivers import PLAN_TIMES
+from anchorflow_driving.errors import SensorError
 from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.sensors.by_name import SENSORS
 from anchorflow_driving.window import Scenes
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
@@ -70,8 +72,8 @@ def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known = {name: sensor for name, sensor in SENSORS.items() if name != "camera"}
-    monkeypatch.setattr("anchorflow_benchmarks.driving.bundle_driver.SENSORS", known)
-    with pytest.raises(BenchmarkError, match=r"expected inputs among bev, .* got camera"):
+    monkeypatch.setattr("anchorflow_driving.sensors.by_name.SENSORS", known)
+    with pytest.raises(SensorError, match=r"expected inputs among bev, .* got camera"):
         BundleDriver(write_image_bundle(tmp_path), num=4)
 
 

@@ -5,7 +5,7 @@ import { clamp } from "./dom.js";
 /** Colours in a ramp that lines are sorted into; one stroke each. */
 export const SHADES = 24;
 
-const NAMES = ["map", "grid", "wall", "halo", "unknown", "outline", "focus", "start", "goal", "ink", "soft", "accent", "bad", "card"];
+const NAMES = ["map", "grid", "wall", "halo", "unknown", "outline", "focus", "start", "goal", "ink", "soft", "accent", "bad", "card", "verge", "road", "zebra"];
 const RAMPS = ["score", "speed", "clearance"];
 
 /** {map: "#…", …, ramps: {score: [SHADES colours], …}, classes: [[r, g, b]]} of the theme that is shown. */

@@ -16,8 +16,11 @@ const POSE_PX = 3.5;
 const HEADING_PX = 11;
 
 export class BirdsEye extends Surface {
-  /** What is drawn, as `lines.js` takes it; `raster` lies below where its extent is known. */
-  show = { anchors: null, raster: null, colourBy: "score", focus: null, step: null, stale: false, replayed: null, robot: null };
+  /**
+   * What is drawn, as `lines.js` takes it; `raster` lies below where its extent is known, and of
+   * the drive that is open its `street` as it is in a `frame`.
+   */
+  show = { anchors: null, raster: null, street: null, frame: null, colourBy: "score", focus: null, step: null, stale: false, replayed: null, robot: null };
   /** px of an anchor. */
   lineWidth = 2;
   #middle = [0, 0];
@@ -39,24 +42,31 @@ export class BirdsEye extends Surface {
     context.setTransform(density, 0, 0, density, 0, 0);
     context.fillStyle = colours.map;
     context.fillRect(0, 0, this.width, this.height);
+    if (show.street) show.street.paintRoad(this, show.frame);
     if (show.raster?.extent) this.#paintRaster(show.raster);
     this.#paintGrid();
-    this.#paintEgo();
-    if (!show.anchors) return true;
-    drawAnchors(context, this, show);
-    if (!show.stale) this.#paintPoses(show.anchors, show.focus ?? show.anchors.best);
+    if (show.street) show.street.paintOthers(this, show.frame);
+    else this.#paintEgo();
+    if (show.anchors) drawAnchors(context, this, show);
+    if (show.street) show.street.paintEgo(this, show.frame);
+    if (show.anchors && !show.stale) this.#paintPoses(show.anchors, show.focus ?? show.anchors.best);
     return true;
   }
 
-  /** The ego and all anchors, and the picture below them, fit. */
+  /** The ego and all anchors, and the picture below them, fit; a drive stays as large as it is. */
   #fit() {
-    const { anchors, raster } = this.show;
+    const { street, raster } = this.show;
+    const anchors = street ? null : this.show.anchors;
     const [xs, ys] = [[0], [0]];
+    if (street) {
+      xs.push(...street.extent.slice(0, 2));
+      ys.push(...street.extent.slice(2));
+    }
     for (let k = 0; k < (anchors?.positions.length ?? 0); k += 2) {
       xs.push(anchors.positions[k]);
       ys.push(anchors.positions[k + 1]);
     }
-    if (raster?.extent) {
+    if (raster?.extent && !street) {
       xs.push(...raster.extent.slice(0, 2));
       ys.push(...raster.extent.slice(2));
     }

@@ -1,7 +1,8 @@
 /** An input that is a picture: a file, brought to the size that the card lists. */
 
 import { make } from "../dom.js";
-import { axesOf, base64 } from "./tensor.js";
+import { Raster } from "./raster.js";
+import { axesOf, base64, unpacked } from "./tensor.js";
 
 const FORMATS = { "image/png": "png", "image/jpeg": "jpeg" };
 
@@ -30,6 +31,13 @@ export class ImageField {
   /** As the contract's JSON has it. */
   value() {
     return this.original ?? { png: this.picture.toDataURL("image/png").split(",")[1] };
+  }
+
+  /** `value`: {dtype, shape, base64} of its pixels. */
+  fill(value) {
+    this.#clear();
+    const raster = new Raster({ range: [0, 255] }, unpacked(value), []);
+    this.context.drawImage(raster.canvas, 0, 0);
   }
 
   #clear() {

@@ -40,6 +40,12 @@ export class Inputs {
     return good ? values : null;
   }
 
+  /** Fill in {name: value}, as the contract's JSON has them; nobody is told of a change. */
+  fill(values) {
+    for (const [name, value] of Object.entries(values)) this.#fields.get(name).field.fill(value);
+    this.clear();
+  }
+
   /** Shows a refusal beside the input that it names; whether there is one. */
   refuse({ field, message }) {
     const [group, name] = field?.split(".") ?? [];

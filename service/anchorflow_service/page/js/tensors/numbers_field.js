@@ -18,6 +18,11 @@ export class NumbersField {
     this.control.addEventListener("input", onChange);
   }
 
+  /** `value`: as the contract's JSON has it. */
+  fill(value) {
+    this.control.value = [value].flat().join(", ");
+  }
+
   /** As the contract's JSON has it. Throws an Error that says what is wrong. */
   value() {
     const parts = this.control.value.trim().replace(/^\[|\]$/g, "").split(/[\s,;]+/).filter(Boolean);

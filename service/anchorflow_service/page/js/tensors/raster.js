@@ -1,19 +1,20 @@
-/** A picture from above that a planner gives beside its anchors: RGB, grey, or classes. */
+/** A tensor as a picture: RGB, grey, classes, or layers that lie on each other. */
 
 import { typeText } from "../card.js";
 import { byId, make } from "../dom.js";
-import { unnest } from "./tensor.js";
 
 /** The extra that is such a picture. */
 export const RASTER = "bev_semantics";
 
 export class Raster {
-  /** `spec`: of the extra; `nested`: [C,H,W], or [H,W] of classes; `palette`: colours [r, g, b]. */
-  constructor(spec, nested, palette) {
-    const { shape, values } = unnest(nested);
+  /**
+   * `spec`: of the tensor; `tensor`: {shape, values} [C,H,W], or [H,W] of classes; `palette`:
+   * colours [r, g, b]; `layered`: whether many channels are layers rather than classes.
+   */
+  constructor(spec, { shape, values }, palette, layered = false) {
     const [height, width] = shape.slice(-2);
     const channels = shape.length > 2 ? shape.at(-3) : 0;
-    Object.assign(this, { spec, height, width, channels, values, palette });
+    Object.assign(this, { spec, height, width, channels, values, palette, layered });
     /** [x_min, x_max, y_min, y_max] m in the ego's frame, where the card says it. */
     this.extent = spec.extent ?? null;
     this.classes = [];
@@ -37,7 +38,7 @@ export class Raster {
 
   #pixels() {
     const pixels = new Uint8ClampedArray(4 * this.width * this.height);
-    const colourOf = this.channels === 3 ? this.#rgb() : this.channels === 1 ? this.#grey() : this.#byClass();
+    const colourOf = this.channels === 3 ? this.#rgb() : this.channels === 1 ? this.#grey() : this.layered ? this.#byLayer() : this.#byClass();
     for (let k = 0; k < this.width * this.height; k++) pixels.set([...colourOf(k), 255], 4 * k);
     return pixels;
   }
@@ -59,6 +60,22 @@ export class Raster {
   #grey() {
     const level = this.#level();
     return (k) => Array(3).fill(level(this.values[k]));
+  }
+
+  /** Each channel covers those before it, as much as its value says. */
+  #byLayer() {
+    const level = this.#level();
+    const plane = this.width * this.height;
+    const mixed = new Float32Array(3 * plane);
+    for (let c = 0; c < this.channels; c++) {
+      const colour = this.#colour(c);
+      for (let k = 0; k < plane; k++) {
+        const share = level(this.values[c * plane + k]) / 255;
+        if (!share) continue;
+        for (let axis = 0; axis < 3; axis++) mixed[3 * k + axis] += share * (colour[axis] - mixed[3 * k + axis]);
+      }
+    }
+    return (k) => mixed.subarray(3 * k, 3 * k + 3);
   }
 
   #byClass() {

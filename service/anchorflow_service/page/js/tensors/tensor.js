@@ -1,6 +1,7 @@
 /** Tensors as the contract's JSON has them: nested lists, or their bytes in base64. */
 
-const ARRAYS = { bool: Uint8Array, uint8: Uint8Array, int64: BigInt64Array, float32: Float32Array, float64: Float64Array };
+/** What holds numbers of a type. */
+export const ARRAYS = { bool: Uint8Array, uint8: Uint8Array, int64: BigInt64Array, float32: Float32Array, float64: Float64Array };
 /** Bytes that one call of `String.fromCharCode` takes. */
 const CHUNK = 0x8000;
 
@@ -28,6 +29,12 @@ export function unnest(nested) {
   const shape = [];
   for (let part = nested; Array.isArray(part); part = part[0]) shape.push(part.length);
   return { shape, values: Float64Array.from(shape.length > 1 ? nested.flat(shape.length - 1) : nested) };
+}
+
+/** {shape, values} of {dtype, shape, base64}. */
+export function unpacked({ dtype, shape, base64: text }) {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  return { shape, values: new ARRAYS[dtype](bytes.buffer) };
 }
 
 /** Bytes in base64. */

@@ -1,7 +1,10 @@
-/** Any other input: the value nearest to 0 everywhere, unless JSON is pasted. */
+/** Any other input: the value nearest to 0 everywhere, unless it is filled in or JSON is pasted. */
 
 import { make, plain } from "../dom.js";
 import { filled, neutral } from "./tensor.js";
+
+/** Letters of base64 that are shown of a tensor. */
+const SHOWN = 24;
 
 export class TensorField {
   static fits = () => true;
@@ -13,10 +16,17 @@ export class TensorField {
     this.control.addEventListener("input", onChange);
   }
 
+  /** `value`: {dtype, shape, base64}; too long to stand in a field that one can type in. */
+  fill(value) {
+    this.held = value;
+    this.control.value = "";
+    this.control.placeholder = JSON.stringify({ ...value, base64: `${value.base64.slice(0, SHOWN)}…` });
+  }
+
   /** As the contract's JSON has it. Throws an Error that says what is wrong. */
   value() {
     const text = this.control.value.trim();
-    if (!text) return filled(this.spec);
+    if (!text) return this.held ?? filled(this.spec);
     try {
       return JSON.parse(text);
     } catch (cause) {

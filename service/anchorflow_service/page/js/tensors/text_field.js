@@ -11,6 +11,10 @@ export class TextField {
     this.control.addEventListener("input", onChange);
   }
 
+  fill(value) {
+    this.control.value = value;
+  }
+
   /** As the contract's JSON has it. */
   value() {
     return this.control.value;

@@ -8,6 +8,7 @@ import { pick, showLegend } from "../lines.js";
 import { columnsOf, nameAnchor, say, showBest, showTimes } from "../panels.js";
 import { ask } from "../service.js";
 import { BirdsEye } from "./birds_eye.js";
+import { Drive } from "./drive.js";
 import { END, showExtras, showPoses } from "./figures.js";
 import { Inputs } from "./inputs.js";
 import { RASTER, Raster } from "./raster.js";
@@ -30,6 +31,13 @@ export class TensorView {
     Object.assign(this, { planner, amount });
     this.inputs = new Inputs(() => this.#changed());
     this.eye = new BirdsEye(byId("birds-eye"));
+    this.drive = new Drive({
+      inputs: this.inputs,
+      eye: this.eye,
+      isShown: () => this.active,
+      onFilled: () => this.planner.ask(),
+      onClose: () => this.planner.ask(),
+    });
     byId("ask").addEventListener("submit", () => {
       if (this.active) this.planner.ask();
     });
@@ -59,7 +67,8 @@ export class TensorView {
     const lasting = dt === null ? "each anchor in its own time" : `up to ${(first + (steps - 1) * dt).toFixed(1)} s`;
     byId("bundle-hint").textContent = `What answers: ${steps} poses ${lasting}${candidates ? `, the best of ${candidates}` : ""}.`;
     this.amount.show({ ...this.options, most: this.most });
-    this.planner.ask();
+    this.drive.useCard(card);
+    if (!this.drive.isOpen) this.planner.ask();
   }
 
   leave() {
@@ -71,6 +80,7 @@ export class TensorView {
     Object.assign(this.options, options);
     this.amount.show({ ...this.options, most: this.most });
     this.#changed();
+    if (this.drive.isOpen) this.planner.ask();
   }
 
   /** What the planner sends: the inputs as they are now; no body where one of them is no value. */
@@ -80,21 +90,23 @@ export class TensorView {
     if (!inputs) return {};
     const outputs = [...byId("outputs").querySelectorAll("input:checked")].map((box) => box.value);
     const body = { inputs, num_samples: options.num, seed: options.seed, model: card.name, ...(outputs.length && { outputs }) };
-    return { body, card, version, send: (asked) => ask("anchors", asked) };
+    return { body, card, version, held: this.drive.held, send: (asked) => ask("anchors", asked) };
   }
 
   async answered({ question, answer, sentAt }) {
-    if (question.card !== this.card) return;
+    if (question.card !== this.card || question.held?.drive !== this.drive.held?.drive) return;
     const { arrays, extras } = parts(answer, question.body.outputs ?? []);
     const anchors = new Anchors({ ...answer, ...arrays, timing: answer.timing_ms }, question.card);
     const spec = this.card.answer.extras.find(({ name }) => name === RASTER);
-    const raster = extras[RASTER] ? new Raster(spec, extras[RASTER], this.eye.colours.classes) : null;
+    const raster = extras[RASTER] ? new Raster(spec, unnest(extras[RASTER]), this.eye.colours.classes) : null;
     if (this.kept >= anchors.count) this.kept = null;
     Object.assign(this.eye.show, { anchors, raster, stale: question.version !== this.version, focus: this.kept, step: null });
+    this.drive.answered(question.held);
     this.#showAnchors();
     this.#showExtras(extras, raster);
     const shownAt = await this.eye.request();
     showTimes(anchors.timing, shownAt - sentAt);
+    this.drive.shown(question.held);
   }
 
   /** Beside the input that it is about, or in the place of the answer. */
@@ -106,6 +118,11 @@ export class TensorView {
 
   /** What is shown is old. */
   down() {
+    this.drive.silent();
+    this.#fade();
+  }
+
+  #fade() {
     this.eye.show.stale = true;
     this.eye.request();
   }
@@ -114,7 +131,7 @@ export class TensorView {
     this.version++;
     if (!this.eye.show.anchors) return;
     say("What is asked has changed: plan again.");
-    this.down();
+    this.#fade();
   }
 
   #listExtras(specs) {

@@ -1,0 +1,86 @@
+"""What a planner's sensors tell of a view, by the names of the inputs on its card."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import TensorSpec
+from anchorflow_client.sensors import resize_image
+from anchorflow_driving.errors import SensorError
+from anchorflow_driving.sensors.lidar import simulated_lidar
+from anchorflow_driving.sensors.status import status_of
+from anchorflow_driving.window import PlannerView
+
+Sensor = Callable[[PlannerView, TensorSpec], NDArray[Any]]
+
+
+def _bev(view: PlannerView, _: TensorSpec) -> NDArray[np.uint8]:
+    # Here, because it needs Pillow, which other inputs do without.
+    from anchorflow_driving.sensors.bev import draw_bev
+
+    return draw_bev(view)
+
+
+def _camera(view: PlannerView, spec: TensorSpec) -> NDArray[np.uint8]:
+    """The simulated cameras, in the size that the card asks for."""
+    # Here, because it needs the extra "driving", which other inputs do without.
+    from anchorflow_driving.sensors.cameras import simulated_camera
+    from anchorflow_driving.sensors.rendering import Renderer
+
+    if not _RENDERER:
+        _RENDERER.append(Renderer())
+    rows, columns = (int(size) for size in spec.shape[-2:])
+    picture = simulated_camera(view, _RENDERER[0]).transpose(1, 2, 0)
+    return resize_image(picture, rows=rows, columns=columns).transpose(2, 0, 1)
+
+
+_RENDERER: list[Any] = []  # one a process: it holds a context of the graphics driver
+
+SENSORS: Mapping[str, Sensor] = {
+    "bev": _bev,
+    "camera": _camera,
+    "ego_status": lambda view, _: status_of(view),
+    "lidar": lambda view, _: simulated_lidar(view),
+    "vehicle_size": lambda view, _: view.vehicle.size.astype(np.float32),
+}
+"""What a bundle may ask for, by the name of its input; camera and LiDAR are simulated."""
+
+
+def check_inputs(specs: Iterable[TensorSpec], *, of: str) -> None:
+    """Whether a view tells all that the card of bundle `of` asks for.
+
+    Raises:
+        SensorError: it does not.
+    """
+    for spec in specs:
+        if spec.name not in SENSORS:
+            known = ", ".join(SENSORS)
+            raise SensorError(f"{of}: expected inputs among {known}, got {spec.name}")
+
+
+def draw_inputs(view: PlannerView, specs: Iterable[TensorSpec]) -> dict[str, NDArray[Any]]:
+    """The inputs of one scene, without the leading B, by their names.
+
+    Raises:
+        SensorError: one is asked for in another shape than its sensor has.
+    """
+    inputs = {}
+    for spec in specs:
+        drawn = inputs[spec.name] = SENSORS[spec.name](view, spec)
+        if not _fits(drawn.shape, spec):
+            raise SensorError(
+                f"{spec.name}: expected a sensor of {list(spec.shape[1:])}, got {list(drawn.shape)}"
+            )
+    return inputs
+
+
+def _fits(shape: tuple[int, ...], spec: TensorSpec) -> bool:
+    """Whether one scene's shape is what the card says; an axis with a name is of any length."""
+    axes = spec.shape[1:]
+    return len(axes) == len(shape) and all(
+        isinstance(axis, str) or axis == size for axis, size in zip(axes, shape, strict=True)
+    )

@@ -1,0 +1,214 @@
+"""A drive on the page: its slider asks with what the sensors saw then, and draws what answers."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from driven_bend import bend
+from PIL import Image
+
+from anchorflow_client.contract.inputs import read_inputs
+from anchorflow_driving.drive_file import drive_file, windows_on_the_way
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
+
+GOALFLOW = DEFAULT_BUNDLE.parent / "goalflow"
+PATIENCE_MS = 60_000
+
+
+@pytest.fixture(scope="session")
+def drive() -> dict[str, Any]:
+    """Frames 0.5 s apart: of a bend to the left, then of one to the right."""
+    card = load_bundle(GOALFLOW).card
+    logs = [windows_on_the_way(bend(number)) for number in (0, 1)]
+    (about, left), (_, right) = (drive_file(log, card.inputs, of=card.name) for log in logs)
+    frames = [*left, *right]
+    return {**about, "frames": [{**each, "time_s": 2 + k / 2} for k, each in enumerate(frames)]}
+
+
+@pytest.fixture
+def driving(open_page: Callable[..., Any], served_driving: Any) -> Iterator[Any]:
+    visit = open_page(served_driving.url)
+    expect(visit.locate("#summary")).to_contain_text("64 anchors", timeout=PATIENCE_MS)
+    yield visit
+    assert visit.errors == []
+
+
+def opened(visit: Any, drive: dict[str, Any], folder: Path) -> Any:
+    """The first exchange about a drive that is opened."""
+    file = folder / "drive.json"
+    file.write_text(json.dumps(drive))
+    return visit.answer(
+        lambda: visit.locate("#drive-file").set_input_files(file), asks_about(drive["frames"][0])
+    )
+
+
+def asks_about(frame: dict[str, Any]) -> Callable[[Any], bool]:
+    return lambda asked: asked["inputs"].get("ego_status") == frame["inputs"]["ego_status"]
+
+
+def sent(exchange: Any) -> np.ndarray:
+    return np.asarray(read_inputs(exchange.asked["inputs"])["bev"])
+
+
+def drawn(frame: dict[str, Any]) -> np.ndarray:
+    packed = frame["inputs"]["bev"]
+    data = zlib.decompress(base64.b64decode(packed["zlib"]))
+    return np.frombuffer(data, packed["dtype"]).reshape(packed["shape"])
+
+
+def test_the_slider_asks_about_its_time_and_draws_the_answer(
+    driving: Any, drive: dict[str, Any], tmp_path: Path, artefacts: Path
+) -> None:
+    first = opened(driving, drive, tmp_path)
+    frames = drive["frames"]
+    np.testing.assert_array_equal(sent(first), drawn(frames[0]))
+    expect(driving.locate("#drive-text")).to_have_text("2.0 s")
+    expect(driving.locate("#poses tbody")).to_have_text(best_poses(first))
+    before = driving.locate("#birds-eye").screenshot()
+
+    last = driving.answer(
+        lambda: driving.locate("#drive-time").fill(str(len(frames) - 1)), asks_about(frames[-1])
+    )
+
+    assert last.status == 200
+    np.testing.assert_array_equal(sent(last), drawn(frames[-1]))
+    assert last.asked["inputs"]["vehicle_size"] == frames[-1]["inputs"]["vehicle_size"]
+    assert last.answered["trajectories"] != first.answered["trajectories"]
+    expect(driving.locate("#drive-text")).to_have_text(f"{frames[-1]['time_s']:.1f} s")
+    expect(driving.locate("#poses tbody")).to_have_text(best_poses(last))
+    assert best_poses(last) != best_poses(first)
+    assert driving.locate("#birds-eye").screenshot() != before
+    shown = driving.locate("#input-ego_status").input_value().split(", ")
+    assert [*map(float, shown)] == frames[-1]["inputs"]["ego_status"]
+    driving.page.screenshot(path=artefacts / "drive.png")
+
+
+def test_keys_and_the_play_button_go_through_the_drive(
+    driving: Any, drive: dict[str, Any], tmp_path: Path
+) -> None:
+    opened(driving, drive, tmp_path)
+    frames = drive["frames"]
+
+    driving.answer(lambda: driving.page.keyboard.press("ArrowRight"), asks_about(frames[1]))
+    driving.answer(lambda: driving.page.keyboard.press("ArrowLeft"), asks_about(frames[0]))
+    driving.answer(lambda: driving.locate("#drive-play").click(), asks_about(frames[-1]))
+
+    play = driving.locate("#drive-play")
+    expect(play).to_have_attribute("aria-pressed", "false", timeout=PATIENCE_MS)
+    expect(driving.locate("#drive-time")).to_have_value(str(len(frames) - 1))
+
+
+def test_while_the_slider_is_dragged_the_newest_wins(
+    driving: Any, drive: dict[str, Any], tmp_path: Path
+) -> None:
+    opened(driving, drive, tmp_path)
+    frames = drive["frames"]
+    driving.page.evaluate("performance.clearResourceTimings()")
+    moves = 40
+    drag = """([moves, last]) => {
+        const slider = document.getElementById("drive-time");
+        for (let k = 1; k <= moves; k++) {
+            slider.value = k === moves ? last : k % (last + 1);
+            slider.dispatchEvent(new Event("input"));
+        }
+    }"""
+
+    driving.answer(
+        lambda: driving.page.evaluate(drag, [moves, len(frames) - 1]), asks_about(frames[-1])
+    )
+
+    driving.page.wait_for_timeout(500)
+    asked = "performance.getEntriesByType('resource').filter(e => e.name.endsWith('/anchors'))"
+    assert driving.page.evaluate(f"{asked}.length") <= 3
+
+
+def test_a_planner_that_asks_for_something_else_names_it(
+    driving: Any, drive: dict[str, Any], tmp_path: Path
+) -> None:
+    opened(driving, drive, tmp_path)
+    why = "camera: the drive has no such input; it was made for goalflow, with bev, ego_status"
+
+    driving.locate("#bundle").select_option("tiny-camera")
+
+    expect(driving.locate("#drive-trouble")).to_contain_text(why)
+    expect(driving.locate("#drive-bar")).to_be_hidden()
+    expect(driving.locate("#sensed")).to_be_hidden()
+    expect(driving.locate("#summary")).to_contain_text("6 anchors", timeout=PATIENCE_MS)
+
+
+def test_a_drive_of_other_shapes_is_refused(
+    driving: Any, drive: dict[str, Any], tmp_path: Path
+) -> None:
+    bev, *others = drive["inputs"]
+    other = {**drive, "inputs": [{**bev, "shape": [20, 96, 64]}, *others]}
+    (tmp_path / "other.json").write_text(json.dumps(other))
+    (tmp_path / "scene.json").write_text('{"frames": []}')
+    trouble = driving.locate("#drive-trouble")
+
+    driving.locate("#drive-file").set_input_files(tmp_path / "other.json")
+    expect(trouble).to_have_text(
+        "bev: expected uint8 [20, 192, 128], the drive has uint8 [20, 96, 64]; "
+        "it was made for goalflow."
+    )
+    beside = driving.locate("#inputs .input").first.locator(".wrong")
+    expect(beside).to_contain_text("bev: expected uint8 [20, 192, 128]")
+    driving.locate("#drive-file").set_input_files(tmp_path / "scene.json")
+    expect(trouble).to_contain_text("scene.json: expected a drive")
+    (tmp_path / "cut.json").write_text(json.dumps({**drive, "map": None}))
+    driving.locate("#drive-file").set_input_files(tmp_path / "cut.json")
+    expect(trouble).to_have_text("cut.json: expected map, got none.")
+
+    expect(driving.locate("#drive-bar")).to_be_hidden()
+
+
+def test_a_drive_that_is_closed_leaves_the_last_inputs(
+    driving: Any, drive: dict[str, Any], tmp_path: Path
+) -> None:
+    opened(driving, drive, tmp_path)
+
+    told = driving.answer(
+        lambda: driving.locate("#close-drive").click(), lambda asked: "inputs" in asked
+    )
+
+    expect(driving.locate("#drive-bar")).to_be_hidden()
+    expect(driving.locate("#sensed")).to_be_hidden()
+    np.testing.assert_array_equal(sent(told), drawn(drive["frames"][0]))
+    expect(driving.locate("#summary")).to_contain_text("64 anchors")
+
+
+def test_a_picture_of_a_drive_goes_as_it_is(call: Callable[..., Any]) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (3, 6, 9), dtype=np.uint8)
+    tensor = {
+        "dtype": "uint8",
+        "shape": [3, 6, 9],
+        "base64": base64.b64encode(pixels.tobytes()).decode(),
+    }
+    make = """(m, tensor) => {
+        const spec = { name: "camera", dtype: "uint8", shape: ["B", 3, 6, 9], range: null };
+        const field = new m.ImageField(spec, "camera", () => {});
+        field.fill(tensor);
+        return field.value();
+    }"""
+
+    value = call("tensors/image_field", make, tensor)
+
+    read = np.asarray(Image.open(io.BytesIO(base64.b64decode(value["png"]))).convert("RGB"))
+    np.testing.assert_array_equal(read.transpose(2, 0, 1), pixels)
+
+
+def best_poses(exchange: Any) -> str:
+    """What the table of the best anchor's poses shows."""
+    best = int(np.argmax(exchange.answered["scores"]))
+    rows = [(0.5 * k, *pose) for k, pose in enumerate(exchange.answered["trajectories"][best], 1)]
+    return "".join(f"{value:.2f}" for row in rows for value in row).replace("-", "−")
