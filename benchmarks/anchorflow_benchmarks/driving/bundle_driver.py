@@ -24,18 +24,28 @@ Array = NDArray[np.float64]
 
 SEED = 0
 
+FORETOLD = ("sim_rewards", "sub_scores")
+"""Extras [N, 5] that foretell sub-scores."""
+CHOICES = ("im_rewards", "coarse_scores")
+"""Extras [N] by which a bundle could choose, too."""
+
 
 @dataclass(frozen=True, eq=False)
 class Proposals:
     """What a bundle proposes for a window.
 
     trajectories: [N, 8, 3]; scores: [N], or None where the bundle gives none
+    foretold: [N, 5] sub-scores; choices: [N] each, by name; offsets: [N, 8, 3] from its anchors;
+        of bundles that tell them
     goals: [K, 2] and goal_scores: [K], the best first, of bundles that have them
     drawing_ms, flow_ms: spent on its inputs, and between its encoder and its answer
     """
 
     trajectories: Array
     scores: Array | None
+    foretold: Array | None
+    choices: dict[str, Array]
+    offsets: Array | None
     goals: Array | None
     goal_scores: Array | None
     drawing_ms: float
@@ -72,7 +82,8 @@ class BundleDriver:
         elif sampler != CARD:
             raise BenchmarkError(f"{card.name}: expected sampler {CARD}, got {sampler!r}")
         extras = {spec.name for spec in card.answer.extras}
-        self._goals = [name for name in ("goals", "goal_scores") if name in extras]
+        told = ("goals", "goal_scores", "offsets", *FORETOLD, *CHOICES)
+        self._told = [name for name in told if name in extras]
         self._inputs = card.inputs
         self.name = card.name if sampler == CARD else f"{card.name}_{sampler.replace(':', '_')}"
         self._client = LocalClient(Engine(bundle, threads=threads))
@@ -91,11 +102,14 @@ class BundleDriver:
         started = perf_counter()
         inputs = draw_inputs(window.view, self._inputs)
         drawing_ms = 1e3 * (perf_counter() - started)
-        answer = self._client.plan(inputs=inputs, outputs=self._goals, **self._options)
+        answer = self._client.plan(inputs=inputs, outputs=self._told, **self._options)
         arrays = answer.arrays
         return Proposals(
             trajectories=np.asarray(arrays["trajectories"], np.float64),
             scores=_doubles(answer, "scores"),
+            foretold=next((_doubles(answer, n) for n in FORETOLD if n in arrays), None),
+            choices={n: np.asarray(arrays[n], np.float64) for n in CHOICES if n in arrays},
+            offsets=_doubles(answer, "offsets"),
             goals=_doubles(answer, "goals"),
             goal_scores=_doubles(answer, "goal_scores"),
             drawing_ms=drawing_ms,

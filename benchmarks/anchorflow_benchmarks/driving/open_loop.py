@@ -18,6 +18,12 @@ from anchorflow_benchmarks.driving.proposals import (
     PROPOSALS_NOTE,
     proposal_figures,
 )
+from anchorflow_benchmarks.driving.rewards import (
+    choice_figures,
+    choices_table,
+    heads_table,
+    true_sub_scores,
+)
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, Driver
@@ -63,6 +69,8 @@ class Judged:
     figures: Mapping[str, float]
     ms: float
     proposals: Proposals | None = None  # of a bundle
+    choices: Mapping[str, float] = field(default_factory=dict)  # that it could have made
+    sub_scores: Array | None = None  # [N, 5] of its proposals, where it foretells them
 
 
 def named_drivers(names: Sequence[str]) -> dict[str, Entry]:
@@ -157,6 +165,8 @@ def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Jud
             },
             ms=ms,
             proposals=proposals,
+            choices=choice_figures(window, scorer, proposals) if proposals else {},
+            sub_scores=true_sub_scores(scorer, proposals) if proposals else None,
         )
     return judged
 
@@ -199,7 +209,7 @@ def _row(name: str, verdicts: Sequence[Judged]) -> Row:
 
 
 def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
-    """What bundles propose, how long that takes, and how good their goals are."""
+    """What bundles propose, in what time, and how good their goals and forecasts are."""
     rows, of_goals = [], []
     for name, verdicts in judged.items():
         proposed = [verdict.proposals for verdict in verdicts if verdict.proposals]
@@ -218,8 +228,38 @@ def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
         if OF_GOALS[0] in verdicts[0].figures:
             figures = {k: float(np.nanmean([v.figures[k] for v in verdicts])) for k in OF_GOALS}
             of_goals.append({"driver": name, **figures})
-    tables = [ResultTable("Proposals", rows, PROPOSALS_NOTE)] if rows else []
-    return [*tables, *([ResultTable("Goals", of_goals, GOALS_NOTE)] if of_goals else [])]
+    tables = [
+        ResultTable("Proposals", rows, PROPOSALS_NOTE) if rows else None,
+        ResultTable("Goals", of_goals, GOALS_NOTE) if of_goals else None,
+        choices_table(
+            {
+                name: [{**v.choices, "PDMS": v.figures["PDMS"]} for v in all_]
+                for name, all_ in judged.items()
+            }
+        ),
+        heads_table(_foretold(judged)),
+    ]
+    return [table for table in tables if table]
+
+
+def _foretold(judged: Mapping[str, Sequence[Judged]]) -> dict[str, tuple[Array, Array]]:
+    """Sub-scores [M, 5] as they were foretold and as they were, of all windows, by driver."""
+    pairs = {
+        name: [
+            (v.proposals.foretold, v.sub_scores)
+            for v in verdicts
+            if v.proposals and v.proposals.foretold is not None and v.sub_scores is not None
+        ]
+        for name, verdicts in judged.items()
+    }
+    return {
+        name: (
+            np.concatenate([told for told, _ in each]),
+            np.concatenate([true for _, true in each]),
+        )
+        for name, each in pairs.items()
+        if each
+    }
 
 
 def _by_log(judged: Mapping[str, Sequence[Judged]]) -> ResultTable:

@@ -12,6 +12,12 @@ from image_planner import write_image_bundle
 from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals
 from anchorflow_benchmarks.driving.open_loop import Entry, drive_tables, judge_drivers, write_plans
 from anchorflow_benchmarks.driving.proposals import proposal_figures
+from anchorflow_benchmarks.driving.rewards import (
+    area_under_curve,
+    choice_figures,
+    heads_table,
+    true_sub_scores,
+)
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
@@ -53,6 +59,9 @@ def test_figures_of_known_proposals() -> None:
     proposals = Proposals(
         trajectories=np.stack([away, driven]),
         scores=np.array([0.2, 0.9]),
+        foretold=None,
+        choices={},
+        offsets=None,
         goals=np.stack([*[end + 50.0] * 5, end]),
         goal_scores=np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.9]),
         drawing_ms=1.0,
@@ -66,6 +75,44 @@ def test_figures_of_known_proposals() -> None:
     assert figures["rank"] == pytest.approx(1.0)
     assert (figures["top 5"], figures["top 5 by score"]) == (0.0, 1.0)
     assert figures["off-road score"] == pytest.approx(np.mean([0.5, 0.4, 0.3, 0.2, 0.1]))
+
+
+def test_what_else_it_could_have_chosen_by() -> None:
+    window = Scenes(bend(0))[0]
+    driven = window.recorded(PLAN_TIMES)
+    off_road = np.add(driven, (0.0, 60.0, 0.0))
+    proposals = Proposals(
+        trajectories=np.stack([off_road, driven]),
+        scores=np.array([0.2, 0.9]),
+        foretold=np.array([[0.6, 0.1, 0.5, 0.9, 0.9], [0.7, 0.8, 0.5, 0.9, 0.9]]),
+        choices={"im_rewards": np.array([0.7, 0.3])},
+        offsets=np.stack([off_road - driven, driven - off_road]),
+        goals=None,
+        goal_scores=None,
+        drawing_ms=1.0,
+        flow_ms=1.0,
+    )
+    scorer = PdmScorer(window)
+    figures = choice_figures(window, scorer, proposals)
+    best = float(scorer.score(driven[None]).pdms[0])
+    assert figures["by im_rewards"] == 0.0
+    assert (figures["plain PDMS"], figures["plain oracle"]) == (0.0, pytest.approx(best))
+    assert figures["plain minADE"] == pytest.approx(0.0, abs=1e-6)
+
+    true = true_sub_scores(scorer, proposals)
+    assert true is not None
+    assert proposals.foretold is not None
+    table = heads_table({"wote": (proposals.foretold, true)})
+    assert table is not None
+    (row,) = table.rows
+    assert (row["DAC"], row["DAC passed"]) == (1.0, 0.5)
+
+
+def test_the_area_is_the_share_of_pairs_in_their_order() -> None:
+    told = np.array([0.1, 0.4, 0.35, 0.8])
+    assert area_under_curve(told, np.array([0.0, 0.5, 1.0, 1.0])) == pytest.approx(0.75)
+    assert area_under_curve(np.full(4, 0.3), np.array([0, 0, 1, 1.0])) == pytest.approx(0.5)
+    assert np.isnan(area_under_curve(told, np.ones(4)))
 
 
 def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(
