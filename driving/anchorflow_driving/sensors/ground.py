@@ -69,7 +69,7 @@ def _paint_stripes(pixels: NDArray[np.float32], polygon: Array, low: Array) -> N
     _, axes = np.linalg.eigh(np.cov(cells.T))
     along = places @ axes[:, -1] * CELL
     striped = inside & (along % STRIPE_PERIOD < STRIPE_PERIOD / 2)
-    pixels[rows.ravel()[striped], columns.ravel()[striped]] = STRIPE
+    _colour(pixels, rows.ravel()[striped], columns.ravel()[striped], STRIPE)
 
 
 def _paint_line(pixels: NDArray[np.float32], line: Array, low: Array, *, solid: bool) -> None:
@@ -83,4 +83,16 @@ def _paint_line(pixels: NDArray[np.float32], line: Array, low: Array, *, solid: 
         for aside in np.arange(-LINE_WIDTH / 2, LINE_WIDTH / 2 + 1e-6, CELL / 2):
             moved = points + aside * np.array([-towards[1], towards[0]])
             column, row = np.floor((moved - low) / CELL).astype(int).T
-            pixels[row, column] = PAINT
+            _colour(pixels, row, column, PAINT)
+
+
+def _colour(
+    pixels: NDArray[np.float32],
+    rows: NDArray[np.integer],
+    columns: NDArray[np.integer],
+    colour: tuple[int, int, int],
+) -> None:
+    """Colour the pixels that there are: recorded lines may lead far beyond the road."""
+    height, width = pixels.shape[:2]
+    there = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    pixels[rows[there], columns[there]] = colour
