@@ -6,6 +6,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+METRES = 10.0
+"""That a place is told in."""
+
 
 def regression(waypoints: Tensor, driven: Tensor) -> Tensor:
     """Smooth L1 of waypoints [B,T,2], m."""
@@ -42,3 +45,13 @@ def regression_distillation(student: Tensor, teacher: Tensor) -> Tensor:
 def next_token(logits: Tensor, wanted: Tensor, mask: Tensor) -> Tensor:
     """Cross-entropy of logits [B,L,V] where the mask [B,L] is true."""
     return F.cross_entropy(logits[mask], wanted[mask])
+
+
+def location(near: Tensor, place: Tensor, nearest: Tensor) -> Tensor:
+    """Of the nearest other [B,3]: whether it is there, and x, y in m, where it is.
+
+    near: logits [B]; place: [B,2], tens of metres
+    """
+    there = nearest[:, 0]
+    apart = (place - nearest[:, 1:] / METRES).abs().mean(-1)
+    return F.binary_cross_entropy_with_logits(near, there) + (there * apart).mean()

@@ -3,6 +3,7 @@
     look     pixels [B,3,S,S]                     -> features [B,C,h,h], once a picture
     fuse     two pictures' features, tokens       -> hidden states [B,P,E]
     drive    hidden states                        -> waypoints [B,T,2], m, ahead and to the left
+    locate   two pictures' features               -> where the nearest other is; in training alone
 
 The two pictures lie side by side, [I_v, I_i], as one feature map of h rows and 2h columns before
 positions are given to its cells. What the tower does to the one does not depend on the other, so
@@ -23,6 +24,8 @@ from anchorflow_models.v2x_vlm.florence import new_florence
 # Of ImageNet's pixels in [0, 1], with which the published tower was trained.
 MEAN = (0.485, 0.456, 0.406)
 STD = (0.229, 0.224, 0.225)
+LOCATED = 8
+"""Channels of each cell that are left to where the nearest other is."""
 STANDING = 0.05
 """m between two waypoints, at or below which a vehicle keeps its heading."""
 
@@ -65,6 +68,13 @@ class V2XVLM(nn.Module):
         )
         self.image_projection = nn.Linear(size.width, config.projection)
         self.text_projection = nn.Linear(size.width, config.projection)
+        self.locator = nn.Sequential(
+            nn.Conv2d(size.embed_dim[-1], LOCATED, 1),
+            nn.Flatten(),
+            nn.Linear(2 * LOCATED * config.cells**2, config.head),
+            nn.GELU(),
+            nn.Linear(config.head, 3),
+        )
         self.register_buffer("mean", torch.zeros(config.waypoints, 2))
         self.register_buffer("scale", torch.ones(config.waypoints, 2))
         colour = (1, 3, 1, 1)
@@ -90,9 +100,8 @@ class V2XVLM(nn.Module):
         tokens: int64 [B,L]; mask: bool [B,L], true where there is a token; None: everywhere
         """
         model = self.florence.model
-        there = has_infrastructure[:, None, None, None]
-        second = torch.where(there, infrastructure, self.absent[None, :, None, None])
-        cells = model.multi_modal_projector(torch.cat([vehicle, second], -1))
+        beside = self._beside(vehicle, infrastructure, has_infrastructure)
+        cells = model.multi_modal_projector(beside)
         words = model.language_model.encoder.embed_tokens(tokens)
         both = torch.cat([cells, words], 1)
         of_tokens = torch.ones_like(tokens, dtype=torch.bool) if mask is None else mask
@@ -102,6 +111,24 @@ class V2XVLM(nn.Module):
         return Fused(
             hidden.last_hidden_state, of_both, cells.mean(1), masked_mean(words, of_tokens)
         )
+
+    def locate(
+        self, vehicle: Tensor, infrastructure: Tensor, has_infrastructure: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Whether another is near, logits [B], and where the nearest is [B,2], tens of metres.
+
+        vehicle, infrastructure: [B,C,h,h]; has_infrastructure: bool [B]
+        """
+        told = self.locator(self._beside(vehicle, infrastructure, has_infrastructure))
+        return told[:, 0], told[:, 1:]
+
+    def _beside(
+        self, vehicle: Tensor, infrastructure: Tensor, has_infrastructure: Tensor
+    ) -> Tensor:
+        """[B,C,h,2h], with the learned cell in place of what there is not."""
+        there = has_infrastructure[:, None, None, None]
+        second = torch.where(there, infrastructure, self.absent[None, :, None, None])
+        return torch.cat([vehicle, second], -1)
 
     def drive(self, fused: Fused) -> Tensor:
         """Waypoints [B,T,2], m."""

@@ -22,6 +22,9 @@ class LossConfig:
         "distribution", "A softmax over coordinates, as published, or smooth L1 of waypoints."
     )
     temperature: float = setting(2.0, "Of the softmax.", above=0)
+    location: float = setting(
+        0.0, "Of where the nearest other is, told by the tower alone; 0: none.", least=0
+    )
     next_token: float = setting(0.0, "Of telling the prompt again, word by word.", least=0)
 
 

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.images import resized
+from anchorflow_driving.geometry import into_frame
 from anchorflow_training.dataset import DatasetError
 from anchorflow_training.v2x.boxes import read_boxes, without_own
 from anchorflow_training.v2x.prompts import UNTOLD, prompt, seen_scene
@@ -53,6 +54,8 @@ ARRAYS: Mapping[str, str] = {
 }
 GROUP = ":"
 """Between a simulated log and its ego in a sequence's name."""
+IN_SIGHT = 60.0
+"""m, within which the pictures may show another."""
 HELD_OUT = 0.2
 """The share of the sequences that is kept from training."""
 
@@ -88,6 +91,20 @@ class PairDataset:
         """[n,5] of a frame, by its row of `poses`."""
         begin, end = self.arrays["box_offsets"][row : row + 2]
         return np.asarray(self.arrays["boxes"][begin:end])
+
+    def nearest_others(self, indices: NDArray[np.integer]) -> NDArray[np.float32]:
+        """[N,3] of pairs: 1 and x, y [m] in the ego's frame of the nearest box; or 0s."""
+        nearest = np.zeros((len(indices), 3), np.float32)
+        for row, index in zip(nearest, indices, strict=True):
+            frame = int(self.arrays["frame"][index])
+            boxes = self.boxes_of(frame)
+            if not len(boxes):
+                continue
+            local = into_frame(boxes[:, :2], np.asarray(self.arrays["poses"][frame]))
+            away = np.linalg.norm(local, axis=1)
+            if away.min() < IN_SIGHT:
+                row[:] = 1.0, *local[away.argmin()]
+        return nearest
 
 
 def make_pairs(

@@ -10,6 +10,7 @@ from anchorflow_models.v2x_vlm.florence import END
 from anchorflow_models.v2x_vlm.losses import (
     alignment,
     distribution_distillation,
+    location,
     next_token,
     regression,
     regression_distillation,
@@ -36,7 +37,8 @@ class V2XObjective(nn.Module):
     def forward(self, batch: dict[str, Tensor], withheld: Tensor) -> tuple[Tensor, dict]:
         """The loss and its terms."""
         weights = self.config.loss
-        fused = _fused(self.model, batch, ~withheld)
+        seen = _seen(self.model, batch)
+        fused = self.model.fuse(*seen, ~withheld, batch["tokens"], batch["mask"])
         waypoints = self.model.drive(fused)
         terms = {"regression": regression(waypoints, batch["waypoints"])}
         total = terms["regression"]
@@ -46,6 +48,10 @@ class V2XObjective(nn.Module):
         if self._teacher and weights.distillation:
             terms["distillation"] = self._distillation(waypoints, batch)
             total = total + weights.distillation * terms["distillation"]
+        if weights.location:
+            near, place = self.model.locate(*seen, ~withheld)
+            terms["location"] = location(near, place, batch["nearest"])
+            total = total + weights.location * terms["location"]
         if weights.next_token:
             terms["next_token"] = self._next_token(fused, batch)
             total = total + weights.next_token * terms["next_token"]
@@ -69,7 +75,12 @@ class V2XObjective(nn.Module):
         return next_token(self.model.describe(fused, before), tokens, mask)
 
 
-def _fused(model: V2XVLM, batch: dict[str, Tensor], seen: Tensor) -> Fused:
+def _fused(model: V2XVLM, batch: dict[str, Tensor], there: Tensor) -> Fused:
+    return model.fuse(*_seen(model, batch), there, batch["tokens"], batch["mask"])
+
+
+def _seen(model: V2XVLM, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """Both pictures' features, of one pass of the tower."""
     both = model.look(torch.cat([batch["vehicle_image"], batch["infrastructure_image"]]))
     vehicle, infrastructure = both.chunk(2)
-    return model.fuse(vehicle, infrastructure, seen, batch["tokens"], batch["mask"])
+    return vehicle, infrastructure

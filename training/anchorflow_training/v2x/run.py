@@ -127,4 +127,5 @@ class V2XRun(TrainingRun):
         tokens, mask = token_rows(self._tokenizer, texts, most=self.config.model.max_tokens)
         names = ("vehicle_image", "infrastructure_image", "waypoints")
         arrays = {name: np.array(self.dataset.arrays[name][indices]) for name in names}
-        return {**arrays, "tokens": tokens, "mask": mask}
+        nearest = self.dataset.nearest_others(indices)
+        return {**arrays, "tokens": tokens, "mask": mask, "nearest": nearest}
