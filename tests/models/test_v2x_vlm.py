@@ -17,6 +17,7 @@ from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig, create_v2x_vlm
 from anchorflow_models.v2x_vlm.losses import (
     alignment,
     distribution_distillation,
+    location,
     next_token,
     regression,
     regression_distillation,
@@ -137,6 +138,16 @@ def test_regression_is_smooth_l1_in_metres() -> None:
     assert regression(torch.tensor([[[0.5, 3.0]]]), driven).item() == pytest.approx(
         (0.5 * 0.25 + 2.5) / 2
     )
+
+
+def test_a_place_counts_only_where_somebody_is() -> None:
+    nearest = torch.tensor([[1.0, 20.0, -10.0], [0.0, 0.0, 0.0]])
+    sure = torch.tensor([30.0, -30.0])
+    right = torch.tensor([[2.0, -1.0], [7.0, 7.0]])
+    assert location(sure, right, nearest).item() == pytest.approx(0.0, abs=1e-6)
+    beside = right + torch.tensor([[1.0, 0.0], [9.0, 9.0]])
+    assert location(sure, beside, nearest).item() == pytest.approx(0.25, abs=1e-6)
+    assert location(-sure, right, nearest).item() == pytest.approx(30.0, abs=1e-4)
 
 
 def test_padding_is_no_word() -> None:

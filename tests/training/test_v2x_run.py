@@ -95,6 +95,33 @@ def test_it_learns_what_it_is_shown(
     assert losses[-1] < 0.3 * losses[0]
 
 
+def test_the_tower_learns_where_the_nearest_other_is(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    run = V2XRun(replace(config, loss=LossConfig(alignment=0.0, location=1.0)), pairs, tmp_path)
+    batch = {name: torch.from_numpy(each) for name, each in run._batch(0).items()}
+    _, terms = run.objective.module(batch, torch.zeros(3, dtype=torch.bool))
+    assert {*terms} == {"regression", "location"}
+    terms["location"].backward()
+    tower = [each.grad for each in run.model.florence.model.vision_tower.parameters()]
+    assert any(grad is not None and grad.abs().max() > 0 for grad in tower)
+    assert all(each.grad is None for each in run.model.head.parameters())
+
+
+def test_the_nearest_other_is_seen_from_the_ego(pairs: PairDataset) -> None:
+    every = np.arange(len(pairs))
+    nearest = pairs.nearest_others(every)
+    assert 0 < nearest[:, 0].mean() < 1
+    for index in every:
+        frame = pairs.arrays["frame"][index]
+        boxes, pose = pairs.boxes_of(frame), pairs.arrays["poses"][frame]
+        away = [float(np.hypot(*(box[:2] - pose[:2]))) for box in boxes]
+        there, *place = nearest[index]
+        assert there == float(min(away, default=np.inf) < 60.0)
+        if there:
+            assert np.hypot(*place) == pytest.approx(min(away), abs=1e-3)
+
+
 def test_a_withheld_picture_is_never_used(
     pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
 ) -> None:
