@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import TensorSpec
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
-from anchorflow_driving.families import family
 from anchorflow_driving.geometry import into_frame
+from anchorflow_driving.line_fields import line_fields
 from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, HISTORY_FRAMES, DrivingLog
 from anchorflow_driving.route import Route
 from anchorflow_driving.sensors.by_name import check_inputs, draw_inputs
@@ -73,7 +73,7 @@ def windows_on_the_way(
         window_frame=frames.astype(np.int32),
         window_command=np.array(commands, np.uint8),
         window_speed_limit=log.window_speed_limit[nearest],
-        **family("route", routes),
+        **line_fields("route", routes),
     )
 
 

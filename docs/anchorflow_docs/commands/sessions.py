@@ -73,7 +73,10 @@ QUICK = (
     ),
     Session("compiled loops", ("python -m anchorflow_trajectory.warm_up",)),
     Session("student", (f"anchorflow serve --bundle {SHIPPED}/student", PLAN)),
-    Session("a planner that drives", (f"anchorflow serve --bundle {SHIPPED}/goalflow", READY)),
+    *(
+        Session(name, (f"anchorflow serve --bundle {SHIPPED}/{name}", READY))
+        for name in ("goalflow", "wote", "diffusiondrive", "v2x")
+    ),
     Session("workers", ("anchorflow serve --workers 2", PLAN)),
     Session("any address", ("anchorflow serve --host 0.0.0.0", PLAN)),
     Session(

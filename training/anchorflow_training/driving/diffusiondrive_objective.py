@@ -9,7 +9,6 @@ Three stages, each of which goes on from the weights of the one before:
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -52,7 +51,9 @@ class DiffusionDriveObjectiveConfig:
     coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
     fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
     reinforcement: float = setting(1.0, "Of the policy gradient.", least=0)
-    judged: int = setting(64, "Candidates a scene whose PDM score is worked out.", least=2)
+    judged: int = setting(
+        64, "Candidates a scene whose PDM score is worked out; at most half are the best.", least=2
+    )
     group: int = setting(4, "Samples of an anchor that are compared.", least=2)
     exploration: float = setting(0.1, "Spread of a sample's factors on x and on y.", above=0)
 
@@ -155,25 +156,27 @@ class DiffusionDriveObjective(nn.Module):
             diversity = diversity.clone()
             diversity[:, :, 0] = 0.0  # as the sampler has it
             candidates = model.candidates(denoised(model, scene, noise).trajectories, diversity)
-            chosen = order.argsort(-1)[:, : self.config.judged, None, None]
-            candidates = torch.take_along_dim(candidates, chosen, 1)
-            truth = self._judged(windows, candidates)
         coarse = model.coarse_scorer(candidates, scene)
-        # As many of those judged as the service keeps of all, by the coarse scorer's own choice.
-        share = model.config.keep / model.config.candidates
-        keep = max(2, math.ceil(share * candidates.shape[1]))
-        best = coarse.scores.detach().argsort(-1, descending=True)[:, :keep, None]
-        kept = torch.take_along_dim(candidates, best[..., None], 1)
-        features = torch.take_along_dim(coarse.features, best, 1)
-        true_of_kept = torch.take_along_dim(truth, best, 1)
-        fine = model.fine_scorer(kept, features, scene)
+        # The best by the coarse scorer's own choice, as the service keeps them, and others.
+        keep = min(model.config.keep, self.config.judged // 2)
+        best = coarse.scores.detach().argsort(-1, descending=True)[:, :keep]
+        chosen = order.scatter(1, best, -1.0).argsort(-1)[:, keep : self.config.judged]
+        chosen = torch.cat([best, chosen], 1)[..., None]
+        truth = self._judged(windows, torch.take_along_dim(candidates, chosen[..., None], 1))
+        logits = torch.take_along_dim(coarse.logits, chosen, 1)
+        kept, true_of_kept = chosen[:, :keep], truth[:, :keep]
+        fine = model.fine_scorer(
+            torch.take_along_dim(candidates, kept[..., None], 1),
+            torch.take_along_dim(coarse.features, kept, 1),
+            scene,
+        )
         misses = [F.binary_cross_entropy_with_logits(s.logits, true_of_kept) for s in fine]
         score, choice = pdm_score(truth), fine[-1].scores.detach().argmax(-1, keepdim=True)
         return {
-            "coarse": F.binary_cross_entropy_with_logits(coarse.logits, truth),
+            "coarse": F.binary_cross_entropy_with_logits(logits, truth),
             "fine": torch.stack(misses).mean(),
             "pdms_best": score.amax(-1).mean(),
-            "pdms_coarse": score.gather(1, best[:, :1, 0]).mean(),
+            "pdms_coarse": score[:, 0].mean(),
             "pdms_fine": pdm_score(true_of_kept).gather(1, choice).mean(),
         }
 
