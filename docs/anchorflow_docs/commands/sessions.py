@@ -259,17 +259,20 @@ NOT_HERE = {
     "anchorflow export runs/wote/checkpoint.pt --out bundles/wote": (
         "needs what the training above leaves; tests/service/http/test_wote_bundle.py exports one"
     ),
-    "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/imitation": (
-        TRAINS
-    ),
+    "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/imitation"
+    " --backbone runs/wote/checkpoint.pt": TRAINS,
     "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/scorers"
-    " --before runs/imitation/checkpoint.pt --objective.stage scorers": TRAINS,
+    " --before runs/imitation/checkpoint.pt --objective.stage scorers"
+    " --learning-rate 1e-3": TRAINS,
     "anchorflow export runs/scorers/checkpoint.pt --out bundles/diffusiondrive": (
         "needs what the training above leaves; tests/export exports one of random weights"
     ),
     "anchorflow bench drive --logs ../shared/data/driving"
     " --bundle bundles/diffusiondrive": MEASURES,
-    "anchorflow bench pairs bundles/v2x": MEASURES,
+    f"anchorflow bench pairs {SHIPPED}/v2x": MEASURES,
+    ".venv/bin/anchorflow train data/pairs --planner v2x_vlm --out runs/v2x --steps 2600"
+    " --batch.scenes 16 --learning-rate 5e-4 --warmup 100 --loss.alignment 0"
+    " --loss.location 1 --roadside-dropout 0.2": TRAINS,
     "python examples/quickstart.py --out runs/quickstart": (
         "trains for two minutes; tests/test_quickstart.py runs it on less"
     ),
