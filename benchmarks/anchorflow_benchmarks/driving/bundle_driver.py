@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
-from anchorflow_client.contract import AnchorBatch, OdeSpec
+from anchorflow_client.contract import (
+    AnchorBatch,
+    OdeSpec,
+    TruncatedDiffusionSpec,
+    VocabularySpec,
+)
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.sensors.by_name import check_inputs, draw_inputs
 from anchorflow_driving.window import Window
@@ -58,7 +63,7 @@ class Proposals:
 
 
 class BundleDriver:
-    """Drives by the proposal with the highest score.
+    """Drives by the proposal with the highest score, of `num` or as many as there are.
 
     Raises:
         BundleError: the bundle is broken.
@@ -75,6 +80,9 @@ class BundleDriver:
         if (card.time.steps, card.time.first_s, card.time.dt) != (len(PLAN_TIMES), 0.5, 0.5):
             times = f"{card.time.steps} from {card.time.first_s:g} s, {card.time.dt} s apart"
             raise BenchmarkError(f"{card.name}: expected 8 poses at 0.5 … 4.0 s, got {times}")
+        # Who chooses among fewer answers all of them.
+        if isinstance(card.sampler, VocabularySpec | TruncatedDiffusionSpec):
+            num = min(num, card.sampler.size)
         self._options: dict[str, Any] = {"num_samples": num, "seed": SEED}
         if isinstance(card.sampler, OdeSpec):
             spec = parse_sampler(sampler, card)

@@ -9,6 +9,7 @@ import pytest
 from driven_bend import bend
 from image_planner import write_image_bundle
 
+from anchorflow_benchmarks.driving import bundle_driver
 from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals
 from anchorflow_benchmarks.driving.open_loop import Entry, drive_tables, judge_drivers, write_plans
 from anchorflow_benchmarks.driving.proposals import proposal_figures
@@ -24,7 +25,7 @@ from anchorflow_driving.errors import SensorError
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.sensors.by_name import SENSORS
 from anchorflow_driving.window import Scenes
-from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 GOALFLOW = DEFAULT_BUNDLE.parent / "goalflow"
 N = 16
@@ -49,6 +50,23 @@ def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
         best = plans["scores"].argmax(1)
         chosen = plans["proposals"][np.arange(windows), best]
         np.testing.assert_array_equal(plans["trajectories"], chosen)
+
+
+def test_who_chooses_among_fewer_proposes_all_of_them() -> None:
+    bundle = DEFAULT_BUNDLE.parent / "diffusiondrive"
+    most = load_bundle(bundle).card.sampler.size  # type: ignore[union-attr]
+    driver = BundleDriver(bundle, num=most + 1, threads=1)
+    window = Scenes(bend(0))[0]
+    shapes = {"camera": (3, 128, 512), "lidar": (1, 256, 256), "ego_status": (8,)}
+    types = {"camera": np.uint8}
+    drawn = {name: np.zeros(shape, types.get(name, np.float32)) for name, shape in shapes.items()}
+    drawn["ego_status"][1] = 1.0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bundle_driver, "draw_inputs", lambda *_: drawn)
+        proposals = driver.propose(window)
+    assert len(proposals.trajectories) == most
+    assert proposals.foretold is not None
+    assert {*proposals.choices} == {"coarse_scores"}
 
 
 def test_figures_of_known_proposals() -> None:
