@@ -102,15 +102,19 @@ def serve(
             serve_by_workers(choice, listener, workers)
             return
         opened = open_service(choice, token_file, zenoh=zenoh)
+
+        def say() -> None:
+            typer.echo(serving_line(opened.models, choice, listener))
+            if zenoh is not None and opened.zenoh is not None:
+                typer.echo(f"zenoh replica {opened.zenoh.replica} ({zenoh.settings.describe()})")
+
         server = AnchorServer(
             opened.app,
             opened.service,
             limits=choice.connections,
             draining=choice.draining,
             tls=tls,
+            say=say,
         )
-        typer.echo(serving_line(opened.models, choice, listener))
-        if zenoh is not None and opened.zenoh is not None:
-            typer.echo(f"zenoh replica {opened.zenoh.replica} ({zenoh.settings.describe()})")
         with suppress(KeyboardInterrupt):  # uvicorn has shut down when it raises the signal again
             server.run(sockets=[listener])

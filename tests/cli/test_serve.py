@@ -59,6 +59,26 @@ def test_it_says_where_it_answers_and_stops_quietly(server: subprocess.Popen[str
     assert (server.returncode, output, errors) == (0, "", "")
 
 
+IMPATIENT = f"""
+import os, signal, typer
+
+def echo_and_interrupt(line):
+    print(line)
+    os.kill(os.getpid(), signal.SIGINT)
+
+typer.echo = echo_and_interrupt
+{PROGRAM}"""
+
+
+def test_a_ctrl_c_on_its_first_word_stops_it_quietly() -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", IMPATIENT], capture_output=True, text=True, timeout=60, check=False
+    )
+
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.startswith("named 1.2.3 at http://")
+
+
 def test_a_port_in_use_is_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

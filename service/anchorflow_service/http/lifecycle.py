@@ -7,6 +7,7 @@ import math
 import socket
 import ssl
 import time
+from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass
 from types import FrameType
@@ -41,6 +42,9 @@ class AnchorServer(uvicorn.Server):
 
     The application's lifespan is entered here and not by uvicorn, so that what fails in it is
     raised as it is. A second signal ends the notice at once.
+
+    Args:
+        say: called when it answers and heeds signals; whoever hears of it may stop it at once.
     """
 
     def __init__(
@@ -51,10 +55,12 @@ class AnchorServer(uvicorn.Server):
         limits: ConnectionLimits | None = None,
         draining: Draining | None = None,
         tls: ssl.SSLContext | None = None,
+        say: Callable[[], None] = lambda: None,
     ) -> None:
         self._app = app
         self._service = service
         self._draining = draining or Draining()
+        self._say = say
         self._opened = AsyncExitStack()
         self._leaving_since: float | None = None
         limits = limits or ConnectionLimits()
@@ -77,11 +83,12 @@ class AnchorServer(uvicorn.Server):
         )
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Open the application, then listen."""
+        """Open the application, then listen, then say so."""
         await self._opened.enter_async_context(self._app.router.lifespan_context(self._app))
         await super().startup(sockets)
         for listener in sockets or ():
             listener.listen(QUEUED)  # asyncio takes one number for the queue and for the tick
+        self._say()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Listen no more, answer what came, close the application."""

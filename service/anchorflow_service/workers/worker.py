@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import socket
 import ssl
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -39,17 +38,13 @@ class WorkerServer(AnchorServer):
         draining: Draining | None = None,
         tls: ssl.SSLContext | None = None,
     ) -> None:
-        super().__init__(app, service, limits=limits, draining=draining, tls=tls)
+        super().__init__(
+            app, service, limits=limits, draining=draining, tls=tls, say=self._say_to_supervisor
+        )
         self._link = link
         self._is_alone = False
         self._models = models
         self._is_going = False
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start, and say so."""
-        await super().startup(sockets)
-        with suppress(OSError):  # a supervisor that has died is noticed on the next tick
-            self._link.send_bytes(SERVES + self._models.encode())
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """A signal: the first SIGTERM counts."""
@@ -62,6 +57,10 @@ class WorkerServer(AnchorServer):
         while not self._is_alone and self._link.poll():
             self._heed()
         return await super().on_tick(counter)
+
+    def _say_to_supervisor(self) -> None:
+        with suppress(OSError):  # one that has died is noticed on the next tick
+            self._link.send_bytes(SERVES + self._models.encode())
 
     def _heed(self) -> None:
         try:
