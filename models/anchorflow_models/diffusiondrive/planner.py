@@ -13,7 +13,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.diffusiondrive.bev_attention import BevValues
 from anchorflow_models.diffusiondrive.config import (
     FIRST_S,
     POSES,
@@ -29,6 +28,7 @@ from anchorflow_models.layers.attention import Decoder
 from anchorflow_models.transfuser import (
     AGENT_QUERIES,
     AgentHead,
+    BevValues,
     SemanticHead,
     TransfuserBackbone,
 )

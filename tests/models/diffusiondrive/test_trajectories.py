@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive import small_diffusiondrive
-from anchorflow_models.diffusiondrive.bev_attention import bev_places
 from anchorflow_models.diffusiondrive.trajectories import TrajectorySpace, Variants, embedded_poses
 from anchorflow_models.layers.lookup import lookup_sum
+from anchorflow_models.transfuser import bev_places
 
 CONFIG = small_diffusiondrive()
 TIMES = 0.5 * torch.arange(1, 9)
