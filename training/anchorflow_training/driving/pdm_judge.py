@@ -14,7 +14,6 @@ from torch import Tensor
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
-from anchorflow_training.driving.anchor_scores import SUB_SCORES
 
 KEPT_LOGS, KEPT_WINDOWS = 64, 2048
 
@@ -33,10 +32,10 @@ class PdmJudge:
     def __call__(self, windows: Tensor, trajectories: Tensor) -> Tensor:
         """Sub-scores [B, M, 5] in the order of SUB_SCORES of trajectories [B, M, T, 3]."""
         plans = trajectories.detach().cpu().double().numpy()
-        told = [
-            self._scorer(int(window)).score(own) for window, own in zip(windows, plans, strict=True)
+        rows = [
+            self._scorer(int(window)).score(own).sub_scores
+            for window, own in zip(windows, plans, strict=True)
         ]
-        rows = [np.stack([getattr(scores, name) for name in SUB_SCORES], -1) for scores in told]
         return torch.from_numpy(np.array(rows, np.float32))
 
     def _new_scorer(self, window: int) -> PdmScorer:
