@@ -244,7 +244,12 @@ class WoTE(nn.Module):
 
         bev: [B, M, W]; fine: [B, h, h, C], which footprints look up; poses: [B, K', T, 3] where
             they look, as a rule the anchors' own
+
+        Raises:
+            ValueError: footprints have nothing to look up.
         """
+        if fine is None and self.config.footprint:
+            raise ValueError("fine: expected [B, h, h, C] for footprints, got None")
         here, there = self._cells()
         ego, future = self.world_model(moved.ego, bev, here=here, there=there[moved.index])
         poses = self.anchors[moved.index] if poses is None else poses

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import pytest
 import torch
 from tiny_wote import TINY, sensors, tiny_wote
 
@@ -50,3 +51,11 @@ def test_the_published_network_has_none() -> None:
     assert model.context_for_score == ("bev_tokens", "ego")
     assert model.score(context["bev_tokens"], context["ego"])["scores"].shape == (2, 12)
     assert not any("footprint" in name for name, _ in model.named_parameters())
+
+
+@torch.no_grad()
+def test_nothing_to_look_up_is_an_error() -> None:
+    model = tiny_wote()
+    context = model.encode(**sensors())
+    with pytest.raises(ValueError, match="fine: expected"):
+        model.score(context["bev_tokens"], context["ego"])
