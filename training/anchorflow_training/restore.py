@@ -40,13 +40,16 @@ def saved_model_config(checkpoint: Checkpoint) -> Any:
 
 
 def resumable(path: Path, config: RunConfig) -> Checkpoint | None:
-    """The checkpoint at `path`, if one is there; raises `CheckpointError` if of another model."""
+    """The checkpoint at `path`, if one is there; raises `CheckpointError` if of another model.
+
+    What a field's metadata calls `free` decides nothing of the weights: it may change on the way.
+    """
     if not path.exists():
         return None
     saved = load_checkpoint(path)
     _check_same(path, "planner", saved.planner, config.planner)
     then = saved_model_config(saved)
-    for name in (part.name for part in fields(config.model)):
+    for name in (part.name for part in fields(config.model) if not part.metadata.get("free")):
         _check_same(path, f"model.{name}", getattr(then, name), getattr(config.model, name))
     return saved
 

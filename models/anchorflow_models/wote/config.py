@@ -79,7 +79,7 @@ class WoteConfig:
     agents: int = AGENT_QUERIES
     agent_layers: int = 3
     semantic_classes: int = 8
-    rewards: RewardWeights = field(default_factory=RewardWeights)
+    rewards: RewardWeights = field(default_factory=RewardWeights, metadata={"free": True})
     footprint: tuple[tuple[float, float], ...] = ()
     backbone: TransfuserConfig = field(default_factory=TransfuserConfig)
 
@@ -110,6 +110,7 @@ def small_wote() -> WoteConfig:
         offset_layers=2,
         world_layers=1,
         agent_layers=1,
+        rewards=RewardWeights(im=0.05),
         footprint=((0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (3.0, 1.0), (3.0, -1.0)),
         backbone=small_transfuser(),
     )

@@ -16,9 +16,9 @@ from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.sensors.rendering import Renderer, RenderingUnavailable
 from anchorflow_driving.window import Scenes, Window
-from anchorflow_models.wote import WoTE
+from anchorflow_models.wote import RewardWeights, WoTE
 from anchorflow_training.batches import BatchConfig
-from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.config import JudgeConfig
 from anchorflow_training.driving import sensor_windows, wote_run
 from anchorflow_training.driving.anchor_scores import (
@@ -171,6 +171,17 @@ def test_a_run_goes_on_as_if_it_had_not_stopped(logs: list[Path], tmp_path: Path
         torch.testing.assert_close(again.model.state_dict()[name], weight, rtol=0, atol=0)
     row = again.evaluations[-1]
     assert 0 <= row["success"] <= row["pdms_of_the_best"] <= 1
+
+
+def test_a_run_goes_on_with_other_weights_of_its_rewards(logs: list[Path], tmp_path: Path) -> None:
+    """They decide what is chosen and nothing of what is learnt; a network's width is another."""
+    WoteRun(replace(CONFIG, steps=1), logs, tmp_path).fit()
+    chosen = replace(MODEL, rewards=RewardWeights(im=0.3))
+    WoteRun(replace(CONFIG, steps=2, model=chosen), logs, tmp_path).fit()
+    restored = restore_model(load_checkpoint(tmp_path / "checkpoint.pt"))
+    assert restored.config.rewards.im == 0.3
+    with pytest.raises(CheckpointError, match=r"model\.hidden"):
+        WoteRun(replace(CONFIG, model=replace(MODEL, hidden=8)), logs, tmp_path)
 
 
 def test_a_checkpoint_brings_back_its_anchors(logs: list[Path], tmp_path: Path) -> None:
