@@ -27,6 +27,7 @@ from anchorflow_training.driving.diffusiondrive_objective import (
     advantages,
     denoised,
     pose_distance,
+    wrong_order,
 )
 from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRun,
@@ -41,7 +42,7 @@ from anchorflow_training.settings import ConfigError
 
 B, T = 2, 8
 MODEL = replace(TINY, classes=len(CLASSES))
-STAGES = ("imitation", "scorers", "reinforcement")
+STAGES = ("imitation", "scorers", "together", "reinforcement")
 
 
 def batch() -> dict[str, Tensor]:
@@ -59,8 +60,9 @@ def batch() -> dict[str, Tensor]:
     }
 
 
-def farther_is_better(windows: Tensor, trajectories: Tensor) -> Tensor:
+def farther_is_better(windows: Tensor, trajectories: Tensor, speeds: Tensor) -> Tensor:
     """A judge for whom progress is all, up to 60 m; who ends far to the right fails."""
+    assert speeds.isnan().all()
     told = torch.ones(*trajectories.shape[:2], 5)
     told[..., 2] = (trajectories[..., -1, 0] / 60).clamp(0, 1)
     told[..., 1] = (trajectories[..., -1, 1] > -15).float()
@@ -79,12 +81,14 @@ def drawn_for(objective: DiffusionDriveObjective) -> tuple[Tensor, ...]:
 
 TERMS = {
     "imitation": {"classes", "poses", "agents", "semantics"},
-    "scorers": {"coarse", "fine"},
+    "scorers": {"coarse", "fine", "rank"},
+    "together": {"classes", "poses", "agents", "semantics", "coarse", "fine", "rank"},
     "reinforcement": {"classes", "poses", "agents", "semantics", "reinforcement"},
 }
 LEARNS = {
     "imitation": {"perception", "denoiser"},
     "scorers": {"coarse_scorer", "fine_scorer"},
+    "together": {"perception", "denoiser", "coarse_scorer", "fine_scorer"},
     "reinforcement": {"perception", "denoiser"},
 }
 
@@ -105,7 +109,7 @@ def test_each_stage_reaches_its_own_weights_and_no_others(stage: str) -> None:
 
 @pytest.mark.parametrize("stage", ["imitation", "scorers"])
 def test_steps_make_every_term_smaller(stage: str) -> None:
-    loss_of, given = objective(stage), batch()
+    loss_of, given = objective(stage, rank=1.0), batch()
     draws = drawn_for(loss_of)
     optimiser = torch.optim.AdamW(loss_of.parameters(), 3e-3)
     first = terms = loss_of(given, *draws)[1]
@@ -145,6 +149,50 @@ def test_advantages_by_hand() -> None:
     assert found[4].item() == pytest.approx((score[2] - score[1]) / spread, rel=1e-4)
     assert found[3].item() == FAILED
     assert (found[[1, 5]] > 0).all()
+
+
+def test_pairs_in_the_wrong_order_by_hand() -> None:
+    scores, worth = torch.tensor([[0.5, 0.6, 0.55]]), torch.tensor([[0.9, 0.1, 0.9]])
+    # Two pairs count, 0.8 each: 0.1 and 0.05 in the wrong order are 2 and 1 sharpnesses.
+    expected = (np.log1p(np.exp(2)) + np.log1p(np.exp(1))) / 2
+    assert wrong_order(scores, worth).item() == pytest.approx(expected, rel=1e-4)
+    assert wrong_order(scores, torch.ones(1, 3)).item() == 0.0
+
+
+def test_the_scorers_learn_other_speeds_and_imitation_does_not() -> None:
+    asked = []
+
+    def judge(_windows: Tensor, trajectories: Tensor, speeds: Tensor) -> Tensor:
+        asked.append(speeds)
+        return torch.rand(*trajectories.shape[:2], 5)
+
+    settings = DiffusionDriveObjectiveConfig(stage="together", judged=12, speed=4.0)
+    loss_of = DiffusionDriveObjective(tiny_diffusiondrive(), settings, judge)
+    told: list[Tensor] = []
+    loss_of.model.perception.register_forward_pre_hook(lambda _module, given: told.append(given[2]))
+    given = batch()
+    given["ego_status"][:, 4] = torch.tensor([6.0, 3.0])
+    given["ego_status"][:, 7] = 1.8
+    *draws, change = drawn_for(loss_of)
+    change = torch.tensor([[0.5, 0.0, 0.0, 0.1], [0.5, 0.0, 0.0, 0.9]])
+    _, terms = loss_of(given, *draws, change)
+    # The first begins 2 m/s faster on the same curve; the second as it was.
+    assert asked[0][0].item() == 8.0
+    assert asked[0][1].isnan()
+    expected = given["ego_status"].clone()
+    expected[0, 4], expected[0, 7] = 8.0, 1.8 * (8 / 6) ** 2
+    torch.testing.assert_close(told[0], expected)
+    # What was driven in the first window tells nothing of that speed.
+    elsewhere = given | {"future": given["future"] + torch.tensor([9.0, 0.0])[:, None, None]}
+    torch.testing.assert_close(loss_of(elsewhere, *draws, change)[1]["poses"], terms["poses"])
+
+
+def test_recorded_accelerations_are_told_roughly() -> None:
+    loss_of, given = objective("imitation", acceleration=0.5), batch()
+    status, speeds = loss_of._changed(given["ego_status"], torch.ones(B, 4))
+    expected = given["ego_status"] + torch.tensor([0.0] * 6 + [0.5] * 2)
+    torch.testing.assert_close(status, expected)
+    assert speeds.isnan().all()
 
 
 def test_the_winner_is_the_nearest_anchor() -> None:
@@ -235,6 +283,14 @@ def test_the_judge_is_the_scorer_of_each_window(logs: list[Path]) -> None:
         np.testing.assert_allclose(row[:, 0], wanted.nc)
         np.testing.assert_allclose(row[:, 2], wanted.ep, atol=1e-6)
         np.testing.assert_allclose(row[:, 4], wanted.c)
+    own = scenes[0][0].state.speed
+    twice, faster = judge(
+        torch.tensor([0, 0]), plans, speeds=torch.tensor([torch.nan, own + 9.0])
+    ).numpy()
+    np.testing.assert_array_equal(twice, told[0])
+    wanted = PdmScorer(scenes[0][0], speed=own + 9.0).score(plans[0].numpy())
+    np.testing.assert_allclose(faster[:, 2], wanted.ep, atol=1e-6)
+    assert not np.array_equal(faster, twice)
 
 
 def test_the_stages_follow_one_another_and_go_on_where_they_stopped(
