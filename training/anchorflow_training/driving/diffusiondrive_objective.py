@@ -24,6 +24,12 @@ from anchorflow_models.diffusiondrive.config import SCHEDULES, START, TRAINED_LE
 from anchorflow_models.diffusiondrive.denoiser import Denoised
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import pdm_score
+from anchorflow_training.driving.diffusiondrive_losses import (
+    FAILED,
+    advantages,
+    pose_distance,
+    wrong_order,
+)
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import NoiseLevels, ddim_step, noised
@@ -36,11 +42,8 @@ ego beginning at speeds [B]; NaN: as recorded."""
 SPEED, ALONG, ACROSS = 4, 6, 7
 """Of the ego status: velocity and acceleration forward, acceleration to the left."""
 SIGNAL = NoiseLevels().signal
-FAILED = -1.0  # the advantage of what collides or leaves the road
-LEAST_SPREAD = 1e-4  # of the scores of one anchor's samples
 SCORED = ("scorers", "together")  # stages in which the scorers learn
 OTHER_SPEEDS = 0.5  # share of the windows in which `speed` changes the ego's
-SHARPNESS = 0.05  # of scores, in which one candidate is told from another
 LEAST_WAY = 1.0  # m, which the spread of a sample is in proportion to at least
 
 
@@ -288,32 +291,3 @@ def denoised(model: DiffusionDriveV2, scene: SceneFeatures, noise: Tensor) -> De
             x_0 = model.denoiser.space.normalised(made.trajectories[..., :2])
             x = ddim_step(x, x_0, float(SIGNAL[level]), following=float(SIGNAL[after]))
     return model.denoiser(x, torch.full((1,), float(last), device=x.device), scene)[-1]
-
-
-def advantages(sub_scores: Tensor, anchors: int) -> Tensor:
-    """[B, A G] of sub-scores [B, A G, 5], groups of all anchors one after another.
-
-    How far a sample's PDM score lies above the mean of its own anchor's, in their deviations; 0
-    where it lies below, as another anchor's manner is no fault; FAILED where it collides or leaves
-    the road (Zou et al., 2025: intra-anchor groups, truncated).
-    """
-    nc, dac = sub_scores[..., 0], sub_scores[..., 1]
-    score = pdm_score(sub_scores).unflatten(1, (-1, anchors))
-    above = score - score.mean(1, keepdim=True)
-    relative = above / score.std(1, keepdim=True).clamp(min=LEAST_SPREAD)
-    kept = relative.clamp(min=0.0).flatten(1)
-    return torch.where((nc < 1) | (dac < 1), torch.full_like(kept, FAILED), kept)
-
-
-def wrong_order(scores: Tensor, worth: Tensor) -> Tensor:
-    """Logistic loss of all pairs of scores [B, M], each by how far apart they are worth [B, M]."""
-    above = (worth[:, :, None] - worth[:, None]).clamp(min=0.0)
-    apart = (scores[:, :, None] - scores[:, None]) / SHARPNESS
-    return (above * F.softplus(-apart)).sum() / above.sum().clamp(min=1.0)
-
-
-def pose_distance(poses: Tensor, others: Tensor) -> Tensor:
-    """Mean absolute differences [...] of poses [..., T, 3], headings the short way round."""
-    apart = poses - others
-    turn = torch.atan2(apart[..., 2].sin(), apart[..., 2].cos())
-    return torch.cat([apart[..., :2], turn[..., None]], -1).abs().mean((-1, -2))
