@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -23,6 +24,10 @@ from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import StyleOption, style_text
 from anchorflow_service.bundle import DEFAULT_BUNDLE
+
+if TYPE_CHECKING:
+    from anchorflow_benchmarks.closed_loop.contest import ContestConfig
+    from anchorflow_benchmarks.closed_loop.world import World
 
 WORLDS = "FILE|drawn:N:SEED|forests:N:SEED"
 
@@ -95,16 +100,10 @@ def closed_loop(
         ),
     )
     found = load_worlds(worlds, limit=limit)
-    narrowest = min(world.to_spare for world in found)
-    about = {
-        "worlds": f"{Path(worlds).name}, {len(found)} driven, {seeds} runs each; at least "
-        f"{narrowest:.2f} m to spare on the widest way",
-        "robot": f"{robot}, {1 / config.drive.tick_s:g} commands a second, lidar noise {noise:g} m",
-        "anchors": f"{num} a request, {sampler}, of {url or opened.card.name}",
-        "style": style_text(style),
-        "latency": "as measured" if latency_ms is None else f"{latency_ms:g} ms",
-        "answers lost": f"{lost:.0%}",
-    }
+    anchors = f"{num} a request, {sampler}, of {url or opened.card.name}"
+    about = _about(
+        config, found, source=worlds, seeds=seeds, anchors=anchors, style=style_text(style)
+    )
     known = None if log is None else RunLog(log, about)
     with progress("driving", len(found) * seeds * len(contenders)) as advance:
         results = run_contest(
@@ -112,3 +111,27 @@ def closed_loop(
         )
     tables = contest_tables(results, [contender.name for contender in contenders])
     report("Closed loop", about, tables, out)
+
+
+def _about(
+    config: ContestConfig,
+    worlds: Sequence[World],
+    *,
+    source: str,
+    seeds: int,
+    anchors: str,
+    style: str,
+) -> dict[str, str]:
+    """What the tables tell of the contest."""
+    drive, latency_ms = config.drive, config.latency_ms
+    narrowest = min(world.to_spare for world in worlds)
+    return {
+        "worlds": f"{Path(source).name}, {len(worlds)} driven, {seeds} runs each; at least "
+        f"{narrowest:.2f} m to spare on the widest way",
+        "robot": f"{config.robot}, {1 / drive.tick_s:g} commands a second, "
+        f"lidar noise {drive.lidar_noise:g} m",
+        "anchors": anchors,
+        "style": style,
+        "latency": "as measured" if latency_ms is None else f"{latency_ms:g} ms",
+        "answers lost": f"{config.lost:.0%}",
+    }

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import socket
+import ssl
 from contextlib import suppress
 from typing import Annotated
 
@@ -36,7 +38,7 @@ from anchorflow_cli.serve_options import (
     WorkersOption,
 )
 from anchorflow_cli.serve_workers import check_workers, serve_by_workers
-from anchorflow_cli.serving import ServeChoice, open_service, serving_line
+from anchorflow_cli.serving import Opened, ServeChoice, open_service, serving_line
 from anchorflow_cli.zenoh_options import ZenohChoice, with_zenoh_options
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.http.connections import ConnectionLimits
@@ -100,21 +102,33 @@ def serve(
             logger.warning("everybody who reaches this address may ask: there is no --tokens")
         if workers > 1:
             serve_by_workers(choice, listener, workers)
-            return
-        opened = open_service(choice, token_file, zenoh=zenoh)
+        else:
+            opened = open_service(choice, token_file, zenoh=zenoh)
+            _serve_alone(opened, choice, listener, tls=tls, zenoh=zenoh)
 
-        def say() -> None:
-            typer.echo(serving_line(opened.models, choice, listener))
-            if zenoh is not None and opened.zenoh is not None:
-                typer.echo(f"zenoh replica {opened.zenoh.replica} ({zenoh.settings.describe()})")
 
-        server = AnchorServer(
-            opened.app,
-            opened.service,
-            limits=choice.connections,
-            draining=choice.draining,
-            tls=tls,
-            say=say,
-        )
-        with suppress(KeyboardInterrupt):  # uvicorn has shut down when it raises the signal again
-            server.run(sockets=[listener])
+def _serve_alone(
+    opened: Opened,
+    choice: ServeChoice,
+    listener: socket.socket,
+    *,
+    tls: ssl.SSLContext | None,
+    zenoh: ZenohChoice | None,
+) -> None:
+    """In this process, until it is interrupted."""
+
+    def say() -> None:
+        typer.echo(serving_line(opened.models, choice, listener))
+        if zenoh is not None and opened.zenoh is not None:
+            typer.echo(f"zenoh replica {opened.zenoh.replica} ({zenoh.settings.describe()})")
+
+    server = AnchorServer(
+        opened.app,
+        opened.service,
+        limits=choice.connections,
+        draining=choice.draining,
+        tls=tls,
+        say=say,
+    )
+    with suppress(KeyboardInterrupt):  # uvicorn has shut down when it raises the signal again
+        server.run(sockets=[listener])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from staged_planner import Stage
 
 from anchorflow_client import (
     AnchorClient,
@@ -24,6 +25,7 @@ from anchorflow_client import (
     Transport,
 )
 from anchorflow_client.http.transport import HttpAnswer
+from anchorflow_client.planner import PlannerConfig
 
 
 @pytest.fixture
@@ -72,6 +74,12 @@ def free(card: ModelCard) -> ModelCard:
     }
     conditioning = replace(own, limits=replace(own.limits, horizon_s=None), ranges=ranges)
     return replace(card, conditioning=conditioning, time=replace(card.time, dt=None))
+
+
+@pytest.fixture
+def stage() -> Stage:
+    """A planner over answers that come as the test says."""
+    return Stage(PlannerConfig(max_age_ms=1000.0, period_ms=100.0, cold_every=3))
 
 
 class Blocking:

@@ -14,7 +14,7 @@ from torch import nn
 from anchorflow_client.contract import TensorSpec
 from anchorflow_export.adapter import TracedGraph
 from anchorflow_export.parity import TOLERANCE
-from anchorflow_export.planners.wote.adapter import ENCODED, SCORED, Encode, Score, sensor_inputs
+from anchorflow_export.planners.wote.adapter import SCORED, Encode, Score, sensor_inputs
 from anchorflow_export.tracing import trace
 from anchorflow_models.wote import WoTE, WoteConfig, create_wote
 
@@ -57,9 +57,9 @@ def test_every_tensor_has_the_published_shape_and_onnx_gives_torchs_numbers(mode
     with torch.no_grad():
         encoded = model.encode(**given)
         scored = model.score(encoded["bev_tokens"], encoded["ego"])
-    inputs = sensor_inputs(CONFIG.backbone)
+    inputs, encoder = sensor_inputs(CONFIG.backbone), Encode(model)
 
-    encode = traced(Encode(model), inputs, ENCODED)
+    encode = traced(encoder, inputs, encoder.names)
     assert_equal(encode, given, encoded)
     context = encode.outputs[:2]
     score = traced(Score(model), context, SCORED)
@@ -82,7 +82,7 @@ def test_what_lies_inside_has_the_published_shape(model: WoTE) -> None:
     look = model.look(**given)
     moved = model.move(look.bev, look.ego)
     few = moved.taken(torch.arange(256).flip(0)[None])
-    judged = model.judge(look.bev, few)
+    judged = model.judge(look.bev, few, fine=look.fine)
     seen |= {
         "bev_tokens": (*look.bev.shape[1:],),
         "encoded_anchors": (*model.encoded_anchors().shape,),

@@ -19,6 +19,7 @@ TINY = WoteConfig(
     agents=4,
     agent_layers=1,
     semantic_classes=3,
+    footprint=((0.0, 0.0), (3.0, 1.0)),
     backbone=TransfuserConfig(
         image_height=16,
         image_width=32,

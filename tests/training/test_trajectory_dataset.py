@@ -1,12 +1,11 @@
-"""Trajectory datasets: derivatives, statistics, rows left out, batches, and clear errors."""
+"""Trajectory datasets: derivatives, statistics, rows left out, batches, drawn trajectories."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from trajectory_files import COUNT, RNG, STEPS, l2_arrays, parabolas, saved
 
 from anchorflow_training.data import (
     DatasetError,
@@ -17,35 +16,6 @@ from anchorflow_training.data import (
 )
 from anchorflow_training.data.derivatives import central_differences, unwrap_heading
 from anchorflow_training.data.synthetic import KINDS
-
-RNG = np.random.default_rng(0)
-COUNT, STEPS = 12, 9
-
-
-def parabolas(dim: int = 2) -> np.ndarray:
-    """[N, T, D] with constant accelerations, 0.1 s apart."""
-    t = (np.arange(STEPS) * 0.1)[:, None]
-    start, speed, acceleration = RNG.normal(size=(3, COUNT, 1, dim))
-    return start + speed * t + 0.5 * acceleration * t**2
-
-
-def l2_arrays(**changed: Any) -> dict[str, Any]:
-    return {
-        "positions": parabolas(),
-        "dt": 0.1,
-        "cost_maps": RNG.uniform(size=(COUNT, 2, 16, 20)),
-        "start_states": RNG.normal(size=(COUNT, 6)),
-        "goal_states": RNG.normal(size=(COUNT, 4)),
-        "style_weights": RNG.uniform(0.1, 1.0, (COUNT, 3)),
-        "safety_margins": RNG.uniform(size=COUNT),
-        "quality": RNG.uniform(size=COUNT),
-        "resolution": 0.5,
-    } | changed
-
-
-def saved(path: Path, **arrays: Any) -> Path:
-    np.savez(path, **arrays)
-    return path
 
 
 def test_differences_are_exact_for_parabolas() -> None:
@@ -212,126 +182,6 @@ def test_synthetic_kinds_are_named() -> None:
         SyntheticTrajectoryDataset("spiral")
 
 
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"positions": np.zeros((4, 9))}, r"positions: expected \[N, T, D\].*found \[4, 9\]"),
-        ({"positions": np.zeros((4, 2, 2))}, r"positions: .*T >= 3.*found \[4, 2, 2\]"),
-        ({"positions": np.zeros((4, 9, 4))}, r"positions: .*D 2 or 3.*found \[4, 9, 4\]"),
-        (
-            {"velocities": np.zeros((COUNT, STEPS - 1, 2))},
-            r"velocities: expected \[12, 9, 2\] beside positions \[12, 9, 2\], found \[12, 8, 2\]",
-        ),
-        (
-            {"goal_states": np.zeros((COUNT, 6))},
-            r"goal_states: expected \[12, 4\].*found \[12, 6\]",
-        ),
-        ({"quality": np.zeros((COUNT, 1))}, r"quality: expected \[12\].*found \[12, 1\]"),
-        ({"origin": np.zeros(3)}, r"origin: expected \[2\] or \[12, 2\].*found \[3\]"),
-        ({"cost_maps": np.zeros((COUNT, 16, 16))}, r"cost_maps: expected \[12, C, H, W\]"),
-        (
-            {"cost_maps": np.zeros((COUNT, 1, 8, 16))},
-            r"cost_maps: .*H and W 16\.\.512, found \[12, 1, 8, 16\]",
-        ),
-        ({"cost_maps": np.full((COUNT, 1, 16, 16), 100.0)}, r"cost_maps: .*\[0, 1\].*row 0"),
-        ({"style_weights": np.zeros((COUNT, 3))}, r"style_weights: .*not all 0.*row 0"),
-        ({"quality": np.arange(COUNT) / 5}, r"quality: .*in \[0, 1\], found 1\.2.*row 6"),
-        ({"safety_margins": -np.ones(COUNT)}, r"safety_margins: expected values at least 0"),
-        ({"resolution": 0.0}, r"resolution: expected values more than 0"),
-        ({"dt": -1.0}, r"dt: expected seconds above 0, found -1"),
-        (
-            {"horizon_s": 5.0},
-            r"expected one time step.* found 0\.1 s from dt, 0\.625 s from horizon_s",
-        ),
-        ({"positions": np.full((COUNT, STEPS, 2), np.nan)}, r"expected a row of finite numbers"),
-        (
-            {"positions": np.zeros((COUNT, STEPS, 2), "U3")},
-            r"positions: expected numbers, found <U3",
-        ),
-    ],
-)
-def test_errors_name_file_array_and_shapes(
-    changed: dict[str, Any], said: str, tmp_path: Path
-) -> None:
-    with pytest.raises(DatasetError, match=r"wrong\.npz: " + said):
-        TrajectoryDataset(saved(tmp_path / "wrong.npz", **l2_arrays(**changed)))
-
-
-def test_no_positions_lists_what_there_is(tmp_path: Path) -> None:
-    np.savez(tmp_path / "p.npz", RNG.normal(size=(3, 4, 2)))
-    with pytest.raises(DatasetError, match=r"positions: expected .* found only arr_0"):
-        TrajectoryDataset(tmp_path / "p.npz")
-
-
-def test_a_missing_time_step_is_asked_for(tmp_path: Path) -> None:
-    np.save(tmp_path / "p.npy", parabolas())
-    with pytest.raises(DatasetError, match=r"p\.npy: dt: .*--dt, --horizon-s"):
-        TrajectoryDataset(tmp_path / "p.npy")
-    assert TrajectoryDataset(tmp_path / "p.npy", dt=0.1).horizon_s == pytest.approx(0.8)
-    arrays = {name: parabolas() for name in ("positions", "velocities", "accelerations")}
-    assert TrajectoryDataset(saved(tmp_path / "all.npz", **arrays)).dt is None
-
-
-@pytest.mark.parametrize(
-    "implied",
-    [
-        {"horizon_s": 0.8},
-        {"horizon": 0.8},
-        {"horizon_s": np.full(COUNT, 0.8), "dt": np.array([0.1])},
-        {"times": 5.0 + 0.1 * np.arange(STEPS)},
-    ],
-    ids=["horizon_s", "horizon", "one each", "times"],
-)
-def test_positions_alone_are_differentiated_by_an_implied_step(
-    implied: dict[str, Any], tmp_path: Path
-) -> None:
-    positions = parabolas()
-    dataset = TrajectoryDataset(saved(tmp_path / "p.npz", positions=positions, **implied))
-    assert dataset.dt == pytest.approx(0.1)
-    assert dataset.ignored == ()
-    np.testing.assert_allclose(
-        dataset[0]["velocities"], central_differences(positions[0], 0.1), rtol=1e-4, atol=1e-5
-    )
-
-
-@pytest.mark.parametrize(
-    ("implied", "said"),
-    [
-        ({"dt": np.arange(COUNT)}, r"dt: expected seconds above 0, found 0\.0 in row 0"),
-        (
-            {"dt": 0.1 + 0.1 * np.arange(COUNT), "horizon_s": 0.8},
-            r"one time step.* found 0\.1 to 1\.2 s from dt, 0\.1 s from horizon_s",
-        ),
-        ({"times": np.arange(STEPS) ** 2}, r"times: .*evenly spaced, found steps of 1 to 15 s"),
-        ({"times": np.arange(STEPS), "dt": 0.1}, r"one time step.*0\.1 s from dt|1 s from times"),
-        ({"times": np.arange(STEPS - 1)}, r"times: expected \[9\].*found \[8\]"),
-    ],
-)
-def test_times_that_imply_no_step_are_refused(
-    implied: dict[str, Any], said: str, tmp_path: Path
-) -> None:
-    with pytest.raises(DatasetError, match=said):
-        TrajectoryDataset(saved(tmp_path / "p.npz", positions=parabolas(), **implied))
-
-
-def test_each_row_may_have_a_step_of_its_own(tmp_path: Path) -> None:
-    """Its derivatives are by it, whichever rows beside it are left out or asked for."""
-    positions, steps = parabolas(), 0.1 + 0.05 * np.arange(COUNT)
-    positions[1, 3] = np.nan
-    dataset = TrajectoryDataset(saved(tmp_path / "p.npz", positions=positions, dt=steps))
-    kept = np.delete(steps, 1)
-    assert dataset.horizon_s is None
-    assert dataset.durations is not None
-    np.testing.assert_allclose(dataset.durations, 8 * kept)
-    batch = dataset.samples([3, 0, 5])
-    for i, sample in enumerate((3, 0, 5)):
-        row = positions[dataset.rows[sample]]
-        velocity = np.gradient(row, kept[sample], axis=0, edge_order=2)
-        np.testing.assert_allclose(batch["velocities"][i], velocity, rtol=1e-4, atol=1e-5)
-    alike = saved(tmp_path / "a.npz", positions=parabolas(), dt=np.full(COUNT, 0.1))
-    assert TrajectoryDataset(alike).horizon_s == pytest.approx(0.8)
-
-
 def test_other_names_of_the_same_arrays_are_taken(tmp_path: Path) -> None:
     arrays = l2_arrays()
     ours = TrajectoryDataset(saved(tmp_path / "a.npz", **arrays))
@@ -345,78 +195,12 @@ def test_other_names_of_the_same_arrays_are_taken(tmp_path: Path) -> None:
         TrajectoryDataset(saved(tmp_path / "c.npz", **arrays))
 
 
-class Doubled(TrajectoryDataset):
-    """Every trajectory at twice its size, by an attribute that the base class cannot know."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self.scale = 2.0
-
-    def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
-        sample = super().__getitem__(index)
-        names = "positions", "velocities", "accelerations"
-        return sample | {name: self.scale * sample[name] for name in names}
-
-
-class DoubledBatches(Doubled):
-    """The same by batches, as torch documents `__getitems__`: a list of samples."""
-
-    def __getitems__(self, indices: Sequence[int]) -> Any:
-        return [self[index] for index in indices]
-
-
-@pytest.mark.parametrize("kind", [Doubled, DoubledBatches])
-def test_a_subclass_is_what_batches_and_statistics_are_made_of(
-    kind: type[Doubled], tmp_path: Path
-) -> None:
-    path = saved(tmp_path / "p.npz", **l2_arrays())
-    plain, doubled = TrajectoryDataset(path), kind(path)
-    theirs, ours = (
-        next(iter(create_dataloader(each, COUNT, shuffle=False))) for each in (plain, doubled)
-    )
-    torch.testing.assert_close(ours["velocities"], 2 * theirs["velocities"])
-    torch.testing.assert_close(ours["quality"], theirs["quality"])
-    np.testing.assert_allclose(
-        doubled.statistics.positions.std, 2 * np.array(plain.statistics.positions.std), rtol=1e-5
-    )
-    np.testing.assert_allclose(doubled.peak_speed, 2 * plain.peak_speed, rtol=1e-5)
-    normalised = next(iter(create_dataloader(doubled, COUNT, normalise=True)))
-    torch.testing.assert_close(
-        normalised["positions"].std((0, 1), correction=0), torch.ones(2), atol=1e-4, rtol=0
-    )
-
-
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"positions": torch.zeros(4, 2)}, r"positions: expected \[9, 2\].*found \[4, 2\]"),
-        ({"velocities": torch.full((9, 2), torch.nan)}, r"velocities: .*finite.*sample 0"),
-        ({"quality": torch.tensor(3.0)}, r"quality: expected values in \[0, 1\], found 3"),
-    ],
-)
-def test_what_a_subclass_makes_of_a_sample_is_checked(
-    changed: dict[str, torch.Tensor], said: str, tmp_path: Path
-) -> None:
-    class Wrong(TrajectoryDataset):
-        def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
-            return super().__getitem__(index) | changed
-
-    dataset = Wrong(saved(tmp_path / "p.npz", **l2_arrays()))
-    with pytest.raises(DatasetError, match=r"p\.npz, as Wrong returns it: " + said):
-        _ = dataset.statistics
-
-
 def test_a_row_whose_derivatives_overflow_is_left_out(tmp_path: Path) -> None:
     positions = parabolas()
     positions[4, 3] = 1e39  # finite, but not in float32
     positions[6, ::2] = 1e300
     dataset = TrajectoryDataset(saved(tmp_path / "p.npz", positions=positions, dt=0.1))
     np.testing.assert_array_equal(dataset.left_out, [4, 6])
-
-
-def test_the_caller_goes_before_the_file(tmp_path: Path) -> None:
-    path = saved(tmp_path / "p.npz", positions=parabolas(), dt=0.1)
-    assert TrajectoryDataset(path, horizon_s=1.6).dt == pytest.approx(0.2)
 
 
 def test_map_geometry(tmp_path: Path) -> None:

@@ -284,3 +284,28 @@ def test_where_nothing_can_be_safe_all_are_answered() -> None:
     refined = Refiner(scene, steps=6).refine(scene.route_states[route], route, Spec())
     assert not refined.safe.any()
     assert np.isfinite(refined.positions).all()
+
+
+def test_a_way_is_gone_in_the_share_of_its_time_that_costs_least() -> None:
+    scene = scene_of()
+    refiner, slow = Refiner(scene, 20), curves(scene, 16.0)
+    cost = refiner.cost(Spec())
+    hurried = refiner._hurried(cost, slow)
+    assert (cost.value(hurried) <= cost.value(slow)).all()
+    shares = hurried.duration / slow.duration
+    assert shares.min() == pytest.approx(0.7)
+    lasting = Refiner(scene_of(motion=replace(LIMITS, horizon_s=16.0)), 20)
+    assert lasting._hurried(cost, slow) is slow
+
+
+def test_a_slow_robot_that_accelerates_is_not_sent_out_of_the_map() -> None:
+    """Its speed passes the limit whatever the way; more time would make that worse."""
+    scene = replace(
+        scene_of(motion=MotionLimits(v_max=0.26, a_max=1.0)),
+        resolution=0.45,
+        x_curr=np.asarray([1.0, 1.0, 0.25, -0.03, 0.03, -0.17], np.float32),
+        x_goal=np.asarray([27.0, 27.0, 0.0, 0.2], np.float32),
+    )
+    anchors = refined(scene, duration=150.0)
+    assert np.abs(anchors.positions).max() < 300.0  # it was kilometres
+    assert anchors.duration.max() < 1500.0

@@ -8,7 +8,7 @@ import pytest
 from anchorflow_trajectory import clearance
 from anchorflow_trajectory.cost import CostWeights, MotionLimits
 from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
-from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
+from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, share_within, with_neutral_channels
 
 
 @pytest.fixture
@@ -173,3 +173,34 @@ def test_free_ground_is_the_map_with_its_border_and_without_obstacles(
     scene: Scene, point: tuple[float, float], free: bool
 ) -> None:
     assert scene.is_free(np.array(point)) is free
+
+
+def test_an_acceleration_that_would_pass_the_speed_is_eased(scene: Scene) -> None:
+    slow = replace(
+        scene,
+        x_curr=np.array([1.5, 3.0, 0.2, 0.0, 0.2, 0.0]),
+        motion=MotionLimits(v_max=0.26, a_max=1.0),
+    )
+    eased = slow.ends.x_curr
+    assert eased[:4].tolist() == slow.x_curr[:4].tolist()
+    assert 0.02 < eased[4] < 0.15
+    assert eased[5] == 0.0
+    # Braking as hard, or with the speed to spare, it stays what it is.
+    for x_curr, v_max in (([0.2, 0.0, -0.2, 0.0], 0.26), ([0.2, 0.0, 0.2, 0.0], 2.0)):
+        other = replace(
+            slow,
+            x_curr=np.array([1.5, 3.0, *x_curr]),
+            motion=MotionLimits(v_max=v_max, a_max=1.0),
+        )
+        assert other.ends.x_curr.tolist() == other.x_curr.tolist()
+
+
+@pytest.mark.parametrize("most", [1.0, 1.5])
+def test_the_share_just_reaches_the_greatest_length(most: float) -> None:
+    velocity, gained = np.array([0.6, 0.0]), np.array([1.0, 2.0])
+    share = share_within(velocity, gained, most)
+    assert 0.0 < share < 1.0
+    assert np.linalg.norm(velocity + share * gained) == pytest.approx(most)
+    assert share_within(velocity, gained, 9.0) == 1.0
+    assert share_within(velocity, -gained / 10, 0.6) == 1.0
+    assert share_within(velocity, gained, 0.6) == 0.0

@@ -26,6 +26,7 @@ DESCENT_RATE = 0.3  # m, a first step on the control points
 FURTHER_RATES = (0.15, 0.15)
 STIFFER = 4.0  # by how much obstacles and limits then weigh more, from one to the next
 MOST_STRETCH = 3.0
+HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
 # Where a route still has nothing safe, its own spline is descended, slowly gone and for longer.
 RESCUE_STRETCH, RESCUE_STEPS, RESCUE_RATE = 1.5, 60, 0.1
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
@@ -163,7 +164,7 @@ class Refiner:
         """Descend, help along its way what has failed, and bring back what then still fails."""
         scene = self.scene
         splines = descend(cost, splines, scene.ends, steps=self.steps, rate=self.rate)
-        splines, safe = self._corrected(splines, certified, barrier)
+        splines, safe = self._corrected(self._hurried(cost, splines), certified, barrier)
         helped = ~safe
         for rate in FURTHER_RATES:
             if not helped.any():
@@ -215,6 +216,18 @@ class Refiner:
         safe[places[gained]] = True
         return splines.replaced(places[gained], tried[gained]), safe
 
+    def _hurried(self, cost: TrajectoryCost, splines: Splines) -> Splines:
+        """The same ways, each in that share of its duration that costs it least.
+
+        Descents smooth a way faster than they find out how soon it can then be gone.
+        """
+        if self.scene.motion.horizon_s is not None:
+            return splines
+        shares = np.repeat(HURRIED, len(splines))
+        tried = self._slowed(splines[np.tile(np.arange(len(splines)), len(HURRIED))], shares)
+        cheapest = cost.value(tried).reshape(len(HURRIED), -1).argmin(0)
+        return tried[cheapest * len(splines) + np.arange(len(splines))]
+
     def _has_any(self, route: NDArray[np.intp]) -> BoolArray:
         """Which of the scene's routes are among these: [R]."""
         found = np.zeros(len(self.scene.route_splines), np.bool_)
@@ -236,20 +249,30 @@ class Refiner:
     def _stretched(self, splines: Splines) -> Splines:
         """The same ways, gone so slowly that they keep both limits, as far as the ends allow.
 
-        What an end brings along does not become less with time: it stretches nothing.
+        What an end brings along does not become less with time: it stretches nothing. And what an
+        acceleration at an end does to the speed grows with time: where the excess would not become
+        less, a way stays as it is.
         """
-        scene, motion = self.scene, self.scene.motion
-        if motion.horizon_s is not None:
+        if self.scene.motion.horizon_s is not None:
             return splines
+        needed = self._needed_stretch(splines)
+        if not (needed > 1.0).any():
+            return splines
+        slower = self._slowed(splines, np.clip(needed, 1.0, MOST_STRETCH))
+        better = np.flatnonzero(self._needed_stretch(slower) < needed)
+        return splines.replaced(better, slower[better])
+
+    def _needed_stretch(self, splines: Splines) -> FloatArray:
+        """[M] times the duration in which both limits would be kept, were the ends at rest."""
+        scene, motion = self.scene, self.scene.motion
         _, velocity, acceleration = scene.basis.states(splines)
         given = scene.ends.in_own_time(np.ones(1))[:, 0, :2]
         start_speed, start_acceleration, goal_speed = np.linalg.norm(given[[1, 2, 4]], axis=-1)
         speed, hardest = largest_length(velocity), largest_length(acceleration)
-        needed = np.maximum(
+        return np.maximum(
             speed / max(motion.v_max, start_speed, goal_speed),
             (hardest / max(motion.a_max, start_acceleration)) ** 0.5,
         )
-        return self._slowed(splines, np.clip(needed, 1.0, MOST_STRETCH))
 
     def _slowed(self, splines: Splines, factor: FloatArray) -> Splines:
         """The same ways in `factor` [M] times the duration, where there is no horizon."""

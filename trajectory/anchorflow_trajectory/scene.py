@@ -17,7 +17,7 @@ from anchorflow_trajectory.ray_signature import ObstacleRays
 from anchorflow_trajectory.route_shortening import pulled_tight
 from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
 from anchorflow_trajectory.routes import SLACK, Route, find_routes
-from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basis
+from anchorflow_trajectory.spline import DEGREE, Ends, SplineBasis, Splines, spline_basis
 
 FloatArray = NDArray[np.floating]
 
@@ -34,6 +34,9 @@ SCENE_INPUTS = (
 )
 """What a network may be told of a scene, by the names of `Scene.inputs`."""
 NUM_STEPS = 64
+USUAL_HASTE = 1.5  # what anchors usually last, in reference times
+FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
+TOP_SPEED = 0.97  # share of v_max
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,10 +73,26 @@ class Scene:
         """[H, W] m beyond robot_radius at cell centres, negative inside obstacles."""
         return clearance.clearance_field(self.occupied, self.resolution, self.robot_radius)
 
-    @property
+    @cached_property
     def ends(self) -> Ends:
-        """What every anchor meets."""
-        return Ends(self.x_curr, self.x_goal)
+        """What every anchor meets: both states, the start's acceleration eased where it must be.
+
+        Between two knots a spline cannot take an acceleration back. One that would carry the robot
+        past its speed by then counts only as far as it would not.
+        """
+        dim = len(self.x_goal) // 2
+        velocity, acceleration = self.x_curr[dim : dim + 2], self.x_curr[2 * dim : 2 * dim + 2]
+        if not acceleration.any():
+            return Ends(self.x_curr, self.x_goal)
+        lasting = self.motion.horizon_s or USUAL_HASTE * self.reference_s
+        gained = acceleration * (FIRST_GAIN * lasting / (self.basis.num_control_points - DEGREE))
+        most = max(TOP_SPEED * self.motion.v_max, float(np.linalg.norm(velocity)))
+        share = share_within(velocity, gained, most)
+        if share == 1.0:
+            return Ends(self.x_curr, self.x_goal)
+        eased = self.x_curr.copy()
+        eased[2 * dim : 2 * dim + 2] *= share
+        return Ends(eased, self.x_goal)
 
     @cached_property
     def routes(self) -> list[Route]:
@@ -172,3 +191,12 @@ def with_neutral_channels(cost_map: FloatArray, channels: int) -> NDArray[np.flo
     filled[TRAVERSABILITY : TRAVERSABILITY + 1] = 1.0
     filled[: len(cost_map)] = cost_map
     return filled
+
+
+def share_within(velocity: FloatArray, gained: FloatArray, most: float) -> float:
+    """The greatest share s of [0, 1] with |velocity + s gained| <= most; |velocity| is no more."""
+    a, b = float(gained @ gained), float(velocity @ gained)
+    room = max(most**2 - float(velocity @ velocity), 0.0)
+    if a + 2 * b <= room:
+        return 1.0
+    return (-b + (b * b + a * room) ** 0.5) / a

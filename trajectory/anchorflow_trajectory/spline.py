@@ -30,6 +30,7 @@ FloatArray = NDArray[np.floating]
 
 START_POINTS = 3  # control points that the start's p, v, a determine
 GOAL_POINTS = 2  # control points that the goal's p, v determine
+DEGREE = 4
 END_ORDERS = np.array([0, 1, 2, 0, 1])  # of the derivatives that (p_0, v_0, a_0, p_T, v_T) are
 STEEPNESS = 6.0  # a curve's derivatives by its own time are so much larger from one to the next
 
@@ -207,7 +208,9 @@ class SplineBasis:
 
 
 @lru_cache(maxsize=32)
-def spline_basis(num_samples: int, *, num_control_points: int = 18, degree: int = 4) -> SplineBasis:
+def spline_basis(
+    num_samples: int, *, num_control_points: int = 18, degree: int = DEGREE
+) -> SplineBasis:
     """Basis of a clamped uniform B-spline sampled at `num_samples` equal steps of its own time."""
     inner = np.linspace(0.0, 1.0, num_control_points - degree + 1)
     knots = np.concatenate([np.zeros(degree), inner, np.ones(degree)])

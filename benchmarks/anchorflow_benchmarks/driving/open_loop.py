@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -18,17 +18,12 @@ from anchorflow_benchmarks.driving.proposals import (
     PROPOSALS_NOTE,
     proposal_figures,
 )
-from anchorflow_benchmarks.driving.rewards import (
-    choice_figures,
-    choices_table,
-    heads_table,
-    true_sub_scores,
-)
+from anchorflow_benchmarks.driving.rewards import choice_figures, choices_table, heads_table
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, Driver
 from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog
-from anchorflow_driving.pdm import PdmScorer, PdmScores
+from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
 from anchorflow_driving.waypoints import collides
 from anchorflow_driving.window import Scenes, Window
 
@@ -70,7 +65,7 @@ class Judged:
     ms: float
     proposals: Proposals | None = None  # of a bundle
     choices: Mapping[str, float] = field(default_factory=dict)  # that it could have made
-    sub_scores: Array | None = None  # [N, 5] of its proposals, where it foretells them
+    sub_scores: Array | None = None  # [N, 5] of its proposals
 
 
 def named_drivers(names: Sequence[str]) -> dict[str, Entry]:
@@ -150,25 +145,35 @@ def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Jud
         scores = scorer.score(plan[None])
         waypoints = _waypoints(entry.driver, window)
         hit = float("nan") if waypoints is None else float(collides(window, waypoints))
-        judged[name] = Judged(
+        verdict = Judged(
             log=Path(window.log.path).stem,
             window=window.index,
             source=window.log.source,
             command=window.command_name,
             plan=plan,
             waypoints=waypoints,
-            figures={
-                **_sub_scores(scores),
-                **_distances(window, plan, entry.times),
-                "hit": hit,
-                **(proposal_figures(window, scorer, proposals) if proposals else {}),
-            },
+            figures={**_sub_scores(scores), **_distances(window, plan, entry.times), "hit": hit},
             ms=ms,
-            proposals=proposals,
-            choices=choice_figures(window, scorer, proposals) if proposals else {},
-            sub_scores=true_sub_scores(scorer, proposals) if proposals else None,
         )
+        if proposals:
+            verdict = _of_bundle(verdict, proposals, window=window, scorer=scorer)
+        judged[name] = verdict
     return judged
+
+
+def _of_bundle(
+    verdict: Judged, proposals: Proposals, *, window: Window, scorer: PdmScorer
+) -> Judged:
+    """The verdict on a bundle's plan, with what all that it proposed is worth."""
+    scores = scorer.score(proposals.trajectories)
+    figures = proposal_figures(window, proposals, pdms=scores.pdms)
+    return replace(
+        verdict,
+        figures={**verdict.figures, **figures},
+        proposals=proposals,
+        choices=choice_figures(window, proposals, pdms=scores.pdms, scorer=scorer),
+        sub_scores=scores.sub_scores,
+    )
 
 
 def _waypoints(driver: Driver | BundleDriver, window: Window) -> Array | None:
@@ -180,15 +185,7 @@ def _waypoints(driver: Driver | BundleDriver, window: Window) -> Array | None:
 
 
 def _sub_scores(scores: PdmScores) -> dict[str, float]:
-    by_name = {
-        "NC": scores.nc,
-        "DAC": scores.dac,
-        "EP": scores.ep,
-        "TTC": scores.ttc,
-        "C": scores.c,
-        "PDMS": scores.pdms,
-    }
-    return {name: float(values[0]) for name, values in by_name.items()}
+    return {name.upper(): float(getattr(scores, name)[0]) for name in (*SUB_SCORES, "pdms")}
 
 
 def _distances(window: Window, plan: Array, times: Array) -> dict[str, float]:

@@ -9,7 +9,6 @@ from scipy.stats import rankdata
 from anchorflow_benchmarks.driving.bundle_driver import Proposals
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.geometry import out_of_frame
-from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Window
 
 Array = NDArray[np.float64]
@@ -31,11 +30,13 @@ GOALS_NOTE = (
 )
 
 
-def proposal_figures(window: Window, scorer: PdmScorer, proposals: Proposals) -> dict[str, float]:
-    """oracle, minADE, rank, and OF_GOALS where there are goals; NaN where a window has none."""
-    trajectories = proposals.trajectories
-    pdms = scorer.score(trajectories).pdms
-    away = np.linalg.norm(trajectories[..., :2] - window.recorded(PLAN_TIMES)[:, :2], axis=-1)
+def proposal_figures(window: Window, proposals: Proposals, *, pdms: Array) -> dict[str, float]:
+    """oracle, minADE, rank, and OF_GOALS where there are goals; NaN where a window has none.
+
+    pdms: [N] of the proposals
+    """
+    driven = window.recorded(PLAN_TIMES)
+    away = np.linalg.norm(proposals.trajectories[..., :2] - driven[:, :2], axis=-1)
     return {
         "oracle": float(pdms.max()),
         "minADE": float(away.mean(-1).min()),

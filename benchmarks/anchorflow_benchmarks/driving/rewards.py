@@ -11,14 +11,12 @@ from scipy.stats import rankdata
 from anchorflow_benchmarks.driving.bundle_driver import Proposals
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
 from anchorflow_driving.window import Window
 
 Array = NDArray[np.float64]
 
-SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
-"""In the order of every bundle's foretold sub-scores."""
-TWO_SIDED = ("NC", "DAC", "TTC", "C")
+TWO_SIDED = ("nc", "dac", "ttc", "c")
 """Those that a proposal passes or fails, so that a curve can be drawn of them."""
 
 CHOICES_NOTE = (
@@ -31,9 +29,13 @@ HEADS_NOTE = (
 )
 
 
-def choice_figures(window: Window, scorer: PdmScorer, proposals: Proposals) -> dict[str, float]:
-    """`by NAME` of every other number, and three `plain` ones where there are offsets."""
-    pdms = scorer.score(proposals.trajectories).pdms
+def choice_figures(
+    window: Window, proposals: Proposals, *, pdms: Array, scorer: PdmScorer
+) -> dict[str, float]:
+    """`by NAME` of every other number, and three `plain` ones where there are offsets.
+
+    pdms: [N] of the proposals
+    """
     figures = {
         f"by {name}": float(pdms[values.argmax()]) for name, values in proposals.choices.items()
     }
@@ -49,19 +51,11 @@ def choice_figures(window: Window, scorer: PdmScorer, proposals: Proposals) -> d
     }
 
 
-def true_sub_scores(scorer: PdmScorer, proposals: Proposals) -> Array | None:
-    """[N, 5] of the proposals, in the order of SUB_SCORES; None where nothing is foretold."""
-    if proposals.foretold is None:
-        return None
-    scores = scorer.score(proposals.trajectories)
-    return np.stack([getattr(scores, name.lower()) for name in SUB_SCORES], -1)
-
-
 def choices_table(figures: Mapping[str, Sequence[Mapping[str, float]]]) -> ResultTable | None:
     """figures: by driver, `PDMS` and those of `choice_figures` of each window."""
     rows: list[Row] = []
     for name, windows in figures.items():
-        told = [key for key in windows[0] if key.startswith(("by ", "plain "))]
+        told = [key for key in next(iter(windows), {}) if key.startswith(("by ", "plain "))]
         if told:
             means = {key: float(np.mean([w[key] for w in windows])) for key in ("PDMS", *told)}
             rows.append({"driver": name, **means})
@@ -70,9 +64,9 @@ def choices_table(figures: Mapping[str, Sequence[Mapping[str, float]]]) -> Resul
 
 def heads_table(foretold: Mapping[str, tuple[Array, Array]]) -> ResultTable | None:
     """foretold: by driver, sub-scores [M, 5] as they were foretold and as they were."""
+    columns = {sub.upper(): SUB_SCORES.index(sub) for sub in TWO_SIDED}
     rows: list[Row] = []
     for name, (told, true) in foretold.items():
-        columns = {sub: SUB_SCORES.index(sub) for sub in TWO_SIDED}
         areas = {sub: area_under_curve(told[:, at], true[:, at]) for sub, at in columns.items()}
         passed = {f"{sub} passed": float((true[:, at] >= 1).mean()) for sub, at in columns.items()}
         rows.append({"driver": name, **areas, **passed})

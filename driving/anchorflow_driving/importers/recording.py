@@ -169,7 +169,7 @@ def _map_fields(road: RoadMap, origin: Array) -> dict[str, Any]:
         for after in lane.successors
         if after in number
     ]
-    families = {
+    polylines = {
         "lane": [lane.polygon for lane in road.lanes],
         "centre": [lane.centre for lane in road.lanes],
         "drivable": road.drivable,
@@ -177,7 +177,7 @@ def _map_fields(road: RoadMap, origin: Array) -> dict[str, Any]:
         "line": [line for line, _ in road.lines],
     }
     fields: dict[str, Any] = {}
-    for kind, lines in families.items():
+    for kind, lines in polylines.items():
         fields |= line_fields(kind, [line - origin for line in lines])
     return fields | {
         "lane_intersection": np.array([lane.in_junction for lane in road.lanes], bool),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,15 @@ class PdmScores:
     @property
     def pdms(self) -> Array:
         return self.nc * self.dac * (5 * self.ep + 5 * self.ttc + 2 * self.c) / 12
+
+    @property
+    def sub_scores(self) -> Array:
+        """[P, 5] in the order of SUB_SCORES."""
+        return np.stack([getattr(self, name) for name in SUB_SCORES], axis=-1)
+
+
+SUB_SCORES = tuple(field.name for field in fields(PdmScores))
+"""The order that every table of sub-scores [..., 5] has."""
 
 
 @dataclass(frozen=True)

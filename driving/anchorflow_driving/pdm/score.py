@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.pdm.closed import PdmClosed, pdm_closed
-from anchorflow_driving.pdm.rating import PdmScores, rate
+from anchorflow_driving.pdm.rating import SUB_SCORES, PdmScores, rate
 from anchorflow_driving.pdm.tracker import Motion, interpolate, track
 from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.window import EgoState, Vehicle, Window
 
 Array = NDArray[np.float64]
 
-__all__ = ["PdmScorer", "PdmScores"]
+__all__ = ["SUB_SCORES", "PdmScorer", "PdmScores"]
 
 
 @dataclass(frozen=True)

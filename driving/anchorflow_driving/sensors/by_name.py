@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from anchorflow_driving.errors import SensorError
 from anchorflow_driving.sensors.lidar import simulated_lidar
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import PlannerView
+
+if TYPE_CHECKING:
+    from anchorflow_driving.sensors.rendering import Renderer
 
 Sensor = Callable[[PlannerView, TensorSpec], NDArray[Any]]
 
@@ -29,16 +33,19 @@ def _camera(view: PlannerView, spec: TensorSpec) -> NDArray[np.uint8]:
     """The simulated cameras, in the size that the card asks for."""
     # Here, because it needs the extra "driving", which other inputs do without.
     from anchorflow_driving.sensors.cameras import simulated_camera
-    from anchorflow_driving.sensors.rendering import Renderer
 
-    if not _RENDERER:
-        _RENDERER.append(Renderer())
     rows, columns = (int(size) for size in spec.shape[-2:])
-    picture = simulated_camera(view, _RENDERER[0]).transpose(1, 2, 0)
+    picture = simulated_camera(view, _renderer()).transpose(1, 2, 0)
     return resize_image(picture, rows=rows, columns=columns).transpose(2, 0, 1)
 
 
-_RENDERER: list[Any] = []  # one a process: it holds a context of the graphics driver
+@cache
+def _renderer() -> Renderer:
+    """One a process: it holds a context of the graphics driver."""
+    from anchorflow_driving.sensors.rendering import Renderer
+
+    return Renderer()
+
 
 SENSORS: Mapping[str, Sensor] = {
     "bev": _bev,

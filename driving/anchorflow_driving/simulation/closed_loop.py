@@ -26,10 +26,10 @@ from anchorflow_driving.simulation.driven_motion import (
     state_after,
 )
 from anchorflow_driving.simulation.live_traffic import LiveTraffic, Seen
-from anchorflow_driving.simulation.parking import parked_cars
 from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.routes import line_ahead
 from anchorflow_driving.simulation.simulated_log import NO_WINDOWS, map_fields
+from anchorflow_driving.simulation.standing import all_that_stands
 from anchorflow_driving.simulation.street_plan import make_net
 from anchorflow_driving.simulation.sumo_programs import SimulationError
 from anchorflow_driving.window import (
@@ -127,8 +127,8 @@ def _drive(
         net, rng, folder, warm_up_s=warm_up_s, seconds=config.seconds, densest=DENSEST
     )
     scenes = Scenes(_bare_log(map_fields(net, level=0.2, mirror=1.0)))
-    parked = list(parked_cars(net, rng))
-    with LiveTraffic(path, demand, seed=int(rng.integers(2**31)), parked=parked) as traffic:
+    standing = all_that_stands(net, rng)
+    with LiveTraffic(path, demand, seed=int(rng.integers(2**31)), standing=standing) as traffic:
         for _ in range(round(warm_up_s / FRAME_S)):
             traffic.step()
         for name in rng.permutation(traffic.vehicles):
@@ -261,7 +261,9 @@ class _Drive:
 
     @staticmethod
     def _name(seen: Seen, index: int) -> str:
-        return seen.names[index] if index < len(seen.names) else f"parked {index - len(seen.names)}"
+        return (
+            seen.names[index] if index < len(seen.names) else f"standing {index - len(seen.names)}"
+        )
 
     def _advance(self, middle: Array) -> None:
         """The nearest place on the route not far from the last one: a route may cross itself."""

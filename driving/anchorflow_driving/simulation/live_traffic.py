@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import ahead_of
-from anchorflow_driving.log import HISTORY_FRAMES, PEDESTRIAN, VEHICLE
+from anchorflow_driving.log import HISTORY_FRAMES, PEDESTRIAN
 from anchorflow_driving.simulation.demand import Demand
 from anchorflow_driving.simulation.recording import PERSON_SIZE, Traffic
+from anchorflow_driving.simulation.standing import Standing
 
 Array = NDArray[np.float64]
 
@@ -36,7 +37,7 @@ class Seen:
 class LiveTraffic:
     """Steps SUMO, moves the ego, remembers who was where.
 
-    parked: who stands beside the road all the time
+    standing: what stands beside the road all the time
     """
 
     def __init__(
@@ -45,10 +46,10 @@ class LiveTraffic:
         demand: Demand,
         *,
         seed: int,
-        parked: list[tuple[tuple[float, float], Array]],
+        standing: list[Standing],
     ) -> None:
         self._sumo, self._demand = Traffic(net, demand, seed=seed), demand
-        self._parked = parked
+        self._standing = standing
         self._past: deque[dict[str, Array]] = deque(maxlen=HISTORY_FRAMES + 1)
         self._size: dict[str, tuple[float, float]] = {}
         self._kind: dict[str, int] = {}
@@ -105,9 +106,9 @@ class LiveTraffic:
         names = sorted({name for frame in self._past for name in frame})
         absent = np.full(5, np.nan)
         moving = [[frame.get(name, absent) for frame in self._past] for name in names]
-        standing = [[state] * len(self._past) for _, state in self._parked]
-        size = [self._size[name] for name in names] + [size for size, _ in self._parked]
-        kind = [self._kind[name] for name in names] + [VEHICLE] * len(self._parked)
+        standing = [[each.state] * len(self._past) for each in self._standing]
+        size = [self._size[name] for name in names] + [each.size for each in self._standing]
+        kind = [self._kind[name] for name in names] + [each.kind for each in self._standing]
         states = np.array(moving + standing)
         # Headings unwrapped, as a log has them.
         turn = np.nan_to_num(states[..., 2])

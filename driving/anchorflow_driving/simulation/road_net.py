@@ -72,6 +72,7 @@ class RoadNet:
         self.sidewalk_edges: list[str] = []
         self.crossings: list[Array] = []
         self.parking: list[Array] = []
+        self.pavements: list[Array] = []
         self._walks: list[Array] = []
         for edge in root.iter("edge"):
             self._read_edge(edge)
@@ -127,7 +128,8 @@ class RoadNet:
             elif data.get("disallow") == "all":
                 self.parking.append(band(centre, width))
             elif data.get("allow") == "pedestrian":
-                self._walks.append(band(centre, width))
+                self.pavements.append(band(centre, width))
+                self._walks.append(self.pavements[-1])
                 self.sidewalk_edges.append(name)
             elif function in ("", "internal"):
                 self.lanes[data["id"]] = NetLane(

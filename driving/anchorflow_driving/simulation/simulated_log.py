@@ -17,16 +17,15 @@ from anchorflow_driving.log import (
     FUTURE_FRAMES,
     HISTORY_FRAMES,
     PEDESTRIAN,
-    VEHICLE,
     DrivingLog,
 )
 from anchorflow_driving.simulation.config import LogConfig
 from anchorflow_driving.simulation.courses import person_states, vehicle_states
 from anchorflow_driving.simulation.demand import make_demand
-from anchorflow_driving.simulation.parking import parked_cars
 from anchorflow_driving.simulation.recording import Recording, VehicleRecord, as_array, record
 from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.routes import followed_line
+from anchorflow_driving.simulation.standing import all_that_stands
 from anchorflow_driving.simulation.street_plan import make_net
 from anchorflow_driving.simulation.sumo_programs import SimulationError
 from anchorflow_driving.window_choice import Driven, choose_windows
@@ -95,8 +94,8 @@ def _simulated(
         seed = int(rng.integers(2**31))
         recording = record(path, demand, seed=seed, frames=begin + frames + AFTER)
     tracks, driven = _tracks(recording, net, begin=begin, frames=frames)
-    for size, state in parked_cars(net, rng):
-        tracks.add(VEHICLE, size, np.repeat(state[None], frames, axis=0))
+    for each in all_that_stands(net, rng):
+        tracks.add(each.kind, each.size, np.repeat(each.state[None], frames, axis=0))
     mirror = -1.0 if rng.random() < config.left_hand else 1.0
     fields = map_fields(net, level=rng.uniform(0.1, 0.38), mirror=mirror)
     fields |= _track_fields(tracks, mirror=mirror)

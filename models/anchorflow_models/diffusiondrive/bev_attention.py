@@ -7,21 +7,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.layers.lookup import lookup_sum
+from anchorflow_models.transfuser import bev_places
 
 FIRST_LOOK = 2.0
 """Logit of the point that a head begins by looking at; the others' are 0."""
-
-
-class BevValues(nn.Module):
-    """What can be looked up in a BEV: a convolution, channels last."""
-
-    def __init__(self, channels: int, width: int, *, kernel: int) -> None:
-        super().__init__()
-        self.conv = nn.Conv2d(channels, width, kernel, padding=kernel // 2)
-
-    def forward(self, bev: Tensor) -> Tensor:
-        """[B, C, H, H] -> [B, H, H, W]"""
-        return F.relu(self.conv(bev)).permute(0, 2, 3, 1)
 
 
 class BevAttention(nn.Module):
@@ -46,12 +35,3 @@ class BevAttention(nn.Module):
         """What to add to queries [B, N, W]; points: [B, N, T, 2] m; values: [B, H, H, W]"""
         weights = self.weights(queries).unflatten(-1, (self.heads, -1)).softmax(-1)
         return self.out(lookup_sum(values, bev_places(points, self.reach), weights))
-
-
-def bev_places(points: Tensor, reach: float) -> Tensor:
-    """Points [..., 2] m, x forward and y left, as column and row from -1 to 1 of a BEV.
-
-    Its first row lies at the greatest x, its first column at the greatest y.
-    """
-    x, y = points.unbind(-1)
-    return torch.stack([-y, -x], -1) / reach

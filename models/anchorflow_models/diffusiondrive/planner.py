@@ -13,7 +13,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.diffusiondrive.bev_attention import BevValues
 from anchorflow_models.diffusiondrive.config import (
     FIRST_S,
     POSES,
@@ -31,6 +30,7 @@ from anchorflow_models.transfuser import (
     STATUS,
     STATUS_UNITS,
     AgentHead,
+    BevValues,
     SemanticHead,
     TransfuserBackbone,
 )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models.diffusiondrive.bev_attention import BevAttention, BevValues
+from anchorflow_models.diffusiondrive.bev_attention import BevAttention
 from anchorflow_models.diffusiondrive.config import POSES, DiffusionDriveConfig
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.trajectories import (
@@ -18,6 +18,7 @@ from anchorflow_models.diffusiondrive.trajectories import (
     motion_features,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
+from anchorflow_models.transfuser import BevValues
 
 SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
 

@@ -1,6 +1,7 @@
 """The backbone of planners that see by camera and LiDAR, and its heads."""
 
 from anchorflow_models.transfuser.backbone import BevFeatures, FeaturePyramid, TransfuserBackbone
+from anchorflow_models.transfuser.bev_values import BevValues, bev_places
 from anchorflow_models.transfuser.config import TransfuserConfig, small_transfuser
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
@@ -18,9 +19,11 @@ __all__ = [
     "STATUS_UNITS",
     "AgentHead",
     "BevFeatures",
+    "BevValues",
     "FeaturePyramid",
     "SemanticHead",
     "TransfuserBackbone",
     "TransfuserConfig",
+    "bev_places",
     "small_transfuser",
 ]

@@ -57,6 +57,8 @@ class WoteConfig:
     agents, agent_layers: boxes that are detected, layers of their decoder
     semantic_classes: of the semantic BEV
     rewards: what each counts
+    footprint: m ahead and to the left of a pose, places at which the rewards look up the fine BEV
+        in all poses of an anchor; published is none
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.
@@ -78,6 +80,7 @@ class WoteConfig:
     agent_layers: int = 3
     semantic_classes: int = 8
     rewards: RewardWeights = field(default_factory=RewardWeights)
+    footprint: tuple[tuple[float, float], ...] = ()
     backbone: TransfuserConfig = field(default_factory=TransfuserConfig)
 
     def __post_init__(self) -> None:
@@ -107,5 +110,6 @@ def small_wote() -> WoteConfig:
         offset_layers=2,
         world_layers=1,
         agent_layers=1,
+        footprint=((0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (3.0, 1.0), (3.0, -1.0)),
         backbone=small_transfuser(),
     )

@@ -31,8 +31,10 @@ class RewardHead(nn.Module):
         self.imitation = _head(width)
         self.simulation = nn.ModuleList(_head(width) for _ in SIMULATED)
 
-    def forward(self, ego: Tensor, bev: Tensor, future: Tensor) -> tuple[Tensor, Tensor]:
-        """ego: [B, K, W]; bev: [B, M, W]; future: [B, K, M, W].
+    def forward(
+        self, ego: Tensor, bev: Tensor, future: Tensor, under: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """ego: [B, K, W]; bev: [B, M, W]; future: [B, K, M, W]; under: [B, K, W] of the footprint.
 
         Returns logits of imitation [B, K] and of simulation [B, K, 5].
         """
@@ -42,7 +44,8 @@ class RewardHead(nn.Module):
         x = F.relu(images.unflatten(0, (batch, count)) + present).flatten(0, 1)
         # ReLU and mean as one number a channel: what is anywhere counts.
         seen = F.relu(self.both(x)).mean((-2, -1)).reshape(batch, count, width)
-        feature = F.relu(self.with_ego(torch.cat([seen, ego], -1)))
+        feature = self.with_ego(torch.cat([seen, ego], -1))
+        feature = F.relu(feature if under is None else feature + under)
         simulated = torch.cat([head(feature) for head in self.simulation], -1)
         return self.imitation(feature).squeeze(-1), simulated
 

@@ -1,7 +1,7 @@
 """WoTE: anchors judged by what a latent world model imagines of each (Li et al., 2025).
 
-encode     camera, LiDAR, ego status   -> BEV tokens, ego; agents and semantics on request
-score      BEV tokens, ego             -> anchors moved by their offsets, rewards, scores
+encode     camera, LiDAR, ego status   -> BEV tokens, ego, fine BEV; agents and semantics
+score      BEV tokens, ego, fine BEV   -> anchors moved by their offsets, rewards, scores
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ from anchorflow_models.transfuser import (
     STATUS,
     STATUS_UNITS,
     AgentHead,
+    BevValues,
     FeaturePyramid,
     SemanticHead,
     TransfuserBackbone,
 )
 from anchorflow_models.wote.anchors import arcs, cells
 from anchorflow_models.wote.config import WoteConfig
+from anchorflow_models.wote.footprint import Footprint
 from anchorflow_models.wote.rewards import RewardHead, final_scores
 from anchorflow_models.wote.world_model import WorldModel
 
@@ -38,6 +40,7 @@ class Seen:
     bev: [B, M, W] tokens; ego: [B, W]
     agents: [B, Q, 5] x, y, heading, length, width; agent_logits: [B, Q]
     semantic_logits: [B, classes, H/2, H] of the half before the ego
+    fine: [B, h, h, C] what footprints look up, where there are any
     """
 
     bev: Tensor
@@ -45,6 +48,7 @@ class Seen:
     agents: Tensor
     agent_logits: Tensor
     semantic_logits: Tensor
+    fine: Tensor | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +95,6 @@ class WoTE(nn.Module):
     status_units: Tensor
     offset_units: Tensor
 
-    context_for_score = ("bev_tokens", "ego")
-
     def __init__(self, config: WoteConfig) -> None:
         super().__init__()
         self.config = config
@@ -131,6 +133,20 @@ class WoTE(nn.Module):
             steps=config.future_steps,
         )
         self.rewards = RewardHead(width, backbone.bev_size)
+        if config.footprint:
+            self.fine_values = BevValues(backbone.bev_channels, backbone.bev_channels, kernel=1)
+            self.footprint = Footprint(
+                backbone.bev_channels,
+                width,
+                steps=config.num_steps,
+                places=config.footprint,
+                reach=backbone.lidar_range,
+            )
+
+    @property
+    def context_for_score(self) -> tuple[str, ...]:
+        """What `score` takes of what `encode` gives, in its order."""
+        return ("bev_tokens", "ego", *(["bev_fine"] if self.config.footprint else []))
 
     def set_anchors(self, anchors: Tensor) -> None:
         """Take other anchors [K, T, 3]. Raises ValueError where their shape is another."""
@@ -142,20 +158,29 @@ class WoTE(nn.Module):
     def encode(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Context:
         """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1]; ego_status: [B, 8].
 
-        Returns by name: bev_tokens [B, M, W], ego [B, W]; agents [B, Q, 5], agent_scores [B, Q]
-        and bev_semantics [B, classes, H'/2, H'], both in [0, 1].
+        Returns by name: bev_tokens [B, M, W], ego [B, W], bev_fine [B, h, h, C] where there are
+        footprints; agents [B, Q, 5], agent_scores [B, Q] and bev_semantics [B, classes, H'/2, H'],
+        both in [0, 1].
         """
         seen = self.look(camera, lidar, ego_status)
         return {
             "bev_tokens": seen.bev,
             "ego": seen.ego,
+            **({} if seen.fine is None else {"bev_fine": seen.fine}),
             "agents": seen.agents,
             "agent_scores": seen.agent_logits.sigmoid(),
             "bev_semantics": seen.semantic_logits.softmax(1),
         }
 
-    def score(self, bev_tokens: Tensor, ego: Tensor, anchors: Tensor | None = None) -> Context:
-        """bev_tokens: [B, M, W]; ego: [B, W]; anchors: [K, W] where they are encoded already.
+    def score(
+        self,
+        bev_tokens: Tensor,
+        ego: Tensor,
+        bev_fine: Tensor | None = None,
+        *,
+        anchors: Tensor | None = None,
+    ) -> Context:
+        """bev_tokens, ego, bev_fine as of `encode`; anchors: [K, W] where they are encoded already.
 
         Returns by name: trajectories [B, K', T, 3] m, m, rad; scores [B, K']; offsets [B, K', T, 3]
         from the anchors; im_rewards [B, K'], which sum to 1; sim_rewards [B, K', 5] in [0, 1]. K'
@@ -164,9 +189,10 @@ class WoTE(nn.Module):
         moved = self.move(bev_tokens, ego, anchors)
         if self.config.judged < self.config.anchors:
             moved = moved.taken(moved.logits.topk(self.config.judged).indices)
-        judged = self.judge(bev_tokens, moved)
+        trajectories = self.anchors[moved.index] + moved.offsets
+        judged = self.judge(bev_tokens, moved, fine=bev_fine, poses=trajectories)
         return {
-            "trajectories": self.anchors[moved.index] + moved.offsets,
+            "trajectories": trajectories,
             "scores": final_scores(judged.imitation, judged.simulation, self.config.rewards),
             "offsets": moved.offsets,
             "im_rewards": judged.imitation.softmax(-1),
@@ -185,6 +211,7 @@ class WoTE(nn.Module):
             agents,
             agent_logits,
             self.semantics(features.upscaled),
+            self.fine_values(features.upscaled) if self.config.footprint else None,
         )
 
     def encoded_anchors(self) -> Tensor:
@@ -210,11 +237,24 @@ class WoTE(nn.Module):
         offsets = self.to_offset(decoded).unflatten(-1, (-1, POSE)) * self.offset_units
         return Moved(index, each, offsets, self.to_offset_score(decoded).squeeze(-1))
 
-    def judge(self, bev: Tensor, moved: Moved) -> Judged:
-        """Imagine what follows from each anchor and rate it; bev: [B, M, W]."""
+    def judge(
+        self, bev: Tensor, moved: Moved, *, fine: Tensor | None, poses: Tensor | None = None
+    ) -> Judged:
+        """Imagine what follows from each anchor and rate it.
+
+        bev: [B, M, W]; fine: [B, h, h, C], which footprints look up; poses: [B, K', T, 3] where
+            they look, as a rule the anchors' own
+
+        Raises:
+            ValueError: footprints have nothing to look up.
+        """
+        if fine is None and self.config.footprint:
+            raise ValueError("fine: expected [B, h, h, C] for footprints, got None")
         here, there = self._cells()
         ego, future = self.world_model(moved.ego, bev, here=here, there=there[moved.index])
-        imitation, simulation = self.rewards(ego, bev, future)
+        poses = self.anchors[moved.index] if poses is None else poses
+        under = None if fine is None else self.footprint(fine, poses)
+        imitation, simulation = self.rewards(ego, bev, future, under)
         return Judged(future, imitation, simulation)
 
     def future_semantic_logits(self, future: Tensor) -> Tensor:

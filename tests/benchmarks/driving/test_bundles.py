@@ -17,12 +17,11 @@ from anchorflow_benchmarks.driving.rewards import (
     area_under_curve,
     choice_figures,
     heads_table,
-    true_sub_scores,
 )
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
-from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.pdm import PdmScorer, PdmScores
 from anchorflow_driving.sensors.by_name import SENSORS
 from anchorflow_driving.window import Scenes
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
@@ -85,7 +84,8 @@ def test_figures_of_known_proposals() -> None:
         drawing_ms=1.0,
         flow_ms=1.0,
     )
-    figures = proposal_figures(window, PdmScorer(window), proposals)
+    pdms = PdmScorer(window).score(proposals.trajectories).pdms
+    figures = proposal_figures(window, proposals, pdms=pdms)
 
     assert proposals.best == 1
     assert figures["minADE"] == pytest.approx(0.0)
@@ -111,19 +111,38 @@ def test_what_else_it_could_have_chosen_by() -> None:
         flow_ms=1.0,
     )
     scorer = PdmScorer(window)
-    figures = choice_figures(window, scorer, proposals)
+    true = scorer.score(proposals.trajectories)
+    figures = choice_figures(window, proposals, pdms=true.pdms, scorer=scorer)
     best = float(scorer.score(driven[None]).pdms[0])
     assert figures["by im_rewards"] == 0.0
     assert (figures["plain PDMS"], figures["plain oracle"]) == (0.0, pytest.approx(best))
     assert figures["plain minADE"] == pytest.approx(0.0, abs=1e-6)
 
-    true = true_sub_scores(scorer, proposals)
-    assert true is not None
     assert proposals.foretold is not None
-    table = heads_table({"wote": (proposals.foretold, true)})
+    table = heads_table({"wote": (proposals.foretold, true.sub_scores)})
     assert table is not None
     (row,) = table.rows
     assert (row["DAC"], row["DAC passed"]) == (1.0, 0.5)
+
+
+def test_a_window_s_proposals_are_scored_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scored, score = [], PdmScorer.score
+
+    def counting(self: PdmScorer, plans: np.ndarray) -> PdmScores:
+        scored.append(len(plans))
+        return score(self, plans)
+
+    monkeypatch.setattr(PdmScorer, "score", counting)
+    driver = BundleDriver(GOALFLOW, num=N, threads=1)
+    judged = judge_drivers({driver.name: Entry(driver)}, [bend(0)])[driver.name]
+
+    assert scored == [1, N] * len(judged)
+
+
+def test_a_bundle_without_windows_has_no_choices() -> None:
+    titles = [table.title for table in drive_tables({"wote": []})]
+
+    assert titles == ["All windows (0)", "PDMS by log"]
 
 
 def test_the_area_is_the_share_of_pairs_in_their_order() -> None:

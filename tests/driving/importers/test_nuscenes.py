@@ -96,52 +96,59 @@ def scene_tables(name: str = "scene-0001") -> Tables:
     }
 
 
-def road() -> Tables:
-    nodes: list[dict] = []
+class Nodes:
+    """The points of a map, and what is drawn through them."""
 
-    def points(*places: tuple[float, float]) -> list[str]:
-        for x, y in places:
-            xy = place(x, y)
-            nodes.append({"token": f"n{len(nodes)}", "x": xy[0], "y": xy[1]})
-        return [node["token"] for node in nodes[-len(places) :]]
+    def __init__(self) -> None:
+        self.rows: list[dict] = []
 
-    def rectangle(token: str, x0: float, y0: float, x1: float, y1: float) -> dict:
-        ring = points((x0, y0), (x1, y0), (x1, y1), (x0, y1))
+    def line(self, *places: tuple[float, float]) -> list[str]:
+        """Their tokens."""
+        tokens = [f"n{len(self.rows) + k}" for k in range(len(places))]
+        for token, (x, y) in zip(tokens, places, strict=True):
+            east, north, _ = place(x, y)
+            self.rows.append({"token": token, "x": east, "y": north})
+        return tokens
+
+    def rectangle(self, token: str, x0: float, y0: float, x1: float, y1: float) -> dict:
+        ring = self.line((x0, y0), (x1, y0), (x1, y1), (x0, y1))
         return {"token": token, "exterior_node_tokens": ring, "holes": []}
 
-    def straight(x0: float, x1: float, y: float) -> list[dict]:
-        start = [*place(x0, y)[:2], 0.0]
-        lengths = [0.0, x1 - x0, 0.0]
-        return [{"start_pose": start, "shape": "LSR", "radius": 50.0, "segment_length": lengths}]
 
-    polygons = [
-        rectangle("A", -50, -2, 80, 2),
-        rectangle("B", 90, -2, 250, 2),
-        rectangle("C", -50, 2, 250, 6),
-        rectangle("walk", 120, -2, 124, 6),
-        rectangle("far", 5000, 5000, 5010, 5010),
-    ]
-    whole = rectangle("road", -50, -2, 250, 6)
-    whole["holes"] = [{"node_tokens": points((150, 3), (160, 3), (160, 5), (150, 5))}]
-    divider = [
-        {"node_token": token, "segment_type": kind}
-        for token, kind in zip(
-            points((-50, 2), (0, 2), (100, 2), (250, 2)),
-            ("NIL", "DOUBLE_DASHED_WHITE", "SINGLE_SOLID_WHITE", "SINGLE_SOLID_WHITE"),
-            strict=True,
-        )
-    ]
-    edge = points((-50, -2), (250, -2))
+def straight(x0: float, x1: float, y: float) -> list[dict]:
+    start = [*place(x0, y)[:2], 0.0]
+    lengths = [0.0, x1 - x0, 0.0]
+    return [{"start_pose": start, "shape": "LSR", "radius": 50.0, "segment_length": lengths}]
+
+
+def road() -> Tables:
+    """Lanes a, ab, b on y = 0, lane c beside them, one far away, and a hole in the road."""
+    nodes = Nodes()
+    whole = nodes.rectangle("road", -50, -2, 250, 6)
+    whole["holes"] = [{"node_tokens": nodes.line((150, 3), (160, 3), (160, 5), (150, 5))}]
     return {
-        "node": nodes,
-        "line": [{"token": "edge", "node_tokens": edge}],
-        "polygon": [*polygons, whole],
-        "lane": [
-            {"token": "a", "polygon_token": "A"},
-            {"token": "b", "polygon_token": "B"},
-            {"token": "c", "polygon_token": "C"},
-            {"token": "far", "polygon_token": "far"},
+        **lanes(),
+        "polygon": [
+            nodes.rectangle("A", -50, -2, 80, 2),
+            nodes.rectangle("B", 90, -2, 250, 2),
+            nodes.rectangle("C", -50, 2, 250, 6),
+            nodes.rectangle("walk", 120, -2, 124, 6),
+            nodes.rectangle("far", 5000, 5000, 5010, 5010),
+            whole,
         ],
+        "drivable_area": [{"token": "d", "polygon_tokens": ["road"]}],
+        "ped_crossing": [{"token": "p", "polygon_token": "walk"}],
+        "lane_divider": [{"token": "ld", "lane_divider_segments": divider(nodes)}],
+        "road_divider": [{"token": "rd", "line_token": "edge"}],
+        "line": [{"token": "edge", "node_tokens": nodes.line((-50, -2), (250, -2))}],
+        "node": nodes.rows,
+    }
+
+
+def lanes() -> Tables:
+    polygons = {"a": "A", "b": "B", "c": "C", "far": "far"}
+    return {
+        "lane": [{"token": lane, "polygon_token": of} for lane, of in polygons.items()],
         "lane_connector": [{"token": "ab"}],
         "arcline_path_3": {
             "a": straight(-50, 80, 0),
@@ -156,11 +163,17 @@ def road() -> Tables:
             "b": {"incoming": ["ab"], "outgoing": ["gone"]},
             "c": {"incoming": [], "outgoing": []},
         },
-        "drivable_area": [{"token": "d", "polygon_tokens": ["road"]}],
-        "ped_crossing": [{"token": "p", "polygon_token": "walk"}],
-        "road_divider": [{"token": "rd", "line_token": "edge"}],
-        "lane_divider": [{"token": "ld", "lane_divider_segments": divider}],
     }
+
+
+def divider(nodes: Nodes) -> list[dict]:
+    """Dashed up to x = 100, then solid."""
+    tokens = nodes.line((-50, 2), (0, 2), (100, 2), (250, 2))
+    kinds = ("NIL", "DOUBLE_DASHED_WHITE", "SINGLE_SOLID_WHITE", "SINGLE_SOLID_WHITE")
+    return [
+        {"node_token": token, "segment_type": kind}
+        for token, kind in zip(tokens, kinds, strict=True)
+    ]
 
 
 def write(folder: Path, tables: Tables, map_expansion: Tables) -> Path:

@@ -149,6 +149,8 @@ def test_a_plan_gets_among_256_what_it_gets_alone(on_street: OnStreet, other) ->
 
     for name in SUB_SCORES:
         assert len(set(getattr(together, name))) > 1 or name == "c"
+    table = [together.nc, together.dac, together.ep, together.ttc, together.c]
+    np.testing.assert_array_equal(together.sub_scores, np.transpose(table))
     for index in range(0, 256, 11):
         alone = scorer.score(plans[index : index + 1])
         for name in ("nc", "dac", "ttc", "c"):

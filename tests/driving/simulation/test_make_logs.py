@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from anchorflow_driving.drivers import human
-from anchorflow_driving.log import FUTURE_FRAMES, DrivingLog, read_logs
+from anchorflow_driving.log import FUTURE_FRAMES, STATIC, DrivingLog, read_logs
 from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.road import Road
 from anchorflow_driving.simulation.config import LogConfig
 from anchorflow_driving.window import Scenes
 
@@ -68,6 +69,17 @@ def test_its_drivers_keep_the_rules_that_planners_are_judged_by(logs: list[Drivi
     assert np.mean([score.dac for score in scores]) > 0.9
     assert np.mean([score.c for score in scores]) > 0.9
     assert all(log.source == "simulated" for log in logs)
+
+
+def test_static_objects_stand_where_nobody_drives(logs: list[DrivingLog]) -> None:
+    counts = []
+    for log in logs:
+        static = log.track_state[log.track_type == STATIC]
+        counts.append(len(static))
+        assert (static[:, :, :3] == static[:, :1, :3]).all()
+        assert not static[..., 3:].any()
+        assert not Road(log).in_lanes(static[:, 0, :2].astype(float)).any()
+    assert min(counts) > 0
 
 
 def test_the_route_leads_along_what_was_driven(logs: list[DrivingLog]) -> None:

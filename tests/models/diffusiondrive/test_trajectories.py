@@ -10,7 +10,6 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive import small_diffusiondrive
-from anchorflow_models.diffusiondrive.bev_attention import bev_places
 from anchorflow_models.diffusiondrive.trajectories import (
     MOST,
     TrajectorySpace,
@@ -19,6 +18,7 @@ from anchorflow_models.diffusiondrive.trajectories import (
     motion_features,
 )
 from anchorflow_models.layers.lookup import lookup_sum
+from anchorflow_models.transfuser import bev_places
 
 CONFIG = small_diffusiondrive()
 TIMES = 0.5 * torch.arange(1, 9)

@@ -26,7 +26,11 @@ def no_grad() -> Any:
 
 def answer(model: WoTE, inputs: dict[str, Tensor]) -> dict[str, Tensor]:
     context = model.encode(**inputs)
-    return context | model.score(context["bev_tokens"], context["ego"])
+    return context | scored(model, context)
+
+
+def scored(model: WoTE, context: dict[str, Tensor]) -> dict[str, Tensor]:
+    return model.score(*(context[name] for name in model.context_for_score))
 
 
 def test_the_shapes() -> None:
@@ -34,6 +38,7 @@ def test_the_shapes() -> None:
     assert shapes == {
         "bev_tokens": (2, 16, 16),
         "ego": (2, 16),
+        "bev_fine": (2, 8, 8, 4),
         "agents": (2, 4, 5),
         "agent_scores": (2, 4),
         "bev_semantics": (2, 3, 16, 32),
@@ -71,7 +76,7 @@ def test_the_kept_anchors_are_those_of_the_best_offset_scores() -> None:
     context = whole.encode(**inputs)
     bev, ego = context["bev_tokens"], context["ego"]
     best = whole.move(bev, ego).logits.argsort(-1, descending=True)[:, :5]
-    all_of_them, kept = whole.score(bev, ego), few.score(bev, ego)
+    all_of_them, kept = scored(whole, context), scored(few, context)
     for name in ("trajectories", "offsets", "sim_rewards"):
         for b in range(2):
             torch.testing.assert_close(kept[name][b], all_of_them[name][b, best[b]])

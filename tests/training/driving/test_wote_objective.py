@@ -15,6 +15,7 @@ from anchorflow_training.driving.wote_objective import (
     WoteObjective,
     WoteObjectiveConfig,
     anchor_distances,
+    likely,
     soft_cross_entropy,
 )
 
@@ -64,11 +65,11 @@ def test_every_weight_is_reached() -> None:
 def test_steps_make_every_term_smaller() -> None:
     model, given = tiny_wote().train(), batch()
     objective = WoteObjective(model, WoteObjectiveConfig())
-    order = torch.rand(2, TINY.anchors, generator=torch.Generator().manual_seed(0))
+    drawn = objective.draw(2, 1, torch.Generator().manual_seed(0))
     optimiser = torch.optim.AdamW(model.parameters(), 3e-3)
-    first = terms = objective(given, order)[1]
+    first = terms = objective(given, *drawn)[1]
     for _ in range(60):
-        loss, terms = objective(given, order)
+        loss, terms = objective(given, *drawn)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
@@ -81,20 +82,26 @@ def test_steps_make_every_term_smaller() -> None:
 def test_some_anchors_are_judged_the_nearest_first() -> None:
     objective = WoteObjective(tiny_wote(), WoteObjectiveConfig(judged=4))
     order = torch.rand(2, 12, generator=torch.Generator().manual_seed(0))
-    chosen = objective._chosen(order, torch.tensor([3, 7]))
+    nearest, ranked = torch.tensor([3, 7]), torch.arange(12).expand(2, -1)
+    chosen = objective._chosen(order, nearest, ranked)
     assert chosen.shape == (2, 4)
     assert chosen[:, 0].tolist() == [3, 7]
     assert all(len(set(row)) == 4 for row in chosen.tolist())
+    # The likeliest follow; one of them may be the nearest.
+    half = WoteObjective(tiny_wote(), WoteObjectiveConfig(judged=6, likely=3))
+    chosen = half._chosen(order, nearest, ranked + 1).tolist()
+    assert [set(row[:3]) for row in chosen] == [{3, 1, 2}, {7, 1, 2}]
+    assert [len(set(row)) for row in chosen] == [6, 6]
     # The loss of all anchors in any order is one loss.
     whole = WoteObjective(tiny_wote(), WoteObjectiveConfig())
     with torch.no_grad():
-        one, other = (whole(batch(), each)[0] for each in (order, order.flip(1)))
+        one, other = (whole(batch(), each, order)[0] for each in (order, order.flip(1)))
     torch.testing.assert_close(one, other)
 
 
 def test_without_offsets_they_are_not_learnt() -> None:
     objective = WoteObjective(tiny_wote(replace(TINY, offsets=False)), WoteObjectiveConfig())
-    _, terms = objective(batch(), torch.rand(2, 12))
+    _, terms = objective(batch(), *objective.draw(2, 1, torch.Generator()))
     assert "offset" not in terms
     assert "offset_imitation" not in terms
 
@@ -140,3 +147,10 @@ def test_a_turn_is_measured_the_short_way() -> None:
     states[..., 2], boxes[..., 2] = torch.pi - 0.1, -torch.pi + 0.1
     loss = agent_loss(states, torch.tensor([[20.0]]), boxes, torch.tensor([1]))
     assert loss == pytest.approx(0.2 / 5, rel=1e-4)
+
+
+def test_likely_anchors_are_drawn_as_often_as_their_scores_say() -> None:
+    logits = torch.tensor([0.6, 0.3, 0.1]).log().expand(20_000, -1)
+    luck = torch.rand(logits.shape, generator=torch.Generator().manual_seed(0))
+    first = likely(logits, luck)[:, 0].bincount() / len(logits)
+    torch.testing.assert_close(first, torch.tensor([0.6, 0.3, 0.1]), atol=0.02, rtol=0.0)

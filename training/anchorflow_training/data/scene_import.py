@@ -125,25 +125,18 @@ def import_scenes(
             f"{dataset.path}: quality: expected more than 0 in some of the {written} samples that "
             "are left, found 0 in all: none would count in the loss"
         )
-    shapes = {name: array.shape[1:] for name, array in arrays.items()}
+    map_shape = arrays["cost_map"].shape[1:]
     del arrays
     shrink_arrays(out, written)
     meta = {
         "format": 1,
         "scenes": written,
         "trajectories": 1,
-        "num_steps": dataset.num_steps,
-        "dim": dataset.dim,
-        "limits": asdict(limits),
-        "ranges": _ranges(dataset),
         "robot_radius": config.scene.robot_radius,
-        "map": dict(zip(("channels", "H", "W"), shapes["cost_map"], strict=True)),
+        "map": dict(zip(("channels", "H", "W"), map_shape, strict=True)),
         "families": {dataset.path.stem: written},
-        "source": _source_file(dataset.path),
         "left_out": dict(left_out),
-        "not_finite_rows": dataset.left_out[:LISTED_ROWS].tolist(),
-        "over_limits": _over_limits(dataset, limits),
-        "statistics": dataset.statistics.to_dict(),
+        **_told(dataset, limits),
     }
     (out / "dataset.json").write_text(json.dumps(meta, indent=1))
     return meta
@@ -187,6 +180,20 @@ def _sources(
             for i in np.flatnonzero(good)
         ]
         progress(len(samples))
+
+
+def _told(dataset: TrajectoryDataset, limits: MotionLimits) -> dict[str, Any]:
+    """What `dataset.json` tells of the file and its samples."""
+    return {
+        "num_steps": dataset.num_steps,
+        "dim": dataset.dim,
+        "limits": asdict(limits),
+        "ranges": _ranges(dataset),
+        "source": _source_file(dataset.path),
+        "not_finite_rows": dataset.left_out[:LISTED_ROWS].tolist(),
+        "over_limits": _over_limits(dataset, limits),
+        "statistics": dataset.statistics.to_dict(),
+    }
 
 
 def _asked(limits: MotionLimits, sample: int, durations: NDArray[np.float64]) -> MotionLimits:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import read_log
-from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving.sensor_windows import Progress, each_log, write_beside
 from anchorflow_training.driving.vocabulary import clustered
@@ -21,8 +21,6 @@ from anchorflow_training.settings import ConfigError
 
 Floats = NDArray[np.float32]
 
-SUB_SCORES = ("nc", "dac", "ep", "ttc", "c")
-"""In the order of the model's simulation heads."""
 HEADING_M = 5.0
 """m that a radian counts for when futures are clustered."""
 DIGITS = 12  # of the anchors' digest, in a file's name
@@ -76,10 +74,8 @@ def anchor_scores(
 
 def keep_scores(log: Path, *, anchors: Floats) -> None:
     """Score the anchors in every window of a log, and keep that beside the log."""
-    rows = []
-    for window in Scenes(read_log(log)):
-        scores = PdmScorer(window).score(anchors.astype(np.float64))
-        rows.append(np.stack([getattr(scores, name) for name in SUB_SCORES], -1))
+    plans = anchors.astype(np.float64)
+    rows = [PdmScorer(window).score(plans).sub_scores for window in Scenes(read_log(log))]
     table = np.array(rows, np.float16).reshape(-1, len(anchors), len(SUB_SCORES))
     write_beside(_kept(log, anchors), scores=table)
 

@@ -15,7 +15,6 @@ from torch import Tensor
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes, Window
-from anchorflow_training.driving.anchor_scores import SUB_SCORES
 
 KEPT_LOGS, KEPT_WINDOWS = 256, 256
 
@@ -40,13 +39,12 @@ class PdmJudge:
         """
         plans = trajectories.detach().cpu().double().numpy()
         begun = [math.nan] * len(plans) if speeds is None else speeds.tolist()
-        told = [
-            (
-                self._scorer(int(window)) if math.isnan(speed) else self._begun(int(window), speed)
-            ).score(own)
+        rows = [
+            (self._scorer(int(window)) if math.isnan(speed) else self._begun(int(window), speed))
+            .score(own)
+            .sub_scores
             for window, speed, own in zip(windows, begun, plans, strict=True)
         ]
-        rows = [np.stack([getattr(scores, name) for name in SUB_SCORES], -1) for scores in told]
         return torch.from_numpy(np.array(rows, np.float32))
 
     def _new_scorer(self, window: int) -> PdmScorer:

@@ -14,10 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_client.contract import TensorSpec
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log
-from anchorflow_driving.sensors.status import status_of
+from anchorflow_driving.sensors.agents import nearest_agents
+from anchorflow_driving.sensors.by_name import draw_inputs
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.transfuser import TransfuserConfig
 from anchorflow_training.batches import Batch
@@ -61,6 +63,16 @@ class SensorSizes:
             "semantics": semantic,
             "future_semantics": semantic,
         }
+
+    @property
+    def inputs(self) -> tuple[TensorSpec, ...]:
+        """What the sensors are asked for, as by a planner's card."""
+        shapes = self.shapes
+        return (
+            TensorSpec("camera", "uint8", ("B", *shapes["camera"])),
+            TensorSpec("lidar", "float32", ("B", *shapes["lidar"])),
+            TensorSpec("ego_status", "float32", ("B", 8)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,40 +190,22 @@ def write_beside(path: Path, **arrays: NDArray[Any]) -> None:
 
 def simulated(window: Window, sizes: SensorSizes) -> Drawn:
     """By the simulated camera and LiDAR. Raises what they raise where nothing can be drawn."""
-    # Here, because they need the extra "driving", and a checkpoint is read without it.
-    from anchorflow_client.sensors import resize_image
-    from anchorflow_driving.sensors.agents import nearest_agents
-    from anchorflow_driving.sensors.cameras import simulated_camera
-    from anchorflow_driving.sensors.lidar import simulated_lidar
-
     view = window.view
-    wide = simulated_camera(view, _renderer()).transpose(1, 2, 0)
-    camera = resize_image(wide, rows=sizes.camera_rows, columns=sizes.camera_columns)
+    seen = draw_inputs(view, sizes.inputs)
     agents, there = nearest_agents(view)
     rows, reach = sizes.lidar_size // 2, sizes.lidar_range
     return {
-        "camera": camera.transpose(2, 0, 1),
-        "lidar": np.rint(COUNTS * simulated_lidar(view)).astype(np.uint8),
+        "camera": seen["camera"],
+        "lidar": np.rint(COUNTS * seen["lidar"]).astype(np.uint8),
         "semantics": semantic_bev(view, rows=rows, reach=reach),
         "future_semantics": semantic_bev(
             view_after(window, float(PLAN_TIMES[-1])), rows=rows, reach=reach
         ),
-        "ego_status": status_of(view),
+        "ego_status": seen["ego_status"],
         "future": window.recorded(PLAN_TIMES).astype(np.float32),
         "agents": agents,
         "agent_count": np.array(there.sum()),
     }
-
-
-_RENDERER: list[Any] = []  # one a process: it holds a context of the graphics driver
-
-
-def _renderer() -> Any:
-    from anchorflow_driving.sensors.rendering import Renderer
-
-    if not _RENDERER:
-        _RENDERER.append(Renderer())
-    return _RENDERER[0]
 
 
 def _is_kept(log: Path, sizes: SensorSizes) -> bool:

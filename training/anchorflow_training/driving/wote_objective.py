@@ -13,13 +13,17 @@ from anchorflow_models.wote import WoTE
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
 from anchorflow_training.settings import setting
 
+TINY = 1e-9
+
 
 @dataclass(frozen=True)
 class WoteObjectiveConfig:
     """Weights of the terms; the defaults are the published ones.
 
-    judged: anchors a scene that the world model looks at in a step, drawn at random beside the
-        nearest to the record; 0: all
+    judged: anchors a scene that the world model looks at in a step, the nearest to the record and
+        others; 0: all
+    likely: of those others, how many are drawn by their offset scores, as among them the choice
+        will be; the rest is drawn evenly
     """
 
     offset: float = setting(1.0, "L1 of the winner's refined poses.", least=0)
@@ -31,6 +35,7 @@ class WoteObjectiveConfig:
     future_semantics: float = setting(0.1, "Of the semantic BEV that is imagined.", least=0)
     likeness: float = setting(1.0, "m, over which an anchor's soft label falls by e.", above=0)
     judged: int = setting(0, "Anchors that the world model looks at in a step; 0: all.", least=0)
+    likely: int = setting(0, "Of them, how many are drawn by their offset scores.", least=0)
 
 
 class WoteObjective(nn.Module):
@@ -40,12 +45,13 @@ class WoteObjective(nn.Module):
         super().__init__()
         self.model, self.config = model, config
 
-    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor]:  # noqa: ARG002
-        """[B, K] numbers, by whose order anchors are taken."""
-        return (torch.rand(scenes, self.model.config.anchors, generator=generator),)
+    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:  # noqa: ARG002
+        """[B, K] numbers, by whose order anchors are taken, and by whose luck likely ones are."""
+        shape = (scenes, self.model.config.anchors)
+        return torch.rand(shape, generator=generator), torch.rand(shape, generator=generator)
 
     def forward(
-        self, batch: Mapping[str, Tensor], order: Tensor
+        self, batch: Mapping[str, Tensor], order: Tensor, luck: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """batch: camera, lidar, ego_status as of `WoTE.encode`; future [B, T, 3] m, rad;
         pdm [B, K, 5] of the anchors in [0, 1]; agents [B, Q, 5] and agent_count [B];
@@ -55,8 +61,8 @@ class WoteObjective(nn.Module):
         moved = model.move(seen.bev, seen.ego)
         distance = anchor_distances(model.anchors, batch["future"])
         nearest = distance.argmin(-1)
-        chosen = self._chosen(order, nearest)
-        judged = model.judge(seen.bev, moved.taken(chosen))
+        chosen = self._chosen(order, nearest, likely(moved.logits.detach(), luck))
+        judged = model.judge(seen.bev, moved.taken(chosen), fine=seen.fine)
         winner = nearest[:, None, None, None].expand(-1, 1, *moved.offsets.shape[2:])
         refined = model.anchors[nearest] + moved.offsets.gather(1, winner)[:, 0]
         pdm = batch["pdm"].gather(1, chosen[..., None].expand(-1, -1, batch["pdm"].shape[-1]))
@@ -81,14 +87,24 @@ class WoteObjective(nn.Module):
         total = torch.stack([getattr(config, name) * term for name, term in terms.items()]).sum()
         return total, terms
 
-    def _chosen(self, order: Tensor, nearest: Tensor) -> Tensor:
-        """[B, K'] the nearest first, then others in a random order."""
-        rank = order.scatter(1, nearest[:, None], -1.0)
+    def _chosen(self, order: Tensor, nearest: Tensor, ranked: Tensor) -> Tensor:
+        """[B, K'] the nearest first, then the likeliest, then others in a random order."""
+        first = torch.cat([nearest[:, None], ranked[:, : self.config.likely]], 1)
+        rank = order.scatter(1, first, order.gather(1, first) - 1.0)
+        rank = rank.scatter(1, nearest[:, None], -2.0)
         return rank.argsort(-1)[:, : self.config.judged or None]
 
     def _labels(self, distance: Tensor) -> Tensor:
         """Soft labels that sum to 1: the nearer, the likelier."""
         return (-distance / self.config.likeness).softmax(-1)
+
+
+def likely(logits: Tensor, luck: Tensor) -> Tensor:
+    """Draws [B, K] without replacement by scores, the first drawn first: the Gumbel-max trick.
+
+    logits: [B, K]; luck: [B, K] even in [0, 1)
+    """
+    return (logits - luck.clamp(min=TINY).log().neg().log()).argsort(-1, descending=True)
 
 
 def anchor_distances(anchors: Tensor, future: Tensor) -> Tensor:

@@ -67,7 +67,7 @@ class WoteRun(SensorRun):
         success: PDMS of the anchor with the best score, before its offset
         """
         seen = model.look(batch["camera"], batch["lidar"], batch["ego_status"])
-        scored = model.score(seen.bev, seen.ego)
+        scored = model.score(seen.bev, seen.ego, seen.fine)
         refined = anchor_distances(scored["trajectories"][0], batch["future"])
         worth = pdms(self.pdm[window])
         # Whichever were kept, by the anchors that they are nearest to before their offsets.

@@ -131,11 +131,11 @@ def make_pairs(
         raise DatasetError(f"{out}: expected a new or an empty folder, found files")
     sequences = read_recording(recording)
     asked = [(number, frame) for number, each in enumerate(sequences) for frame in each.askable()]
-    if len({number for number, _ in asked}) < 2:
+    present = sorted({number for number, _ in asked})
+    if len(present) < 2:
         what = f"pairs with {FUTURE} frames after them in two sequences or more"
         raise DatasetError(f"{recording}: expected {what}, found {len(asked)} in fewer")
     out.mkdir(parents=True, exist_ok=True)
-    rows = np.cumsum([0, *(len(sequence.times) for sequence in sequences)])
     shape = (len(asked), 3, image_size, image_size)
     pictures = {
         side: np.lib.format.open_memmap(out / f"{side}.npy", "w+", np.uint8, shape)
@@ -148,18 +148,9 @@ def make_pairs(
             array[index] = resized(read_picture(getattr(pair, side)), image_size)
         prompts.append(_prompt(sequences[number], frame, describe=describe))
         progress(index + 1, len(asked))
-    arrays = {
-        "waypoints": [sequences[number].waypoints(frame) for number, frame in asked],
-        "speed": [sequences[number].speed(frame) for number, frame in asked],
-        "sequence": [number for number, _ in asked],
-        "frame": [rows[number] + frame for number, frame in asked],
-        "poses": np.concatenate([sequence.poses for sequence in sequences]),
-        **_boxes(sequences),
-    }
-    for name, values in arrays.items():
+    for name, values in _driven(sequences, asked).items():
         np.save(out / f"{name}.npy", np.asarray(values, ARRAYS[name]))
     names = [sequence.name for sequence in sequences]
-    present = sorted({number for number, _ in asked})
     meta = {
         "format": FORMAT,
         "image_size": image_size,
@@ -215,6 +206,19 @@ def _prompt(sequence: Sequence, frame: int, *, describe: bool) -> str:
         pose = sequence.poses[frame]
         scene = seen_scene(without_own(read_boxes(sequence.pairs[frame].label), pose), pose)
     return prompt(speed=sequence.speed(frame), turn_rate=sequence.turn_rate(frame), scene=scene)
+
+
+def _driven(sequences: list[Sequence], asked: list[tuple[int, int]]) -> dict[str, Any]:
+    """The arrays that are no pictures, of pairs by their sequence and the frame in it."""
+    rows = np.cumsum([0, *(len(sequence.times) for sequence in sequences)])
+    return {
+        "waypoints": [sequences[number].waypoints(frame) for number, frame in asked],
+        "speed": [sequences[number].speed(frame) for number, frame in asked],
+        "sequence": [number for number, _ in asked],
+        "frame": [rows[number] + frame for number, frame in asked],
+        "poses": np.concatenate([sequence.poses for sequence in sequences]),
+        **_boxes(sequences),
+    }
 
 
 def _boxes(sequences: list[Sequence]) -> dict[str, Array]:

@@ -34,7 +34,7 @@ from anchorflow_service.engine.samplers.vocabulary import VocabularySampler
 
 F32 = "float32"
 COMPONENTS = ("x", "y", "heading")
-ENCODED = ("bev_tokens", "ego", "agents", "agent_scores", "bev_semantics")
+TOLD = ("agents", "agent_scores", "bev_semantics")
 SCORED = ("trajectories", "scores", "offsets", "im_rewards", "sim_rewards")
 TRIALS = (1, 3)  # B; traced at another
 FASTEST = 60.0  # m/s, and m/s²: what a status may say
@@ -83,19 +83,20 @@ def answer_extras(config: WoteConfig) -> tuple[TensorSpec, ...]:
 
 
 class Encode(nn.Module):
-    """camera, lidar, ego_status -> what ENCODED names"""
+    """camera, lidar, ego_status -> the context for scores, and what TOLD names"""
 
     def __init__(self, model: WoTE) -> None:
         super().__init__()
         self.model = model
+        self.names = (*model.context_for_score, *TOLD)
 
     def forward(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> tuple[Tensor, ...]:
         context = self.model.encode(camera, lidar, ego_status)
-        return tuple(context[name] for name in ENCODED)
+        return tuple(context[name] for name in self.names)
 
 
 class Score(nn.Module):
-    """bev_tokens, ego -> what SCORED names; the anchors' own encoding is worked out beforehand."""
+    """The context -> what SCORED names; the anchors' own encoding is worked out beforehand."""
 
     anchors: Tensor
 
@@ -105,8 +106,10 @@ class Score(nn.Module):
         with torch.no_grad():
             self.register_buffer("anchors", model.encoded_anchors(), persistent=False)
 
-    def forward(self, bev_tokens: Tensor, ego: Tensor) -> tuple[Tensor, ...]:
-        scored = self.model.score(bev_tokens, ego, self.anchors)
+    def forward(
+        self, bev_tokens: Tensor, ego: Tensor, bev_fine: Tensor | None = None
+    ) -> tuple[Tensor, ...]:
+        scored = self.model.score(bev_tokens, ego, bev_fine, anchors=self.anchors)
         return tuple(scored[name] for name in SCORED)
 
 
@@ -133,10 +136,9 @@ class WoteAdapter:
 
     def trace(self) -> dict[str, TracedGraph]:
         """encode and score."""
-        inputs = sensor_inputs(self.model.config.backbone)
-        encode = trace(Encode(self.model), inputs=inputs, outputs=ENCODED)
-        wanted = self.model.context_for_score
-        context = [spec for spec in encode.outputs if spec.name in wanted]
+        inputs, encoder = sensor_inputs(self.model.config.backbone), Encode(self.model)
+        encode = trace(encoder, inputs=inputs, outputs=encoder.names)
+        context = encode.outputs[: len(self.model.context_for_score)]
         return {"encode": encode, "score": trace(Score(self.model), inputs=context, outputs=SCORED)}
 
     def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:

@@ -1,0 +1,55 @@
+"""What the fine BEV shows where an anchor's car would stand."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from anchorflow_models.layers.lookup import lookup
+from anchorflow_models.transfuser import bev_places
+
+
+class Footprint(nn.Module):
+    """The BEV's values at some places of the car in each pose of a trajectory, as one feature.
+
+    Args:
+        channels: of the BEV's values
+        width: of the feature
+        steps: poses of a trajectory
+        places: m ahead and to the left of a pose
+        reach: m from the middle of the BEV to its edges
+    """
+
+    places: Tensor
+
+    def __init__(
+        self,
+        channels: int,
+        width: int,
+        *,
+        steps: int,
+        places: tuple[tuple[float, float], ...],
+        reach: float,
+    ) -> None:
+        super().__init__()
+        self.reach = reach
+        self.register_buffer("places", torch.tensor(places), persistent=False)
+        self.pose = nn.Linear(len(places) * channels, width // 2)
+        self.times = nn.Parameter(0.02 * torch.randn(steps, width // 2))
+        self.whole = nn.Linear(steps * (width // 2), width)
+
+    def forward(self, values: Tensor, poses: Tensor) -> Tensor:
+        """values: [B, H, H, C]; poses: [B, K, T, 3] m, m, rad -> [B, K, W]"""
+        batch, count, steps, _ = poses.shape
+        points = bev_places(self._points(poses), self.reach).reshape(batch, -1, 2)
+        found = lookup(values, points).reshape(batch, count, steps, -1)
+        return self.whole(F.relu(self.pose(found) + self.times).flatten(2))
+
+    def _points(self, poses: Tensor) -> Tensor:
+        """[B, K, T, P, 2]"""
+        cos, sin = poses[..., 2:].cos(), poses[..., 2:].sin()
+        ahead, left = self.places.unbind(-1)
+        x = poses[..., :1] + cos * ahead - sin * left
+        y = poses[..., 1:2] + sin * ahead + cos * left
+        return torch.stack([x, y], -1)

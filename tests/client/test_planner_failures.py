@@ -1,0 +1,160 @@
+"""What the planner does while answers fail, hang or come too late."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from staged_planner import Stage, batch_for
+
+from anchorflow_client import (
+    AnchorBatch,
+    AnchorRequest,
+    ConnectionFailed,
+    InvalidAnswer,
+    InvalidRequest,
+    Overloaded,
+    TimedOut,
+)
+from anchorflow_client.planner import PlannerConfig
+from anchorflow_client.planner.plan import PlanState
+
+
+def test_a_failure_leaves_the_last_good_plan_and_says_why(stage: Stage) -> None:
+    good = stage.cycle()
+    lost = ConnectionFailed("nobody listens")
+    stage.update()
+    stage.fail(lost)
+    plan = stage.planner.wait(0.0)
+
+    assert plan.state is PlanState.HELD
+    assert plan.batch is good.batch
+    assert plan.last_error is lost
+
+
+def test_an_answer_after_a_failure_clears_it(stage: Stage) -> None:
+    stage.update()
+    stage.fail(ConnectionFailed("nobody listens"))
+    stage.update()
+    stage.now += 0.1
+    plan = stage.cycle()
+
+    assert plan.state is PlanState.FRESH
+    assert plan.last_error is None
+
+
+def test_a_lost_server_is_asked_less_and_less_often() -> None:
+    stage = Stage(PlannerConfig(period_ms=10.0, first_retry_ms=100.0, longest_retry_ms=400.0))
+    asked_at = []
+    for _ in range(2000):
+        stage.update()
+        if stage.waiting:
+            asked_at.append(stage.now)
+            stage.fail(ConnectionFailed("nobody listens"))
+        stage.now += 0.001
+
+    # A failure is noticed at the tick after it: each wait is one tick longer.
+    np.testing.assert_allclose(
+        np.diff(asked_at), [0.101, 0.201, 0.401, 0.401, 0.401, 0.401], atol=1e-6
+    )
+
+
+def test_a_server_may_be_lost_for_hours() -> None:
+    """2,000 doublings of a wait are more than a float holds."""
+    stage = Stage(PlannerConfig(max_age_ms=10.0, period_ms=1.0, longest_retry_ms=100.0))
+    for _ in range(2000):
+        stage.update()
+        stage.fail(ConnectionFailed("nobody listens"))
+        stage.update()
+        stage.now += 0.1
+
+    assert stage.planner.counts["failed"] == 2000
+
+
+def test_an_overloaded_service_is_left_alone_for_as_long_as_it_says(stage: Stage) -> None:
+    stage.update()
+    stage.fail(Overloaded("too many", retry_after_s=3.0))
+    stage.update()
+    stage.now += 2.9
+    stage.update()
+    assert stage.waiting == []
+    stage.now += 0.1
+    stage.update()
+    assert len(stage.waiting) == 1
+
+
+def test_a_refused_view_is_followed_by_the_next_one(stage: Stage) -> None:
+    stage.update(cost_map=np.ones((16, 16)))
+    stage.answer()  # refused before it is sent: the robot stands in an obstacle
+    stage.now += 0.1
+    plan = stage.update()
+
+    assert isinstance(plan.last_error, InvalidRequest)
+    assert stage.requests == []
+    assert len(stage.waiting) == 1
+
+
+def test_a_hanging_request_is_given_up_and_its_late_answer_dropped(stage: Stage) -> None:
+    stage.update()
+    stage.now += 1.1
+    plan = stage.update()
+    assert isinstance(plan.last_error, TimedOut)
+    stage.now += 0.1
+    stage.update()
+    stage.answer(which=1)  # the second request overtakes the first
+    assert stage.planner.wait(0.0).request_id == stage.requests[0].request_id
+    stage.answer()
+    plan = stage.planner.wait(0.0)
+
+    assert plan.request_id == stage.requests[0].request_id
+    assert plan.request_id != stage.requests[1].request_id
+    assert dict(stage.planner.counts) == {"asked": 2, "answered": 1, "failed": 1, "dropped": 1}
+
+
+def test_no_more_than_two_requests_hang(stage: Stage) -> None:
+    for _ in range(100):
+        stage.update()
+        stage.now += 0.5
+    assert len(stage.waiting) == 2
+    stage.answer()
+    stage.update()
+    stage.now += 3.0
+    stage.update()
+    assert len(stage.waiting) == 2
+
+
+def test_the_answer_to_another_request_is_refused(stage: Stage) -> None:
+    def mixed_up(request: AnchorRequest) -> AnchorBatch:
+        answer = batch_for(request)
+        object.__setattr__(answer, "request_id", "somebody else's")
+        return answer
+
+    stage.reply = mixed_up
+    plan = stage.cycle()
+
+    assert plan.state is PlanState.WAITING
+    assert isinstance(plan.last_error, InvalidAnswer)
+    assert "somebody else's" in str(plan.last_error)
+
+
+@given(st.lists(st.sampled_from(["tick", "long tick", "answer", "newest", "fail"]), max_size=60))
+def test_whatever_happens_no_plan_is_too_old_and_none_goes_back(events: list[str]) -> None:
+    stage = Stage(PlannerConfig(max_age_ms=500.0, period_ms=50.0))
+    newest = -1
+    for event in events:
+        if event == "answer" and stage.waiting:
+            stage.answer()
+        elif event == "newest" and stage.waiting:
+            stage.answer(which=-1)
+        elif event == "fail" and stage.waiting:
+            stage.fail(ConnectionFailed("nobody listens"))
+        stage.now += 0.4 if event == "long tick" else 0.06
+        plan = stage.update()
+
+        assert plan.usable == (plan.state in (PlanState.FRESH, PlanState.HELD))
+        assert plan.usable == (plan.age_ms <= 500.0)
+        if plan.request_id is not None:
+            number = int(plan.request_id.rpartition("-")[2])
+            assert number >= newest
+            newest = number
+        assert len(stage.waiting) <= 2

@@ -1,0 +1,133 @@
+"""What the planner's next request starts from, and when an anchor in use is over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from staged_planner import DT, ByHand, Stage, batch_for
+
+from anchorflow_client import AnchorBatch, AnchorRequest, InvalidRequest, Overloaded
+from anchorflow_client.planner import Planner, PlannerConfig
+from anchorflow_client.planner.plan import PlanState
+from anchorflow_client.planner.shift import shifted, states_of
+
+
+def test_the_next_request_starts_from_the_anchor_in_use(stage: Stage) -> None:
+    stage.cycle()
+    stage.planner.follow(0)
+    stage.now += 0.2
+    stage.cycle()
+
+    first, second = stage.requests
+    assert first.warm_start is None
+    assert second.warm_start is not None
+    states = states_of(batch_for(first))[0]
+    left = shifted(states, dt=DT, elapsed_s=0.3)
+    np.testing.assert_allclose(second.warm_start.trajectory, left, atol=1e-9)
+    assert (second.warm_start.tau, second.warm_start.dt) == (0.8, DT)
+
+
+OWN_DT = np.array([1.0, 0.25])
+
+
+def own_times(request: AnchorRequest) -> AnchorBatch:
+    """The same anchors, of which the first lasts 4 s, the second 1 s."""
+    return replace(batch_for(request), dt=OWN_DT)
+
+
+def test_each_anchor_ages_by_its_own_clock(stage: Stage) -> None:
+    stage.reply = own_times
+    states = stage.cycle(0.5).states()
+
+    assert states.shape == (2, 5, 6)
+    for n, dt in enumerate(OWN_DT):
+        one = states_of(own_times(stage.requests[0]))[n]
+        np.testing.assert_array_equal(states[n], shifted(one, dt=dt, elapsed_s=0.5))
+    # samples of the second lie 0.5 m apart in space, 0.25 s in time: halfway it is at its third
+    np.testing.assert_allclose(states[:, 0, 0], [0.25, 2.0])
+
+
+def test_an_anchor_of_its_own_duration_starts_the_next_until_its_end(stage: Stage) -> None:
+    stage.reply = own_times
+    stage.cycle(0.1)
+    stage.planner.follow(1)
+    stage.now += 0.4
+    stage.cycle()
+
+    warm_start = stage.requests[1].warm_start
+    assert warm_start is not None
+    assert warm_start.dt == pytest.approx(0.5 / 4)  # of 1 s half is left
+    np.testing.assert_allclose(warm_start.trajectory[:, 0], [2.0, 2.5, 3.0, 3.5, 4.0])
+
+
+def test_a_horizon_that_is_asked_for_is_the_warm_starts(stage: Stage) -> None:
+    stage.reply = own_times
+    stage.cycle(0.1, horizon_s=3.0)
+    stage.planner.follow(0)
+    stage.cycle(horizon_s=3.0)
+
+    warm_start = stage.requests[1].warm_start
+    assert warm_start is not None
+    assert warm_start.dt == 0.75
+    assert warm_start.trajectory[-1, 0] == pytest.approx((0.1 + 3.0) * 0.5)
+
+
+def test_a_horizon_that_is_no_number_is_refused_as_ever(stage: Stage) -> None:
+    stage.cycle()
+    plan = stage.cycle(horizon_s="8")
+
+    assert isinstance(plan.last_error, InvalidRequest)
+    assert plan.last_error.field == "horizon_s"
+
+
+def test_an_anchor_that_is_over_starts_nothing_while_others_go_on(stage: Stage) -> None:
+    stage.planner = Planner(
+        stage,
+        PlannerConfig(max_age_ms=9000.0, cold_every=3),
+        clock=lambda: stage.now,
+        executor=ByHand(stage.waiting),
+    )
+    stage.reply = own_times
+    stage.cycle(1.0)
+    for index, warm in ((1, False), (0, True)):
+        stage.planner.follow(index)
+        stage.update()
+        stage.fail(Overloaded("full"))
+        stage.planner.wait(0.0)
+        assert (stage.requests[-1].warm_start is not None) == warm
+        stage.now += 1.0
+
+
+def test_a_plan_whose_anchors_are_all_over_is_expired(stage: Stage) -> None:
+    stage.reply = lambda request: replace(batch_for(request), dt=np.array([0.05, 0.125]))
+    assert stage.cycle(0.49).state is PlanState.FRESH  # the longest lasts 0.5 s
+
+    stage.now += 0.02
+    assert stage.planner.wait(0.0).state is PlanState.EXPIRED
+
+
+def test_without_a_word_from_the_loop_it_starts_from_the_best(stage: Stage) -> None:
+    stage.cycle()
+    stage.cycle()
+
+    warm_start = stage.requests[1].warm_start
+    assert warm_start is not None
+    assert warm_start.trajectory[0, 2] == 2.0  # m/s: the second anchor
+
+
+def test_every_third_request_starts_from_noise(stage: Stage) -> None:
+    for _ in range(7):
+        stage.cycle()
+
+    cold = [request.warm_start is None for request in stage.requests]
+    assert cold == [True, False, False, True, False, False, True]
+
+
+def test_an_anchor_that_is_used_up_starts_nothing(stage: Stage) -> None:
+    stage.cycle()
+    stage.now += 5.0  # it lasted 2 s
+    stage.cycle()
+
+    assert stage.requests[1].warm_start is None

@@ -1,0 +1,106 @@
+"""A planner over a client whose answers come, fail or hang as the test says, at its own time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from typing import Any
+
+import numpy as np
+
+from anchorflow_client import AnchorBatch, AnchorFlowError, AnchorRequest, ModelId
+from anchorflow_client.planner import Planner, PlannerConfig
+from anchorflow_client.planner.plan import Plan
+
+VIEW: dict[str, Any] = {
+    "cost_map": np.zeros((16, 16)),
+    "resolution": 0.5,
+    "x_curr": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+    "x_goal": [2.0, 0.0, 0.0, 0.0],
+}
+DT = 0.5
+
+
+def batch_for(request: AnchorRequest) -> AnchorBatch:
+    """Two anchors of five steps along x, at 1 and at 2 m/s; the second is the best."""
+    times, speeds = DT * np.arange(5), np.array([1.0, 2.0], np.float32)
+    paths = np.zeros((2, 5, 2), np.float32)
+    paths[..., 0] = speeds[:, None] * times
+    velocities = np.zeros_like(paths)
+    velocities[..., 0] = speeds[:, None]
+    return AnchorBatch(
+        arrays={
+            "trajectories": paths,
+            "velocities": velocities,
+            "accelerations": np.zeros_like(paths),
+            "scores": speeds,
+            "clearance": np.ones(2, np.float32),
+            "safe": np.ones(2, bool),
+        },
+        dt=DT,
+        seed=0,
+        model=ModelId("lines", "1", "ab"),
+        timing_ms={},
+        request_id=request.request_id,
+    )
+
+
+class Stage:
+    """A planner, its clock, and the requests that wait until the test lets them be answered."""
+
+    def __init__(self, config: PlannerConfig) -> None:
+        self.now = 100.0
+        self.requests: list[AnchorRequest] = []
+        self.waiting: list[Callable[[], None]] = []
+        self.reply: Callable[[AnchorRequest], AnchorBatch] = batch_for
+        self.planner = Planner(self, config, clock=lambda: self.now, executor=ByHand(self.waiting))
+
+    def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+        self.requests.append(request)
+        return self.reply(request)
+
+    def update(self, **view: Any) -> Plan:
+        return self.planner.update(**VIEW | view)
+
+    def answer(self, which: int = 0) -> None:
+        """Let a request through: the oldest that waits unless told."""
+        self.waiting.pop(which)()
+
+    def fail(self, error: AnchorFlowError) -> None:
+        """Let the oldest request that waits fail."""
+        self.reply = raising(error)
+        self.answer()
+        self.reply = batch_for
+
+    def cycle(self, seconds: float = 0.1, **view: Any) -> Plan:
+        """Ask, be answered, and take the plan `seconds` after what was seen."""
+        self.update(**view)
+        self.answer()
+        self.now += seconds
+        return self.planner.wait(0.0)
+
+
+class ByHand(Executor):
+    """Runs nothing by itself."""
+
+    def __init__(self, waiting: list[Callable[[], None]]) -> None:
+        self._waiting = waiting
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+
+        def run() -> None:
+            try:
+                future.set_result(fn(*args, **kwargs))
+            except AnchorFlowError as error:
+                future.set_exception(error)
+
+        self._waiting.append(run)
+        return future
+
+
+def raising(error: AnchorFlowError) -> Callable[[AnchorRequest], AnchorBatch]:
+    def reply(_: AnchorRequest) -> AnchorBatch:
+        raise error
+
+    return reply

@@ -1,0 +1,127 @@
+"""The same answer to the last bit, whatever stands beside it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from asked_engine import AS_SAMPLED, Build, assert_same_bytes, plan
+
+from anchorflow_client.contract import AnchorBatch
+from anchorflow_service.engine import Engine
+from anchorflow_service.engine.samplers.ode import OdeSampler
+
+
+def sampler_of(engine: Engine) -> OdeSampler:
+    assert isinstance(engine.sampler, OdeSampler)
+    return engine.sampler
+
+
+def test_the_first_anchors_of_a_seed_do_not_depend_on_how_many_are_asked_for(
+    free: Engine, small_request: Build
+) -> None:
+    """As they are drawn: what a finish brings back may follow a neighbour that it gained."""
+    few, many = (plan(free, small_request(num_samples=n, refine=AS_SAMPLED)) for n in (7, 30))
+    np.testing.assert_allclose(few.trajectories, many.trajectories[:7], atol=1e-6)
+    np.testing.assert_allclose(few.durations, many.durations[:7], rtol=1e-6)
+
+
+def test_same_seed_same_bytes_and_another_seed_differs(
+    engine: Engine, small_request: Build
+) -> None:
+    batch = plan(engine, small_request())
+    assert_same_bytes(batch, plan(engine, small_request()))
+    other = plan(engine, small_request(seed=8))
+    assert (batch.trajectories != other.trajectories).any()
+
+
+def test_a_drawn_seed_is_echoed_and_repeats_the_answer(
+    engine: Engine, small_request: Build
+) -> None:
+    drawn = plan(engine, small_request(seed=None))
+    assert_same_bytes(drawn, plan(engine, small_request(seed=drawn.seed)))
+    assert plan(engine, small_request(seed=None)).seed != drawn.seed
+
+
+def scene_fields(index: int) -> dict[str, Any]:
+    occupancy = np.zeros((1, 16, 16), np.float32)
+    occupancy[0, 4 + index : 6 + index, 6:9] = 1.0
+    return {
+        "data": occupancy,
+        "x_curr": np.array([-3.0, 0.3 * index, 0.2, 0.1, 0.0, 0.0]),
+        "x_goal": np.array([3.0, -0.2 * index, 0.1, 0.0]),
+        "w_style": np.array([0.5, 0.1 + 0.1 * index, 0.2]),
+    }
+
+
+def test_a_scene_answers_the_same_alone_and_in_a_batch(
+    engine: Engine, small_request: Build
+) -> None:
+    scenes = [scene_fields(index) for index in range(3)]
+    stacked = {name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]}
+    refine = {"smooth": True, "project": True}
+
+    def ask(fields: dict[str, Any]) -> AnchorBatch:
+        cost_map = {"data": fields["data"], "resolution": 0.5}
+        rest = {name: fields[name] for name in ("x_curr", "x_goal", "w_style")}
+        return plan(engine, small_request(cost_map=cost_map, refine=refine, **rest))
+
+    together = ask(stacked)
+    assert together.trajectories.shape == (3, 20, 8, 2)
+    for index, scene in enumerate(scenes):
+        assert_same_bytes(ask(scene), together, scene=index)
+
+
+def test_plans_at_once_do_not_touch_each_other(engine: Engine, small_request: Build) -> None:
+    requests = [small_request(seed=seed, num_samples=40) for seed in range(6)]
+    alone = [plan(engine, request) for request in requests]
+    with ThreadPoolExecutor(6) as pool:
+        for one, other in zip(alone, pool.map(partial(plan, engine), requests), strict=True):
+            assert_same_bytes(one, other)
+
+
+@pytest.mark.parametrize("cuts_freely", [True, False])
+@pytest.mark.parametrize("num_samples", [5, 16, 40])
+def test_an_answer_does_not_depend_on_the_threads_that_it_was_given(
+    engine: Engine, small_request: Build, cuts_freely: bool, num_samples: int
+) -> None:
+    """Whether or not this machine's kernels let the engine choose how it cuts."""
+    sampler_of(engine).cuts_freely = cuts_freely
+    request = small_request(num_samples=num_samples, refine={"smooth": True, "project": True})
+
+    assert_same_bytes(plan(engine, request, threads=1), plan(engine, request, threads=2))
+
+
+def test_own_durations_are_the_same_alone_in_a_batch_and_on_any_threads(
+    free: Engine, small_request: Build
+) -> None:
+    goals = [[3.0, 0.2, 0.0, 0.0], [-1.0, 2.5, 0.3, 0.0]]
+    asked = {"num_samples": 19, "refine": {"smooth": True, "project": True}}
+    ends = {"x_curr": [[-3.0, 0.1, 0.5, 0.0, 0.0, 0.0]] * 2, "x_goal": goals}
+    together = [plan(free, small_request(**asked, **ends), threads=n) for n in (1, 2)]
+    for scene, goal in enumerate(goals):
+        alone = plan(free, small_request(**asked, x_goal=goal))
+        for batch in together:
+            assert_same_bytes(alone, batch, scene=scene)
+
+
+def test_where_cutting_changes_bytes_one_thread_makes_the_same_cuts(
+    engine: Engine, small_request: Build, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cuts: list[int] = []
+    monkeypatch.setattr(
+        "anchorflow_service.engine.samplers.ode.integrate",
+        lambda _, x, **__: cuts.append(len(x)) or x,
+    )
+    request, sampler = small_request(num_samples=20), sampler_of(engine)
+    for sampler.cuts_freely in (True, False):
+        plan(engine, request, threads=1)
+        plan(engine, request, threads=2)
+
+    assert cuts[:1] == [20]
+    assert sorted(cuts[1:3]) == [10, 10]
+    assert cuts[3:5] == [10, 10]
+    assert sorted(cuts[5:]) == [10, 10]
