@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,18 @@ def test_every_stage_and_every_number_of_steps_is_proved(
     for stage in ("encode", "denoise", "coarse", "fine", "1 steps", "2 steps", "4 steps"):
         assert f"{stage} " in whats
     assert max(difference.error for difference in exported[1]) <= 1e-4
+
+
+def test_no_graph_of_the_published_planner_takes_the_ego_s_motion() -> None:
+    told, plain = (
+        adapter_of("diffusiondrive", tiny_diffusiondrive(config), ExportChoices())
+        for config in (TINY, replace(TINY, ego_motion=False))
+    )
+    for adapter, wanted in ((told, True), (plain, False)):
+        graphs = adapter.trace()
+        assert ("ego_motion" in {spec.name for spec in graphs["encode"].outputs}) is wanted
+        for role in ("coarse", "fine"):
+            assert ("ego_motion" in {spec.name for spec in graphs[role].inputs}) is wanted
 
 
 def test_the_card(client: LocalClient) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,15 @@ class PdmScorer:
     """Scores plans on one window; made once a window, as its reference is.
 
     The others replay the record and react to nothing.
+
+    speed: m/s that the ego begins with instead of the recorded one
     """
 
-    def __init__(self, window: Window) -> None:
+    def __init__(self, window: Window, *, speed: float | None = None) -> None:
         self._traffic = recorded_traffic(window)
+        if speed is not None:
+            start = replace(self._traffic.start, speed=speed)
+            self._traffic = replace(self._traffic, start=start)
         plan = pdm_closed(self._traffic.predicted())
         self.reference = Reference(plan, float(rate(plan.motion, self._traffic).progress[0]))
 

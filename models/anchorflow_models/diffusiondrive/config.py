@@ -11,8 +11,6 @@ POSES = 8
 FIRST_S = STEP_S = 0.5
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
-STATUS = 8
-"""Numbers that tell the ego's command (4), velocity and acceleration."""
 START = 8
 """The level of 1000 at which the diffusion is cut off: anchors begin with its noise."""
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}
@@ -33,6 +31,9 @@ class DiffusionDriveConfig:
     scorer_width, scorer_heads, scorer_hidden: of both scorers
     fine_layers: of the fine scorer, each with heads of its own
     value_kernel: cells a side that a value looked up in the BEV has seen
+    look_heads: shares of a value, each with weights of its own over a trajectory's points
+    ego_motion: whether the ego's query and both scorers are told the ego's speed and acceleration
+        themselves, and the scorers how each candidate goes on from them
     x_range, y_range: m, what the diffusion's unit interval spans; a place beyond is drawn to it
     diversity: spread of the factors on x and on y that make variants of a denoised trajectory
     bezier_degree: of the curve that each variant is fitted to
@@ -58,6 +59,8 @@ class DiffusionDriveConfig:
     scorer_hidden: int = 2048
     fine_layers: int = 3
     value_kernel: int = 3
+    look_heads: int = 1
+    ego_motion: bool = False
     x_range: tuple[float, float] = (-1.2, 55.7)
     y_range: tuple[float, float] = (-20.0, 26.0)
     diversity: tuple[float, float] = (0.1, 0.1)
@@ -72,9 +75,13 @@ class DiffusionDriveConfig:
         for name in (
             *("classes", "anchors", "heads", "scorer_heads", "hidden", "scorer_hidden"),
             *("query_layers", "denoiser_layers", "fine_layers", "groups", "variants", "keep"),
+            "look_heads",
         ):
             check(name, getattr(self, name) >= 1, "at least 1", getattr(self, name))
-        for name, heads in (("width", self.heads), ("scorer_width", self.scorer_heads)):
+        for name, heads in (
+            *(("width", self.heads), ("scorer_width", self.scorer_heads)),
+            *(("width", self.look_heads), ("scorer_width", self.look_heads)),
+        ):
             width = getattr(self, name)
             fits = width > 0 and width % heads == 0 and width % 2 == 0
             check(name, fits, f"an even multiple of its {heads} heads", width)
@@ -108,4 +115,6 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         scorer_hidden=192,
         fine_layers=2,
         value_kernel=1,
+        look_heads=8,
+        ego_motion=True,
     )

@@ -42,7 +42,9 @@ class DenoiserLayer(nn.Module):
     def __init__(self, config: DiffusionDriveConfig) -> None:
         super().__init__()
         width, heads = config.width, config.heads
-        self.look = BevAttention(width, points=POSES, reach=config.backbone.lidar_range)
+        self.look = BevAttention(
+            width, points=POSES, heads=config.look_heads, reach=config.backbone.lidar_range
+        )
         self.agents, self.ego = Attention(width, heads), Attention(width, heads)
         self.feed_forward = FeedForward(width, config.hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(4))

@@ -16,7 +16,6 @@ from torch.nn import functional as F
 from anchorflow_models.diffusiondrive.config import (
     FIRST_S,
     POSES,
-    STATUS,
     STEP_S,
     DiffusionDriveConfig,
 )
@@ -27,6 +26,9 @@ from anchorflow_models.diffusiondrive.trajectories import Variants
 from anchorflow_models.layers.attention import Decoder
 from anchorflow_models.transfuser import (
     AGENT_QUERIES,
+    MOTION,
+    STATUS,
+    STATUS_UNITS,
     AgentHead,
     BevValues,
     SemanticHead,
@@ -56,13 +58,18 @@ class Perceived:
 class Perception(nn.Module):
     """Camera, LiDAR and status to what denoiser and scorers look at."""
 
+    status_units: Tensor
+
     def __init__(self, config: DiffusionDriveConfig) -> None:
         super().__init__()
         width, backbone = config.width, config.backbone
+        self.tells_motion = config.ego_motion
         self.cells = backbone.bev_size
         self.backbone = TransfuserBackbone(backbone)
         self.narrow = nn.Conv2d(backbone.bev_width, width, 1)
         self.status = nn.Linear(STATUS, width)
+        units = torch.tensor(STATUS_UNITS) if config.ego_motion else torch.ones(STATUS)
+        self.register_buffer("status_units", units, persistent=False)
         self.places = nn.Parameter(0.02 * torch.randn(1, self.cells**2 + 1, width))
         self.queries = nn.Parameter(0.02 * torch.randn(1, 1 + AGENT_QUERIES, width))
         self.decoder = Decoder(
@@ -82,11 +89,15 @@ class Perception(nn.Module):
         """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'], as the backbone; ego_status: [B, 8]"""
         seen = self.backbone(camera, lidar)
         cells = self.narrow(seen.features).flatten(2).transpose(1, 2)
-        known = torch.cat([cells, self.status(ego_status)[:, None]], 1) + self.places
+        status = self.status(ego_status / self.status_units)[:, None]
+        known = torch.cat([cells, status], 1) + self.places
         decoded = self.decoder(self.queries.expand(known.shape[0], -1, -1), known)
         bev = self._joined(known[:, :-1], seen.upscaled)
         values = torch.stack([value(bev) for value in self.values], 1)
-        scene = SceneFeatures(bev, values, agents=decoded[:, 1:], ego=decoded[:, :1])
+        ego, motion = decoded[:, :1], None
+        if self.tells_motion:
+            ego, motion = ego + status, ego_status[:, MOTION]
+        scene = SceneFeatures(bev, values, agents=decoded[:, 1:], ego=ego, motion=motion)
         agents, logits = self.agents(scene.agents)
         return Perceived(scene, agents, logits, self.semantics(seen.upscaled))
 
@@ -122,7 +133,8 @@ class DiffusionDriveV2(nn.Module):
         """What the other graphs take, by name, and what is told of the scene beside."""
         seen = self.perception(camera, lidar, ego_status)
         begin = self.denoiser.space.normalised(self.anchors)
-        return {
+        told = {} if seen.scene.motion is None else {"ego_motion": seen.scene.motion}
+        return told | {
             "anchors": begin.expand(camera.shape[0], -1, -1, -1),
             "bev": seen.scene.bev,
             "values": seen.scene.values,
@@ -152,12 +164,13 @@ class DiffusionDriveV2(nn.Module):
         bev: Tensor,
         agent_queries: Tensor,
         ego_query: Tensor,
+        ego_motion: Tensor | None = None,
     ) -> Outputs:
         """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none ->
         candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M]
         """
         candidates = self.candidates(trajectories, diversity)
-        scene = SceneFeatures(bev, bev, agent_queries, ego_query)
+        scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion)
         scored = self.coarse_scorer(candidates, scene)
         return {
             "candidates": candidates,
@@ -179,9 +192,10 @@ class DiffusionDriveV2(nn.Module):
         bev: Tensor,
         agent_queries: Tensor,
         ego_query: Tensor,
+        ego_motion: Tensor | None = None,
     ) -> Outputs:
         """candidates: [B, M, T, 3]; features: [B, M, F] -> scores [B, M], sub_scores [B, M, 5]"""
-        scene = SceneFeatures(bev, bev, agent_queries, ego_query)
+        scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion)
         scored = self.fine_scorer(candidates, features, scene)[-1]
         return {"scores": scored.scores, "sub_scores": scored.sub_scores}
 

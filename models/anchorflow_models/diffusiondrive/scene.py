@@ -15,9 +15,11 @@ class SceneFeatures:
     values: [B, L, H, H, W], what each layer of the denoiser looks up in it
     agents: [B, Q, W], a query each
     ego: [B, 1, W]
+    motion: [B, 4] the ego's velocity (m/s) and acceleration (m/s²), where the scorers are told it
     """
 
     bev: Tensor
     values: Tensor
     agents: Tensor
     ego: Tensor
+    motion: Tensor | None = None

@@ -12,8 +12,10 @@ from anchorflow_models.diffusiondrive.config import POSES, DiffusionDriveConfig
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.trajectories import (
     HEADING_FEATURES,
+    MOTION_FEATURES,
     POINT_FEATURES,
     embedded_poses,
+    motion_features,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.transfuser import BevValues
@@ -52,7 +54,9 @@ class ScorerLayer(nn.Module):
         super().__init__()
         width, heads = config.scorer_width, config.scorer_heads
         self.values = BevValues(config.width, width, kernel=config.value_kernel)
-        self.look = BevAttention(width, points=POSES, reach=config.backbone.lidar_range)
+        self.look = BevAttention(
+            width, points=POSES, heads=config.look_heads, reach=config.backbone.lidar_range
+        )
         self.widen = nn.Linear(config.width, width)
         self.agents, self.ego = Attention(width, heads), Attention(width, heads)
         self.others = Attention(width, heads)
@@ -74,6 +78,26 @@ class ScorerLayer(nn.Module):
         return Scored(x, torch.cat([head(x) for head in self.heads], -1))
 
 
+class ToldMotion(nn.Module):
+    """Adds to candidates how they go on from the ego's motion; without `ego_motion`, nothing."""
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        width = config.scorer_width
+        self.embed = (
+            nn.Sequential(nn.Linear(MOTION_FEATURES, width), nn.ReLU(), nn.Linear(width, width))
+            if config.ego_motion
+            else None
+        )
+
+    def forward(self, x: Tensor, candidates: Tensor, motion: Tensor | None) -> Tensor:
+        """x: [B, M, F]; candidates: [B, M, T, 3]; motion: [B, 4] of the ego"""
+        if self.embed is None:
+            return x
+        assert motion is not None  # as `Perception` tells it
+        return x + self.embed(motion_features(candidates, motion))
+
+
 class CoarseScorer(nn.Module):
     """One layer over all candidates."""
 
@@ -85,11 +109,13 @@ class CoarseScorer(nn.Module):
             nn.ReLU(),
             nn.Linear(width, width),
         )
+        self.motion = ToldMotion(config)
         self.layer = ScorerLayer(config)
 
     def forward(self, candidates: Tensor, scene: SceneFeatures) -> Scored:
         """candidates: [B, M, T, 3]"""
-        return self.layer(self.embed(embedded_poses(candidates)), candidates[..., :2], scene)
+        x = self.motion(self.embed(embedded_poses(candidates)), candidates, scene.motion)
+        return self.layer(x, candidates[..., :2], scene)
 
 
 class FineScorer(nn.Module):
@@ -97,11 +123,13 @@ class FineScorer(nn.Module):
 
     def __init__(self, config: DiffusionDriveConfig) -> None:
         super().__init__()
+        self.motion = ToldMotion(config)
         self.layers = nn.ModuleList(ScorerLayer(config) for _ in range(config.fine_layers))
 
     def forward(self, candidates: Tensor, features: Tensor, scene: SceneFeatures) -> list[Scored]:
         """candidates: [B, M, T, 3]; features: [B, M, F] -> one a layer, of which the last counts"""
         made = []
+        features = self.motion(features, candidates, scene.motion)
         for layer in self.layers:
             scored = layer(features, candidates[..., :2], scene)
             features = scored.features

@@ -10,9 +10,14 @@ from torch import Tensor, nn
 
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, STEP_S, DiffusionDriveConfig
 from anchorflow_models.layers.embedding import sinusoidal
+from anchorflow_models.transfuser import MOTION, STATUS_UNITS
 
 POINT_FEATURES, HEADING_FEATURES = 64, 32
 LONGEST, SHORTEST = 256.0, 1.0  # m, of the wavelengths that tell a point
+MOTION_UNITS = (10.0, 3.0, 6.0, 0.5, 3.0)
+"""m/s, m/s², m/s³, rad/s, m/s²: what each of a candidate's rates is usually as large as."""
+MOTION_FEATURES = 4 + len(MOTION_UNITS) * POSES
+MOST = 3.0  # units of a rate; what is beyond is as hard as any
 SLOWEST = 0.5  # m/s; below it a curve's direction is no heading
 
 
@@ -47,6 +52,35 @@ def embedded_poses(poses: Tensor) -> Tensor:
     """[..., T, 3] m, rad -> [..., 96 T]"""
     turn = sinusoidal(poses[..., 2], HEADING_FEATURES, longest=2 * math.pi, shortest=math.pi / 8)
     return torch.cat([embedded_points(poses[..., :2]), turn.flatten(-2)], -1)
+
+
+def motion_features(poses: Tensor, motion: Tensor) -> Tensor:
+    """How trajectories go on from the ego's motion, which is what comfort and progress hang on.
+
+    poses: [B, N, T, 3] m, rad; motion: [B, 4] the ego's velocity and acceleration
+    -> [B, N, 4 + 5 T]: that motion, and of each step speed, acceleration, jerk, yaw rate and
+        lateral acceleration, all in their units and within MOST of them; the first acceleration is
+        from the ego's speed, the first jerk from its acceleration
+    """
+    start = torch.zeros_like(poses[:, :, :1])
+    steps = poses - torch.cat([start, poses[:, :, :-1]], 2)
+    turn = torch.atan2(steps[..., 2].sin(), steps[..., 2].cos()) / STEP_S
+    # The small number keeps the root's gradient finite where nothing moves.
+    speed = (steps[..., :2].square().sum(-1) + 1e-6).sqrt() / STEP_S
+    acceleration = _differences(speed, motion[:, :1])
+    jerk = _differences(acceleration, motion[:, 2:3])
+    rates = torch.stack([speed, acceleration, jerk, turn, speed * turn], -1)
+    rates = (rates / rates.new_tensor(MOTION_UNITS)).clamp(-MOST, MOST).flatten(-2)
+    own = (motion / motion.new_tensor(STATUS_UNITS[MOTION])).clamp(-MOST, MOST)
+    return torch.cat([own[:, None].expand(-1, poses.shape[1], -1), rates], -1)
+
+
+def _differences(rates: Tensor, first: Tensor) -> Tensor:
+    """Changes a second of rates [B, N, T] in the middles of steps, from first [B, 1] now."""
+    now = first[:, None].expand(-1, rates.shape[1], -1)
+    change = rates - torch.cat([now, rates[..., :-1]], -1)
+    elapsed = [STEP_S / 2] + [STEP_S] * (POSES - 1)
+    return change / change.new_tensor(elapsed)
 
 
 class Variants(nn.Module):

@@ -32,7 +32,10 @@ def lookup(features: Tensor, points: Tensor) -> Tensor:
 
 
 def lookup_sum(features: Tensor, points: Tensor, weights: Tensor) -> Tensor:
-    """Sums over P points of weighted features: [B, H, W, F], [B, N, P, 2], [B, N, P] -> [B, N, F].
+    """Sums over P points of weighted features.
+
+    features: [B, H, W, F]; points: [B, N, P, 2]; weights: [B, N, S, P], of each of S equal shares
+        of the features, or [B, N, P] of all -> [B, N, F]
 
     Places outside the map give what lies at its edge. One gather of the 4 P corners and one
     product: in onnxruntime on a CPU about twice as fast as `lookup` and a sum, and many times
@@ -49,6 +52,12 @@ def lookup_sum(features: Tensor, points: Tensor, weights: Tensor) -> Tensor:
     shares = torch.stack(
         [(1 - right) * (1 - up), right * (1 - up), (1 - right) * up, right * up], -1
     )
-    share = (shares * weights[..., None]).flatten(-2)[..., None, :]
+    if weights.ndim == points.ndim - 1:
+        weights = weights[:, :, None]
+    share = (shares[:, :, None] * weights[..., None]).flatten(-2)
     rows = features.reshape(batch * height * width, channels).index_select(0, corners.reshape(-1))
-    return (share @ rows.reshape(*corners.shape, channels)).squeeze(-2)
+    rows = rows.reshape(*corners.shape, channels)
+    if share.shape[2] == 1:
+        return (share @ rows).squeeze(-2)
+    parts = rows.unflatten(-1, (share.shape[2], -1)).transpose(-2, -3)
+    return (share[..., None, :] @ parts).flatten(-3)

@@ -9,10 +9,14 @@ from anchorflow_models.transfuser.heads import (
     AgentHead,
     SemanticHead,
 )
+from anchorflow_models.transfuser.status import MOTION, STATUS, STATUS_UNITS
 
 __all__ = [
     "AGENT_QUERIES",
     "AGENT_STATE",
+    "MOTION",
+    "STATUS",
+    "STATUS_UNITS",
     "AgentHead",
     "BevFeatures",
     "BevValues",

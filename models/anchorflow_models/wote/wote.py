@@ -13,6 +13,8 @@ from torch import Tensor, nn
 
 from anchorflow_models.layers.attention import Decoder, EncoderLayer
 from anchorflow_models.transfuser import (
+    STATUS,
+    STATUS_UNITS,
     AgentHead,
     BevValues,
     FeaturePyramid,
@@ -26,8 +28,6 @@ from anchorflow_models.wote.rewards import RewardHead, final_scores
 from anchorflow_models.wote.world_model import WorldModel
 
 POSE = 3
-STATUS = 8  # command as one of four; velocity x, y; acceleration x, y
-STATUS_UNITS = (1.0,) * 4 + (10.0,) * 2 + (3.0,) * 2
 OFFSET_UNITS = (1.0, 1.0, 0.1)  # m, m, rad
 
 Context = dict[str, Tensor]

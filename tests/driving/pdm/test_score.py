@@ -53,6 +53,21 @@ def test_stopping_goes_as_far_as_its_brakes_say(on_street: OnStreet) -> None:
     assert found["nc"] == found["dac"] == found["ttc"] == found["c"] == 1
 
 
+def test_another_speed_to_begin_with_is_judged(on_street: OnStreet) -> None:
+    """Stopping from 6 m/s at 3 m/s² goes 6 m and as far as the controller lags."""
+    window = on_street()
+    braking = np.minimum(PLAN_TIMES, 2.0)
+    plan = np.stack([6 * braking - 1.5 * braking**2, 0 * braking, 0 * braking], -1)[None]
+
+    slower = PdmScorer(window, speed=6.0)
+
+    assert slower.motion(plan).speed[0, 0] == 6.0
+    found = slower.score(plan)
+    assert 6.0 < found.ep[0] * slower.reference.progress < 9.0
+    assert found.c[0] == 1.0
+    assert PdmScorer(window).score(plan).c[0] == 0.0
+
+
 def test_nobody_is_judged_by_progress_where_there_is_none(on_street: OnStreet, other) -> None:
     """4 m are free ahead: the reference uses some of them, which is too little to be judged by."""
     window = on_street(other(9.0, 0.0), speed=0.0)

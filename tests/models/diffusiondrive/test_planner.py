@@ -55,6 +55,7 @@ def whole(
     scene = [told[name] for name in OF_SCENE]
     told |= model.denoise(begin + 0.03 * noise, torch.tensor([8.0]), told["values"], *scene)
     diversity = diversity.expand(len(begin), -1, -1, -1)
+    scene += [told[name] for name in ("ego_motion",) if config.ego_motion]
     told |= model.coarse(told["trajectories"], diversity, told["bev"], *scene)
     best = told["coarse_scores"].argsort(-1, descending=True)[:, : config.keep]
     told["kept"] = torch.take_along_dim(told["candidates"], best[..., None, None], 1)
@@ -119,7 +120,10 @@ def test_trajectories_are_denoised_each_for_itself() -> None:
     assert (after[:, 0] - before[:, 0]).abs().max() > 0.1
 
 
-@pytest.mark.parametrize("told", ["agent_queries", "ego_query", "values", "bev"])
+OF_NO_DENOISER = ("bev", "ego_motion")
+
+
+@pytest.mark.parametrize("told", ["agent_queries", "ego_query", "ego_motion", "values", "bev"])
 @torch.inference_mode()
 def test_every_stage_hears_the_scene(told: str) -> None:
     model = planner()
@@ -129,7 +133,7 @@ def test_every_stage_hears_the_scene(told: str) -> None:
     )
     for name in ("trajectories", "coarse_scores", "scores"):
         heard = not torch.allclose(after[name], before[name], atol=1e-6)
-        assert heard is not (told == "bev" and name == "trajectories"), name
+        assert heard is not (told in OF_NO_DENOISER and name == "trajectories"), name
 
 
 @torch.inference_mode()
@@ -151,6 +155,32 @@ def test_an_untrained_denoiser_leaves_points_where_they_are() -> None:
     torch.testing.assert_close(model.denoise(x_t, torch.tensor([8.0]), *scene)["x_0"], x_t)
 
 
+@torch.inference_mode()
+def test_the_published_planner_is_told_no_motion() -> None:
+    config = replace(SMALL, ego_motion=False, look_heads=1)
+    model = planner(config)
+    assert "ego_motion" not in model.encode(**sensors())
+    assert not any("motion" in name for name in model.state_dict())
+    assert whole(model, sensors())["scores"].shape == (1, 32)
+
+
+@torch.inference_mode()
+def test_the_ego_s_query_is_told_the_status_in_its_units() -> None:
+    model, inputs = planner(), sensors()
+    found = model.perception(**inputs).scene
+    faster = inputs | {"ego_status": inputs["ego_status"].clone()}
+    faster["ego_status"][:, 4] += 10.0
+    moved = model.perception(**faster).scene
+    assert moved.motion is not None
+    assert found.motion is not None
+    torch.testing.assert_close(moved.motion - found.motion, torch.tensor([[10.0, 0, 0, 0]]))
+    # A unit more: a column of the status's weights, and what the decoder makes of it.
+    model.perception.decoder = torch.nn.Identity()  # type: ignore[assignment]
+    model.perception.decoder.forward = lambda queries, _known: queries  # type: ignore[assignment]
+    apart = model.perception(**faster).scene.ego - model.perception(**inputs).scene.ego
+    torch.testing.assert_close(apart[0, 0], model.perception.status.weight[:, 4], atol=1e-5, rtol=0)
+
+
 def test_the_score_is_that_of_pdm() -> None:
     nc, dac, ep, ttc, c = 0.5, 0.8, 0.6, 0.9, 1.0
     expected = nc * dac * (5 * ep + 5 * ttc + 2 * c) / 12
@@ -167,6 +197,7 @@ def test_the_score_is_that_of_pdm() -> None:
         ({"value_kernel": 2}, "value_kernel: expected 1, 3 or 5, got 2"),
         ({"bezier_degree": 9}, "bezier_degree: expected 1 to 8, got 9"),
         ({"diversity": (-0.1, 0.1)}, "diversity: expected at least 0 each"),
+        ({"look_heads": 5}, "width: expected an even multiple of its 5 heads, got 64"),
         ({"anchors": 0}, "anchors: expected at least 1, got 0"),
     ],
 )

@@ -10,7 +10,13 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive import small_diffusiondrive
-from anchorflow_models.diffusiondrive.trajectories import TrajectorySpace, Variants, embedded_poses
+from anchorflow_models.diffusiondrive.trajectories import (
+    MOST,
+    TrajectorySpace,
+    Variants,
+    embedded_poses,
+    motion_features,
+)
 from anchorflow_models.layers.lookup import lookup_sum
 from anchorflow_models.transfuser import bev_places
 
@@ -109,6 +115,49 @@ def test_a_lookup_is_the_weighted_sum_of_samples() -> None:
     sampled = F.grid_sample(channels_first, places, padding_mode="border", align_corners=False)
     expected = (sampled * weights[:, None]).sum(-1).transpose(1, 2)
     torch.testing.assert_close(lookup_sum(values, places, weights), expected, atol=1e-5, rtol=1e-4)
+
+
+def test_shares_of_the_values_are_looked_up_each_by_its_own_weights() -> None:
+    torch.manual_seed(0)
+    values, places = torch.randn(2, 9, 12, 6), 2 * torch.rand(2, 7, 8, 2) - 1
+    weights = torch.rand(2, 7, 3, 8)
+    shares = zip(values.chunk(3, -1), weights.unbind(2), strict=True)
+    expected = torch.cat([lookup_sum(value, places, own) for value, own in shares], -1)
+    torch.testing.assert_close(lookup_sum(values, places, weights), expected)
+
+
+def test_who_keeps_his_speed_feels_nothing() -> None:
+    path = arc(6.0, 1e-6).nan_to_num()
+    told = motion_features(path, torch.tensor([[6.0, 0.0, 0.0, 0.0]]))[0, 0]
+    rates = told[4:].unflatten(0, (8, 5))
+    torch.testing.assert_close(told[:4], torch.tensor([0.6, 0.0, 0.0, 0.0]))
+    torch.testing.assert_close(rates[:, 0], torch.full((8,), 0.6), atol=1e-5, rtol=0)
+    assert rates[:, 1:].abs().max() < 1e-4
+
+
+def test_a_candidate_is_told_from_the_ego_s_own_motion() -> None:
+    # 2 m/s² from 4 m/s: mean speeds of steps rise by 1 m/s each, the first from half a step ago.
+    path = torch.stack([4 * TIMES + TIMES**2, 0 * TIMES, 0 * TIMES], -1)[None, None]
+    same, slow = (
+        motion_features(path, torch.tensor([[v, 0.0, 2.0, 0.0]]))[0, 0, 4:].unflatten(0, (8, 5))
+        for v in (4.0, 3.0)
+    )
+    torch.testing.assert_close(same[:, 0], (4 + 2 * (TIMES - 0.25)) / 10)
+    torch.testing.assert_close(same[:, 1], torch.full((8,), 2 / 3), atol=1e-5, rtol=0)
+    assert same[:, 2].abs().max() < 1e-4
+    # From 3 m/s the first quarter of a second has 4 m/s² more, and that is within no bounds.
+    assert slow[0, 1].item() == pytest.approx(6 / 3, abs=1e-4)
+    assert slow[0, 2].item() == pytest.approx(16 / 6, abs=1e-3)
+    torch.testing.assert_close(slow[2:], same[2:], atol=1e-5, rtol=0)
+    far = motion_features(10 * path, torch.zeros(1, 4))
+    assert far.abs().max() == MOST
+
+
+def test_turns_are_told_the_short_way_round() -> None:
+    path = arc(4.0, 0.25)
+    path[..., 2] = torch.atan2(path[..., 2].sin(), path[..., 2].cos())
+    rates = motion_features(path, torch.tensor([[4.0, 0, 0, 4.0]]))[0, 0, 4:].unflatten(0, (8, 5))
+    torch.testing.assert_close(rates[:, 3], torch.full((8,), 2.0), atol=1e-4, rtol=0)
 
 
 def test_the_heading_of_a_u_turn_is_not_torn() -> None:

@@ -1,4 +1,4 @@
-"""DiffusionDriveV2 learns: its losses by hand, its stages, and a run that can be gone on with."""
+"""DiffusionDriveV2 learns: its stages, and a run that can be gone on with."""
 
 from __future__ import annotations
 
@@ -21,12 +21,9 @@ from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.config import JudgeConfig
 from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.diffusiondrive_objective import (
-    FAILED,
     DiffusionDriveObjective,
     DiffusionDriveObjectiveConfig,
-    advantages,
     denoised,
-    pose_distance,
 )
 from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRun,
@@ -41,7 +38,7 @@ from anchorflow_training.settings import ConfigError
 
 B, T = 2, 8
 MODEL = replace(TINY, classes=len(CLASSES))
-STAGES = ("imitation", "scorers", "reinforcement")
+STAGES = ("imitation", "scorers", "together", "reinforcement")
 
 
 def batch() -> dict[str, Tensor]:
@@ -59,8 +56,9 @@ def batch() -> dict[str, Tensor]:
     }
 
 
-def farther_is_better(windows: Tensor, trajectories: Tensor) -> Tensor:
+def farther_is_better(windows: Tensor, trajectories: Tensor, speeds: Tensor) -> Tensor:
     """A judge for whom progress is all, up to 60 m; who ends far to the right fails."""
+    assert speeds.isnan().all()
     told = torch.ones(*trajectories.shape[:2], 5)
     told[..., 2] = (trajectories[..., -1, 0] / 60).clamp(0, 1)
     told[..., 1] = (trajectories[..., -1, 1] > -15).float()
@@ -79,12 +77,14 @@ def drawn_for(objective: DiffusionDriveObjective) -> tuple[Tensor, ...]:
 
 TERMS = {
     "imitation": {"classes", "poses", "agents", "semantics"},
-    "scorers": {"coarse", "fine"},
+    "scorers": {"coarse", "fine", "rank"},
+    "together": {"classes", "poses", "agents", "semantics", "coarse", "fine", "rank"},
     "reinforcement": {"classes", "poses", "agents", "semantics", "reinforcement"},
 }
 LEARNS = {
     "imitation": {"perception", "denoiser"},
     "scorers": {"coarse_scorer", "fine_scorer"},
+    "together": {"perception", "denoiser", "coarse_scorer", "fine_scorer"},
     "reinforcement": {"perception", "denoiser"},
 }
 
@@ -105,7 +105,7 @@ def test_each_stage_reaches_its_own_weights_and_no_others(stage: str) -> None:
 
 @pytest.mark.parametrize("stage", ["imitation", "scorers"])
 def test_steps_make_every_term_smaller(stage: str) -> None:
-    loss_of, given = objective(stage), batch()
+    loss_of, given = objective(stage, rank=1.0), batch()
     draws = drawn_for(loss_of)
     optimiser = torch.optim.AdamW(loss_of.parameters(), 3e-3)
     first = terms = loss_of(given, *draws)[1]
@@ -131,33 +131,45 @@ def test_reinforcement_drives_farther() -> None:
     assert loss_of(given, *drawn_for(loss_of))[1]["pdms"] > before + 0.1
 
 
-def test_advantages_by_hand() -> None:
-    # Two anchors, three samples each, groups one after another; EP tells them apart.
-    told = torch.ones(1, 6, 5)
-    told[0, :, 2] = torch.tensor([0.2, 0.9, 0.4, 0.9, 0.6, 0.9])
-    told[0, 3, 0] = 0.5
-    score = [(5 * ep + 5 + 2) / 12 for ep in (0.2, 0.4, 0.6)]
-    spread = float(np.std(score, ddof=1))
-    found = advantages(told, 2)[0]
-    # The first anchor's samples are 0, 2 and 4: only the last lies above their mean. The second's
-    # are 1, 3 and 5, of which one collided.
-    assert found[[0, 2]].tolist() == [0.0, 0.0]
-    assert found[4].item() == pytest.approx((score[2] - score[1]) / spread, rel=1e-4)
-    assert found[3].item() == FAILED
-    assert (found[[1, 5]] > 0).all()
+def test_the_scorers_learn_other_speeds_and_imitation_does_not() -> None:
+    asked = []
+
+    def judge(_windows: Tensor, trajectories: Tensor, speeds: Tensor) -> Tensor:
+        asked.append(speeds)
+        return torch.rand(*trajectories.shape[:2], 5)
+
+    settings = DiffusionDriveObjectiveConfig(stage="together", judged=12, speed=4.0)
+    loss_of = DiffusionDriveObjective(tiny_diffusiondrive(), settings, judge)
+    told: list[Tensor] = []
+    loss_of.model.perception.register_forward_pre_hook(lambda _module, given: told.append(given[2]))
+    given = batch()
+    given["ego_status"][:, 4] = torch.tensor([6.0, 3.0])
+    given["ego_status"][:, 7] = 1.8
+    *draws, change = drawn_for(loss_of)
+    change = torch.tensor([[0.5, 0.0, 0.0, 0.1], [0.5, 0.0, 0.0, 0.9]])
+    _, terms = loss_of(given, *draws, change)
+    # The first begins 2 m/s faster on the same curve; the second as it was.
+    assert asked[0][0].item() == 8.0
+    assert asked[0][1].isnan()
+    expected = given["ego_status"].clone()
+    expected[0, 4], expected[0, 7] = 8.0, 1.8 * (8 / 6) ** 2
+    torch.testing.assert_close(told[0], expected)
+    # What was driven in the first window tells nothing of that speed.
+    elsewhere = given | {"future": given["future"] + torch.tensor([9.0, 0.0])[:, None, None]}
+    torch.testing.assert_close(loss_of(elsewhere, *draws, change)[1]["poses"], terms["poses"])
+
+
+def test_recorded_accelerations_are_told_roughly() -> None:
+    loss_of, given = objective("imitation", acceleration=0.5), batch()
+    status, speeds = loss_of._changed(given["ego_status"], torch.ones(B, 4))
+    expected = given["ego_status"] + torch.tensor([0.0] * 6 + [0.5] * 2)
+    torch.testing.assert_close(status, expected)
+    assert speeds.isnan().all()
 
 
 def test_the_winner_is_the_nearest_anchor() -> None:
     loss_of = objective("imitation")
     assert loss_of.nearest(batch()["future"]).tolist() == [1, 2]
-
-
-def test_headings_are_apart_the_short_way_round() -> None:
-    poses, others = torch.zeros(2, T, 3), torch.zeros(2, T, 3)
-    poses[0, :, 2], others[0, :, 2] = 3.1, -3.1
-    others[1, :, 0] = 3.0
-    expected = torch.tensor([(2 * np.pi - 6.2) / 3, 1.0])
-    torch.testing.assert_close(pose_distance(poses, others), expected, atol=1e-5, rtol=0)
 
 
 def test_training_denoises_as_the_service_does() -> None:
@@ -235,6 +247,14 @@ def test_the_judge_is_the_scorer_of_each_window(logs: list[Path]) -> None:
         np.testing.assert_allclose(row[:, 0], wanted.nc)
         np.testing.assert_allclose(row[:, 2], wanted.ep, atol=1e-6)
         np.testing.assert_allclose(row[:, 4], wanted.c)
+    own = scenes[0][0].state.speed
+    twice, faster = judge(
+        torch.tensor([0, 0]), plans, speeds=torch.tensor([torch.nan, own + 9.0])
+    ).numpy()
+    np.testing.assert_array_equal(twice, told[0])
+    wanted = PdmScorer(scenes[0][0], speed=own + 9.0).score(plans[0].numpy())
+    np.testing.assert_allclose(faster[:, 2], wanted.ep, atol=1e-6)
+    assert not np.array_equal(faster, twice)
 
 
 def test_the_stages_follow_one_another_and_go_on_where_they_stopped(

@@ -1,9 +1,10 @@
 """What DiffusionDriveV2 learns: to denoise, to score what it denoises, and to prefer what scores.
 
-Three stages, each of which goes on from the weights of the one before:
+Three stages, each of which goes on from the weights of the one before, and one that joins two:
 
     imitation       perception and denoiser: the anchor nearest to the record, moved onto it
     scorers         both scorers: PDM sub-scores of the candidates that the denoiser makes
+    together        both at once, so that perception learns what the scorers ask of it
     reinforcement   the denoiser: of each anchor's samples, those that score above its others
 """
 
@@ -23,17 +24,26 @@ from anchorflow_models.diffusiondrive.config import SCHEDULES, START, TRAINED_LE
 from anchorflow_models.diffusiondrive.denoiser import Denoised
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import pdm_score
+from anchorflow_training.driving.diffusiondrive_losses import (
+    FAILED,
+    advantages,
+    pose_distance,
+    wrong_order,
+)
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import NoiseLevels, ddim_step, noised
 
 Terms = dict[str, Tensor]
-Judge = Callable[[Tensor, Tensor], Tensor]
-"""PDM sub-scores [B, M, 5] in [0, 1] of trajectories [B, M, T, 3] in windows [B], by number."""
+Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""PDM sub-scores [B, M, 5] in [0, 1] of trajectories [B, M, T, 3] in windows [B], by number, the
+ego beginning at speeds [B]; NaN: as recorded."""
 
+SPEED, ALONG, ACROSS = 4, 6, 7
+"""Of the ego status: velocity and acceleration forward, acceleration to the left."""
 SIGNAL = NoiseLevels().signal
-FAILED = -1.0  # the advantage of what collides or leaves the road
-LEAST_SPREAD = 1e-4  # of the scores of one anchor's samples
+SCORED = ("scorers", "together")  # stages in which the scorers learn
+OTHER_SPEEDS = 0.5  # share of the windows in which `speed` changes the ego's
 LEAST_WAY = 1.0  # m, which the spread of a sample is in proportion to at least
 
 
@@ -41,7 +51,7 @@ LEAST_WAY = 1.0  # m, which the spread of a sample is in proportion to at least
 class DiffusionDriveObjectiveConfig:
     """The stage, the weights of its terms, and how many trajectories it looks at."""
 
-    stage: Literal["imitation", "scorers", "reinforcement"] = setting(
+    stage: Literal["imitation", "scorers", "together", "reinforcement"] = setting(
         "imitation", "What is learnt; each stage begins with a checkpoint of the one before."
     )
     classes: float = setting(1.0, "Which anchor is the one.", least=0)
@@ -50,7 +60,17 @@ class DiffusionDriveObjectiveConfig:
     semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
     coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
     fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
+    rank: float = setting(0.0, "Of pairs of candidates in the wrong order, both scorers.", least=0)
     reinforcement: float = setting(1.0, "Of the policy gradient.", least=0)
+    groups: int = setting(0, "Of anchors that the scorers learn from; 0: the model's.", least=0)
+    speed: float = setting(
+        0.0,
+        "m/s, spread of what the ego's speed is changed by in half of the scorers' windows.",
+        least=0,
+    )
+    acceleration: float = setting(
+        0.0, "m/s², spread of what is added to the acceleration that is told.", least=0
+    )
     judged: int = setting(
         64, "Candidates a scene whose PDM score is worked out; at most half are the best.", least=2
     )
@@ -59,7 +79,7 @@ class DiffusionDriveObjectiveConfig:
 
 
 class DiffusionDriveObjective(nn.Module):
-    """Loss and its terms on a batch; `judge` is asked in the two later stages."""
+    """Loss and its terms on a batch; `judge` is asked in all stages but the first."""
 
     def __init__(
         self,
@@ -73,14 +93,17 @@ class DiffusionDriveObjective(nn.Module):
         self.model, self.config, self.judge = model, config, judge
 
     def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:  # noqa: ARG002
-        """Noise [B, A G, T, 2], levels [B], diversity [B, A G, V, 2], order of candidates [B, M].
+        """Noise [B, A G, T, 2], levels [B], diversity [B, A G, V, 2], order of candidates [B, M],
+        and what the status is changed by [B, 4]: normal, of speed and accelerations, and uniform.
 
         G and V are 1 where only anchors are denoised, the group of reinforcement, or the model's.
         """
         model = self.model.config
+        scored = (self.config.groups or model.groups, model.variants)
         groups, variants = {
             "imitation": (1, 1),
-            "scorers": (model.groups, model.variants),
+            "scorers": scored,
+            "together": scored,
             "reinforcement": (self.config.group, 1),
         }[self.config.stage]
         count = model.anchors * groups
@@ -91,6 +114,13 @@ class DiffusionDriveObjective(nn.Module):
             torch.randint(0, TRAINED_LEVELS, (scenes,), generator=generator),
             torch.randn(scenes, count, variants, 2, generator=generator),
             torch.rand(scenes, candidates, generator=generator),
+            torch.cat(
+                [
+                    torch.randn(scenes, 3, generator=generator),
+                    torch.rand(scenes, 1, generator=generator),
+                ],
+                -1,
+            ),
         )
 
     def forward(
@@ -100,40 +130,66 @@ class DiffusionDriveObjective(nn.Module):
         level: Tensor,
         diversity: Tensor,
         order: Tensor,
+        change: Tensor,
     ) -> tuple[Tensor, Terms]:
         """batch: camera, lidar, ego_status as of `Perception`; future [B, T, 3] m, rad; agents
         [B, Q, 5] and agent_count [B]; semantics [B, H/2, H] classes; window [B], for the judge."""
-        sensors = (batch["camera"], batch["lidar"], batch["ego_status"])
-        if self.config.stage == "scorers":
-            self.model.perception.eval()  # it does not learn, its normalisation neither
-            with torch.no_grad():
-                seen = self.model.perception(*sensors)
-            terms = self._scorers(seen, batch["window"], noise, diversity, order)
-        else:
+        config, anchors = self.config, self.model.config.anchors
+        status, speeds = self._changed(batch["ego_status"], change)
+        sensors = (batch["camera"], batch["lidar"], status)
+        learns = config.stage != "scorers"
+        if not learns:
+            self.model.perception.eval()  # its normalisation does not learn either
+        with torch.set_grad_enabled(learns):
             seen = self.model.perception(*sensors)
-            anchors = self.model.config.anchors
-            terms = self._imitation(seen, batch, noise[:, :anchors], level)
-            if self.config.stage == "reinforcement":
-                terms |= self._reinforcement(seen, batch["window"], noise, diversity[:, :, 0])
+        terms: Terms = {}
+        if learns:
+            terms |= self._imitation(seen, batch, noise[:, :anchors], level, speeds)
+        if config.stage in SCORED:
+            terms |= self._scorers(seen, batch["window"], noise, diversity, order, speeds)
+        if config.stage == "reinforcement":
+            terms |= self._reinforcement(seen, batch["window"], noise, diversity[:, :, 0])
         weighted = [
-            getattr(self.config, name) * term
-            for name, term in terms.items()
-            if hasattr(self.config, name)
+            getattr(config, name) * term for name, term in terms.items() if hasattr(config, name)
         ]
         return torch.stack(weighted).sum(), terms
 
+    def _changed(self, status: Tensor, change: Tensor) -> tuple[Tensor, Tensor]:
+        """The status [B, 8] as it is told, and the speeds [B] that are not as recorded, or NaN."""
+        config, status = self.config, status.clone()
+        speeds = torch.full_like(status[:, 0], torch.nan)
+        if config.stage in SCORED and config.speed:
+            other = change[:, 3] < OTHER_SPEEDS
+            before = status[:, SPEED]
+            after = (before + config.speed * change[:, 0]).clamp(min=0.0)
+            speeds = torch.where(other, after, speeds)
+            # On the same curve.
+            turn = (after / before.clamp(min=1.0)).square().where(other, torch.ones_like(after))
+            status[:, SPEED] = torch.where(other, after, before)
+            status[:, ACROSS] *= turn
+        status[:, ALONG:] += config.acceleration * change[:, 1:3]
+        return status, speeds
+
     def _imitation(
-        self, seen: Perceived, batch: Mapping[str, Tensor], noise: Tensor, level: Tensor
+        self,
+        seen: Perceived,
+        batch: Mapping[str, Tensor],
+        noise: Tensor,
+        level: Tensor,
+        speeds: Tensor,
     ) -> Terms:
         model, future = self.model, batch["future"]
         signal = torch.as_tensor(SIGNAL, dtype=noise.dtype, device=noise.device)[level]
         x_t = noised(begun(model, groups=1), noise, signal[:, None, None, None])
         winner = self.nearest(future)
         rows = torch.arange(len(winner), device=winner.device)
+        # At another speed something else would have been driven.
+        known = speeds.isnan().to(noise.dtype)
+        share = known / known.sum().clamp(min=1.0)
         classes, poses = [], []
         for made in model.denoiser(x_t, level.to(noise.dtype), seen.scene):
-            classes.append(F.cross_entropy(made.logits, winner))
-            poses.append(pose_distance(made.trajectories[rows, winner], future).mean())
+            classes.append(share @ F.cross_entropy(made.logits, winner, reduction="none"))
+            poses.append(share @ pose_distance(made.trajectories[rows, winner], future))
         return {
             "classes": torch.stack(classes).mean(),
             "poses": torch.stack(poses).mean(),
@@ -149,7 +205,13 @@ class DiffusionDriveObjective(nn.Module):
         return apart.argmin(-1)
 
     def _scorers(
-        self, seen: Perceived, windows: Tensor, noise: Tensor, diversity: Tensor, order: Tensor
+        self,
+        seen: Perceived,
+        windows: Tensor,
+        noise: Tensor,
+        diversity: Tensor,
+        order: Tensor,
+        speeds: Tensor,
     ) -> Terms:
         model, scene = self.model, seen.scene
         with torch.no_grad():
@@ -158,11 +220,13 @@ class DiffusionDriveObjective(nn.Module):
             candidates = model.candidates(denoised(model, scene, noise).trajectories, diversity)
         coarse = model.coarse_scorer(candidates, scene)
         # The best by the coarse scorer's own choice, as the service keeps them, and others.
-        keep = min(model.config.keep, self.config.judged // 2)
+        keep = min(model.config.keep, self.config.judged // 2, candidates.shape[1])
         best = coarse.scores.detach().argsort(-1, descending=True)[:, :keep]
         chosen = order.scatter(1, best, -1.0).argsort(-1)[:, keep : self.config.judged]
         chosen = torch.cat([best, chosen], 1)[..., None]
-        truth = self._judged(windows, torch.take_along_dim(candidates, chosen[..., None], 1))
+        truth = self._judged(
+            windows, torch.take_along_dim(candidates, chosen[..., None], 1), speeds
+        )
         logits = torch.take_along_dim(coarse.logits, chosen, 1)
         kept, true_of_kept = chosen[:, :keep], truth[:, :keep]
         fine = model.fine_scorer(
@@ -172,9 +236,13 @@ class DiffusionDriveObjective(nn.Module):
         )
         misses = [F.binary_cross_entropy_with_logits(s.logits, true_of_kept) for s in fine]
         score, choice = pdm_score(truth), fine[-1].scores.detach().argmax(-1, keepdim=True)
+        coarse_scores = pdm_score(logits.sigmoid())
+        ranks = [wrong_order(coarse_scores, score)]
+        ranks += [wrong_order(s.scores, pdm_score(true_of_kept)) for s in fine]
         return {
             "coarse": F.binary_cross_entropy_with_logits(logits, truth),
             "fine": torch.stack(misses).mean(),
+            "rank": torch.stack(ranks).mean(),
             "pdms_best": score.amax(-1).mean(),
             "pdms_coarse": score[:, 0].mean(),
             "pdms_fine": pdm_score(true_of_kept).gather(1, choice).mean(),
@@ -191,7 +259,7 @@ class DiffusionDriveObjective(nn.Module):
         with torch.no_grad():
             poses = torch.cat([sample, made[..., 2:]], -1)
             poses = self.model.variants(poses, torch.zeros_like(factors)[:, :, None])
-            truth = self._judged(windows, poses)
+            truth = self._judged(windows, poses, torch.full_like(factors[:, 0, 0], torch.nan))
             advantage = advantages(truth, self.model.config.anchors)
         width = spread * mean.detach().norm(dim=-1, keepdim=True).clamp(min=LEAST_WAY)
         likely = -0.5 * ((sample - mean) / width).square().sum(-1).mean(-1)
@@ -201,9 +269,9 @@ class DiffusionDriveObjective(nn.Module):
             "failed": (advantage == FAILED).float().mean(),
         }
 
-    def _judged(self, windows: Tensor, trajectories: Tensor) -> Tensor:
+    def _judged(self, windows: Tensor, trajectories: Tensor, speeds: Tensor) -> Tensor:
         assert self.judge is not None  # as the constructor found
-        return self.judge(windows, trajectories).to(trajectories)
+        return self.judge(windows, trajectories, speeds).to(trajectories)
 
 
 def begun(model: DiffusionDriveV2, *, groups: int) -> Tensor:
@@ -223,25 +291,3 @@ def denoised(model: DiffusionDriveV2, scene: SceneFeatures, noise: Tensor) -> De
             x_0 = model.denoiser.space.normalised(made.trajectories[..., :2])
             x = ddim_step(x, x_0, float(SIGNAL[level]), following=float(SIGNAL[after]))
     return model.denoiser(x, torch.full((1,), float(last), device=x.device), scene)[-1]
-
-
-def advantages(sub_scores: Tensor, anchors: int) -> Tensor:
-    """[B, A G] of sub-scores [B, A G, 5], groups of all anchors one after another.
-
-    How far a sample's PDM score lies above the mean of its own anchor's, in their deviations; 0
-    where it lies below, as another anchor's manner is no fault; FAILED where it collides or leaves
-    the road (Zou et al., 2025: intra-anchor groups, truncated).
-    """
-    nc, dac = sub_scores[..., 0], sub_scores[..., 1]
-    score = pdm_score(sub_scores).unflatten(1, (-1, anchors))
-    above = score - score.mean(1, keepdim=True)
-    relative = above / score.std(1, keepdim=True).clamp(min=LEAST_SPREAD)
-    kept = relative.clamp(min=0.0).flatten(1)
-    return torch.where((nc < 1) | (dac < 1), torch.full_like(kept, FAILED), kept)
-
-
-def pose_distance(poses: Tensor, others: Tensor) -> Tensor:
-    """Mean absolute differences [...] of poses [..., T, 3], headings the short way round."""
-    apart = poses - others
-    turn = torch.atan2(apart[..., 2].sin(), apart[..., 2].cos())
-    return torch.cat([apart[..., :2], turn[..., None]], -1).abs().mean((-1, -2))

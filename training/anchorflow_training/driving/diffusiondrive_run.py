@@ -57,7 +57,7 @@ class DiffusionDriveRun(SensorRun):
 
     def __init__(self, config: DiffusionDriveRunConfig, logs: Sequence[Path], out: Path) -> None:
         stage = config.objective.stage
-        if stage != "imitation" and config.before is None:
+        if stage in ("scorers", "reinforcement") and config.before is None:
             raise ConfigError(f"before: expected a checkpoint to begin {stage} with, got none")
         super().__init__(config, logs, out)
 

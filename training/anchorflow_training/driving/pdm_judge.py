@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -13,9 +14,9 @@ from torch import Tensor
 
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
-from anchorflow_driving.window import Scenes
+from anchorflow_driving.window import Scenes, Window
 
-KEPT_LOGS, KEPT_WINDOWS = 64, 2048
+KEPT_LOGS, KEPT_WINDOWS = 256, 256
 
 
 class PdmJudge:
@@ -29,16 +30,29 @@ class PdmJudge:
         self._scenes = lru_cache(KEPT_LOGS)(lambda number: Scenes(read_log(logs[number])))
         self._scorer = lru_cache(KEPT_WINDOWS)(self._new_scorer)
 
-    def __call__(self, windows: Tensor, trajectories: Tensor) -> Tensor:
-        """Sub-scores [B, M, 5] in the order of SUB_SCORES of trajectories [B, M, T, 3]."""
+    def __call__(
+        self, windows: Tensor, trajectories: Tensor, speeds: Tensor | None = None
+    ) -> Tensor:
+        """Sub-scores [B, M, 5] in the order of SUB_SCORES of trajectories [B, M, T, 3].
+
+        speeds: [B] m/s that the ego begins with; NaN: as recorded, as is everybody's without them
+        """
         plans = trajectories.detach().cpu().double().numpy()
+        begun = [math.nan] * len(plans) if speeds is None else speeds.tolist()
         rows = [
-            self._scorer(int(window)).score(own).sub_scores
-            for window, own in zip(windows, plans, strict=True)
+            (self._scorer(int(window)) if math.isnan(speed) else self._begun(int(window), speed))
+            .score(own)
+            .sub_scores
+            for window, speed, own in zip(windows, begun, plans, strict=True)
         ]
         return torch.from_numpy(np.array(rows, np.float32))
 
     def _new_scorer(self, window: int) -> PdmScorer:
+        return PdmScorer(self._window(window))
+
+    def _begun(self, window: int, speed: float) -> PdmScorer:
+        return PdmScorer(self._window(window), speed=speed)
+
+    def _window(self, window: int) -> Window:
         log = int(self._log[window])
-        first = int(np.searchsorted(self._log, log))
-        return PdmScorer(self._scenes(log)[window - first])
+        return self._scenes(log)[window - int(np.searchsorted(self._log, log))]

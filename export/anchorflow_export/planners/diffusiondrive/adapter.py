@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -33,12 +34,13 @@ from anchorflow_service.engine.samplers.truncated_diffusion import (
 from anchorflow_trajectory.ddim import CLEAN, NoiseLevels, ddim_step, noised
 
 Outputs = dict[str, Tensor]
+Told = TypeVar("Told")
 
 F32 = "float32"
 LEVELS = NoiseLevels()
 OUTPUTS = {
     "encode": (
-        *("anchors", "bev", "values", "agent_queries", "ego_query"),
+        *("anchors", "bev", "values", "agent_queries", "ego_query", "ego_motion"),
         *("agents", "agent_scores", "bev_semantics"),
     ),
     "denoise": ("x_0", "trajectories", "class_scores"),
@@ -69,7 +71,7 @@ class Role(nn.Module):
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         made = getattr(self.model, self.role)(*inputs)
-        return tuple(made[name] for name in OUTPUTS[self.role])
+        return tuple(made[name] for name in _outputs(self.model, self.role))
 
 
 @dataclass(frozen=True)
@@ -133,13 +135,13 @@ class DiffusionDriveAdapter:
         }
         for role in OUTPUTS:
             inputs = self._inputs(role, given)
-            graphs[role] = trace(Role(self.model, role), inputs=inputs, outputs=OUTPUTS[role])
+            outputs = _outputs(self.model, role)
+            graphs[role] = trace(Role(self.model, role), inputs=inputs, outputs=outputs)
             given |= {spec.name: _of_anchors(spec) for spec in graphs[role].outputs}
         return graphs
 
     def _inputs(self, role: str, given: dict[str, TensorSpec]) -> tuple[TensorSpec, ...]:
-        taken = inspect.signature(getattr(self.model, role)).parameters
-        return tuple(given[name] for name in taken)
+        return tuple(_taken(getattr(self.model, role), given).values())
 
     def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
         """Every graph at several sizes, each fed from torch's own outputs."""
@@ -211,9 +213,17 @@ def torch_sample(
     return {"trajectories": told["candidates"][0, best], **picked}
 
 
-def _taken(method: Callable[..., Outputs], told: Outputs) -> Outputs:
-    """What a method of the network takes by name."""
-    return {name: told[name] for name in inspect.signature(method).parameters}
+def _outputs(model: DiffusionDriveV2, role: str) -> tuple[str, ...]:
+    """The ego's motion only where the scorers are told it."""
+    unread = () if model.config.ego_motion else ("ego_motion",)
+    return tuple(name for name in OUTPUTS[role] if name not in unread)
+
+
+def _taken(method: Callable[..., Outputs], told: Mapping[str, Told]) -> dict[str, Told]:
+    """What a method of the network takes by name; what it can do without need not be there."""
+    parameters = inspect.signature(method).parameters.values()
+    wanted = [p.name for p in parameters if p.name in told or p.default is p.empty]
+    return {name: told[name] for name in wanted}
 
 
 def _of_anchors(spec: TensorSpec) -> TensorSpec:

@@ -18,9 +18,9 @@ from anchorflow_export.adapter import (
     TracedGraph,
 )
 from anchorflow_export.tracing import random_tensor, trace
-from anchorflow_models.transfuser import AGENT_STATE, TransfuserConfig
+from anchorflow_models.transfuser import AGENT_STATE, STATUS, TransfuserConfig
 from anchorflow_models.wote import SIMULATED, WoTE, WoteConfig
-from anchorflow_models.wote.wote import POSE, STATUS
+from anchorflow_models.wote.wote import POSE
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
     AnswerEntry,
