@@ -92,11 +92,16 @@ class GraphTrial:
 
 @dataclass(frozen=True, eq=False)
 class SampleTrial:
-    """A whole sample: the engine's own, and torch's in a loop written the plain way."""
+    """A whole sample: the engine's own, and torch's in a loop written the plain way.
+
+    relative: whether the greatest expected number, where it is over 1, is what a difference is
+        measured by; scores that sum logarithms can be hundreds
+    """
 
     what: str
     got: np.ndarray
     expected: np.ndarray
+    relative: bool = False
 
 
 class PlannerAdapter(Protocol):

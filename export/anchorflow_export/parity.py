@@ -38,7 +38,7 @@ def prove_parity(
         differences = (
             *(_compare(bundle, trial) for trial in adapter.graph_trials(bundle)),
             *(
-                _difference(trial.what, trial.got, trial.expected)
+                _difference(trial.what, trial.got, trial.expected, relative=trial.relative)
                 for trial in adapter.sample_trials(bundle)
             ),
         )

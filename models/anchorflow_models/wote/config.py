@@ -110,7 +110,6 @@ def small_wote() -> WoteConfig:
         offset_layers=2,
         world_layers=1,
         agent_layers=1,
-        rewards=RewardWeights(im=0.05),
         footprint=((0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (3.0, 1.0), (3.0, -1.0)),
         backbone=small_transfuser(),
     )

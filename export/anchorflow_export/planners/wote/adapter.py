@@ -168,8 +168,8 @@ class WoteAdapter:
         apart = np.abs(drawn.states[:, None] - states).max((-2, -1))
         nearest, got = apart.argmin(1), drawn.arrays["scores"]
         yield SampleTrial("sample, trajectories", drawn.states, states[nearest])
-        yield SampleTrial("sample, scores", got, scores[nearest])
-        yield SampleTrial("sample, the best first", got, -np.sort(-scores))
+        yield SampleTrial("sample, scores", got, scores[nearest], relative=True)
+        yield SampleTrial("sample, the best first", got, -np.sort(-scores), relative=True)
 
 
 def random_inputs(bundle: Bundle, B: int) -> dict[str, Tensor]:
