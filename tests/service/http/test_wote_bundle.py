@@ -77,7 +77,7 @@ def assert_torchs(anchors: AnchorBatch, *, outputs: tuple[str, ...]) -> None:
     model = tiny_wote(CONFIG)
     with torch.inference_mode():
         context = model.encode(**sensors(CONFIG, 1))
-        given = model.score(context["bev_tokens"], context["ego"])
+        given = model.score(*(context[name] for name in model.context_for_score))
     best = given["scores"][0].argsort(descending=True)[: anchors.trajectories.shape[0]]
     for name in ("trajectories", "scores", *outputs):
         wanted = context[name][0] if name in OF_THE_SCENE else given[name][0, best]
