@@ -259,11 +259,11 @@ NOT_HERE = {
     "anchorflow export runs/wote/checkpoint.pt --out bundles/wote": (
         "needs what the training above leaves; tests/service/http/test_wote_bundle.py exports one"
     ),
-    "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/imitation"
+    "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/together"
     " --backbone runs/wote/checkpoint.pt": TRAINS,
     "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/scorers"
-    " --before runs/imitation/checkpoint.pt --objective.stage scorers"
-    " --learning-rate 1e-3": TRAINS,
+    " --before runs/together/checkpoint.pt --objective.stage scorers --objective.groups 0"
+    " --steps 300": TRAINS,
     "anchorflow export runs/scorers/checkpoint.pt --out bundles/diffusiondrive": (
         "needs what the training above leaves; tests/export exports one of random weights"
     ),
