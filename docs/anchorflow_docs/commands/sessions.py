@@ -250,8 +250,12 @@ NOT_HERE = {
     "anchorflow export runs/goalflow/checkpoint.pt --out bundles/goalflow": (
         "exports the run that the line above it trains; tests/service/http exports a smaller one"
     ),
+    "anchorflow serve --bundle bundles/goalflow": (
+        "serves what the lines above it make; the one that ships is served by its own session"
+    ),
     "anchorflow bench drive --logs ../shared/data/driving --bundle bundles/wote": MEASURES,
     "anchorflow data drive --out drive --logs 300": DRAWS,
+    "anchorflow data drive --out data/drive --logs 24": DRAWS,
     "anchorflow data anchors drive --out anchors.npy": DRAWS,
     "anchorflow data sensors drive --config examples/wote-small.yaml": DRAWS,
     "anchorflow train drive --config examples/wote-small.yaml --anchors anchors.npy"
