@@ -64,6 +64,8 @@ class CostMapEncoder(nn.Module):
         middle = self.middle_again(middle + _double(self.back_to_middle(low)))
         high = self.high_again(high + _double(self.back_to_high(middle)))
         activation, last = self.out
+        assert isinstance(last, nn.Conv2d)
+        assert last.bias is not None
         # nn.PixelShuffle(2), channels last. With the features of a place beside each other before
         # places are put in rows, whole rows are moved and not numbers.
         kernel = _places_first(last.weight)
