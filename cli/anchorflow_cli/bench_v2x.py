@@ -19,7 +19,7 @@ from anchorflow_training.v2x.dataset import open_pairs
 
 
 def pairs(
-    bundle: Annotated[Path, typer.Argument(help="Folder of a V2X-VLM bundle.")],
+    bundles: Annotated[list[Path], typer.Argument(help="Folders of V2X-VLM bundles.")],
     *,
     data: Annotated[
         Path | None,
@@ -29,22 +29,36 @@ def pairs(
     threads: ThreadsOption = None,
     out: OutOption = RESULTS,
 ) -> None:
-    """Judge a V2X-VLM bundle by L2 and collisions, with and without the roadside picture."""
-    conditioning = load_bundle(bundle).card.conditioning
-    if not isinstance(conditioning, VisionLanguageSpec):
-        raise typer.BadParameter(f"expected a bundle asked with pictures, got {conditioning.kind}")
-    client = LocalClient.of(bundle, threads=threads)
+    """Judge V2X-VLM bundles by L2 and collisions, with and without the roadside picture."""
+    sizes = {bundle: _image_size(bundle) for bundle in bundles}
+    if len({*sizes.values()}) > 1:
+        told = ", ".join(f"{bundle}: {size}" for bundle, size in sizes.items())
+        raise typer.BadParameter(f"expected bundles asked with pictures of one size, got {told}")
+    clients = {
+        load_bundle(bundle).card.name: LocalClient.of(bundle, threads=threads) for bundle in bundles
+    }
+    if len(clients) < len(bundles):
+        raise typer.BadParameter(f"expected bundles of different names, got {', '.join(clients)}")
     with tempfile.TemporaryDirectory() as scratch:
         if data is None:
-            size = conditioning.image_size
+            size = sizes[bundles[0]]
             dataset, groups = judged_crossings(Path(scratch), scenes=crossings, image_size=size)
         else:
             dataset = open_pairs(data)
             groups = [Group("Held out", dataset.indices(held_out=True))]
-        with progress("pairs", 3 * len(groups[0].indices)) as advance:
-            tables = pair_tables(client, dataset, groups, progress=advance)
-    about = {"bundle": bundle.name, "pairs": data.name if data else f"{crossings} drawn crossings"}
-    report("Pairs", about, tables, out)
+        with progress("pairs", 3 * len(clients) * len(groups[0].indices)) as advance:
+            tables = pair_tables(clients, dataset, groups, progress=advance)
+    judged = data.name if data else f"{crossings} drawn crossings"
+    report("Pairs", {"bundles": ", ".join(clients), "pairs": judged}, tables, out)
+
+
+def _image_size(bundle: Path) -> int:
+    conditioning = load_bundle(bundle).card.conditioning
+    if not isinstance(conditioning, VisionLanguageSpec):
+        raise typer.BadParameter(
+            f"{bundle}: expected a bundle asked with pictures, got {conditioning.kind}"
+        )
+    return conditioning.image_size
 
 
 def florence(

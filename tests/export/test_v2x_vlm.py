@@ -376,11 +376,11 @@ def test_a_bundle_is_judged_on_crossings_it_has_not_seen(engine: Engine, tmp_pat
     assert [group.title for group in groups] == ["All pairs", "Hidden"]
     assert 0 < len(groups[1].indices) < len(groups[0].indices) == 15
 
-    tables = pair_tables(LocalClient(engine), dataset, groups)
+    tables = pair_tables({"tiny": LocalClient(engine)}, dataset, groups)
 
     rows = {str(row["plan"]): row for row in tables[0].rows}
     assert rows["driven"]["L2 mean"] == 0
     assert rows["driven"]["collision mean"] == 0
-    assert [*rows][2:] == ["bundle", "bundle without roadside", "bundle without text"]
-    with_it, without = rows["bundle"], rows["bundle without roadside"]
+    assert [*rows][2:] == ["tiny", "tiny without roadside", "tiny without text"]
+    with_it, without = rows["tiny"], rows["tiny without roadside"]
     assert with_it["L2 4.5 s"] != without["L2 4.5 s"]

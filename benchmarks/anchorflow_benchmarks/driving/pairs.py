@@ -6,7 +6,7 @@ roadside picture alone shows who comes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -62,20 +62,23 @@ def judged_crossings(folder: Path, *, scenes: int, image_size: int) -> tuple[Pai
 
 
 def pair_tables(
-    client: LocalClient,
+    clients: Mapping[str, LocalClient],
     dataset: PairDataset,
     groups: Sequence[Group],
     *,
     progress: Callable[[int], object] = lambda _: None,
 ) -> list[ResultTable]:
-    """A table a group: the bundle, without the roadside picture, without text, and baselines."""
+    """A table a group: baselines, and each bundle with everything, without the roadside picture,
+    and without text.
+
+    clients: of bundles, by what the tables call them
+    """
     everything = np.unique(np.concatenate([group.indices for group in groups]))
     plans: dict[str, NDArray[np.float64]] = {**baselines(dataset, everything)}
     times: dict[str, float] = {}
-    for name, roadside, text in (
-        ("bundle", True, True),
-        ("bundle without roadside", False, True),
-        ("bundle without text", True, False),
+    asked = [("", True, True), (" without roadside", False, True), (" without text", True, False)]
+    for name, client, roadside, text in (
+        (name + how, client, *told) for name, client in clients.items() for how, *told in asked
     ):
         ways, spent = [], []
         for index in everything:
