@@ -55,11 +55,13 @@ class RewardHead(nn.Module):
 
 def final_scores(imitation: Tensor, simulation: Tensor, weights: RewardWeights) -> Tensor:
     """Scores [B, K] of logits [B, K] over all anchors and [B, K, 5]; higher is better."""
-    log_im = imitation.log_softmax(-1)
-    log_sim, sim = F.logsigmoid(simulation), simulation.sigmoid()
-    rest = weights.ttc * sim[..., _TTC] + weights.c * sim[..., _C] + weights.ep * sim[..., _EP]
+    # In logarithms throughout, and by softplus: onnxruntime's sigmoid ends at that of -18.
+    log_im, log_sim = imitation.log_softmax(-1), -F.softplus(-simulation)
+    shares = torch.tensor([weights.ttc, weights.c, weights.ep]).clamp(min=TINY).log()
+    parts = torch.stack([log_sim[..., index] for index in (_TTC, _C, _EP)], -1)
+    rest = (parts + shares.to(parts)).logsumexp(-1)
     safe = weights.nc * log_sim[..., _NC] + weights.dac * log_sim[..., _DAC]
-    return weights.im * log_im + safe + weights.rest * (rest + TINY).log()
+    return weights.im * log_im + safe + weights.rest * rest
 
 
 def _head(width: int) -> nn.Sequential:
