@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from anchorflow_models.generation.checks import check
-from anchorflow_models.transfuser import TransfuserConfig, small_transfuser
+from anchorflow_models.transfuser import CAR, Places, TransfuserConfig, small_transfuser
 
 POSES = 8
 FIRST_S = STEP_S = 0.5
@@ -34,6 +34,8 @@ class DiffusionDriveConfig:
     look_heads: shares of a value, each with weights of its own over a trajectory's points
     ego_motion: whether the ego's query and both scorers are told the ego's speed and acceleration
         themselves, and the scorers how each candidate goes on from them
+    footprint: m ahead and to the left of a pose, places at which both scorers look up the BEV in
+        all poses of a candidate; published is none
     x_range, y_range: m, what the diffusion's unit interval spans; a place beyond is drawn to it
     diversity: spread of the factors on x and on y that make variants of a denoised trajectory
     bezier_degree: of the curve that each variant is fitted to
@@ -61,6 +63,7 @@ class DiffusionDriveConfig:
     value_kernel: int = 3
     look_heads: int = 1
     ego_motion: bool = False
+    footprint: Places = ()
     x_range: tuple[float, float] = (-1.2, 55.7)
     y_range: tuple[float, float] = (-20.0, 26.0)
     diversity: tuple[float, float] = (0.1, 0.1)
@@ -117,4 +120,5 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         value_kernel=1,
         look_heads=8,
         ego_motion=True,
+        footprint=CAR,
     )
