@@ -16,6 +16,8 @@ from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.parity import Difference
 from anchorflow_export.planners import adapter_of
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.bundle.manifest import TruncatedDiffusionEntry
 from anchorflow_service.local import LocalClient
 
 DESCRIPTION = BundleDescription(name="tiny", version="1.0.0", planner="diffusiondrive")
@@ -54,13 +56,22 @@ def test_every_stage_and_every_number_of_steps_is_proved(
     assert max(difference.error for difference in exported[1]) <= 1e-4
 
 
-def test_no_graph_of_the_published_planner_takes_the_ego_s_motion() -> None:
-    told, plain = (
-        adapter_of("diffusiondrive", tiny_diffusiondrive(config), ExportChoices())
-        for config in (TINY, replace(TINY, ego_motion=False))
-    )
-    for adapter, wanted in ((told, True), (plain, False)):
-        graphs = adapter.trace()
+@pytest.mark.parametrize(("noise_scale", "level"), [(1.0, 8), (0.45, 1), (0.1, 0), (1.5, 17)])
+def test_anchors_begin_with_as_much_noise_as_is_asked_for(noise_scale: float, level: int) -> None:
+    model = tiny_diffusiondrive()
+    adapter = adapter_of("diffusiondrive", model, ExportChoices(noise_scale=noise_scale))
+    sampler = adapter.parts.sampler
+    assert isinstance(sampler, TruncatedDiffusionEntry)
+    assert sampler.start == level
+
+
+def test_no_graph_of_the_published_planner_takes_the_ego_s_motion(
+    exported: tuple[Path, tuple[Difference, ...]],
+) -> None:
+    told = load_bundle(exported[0]).manifest.graphs
+    published = tiny_diffusiondrive(replace(TINY, ego_motion=False))
+    plain = adapter_of("diffusiondrive", published, ExportChoices()).trace()
+    for graphs, wanted in ((told, True), (plain, False)):
         assert ("ego_motion" in {spec.name for spec in graphs["encode"].outputs}) is wanted
         for role in ("coarse", "fine"):
             assert ("ego_motion" in {spec.name for spec in graphs[role].inputs}) is wanted

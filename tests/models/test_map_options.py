@@ -142,7 +142,10 @@ def test_each_window_is_looked_up_where_the_trajectory_is(
     """Tables that hold the metric place of each cell give back the places asked for."""
     model, scene = make_model(map_scales=2, feature_channels=0), make_scene()
     frame = Frame.between(scene["x_curr"][:, :2], scene["x_goal"][:, :2])
-    tables = {name: frame.widened(width).window(64) for name, width in model.windows.items()}
+    tables = {
+        name: frame.widened(width).window(64).unflatten(1, (64, 64))
+        for name, width in model.windows.items()
+    }
     places = frame.centre[:, None] + torch.tensor([[0.5, -1.0], [-1.5, 0.7]])
     seen = model._seen(frame.place(places), tables)
     torch.testing.assert_close(seen, torch.cat([places, places], -1), atol=1e-5, rtol=0)
@@ -168,7 +171,7 @@ def test_maps_of_any_size_are_resampled(shape: tuple[int, int]) -> None:
     geometry = torch.tensor([[-4.0, -0.5 * height * resolution, resolution]])
     frame = Frame.between(torch.tensor([[-0.5, 0.0]]), torch.tensor([[0.5, 0.0]]))
     seen = MapWindow(1, 16)(ramp, geometry, torch.zeros(1, *shape), frame)
-    x = frame.window(16)[..., 0]
+    x = frame.window(16)[..., 0].unflatten(1, (16, 16))
     rows = slice(7, 9)  # well inside the map, however few rows it has
     torch.testing.assert_close(seen[:, 2, rows], (x[:, rows] + 4) / 8, atol=1e-5, rtol=0)
 

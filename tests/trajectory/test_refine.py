@@ -210,25 +210,6 @@ def test_what_is_too_fast_is_stretched_where_descents_do_not_suffice(steps: int)
     assert np.median(anchors.duration) < 6.0
 
 
-def test_stretching_keeps_the_way_and_lasts_no_longer_than_the_limits_ask() -> None:
-    """From rest to rest a way is the same in any time; the harder of both limits is then met."""
-    scene = scene_of(x_curr=np.r_[0.8, 3.2, np.zeros(4)])
-    splines = curves(scene, 2.0)
-    stretched = Refiner(scene, 20)._stretched(splines)  # pyright: ignore[reportPrivateUsage]
-    np.testing.assert_array_equal(stretched.control, splines.control)
-    _, velocity, acceleration = BASIS.states(stretched)
-    speed = np.linalg.norm(velocity, axis=-1).max(1) / LIMITS.v_max
-    push = np.linalg.norm(acceleration, axis=-1).max(1) / LIMITS.a_max
-    longer = stretched.duration / splines.duration
-    assert longer.min() > 1.0
-    assert longer.max() <= 3.0 + 1e-12
-    met = longer < 2.999
-    assert met.any()
-    np.testing.assert_allclose(np.maximum(speed, push)[met], 1.0, rtol=1e-4)
-    sound = Splines(splines.control, 4 * stretched.duration)
-    assert Refiner(scene, 20)._stretched(sound).duration.tolist() == sound.duration.tolist()  # pyright: ignore[reportPrivateUsage]
-
-
 def places(scene: Scene, anchors: Refined) -> np.ndarray:
     """The place of the route that each passes the posts like; -1 where it is none."""
     found = scene.rays.signatures(
@@ -284,28 +265,3 @@ def test_where_nothing_can_be_safe_all_are_answered() -> None:
     refined = Refiner(scene, steps=6).refine(scene.route_states[route], route, Spec())
     assert not refined.safe.any()
     assert np.isfinite(refined.positions).all()
-
-
-def test_a_way_is_gone_in_the_share_of_its_time_that_costs_least() -> None:
-    scene = scene_of()
-    refiner, slow = Refiner(scene, 20), curves(scene, 16.0)
-    cost = refiner.cost(Spec())
-    hurried = refiner._hurried(cost, slow)
-    assert (cost.value(hurried) <= cost.value(slow)).all()
-    shares = hurried.duration / slow.duration
-    assert shares.min() == pytest.approx(0.7)
-    lasting = Refiner(scene_of(motion=replace(LIMITS, horizon_s=16.0)), 20)
-    assert lasting._hurried(cost, slow) is slow
-
-
-def test_a_slow_robot_that_accelerates_is_not_sent_out_of_the_map() -> None:
-    """Its speed passes the limit whatever the way; more time would make that worse."""
-    scene = replace(
-        scene_of(motion=MotionLimits(v_max=0.26, a_max=1.0)),
-        resolution=0.45,
-        x_curr=np.asarray([1.0, 1.0, 0.25, -0.03, 0.03, -0.17], np.float32),
-        x_goal=np.asarray([27.0, 27.0, 0.0, 0.2], np.float32),
-    )
-    anchors = refined(scene, duration=150.0)
-    assert np.abs(anchors.positions).max() < 300.0  # it was kilometres
-    assert anchors.duration.max() < 1500.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory.attempt import Spread, in_one
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost import MotionLimits
@@ -37,6 +38,7 @@ def bisect_to_safe(
     *,
     route: NDArray[np.intp],
     certified_margin: float = 0.0,
+    spread: Spread = in_one,
 ) -> Splines:
     """The splines, those that are not `safe` [M] moved; unmoved where none is.
 
@@ -46,6 +48,7 @@ def bisect_to_safe(
 
     route: [M] the place of the route that each follows
     certified_margin: m, with which `safe` was judged
+    spread: gives parts of the failed ones to threads
     """
     if safe.all() or not safe.any():
         return splines
@@ -55,35 +58,42 @@ def bisect_to_safe(
     first, second = sound[_two_nearest(positions[failed], positions[sound], away)].T
     apart = np.arange(1, len(failed) + 1) * GOLDEN % 1.0
     control = np.ascontiguousarray(splines.control)
-    moved, duration = _bisected(
-        control,
-        np.ascontiguousarray(splines.duration, np.float64),
-        np.stack([failed, first, second], axis=1),
-        np.where(route[first] == route[second], apart, 0.0),
-        basis.points_of(ends),
-        Judge.of(basis, field, limits, certified_margin, dtype=control.dtype),
-    )
+    given = np.ascontiguousarray(splines.duration, np.float64)
+    places = np.stack([failed, first, second], axis=1)
+    share = np.where(route[first] == route[second], apart, 0.0)
+    points = basis.points_of(ends)
+    judge = Judge.of(basis, field, limits, certified_margin, dtype=control.dtype)
+    moved = np.empty((len(control), len(failed), control.shape[2]), control.dtype)
+    duration = np.empty(len(failed))
+
+    def work(begin: int, end: int) -> None:
+        _bisect(control, given, places, share, points, judge, begin, end, moved, duration)
+
+    spread(work, len(failed))
     return splines.replaced(failed, Splines(moved, duration))
 
 
 @compiled
-def _bisected(
+def _bisect(
     control: FloatArray,
     duration: NDArray[np.float64],
     places: NDArray[np.int64],
     share: NDArray[np.float64],
     ends: EndPoints,
     judge: Judge,
-) -> tuple[FloatArray, NDArray[np.float64]]:
-    """The failed ones [D, P, K] of splines [D, M, K], and their durations [P], moved.
+    begin: int,
+    end: int,
+    moved: FloatArray,
+    lasting: NDArray[np.float64],
+) -> None:
+    """Write the failed ones from begin to end of splines [D, M, K], moved: [D, P, K] and [P] s.
 
     places: [P, 3], of each failed one and of its nearest two neighbours
     share: [P], of the way from the first of these to the second that is its own
     """
     dim, _, points = control.shape
-    moved, lasting = np.empty((dim, len(places), points), control.dtype), np.empty(len(places))
     work, lasts = np.empty((dim, 5, points), control.dtype), np.empty(5)
-    for p in range(len(places)):
+    for p in range(begin, end):
         for place, m in ((LOST, places[p, 0]), (FIRST, places[p, 1]), (SECOND, places[p, 2])):
             work[:, place], lasts[place] = control[:, m], duration[m]
         _mix(work, lasts, FIRST, SECOND, share[p], ends, NEAREST)
@@ -99,7 +109,6 @@ def _bisected(
                 beyond = middle
         _mix(work, lasts, NEAREST, LOST, reached, ends, TRIED)
         moved[:, p], lasting[p] = work[:, TRIED], lasts[TRIED]
-    return moved, lasting
 
 
 @compiled

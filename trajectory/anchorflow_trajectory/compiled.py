@@ -1,9 +1,10 @@
 """Loops compiled to machine code, by numba.
 
 A function marked `@compiled` is compiled for the types of its first call and kept on disk for the
-processes that follow. It lets go of the interpreter's lock, so that threads run it side by side;
-it is not split among threads and keeps the order of its sums (no `fastmath`), so that it gives the
-same bytes alone, in a batch and beside others. Division by zero gives inf or NaN, as in numpy.
+processes that follow. It lets go of the interpreter's lock, so that threads run it side by side,
+on other trajectories each; it starts no threads itself and keeps the order of its sums (no
+`fastmath`), so that it gives the same bytes alone, in a batch and beside others. Division by zero
+gives inf or NaN, as in numpy.
 
 numba compiles anew when the file of a function has changed, but not when the file of one that it
 calls has. So the machine code is kept in a folder that is named for the content of all of them: in

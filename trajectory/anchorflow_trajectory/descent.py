@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost import TrajectoryCost
@@ -67,17 +67,8 @@ def descend(
         beginnings it makes samples of their distribution times exp(-J / temperature), where it is
         the temperature over their variance (randomize-then-optimize; Bardsley et al., 2014).
     """
-    basis, dtype = cost.basis, splines.control.dtype
-    kept = basis.points_of(ends)
-    way = Descent(
-        steps=steps,
-        rate=float(rate),
-        tether=float(tether),
-        root=whitening(basis).astype(dtype),
-        start=basis.free.start,
-        is_timed=cost.limits.horizon_s is None,
-        is_moving=not ends.at_rest,
-    )
+    dtype, kept = splines.control.dtype, cost.basis.points_of(ends)
+    way = Descent.of(cost, ends, steps=steps, rate=rate, dtype=dtype, tether=tether)
     control, log_duration = splines.control.copy(), np.log(splines.duration)
     style = cost.leaning(len(splines), dtype)
     descend_splines(cost.problem(dtype), way, kept, control, log_duration, style)
@@ -98,6 +89,28 @@ class Descent(NamedTuple):
     start: int
     is_timed: bool
     is_moving: bool
+
+    @staticmethod
+    def of(
+        cost: TrajectoryCost,
+        ends: Ends,
+        *,
+        steps: int,
+        rate: float,
+        dtype: DTypeLike,
+        tether: float = 0.0,
+    ) -> Descent:
+        """For control points of that type."""
+        basis = cost.basis
+        return Descent(
+            steps=steps,
+            rate=float(rate),
+            tether=float(tether),
+            root=whitening(basis).astype(dtype),
+            start=basis.free.start,
+            is_timed=cost.limits.horizon_s is None,
+            is_moving=not ends.at_rest,
+        )
 
 
 @compiled
@@ -120,14 +133,14 @@ def descend_splines(
             lasting[m] = log_duration[begin + m]
             for k in range(3):
                 leaning[k, m] = style[k, begin + m]
-        _descend_lanes(problem, way, ends, taken, lasting, leaning, lanes)
+        descend_lanes(problem, way, ends, taken, lasting, leaning, lanes)
         put_lanes(taken, begin, lanes, control)
         for m in range(lanes):
             log_duration[begin + m] = lasting[m]
 
 
 @compiled
-def _descend_lanes(
+def descend_lanes(
     problem: Problem,
     way: Descent,
     ends: EndPoints,
@@ -139,6 +152,7 @@ def _descend_lanes(
     """The same of control points [D, K, LANES] and log durations [LANES]."""
     last, real = 2 * len(way.root), control.dtype.type
     duration, found = np.empty(LANES, control.dtype), np.empty((2, LANES), control.dtype)
+    lasting = np.empty(LANES)
     slope = np.empty_like(control)
     # Rows are the round coordinates of x, then those of y, and last log duration.
     change = np.zeros((last + 1, LANES), control.dtype)
@@ -160,7 +174,9 @@ def _descend_lanes(
             for m in range(lanes):
                 log_duration[m] -= real(STRETCH) * change[last, m]
             if way.is_moving:
-                set_lanes_ends(control, log_duration, ends, lanes)
+                for m in range(lanes):
+                    lasting[m] = np.exp(log_duration[m])
+                set_lanes_ends(control, lasting, ends, lanes)
 
 
 @compiled

@@ -8,14 +8,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory.attempt import Attempt, Spread, in_one
 from anchorflow_trajectory.bisection import bisect_to_safe
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.cost import TrajectoryCost
-from anchorflow_trajectory.descent import descend
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import Splines
-from anchorflow_trajectory.verify import are_safe, largest_length, required_clearance, verify
+from anchorflow_trajectory.verify import are_safe, path_clearance, required_clearance, verify
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -25,7 +25,6 @@ DESCENT_RATE = 0.3  # m, a first step on the control points
 # safe yet. A hard scene costs more time than an easy one.
 FURTHER_RATES = (0.15, 0.15)
 STIFFER = 4.0  # by how much obstacles and limits then weigh more, from one to the next
-MOST_STRETCH = 3.0
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
 # Where a route still has nothing safe, its own spline is descended, slowly gone and for longer.
 RESCUE_STRETCH, RESCUE_STEPS, RESCUE_RATE = 1.5, 60, 0.1
@@ -90,11 +89,13 @@ class Refiner:
         is corrected by the barrier, if one is asked for, helped along its own way and brought back
         by bisection
     rate: m, of the first of them
+    spread: gives parts of the anchors to threads; an anchor's bytes are the same on any
     """
 
     scene: Scene
     steps: int
     rate: float = DESCENT_RATE
+    spread: Spread = in_one
 
     def refine(self, states: FloatArray, route: NDArray[np.intp], spec: Refinement) -> Refined:
         """Finish sampled states [N, T, 3D + 1]: p, p', p'' in own time, and log duration.
@@ -112,7 +113,8 @@ class Refiner:
         if spec.project:
             splines = self._project(cost, splines, route, certified, barrier)
         elif barrier is not None:
-            splines, _ = self._corrected(splines, certified, barrier)
+            safe = self._safe(splines, certified)
+            splines, _ = self._corrected(splines, safe, certified, barrier)
         if spec.project or spec.smooth or spec.barrier:
             found = scene.basis.states(splines)
         else:
@@ -163,18 +165,16 @@ class Refiner:
     ) -> Splines:
         """Descend, help along its way what has failed, and bring back what then still fails."""
         scene = self.scene
-        splines = descend(cost, splines, scene.ends, steps=self.steps, rate=self.rate)
-        splines, safe = self._corrected(self._hurried(cost, splines), certified, barrier)
+        first = Attempt(self.steps, self.rate, shares=HURRIED)
+        splines, safe = self._attempted(first, cost, splines, certified, barrier)
         helped = ~safe
         for rate in FURTHER_RATES:
             if not helped.any():
                 break
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
             failed = np.flatnonzero(helped)
-            tried = descend(
-                cost, self._stretched(splines[failed]), scene.ends, steps=self.steps, rate=rate
-            )
-            tried, gained = self._corrected(self._stretched(tried), certified, barrier)
+            slowly = Attempt(self.steps, rate, slowed_before=True, slowed_after=True)
+            tried, gained = self._attempted(slowly, cost, splines[failed], certified, barrier)
             splines = splines.replaced(failed, tried)
             safe[failed] = gained
             helped = ~safe & ~self._has_any(route[safe])[route]
@@ -193,6 +193,7 @@ class Refiner:
             scene.motion,
             route=route,
             certified_margin=certified,
+            spread=self.spread,
         )
 
     def _rescued(
@@ -209,24 +210,12 @@ class Refiner:
         scene = self.scene
         places = np.array([np.flatnonzero(route == each)[0] for each in lost])
         begun = self._slowed(scene.route_splines[lost], np.full(len(lost), RESCUE_STRETCH))
-        tried = descend(cost, begun, scene.ends, steps=RESCUE_STEPS, rate=RESCUE_RATE)
-        tried, gained = self._corrected(self._stretched(tried), certified, barrier)
+        rescue = Attempt(RESCUE_STEPS, RESCUE_RATE, slowed_after=True)
+        tried, gained = self._attempted(rescue, cost, begun, certified, barrier)
         gained &= self._on_route(tried, lost)
         safe = safe.copy()
         safe[places[gained]] = True
         return splines.replaced(places[gained], tried[gained]), safe
-
-    def _hurried(self, cost: TrajectoryCost, splines: Splines) -> Splines:
-        """The same ways, each in that share of its duration that costs it least.
-
-        Descents smooth a way faster than they find out how soon it can then be gone.
-        """
-        if self.scene.motion.horizon_s is not None:
-            return splines
-        shares = np.repeat(HURRIED, len(splines))
-        tried = self._slowed(splines[np.tile(np.arange(len(splines)), len(HURRIED))], shares)
-        cheapest = cost.value(tried).reshape(len(HURRIED), -1).argmin(0)
-        return tried[cheapest * len(splines) + np.arange(len(splines))]
 
     def _has_any(self, route: NDArray[np.intp]) -> BoolArray:
         """Which of the scene's routes are among these: [R]."""
@@ -246,34 +235,6 @@ class Refiner:
         kept = [a == scene.routes[k].signature for a, k in zip(found, route, strict=True)]
         return np.array(kept, np.bool_)
 
-    def _stretched(self, splines: Splines) -> Splines:
-        """The same ways, gone so slowly that they keep both limits, as far as the ends allow.
-
-        What an end brings along does not become less with time: it stretches nothing. And what an
-        acceleration at an end does to the speed grows with time: where the excess would not become
-        less, a way stays as it is.
-        """
-        if self.scene.motion.horizon_s is not None:
-            return splines
-        needed = self._needed_stretch(splines)
-        if not (needed > 1.0).any():
-            return splines
-        slower = self._slowed(splines, np.clip(needed, 1.0, MOST_STRETCH))
-        better = np.flatnonzero(self._needed_stretch(slower) < needed)
-        return splines.replaced(better, slower[better])
-
-    def _needed_stretch(self, splines: Splines) -> FloatArray:
-        """[M] times the duration in which both limits would be kept, were the ends at rest."""
-        scene, motion = self.scene, self.scene.motion
-        _, velocity, acceleration = scene.basis.states(splines)
-        given = scene.ends.in_own_time(np.ones(1))[:, 0, :2]
-        start_speed, start_acceleration, goal_speed = np.linalg.norm(given[[1, 2, 4]], axis=-1)
-        speed, hardest = largest_length(velocity), largest_length(acceleration)
-        return np.maximum(
-            speed / max(motion.v_max, start_speed, goal_speed),
-            (hardest / max(motion.a_max, start_acceleration)) ** 0.5,
-        )
-
     def _slowed(self, splines: Splines, factor: FloatArray) -> Splines:
         """The same ways in `factor` [M] times the duration, where there is no horizon."""
         scene = self.scene
@@ -284,11 +245,24 @@ class Refiner:
         control[..., free] = splines.control[..., free]
         return Splines(control, duration)
 
+    def _attempted(
+        self,
+        attempt: Attempt,
+        cost: TrajectoryCost,
+        splines: Splines,
+        certified: float,
+        barrier: ControlBarrier | None,
+    ) -> tuple[Splines, BoolArray]:
+        """The splines after an attempt, corrected by the barrier; and which are safe."""
+        tried, safe = attempt.of(
+            cost, splines, self.scene.ends, certified_margin=certified, spread=self.spread
+        )
+        return self._corrected(tried, safe, certified, barrier)
+
     def _corrected(
-        self, splines: Splines, certified: float, barrier: ControlBarrier | None
+        self, splines: Splines, safe: BoolArray, certified: float, barrier: ControlBarrier | None
     ) -> tuple[Splines, BoolArray]:
         """Those corrected that the barrier, if there is one, makes safe; and which then are."""
-        safe = self._safe(splines, certified)
         if barrier is None or safe.all():
             return splines, safe
         failed = np.flatnonzero(~safe)
@@ -317,5 +291,6 @@ class Refiner:
 
         Where one does not, no anchor is safe, and the projection does what it does without one.
         """
-        x, y = np.stack([self.scene.x_curr[:2], self.scene.x_goal[:2]], axis=1)
-        return bool((field.sample(x, y) >= required_clearance(field, spec.certified_margin)).all())
+        required = required_clearance(field, spec.certified_margin)
+        ends = np.stack([self.scene.x_curr[:2], self.scene.x_goal[:2]])
+        return bool((path_clearance(field, ends[:, None]) >= required).all())

@@ -150,14 +150,13 @@ def set_end_points(control: FloatArray, duration: NDArray[np.float64], ends: End
 
 @compiled
 def set_lanes_ends(
-    control: FloatArray, log_duration: NDArray[np.float64], ends: EndPoints, lanes: int
+    control: FloatArray, duration: NDArray[np.float64], ends: EndPoints, lanes: int
 ) -> None:
-    """The same of control points [D, K, LANES] and log durations [LANES]."""
+    """The same of control points [D, K, LANES] and durations [LANES]."""
     for m in range(lanes):
-        duration = np.exp(log_duration[m])
         for d in range(control.shape[0]):
             for e in range(len(ends.points)):
-                control[d, ends.points[e], m] = end_point(ends, e, d, duration)
+                control[d, ends.points[e], m] = end_point(ends, e, d, duration[m])
 
 
 @compiled

@@ -19,6 +19,7 @@ from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.prior import drawn
 from anchorflow_trajectory.refine import Refiner
 from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.verify import are_safe
 
 logger = logging.getLogger(__name__)
 
@@ -67,6 +68,7 @@ def compile_loops() -> None:
         scene.cost_fields.clearance,
     )
     bisect_to_safe(pair, safe, scene.ends, scene.basis, clearance, scene.motion, route=route)
+    are_safe(pair, scene.basis, clearance, scene.motion)
 
 
 if __name__ == "__main__":

@@ -250,8 +250,12 @@ NOT_HERE = {
     "anchorflow export runs/goalflow/checkpoint.pt --out bundles/goalflow": (
         "exports the run that the line above it trains; tests/service/http exports a smaller one"
     ),
+    "anchorflow serve --bundle bundles/goalflow": (
+        "serves what the lines above it make; the one that ships is served by its own session"
+    ),
     "anchorflow bench drive --logs ../shared/data/driving --bundle bundles/wote": MEASURES,
     "anchorflow data drive --out drive --logs 300": DRAWS,
+    "anchorflow data drive --out data/drive --logs 24": DRAWS,
     "anchorflow data anchors drive --out anchors.npy": DRAWS,
     "anchorflow data sensors drive --config examples/wote-small.yaml": DRAWS,
     "anchorflow train drive --config examples/wote-small.yaml --anchors anchors.npy"
@@ -264,7 +268,8 @@ NOT_HERE = {
     "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/scorers"
     " --before runs/together/checkpoint.pt --objective.stage scorers --objective.groups 0"
     " --steps 300": TRAINS,
-    "anchorflow export runs/scorers/checkpoint.pt --out bundles/diffusiondrive": (
+    "anchorflow export runs/scorers/checkpoint.pt --out bundles/diffusiondrive"
+    " --noise-scale 0.45": (
         "needs what the training above leaves; tests/export exports one of random weights"
     ),
     "anchorflow bench drive --logs ../shared/data/driving"

@@ -50,9 +50,7 @@ class CostMapEncoder(nn.Module):
             self.middle_again = ResidualBlock(middle)
             self.back_to_high = nn.Conv2d(middle, high, 1)
             self.high_again = ResidualBlock(high)
-            self.out = nn.Sequential(
-                nn.SiLU(), nn.Conv2d(high, 4 * features, 1), nn.PixelShuffle(2)
-            )
+            self.out = nn.Sequential(nn.SiLU(), nn.Conv2d(high, 4 * features, 1))
 
     def forward(self, maps: Tensor) -> MapEncoding:
         high = self.high(self.stem(self.fold(maps)))
@@ -65,7 +63,20 @@ class CostMapEncoder(nn.Module):
     def _features(self, high: Tensor, middle: Tensor, low: Tensor) -> Tensor:
         middle = self.middle_again(middle + _double(self.back_to_middle(low)))
         high = self.high_again(high + _double(self.back_to_high(middle)))
-        return self.out(high).permute(0, 2, 3, 1)
+        activation, last = self.out
+        assert isinstance(last, nn.Conv2d)
+        assert last.bias is not None
+        # nn.PixelShuffle(2), channels last. With the features of a place beside each other before
+        # places are put in rows, whole rows are moved and not numbers.
+        kernel = _places_first(last.weight)
+        folded = F.conv2d(activation(high), kernel, _places_first(last.bias)).permute(0, 2, 3, 1)
+        rows = folded.unflatten(3, (2, -1)).transpose(2, 3).flatten(1, 2)
+        return rows.unflatten(3, (2, -1)).flatten(2, 3)
+
+
+def _places_first(weights: Tensor) -> Tensor:
+    """Weights [F * 4, ...] of features at four places each, as [4 * F, ...]."""
+    return weights.unflatten(0, (-1, 4)).transpose(0, 1).flatten(0, 1)
 
 
 def _double(x: Tensor) -> Tensor:

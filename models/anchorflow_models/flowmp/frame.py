@@ -73,12 +73,11 @@ class Frame:
         return _turn(offset, self.rotation[:, :2, :2]) / self.half_size[:, None, None]
 
     def window(self, size: int) -> Tensor:
-        """Map-frame points of the window's cell centres, [B, size, size, 2] in m."""
+        """Map-frame points of the window's cell centres, row by row: [B, size^2, 2] in m."""
         line = (torch.arange(size, device=self.centre.device) + 0.5) * (2.0 / size) - 1.0
         y, x = torch.meshgrid(line, line, indexing="ij")
         grid = torch.stack([x, y], -1).reshape(1, -1, 2) * self.half_size[:, None, None]
-        points = _turn(grid, self.rotation[:, :2, :2].transpose(1, 2)) + self.centre[:, None, :2]
-        return points.reshape(-1, size, size, 2)
+        return _turn(grid, self.rotation[:, :2, :2].transpose(1, 2)) + self.centre[:, None, :2]
 
 
 def _turn(vectors: Tensor, rotation: Tensor) -> Tensor:

@@ -207,8 +207,8 @@ class L2SafetyCFM(nn.Module):
         parts += [part @ (k * by_size) for part, k in zip(steeper, STEEPNESS, strict=True)]
         parts.append(route[..., -1:] + torch.log(v_max / frame.half_size)[:, None, None])
         pace = torch.exp(-state[..., -1:])
-        for order, most in ((1, v_max), (2, a_max)):
-            vector = state[..., order * dim : order * dim + 2] * pace**order
+        for order, per, most in ((1, pace, v_max), (2, pace * pace, a_max)):
+            vector = state[..., order * dim : order * dim + 2] * per
             share = (vector @ turn) / most[:, None, None]
             parts.append(share.clamp(-MOST_PACE, MOST_PACE))
         return torch.cat(parts, -1)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_models.flowmp.frame import Frame
-from anchorflow_models.layers.lookup import lookup
+from anchorflow_models.layers.lookup import lookup_at
 
 NEAR, FAR = 0.25, 1.0  # m, the two scales at which clearance is resolved
 
@@ -27,14 +27,17 @@ class MapWindow(nn.Module):
     ) -> Tensor:
         """[B, 2 + C, size, size]."""
         maps = torch.cat([clearance[:, None], cost_map], 1)
-        extent = map_geometry[:, 2, None, None, None] * torch.stack(
-            [torch.full((), maps.shape[3]), torch.full((), maps.shape[2])]
-        ).to(maps)
-        points = (frame.window(self.size) - map_geometry[:, None, None, :2]) / extent * 2 - 1
+        size_x, size_y = torch.full((), maps.shape[3]), torch.full((), maps.shape[2])
+        begin_x, begin_y, resolution = map_geometry.split(1, 1)
+        extent_x, extent_y = resolution * size_x.to(maps), resolution * size_y.to(maps)
+        place_x, place_y = frame.window(self.size).unbind(-1)
+        x = (place_x - begin_x) / extent_x * 2 - 1
+        y = (place_y - begin_y) / extent_y * 2 - 1
         # Not grid_sample: its ONNX form is newer than what some execution providers read.
-        seen = lookup(maps.permute(0, 2, 3, 1), points.flatten(1, 2))
+        seen = lookup_at(maps.permute(0, 2, 3, 1), x, y)
         seen = seen.transpose(1, 2).unflatten(2, (self.size, self.size))
         # Beyond the map's edge the robot's clearance goes on falling.
-        beyond = ((points.abs() - 1).clamp(min=0) * extent / 2).sum(-1)
-        metres = seen[:, :1] - beyond[:, None]
+        beyond = (x.abs() - 1).clamp(min=0) * extent_x / 2
+        beyond = beyond + (y.abs() - 1).clamp(min=0) * extent_y / 2
+        metres = seen[:, :1] - beyond.unflatten(1, (1, self.size, self.size))
         return torch.cat([torch.tanh(metres / NEAR), torch.tanh(metres / FAR), seen[:, 1:]], 1)

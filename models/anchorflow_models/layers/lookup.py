@@ -12,23 +12,33 @@ def lookup(features: Tensor, points: Tensor) -> Tensor:
     The same numbers as `grid_sample(align_corners=False, padding_mode="border")`; four gathers of
     whole rows run several times faster in onnxruntime than its GridSample, which goes by channel.
     """
+    return lookup_at(features, *points.unbind(-1))
+
+
+def lookup_at(features: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """The same at places that are told by component, [B, P] each.
+
+    No axis of one or two stands last until features are weighed: onnxruntime goes through such an
+    axis number by number where it broadcasts.
+    """
     batch, height, width, channels = features.shape
-    x = (points[..., :1] * (width / 2) + (width - 1) / 2).clamp(0, width - 1)
-    y = (points[..., 1:] * (height / 2) + (height - 1) / 2).clamp(0, height - 1)
+    x = (x * (width / 2) + (width - 1) / 2).clamp(0, width - 1)
+    y = (y * (height / 2) + (height - 1) / 2).clamp(0, height - 1)
     column, row = x.floor().clamp(max=width - 2), y.floor().clamp(max=height - 2)
     right, up = x - column, y - row
-    scene = torch.arange(batch, device=features.device)[:, None, None] * (height * width)
+    scene = torch.arange(batch, device=features.device)[:, None] * (height * width)
     corner = ((row * width + column).long() + scene).reshape(-1)
     table = features.reshape(batch * height * width, channels)
 
-    def take(offset: int) -> Tensor:
-        return table.index_select(0, corner + offset).reshape(batch, -1, channels)
+    def taken(offset: int, weight: Tensor) -> Tensor:
+        rows = table.index_select(0, corner + offset).reshape(batch, -1, channels)
+        return rows * weight[..., None]
 
-    # Weights of the four corners, [B, P, 1]: fewer passes over the features than nested mixtures,
-    # and torch.lerp exports as twice as many nodes.
+    # Weights of the four corners: fewer passes over the features than nested mixtures, and
+    # torch.lerp exports as twice as many nodes.
     both = right * up
-    low = take(0) * (1 - right - up + both) + take(1) * (right - both)
-    return low + take(width) * (up - both) + take(width + 1) * both
+    low = taken(0, 1 - right - up + both) + taken(1, right - both)
+    return low + taken(width, up - both) + taken(width + 1, both)
 
 
 def lookup_sum(features: Tensor, points: Tensor, weights: Tensor) -> Tensor:

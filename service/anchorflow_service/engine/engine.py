@@ -48,7 +48,7 @@ class Engine:
         for fault in chain(kind.faults(manifest), self._conditioning.faults()):
             raise bundle.fault(fault)
         self.sampler: Sampler = kind(bundle, threads=self._threads, provider=provider)
-        self._finish = FINISHES[manifest.finish.kind](manifest)
+        self._finish = FINISHES[manifest.finish.kind](manifest, threads=self._threads)
         self._warm_up(bundle)
 
     def plan(
@@ -143,7 +143,7 @@ class Engine:
         with clock.stage("sample"):
             samples = self.sampler.sample(scene, context, threads=threads, check=check)
         with clock.stage("refine"):
-            finished = self._finish.finish(samples, scene)
+            finished = self._finish.finish(samples, scene, threads=threads)
         asked = scene.request.outputs
         extras = [spec.name for spec in self.card.answer.extras if spec.name in asked]
         names = ("trajectories", *self.card.answer.arrays, *extras)

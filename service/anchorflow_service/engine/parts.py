@@ -99,8 +99,11 @@ class Sampler(Protocol):
 class Finish(Protocol):
     """What is done to samples before they are answered."""
 
-    def finish(self, samples: Samples, scene: ConditionedScene) -> Arrays:
-        """The arrays of the contract, and those that the sampler gave, by name: [N,…]."""
+    def finish(self, samples: Samples, scene: ConditionedScene, *, threads: int) -> Arrays:
+        """The arrays of the contract, and those that the sampler gave, by name: [N,…].
+
+        The same to the last bit on however many threads.
+        """
         ...
 
 

@@ -99,7 +99,7 @@ def test_own_durations_are_the_same_alone_in_a_batch_and_on_any_threads(
     free: Engine, small_request: Build
 ) -> None:
     goals = [[3.0, 0.2, 0.0, 0.0], [-1.0, 2.5, 0.3, 0.0]]
-    asked = {"num_samples": 19, "refine": {"smooth": True, "project": True}}
+    asked = {"num_samples": 45, "refine": {"smooth": True, "project": True}}
     ends = {"x_curr": [[-3.0, 0.1, 0.5, 0.0, 0.0, 0.0]] * 2, "x_goal": goals}
     together = [plan(free, small_request(**asked, **ends), threads=n) for n in (1, 2)]
     for scene, goal in enumerate(goals):

@@ -174,6 +174,7 @@ def test_the_winner_is_the_nearest_anchor() -> None:
 
 def test_training_denoises_as_the_service_does() -> None:
     from anchorflow_export.planners.diffusiondrive.adapter import torch_sample
+    from anchorflow_models.diffusiondrive.config import START
     from anchorflow_service.engine.samplers.truncated_diffusion import Noise
 
     model, given = tiny_diffusiondrive(), batch()
@@ -186,8 +187,8 @@ def test_training_denoises_as_the_service_does() -> None:
         made = model.candidates(
             denoised(model, scene, start[None]).trajectories, torch.zeros(1, count, 1, 2)
         )
-        best = torch_sample(model, own, noise, steps=TINY.steps, count=1)["trajectories"]
-    assert torch.cdist(best.flatten(1), made[0].flatten(1)).min() < 1e-3
+        best = torch_sample(model, own, noise, start=START, steps=TINY.steps, count=1)
+    assert torch.cdist(best["trajectories"].flatten(1), made[0].flatten(1)).min() < 1e-3
 
 
 SIZES = SensorSizes(16, 32, 16, 32.0)

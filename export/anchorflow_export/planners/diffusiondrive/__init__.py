@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from anchorflow_export.adapter import ExportChoices
-from anchorflow_export.planners.diffusiondrive.adapter import DiffusionDriveAdapter
+from anchorflow_export.planners.diffusiondrive.adapter import DiffusionDriveAdapter, start_level
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 
-__all__ = ["DiffusionDriveAdapter", "diffusiondrive_adapter"]
+__all__ = ["DiffusionDriveAdapter", "diffusiondrive_adapter", "start_level"]
 
 
-def diffusiondrive_adapter(model: DiffusionDriveV2, _: ExportChoices) -> DiffusionDriveAdapter:
+def diffusiondrive_adapter(
+    model: DiffusionDriveV2, choices: ExportChoices
+) -> DiffusionDriveAdapter:
     """The adapter of a network, whose own configuration says how it is sampled."""
-    return DiffusionDriveAdapter(model)
+    return DiffusionDriveAdapter(model, start_level(choices.noise_scale))

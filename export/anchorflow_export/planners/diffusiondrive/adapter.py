@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -62,6 +63,12 @@ TRIALS = (Trial(1, 20, 2), Trial(3, 5, 1))
 SAMPLED = 5  # anchors that a sample trial asks for
 
 
+def start_level(noise_scale: float) -> int:
+    """The level whose noise has a spread nearest to so many times that of START."""
+    spread = (1.0 - LEVELS.signal) ** 0.5
+    return int(np.abs(spread - noise_scale * spread[START]).argmin())
+
+
 class Role(nn.Module):
     """A method of the network as a module of its own, its outputs in order."""
 
@@ -76,9 +83,13 @@ class Role(nn.Module):
 
 @dataclass(frozen=True)
 class DiffusionDriveAdapter:
-    """Four graphs, and the sampler that the network's configuration describes."""
+    """Four graphs, and the sampler that the network's configuration describes.
+
+    start: the level whose noise anchors begin with
+    """
 
     model: DiffusionDriveV2
+    start: int = START
 
     @property
     def parts(self) -> PlannerParts:
@@ -96,7 +107,7 @@ class DiffusionDriveAdapter:
                 vocabulary=config.vocabulary,
                 keep=config.keep,
                 noise=NoiseLevelsEntry(levels=LEVELS.levels, first=LEVELS.first, last=LEVELS.last),
-                start=START,
+                start=self.start,
                 schedules=tuple(SCHEDULES.values()),
                 steps=config.steps,
             ),
@@ -182,7 +193,9 @@ class DiffusionDriveAdapter:
                 encoded = sampler.encode(scene, threads=1)
                 drawn = sampler.sample(scene, encoded, threads=1, check=lambda: None)
                 own = {name: tensor[b : b + 1] for name, tensor in inputs.items()}
-                expected = torch_sample(self.model, own, noise, steps=steps, count=count)
+                expected = torch_sample(
+                    self.model, own, noise, start=self.start, steps=steps, count=count
+                )
                 got = {"trajectories": drawn.states, **drawn.arrays}
                 for name, tensor in expected.items():
                     what = f"{steps} steps in scene {b}, {name}"
@@ -190,13 +203,13 @@ class DiffusionDriveAdapter:
 
 
 def torch_sample(
-    model: DiffusionDriveV2, inputs: Outputs, noise: Noise, *, steps: int, count: int
+    model: DiffusionDriveV2, inputs: Outputs, noise: Noise, *, start: int, steps: int, count: int
 ) -> Outputs:
     """The sampler written the plain way for one scene: the best N, the best first."""
     config, signal = model.config, LEVELS.signal
     told = model.encode(**inputs)
-    start = torch.from_numpy(noise.start)[None]
-    x = noised(told["anchors"].repeat(1, config.groups, 1, 1), start, float(signal[START]))
+    anchors = told["anchors"].repeat(1, config.groups, 1, 1)
+    x = noised(anchors, torch.from_numpy(noise.start)[None], float(signal[start]))
     levels = SCHEDULES[steps]
     for level, after in zip(levels, (*levels[1:], None), strict=True):
         told |= {"x_t": x, "t": torch.tensor([float(level)])}

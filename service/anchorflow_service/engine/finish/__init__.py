@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.finish.none import NoFinish
 from anchorflow_service.engine.finish.spline import SplineFinish
 from anchorflow_service.engine.parts import Finish
 
-FINISHES: Mapping[str, Callable[[Manifest], Finish]] = {"spline": SplineFinish, "none": NoFinish}
+FINISHES: Mapping[str, Callable[..., Finish]] = {"spline": SplineFinish, "none": NoFinish}

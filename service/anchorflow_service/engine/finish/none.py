@@ -9,9 +9,15 @@ from anchorflow_service.engine.parts import Arrays, ConditionedScene, Samples
 class NoFinish:
     """Poses are the first D components of the states."""
 
-    def __init__(self, manifest: Manifest) -> None:
+    def __init__(self, manifest: Manifest, *, threads: int) -> None:  # noqa: ARG002 - a Finish's
         self._D = manifest.D
 
-    def finish(self, samples: Samples, scene: ConditionedScene) -> Arrays:  # noqa: ARG002 - a Finish's
+    def finish(
+        self,
+        samples: Samples,
+        scene: ConditionedScene,  # noqa: ARG002 - a Finish's
+        *,
+        threads: int,  # noqa: ARG002
+    ) -> Arrays:
         """Trajectories [N,T,D], and what the sampler says of them."""
         return {"trajectories": samples.states[..., : self._D], **samples.arrays}

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+
 from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.parts import DT, Arrays, ConditionedScene, Samples
+from anchorflow_service.engine.side_by_side import side_by_side
+from anchorflow_trajectory.attempt import Spread, in_one
 from anchorflow_trajectory.refine import Refiner
 from anchorflow_trajectory.warm_up import compile_loops
 
+MIN_PART = 16  # anchors; a thread that gets fewer costs more than it brings
 
-def refiner_of(manifest: Manifest, scene: MapScene) -> Refiner:
+
+def refiner_of(manifest: Manifest, scene: MapScene, *, spread: Spread = in_one) -> Refiner:
     """How a manifest whose finish is one of splines finishes the anchors of a scene."""
     entry = manifest.finish
     assert isinstance(entry, SplineEntry)
-    return Refiner(scene.scene, entry.steps, entry.rate)
+    return Refiner(scene.scene, entry.steps, entry.rate, spread)
 
 
 class SplineFinish:
@@ -23,16 +34,24 @@ class SplineFinish:
     Its loops are compiled when the first of these is made.
     """
 
-    def __init__(self, manifest: Manifest) -> None:
+    def __init__(self, manifest: Manifest, *, threads: int) -> None:
         self._manifest = manifest
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="anchorflow-finish")
         compile_loops()
 
-    def finish(self, samples: Samples, scene: ConditionedScene) -> Arrays:
+    def finish(self, samples: Samples, scene: ConditionedScene, *, threads: int) -> Arrays:
         """Anchors that meet both ends, and what they are worth."""
         assert isinstance(scene, MapScene)
         spec = scene.request.refine
         assert isinstance(spec, RefineSpec)
-        refined = refiner_of(self._manifest, scene).refine(samples.states, samples.route, spec)
+
+        def spread(work: Callable[[int, int], None], count: int) -> None:
+            parts = max(1, min(threads, count // MIN_PART))
+            bounds = np.linspace(0, count, parts + 1).astype(int).tolist()
+            side_by_side(self._pool, [partial(work, *ends) for ends in pairwise(bounds)])
+
+        refiner = refiner_of(self._manifest, scene, spread=spread)
+        refined = refiner.refine(samples.states, samples.route, spec)
         steps = self._manifest.time.steps - 1
         own = {DT: refined.duration / steps} if scene.limits.horizon_s is None else {}
         return {

@@ -13,8 +13,9 @@ may ask for each anchor's own as `prior_mean`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,7 @@ from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN, ROLE, Flow
 from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
 from anchorflow_service.engine.samplers.ode_faults import ode_faults, state_shape
 from anchorflow_service.engine.samplers.warm_start import renoised
+from anchorflow_service.engine.side_by_side import side_by_side
 from anchorflow_trajectory.guidance import Guidance
 from anchorflow_trajectory.ode.integrate import VectorField, integrate
 from anchorflow_trajectory.ode.method import method_named
@@ -140,9 +142,12 @@ class OdeSampler:
         if threads == 1 or not self._searches:
             return {**self._own_prior(scene), **self._encode(inputs, threads=threads)}
         # A graph lets go of the interpreter's lock, and so does the search for a scene's routes.
-        encoding = self._pool.submit(self._encode, inputs, threads=threads - 1)
-        own = self._own_prior(scene)
-        return {**own, **encoding.result()}
+        tasks = (
+            partial(self._own_prior, scene),
+            partial(self._encode, inputs, threads=threads - 1),
+        )
+        own, encoded = side_by_side(self._pool, tasks)
+        return {**own, **encoded}
 
     @property
     def _searches(self) -> bool:
@@ -250,9 +255,8 @@ class OdeSampler:
         slices = _cut(begun, min(most, -(-len(begun.x) // MIN_SLICE)))
         if threads == 1 or len(slices) == 1:
             return np.concatenate([integrate_slice(part) for part in slices])
-        running = [self._pool.submit(integrate_slice, part) for part in slices]
-        wait(running)  # all of them: one that is left behind would keep a core busy unseen
-        return np.concatenate([part.result() for part in running])
+        tasks = [partial(integrate_slice, part) for part in slices]
+        return np.concatenate(side_by_side(self._pool, tasks))
 
     def states(
         self,
