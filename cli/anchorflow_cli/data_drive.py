@@ -27,6 +27,10 @@ def drive(
     left_hand: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of logs with left-hand traffic.")
     ] = LogConfig.left_hand,
+    speed_limits: Annotated[
+        bool,
+        typer.Option(help="Write the lanes' limits; unknown ones, as of recordings, are 15 m/s."),
+    ] = LogConfig.speed_limits,
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
     v2x: Annotated[
         bool,
@@ -36,7 +40,13 @@ def drive(
     """Simulate traffic with SUMO and write driving logs of it."""
     with needs_extra("driving", who="anchorflow data drive"):
         from anchorflow_driving.simulation.make_logs import make_logs
-    config = LogConfig(seed=seed, seconds=seconds, windows=windows, left_hand=left_hand)
+    config = LogConfig(
+        seed=seed,
+        seconds=seconds,
+        windows=windows,
+        left_hand=left_hand,
+        speed_limits=speed_limits,
+    )
     with Progress() as bar:
         task = bar.add_task("logs", total=logs)
         summary = make_logs(

@@ -12,9 +12,11 @@ class LogConfig:
     seconds: recorded
     windows: at most, a third of them turning where there are as many
     left_hand: share of logs in which traffic keeps left
+    speed_limits: whether windows tell their lanes' limits, which few recordings do
     """
 
     seed: int = 0
     seconds: float = 25.0
     windows: int = 48
     left_hand: float = 0.3
+    speed_limits: bool = True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -96,8 +96,8 @@ class RoadNet:
                 by_edge.setdefault(lane.edge, []).append(lane)
         return by_edge
 
-    def drivable_rings(self, *, level: float) -> list[Array]:
-        """Around lanes, parking and junctions, without where people walk."""
+    def drivable_rings(self, *, level: float, also: Sequence[Array] = ()) -> list[Array]:
+        """Around lanes, parking, junctions and `also`, without where else people walk."""
         # Lanes once more, since sidewalks may be cut out of their junctions' corners; wider in
         # junctions, where cars cut corners.
         lanes = [
@@ -105,7 +105,10 @@ class RoadNet:
             for lane in self.lanes.values()
         ]
         return union_rings(
-            [*lanes, *self.parking, *self._junctions], self._walks, again=lanes, level=level
+            [*lanes, *self.parking, *self._junctions, *also],
+            self._walks,
+            again=[*lanes, *also],
+            level=level,
         )
 
     def lines(self) -> Iterator[tuple[Array, bool]]:

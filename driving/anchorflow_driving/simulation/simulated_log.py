@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from anchorflow_driving.simulation.courses import person_states, vehicle_states
 from anchorflow_driving.simulation.demand import make_demand
 from anchorflow_driving.simulation.recording import Recording, VehicleRecord, as_array, record
 from anchorflow_driving.simulation.road_net import RoadNet
+from anchorflow_driving.simulation.roadside import roadside
 from anchorflow_driving.simulation.routes import followed_line
 from anchorflow_driving.simulation.standing import all_that_stands
 from anchorflow_driving.simulation.street_plan import make_net
@@ -88,16 +90,18 @@ def _simulated(
     begin, frames = round(warm_up_s / FRAME_S), round(config.seconds / FRAME_S)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        path = make_net(rng, folder)
+        path = make_net(rng, folder, medians=True)
         net = RoadNet(path)
         demand = make_demand(net, rng, folder, warm_up_s=warm_up_s, seconds=config.seconds)
         seed = int(rng.integers(2**31))
         recording = record(path, demand, seed=seed, frames=begin + frames + AFTER)
     tracks, driven = _tracks(recording, net, begin=begin, frames=frames)
-    for each in all_that_stands(net, rng):
+    level = float(rng.uniform(0.1, 0.38))
+    beside = roadside(net, rng, level=level)
+    for each in [*all_that_stands(net, rng), *beside.standing]:
         tracks.add(each.kind, each.size, np.repeat(each.state[None], frames, axis=0))
     mirror = -1.0 if rng.random() < config.left_hand else 1.0
-    fields = map_fields(net, level=rng.uniform(0.1, 0.38), mirror=mirror)
+    fields = map_fields(net, level=level, mirror=mirror, also=beside.areas)
     fields |= _track_fields(tracks, mirror=mirror)
     for each in driven:
         each.line[:, 1] *= mirror
@@ -110,6 +114,10 @@ def _simulated(
         **fields,
         **NO_WINDOWS,
     )
+    if not config.speed_limits:
+        driven = [
+            replace(each, speed_limit=np.full_like(each.speed_limit, np.nan)) for each in driven
+        ]
     return choose_windows(log, driven, rng, most=config.windows)
 
 
@@ -151,8 +159,10 @@ def _cut(values: Array, first: int, *, begin: int, frames: int) -> Array:
     return held
 
 
-def map_fields(net: RoadNet, *, level: float, mirror: float) -> dict[str, Any]:
-    """Fields of a log's map; level: as `union_rings` takes it."""
+def map_fields(
+    net: RoadNet, *, level: float, mirror: float, also: Sequence[Array] = ()
+) -> dict[str, Any]:
+    """Fields of a log's map; level and also: as `drivable_rings` takes them."""
     lanes = list(net.lanes.values())
     number = {lane.name: index for index, lane in enumerate(lanes)}
     edges = [(number[a], number[b]) for a, after in net.following.items() for b in after]
@@ -162,7 +172,7 @@ def map_fields(net: RoadNet, *, level: float, mirror: float) -> dict[str, Any]:
         "lane_intersection": np.array([lane.in_junction for lane in lanes], bool),
         "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
         **line_fields("centre", [lane.centre for lane in lanes], mirror=mirror),
-        **line_fields("drivable", net.drivable_rings(level=level), mirror=mirror),
+        **line_fields("drivable", net.drivable_rings(level=level, also=also), mirror=mirror),
         **line_fields("crosswalk", net.crossings, mirror=mirror),
         **line_fields("line", [line for line, _ in lines], mirror=mirror),
         "line_solid": np.array([solid for _, solid in lines], bool),

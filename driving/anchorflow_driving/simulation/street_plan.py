@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.simulation.road_net import offset
 from anchorflow_driving.simulation.sumo_programs import run_program
 
 Array = NDArray[np.float64]
@@ -37,6 +38,7 @@ class Street:
     lane_width: float  # m
     parking: bool
     one_way: bool = False
+    median: float = 0.0  # m between the directions
 
 
 @dataclass
@@ -51,9 +53,13 @@ class StreetPlan:
         return sum(node in (street.start, street.end) for street in self.streets)
 
 
-def make_net(rng: np.random.Generator, folder: Path, *, lights: bool = True) -> Path:
+def make_net(
+    rng: np.random.Generator, folder: Path, *, lights: bool = True, medians: bool = False
+) -> Path:
     """Draws a street plan and has netconvert build its net; the path of the .net.xml."""
     plan = _skeleton(rng, folder)
+    if medians:
+        _part(plan, rng)
     _bend(plan, rng)
     _add_roundabouts(plan, rng)
     _regulate(plan, rng, lights=lights)
@@ -176,6 +182,14 @@ def _speed_through(line: Array, lateral: float) -> float:
     return float(np.sqrt(lateral / max(curvature, 1e-6)))
 
 
+def _part(plan: StreetPlan, rng: np.random.Generator) -> None:
+    """Puts medians between the directions of some streets."""
+    share, width = rng.choice([0.0, 0.3, 0.8]), rng.uniform(1.2, 5.0)
+    for street in plan.streets:
+        if rng.random() < share and not street.one_way:
+            street.median = float(width)
+
+
 def _add_roundabouts(plan: StreetPlan, rng: np.random.Generator) -> None:
     """Replaces some crossings of three streets and more by rings."""
     share = rng.choice([0.0, 0.3, 0.7], p=[0.5, 0.3, 0.2])
@@ -238,9 +252,12 @@ def _write(plan: StreetPlan, folder: Path) -> None:
         ElementTree.SubElement(nodes, "node", place)
     edges = ElementTree.Element("edges")
     for index, street in enumerate(plan.streets):
-        _add_edge(edges, f"{index}a", street, street.start, street.end, street.line)
+        ways = [("a", street.start, street.end, street.line)]
         if not street.one_way:
-            _add_edge(edges, f"{index}b", street, street.end, street.start, street.line[::-1])
+            ways.append(("b", street.end, street.start, street.line[::-1]))
+        for way, start, end, line in ways:
+            right = offset(line, -street.median / 2) if street.median else line
+            _add_edge(edges, f"{index}{way}", street, start, end, right)
     ElementTree.ElementTree(nodes).write(folder / "street.nod.xml")
     ElementTree.ElementTree(edges).write(folder / "street.edg.xml")
 

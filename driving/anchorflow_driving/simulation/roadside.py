@@ -1,0 +1,146 @@
+"""What lies and stands beyond the kerb: bays and yards that may be driven on, cars parked off the
+road, people in groups, works. SUMO knows nothing of it, and real streets are full of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.geometry import box_corners
+from anchorflow_driving.log import PEDESTRIAN, STATIC, VEHICLE
+from anchorflow_driving.road import DrivableGrid
+from anchorflow_driving.simulation.road_net import NetLane, RoadNet
+from anchorflow_driving.simulation.standing import BARRIER, CONE, Standing
+
+Array = NDArray[np.float64]
+
+SPARSE, DENSE = 90.0, 18.0  # m of kerb for one thing beyond it, at the least and at the most
+END = 10.0  # m of a street before and after its junctions that stay free
+STEP, FARTHEST = 0.25, 15.0  # m, of the search for the kerb and how far from a lane's middle
+INTO = 0.8  # m that a yard reaches into the road, so that both are one
+PLACE = 2.9  # m along the kerb for a parked car
+
+
+@dataclass(frozen=True, eq=False)
+class Roadside:
+    """areas: polygons [V, 2] that may be driven on, though no lane leads there"""
+
+    areas: list[Array]
+    standing: list[Standing]
+
+
+@dataclass(frozen=True, eq=False)
+class _Kerb:
+    """A place at the edge of the road: along it, and out of the road."""
+
+    place: Array  # [2]
+    along: Array  # [2]
+
+    @property
+    def out(self) -> Array:
+        return np.array([self.along[1], -self.along[0]])
+
+    @property
+    def heading(self) -> float:
+        return float(np.arctan2(self.along[1], self.along[0]))
+
+    def at(self, points: Array) -> Array:
+        """[..., 2] m along the kerb and beyond it, in the net's frame."""
+        return self.place + points[..., :1] * self.along + points[..., 1:] * self.out
+
+
+def roadside(net: RoadNet, rng: np.random.Generator, *, level: float) -> Roadside:
+    """Things at random along the right kerbs of a net; level: as of `drivable_rings`."""
+    road = DrivableGrid(tuple(net.drivable_rings(level=level)))
+    spacing = float(np.exp(rng.uniform(np.log(DENSE), np.log(SPARSE))))
+    liking = rng.dirichlet(np.ones(4))
+    areas: list[Array] = []
+    standing: list[Standing] = []
+    for lanes in net.edges.values():
+        for kerb in _kerbs(lanes[0], road, rng, spacing=spacing):
+            kind = rng.choice(4, p=liking)
+            if kind == 0:
+                areas.append(_area(kerb, float(rng.uniform(6.0, 30.0)), rng.uniform(1.0, 3.0)))
+            elif kind == 1:
+                found = _yard(kerb, rng, areas)
+                standing += [each for each in found if not _on(road, each)]
+            else:
+                found = _people(kerb, rng) if kind == 2 else _works(kerb, rng)
+                standing += [each for each in found if not _on(road, each)]
+    return Roadside(areas, standing)
+
+
+def _kerbs(
+    lane: NetLane, road: DrivableGrid, rng: np.random.Generator, *, spacing: float
+) -> Iterator[_Kerb]:
+    """Places at the road's right edge beside a lane."""
+    length = lane.arc_length
+    place = END + rng.exponential(spacing)
+    while place < length[-1] - END:
+        here, next_ = (
+            np.array([np.interp(at, length, axis) for axis in lane.centre.T])
+            for at in (place, place + 1.0)
+        )
+        kerb = _Kerb(here, (next_ - here) / np.linalg.norm(next_ - here))
+        aside = np.arange(0.0, FARTHEST, STEP)
+        outside = ~road.holds(kerb.at(np.stack([np.zeros_like(aside), aside], -1)))
+        if outside.any():
+            edge = np.array([0.0, aside[outside.argmax()]])
+            yield _Kerb(kerb.at(edge), kerb.along)
+        place += rng.exponential(spacing)
+
+
+def _area(kerb: _Kerb, width: float, depth: float) -> Array:
+    corners = [(-1, -INTO), (1, -INTO), (1, depth), (-1, depth)]
+    return kerb.at(np.array([(side * width / 2, out) for side, out in corners]))
+
+
+def _yard(kerb: _Kerb, rng: np.random.Generator, areas: list[Array]) -> Iterator[Standing]:
+    """Cars in a row or two across the kerb; most yards may be driven on, which `areas` gets."""
+    cars, rows = int(rng.integers(1, 10)), int(rng.integers(1, 3))
+    first = rng.uniform(0.4, 3.0)
+    depth = first + (rows - 1) * 11.0 + 5.5
+    if rng.random() < 0.6:
+        areas.append(_area(kerb, cars * PLACE + rng.uniform(1.0, 6.0), depth))
+    occupied = rng.uniform(0.3, 1.0)
+    for row in range(rows):
+        for car in range(cars):
+            if rng.random() > occupied:
+                continue
+            size = (float(rng.uniform(3.7, 5.0)), float(rng.uniform(1.65, 1.95)))
+            along = (car - (cars - 1) / 2) * PLACE + rng.normal(0.0, 0.1)
+            out = first + row * 11.0 + size[0] / 2 + rng.uniform(0.0, 0.6)
+            turn = -np.pi / 2 + np.pi * rng.integers(2) + rng.normal(0.0, 0.06)
+            yield _stood(kerb, VEHICLE, size, along, out, turn)
+
+
+def _people(kerb: _Kerb, rng: np.random.Generator) -> Iterator[Standing]:
+    """A group on foot, near the kerb or well off it."""
+    middle = rng.uniform(1.0, 6.0)
+    for _ in range(int(rng.integers(1, 9))):
+        size = (float(rng.uniform(0.4, 0.8)), float(rng.uniform(0.4, 0.8)))
+        along, out = rng.normal(0.0, 2.5), middle + rng.normal(0.0, 1.0)
+        yield _stood(kerb, PEDESTRIAN, size, along, max(out, 0.5), rng.uniform(-np.pi, np.pi))
+
+
+def _works(kerb: _Kerb, rng: np.random.Generator) -> Iterator[Standing]:
+    """Barriers or cones in a row along the kerb."""
+    size, turn = (BARRIER, np.pi / 2) if rng.random() < 0.5 else (CONE, 0.0)
+    spacing, out = rng.uniform(2.6, 4.5), rng.uniform(0.3, 2.0)
+    for number in range(int(rng.integers(2, 13))):
+        yield _stood(kerb, STATIC, size, number * spacing, out + rng.normal(0.0, 0.1), turn)
+
+
+def _stood(
+    kerb: _Kerb, kind: int, size: tuple[float, float], along: float, out: float, turn: float
+) -> Standing:
+    x, y = kerb.at(np.array([along, out]))
+    return Standing(kind, size, np.array([x, y, kerb.heading + turn, 0.0, 0.0]))
+
+
+def _on(road: DrivableGrid, each: Standing) -> bool:
+    return bool(road.holds(box_corners(each.state[:3], np.array(each.size))).any())
