@@ -11,8 +11,6 @@ POSES = 8
 FIRST_S = STEP_S = 0.5
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
-START = 8
-"""The level of 1000 at which the diffusion is cut off: anchors begin with its noise."""
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}
 """The levels at which so many steps denoise."""
 TRAINED_LEVELS = 50
@@ -42,6 +40,7 @@ class DiffusionDriveConfig:
     vocabulary: fixed trajectories that are scored beside those denoised
     groups, variants: how often each anchor begins, and each denoised trajectory is varied
     keep: the best by coarse scores that are scored finely
+    start: the level of 1000 at which the diffusion is cut off: anchors begin with its noise
     steps: of denoising, of those that SCHEDULES has
 
     Raises:
@@ -72,6 +71,7 @@ class DiffusionDriveConfig:
     groups: int = 10
     variants: int = 4
     keep: int = 32
+    start: int = 8
     steps: int = 2
 
     def __post_init__(self) -> None:
@@ -95,6 +95,7 @@ class DiffusionDriveConfig:
         check("diversity", min(self.diversity) >= 0, "at least 0 each", self.diversity)
         fits = 1 <= self.bezier_degree <= POSES
         check("bezier_degree", fits, f"1 to {POSES}", self.bezier_degree)
+        check("start", 0 <= self.start < 1000, "a level from 0 to 999", self.start)
         check("steps", self.steps in SCHEDULES, f"one of {[*SCHEDULES]}", self.steps)
         check("keep", self.keep <= self.candidates, f"at most {self.candidates}", self.keep)
         check("vocabulary", self.vocabulary >= 0, "at least 0", self.vocabulary)
@@ -120,5 +121,6 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         value_kernel=1,
         look_heads=8,
         ego_motion=True,
+        start=1,
         footprint=CAR,
     )

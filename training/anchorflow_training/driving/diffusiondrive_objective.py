@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive import DiffusionDriveV2, Perceived
-from anchorflow_models.diffusiondrive.config import SCHEDULES, START, TRAINED_LEVELS
+from anchorflow_models.diffusiondrive.config import SCHEDULES, TRAINED_LEVELS
 from anchorflow_models.diffusiondrive.denoiser import Denoised
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import pdm_score
@@ -71,6 +71,9 @@ class DiffusionDriveObjectiveConfig:
     acceleration: float = setting(
         0.0, "m/s², spread of what is added to the acceleration that is told.", least=0
     )
+    levels: int = setting(
+        TRAINED_LEVELS, "Of noise, below which the denoiser learns.", least=1, most=1000
+    )
     judged: int = setting(
         64, "Candidates a scene whose PDM score is worked out; at most half are the best.", least=2
     )
@@ -111,7 +114,7 @@ class DiffusionDriveObjective(nn.Module):
         candidates = count * variants + model.vocabulary
         return (
             torch.randn(shape, generator=generator),
-            torch.randint(0, TRAINED_LEVELS, (scenes,), generator=generator),
+            torch.randint(0, self.config.levels, (scenes,), generator=generator),
             torch.randn(scenes, count, variants, 2, generator=generator),
             torch.rand(scenes, candidates, generator=generator),
             torch.cat(
@@ -284,7 +287,7 @@ def denoised(model: DiffusionDriveV2, scene: SceneFeatures, noise: Tensor) -> De
     """What the card's sampler makes of noise [B, A G, T, 2]; gradients of its last step alone."""
     *before, last = SCHEDULES[model.config.steps]
     begin = begun(model, groups=noise.shape[1] // len(model.anchors))
-    x = noised(begin, noise, float(SIGNAL[START]))
+    x = noised(begin, noise, float(SIGNAL[model.config.start]))
     with torch.no_grad():
         for level, after in pairwise((*before, last)):
             made = model.denoiser(x, torch.full((1,), float(level), device=x.device), scene)[-1]

@@ -16,7 +16,7 @@ from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, Tra
 from anchorflow_export.planners.wote.adapter import sensor_inputs
 from anchorflow_export.tracing import random_tensor, trace
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
-from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, START, STEP_S
+from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S
 from anchorflow_models.transfuser import AGENT_QUERIES, AGENT_STATE
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
@@ -63,10 +63,10 @@ TRIALS = (Trial(1, 20, 2), Trial(3, 5, 1))
 SAMPLED = 5  # anchors that a sample trial asks for
 
 
-def start_level(noise_scale: float) -> int:
-    """The level whose noise has a spread nearest to so many times that of START."""
+def start_level(model: DiffusionDriveV2, noise_scale: float) -> int:
+    """The level whose noise has a spread nearest to so many times that of the model's start."""
     spread = (1.0 - LEVELS.signal) ** 0.5
-    return int(np.abs(spread - noise_scale * spread[START]).argmin())
+    return int(np.abs(spread - noise_scale * spread[model.config.start]).argmin())
 
 
 class Role(nn.Module):
@@ -89,7 +89,7 @@ class DiffusionDriveAdapter:
     """
 
     model: DiffusionDriveV2
-    start: int = START
+    start: int
 
     @property
     def parts(self) -> PlannerParts:
