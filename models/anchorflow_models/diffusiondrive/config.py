@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from anchorflow_models.generation.checks import check
 from anchorflow_models.transfuser import CAR, Places, TransfuserConfig, small_transfuser
+from anchorflow_trajectory.ddim import NoiseLevels
 
 POSES = 8
 FIRST_S = STEP_S = 0.5
@@ -40,7 +41,8 @@ class DiffusionDriveConfig:
     vocabulary: fixed trajectories that are scored beside those denoised
     groups, variants: how often each anchor begins, and each denoised trajectory is varied
     keep: the best by coarse scores that are scored finely
-    start: the level of 1000 at which the diffusion is cut off: anchors begin with its noise
+    noise: variances (beta) of the first and the last of the diffusion's 1000 levels
+    start: the level at which the diffusion is cut off: anchors begin with its noise
     steps: of denoising, of those that SCHEDULES has
 
     Raises:
@@ -71,7 +73,8 @@ class DiffusionDriveConfig:
     groups: int = 10
     variants: int = 4
     keep: int = 32
-    start: int = 8
+    noise: tuple[float, float] = field(default=(1e-4, 0.02), metadata={"free": True})
+    start: int = field(default=8, metadata={"free": True})
     steps: int = 2
 
     def __post_init__(self) -> None:
@@ -96,9 +99,15 @@ class DiffusionDriveConfig:
         fits = 1 <= self.bezier_degree <= POSES
         check("bezier_degree", fits, f"1 to {POSES}", self.bezier_degree)
         check("start", 0 <= self.start < 1000, "a level from 0 to 999", self.start)
+        check("noise", 0 < self.noise[0] <= self.noise[1] < 1, "0 < first <= last < 1", self.noise)
         check("steps", self.steps in SCHEDULES, f"one of {[*SCHEDULES]}", self.steps)
         check("keep", self.keep <= self.candidates, f"at most {self.candidates}", self.keep)
         check("vocabulary", self.vocabulary >= 0, "at least 0", self.vocabulary)
+
+    @property
+    def noise_levels(self) -> NoiseLevels:
+        """How much of the data is left at each level. Raises `ValueError` as it does."""
+        return NoiseLevels(first=self.noise[0], last=self.noise[1])
 
     @property
     def candidates(self) -> int:
@@ -121,6 +130,6 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         value_kernel=1,
         look_heads=8,
         ego_motion=True,
-        start=1,
+        noise=(4e-6, 8e-4),
         footprint=CAR,
     )

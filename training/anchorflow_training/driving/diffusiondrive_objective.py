@@ -32,7 +32,7 @@ from anchorflow_training.driving.diffusiondrive_losses import (
 )
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
 from anchorflow_training.settings import setting
-from anchorflow_trajectory.ddim import NoiseLevels, ddim_step, noised
+from anchorflow_trajectory.ddim import ddim_step, noised
 
 Terms = dict[str, Tensor]
 Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -41,7 +41,6 @@ ego beginning at speeds [B]; NaN: as recorded."""
 
 SPEED, ALONG, ACROSS = 4, 6, 7
 """Of the ego status: velocity and acceleration forward, acceleration to the left."""
-SIGNAL = NoiseLevels().signal
 SCORED = ("scorers", "together")  # stages in which the scorers learn
 OTHER_SPEEDS = 0.5  # share of the windows in which `speed` changes the ego's
 LEAST_WAY = 1.0  # m, which the spread of a sample is in proportion to at least
@@ -182,7 +181,7 @@ class DiffusionDriveObjective(nn.Module):
         speeds: Tensor,
     ) -> Terms:
         model, future = self.model, batch["future"]
-        signal = torch.as_tensor(SIGNAL, dtype=noise.dtype, device=noise.device)[level]
+        signal = torch.as_tensor(model.config.noise_levels.signal).to(noise)[level]
         x_t = noised(begun(model, groups=1), noise, signal[:, None, None, None])
         winner = self.nearest(future)
         rows = torch.arange(len(winner), device=winner.device)
@@ -287,10 +286,11 @@ def denoised(model: DiffusionDriveV2, scene: SceneFeatures, noise: Tensor) -> De
     """What the card's sampler makes of noise [B, A G, T, 2]; gradients of its last step alone."""
     *before, last = SCHEDULES[model.config.steps]
     begin = begun(model, groups=noise.shape[1] // len(model.anchors))
-    x = noised(begin, noise, float(SIGNAL[model.config.start]))
+    signal = model.config.noise_levels.signal
+    x = noised(begin, noise, float(signal[model.config.start]))
     with torch.no_grad():
         for level, after in pairwise((*before, last)):
             made = model.denoiser(x, torch.full((1,), float(level), device=x.device), scene)[-1]
             x_0 = model.denoiser.space.normalised(made.trajectories[..., :2])
-            x = ddim_step(x, x_0, float(SIGNAL[level]), following=float(SIGNAL[after]))
+            x = ddim_step(x, x_0, float(signal[level]), following=float(signal[after]))
     return model.denoiser(x, torch.full((1,), float(last), device=x.device), scene)[-1]
