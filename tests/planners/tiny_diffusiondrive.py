@@ -38,6 +38,7 @@ TINY = DiffusionDriveConfig(
     value_kernel=1,
     look_heads=2,
     ego_motion=True,
+    footprint=((0.0, 0.0), (3.0, 1.0)),
     vocabulary=3,
     groups=2,
     variants=2,

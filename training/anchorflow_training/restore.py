@@ -49,9 +49,14 @@ def resumable(path: Path, config: RunConfig) -> Checkpoint | None:
     saved = load_checkpoint(path)
     _check_same(path, "planner", saved.planner, config.planner)
     then = saved_model_config(saved)
-    for name in (part.name for part in fields(config.model) if not part.metadata.get("free")):
+    for name in of_weights(config.model):
         _check_same(path, f"model.{name}", getattr(then, name), getattr(config.model, name))
     return saved
+
+
+def of_weights(model: Any) -> list[str]:
+    """The fields of a model's configuration that decide its weights: all but the free ones."""
+    return [part.name for part in fields(model) if not part.metadata.get("free")]
 
 
 def _check_same(path: Path, name: str, old: Any, new: Any) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from anchorflow_models.generation.checks import check
-from anchorflow_models.transfuser import TransfuserConfig, small_transfuser
+from anchorflow_models.transfuser import CAR, Places, TransfuserConfig, small_transfuser
+from anchorflow_trajectory.ddim import NoiseLevels
 
 POSES = 8
 FIRST_S = STEP_S = 0.5
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
-START = 8
-"""The level of 1000 at which the diffusion is cut off: anchors begin with its noise."""
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}
 """The levels at which so many steps denoise."""
 TRAINED_LEVELS = 50
@@ -34,12 +33,16 @@ class DiffusionDriveConfig:
     look_heads: shares of a value, each with weights of its own over a trajectory's points
     ego_motion: whether the ego's query and both scorers are told the ego's speed and acceleration
         themselves, and the scorers how each candidate goes on from them
+    footprint: m ahead and to the left of a pose, places at which both scorers look up the BEV in
+        all poses of a candidate; published is none
     x_range, y_range: m, what the diffusion's unit interval spans; a place beyond is drawn to it
     diversity: spread of the factors on x and on y that make variants of a denoised trajectory
     bezier_degree: of the curve that each variant is fitted to
     vocabulary: fixed trajectories that are scored beside those denoised
     groups, variants: how often each anchor begins, and each denoised trajectory is varied
     keep: the best by coarse scores that are scored finely
+    noise: variances (beta) of the first and the last of the diffusion's 1000 levels
+    start: the level at which the diffusion is cut off: anchors begin with its noise
     steps: of denoising, of those that SCHEDULES has
 
     Raises:
@@ -61,6 +64,7 @@ class DiffusionDriveConfig:
     value_kernel: int = 3
     look_heads: int = 1
     ego_motion: bool = False
+    footprint: Places = ()
     x_range: tuple[float, float] = (-1.2, 55.7)
     y_range: tuple[float, float] = (-20.0, 26.0)
     diversity: tuple[float, float] = (0.1, 0.1)
@@ -69,6 +73,8 @@ class DiffusionDriveConfig:
     groups: int = 10
     variants: int = 4
     keep: int = 32
+    noise: tuple[float, float] = field(default=(1e-4, 0.02), metadata={"free": True})
+    start: int = field(default=8, metadata={"free": True})
     steps: int = 2
 
     def __post_init__(self) -> None:
@@ -92,9 +98,16 @@ class DiffusionDriveConfig:
         check("diversity", min(self.diversity) >= 0, "at least 0 each", self.diversity)
         fits = 1 <= self.bezier_degree <= POSES
         check("bezier_degree", fits, f"1 to {POSES}", self.bezier_degree)
+        check("start", 0 <= self.start < 1000, "a level from 0 to 999", self.start)
+        check("noise", 0 < self.noise[0] <= self.noise[1] < 1, "0 < first <= last < 1", self.noise)
         check("steps", self.steps in SCHEDULES, f"one of {[*SCHEDULES]}", self.steps)
         check("keep", self.keep <= self.candidates, f"at most {self.candidates}", self.keep)
         check("vocabulary", self.vocabulary >= 0, "at least 0", self.vocabulary)
+
+    @property
+    def noise_levels(self) -> NoiseLevels:
+        """How much of the data is left at each level. Raises `ValueError` as it does."""
+        return NoiseLevels(first=self.noise[0], last=self.noise[1])
 
     @property
     def candidates(self) -> int:
@@ -117,4 +130,6 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         value_kernel=1,
         look_heads=8,
         ego_motion=True,
+        noise=(4e-6, 8e-4),
+        footprint=CAR,
     )

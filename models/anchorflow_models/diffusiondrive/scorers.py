@@ -18,7 +18,7 @@ from anchorflow_models.diffusiondrive.trajectories import (
     motion_features,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
-from anchorflow_models.transfuser import BevValues
+from anchorflow_models.transfuser import BevValues, Footprint
 
 SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
 
@@ -98,6 +98,32 @@ class ToldMotion(nn.Module):
         return x + self.embed(motion_features(candidates, motion))
 
 
+class SeenUnder(nn.Module):
+    """Adds to candidates what the BEV shows under the car in each of their poses; without
+    `footprint`, nothing.
+    """
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        self.footprint = None
+        if config.footprint:
+            channels, backbone = config.backbone.bev_channels, config.backbone
+            self.values = BevValues(config.width, channels, kernel=1)
+            self.footprint = Footprint(
+                channels,
+                config.scorer_width,
+                steps=POSES,
+                places=config.footprint,
+                reach=backbone.lidar_range,
+            )
+
+    def forward(self, x: Tensor, candidates: Tensor, bev: Tensor) -> Tensor:
+        """x: [B, M, F]; candidates: [B, M, T, 3]; bev: [B, W, H, H]"""
+        if self.footprint is None:
+            return x
+        return x + self.footprint(self.values(bev), candidates)
+
+
 class CoarseScorer(nn.Module):
     """One layer over all candidates."""
 
@@ -109,12 +135,13 @@ class CoarseScorer(nn.Module):
             nn.ReLU(),
             nn.Linear(width, width),
         )
-        self.motion = ToldMotion(config)
+        self.motion, self.under = ToldMotion(config), SeenUnder(config)
         self.layer = ScorerLayer(config)
 
     def forward(self, candidates: Tensor, scene: SceneFeatures) -> Scored:
         """candidates: [B, M, T, 3]"""
         x = self.motion(self.embed(embedded_poses(candidates)), candidates, scene.motion)
+        x = self.under(x, candidates, scene.bev)
         return self.layer(x, candidates[..., :2], scene)
 
 
@@ -123,13 +150,14 @@ class FineScorer(nn.Module):
 
     def __init__(self, config: DiffusionDriveConfig) -> None:
         super().__init__()
-        self.motion = ToldMotion(config)
+        self.motion, self.under = ToldMotion(config), SeenUnder(config)
         self.layers = nn.ModuleList(ScorerLayer(config) for _ in range(config.fine_layers))
 
     def forward(self, candidates: Tensor, features: Tensor, scene: SceneFeatures) -> list[Scored]:
         """candidates: [B, M, T, 3]; features: [B, M, F] -> one a layer, of which the last counts"""
         made = []
         features = self.motion(features, candidates, scene.motion)
+        features = self.under(features, candidates, scene.bev)
         for layer in self.layers:
             scored = layer(features, candidates[..., :2], scene)
             features = scored.features

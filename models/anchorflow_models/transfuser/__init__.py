@@ -3,6 +3,7 @@
 from anchorflow_models.transfuser.backbone import BevFeatures, FeaturePyramid, TransfuserBackbone
 from anchorflow_models.transfuser.bev_values import BevValues, bev_places
 from anchorflow_models.transfuser.config import TransfuserConfig, small_transfuser
+from anchorflow_models.transfuser.footprint import CAR, Footprint, Places
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
     AGENT_STATE,
@@ -14,6 +15,7 @@ from anchorflow_models.transfuser.status import MOTION, STATUS, STATUS_UNITS
 __all__ = [
     "AGENT_QUERIES",
     "AGENT_STATE",
+    "CAR",
     "MOTION",
     "STATUS",
     "STATUS_UNITS",
@@ -21,6 +23,8 @@ __all__ = [
     "BevFeatures",
     "BevValues",
     "FeaturePyramid",
+    "Footprint",
+    "Places",
     "SemanticHead",
     "TransfuserBackbone",
     "TransfuserConfig",

@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from anchorflow_models.generation.checks import check
-from anchorflow_models.transfuser import AGENT_QUERIES, TransfuserConfig, small_transfuser
+from anchorflow_models.transfuser import (
+    AGENT_QUERIES,
+    CAR,
+    Places,
+    TransfuserConfig,
+    small_transfuser,
+)
 
 LEAST = {
     "anchors": 1,
@@ -80,7 +86,7 @@ class WoteConfig:
     agent_layers: int = 3
     semantic_classes: int = 8
     rewards: RewardWeights = field(default_factory=RewardWeights, metadata={"free": True})
-    footprint: tuple[tuple[float, float], ...] = ()
+    footprint: Places = ()
     backbone: TransfuserConfig = field(default_factory=TransfuserConfig)
 
     def __post_init__(self) -> None:
@@ -110,6 +116,6 @@ def small_wote() -> WoteConfig:
         offset_layers=2,
         world_layers=1,
         agent_layers=1,
-        footprint=((0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (3.0, 1.0), (3.0, -1.0)),
+        footprint=CAR,
         backbone=small_transfuser(),
     )

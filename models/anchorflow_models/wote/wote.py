@@ -18,12 +18,12 @@ from anchorflow_models.transfuser import (
     AgentHead,
     BevValues,
     FeaturePyramid,
+    Footprint,
     SemanticHead,
     TransfuserBackbone,
 )
 from anchorflow_models.wote.anchors import arcs, cells
 from anchorflow_models.wote.config import WoteConfig
-from anchorflow_models.wote.footprint import Footprint
 from anchorflow_models.wote.rewards import RewardHead, final_scores
 from anchorflow_models.wote.world_model import WorldModel
 

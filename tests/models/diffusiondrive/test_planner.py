@@ -15,7 +15,7 @@ from anchorflow_models.diffusiondrive import (
     create_diffusiondrive,
     small_diffusiondrive,
 )
-from anchorflow_models.diffusiondrive.scorers import pdm_score
+from anchorflow_models.diffusiondrive.scorers import SeenUnder, pdm_score
 
 SMALL = small_diffusiondrive()
 OF_SCENE = ("agent_queries", "ego_query")
@@ -161,6 +161,41 @@ def test_the_published_planner_is_told_no_motion() -> None:
     model = planner(config)
     assert "ego_motion" not in model.encode(**sensors())
     assert not any("motion" in name for name in model.state_dict())
+    assert whole(model, sensors())["scores"].shape == (1, 32)
+
+
+@torch.inference_mode()
+def test_a_candidate_is_told_what_lies_under_its_own_car() -> None:
+    torch.manual_seed(0)
+    under = SeenUnder(SMALL)
+    candidates = torch.zeros(1, 2, 8, 3)
+    candidates[0, 0, :, 0], candidates[0, 1, :, 0] = 10.0, -20.0
+    bev = torch.rand(1, SMALL.width, 64, 64)
+    changed = bev.clone()
+    changed[:, :, :32] += 1.0  # the rows before the ego
+    x = torch.zeros(1, 2, SMALL.scorer_width)
+    apart = (under(x, candidates, changed) - under(x, candidates, bev))[0].abs().amax(-1)
+    assert apart[0] > 1e-3
+    assert apart[1] == 0.0
+
+
+@pytest.mark.parametrize("scorer", ["coarse_scorer", "fine_scorer"])
+@torch.inference_mode()
+def test_both_scorers_look_under_the_car(scorer: str) -> None:
+    model = planner()
+    before = whole(model, sensors())
+    getattr(model, scorer).under.footprint.whole.bias += 1.0
+    after = whole(model, sensors())
+    assert not torch.allclose(after["scores"], before["scores"], atol=1e-6)
+    heard = not torch.allclose(after["coarse_scores"], before["coarse_scores"], atol=1e-6)
+    assert heard is (scorer == "coarse_scorer")
+
+
+@torch.inference_mode()
+def test_the_published_planner_looks_under_no_car() -> None:
+    assert DiffusionDriveConfig().footprint == ()
+    model = planner(replace(SMALL, footprint=()))
+    assert not any("under" in name for name in model.state_dict())
     assert whole(model, sensors())["scores"].shape == (1, 32)
 
 

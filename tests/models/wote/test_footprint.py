@@ -9,7 +9,7 @@ import pytest
 import torch
 from tiny_wote import TINY, sensors, tiny_wote
 
-from anchorflow_models.wote.footprint import Footprint
+from anchorflow_models.transfuser import Footprint
 
 
 def places_of(x: float, y: float, heading: float) -> list[list[float]]:

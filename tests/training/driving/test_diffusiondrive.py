@@ -174,7 +174,6 @@ def test_the_winner_is_the_nearest_anchor() -> None:
 
 def test_training_denoises_as_the_service_does() -> None:
     from anchorflow_export.planners.diffusiondrive.adapter import torch_sample
-    from anchorflow_models.diffusiondrive.config import START
     from anchorflow_service.engine.samplers.truncated_diffusion import Noise
 
     model, given = tiny_diffusiondrive(), batch()
@@ -187,8 +186,28 @@ def test_training_denoises_as_the_service_does() -> None:
         made = model.candidates(
             denoised(model, scene, start[None]).trajectories, torch.zeros(1, count, 1, 2)
         )
-        best = torch_sample(model, own, noise, start=START, steps=TINY.steps, count=1)
+        best = torch_sample(model, own, noise, start=TINY.start, steps=TINY.steps, count=1)
     assert torch.cdist(best["trajectories"].flatten(1), made[0].flatten(1)).min() < 1e-3
+
+
+def test_candidates_begin_with_the_noise_of_the_models_start() -> None:
+    apart = []
+    for start in (0, 8, 200):
+        model = tiny_diffusiondrive(replace(TINY, start=start))
+        given, noise = batch(), torch.randn(B, TINY.anchors, T, 2)
+        own = (given[name] for name in ("camera", "lidar", "ego_status"))
+        with torch.no_grad():
+            made = denoised(model, model.perception(*own).scene, noise).trajectories
+        apart.append(float((made[..., :2] - model.anchors).norm(dim=-1).mean()))
+    assert apart[0] < apart[1] < apart[2]
+
+
+def test_the_denoiser_learns_of_so_many_levels() -> None:
+    drawn = [
+        objective("imitation", levels=3).draw(64, 1, torch.Generator().manual_seed(seed))[1]
+        for seed in range(3)
+    ]
+    assert set(torch.cat(drawn).tolist()) == {0, 1, 2}
 
 
 SIZES = SensorSizes(16, 32, 16, 32.0)

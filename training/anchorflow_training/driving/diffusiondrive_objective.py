@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive import DiffusionDriveV2, Perceived
-from anchorflow_models.diffusiondrive.config import SCHEDULES, START, TRAINED_LEVELS
+from anchorflow_models.diffusiondrive.config import SCHEDULES, TRAINED_LEVELS
 from anchorflow_models.diffusiondrive.denoiser import Denoised
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import pdm_score
@@ -32,7 +32,7 @@ from anchorflow_training.driving.diffusiondrive_losses import (
 )
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
 from anchorflow_training.settings import setting
-from anchorflow_trajectory.ddim import NoiseLevels, ddim_step, noised
+from anchorflow_trajectory.ddim import ddim_step, noised
 
 Terms = dict[str, Tensor]
 Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -41,7 +41,6 @@ ego beginning at speeds [B]; NaN: as recorded."""
 
 SPEED, ALONG, ACROSS = 4, 6, 7
 """Of the ego status: velocity and acceleration forward, acceleration to the left."""
-SIGNAL = NoiseLevels().signal
 SCORED = ("scorers", "together")  # stages in which the scorers learn
 OTHER_SPEEDS = 0.5  # share of the windows in which `speed` changes the ego's
 LEAST_WAY = 1.0  # m, which the spread of a sample is in proportion to at least
@@ -70,6 +69,9 @@ class DiffusionDriveObjectiveConfig:
     )
     acceleration: float = setting(
         0.0, "m/s², spread of what is added to the acceleration that is told.", least=0
+    )
+    levels: int = setting(
+        TRAINED_LEVELS, "Of noise, below which the denoiser learns.", least=1, most=1000
     )
     judged: int = setting(
         64, "Candidates a scene whose PDM score is worked out; at most half are the best.", least=2
@@ -111,7 +113,7 @@ class DiffusionDriveObjective(nn.Module):
         candidates = count * variants + model.vocabulary
         return (
             torch.randn(shape, generator=generator),
-            torch.randint(0, TRAINED_LEVELS, (scenes,), generator=generator),
+            torch.randint(0, self.config.levels, (scenes,), generator=generator),
             torch.randn(scenes, count, variants, 2, generator=generator),
             torch.rand(scenes, candidates, generator=generator),
             torch.cat(
@@ -179,7 +181,7 @@ class DiffusionDriveObjective(nn.Module):
         speeds: Tensor,
     ) -> Terms:
         model, future = self.model, batch["future"]
-        signal = torch.as_tensor(SIGNAL, dtype=noise.dtype, device=noise.device)[level]
+        signal = torch.as_tensor(model.config.noise_levels.signal).to(noise)[level]
         x_t = noised(begun(model, groups=1), noise, signal[:, None, None, None])
         winner = self.nearest(future)
         rows = torch.arange(len(winner), device=winner.device)
@@ -284,10 +286,11 @@ def denoised(model: DiffusionDriveV2, scene: SceneFeatures, noise: Tensor) -> De
     """What the card's sampler makes of noise [B, A G, T, 2]; gradients of its last step alone."""
     *before, last = SCHEDULES[model.config.steps]
     begin = begun(model, groups=noise.shape[1] // len(model.anchors))
-    x = noised(begin, noise, float(SIGNAL[START]))
+    signal = model.config.noise_levels.signal
+    x = noised(begin, noise, float(signal[model.config.start]))
     with torch.no_grad():
         for level, after in pairwise((*before, last)):
             made = model.denoiser(x, torch.full((1,), float(level), device=x.device), scene)[-1]
             x_0 = model.denoiser.space.normalised(made.trajectories[..., :2])
-            x = ddim_step(x, x_0, float(SIGNAL[level]), following=float(SIGNAL[after]))
+            x = ddim_step(x, x_0, float(signal[level]), following=float(signal[after]))
     return model.denoiser(x, torch.full((1,), float(last), device=x.device), scene)[-1]

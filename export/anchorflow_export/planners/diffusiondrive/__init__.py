@@ -13,4 +13,4 @@ def diffusiondrive_adapter(
     model: DiffusionDriveV2, choices: ExportChoices
 ) -> DiffusionDriveAdapter:
     """The adapter of a network, whose own configuration says how it is sampled."""
-    return DiffusionDriveAdapter(model, start_level(choices.noise_scale))
+    return DiffusionDriveAdapter(model, start_level(model, choices.noise_scale))

@@ -16,7 +16,7 @@ from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, Tra
 from anchorflow_export.planners.wote.adapter import sensor_inputs
 from anchorflow_export.tracing import random_tensor, trace
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
-from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, START, STEP_S
+from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S
 from anchorflow_models.transfuser import AGENT_QUERIES, AGENT_STATE
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
@@ -32,13 +32,12 @@ from anchorflow_service.engine.samplers.truncated_diffusion import (
     Noise,
     TruncatedDiffusionSampler,
 )
-from anchorflow_trajectory.ddim import CLEAN, NoiseLevels, ddim_step, noised
+from anchorflow_trajectory.ddim import CLEAN, ddim_step, noised
 
 Outputs = dict[str, Tensor]
 Told = TypeVar("Told")
 
 F32 = "float32"
-LEVELS = NoiseLevels()
 OUTPUTS = {
     "encode": (
         *("anchors", "bev", "values", "agent_queries", "ego_query", "ego_motion"),
@@ -63,10 +62,10 @@ TRIALS = (Trial(1, 20, 2), Trial(3, 5, 1))
 SAMPLED = 5  # anchors that a sample trial asks for
 
 
-def start_level(noise_scale: float) -> int:
-    """The level whose noise has a spread nearest to so many times that of START."""
-    spread = (1.0 - LEVELS.signal) ** 0.5
-    return int(np.abs(spread - noise_scale * spread[START]).argmin())
+def start_level(model: DiffusionDriveV2, noise_scale: float) -> int:
+    """The level whose noise has a spread nearest to so many times that of the model's start."""
+    spread = (1.0 - model.config.noise_levels.signal) ** 0.5
+    return int(np.abs(spread - noise_scale * spread[model.config.start]).argmin())
 
 
 class Role(nn.Module):
@@ -89,12 +88,12 @@ class DiffusionDriveAdapter:
     """
 
     model: DiffusionDriveV2
-    start: int = START
+    start: int
 
     @property
     def parts(self) -> PlannerParts:
         """A planner asked with tensors, a "truncated_diffusion" sampler and no finish."""
-        config = self.model.config
+        config, levels = self.model.config, self.model.config.noise_levels
         rows, columns = config.backbone.semantic_size
         reach = config.backbone.lidar_range
         return PlannerParts(
@@ -106,7 +105,7 @@ class DiffusionDriveAdapter:
                 variants=config.variants,
                 vocabulary=config.vocabulary,
                 keep=config.keep,
-                noise=NoiseLevelsEntry(levels=LEVELS.levels, first=LEVELS.first, last=LEVELS.last),
+                noise=NoiseLevelsEntry(levels=levels.levels, first=levels.first, last=levels.last),
                 start=self.start,
                 schedules=tuple(SCHEDULES.values()),
                 steps=config.steps,
@@ -206,7 +205,7 @@ def torch_sample(
     model: DiffusionDriveV2, inputs: Outputs, noise: Noise, *, start: int, steps: int, count: int
 ) -> Outputs:
     """The sampler written the plain way for one scene: the best N, the best first."""
-    config, signal = model.config, LEVELS.signal
+    config, signal = model.config, model.config.noise_levels.signal
     told = model.encode(**inputs)
     anchors = told["anchors"].repeat(1, config.groups, 1, 1)
     x = noised(anchors, torch.from_numpy(noise.start)[None], float(signal[start]))

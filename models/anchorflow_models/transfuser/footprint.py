@@ -1,4 +1,4 @@
-"""What the fine BEV shows where an anchor's car would stand."""
+"""What a BEV shows where a trajectory's car would stand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,12 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.layers.lookup import lookup
-from anchorflow_models.transfuser import bev_places
+from anchorflow_models.transfuser.bev_values import bev_places
+
+Places = tuple[tuple[float, float], ...]
+
+CAR: Places = ((0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (3.0, 1.0), (3.0, -1.0))
+"""m ahead and to the left of a pose: the middle of the rear axle, its sides, and the front."""
 
 
 class Footprint(nn.Module):
@@ -29,7 +34,7 @@ class Footprint(nn.Module):
         width: int,
         *,
         steps: int,
-        places: tuple[tuple[float, float], ...],
+        places: Places,
         reach: float,
     ) -> None:
         super().__init__()
