@@ -106,6 +106,8 @@ def test_the_checkpoint_knows_its_teacher_and_its_steps(
     assert provenance(saved)["config"]["method"] == "direct"
     assert student_schedule(saved) == (0.0, 0.8, 1.0)
     assert student_schedule(replace(saved, teacher={})) is None
+    # Other planners learn from teachers too, and step over nothing.
+    assert student_schedule(replace(saved, config={"planner": "v2x_vlm"})) is None
     assert asdict(restore_model(saved).config) == asdict(settings.model)
 
 

@@ -51,8 +51,9 @@ def begin_as(student: L2SafetyCFM, teacher: L2SafetyCFM) -> None:
 
 
 def student_schedule(checkpoint: Checkpoint) -> Schedule | None:
-    """The flow times that a student was taught to step over; None if it is no student."""
-    return tuple(checkpoint.config["schedule"]) if checkpoint.teacher else None
+    """The flow times that FlowMP's student was taught to step over; None for any other network."""
+    times = checkpoint.config.get("schedule") if checkpoint.teacher else None
+    return tuple(times) if times else None
 
 
 def kept_blocks(of: int, keep: int) -> list[int]:
