@@ -22,7 +22,7 @@ SPARSE, DENSE = 90.0, 18.0  # m of kerb for one thing beyond it, at the least an
 END = 10.0  # m of a street before and after its junctions that stay free
 STEP, FARTHEST = 0.25, 15.0  # m, of the search for the kerb and how far from a lane's middle
 INTO = 0.8  # m that a yard reaches into the road, so that both are one
-PLACE = 2.9  # m along the kerb for a parked car
+PLACE, ROW = 2.9, 11.0  # m along the kerb for a parked car, and from one row of them to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,21 +57,15 @@ def roadside(net: RoadNet, rng: np.random.Generator, *, level: float) -> Roadsid
     """Things at random along the right kerbs of a net; level: as of `drivable_rings`."""
     road = DrivableGrid(tuple(net.drivable_rings(level=level)))
     spacing = float(np.exp(rng.uniform(np.log(DENSE), np.log(SPARSE))))
-    liking = rng.dirichlet(np.ones(4))
-    areas: list[Array] = []
-    standing: list[Standing] = []
+    kinds = (_bay, _yard, _people, _works)
+    liking = rng.dirichlet(np.ones(len(kinds)))
+    found = Roadside([], [])
     for lanes in net.edges.values():
         for kerb in _kerbs(lanes[0], road, rng, spacing=spacing):
-            kind = rng.choice(4, p=liking)
-            if kind == 0:
-                areas.append(_area(kerb, float(rng.uniform(6.0, 30.0)), rng.uniform(1.0, 3.0)))
-            elif kind == 1:
-                found = _yard(kerb, rng, areas)
-                standing += [each for each in found if not _on(road, each)]
-            else:
-                found = _people(kerb, rng) if kind == 2 else _works(kerb, rng)
-                standing += [each for each in found if not _on(road, each)]
-    return Roadside(areas, standing)
+            beside = kinds[rng.choice(len(kinds), p=liking)](kerb, rng)
+            found.areas.extend(beside.areas)
+            found.standing.extend(each for each in beside.standing if not _on(road, each))
+    return found
 
 
 def _kerbs(
@@ -94,18 +88,20 @@ def _kerbs(
         place += rng.exponential(spacing)
 
 
-def _area(kerb: _Kerb, width: float, depth: float) -> Array:
-    corners = [(-1, -INTO), (1, -INTO), (1, depth), (-1, depth)]
-    return kerb.at(np.array([(side * width / 2, out) for side, out in corners]))
+def _bay(kerb: _Kerb, rng: np.random.Generator) -> Roadside:
+    """The road is wider here."""
+    width, depth = float(rng.uniform(6.0, 30.0)), float(rng.uniform(1.0, 3.0))
+    return Roadside([_area(kerb, width, depth)], [])
 
 
-def _yard(kerb: _Kerb, rng: np.random.Generator, areas: list[Array]) -> Iterator[Standing]:
-    """Cars in a row or two across the kerb; most yards may be driven on, which `areas` gets."""
+def _yard(kerb: _Kerb, rng: np.random.Generator) -> Roadside:
+    """Cars in a row or two across the kerb; most yards may be driven on."""
     cars, rows = int(rng.integers(1, 10)), int(rng.integers(1, 3))
     first = rng.uniform(0.4, 3.0)
-    depth = first + (rows - 1) * 11.0 + 5.5
+    found = Roadside([], [])
     if rng.random() < 0.6:
-        areas.append(_area(kerb, cars * PLACE + rng.uniform(1.0, 6.0), depth))
+        width, depth = cars * PLACE + rng.uniform(1.0, 6.0), first + (rows - 1) * ROW + 5.5
+        found.areas.append(_area(kerb, width, depth))
     occupied = rng.uniform(0.3, 1.0)
     for row in range(rows):
         for car in range(cars):
@@ -113,26 +109,38 @@ def _yard(kerb: _Kerb, rng: np.random.Generator, areas: list[Array]) -> Iterator
                 continue
             size = (float(rng.uniform(3.7, 5.0)), float(rng.uniform(1.65, 1.95)))
             along = (car - (cars - 1) / 2) * PLACE + rng.normal(0.0, 0.1)
-            out = first + row * 11.0 + size[0] / 2 + rng.uniform(0.0, 0.6)
+            out = first + row * ROW + size[0] / 2 + rng.uniform(0.0, 0.6)
             turn = -np.pi / 2 + np.pi * rng.integers(2) + rng.normal(0.0, 0.06)
-            yield _stood(kerb, VEHICLE, size, along, out, turn)
+            found.standing.append(_stood(kerb, VEHICLE, size, along, out, turn))
+    return found
 
 
-def _people(kerb: _Kerb, rng: np.random.Generator) -> Iterator[Standing]:
+def _people(kerb: _Kerb, rng: np.random.Generator) -> Roadside:
     """A group on foot, near the kerb or well off it."""
     middle = rng.uniform(1.0, 6.0)
+    found = Roadside([], [])
     for _ in range(int(rng.integers(1, 9))):
         size = (float(rng.uniform(0.4, 0.8)), float(rng.uniform(0.4, 0.8)))
-        along, out = rng.normal(0.0, 2.5), middle + rng.normal(0.0, 1.0)
-        yield _stood(kerb, PEDESTRIAN, size, along, max(out, 0.5), rng.uniform(-np.pi, np.pi))
+        along, out = rng.normal(0.0, 2.5), max(middle + rng.normal(0.0, 1.0), 0.5)
+        turn = rng.uniform(-np.pi, np.pi)
+        found.standing.append(_stood(kerb, PEDESTRIAN, size, along, out, turn))
+    return found
 
 
-def _works(kerb: _Kerb, rng: np.random.Generator) -> Iterator[Standing]:
+def _works(kerb: _Kerb, rng: np.random.Generator) -> Roadside:
     """Barriers or cones in a row along the kerb."""
     size, turn = (BARRIER, np.pi / 2) if rng.random() < 0.5 else (CONE, 0.0)
     spacing, out = rng.uniform(2.6, 4.5), rng.uniform(0.3, 2.0)
-    for number in range(int(rng.integers(2, 13))):
-        yield _stood(kerb, STATIC, size, number * spacing, out + rng.normal(0.0, 0.1), turn)
+    row = [
+        _stood(kerb, STATIC, size, number * spacing, out + rng.normal(0.0, 0.1), turn)
+        for number in range(int(rng.integers(2, 13)))
+    ]
+    return Roadside([], row)
+
+
+def _area(kerb: _Kerb, width: float, depth: float) -> Array:
+    corners = [(-1, -INTO), (1, -INTO), (1, depth), (-1, depth)]
+    return kerb.at(np.array([(side * width / 2, out) for side, out in corners]))
 
 
 def _stood(
