@@ -26,5 +26,5 @@ def test_it_is_torchs_where_sigmoids_end() -> None:
     session = onnxruntime.InferenceSession(graph.model.SerializeToString())
     imitation, simulation = torch.randn(1, 6), torch.linspace(-40, 40, 30).view(1, 6, 5)
     fed = {"imitation": imitation.numpy(), "simulation": simulation.numpy()}
-    (got,) = session.run(None, fed)
+    got = np.asarray(session.run(None, fed)[0])
     np.testing.assert_allclose(got, Score()(imitation, simulation).numpy(), rtol=1e-5, atol=1e-5)
