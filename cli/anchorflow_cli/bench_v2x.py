@@ -13,7 +13,6 @@ from anchorflow_cli.bench_options import RESULTS, OutOption, ThreadsOption
 from anchorflow_cli.bench_output import progress, report, say
 from anchorflow_cli.extras import needs_extra
 from anchorflow_client.contract import VisionLanguageSpec
-from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
 from anchorflow_training.v2x.dataset import open_pairs
 
@@ -30,18 +29,16 @@ def pairs(
     out: OutOption = RESULTS,
 ) -> None:
     """Judge V2X-VLM bundles by L2 and collisions, with and without the roadside picture."""
-    sizes = {bundle: _image_size(bundle) for bundle in bundles}
+    asked = [LocalClient.of(bundle, threads=threads) for bundle in bundles]
+    sizes = {client.engine.card.name: _image_size(client) for client in asked}
     if len({*sizes.values()}) > 1:
-        told = ", ".join(f"{bundle}: {size}" for bundle, size in sizes.items())
-        raise typer.BadParameter(f"expected bundles asked with pictures of one size, got {told}")
-    clients = {
-        load_bundle(bundle).card.name: LocalClient.of(bundle, threads=threads) for bundle in bundles
-    }
+        raise typer.BadParameter(f"expected bundles asked with pictures of one size, got {sizes}")
+    clients = {client.engine.card.name: client for client in asked}
     if len(clients) < len(bundles):
         raise typer.BadParameter(f"expected bundles of different names, got {', '.join(clients)}")
     with tempfile.TemporaryDirectory() as scratch:
         if data is None:
-            size = sizes[bundles[0]]
+            (size,) = {*sizes.values()}
             dataset, groups = judged_crossings(Path(scratch), scenes=crossings, image_size=size)
         else:
             dataset = open_pairs(data)
@@ -52,13 +49,12 @@ def pairs(
     report("Pairs", {"bundles": ", ".join(clients), "pairs": judged}, tables, out)
 
 
-def _image_size(bundle: Path) -> int:
-    conditioning = load_bundle(bundle).card.conditioning
-    if not isinstance(conditioning, VisionLanguageSpec):
-        raise typer.BadParameter(
-            f"{bundle}: expected a bundle asked with pictures, got {conditioning.kind}"
-        )
-    return conditioning.image_size
+def _image_size(client: LocalClient) -> int:
+    card = client.engine.card
+    if not isinstance(card.conditioning, VisionLanguageSpec):
+        kind = card.conditioning.kind
+        raise typer.BadParameter(f"{card.name}: expected a bundle asked with pictures, got {kind}")
+    return card.conditioning.image_size
 
 
 def florence(

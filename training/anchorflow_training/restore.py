@@ -49,14 +49,16 @@ def resumable(path: Path, config: RunConfig) -> Checkpoint | None:
     saved = load_checkpoint(path)
     _check_same(path, "planner", saved.planner, config.planner)
     then = saved_model_config(saved)
-    for name in of_weights(config.model):
-        _check_same(path, f"model.{name}", getattr(then, name), getattr(config.model, name))
+    for name, (old, new) in other_weights(then, config.model).items():
+        _check_same(path, f"model.{name}", old, new)
     return saved
 
 
-def of_weights(model: Any) -> list[str]:
-    """The fields of a model's configuration that decide its weights: all but the free ones."""
-    return [part.name for part in fields(model) if not part.metadata.get("free")]
+def other_weights(then: Any, now: Any) -> dict[str, tuple[Any, Any]]:
+    """What decides the weights and differs between two configurations of a model, by field."""
+    names = [part.name for part in fields(now) if not part.metadata.get("free")]
+    both = {name: (getattr(then, name), getattr(now, name)) for name in names}
+    return {name: (old, new) for name, (old, new) in both.items() if old != new}
 
 
 def _check_same(path: Path, name: str, old: Any, new: Any) -> None:

@@ -106,7 +106,7 @@ class DiffusionDriveConfig:
 
     @property
     def noise_levels(self) -> NoiseLevels:
-        """How much of the data is left at each level. Raises `ValueError` as it does."""
+        """How much of the data is left at each level."""
         return NoiseLevels(first=self.noise[0], last=self.noise[1])
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,15 @@ def test_static_objects_stand_where_nobody_drives(logs: list[DrivingLog]) -> Non
         assert not static[..., 3:].any()
         assert not Road(log).in_lanes(static[:, 0, :2].astype(float)).any()
     assert min(counts) > 0
+
+
+def test_speed_limits_may_be_unknown(logs: list[DrivingLog]) -> None:
+    from anchorflow_driving.simulation.simulated_log import simulate_log
+
+    assert np.isfinite(logs[0].window_speed_limit).all()
+    log, _ = simulate_log(replace(CONFIG, speed_limits=False), 0)
+    assert np.isnan(log.window_speed_limit).all()
+    np.testing.assert_array_equal(log.window_frame, logs[0].window_frame)
 
 
 def test_the_route_leads_along_what_was_driven(logs: list[DrivingLog]) -> None:

@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pytest
 import torch
 from tiny_wote import TINY, sensors, tiny_wote
-
-from anchorflow_models.transfuser import Footprint
-
-
-def places_of(x: float, y: float, heading: float) -> list[list[float]]:
-    """Where the car of one pose is looked up: its middle, and 3 m ahead and 1 m to its left."""
-    footprint = Footprint(2, 4, steps=1, places=((0.0, 0.0), (3.0, 1.0)), reach=32.0)
-    return footprint._points(torch.tensor([[[[x, y, heading]]]]))[0, 0, 0].tolist()
-
-
-def test_places_turn_with_the_car() -> None:
-    assert places_of(10.0, 2.0, 0.0) == [[10.0, 2.0], [13.0, 3.0]]
-    (x, y) = places_of(10.0, 2.0, math.pi / 2)[1]
-    assert math.isclose(x, 9.0, abs_tol=1e-5)
-    assert math.isclose(y, 5.0, abs_tol=1e-5)
 
 
 @torch.no_grad()

@@ -314,6 +314,18 @@ def test_the_stages_follow_one_another_and_go_on_where_they_stopped(
         assert row["spread_m"] > 0
 
 
+def test_a_run_begins_with_the_weights_of_the_one_before(logs: list[Path], tmp_path: Path) -> None:
+    """Its noise may be another, which decides no weight; a network's width may not."""
+    DiffusionDriveRun(replace(CONFIG, steps=1), logs, tmp_path / "first").fit()
+    after = replace(CONFIG, before=str(tmp_path / "first" / "checkpoint.pt"))
+    noisy = replace(after, model=replace(MODEL, noise=(1e-5, 1e-3)))
+    DiffusionDriveRun(noisy, logs, tmp_path / "noisy")
+    wide = replace(after, model=replace(MODEL, hidden=MODEL.hidden * 2))
+    said = rf"before: .*first/checkpoint.pt: expected model.hidden {MODEL.hidden * 2}, got"
+    with pytest.raises(ConfigError, match=said):
+        DiffusionDriveRun(wide, logs, tmp_path / "wide")
+
+
 def _stop_after_the_checkpoint(at: int, _row: object) -> None:
     if at == 3:
         raise InterruptedError

@@ -26,7 +26,7 @@ from anchorflow_training.driving.diffusiondrive_objective import (
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
-from anchorflow_training.restore import of_weights, restore_model
+from anchorflow_training.restore import other_weights, restore_model
 from anchorflow_training.settings import ConfigError, setting
 
 
@@ -76,11 +76,10 @@ class DiffusionDriveRun(SensorRun):
                     f"before: expected a checkpoint of {config.planner}, got one of {saved.planner}"
                 )
             before = restore_model(saved)
-            if any(
-                getattr(before.config, name) != getattr(config.model, name)
-                for name in of_weights(config.model)
-            ):
-                raise ConfigError(f"before: {config.before}: its model is of another configuration")
+            for name, (old, new) in other_weights(before.config, config.model).items():
+                raise ConfigError(
+                    f"before: {config.before}: expected model.{name} {new!r}, got {old!r}"
+                )
             model.load_state_dict(before.state_dict())
             return
         model.anchors.copy_(self.first_anchors(count=config.model.anchors, steps=POSES)[..., :2])

@@ -6,7 +6,7 @@ from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.planners.diffusiondrive.adapter import DiffusionDriveAdapter, start_level
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 
-__all__ = ["DiffusionDriveAdapter", "diffusiondrive_adapter", "start_level"]
+__all__ = ["DiffusionDriveAdapter", "diffusiondrive_adapter"]
 
 
 def diffusiondrive_adapter(
