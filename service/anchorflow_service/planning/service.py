@@ -27,6 +27,9 @@ from anchorflow_service.planning.limits import ServiceLimits
 from anchorflow_service.planning.observer import ANSWERED, CANCELLED, Observer
 from anchorflow_service.planning.queue import PlanningQueue
 
+QUICK_BYTES = 256 * 2**10
+"""Of a binary request: to read so many takes less than to hand them to a thread and back."""
+
 
 class PlanningService:
     """Plans what calls ask for, off the event loop; open inside its `with` block only.
@@ -89,8 +92,11 @@ class PlanningService:
         # named: one of them may be inside already, and its older request makes room for this one.
         beyond = self.limits.max_waiting if self._latest else 0
         with self._observed(call), self.queue.place(beyond=beyond):
-            loop = asyncio.get_running_loop()
-            engine, request = await loop.run_in_executor(self._reader, self._read, call)
+            if _is_quickly_read(call.payload):
+                engine, request = self._read(call)
+            else:
+                loop = asyncio.get_running_loop()
+                engine, request = await loop.run_in_executor(self._reader, self._read, call)
             call.arrival.check(request.budget_ms, "before planning")
             job = Job(
                 partial(_plan, engine, request, call),
@@ -137,14 +143,18 @@ class PlanningService:
             observer.batch_planned(requests)
 
     def _read(self, call: Call) -> tuple[PlanningEngine, ResolvedRequest]:
-        """What a call asks, of whom. Megabytes of numbers take a while to check, against the card
-        too: off the event loop with them.
+        """What a call asks, of whom. Megabytes of numbers, or numbers in words, take a while to
+        check, against the card too: off the event loop with them.
         """
         asked = call.codec.decode_request(call.payload)
         call.request_id = asked.request_id or call.request_id
         engine = self.engines.choose(_model(call, asked))
         call.model_id = engine.card.id
         return engine, _with_call(resolve_for_card(asked, engine.card), call)
+
+
+def _is_quickly_read(payload: Payload) -> bool:
+    return payload.header_length is not None and len(payload.body) <= QUICK_BYTES
 
 
 def _plan(
