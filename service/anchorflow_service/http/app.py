@@ -20,6 +20,7 @@ from anchorflow_service.http.repository import repository_router
 from anchorflow_service.http.request_id import RequestIds
 from anchorflow_service.http.server import server_router, server_version
 from anchorflow_service.http.tokens import TokenFile
+from anchorflow_service.http.turns import Turns
 from anchorflow_service.observability.exchanges import Exchanges, log_exchange
 from anchorflow_service.observability.metrics import Metrics
 from anchorflow_service.planning import PlanningService
@@ -66,6 +67,7 @@ def create_app(
         redoc_url=None,
         # From the outside in.
         middleware=[
+            Middleware(Turns),
             Middleware(RequestIds),
             *middleware,
             Middleware(Exchanges, listeners=[metrics.exchanged, log_exchange]),
