@@ -53,6 +53,7 @@ def batch() -> dict[str, Tensor]:
         "agent_count": torch.tensor([3, 0]),
         "semantics": torch.randint(0, TINY.classes, (B, 8, 16), generator=generator),
         "window": torch.tensor([4, 9]),
+        "signs": torch.ones(B, 3),
     }
 
 
@@ -218,7 +219,7 @@ CONFIG = DiffusionDriveRunConfig(
     checkpoint_every=2,
     tensorboard=False,
     accelerator="cpu",
-    batch=BatchConfig(scenes=2, mirror=False),
+    batch=BatchConfig(scenes=2),
     evaluation=JudgeConfig(held_out=1, scenes=1, every=3),
     model=MODEL,
     objective=DiffusionDriveObjectiveConfig(judged=6, group=2),
@@ -334,8 +335,7 @@ def _stop_after_the_checkpoint(at: int, _row: object) -> None:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"batch": BatchConfig(scenes=2)}, "batch.mirror: expected false"),
-        ({"batch": BatchConfig(scenes=99, mirror=False)}, "batch.scenes: expected at most"),
+        ({"batch": BatchConfig(scenes=99)}, "batch.scenes: expected at most"),
         ({"objective": DiffusionDriveObjectiveConfig(stage="scorers")}, "before: expected a chec"),
     ],
 )

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from driven_bend import write_bends
+from driven_bend import bend, write_bends
+from numpy.typing import NDArray
 from tiny_wote import TINY
 
+from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.sensors.rendering import Renderer, RenderingUnavailable
@@ -34,6 +36,7 @@ from anchorflow_training.driving.sensor_windows import (
     SensorSizes,
     open_logs,
     open_sensor_windows,
+    reflected,
 )
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
 from anchorflow_training.planners import TRAININGS
@@ -50,7 +53,7 @@ CONFIG = WoteRunConfig(
     checkpoint_every=2,
     tensorboard=False,
     accelerator="cpu",
-    batch=BatchConfig(scenes=2, mirror=False),
+    batch=BatchConfig(scenes=2),
     evaluation=JudgeConfig(held_out=1, scenes=1, every=2),
     model=MODEL,
 )
@@ -123,6 +126,35 @@ def test_scores_are_the_scorers_and_are_kept(logs: list[Path]) -> None:
     wanted = PdmScorer(window).score(anchors.astype(float))
     np.testing.assert_allclose(pdms(table[1]), wanted.pdms, atol=2e-3)  # kept in half precision
     np.testing.assert_allclose(table[1, :, 2], wanted.ep, atol=1e-3)
+
+
+def test_half_of_the_batches_are_reflected(logs: list[Path], tmp_path: Path) -> None:
+    def futures(*, mirror: bool) -> list[NDArray[np.float32]]:
+        config = replace(CONFIG, batch=BatchConfig(scenes=2, mirror=mirror))
+        return [batch["future"] for batch in WoteRun(config, logs, tmp_path).stream(range(12))]
+
+    signs = [
+        float(np.sign(other[..., 1].sum() * own[..., 1].sum()))
+        for own, other in zip(futures(mirror=False), futures(mirror=True), strict=True)
+    ]
+    assert set(signs) == {-1.0, 1.0}
+
+
+def test_anchors_in_a_reflected_window_are_worth_what_they_are_in_that_of_the_mirrored_bend(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    window = Scenes(bend(0, mirrored=True))[0]
+    driven = window.recorded(PLAN_TIMES)
+    aside = np.linspace(-4.0, 4.0, MODEL.anchors)
+    anchors = driven + aside[:, None, None] * [0.0, 1.0, 0.0]
+    np.save(tmp_path / "anchors.npy", anchors)
+    run = WoteRun(replace(CONFIG, anchors=str(tmp_path / "anchors.npy")), logs, tmp_path)
+    batch = run.batch(np.array([0]), mirrored=True)
+    wanted = PdmScorer(window).score(anchors).sub_scores
+    np.testing.assert_allclose(batch["future"][0], driven, atol=1e-4)
+    np.testing.assert_allclose(batch["pdm"][0], wanted, atol=2e-3)  # kept in half precision
+    assert np.ptp(wanted[:, 1]) == 1
+    assert not np.allclose(run.pdm[0], batch["pdm"][0], atol=0.1)
 
 
 def test_anchors_are_centres_of_what_was_driven(tmp_path: Path) -> None:
@@ -209,10 +241,7 @@ def test_a_run_begins_with_the_backbone_of_another(logs: list[Path], tmp_path: P
 
 
 def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
-    mirrored = replace(CONFIG, batch=BatchConfig(scenes=2))
-    with pytest.raises(ConfigError, match=r"batch.mirror: expected false"):
-        WoteRun(mirrored, logs, tmp_path)
-    many = replace(CONFIG, batch=BatchConfig(scenes=99, mirror=False))
+    many = replace(CONFIG, batch=BatchConfig(scenes=99))
     with pytest.raises(ConfigError, match=r"batch.scenes: expected at most \d+, .* got 99"):
         WoteRun(many, logs, tmp_path)
     assert TRAININGS["wote"].config is WoteRunConfig
@@ -227,11 +256,36 @@ def _stop_after(step: int) -> Report:
     return report
 
 
-def test_the_simulated_sensors_agree_on_where_the_leader_is(folder: Path) -> None:
+@pytest.fixture
+def _renderer() -> None:
     try:
         Renderer()
     except RenderingUnavailable as error:
         pytest.skip(str(error))
+
+
+@pytest.mark.usefixtures("_renderer")
+def test_a_reflected_window_is_the_window_of_the_mirrored_bend() -> None:
+    sizes = SensorSizes(64, 256, 256, 32.0)
+    own, other = (
+        sensor_windows.simulated(Scenes(bend(0, mirrored=mirrored))[0], sizes)
+        for mirrored in (False, True)
+    )
+    seen = reflected({name: array[None] for name, array in own.items()})
+    for name in ("ego_status", "future", "agents"):
+        np.testing.assert_allclose(seen[name][0], other[name], atol=1e-3, err_msg=name)
+    for name, most in {"camera": 2.0, "lidar": 0.01, "semantics": 0.05}.items():
+        unlike, plain = (
+            np.abs(drawn.astype(float) - other[name].astype(float)).mean()
+            for drawn in (seen[name][0], own[name])
+        )
+        # Asphalt has another grain there, and edges fall on the other side of a pixel's middle.
+        assert unlike < most, name
+        assert unlike < 0.35 * plain, name
+
+
+@pytest.mark.usefixtures("_renderer")
+def test_the_simulated_sensors_agree_on_where_the_leader_is(folder: Path) -> None:
     window = Scenes(read_log(folder / "bend-0.npz"))[0]
     told = sensor_windows.simulated(window, SensorSizes(32, 128, 256, 32.0))
     assert told["camera"].shape == (3, 32, 128)

@@ -6,6 +6,7 @@ A raster is moved with the ego; a start that was disturbed rejoins the course.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ Floats = NDArray[np.float64]
 
 HORIZON = float(PLAN_TIMES[-1])
 VELOCITY, ACCELERATION = slice(4, 6), slice(6, 8)
+LEFT_FOR_RIGHT = [2, 1, 0, 3, 4, 5, 6, 7]
+TO_THE_SIDE = np.array([1, 1, 1, 1, 1, -1, 1, -1], np.float32)
 REJOIN_S, REJOIN_LEAST = 2.5, 6.0  # s of driving, and m, in which a start is made good
 FASTEST = 18.0  # m/s of what is re-timed
 
@@ -101,9 +104,13 @@ def mirror(bev: NDArray[np.uint8], status: Floats, course: Floats) -> None:
     bev[:] = bev[:, :, ::-1]
     left, right = (BEV.channels.index(LANES[k]) for k in (1, 3))
     bev[[left, right]] = bev[[right, left]]
-    status[[0, 2]] = status[[2, 0]]
-    status[[5, 7]] *= -1
+    status[:] = mirrored_status(status)
     course[:, 1] *= -1
+
+
+def mirrored_status(status: NDArray[Any]) -> NDArray[Any]:
+    """Ego status [..., 8] with left for right: the command, and what points to the side."""
+    return status[..., LEFT_FOR_RIGHT] * TO_THE_SIDE
 
 
 def rejoined(along: Floats, faster: Floats) -> Floats:

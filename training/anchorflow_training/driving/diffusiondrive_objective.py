@@ -135,7 +135,8 @@ class DiffusionDriveObjective(nn.Module):
         change: Tensor,
     ) -> tuple[Tensor, Terms]:
         """batch: camera, lidar, ego_status as of `Perception`; future [B, T, 3] m, rad; agents
-        [B, Q, 5] and agent_count [B]; semantics [B, H/2, H] classes; window [B], for the judge."""
+        [B, Q, 5] and agent_count [B]; semantics [B, H/2, H] classes; window [B], for the judge;
+        signs [B, 3] of its poses, which reflect a window that was reflected."""
         config, anchors = self.config, self.model.config.anchors
         status, speeds = self._changed(batch["ego_status"], change)
         sensors = (batch["camera"], batch["lidar"], status)
@@ -148,9 +149,9 @@ class DiffusionDriveObjective(nn.Module):
         if learns:
             terms |= self._imitation(seen, batch, noise[:, :anchors], level, speeds)
         if config.stage in SCORED:
-            terms |= self._scorers(seen, batch["window"], noise, diversity, order, speeds)
+            terms |= self._scorers(seen, batch, noise, diversity, order, speeds)
         if config.stage == "reinforcement":
-            terms |= self._reinforcement(seen, batch["window"], noise, diversity[:, :, 0])
+            terms |= self._reinforcement(seen, batch, noise, diversity[:, :, 0])
         weighted = [
             getattr(config, name) * term for name, term in terms.items() if hasattr(config, name)
         ]
@@ -209,7 +210,7 @@ class DiffusionDriveObjective(nn.Module):
     def _scorers(
         self,
         seen: Perceived,
-        windows: Tensor,
+        batch: Mapping[str, Tensor],
         noise: Tensor,
         diversity: Tensor,
         order: Tensor,
@@ -226,9 +227,7 @@ class DiffusionDriveObjective(nn.Module):
         best = coarse.scores.detach().argsort(-1, descending=True)[:, :keep]
         chosen = order.scatter(1, best, -1.0).argsort(-1)[:, keep : self.config.judged]
         chosen = torch.cat([best, chosen], 1)[..., None]
-        truth = self._judged(
-            windows, torch.take_along_dim(candidates, chosen[..., None], 1), speeds
-        )
+        truth = self._judged(batch, torch.take_along_dim(candidates, chosen[..., None], 1), speeds)
         logits = torch.take_along_dim(coarse.logits, chosen, 1)
         kept, true_of_kept = chosen[:, :keep], truth[:, :keep]
         fine = model.fine_scorer(
@@ -251,7 +250,7 @@ class DiffusionDriveObjective(nn.Module):
         }
 
     def _reinforcement(
-        self, seen: Perceived, windows: Tensor, noise: Tensor, factors: Tensor
+        self, seen: Perceived, batch: Mapping[str, Tensor], noise: Tensor, factors: Tensor
     ) -> Terms:
         """The last step as a policy: a Gaussian about its poses, as wide as they are long."""
         made = denoised(self.model, seen.scene, noise).trajectories
@@ -261,7 +260,7 @@ class DiffusionDriveObjective(nn.Module):
         with torch.no_grad():
             poses = torch.cat([sample, made[..., 2:]], -1)
             poses = self.model.variants(poses, torch.zeros_like(factors)[:, :, None])
-            truth = self._judged(windows, poses, torch.full_like(factors[:, 0, 0], torch.nan))
+            truth = self._judged(batch, poses, torch.full_like(factors[:, 0, 0], torch.nan))
             advantage = advantages(truth, self.model.config.anchors)
         width = spread * mean.detach().norm(dim=-1, keepdim=True).clamp(min=LEAST_WAY)
         likely = -0.5 * ((sample - mean) / width).square().sum(-1).mean(-1)
@@ -271,9 +270,10 @@ class DiffusionDriveObjective(nn.Module):
             "failed": (advantage == FAILED).float().mean(),
         }
 
-    def _judged(self, windows: Tensor, trajectories: Tensor, speeds: Tensor) -> Tensor:
+    def _judged(self, batch: Mapping[str, Tensor], trajectories: Tensor, speeds: Tensor) -> Tensor:
         assert self.judge is not None  # as the constructor found
-        return self.judge(windows, trajectories, speeds).to(trajectories)
+        recorded = trajectories * batch["signs"][:, None, None]
+        return self.judge(batch["window"], recorded, speeds).to(trajectories)
 
 
 def begun(model: DiffusionDriveV2, *, groups: int) -> Tensor:

@@ -26,6 +26,7 @@ from anchorflow_training.driving.diffusiondrive_objective import (
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
+from anchorflow_training.reflection import SIGNS, reflection
 from anchorflow_training.restore import other_weights, restore_model
 from anchorflow_training.settings import ConfigError, setting
 
@@ -88,8 +89,12 @@ class DiffusionDriveRun(SensorRun):
     def new_objective(self, model: DiffusionDriveV2) -> DiffusionDriveObjective:
         return DiffusionDriveObjective(model, self.config.objective, self.judge)
 
-    def batch(self, windows: NDArray[np.integer]) -> Batch:
-        return {**self.windows.batch(windows), "window": windows.astype(np.int64)}
+    def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
+        return {
+            **self.windows.batch(windows, mirrored=mirrored),
+            "window": windows.astype(np.int64),
+            "signs": np.tile(reflection(3) if mirrored else np.ones_like(SIGNS), (len(windows), 1)),
+        }
 
     def judged(self, model: DiffusionDriveV2, window: int, batch: dict[str, torch.Tensor]) -> Row:
         """The window's candidates by who chooses among them: see `choices`."""

@@ -13,7 +13,13 @@ import torch
 from numpy.typing import NDArray
 
 from anchorflow_models.transfuser import TransfuserBackbone
-from anchorflow_training.batches import Batch, BatchConfig, batch_scenes, prefetched
+from anchorflow_training.batches import (
+    Batch,
+    BatchConfig,
+    batch_rng,
+    batch_scenes,
+    prefetched,
+)
 from anchorflow_training.config import JudgeConfig, RunConfig
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.anchor_scores import read_anchors, trajectory_anchors
@@ -28,8 +34,7 @@ class SensorRunConfig(RunConfig):
     """A run that learns from camera, LiDAR and ego status, and begins with anchors."""
 
     learning_rate: float = 3e-4
-    # Left is not right for anchors that were clustered.
-    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=8, mirror=False))
+    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=8))
     evaluation: JudgeConfig = field(default_factory=JudgeConfig)
     anchors: str | None = setting(
         None, "File of anchors [K, T, 3] (.npy) instead of clustered ones."
@@ -44,15 +49,13 @@ class SensorRun(TrainingRun):
     """windows: with what sensors tell of them; those from `count` on are held out
 
     Raises:
-        ConfigError: names `batch.mirror` or `batch.scenes`.
+        ConfigError: names `batch.scenes`.
     """
 
     config: Any
     """A `SensorRunConfig` with the `model` of the planner."""
 
     def __init__(self, config: Any, logs: Sequence[Path], out: Path) -> None:
-        if config.batch.mirror:
-            raise ConfigError("batch.mirror: expected false: a picture of the left is not right")
         self.config, self.logs = config, logs
         self.windows = open_sensor_windows(logs, SensorSizes.of(config.model.backbone))
         self.count = len(self.windows) - config.evaluation.held_out
@@ -64,8 +67,8 @@ class SensorRun(TrainingRun):
         super().__init__(config, out)
 
     @abstractmethod
-    def batch(self, windows: NDArray[np.integer]) -> Batch:
-        """What the objective takes of these windows."""
+    def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
+        """What the objective takes of these windows, or of their reflections."""
 
     @abstractmethod
     def judged(self, model: Any, window: int, batch: dict[str, torch.Tensor]) -> Row:
@@ -92,9 +95,12 @@ class SensorRun(TrainingRun):
             load_backbone(backbone, Path(self.config.backbone))
 
     def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        return prefetched(
-            lambda index: self.batch(batch_scenes(self.count, self.config.batch, index)), indices
-        )
+        return prefetched(self._numbered, indices)
+
+    def _numbered(self, index: int) -> Batch:
+        sizes = self.config.batch
+        mirrored = sizes.mirror and batch_rng(sizes, index).random() < 0.5
+        return self.batch(batch_scenes(self.count, sizes, index), mirrored=mirrored)
 
     @property
     def data(self) -> dict[str, Any]:

@@ -23,7 +23,9 @@ from anchorflow_driving.sensors.by_name import draw_inputs
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.transfuser import TransfuserConfig
 from anchorflow_training.batches import Batch
+from anchorflow_training.driving.augmentation import mirrored_status
 from anchorflow_training.driving.semantic_bev import semantic_bev, view_after
+from anchorflow_training.reflection import reflection
 
 KEPT = ".sensors"
 """Suffix of the file beside a log that holds what its sensors tell."""
@@ -94,12 +96,13 @@ class SensorWindows:
     def __len__(self) -> int:
         return len(self.log)
 
-    def batch(self, windows: NDArray[np.integer]) -> Batch:
-        """What sensors tell of these windows, and what is to be learnt of them."""
+    def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
+        """What sensors tell of these windows, or of their reflections, and what is to be learnt."""
         pictures = [self._pictures(int(window)) for window in windows]
         drawn = {name: np.stack([each[name] for each in pictures]) for name in PICTURES}
         drawn["lidar"] = drawn["lidar"].astype(np.float32) / COUNTS
-        return drawn | {name: array[windows] for name, array in self.numbers.items()}
+        seen = drawn | {name: array[windows] for name, array in self.numbers.items()}
+        return reflected(seen) if mirrored else seen
 
     def _pictures(self, window: int) -> Drawn:
         data = np.frombuffer(zlib.decompress(self.streams[window]), np.uint8)
@@ -107,6 +110,20 @@ class SensorWindows:
         ends = np.cumsum([np.prod(shapes[name]) for name in PICTURES])
         parts = np.split(data, ends[:-1])
         return {n: part.reshape(shapes[n]) for n, part in zip(PICTURES, parts, strict=True)}
+
+
+def reflected(batch: Batch) -> Batch:
+    """A batch as it would be, were left right."""
+    pictures = {name: np.ascontiguousarray(batch[name][..., ::-1]) for name in PICTURES}
+    signs = reflection(3)
+    boxes = np.concatenate([signs, np.ones(batch["agents"].shape[-1] - 3, np.float32)])
+    return {
+        **batch,
+        **pictures,
+        "ego_status": mirrored_status(batch["ego_status"]),
+        "future": batch["future"] * signs,
+        "agents": batch["agents"] * boxes,
+    }
 
 
 def open_logs(folder: Path) -> Sequence[Path]:

@@ -22,6 +22,7 @@ from anchorflow_training.driving.wote_objective import (
     WoteObjectiveConfig,
     anchor_distances,
 )
+from anchorflow_training.reflection import reflection
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,11 @@ class WoteRun(SensorRun):
         """[W, K, 5] sub-scores of the anchors: those of the checkpoint, where there is one."""
         return anchor_scores(self.logs, self.model.anchors.cpu().numpy())
 
+    @cached_property
+    def mirrored_pdm(self) -> NDArray[np.float32]:
+        """[W, K, 5] of the anchors in reflected windows: of their reflections in these."""
+        return anchor_scores(self.logs, self.model.anchors.cpu().numpy() * reflection(3))
+
     def begin(self, model: WoTE) -> None:
         """Anchors, and a backbone that has seen pictures where there is one."""
         shape = self.config.model
@@ -58,8 +64,9 @@ class WoteRun(SensorRun):
     def new_objective(self, model: WoTE) -> WoteObjective:
         return WoteObjective(model, self.config.objective)
 
-    def batch(self, windows: NDArray[np.integer]) -> Batch:
-        return {**self.windows.batch(windows), "pdm": self.pdm[windows]}
+    def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
+        pdm = self.mirrored_pdm if mirrored else self.pdm
+        return {**self.windows.batch(windows, mirrored=mirrored), "pdm": pdm[windows]}
 
     def judged(self, model: WoTE, window: int, batch: dict[str, torch.Tensor]) -> Row:
         """How well the anchors of a window are chosen and refined.
