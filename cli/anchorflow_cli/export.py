@@ -13,7 +13,7 @@ from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners import adapter_of
-from anchorflow_export.quantization import quantize_field
+from anchorflow_export.quantization import quantize_bundle
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint
 from anchorflow_training.distillation.student import student_schedule
 from anchorflow_training.provenance import provenance
@@ -58,7 +58,7 @@ def export(
         float, typer.Option(min=0.001, help="Of the first descent [m].")
     ] = DESCENT_RATE,
     int8: Annotated[
-        bool, typer.Option("--int8", help="The field's products in eight bits: faster, rounded.")
+        bool, typer.Option("--int8", help="Field and encoder in eight bits: faster, rounded.")
     ] = False,
 ) -> None:
     """Trace a trained planner to ONNX, prove that both agree, and write the bundle."""
@@ -83,7 +83,7 @@ def export(
     for difference in export_bundle(adapter, description, out=out):
         typer.echo(str(difference))
     if int8:
-        typer.echo(str(quantize_field(out)))
+        typer.echo(str(quantize_bundle(out)))
     typer.echo(f"{out}: {description.name} {version}")
 
 

@@ -24,7 +24,7 @@ from anchorflow_client.contract import AnchorBatch, TensorSpec
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.errors import ExportError
-from anchorflow_export.quantization import quantize_field
+from anchorflow_export.quantization import quantize_bundle
 from anchorflow_export.tracing import random_tensor, trace
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
@@ -156,5 +156,5 @@ def test_an_axis_that_is_computed_is_no_input() -> None:
 def test_a_bundle_without_a_field_is_not_rounded(bundle: Path) -> None:
     before = (bundle / "manifest.json").read_bytes()
     with pytest.raises(ExportError, match=r"int8: expected a bundle with a field, .* got vocabula"):
-        quantize_field(bundle)
+        quantize_bundle(bundle)
     assert (bundle / "manifest.json").read_bytes() == before
