@@ -35,6 +35,8 @@ class DiffusionDriveConfig:
         themselves, and the scorers how each candidate goes on from them
     footprint: m ahead and to the left of a pose, places at which both scorers look up the BEV in
         all poses of a candidate; published is none
+    imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
+        published is 0, no head that foretells it
     x_range, y_range: m, what the diffusion's unit interval spans; a place beyond is drawn to it
     diversity: spread of the factors on x and on y that make variants of a denoised trajectory
     bezier_degree: of the curve that each variant is fitted to
@@ -65,6 +67,7 @@ class DiffusionDriveConfig:
     look_heads: int = 1
     ego_motion: bool = False
     footprint: Places = ()
+    imitation: float = 0.0
     x_range: tuple[float, float] = (-1.2, 55.7)
     y_range: tuple[float, float] = (-20.0, 26.0)
     diversity: tuple[float, float] = (0.1, 0.1)
@@ -95,6 +98,7 @@ class DiffusionDriveConfig:
             low, high = getattr(self, name)
             check(name, low < 0.0 < high, "least below 0, greatest above", (low, high))
         check("value_kernel", self.value_kernel in (1, 3, 5), "1, 3 or 5", self.value_kernel)
+        check("imitation", self.imitation >= 0, "at least 0", self.imitation)
         check("diversity", min(self.diversity) >= 0, "at least 0 each", self.diversity)
         fits = 1 <= self.bezier_degree <= POSES
         check("bezier_degree", fits, f"1 to {POSES}", self.bezier_degree)

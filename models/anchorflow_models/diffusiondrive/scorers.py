@@ -31,10 +31,17 @@ def pdm_score(sub_scores: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """features: [B, M, F]; logits: [B, M, 5] in the order of SUB_SCORES"""
+    """What a layer foretells of M candidates.
+
+    features: [B, M, F]; logits: [B, M, 5] in the order of SUB_SCORES
+    imitation: [B, M] logits over the candidates, of which a person would drive, where a head
+        foretells them; weight: what they count in the scores
+    """
 
     features: Tensor
     logits: Tensor
+    imitation: Tensor | None
+    weight: float
 
     @property
     def sub_scores(self) -> Tensor:
@@ -43,8 +50,12 @@ class Scored:
 
     @property
     def scores(self) -> Tensor:
-        """[B, M] in [0, 1]"""
-        return pdm_score(self.sub_scores)
+        """[B, M] in [0, 1]: the PDM score, times the likelihood beside that of the likeliest."""
+        score = pdm_score(self.sub_scores)
+        if self.imitation is None:
+            return score
+        beside = self.imitation - self.imitation.amax(-1, keepdim=True)
+        return score * (self.weight * beside).exp()
 
 
 class ScorerLayer(nn.Module):
@@ -62,10 +73,9 @@ class ScorerLayer(nn.Module):
         self.others = Attention(width, heads)
         self.feed_forward = FeedForward(width, config.scorer_hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(5))
-        self.heads = nn.ModuleList(
-            nn.Sequential(nn.Linear(width, width // 2), nn.ReLU(), nn.Linear(width // 2, 1))
-            for _ in SUB_SCORES
-        )
+        self.heads = nn.ModuleList(_head(width) for _ in SUB_SCORES)
+        self.weight = config.imitation
+        self.imitation = _head(width) if config.imitation else None
 
     def forward(self, x: Tensor, points: Tensor, scene: SceneFeatures) -> Scored:
         """x: [B, M, F]; points: [B, M, T, 2] m"""
@@ -75,7 +85,8 @@ class ScorerLayer(nn.Module):
         x = others(x + self.others(x))
         x = ego(x + self.ego(x, self.widen(scene.ego)))
         x = feed(x + self.feed_forward(x))
-        return Scored(x, torch.cat([head(x) for head in self.heads], -1))
+        imitation = None if self.imitation is None else self.imitation(x).squeeze(-1)
+        return Scored(x, torch.cat([head(x) for head in self.heads], -1), imitation, self.weight)
 
 
 class ToldMotion(nn.Module):
@@ -163,3 +174,7 @@ class FineScorer(nn.Module):
             features = scored.features
             made.append(scored)
         return made
+
+
+def _head(width: int) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(width, width // 2), nn.ReLU(), nn.Linear(width // 2, 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +16,7 @@ from anchorflow_models.diffusiondrive import (
     create_diffusiondrive,
     small_diffusiondrive,
 )
-from anchorflow_models.diffusiondrive.scorers import SeenUnder, pdm_score
+from anchorflow_models.diffusiondrive.scorers import Scored, SeenUnder, pdm_score
 
 SMALL = small_diffusiondrive()
 OF_SCENE = ("agent_queries", "ego_query")
@@ -214,6 +215,22 @@ def test_the_ego_s_query_is_told_the_status_in_its_units() -> None:
     model.perception.decoder.forward = lambda queries, _known: queries  # type: ignore[assignment]
     apart = model.perception(**faster).scene.ego - model.perception(**inputs).scene.ego
     torch.testing.assert_close(apart[0, 0], model.perception.status.weight[:, 4], atol=1e-5, rtol=0)
+
+
+def test_of_equals_the_likelier_scores_higher() -> None:
+    even = torch.full((1, 2, 5), 0.7).logit()
+    scored = Scored(torch.zeros(1, 2, 4), even, torch.tensor([[3.0, 1.0]]), weight=0.1)
+    worth = float(pdm_score(torch.full((5,), 0.7)))
+    torch.testing.assert_close(
+        scored.scores, torch.tensor([[worth, worth * math.exp(-0.1 * (3.0 - 1.0))]])
+    )
+
+
+@torch.inference_mode()
+def test_the_published_planner_foretells_no_likeness() -> None:
+    names = dict(planner(replace(SMALL, imitation=0.0)).named_parameters())
+    also = dict(planner(replace(SMALL, imitation=0.1)).named_parameters())
+    assert {name.split(".")[-3] for name in also.keys() - names.keys()} == {"imitation"}
 
 
 def test_the_score_is_that_of_pdm() -> None:

@@ -119,6 +119,33 @@ def test_steps_make_every_term_smaller(stage: str) -> None:
         assert terms[name] < first[name], name
 
 
+def test_which_candidate_would_be_driven_is_learnt_from_windows_as_recorded() -> None:
+    model = tiny_diffusiondrive(replace(TINY, imitation=0.1)).train()
+    settings = DiffusionDriveObjectiveConfig(stage="scorers", judged=12, speed=4.0)
+
+    def judge(_windows: Tensor, candidates: Tensor, _speeds: Tensor) -> Tensor:
+        return torch.rand(*candidates.shape[:2], 5)
+
+    loss_of, given = DiffusionDriveObjective(model, settings, judge), batch()
+    *draws, change = drawn_for(loss_of)
+    change[:, 3] = torch.tensor([0.1, 0.9])  # the first begins at another speed
+    optimiser = torch.optim.AdamW(loss_of.parameters(), 3e-3)
+    losses = []
+    for _ in range(40):
+        loss, terms = loss_of(given, *draws, change)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(terms["imitation"].detach()))
+    assert losses[-1] < losses[0] - 0.05
+    term = loss_of(given, *draws, change)[1]["imitation"]
+    for window, changes in enumerate((False, True)):
+        elsewhere = {**given, "future": given["future"].clone()}
+        elsewhere["future"][window] += 9.0
+        after = loss_of(elsewhere, *draws, change)[1]["imitation"]
+        assert torch.allclose(after, term) is not changes
+
+
 def test_reinforcement_drives_farther() -> None:
     loss_of = objective("reinforcement", classes=0, poses=0, agents=0, semantics=0)
     given, optimiser = batch(), torch.optim.AdamW(loss_of.model.denoiser.parameters(), 1e-2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -10,13 +11,12 @@ from tiny_wote import TINY, sensors, tiny_wote
 from torch import Tensor
 
 from anchorflow_models.wote import WoteConfig
+from anchorflow_training.driving.likeness import distances, likeness_loss
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss, match
 from anchorflow_training.driving.wote_objective import (
     WoteObjective,
     WoteObjectiveConfig,
-    anchor_distances,
     likely,
-    soft_cross_entropy,
 )
 
 
@@ -111,10 +111,10 @@ def test_distances_and_labels() -> None:
     anchors[1, :, 0] = 3.0
     future = torch.zeros(1, 3, 3)
     future[..., 1] = 4.0
-    torch.testing.assert_close(anchor_distances(anchors, future), torch.tensor([[4.0, 5.0]]))
-    labels = torch.tensor([[0.25, 0.75]])
-    wanted = -(labels * torch.tensor([[0.25, 0.75]]).log()).sum()
-    torch.testing.assert_close(soft_cross_entropy(labels.log(), labels), wanted)
+    torch.testing.assert_close(distances(anchors[None], future), torch.tensor([[4.0, 5.0]]))
+    apart, labels = torch.tensor([[0.0, 2 * math.log(3.0)]]), torch.tensor([[0.75, 0.25]])
+    loss = likeness_loss(labels.log(), apart, over=2.0)
+    torch.testing.assert_close(loss, -(labels * labels.log()).sum(-1))
 
 
 def test_the_focal_loss_of_half_a_chance() -> None:

@@ -10,7 +10,7 @@ Three stages, each of which goes on from the weights of the one before, and one 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -23,13 +23,14 @@ from anchorflow_models.diffusiondrive import DiffusionDriveV2, Perceived
 from anchorflow_models.diffusiondrive.config import SCHEDULES, TRAINED_LEVELS
 from anchorflow_models.diffusiondrive.denoiser import Denoised
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
-from anchorflow_models.diffusiondrive.scorers import pdm_score
+from anchorflow_models.diffusiondrive.scorers import Scored, pdm_score
 from anchorflow_training.driving.diffusiondrive_losses import (
     FAILED,
     advantages,
     pose_distance,
     wrong_order,
 )
+from anchorflow_training.driving.likeness import distances, likeness_loss
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import ddim_step, noised
@@ -59,6 +60,10 @@ class DiffusionDriveObjectiveConfig:
     semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
     coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
     fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
+    imitation: float = setting(
+        1.0, "Of which candidate a person would drive, where the model has a head for it.", least=0
+    )
+    likeness: float = setting(1.0, "m, over which a candidate's soft label falls by e.", above=0)
     rank: float = setting(0.0, "Of pairs of candidates in the wrong order, both scorers.", least=0)
     reinforcement: float = setting(1.0, "Of the policy gradient.", least=0)
     groups: int = setting(0, "Of anchors that the scorers learn from; 0: the model's.", least=0)
@@ -186,9 +191,7 @@ class DiffusionDriveObjective(nn.Module):
         x_t = noised(begun(model, groups=1), noise, signal[:, None, None, None])
         winner = self.nearest(future)
         rows = torch.arange(len(winner), device=winner.device)
-        # At another speed something else would have been driven.
-        known = speeds.isnan().to(noise.dtype)
-        share = known / known.sum().clamp(min=1.0)
+        share = as_recorded(speeds)
         classes, poses = [], []
         for made in model.denoiser(x_t, level.to(noise.dtype), seen.scene):
             classes.append(share @ F.cross_entropy(made.logits, winner, reduction="none"))
@@ -238,9 +241,11 @@ class DiffusionDriveObjective(nn.Module):
         misses = [F.binary_cross_entropy_with_logits(s.logits, true_of_kept) for s in fine]
         score, choice = pdm_score(truth), fine[-1].scores.detach().argmax(-1, keepdim=True)
         coarse_scores = pdm_score(logits.sigmoid())
+        apart = distances(candidates, batch["future"])
         ranks = [wrong_order(coarse_scores, score)]
-        ranks += [wrong_order(s.scores, pdm_score(true_of_kept)) for s in fine]
+        ranks += [wrong_order(pdm_score(s.sub_scores), pdm_score(true_of_kept)) for s in fine]
         return {
+            **self._likeness(coarse, fine, apart, kept[..., 0], as_recorded(speeds)),
             "coarse": F.binary_cross_entropy_with_logits(logits, truth),
             "fine": torch.stack(misses).mean(),
             "rank": torch.stack(ranks).mean(),
@@ -248,6 +253,22 @@ class DiffusionDriveObjective(nn.Module):
             "pdms_coarse": score[:, 0].mean(),
             "pdms_fine": pdm_score(true_of_kept).gather(1, choice).mean(),
         }
+
+    def _likeness(
+        self, coarse: Scored, fine: Sequence[Scored], apart: Tensor, kept: Tensor, share: Tensor
+    ) -> Terms:
+        """The term `imitation`, where there are heads for it.
+
+        apart: [B, M] m from the record; kept: [B, K] of them that are scored finely
+        share: [B] of the windows in the loss
+        """
+        judged = [(coarse, apart), *((scored, apart.gather(1, kept)) for scored in fine)]
+        losses = [
+            share @ likeness_loss(scored.imitation, distance, over=self.config.likeness)
+            for scored, distance in judged
+            if scored.imitation is not None
+        ]
+        return {"imitation": torch.stack(losses).mean()} if losses else {}
 
     def _reinforcement(
         self, seen: Perceived, batch: Mapping[str, Tensor], noise: Tensor, factors: Tensor
@@ -274,6 +295,14 @@ class DiffusionDriveObjective(nn.Module):
         assert self.judge is not None  # as the constructor found
         recorded = trajectories * batch["signs"][:, None, None]
         return self.judge(batch["window"], recorded, speeds).to(trajectories)
+
+
+def as_recorded(speeds: Tensor) -> Tensor:
+    """Weights [B] of windows, which sum to 1 or are 0: at another speed something else would have
+    been driven. speeds: [B], NaN as recorded
+    """
+    known = speeds.isnan().to(speeds.dtype)
+    return known / known.sum().clamp(min=1.0)
 
 
 def begun(model: DiffusionDriveV2, *, groups: int) -> Tensor:

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.wote import WoTE
+from anchorflow_training.driving.likeness import distances, likeness_loss
 from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
 from anchorflow_training.settings import setting
 
@@ -59,7 +60,7 @@ class WoteObjective(nn.Module):
         model, config = self.model, self.config
         seen = model.look(batch["camera"], batch["lidar"], batch["ego_status"])
         moved = model.move(seen.bev, seen.ego)
-        distance = anchor_distances(model.anchors, batch["future"])
+        distance = distances(model.anchors[None], batch["future"])
         nearest = distance.argmin(-1)
         chosen = self._chosen(order, nearest, likely(moved.logits.detach(), luck))
         judged = model.judge(seen.bev, moved.taken(chosen), fine=seen.fine)
@@ -68,10 +69,8 @@ class WoteObjective(nn.Module):
         pdm = batch["pdm"].gather(1, chosen[..., None].expand(-1, -1, batch["pdm"].shape[-1]))
         terms = {
             "offset": F.l1_loss(refined, batch["future"]),
-            "offset_imitation": soft_cross_entropy(moved.logits, self._labels(distance)),
-            "imitation": soft_cross_entropy(
-                judged.imitation, self._labels(distance.gather(1, chosen))
-            ),
+            "offset_imitation": self._likeness(moved.logits, distance),
+            "imitation": self._likeness(judged.imitation, distance.gather(1, chosen)),
             "simulation": F.binary_cross_entropy_with_logits(judged.simulation, pdm),
             "agents": agent_loss(
                 seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
@@ -94,9 +93,8 @@ class WoteObjective(nn.Module):
         rank = rank.scatter(1, nearest[:, None], -2.0)
         return rank.argsort(-1)[:, : self.config.judged or None]
 
-    def _labels(self, distance: Tensor) -> Tensor:
-        """Soft labels that sum to 1: the nearer, the likelier."""
-        return (-distance / self.config.likeness).softmax(-1)
+    def _likeness(self, logits: Tensor, distance: Tensor) -> Tensor:
+        return likeness_loss(logits, distance, over=self.config.likeness).mean()
 
 
 def likely(logits: Tensor, luck: Tensor) -> Tensor:
@@ -105,13 +103,3 @@ def likely(logits: Tensor, luck: Tensor) -> Tensor:
     logits: [B, K]; luck: [B, K] even in [0, 1)
     """
     return (logits - luck.clamp(min=TINY).log().neg().log()).argsort(-1, descending=True)
-
-
-def anchor_distances(anchors: Tensor, future: Tensor) -> Tensor:
-    """Mean distance [B, K] in m of anchors [K, T, 3] from futures [B, T, 3], pose by pose."""
-    return (anchors[None, ..., :2] - future[:, None, :, :2]).norm(dim=-1).mean(-1)
-
-
-def soft_cross_entropy(logits: Tensor, labels: Tensor) -> Tensor:
-    """Of logits [B, K] and labels [B, K] that sum to 1."""
-    return -(labels * logits.log_softmax(-1)).sum(-1).mean()

@@ -16,12 +16,9 @@ from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_training.batches import Batch
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.anchor_scores import anchor_scores, pdms
+from anchorflow_training.driving.likeness import distances
 from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
-from anchorflow_training.driving.wote_objective import (
-    WoteObjective,
-    WoteObjectiveConfig,
-    anchor_distances,
-)
+from anchorflow_training.driving.wote_objective import WoteObjective, WoteObjectiveConfig
 from anchorflow_training.reflection import reflection
 
 
@@ -75,7 +72,7 @@ class WoteRun(SensorRun):
         """
         seen = model.look(batch["camera"], batch["lidar"], batch["ego_status"])
         scored = model.score(seen.bev, seen.ego, seen.fine)
-        refined = anchor_distances(scored["trajectories"][0], batch["future"])
+        refined = distances(scored["trajectories"], batch["future"])
         worth = pdms(self.pdm[window])
         # Whichever were kept, by the anchors that they are nearest to before their offsets.
         plain = scored["trajectories"][0] - scored["offsets"][0]
@@ -84,6 +81,6 @@ class WoteRun(SensorRun):
             "success": float(worth[index[int(scored["scores"][0].argmax())]]),
             "pdms_by_imitation": float(worth[index[int(scored["im_rewards"][0].argmax())]]),
             "pdms_of_the_best": float(worth.max()),
-            "best_ade_m": float(anchor_distances(model.anchors, batch["future"]).min()),
+            "best_ade_m": float(distances(model.anchors[None], batch["future"]).min()),
             "best_refined_ade_m": float(refined.min()),
         }
