@@ -158,7 +158,8 @@ WALKTHROUGH = (
             f"anchorflow export runs/default/checkpoint.pt --out {SHIPPED}/default"
             " --version 0.2.0 --noise-scale 1.4 --refine-steps 6 --refine-rate 0.12",
             f"anchorflow export runs/student/checkpoint.pt --out {SHIPPED}/student"
-            " --name flowmp-small-student --version 0.3.0 --refine-steps 6 --refine-rate 0.12 --int8",
+            " --name flowmp-small-student --version 0.3.0 --refine-steps 6 --refine-rate 0.12"
+            " --int8",
         ),
     ),
     Session(
