@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
 
@@ -13,7 +12,7 @@ from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.parts import DT, Arrays, ConditionedScene, Samples
-from anchorflow_service.engine.side_by_side import side_by_side
+from anchorflow_service.engine.side_by_side import Helpers
 from anchorflow_trajectory.attempt import Spread, in_one
 from anchorflow_trajectory.refine import Refiner
 from anchorflow_trajectory.warm_up import compile_loops
@@ -36,7 +35,7 @@ class SplineFinish:
 
     def __init__(self, manifest: Manifest, *, threads: int) -> None:
         self._manifest = manifest
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="anchorflow-finish")
+        self._helpers = Helpers(threads, name="anchorflow-finish")
         compile_loops()
 
     def finish(self, samples: Samples, scene: ConditionedScene, *, threads: int) -> Arrays:
@@ -48,7 +47,7 @@ class SplineFinish:
         def spread(work: Callable[[int, int], None], count: int) -> None:
             parts = max(1, min(threads, count // MIN_PART))
             bounds = np.linspace(0, count, parts + 1).astype(int).tolist()
-            side_by_side(self._pool, [partial(work, *ends) for ends in pairwise(bounds)])
+            self._helpers.side_by_side([partial(work, *ends) for ends in pairwise(bounds)])
 
         refiner = refiner_of(self._manifest, scene, spread=spread)
         refined = refiner.refine(samples.states, samples.route, spec)

@@ -13,7 +13,6 @@ may ask for each anchor's own as `prior_mean`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -36,7 +35,7 @@ from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN, ROLE, Flow
 from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
 from anchorflow_service.engine.samplers.ode_faults import ode_faults, state_shape
 from anchorflow_service.engine.samplers.warm_start import renoised
-from anchorflow_service.engine.side_by_side import side_by_side
+from anchorflow_service.engine.side_by_side import Helpers
 from anchorflow_trajectory.guidance import Guidance
 from anchorflow_trajectory.ode.integrate import VectorField, integrate
 from anchorflow_trajectory.ode.method import method_named
@@ -102,7 +101,7 @@ class OdeSampler:
         self._extras = [spec.name for spec in bundle.manifest.answer.extras]
         self._state_shape = state_shape(bundle.manifest)
         self._threads = threads
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="anchorflow-field")
+        self._helpers = Helpers(threads, name="anchorflow-field")
         self.cuts_freely = False
         """Whether anchors give the same bytes in one piece and in slices, as `settle` found out.
         Where they do not, samples are always cut as for all threads."""
@@ -146,7 +145,7 @@ class OdeSampler:
             partial(self._own_prior, scene),
             partial(self._encode, inputs, threads=threads - 1),
         )
-        own, encoded = side_by_side(self._pool, tasks)
+        own, encoded = self._helpers.side_by_side(tasks)
         return {**own, **encoded}
 
     @property
@@ -256,7 +255,7 @@ class OdeSampler:
         if threads == 1 or len(slices) == 1:
             return np.concatenate([integrate_slice(part) for part in slices])
         tasks = [partial(integrate_slice, part) for part in slices]
-        return np.concatenate(side_by_side(self._pool, tasks))
+        return np.concatenate(self._helpers.side_by_side(tasks))
 
     def states(
         self,
