@@ -136,4 +136,5 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         ego_motion=True,
         noise=(4e-6, 8e-4),
         footprint=CAR,
+        imitation=0.1,
     )
