@@ -145,11 +145,13 @@ def _guided(scale: float) -> str:
 
 
 def bundle_names(bundles: Sequence[Bundle]) -> list[str]:
-    """What tells bundles apart: the model's name, or with it the folder's."""
+    """What tells bundles apart: the model's name, or with it the folder's, or the whole path."""
     names = [bundle.card.name for bundle in bundles]
-    if len(set(names)) == len(names):
-        return names
-    return [f"{b.card.name} ({b.path.resolve().name})" for b in bundles]
+    paths = [bundle.path.resolve() for bundle in bundles]
+    for told in ([path.name for path in paths], paths):
+        if len(set(names)) < len(names):
+            names = [f"{b.card.name} ({of})" for b, of in zip(bundles, told, strict=True)]
+    return names
 
 
 def limits_of(bundle: Bundle) -> MotionLimits:
