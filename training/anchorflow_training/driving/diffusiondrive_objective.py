@@ -298,8 +298,10 @@ class DiffusionDriveObjective(nn.Module):
 
 
 def as_recorded(speeds: Tensor) -> Tensor:
-    """Weights [B] of windows, which sum to 1 or are 0: at another speed something else would have
-    been driven. speeds: [B], NaN as recorded
+    """Weights [B] of windows, which sum to 1 or are all 0.
+
+    At another speed something else would have been driven: it counts for nothing.
+    speeds: [B] m/s, NaN as recorded
     """
     known = speeds.isnan().to(speeds.dtype)
     return known / known.sum().clamp(min=1.0)
