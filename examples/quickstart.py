@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from anchorflow_models import L2Config, L2SafetyCFM
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
@@ -78,7 +78,7 @@ def training(steps: int, seed: int) -> TrainerConfig:
         ema_decay=0.98,
         report_every=max(1, steps // 8),
         tensorboard=False,
-        batch=BatchConfig(scenes=8, samples=16, seed=seed),
+        batch=FlowBatchConfig(scenes=8, samples=16, seed=seed),
         model=L2Config(variant="small"),
     )
 

@@ -47,9 +47,9 @@ def train(
     """Train a planner; stop it any time and start it again with the same words."""
     training = training_of(planner, config)
     data = training.open_data(dataset)
-    base = {"model": training.model_settings(data)}
+    base = {"model": training.run.model_settings(data)}
     settings = layers(training.config, base, config, given_settings(given, bfloat16=bfloat16))
     if print_config:
         typer.echo(config_text(settings), nl=False)
         return
-    carry_out(training.new_run(settings, data, run_folder(out)))
+    carry_out(training.run(settings, data, run_folder(out)))

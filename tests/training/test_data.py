@@ -9,7 +9,13 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_training.batches import BatchConfig, dealt_routes, draw_batch, mirror, prior_means
+from anchorflow_training.batches import (
+    FlowBatchConfig,
+    dealt_routes,
+    draw_batch,
+    mirror,
+    prior_means,
+)
 from anchorflow_training.dataset import (
     DTYPES,
     DatasetError,
@@ -174,7 +180,7 @@ def test_starts_are_what_the_tries_began_with() -> None:
 
 
 def test_batches_hold_each_trajectory_equally_often(dataset: SceneDataset) -> None:
-    config = BatchConfig(scenes=3, samples=16)
+    config = FlowBatchConfig(scenes=3, samples=16)
     batch = draw_batch(dataset, config, 0)
     assert batch["states"].shape == (3, 16, 64, 7)
     again = draw_batch(dataset, config, 0)
@@ -188,7 +194,7 @@ def test_batches_hold_each_trajectory_equally_often(dataset: SceneDataset) -> No
 
 
 def test_a_batch_s_samples_keep_their_own_route_start_and_duration(dataset: SceneDataset) -> None:
-    batch = draw_batch(dataset, BatchConfig(scenes=6, samples=16, mirror=False), 0)
+    batch = draw_batch(dataset, FlowBatchConfig(scenes=6, samples=16, mirror=False), 0)
     arrays = dataset.batch(np.arange(6))
     every = own_time_states(arrays["states"], arrays["durations"])
     for b in range(6):

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from anchorflow_cli.main import main
 from anchorflow_models import L2Config
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.dataset import DatasetError, SceneDataset, open_dataset
 from anchorflow_training.divergence import DivergenceError
@@ -27,7 +27,7 @@ CONFIG = TrainerConfig(
     report_every=1,
     checkpoint_every=2,
     tensorboard=False,
-    batch=BatchConfig(scenes=2, samples=4),
+    batch=FlowBatchConfig(scenes=2, samples=4),
     model=L2Config(map_size=16, feature_channels=4),
 )
 

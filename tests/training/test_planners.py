@@ -24,7 +24,7 @@ from anchorflow_models import L2Config, registry
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
 from anchorflow_training import planners
-from anchorflow_training.batches import Batch, BatchConfig
+from anchorflow_training.batches import Batch, FlowBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from anchorflow_training.config import RunConfig, TrainerConfig
 from anchorflow_training.curve import Row
@@ -70,6 +70,10 @@ class CameraRun(TrainingRun):
         self.arrays = arrays
         super().__init__(config, out)
 
+    @staticmethod
+    def model_settings(data: Arrays) -> dict[str, Any]:  # noqa: ARG004
+        return {"spread": 2.0}
+
     def begin(self, model: CameraPlanner) -> None:
         """Its weights are good to begin with."""
 
@@ -100,7 +104,6 @@ INPUTS = ("camera", "ego_status")
 TRAINING = Training(
     CameraRunConfig,
     lambda folder: dict(np.load(folder / "scenes.npz")),
-    lambda _: {"spread": 2.0},
     CameraRun,
 )
 
@@ -238,7 +241,7 @@ def test_a_planner_without_an_adapter_is_one_line(
 def test_the_folder_of_another_planners_run_is_not_gone_on_with(
     trained: Path, tiny_dataset: SceneDataset
 ) -> None:
-    batch = BatchConfig(scenes=2, samples=2)
+    batch = FlowBatchConfig(scenes=2, samples=2)
     config = TrainerConfig(batch=batch, model=L2Config(map_size=16, feature_channels=4))
     with pytest.raises(CheckpointError, match=f"expected planner '{NAME}'.* got 'flowmp'"):
         CFMTrainer(config, tiny_dataset, trained)
@@ -246,7 +249,7 @@ def test_the_folder_of_another_planners_run_is_not_gone_on_with(
 
 @pytest.mark.usefixtures("second_planner")
 def test_what_names_no_planner_is_flowmps(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    batch = BatchConfig(scenes=2, samples=2)
+    batch = FlowBatchConfig(scenes=2, samples=2)
     config = TrainerConfig(
         steps=1, tensorboard=False, batch=batch, model=L2Config(map_size=16, feature_channels=4)
     )

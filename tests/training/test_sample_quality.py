@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config
-from anchorflow_training.batches import BatchConfig, draw_batch
+from anchorflow_training.batches import FlowBatchConfig, draw_batch
 from anchorflow_training.config import TrainerConfig
 from anchorflow_training.dataset import DatasetError, SceneDataset, open_dataset, own_time_states
 from anchorflow_training.prior_covariance import prior_covariance
@@ -24,7 +24,7 @@ CONFIG = TrainerConfig(
     warmup=0,
     report_every=1,
     tensorboard=False,
-    batch=BatchConfig(scenes=2, samples=4),
+    batch=FlowBatchConfig(scenes=2, samples=4),
     model=MODEL,
 )
 
@@ -37,7 +37,7 @@ def test_a_batch_weighs_each_sample_by_its_trajectory(tiny_dataset: SceneDataset
     quality = np.linspace(0.0, 1.0, SCENES * TRAJECTORIES).reshape(SCENES, TRAJECTORIES)
     weighed = with_quality(tiny_dataset, quality)
     # One scene a batch: six batches show every trajectory once.
-    config = BatchConfig(scenes=1, samples=TRAJECTORIES, mirror=False)
+    config = FlowBatchConfig(scenes=1, samples=TRAJECTORIES, mirror=False)
     seen = []
     for index in range(SCENES):
         batch, plain = (draw_batch(each, config, index) for each in (weighed, tiny_dataset))

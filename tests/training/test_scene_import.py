@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_training.batches import BatchConfig, draw_batch
+from anchorflow_training.batches import FlowBatchConfig, draw_batch
 from anchorflow_training.data import DatasetError, SyntheticTrajectoryDataset, TrajectoryDataset
 from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.scene_import import ImportConfig, import_scenes, rounded_up
@@ -73,7 +73,7 @@ def test_the_folder_tells_the_trainer_what_it_needs(tmp_path: Path) -> None:
     assert scenes.limits.v_max == pytest.approx(2.1)
     assert scenes.meta["statistics"]["positions"]["mean"] == pytest.approx([3.0, 2.5])
     assert scenes.meta["families"] == {"l2": 2}
-    batch = draw_batch(scenes, BatchConfig(scenes=2, samples=4), 0)
+    batch = draw_batch(scenes, FlowBatchConfig(scenes=2, samples=4), 0)
     assert batch["states"].shape == (2, 4, STEPS, 7)
     assert "starts" not in batch  # noise is paired with the data instead
 

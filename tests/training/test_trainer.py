@@ -10,14 +10,14 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.learning_rate import FLOOR, rate_share
 from anchorflow_training.restore import restore_model
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 
-BATCH = BatchConfig(scenes=2, samples=8)
+BATCH = FlowBatchConfig(scenes=2, samples=8)
 SMALL = L2Config(map_size=16, feature_channels=4)
 
 # Three steps on the tiny dataset with warmup = 2, as the first trainer of states with log durations

@@ -14,8 +14,10 @@ from anchorflow_cli.main import main
 from anchorflow_cli.train import SHORT
 from anchorflow_cli.train import app as train_app
 from anchorflow_training.config import TrainerConfig
-from anchorflow_training.config_file import config_text, layers, model_settings, read_config
+from anchorflow_training.config_file import config_text, layers, read_config
 from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.held_out import shapes
+from anchorflow_training.planners import TRAININGS
 from anchorflow_training.settings import ConfigError, build, setting, settings
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "training.md"
@@ -79,7 +81,7 @@ def test_what_is_wrong_is_named_with_its_file(values: dict[str, Any], message: s
 def layered(
     dataset: SceneDataset, file: Path | None = None, options: dict[str, Any] | None = None
 ) -> TrainerConfig:
-    return layers(TrainerConfig, {"model": model_settings(dataset)}, file, options)
+    return layers(TrainerConfig, {"model": shapes(dataset)}, file, options)
 
 
 def test_each_layer_goes_over_the_one_before(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
@@ -90,6 +92,15 @@ def test_each_layer_goes_over_the_one_before(tiny_dataset: SceneDataset, tmp_pat
     assert (config.batch.scenes, config.batch.samples) == (3, 2)
     assert config.compile
     assert config.warmup == TrainerConfig().warmup
+
+
+@pytest.mark.parametrize(
+    ("planner", "path"),
+    [("v2x_vlm", "evaluation.held_out"), ("wote", "batch.samples"), ("goalflow", "batch.mirror")],
+)
+def test_what_a_planner_has_no_use_for_is_refused(planner: str, path: str) -> None:
+    with pytest.raises(ConfigError, match=f"unknown key '{path}'"):
+        layers(TRAININGS[planner].config, {}, options={path: "1"})
 
 
 def test_the_model_has_the_datasets_shape(tiny_dataset: SceneDataset) -> None:

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.config import EvaluationConfig, TrainerConfig
 from anchorflow_training.dataset import SceneDataset
@@ -39,7 +39,7 @@ CONFIG = TrainerConfig(
     warmup=0,
     report_every=1,
     tensorboard=False,
-    batch=BatchConfig(scenes=2, samples=2),
+    batch=FlowBatchConfig(scenes=2, samples=2),
     evaluation=EvaluationConfig(every=1, held_out=2, samples=3, steps=1, pictures=0),
     model=MODEL,
 )

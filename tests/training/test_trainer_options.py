@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_training.batches import BatchConfig, draw_batch
+from anchorflow_training.batches import FlowBatchConfig, draw_batch
 from anchorflow_training.config import FlowMatchingConfig, TrainerConfig
 from anchorflow_training.curve import Row
 from anchorflow_training.dataset import SceneDataset, open_dataset
@@ -216,7 +216,7 @@ def test_threads(thread_count: int, tiny_dataset: SceneDataset, tmp_path: Path) 
 
 
 def test_the_size_of_a_batch(tiny_dataset: SceneDataset) -> None:
-    batch = draw_batch(tiny_dataset, BatchConfig(scenes=3, samples=5), 0)
+    batch = draw_batch(tiny_dataset, FlowBatchConfig(scenes=3, samples=5), 0)
     assert batch["states"].shape[:2] == (3, 5)
 
 
@@ -233,7 +233,7 @@ def test_mirror_off_keeps_every_scene_as_it_is(
     starts = {float(x) for x in tiny_dataset.arrays["x_curr"][:, 1]}
     drawn = {True: set(), False: set()}
     for mirror, seen in drawn.items():
-        config = BatchConfig(scenes=2, samples=1, mirror=mirror)
+        config = FlowBatchConfig(scenes=2, samples=1, mirror=mirror)
         for index in range(12):
             seen |= {float(x) for x in draw_batch(tiny_dataset, config, index)["x_curr"][:, 1]}
     assert drawn[False] == starts

@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.config import EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
@@ -30,7 +30,7 @@ CONFIG = TrainerConfig(
     report_every=1,
     checkpoint_every=INTERVAL,
     tensorboard=False,
-    batch=BatchConfig(scenes=2, samples=4),
+    batch=FlowBatchConfig(scenes=2, samples=4),
     model=L2Config(map_size=16, feature_channels=4),
 )
 PATIENCE_S = 180.0  # for a subprocess on a busy machine

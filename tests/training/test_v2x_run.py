@@ -22,7 +22,7 @@ from anchorflow_training.settings import ConfigError
 from anchorflow_training.v2x.config import LossConfig, V2XRunConfig
 from anchorflow_training.v2x.dataset import PairDataset, make_pairs
 from anchorflow_training.v2x.pretrained import load_pretrained
-from anchorflow_training.v2x.run import V2XRun, model_settings
+from anchorflow_training.v2x.run import V2XRun
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -48,15 +48,16 @@ def config(pairs: PairDataset) -> V2XRunConfig:
         report_every=1,
         checkpoint_every=1,
         tensorboard=False,
-        batch=BatchConfig(scenes=3, samples=1, mirror=False),
+        batch=BatchConfig(scenes=3),
         evaluation=JudgeConfig(every=100, scenes=4),
-        model=V2XConfig(**model_settings(pairs), positions=256, dropout=0.0),
+        model=V2XConfig(**V2XRun.model_settings(pairs), positions=256, dropout=0.0),
     )
 
 
 def test_a_run_that_stops_goes_on_as_if_it_had_not(
     pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
 ) -> None:
+    config = replace(config, model=replace(config.model, dropout=0.1))
     whole = V2XRun(config, pairs, tmp_path / "whole")
     whole.fit()
     stopped = V2XRun(config, pairs, tmp_path / "parts")

@@ -34,15 +34,41 @@ INPUTS = (
 
 @dataclass(frozen=True)
 class BatchConfig:
-    """scenes: B; samples: N a scene (each trajectory is used samples / M times)."""
+    """scenes: B"""
 
     scenes: int = setting(16, "Scenes a batch.", least=1)
-    samples: int = setting(32, "Samples a scene.", least=1)
     seed: int = setting(0, "Of weights, batches and noise.", least=0)
+
+    @property
+    def per_scene(self) -> int:
+        """N, what is learnt of each scene."""
+        return 1
+
+
+@dataclass(frozen=True)
+class SampledBatchConfig(BatchConfig):
+    """samples: N a scene (each trajectory is used samples / M times)"""
+
+    samples: int = setting(32, "Samples a scene.", least=1)
+
+    @property
+    def per_scene(self) -> int:
+        return self.samples
+
+
+@dataclass(frozen=True)
+class MirroredBatchConfig(BatchConfig):
+    """mirror: whether half of the batches are reflected"""
+
     mirror: bool = setting(True, "Reflect half of the batches; false where left is not right.")
 
 
-def draw_batch(dataset: SceneDataset, config: BatchConfig, index: int) -> Batch:
+@dataclass(frozen=True)
+class FlowBatchConfig(MirroredBatchConfig, SampledBatchConfig):
+    """Samples of scenes, or of their reflections."""
+
+
+def draw_batch(dataset: SceneDataset, config: FlowBatchConfig, index: int) -> Batch:
     """Batch number `index`: the inputs of encode [B, ...] and of `FlowObjective`.
 
     states, prior_mean: [B, N, T, S], each with the route that it follows [B, N]
@@ -124,7 +150,9 @@ def mirror(batch: Batch) -> None:
         batch["starts"][..., :-1] *= signs
 
 
-def batches(dataset: SceneDataset, config: BatchConfig, indices: Iterable[int]) -> Generator[Batch]:
+def batches(
+    dataset: SceneDataset, config: FlowBatchConfig, indices: Iterable[int]
+) -> Generator[Batch]:
     """The batches of these numbers."""
     return prefetched(partial(draw_batch, dataset, config), indices)
 

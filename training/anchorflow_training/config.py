@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal
 
 from anchorflow_models import L2Config
 from anchorflow_models.flow_matching import LossWeights
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import BatchConfig, FlowBatchConfig
 from anchorflow_training.settings import setting
 
 
@@ -27,21 +27,33 @@ class FlowMatchingConfig:
 
 @dataclass(frozen=True)
 class JudgeConfig:
-    """The validation judge: on what, how often, and when it ends the training."""
+    """The validation judge: how often, on how much, and when it ends the training."""
 
     every: int = setting(1000, "Steps from one evaluation to the next.", least=1)
-    held_out: int = setting(0, "Last scenes of the dataset, kept from training.", least=0)
-    dataset: str | None = setting(None, "Dataset folder to evaluate on, instead of held_out.")
     scenes: int = setting(64, "Scenes an evaluation.", least=1)
-    samples: int = setting(16, "Anchors a scene.", least=1)
-    pictures: int = setting(4, "Scenes on the sample picture; 0: no picture.", least=0)
     patience: int = setting(
         0, "Stop after so many evaluations without a better success; 0: never.", least=0
     )
 
 
 @dataclass(frozen=True)
-class EvaluationConfig(JudgeConfig):
+class HeldOutConfig(JudgeConfig):
+    """A judge of what the run keeps from training."""
+
+    held_out: int = setting(0, "Last scenes of the dataset, kept from training.", least=0)
+
+
+@dataclass(frozen=True)
+class AnchorJudgeConfig(HeldOutConfig):
+    """A judge of anchors on cost maps."""
+
+    dataset: str | None = setting(None, "Dataset folder to evaluate on, instead of held_out.")
+    samples: int = setting(16, "Anchors a scene.", least=1)
+    pictures: int = setting(4, "Scenes on the sample picture; 0: no picture.", least=0)
+
+
+@dataclass(frozen=True)
+class EvaluationConfig(AnchorJudgeConfig):
     """The judge of a flow, and the sampler that draws its anchors."""
 
     steps: int = setting(2, "Midpoint steps of the sampler.", least=1)
@@ -80,11 +92,19 @@ class RunConfig:
 
 
 @dataclass(frozen=True)
-class TrainerConfig(RunConfig):
-    """A run that learns FlowMP's flow from data."""
+class CostMapRunConfig(RunConfig):
+    """A run of FlowMP, which learns on cost maps."""
 
     planner: ClassVar[str] = "flowmp"
 
-    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
+    batch: FlowBatchConfig = field(default_factory=FlowBatchConfig)
+    evaluation: AnchorJudgeConfig = field(default_factory=AnchorJudgeConfig)
     model: L2Config = field(default_factory=L2Config)
+
+
+@dataclass(frozen=True)
+class TrainerConfig(CostMapRunConfig):
+    """A run that learns FlowMP's flow from data."""
+
+    evaluation: EvaluationConfig = field(default_factory=EvaluationConfig)
     flow: FlowMatchingConfig = field(default_factory=FlowMatchingConfig)

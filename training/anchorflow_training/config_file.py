@@ -10,8 +10,6 @@ from typing import Any, TypeVar
 import yaml
 
 from anchorflow_training.config import RunConfig, TrainerConfig
-from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.held_out import SHAPES
 from anchorflow_training.settings import ConfigError, build, checked, merged, nested
 
 Config = TypeVar("Config", bound=RunConfig)
@@ -58,11 +56,6 @@ def layers(
         given = checked(kind, nested(path, value), source="command line")
         values = merged(values, given)
     return build(kind, values, source="configuration")
-
-
-def model_settings(dataset: SceneDataset) -> dict[str, Any]:
-    """What of FlowMP's configuration a dataset fixes."""
-    return {name: getattr(dataset, name) for name in SHAPES}
 
 
 def config_text(config: RunConfig) -> str:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_training.config import RunConfig
+from anchorflow_training.config import CostMapRunConfig
 from anchorflow_training.curve import Row
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.evaluation import Evaluator, JudgedScene
-from anchorflow_training.held_out import split
+from anchorflow_training.held_out import shapes, split
 from anchorflow_training.pictures import sample_picture
 from anchorflow_training.run import Picture, TrainingRun
 
@@ -23,10 +23,16 @@ class CostMapRun(TrainingRun):
     dataset: the scenes to train on; evaluator: the judge, where scenes are held out
     """
 
-    def __init__(self, config: RunConfig, dataset: SceneDataset, out: Path) -> None:
+    run_config: CostMapRunConfig
+
+    def __init__(self, config: CostMapRunConfig, dataset: SceneDataset, out: Path) -> None:
         self.dataset, held_out = split(dataset, config)
         self.evaluator = self.new_evaluator(held_out) if held_out else None
         super().__init__(config, out)
+
+    @staticmethod
+    def model_settings(data: SceneDataset) -> Mapping[str, Any]:
+        return shapes(data)
 
     @abstractmethod
     def new_evaluator(self, held_out: SceneDataset) -> Evaluator:

@@ -19,7 +19,7 @@ from torch import Tensor
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation.integrate import Stage, integrate
 from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
-from anchorflow_training.config import EvaluationConfig, JudgeConfig
+from anchorflow_training.config import AnchorJudgeConfig, EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.cost import MotionLimits
@@ -103,7 +103,7 @@ def flow_evaluator(dataset: SceneDataset, config: EvaluationConfig) -> Evaluator
 class Evaluator:
     """Judges models on scenes of one dataset, always the same ones with the same noise."""
 
-    def __init__(self, dataset: SceneDataset, config: JudgeConfig, sampler: Sampler) -> None:
+    def __init__(self, dataset: SceneDataset, config: AnchorJudgeConfig, sampler: Sampler) -> None:
         self.dataset, self.config, self.sampler = dataset, config, sampler
         count = min(config.scenes, len(dataset))
         self.scenes = np.linspace(0, len(dataset) - 1, count).astype(np.int64)

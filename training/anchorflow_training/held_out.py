@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from anchorflow_training.config import RunConfig
+from anchorflow_training.config import CostMapRunConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
-from anchorflow_training.settings import ConfigError
-
-SHAPES = ("num_steps", "dim", "map_channels")  # T, D and C: the model's must be the dataset's
+from anchorflow_training.settings import ConfigError, check_fixed
 
 
-def split(dataset: SceneDataset, config: RunConfig) -> tuple[SceneDataset, SceneDataset | None]:
+def split(
+    dataset: SceneDataset, config: CostMapRunConfig
+) -> tuple[SceneDataset, SceneDataset | None]:
     """The scenes to train on and those held out, if any; raises `ConfigError`."""
     held_out, path = config.evaluation.held_out, config.evaluation.dataset
     if held_out and path:
@@ -33,7 +33,7 @@ def split(dataset: SceneDataset, config: RunConfig) -> tuple[SceneDataset, Scene
         judged = _part(dataset, slice(-held_out, None))
     for part in (training, judged):
         if part:
-            _check_shapes(part, config)
+            check_fixed(config.model, shapes(part), by=f"the scenes of {part.path}")
     return training, judged
 
 
@@ -42,8 +42,6 @@ def _part(dataset: SceneDataset, scenes: slice) -> SceneDataset:
     return replace(dataset, arrays=arrays)
 
 
-def _check_shapes(dataset: SceneDataset, config: RunConfig) -> None:
-    for name in SHAPES:
-        asked, found = getattr(config.model, name), getattr(dataset, name)
-        if asked != found:
-            raise ConfigError(f"model.{name}: expected {found}, as in {dataset.path}, got {asked}")
+def shapes(dataset: SceneDataset) -> dict[str, int]:
+    """What of FlowMP's configuration a dataset fixes: T, D and C."""
+    return {name: getattr(dataset, name) for name in ("num_steps", "dim", "map_channels")}

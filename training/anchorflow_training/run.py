@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -86,6 +86,11 @@ class TrainingRun(ABC):
         self.pending = RunningMean()
         if saved is not None:
             self._resume(saved)
+
+    @staticmethod
+    @abstractmethod
+    def model_settings(data: Any) -> Mapping[str, Any]:
+        """What the data fix of the model's configuration."""
 
     @abstractmethod
     def begin(self, model: Any) -> None:
@@ -230,9 +235,13 @@ class TrainingRun(ABC):
         sizes = self.run_config.batch
         index = self._index(self.step * self.run_config.accumulate + part)
         generator = torch.Generator().manual_seed(sizes.seed * SEED_STRIDE + index)
-        draws = self.objective.module.draw(sizes.scenes, sizes.samples, generator)
+        draws = self.objective.module.draw(sizes.scenes, sizes.per_scene, generator)
         inputs = {name: torch.from_numpy(value) for name, value in batch.items()}
-        return self.objective(*self.fabric.to_device((inputs, *draws)))
+        device = self.fabric.device
+        with torch.random.fork_rng([device] if device.type == "cuda" else []):
+            # What layers draw by themselves, as dropout does, hangs on seed and batch as well.
+            torch.manual_seed(int(torch.randint(2**62, (), generator=generator)))
+            return self.objective(*self.fabric.to_device((inputs, *draws)))
 
     def _index(self, batch: int) -> int:
         """The number over all processes of this process's n-th batch."""
@@ -250,7 +259,7 @@ class TrainingRun(ABC):
         shared = self.fabric.all_reduce(values, reduce_op="mean")
         row = dict(zip(means, torch.as_tensor(shared).tolist(), strict=True))
         config, processes = self.run_config, self.fabric.world_size
-        samples = config.batch.scenes * config.batch.samples * config.accumulate * processes
+        samples = config.batch.scenes * config.batch.per_scene * config.accumulate * processes
         row["samples_per_s"] = samples / row.pop("step_seconds")
         row["seconds"] = seconds
         self.curve.append({"step": self.step, **row})

@@ -109,6 +109,16 @@ def _assembled(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
     return kind(**given)
 
 
+def check_fixed(config: Any, fixed: Mapping[str, Any], *, by: str, prefix: str = "model.") -> None:
+    """Raise `ConfigError` where a setting is not what the data, which `by` names, fix it to."""
+    for name, value in fixed.items():
+        own = getattr(config, name)
+        if isinstance(value, Mapping):
+            check_fixed(own, value, by=by, prefix=f"{prefix}{name}.")
+        elif own != value:
+            raise ConfigError(f"{prefix}{name}: expected {value}, as {by} have, got {own}")
+
+
 def choices(hint: Any) -> tuple[str, ...]:
     """What a setting may be, where its type lists it."""
     return get_args(hint) if get_origin(hint) is Literal else ()

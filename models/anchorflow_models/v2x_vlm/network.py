@@ -155,7 +155,7 @@ class V2XVLM(nn.Module):
         return torch.frombuffer(bytearray(self.tokenizer or b" "), dtype=torch.uint8).clone()
 
     def set_extra_state(self, state: Tensor) -> None:
-        self.tokenizer = state.numpy().tobytes().strip()
+        self.tokenizer = state.cpu().numpy().tobytes().strip()
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -10,8 +10,8 @@ import torch
 from torch import nn
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_training.batches import BatchConfig, dealt_routes, encode_inputs, prior_means
-from anchorflow_training.config import JudgeConfig
+from anchorflow_training.batches import FlowBatchConfig, dealt_routes, encode_inputs, prior_means
+from anchorflow_training.config import AnchorJudgeConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import DistillConfig, TeacherConfig
 from anchorflow_training.distillation.distiller import Distiller
@@ -24,8 +24,8 @@ CONFIG = DistillConfig(
     report_every=1,
     checkpoint_every=2,
     tensorboard=False,
-    batch=BatchConfig(scenes=2, samples=3),
-    evaluation=JudgeConfig(every=2, samples=2, scenes=2, pictures=0),
+    batch=FlowBatchConfig(scenes=2, samples=3),
+    evaluation=AnchorJudgeConfig(every=2, samples=2, scenes=2, pictures=0),
     teacher=TeacherConfig(steps=2, pairs=3),
     model=MODEL,
 )

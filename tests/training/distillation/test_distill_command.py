@@ -15,7 +15,7 @@ from anchorflow_cli.main import main
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.config import TrainerConfig
 from anchorflow_training.config_file import read_config
 from anchorflow_training.dataset import SceneDataset, open_dataset
@@ -33,7 +33,7 @@ def checkpoint(
 ) -> Path:
     """A teacher of one step."""
     settings = TrainerConfig(
-        steps=1, tensorboard=False, batch=BatchConfig(scenes=2, samples=2), model=config.model
+        steps=1, tensorboard=False, batch=FlowBatchConfig(scenes=2, samples=2), model=config.model
     )
     dataset: SceneDataset = open_dataset(tiny_dataset_path)
     run = CFMTrainer(settings, dataset, tmp_path_factory.mktemp("teacher"))

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
-from anchorflow_training.config import JudgeConfig, TrainerConfig
+from anchorflow_training.config import AnchorJudgeConfig, TrainerConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import DistillConfig
 from anchorflow_training.distillation.distiller import Distiller
@@ -129,7 +129,7 @@ def test_a_student_that_samples_as_its_teacher_does_is_at_no_distance(
     config: DistillConfig, distil: Distil
 ) -> None:
     """With a rate of next to nothing it stays its teacher; both take two Euler steps."""
-    held_out = JudgeConfig(every=1, held_out=2, scenes=2, samples=3, pictures=0)
+    held_out = AnchorJudgeConfig(every=1, held_out=2, scenes=2, samples=3, pictures=0)
     same = replace(config.teacher, method="euler", steps=2)
     two, one = (
         replace(

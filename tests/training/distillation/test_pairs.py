@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_training.batches import BatchConfig, dealt_routes, encode_inputs, prior_means
+from anchorflow_training.batches import FlowBatchConfig, dealt_routes, encode_inputs, prior_means
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import TeacherConfig
 from anchorflow_training.distillation.make_pairs import make_pairs
@@ -111,7 +111,7 @@ def test_a_batch_depends_on_seed_and_number_alone_and_takes_every_pair(
 ) -> None:
     bank = make(tmp_path, teacher, tiny_dataset)
     starts = start_states(teacher.model).numpy()
-    config = BatchConfig(scenes=2, samples=4, mirror=False)
+    config = FlowBatchConfig(scenes=2, samples=4, mirror=False)
     batches = PairBatches(tiny_dataset, bank, starts, config)
     first, again, other = batches.draw(3), batches.draw(3), batches.draw(4)
     for name in first:
@@ -128,7 +128,7 @@ def test_a_reflected_batch_is_the_reflection_of_the_same_pairs(
     bank = make(tmp_path, teacher, tiny_dataset)
     starts = start_states(teacher.model).numpy()
     plain, reflecting = (
-        PairBatches(tiny_dataset, bank, starts, BatchConfig(scenes=2, samples=4, mirror=mirror))
+        PairBatches(tiny_dataset, bank, starts, FlowBatchConfig(scenes=2, samples=4, mirror=mirror))
         for mirror in (False, True)
     )
     kinds = set()

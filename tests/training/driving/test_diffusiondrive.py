@@ -16,9 +16,9 @@ from torch import Tensor
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes, Window
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import MirroredBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
-from anchorflow_training.config import JudgeConfig
+from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.diffusiondrive_objective import (
     DiffusionDriveObjective,
@@ -28,11 +28,11 @@ from anchorflow_training.driving.diffusiondrive_objective import (
 from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRun,
     DiffusionDriveRunConfig,
-    diffusiondrive_settings,
 )
+from anchorflow_training.driving.kept_logs import open_logs
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
-from anchorflow_training.driving.sensor_windows import Drawn, SensorSizes, open_logs
+from anchorflow_training.driving.sensor_windows import Drawn, SensorSizes
 from anchorflow_training.restore import restore_model
 from anchorflow_training.settings import ConfigError
 
@@ -246,8 +246,8 @@ CONFIG = DiffusionDriveRunConfig(
     checkpoint_every=2,
     tensorboard=False,
     accelerator="cpu",
-    batch=BatchConfig(scenes=2),
-    evaluation=JudgeConfig(held_out=1, scenes=1, every=3),
+    batch=MirroredBatchConfig(scenes=2),
+    evaluation=HeldOutConfig(held_out=1, scenes=1, every=3),
     model=MODEL,
     objective=DiffusionDriveObjectiveConfig(judged=6, group=2),
 )
@@ -362,7 +362,7 @@ def _stop_after_the_checkpoint(at: int, _row: object) -> None:
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"batch": BatchConfig(scenes=99)}, "batch.scenes: expected at most"),
+        ({"batch": MirroredBatchConfig(scenes=99)}, "batch.scenes: expected at most"),
         ({"objective": DiffusionDriveObjectiveConfig(stage="scorers")}, "before: expected a chec"),
     ],
 )
@@ -374,4 +374,4 @@ def test_what_does_not_fit_is_named(
 
 
 def test_the_classes_are_those_that_are_drawn(logs: list[Path]) -> None:
-    assert diffusiondrive_settings(logs) == {"classes": len(CLASSES)}
+    assert DiffusionDriveRun.model_settings(logs) == {"classes": len(CLASSES)}

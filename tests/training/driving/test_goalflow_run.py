@@ -11,9 +11,9 @@ import torch
 from driven_bend import write_bends
 
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import SampledBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
-from anchorflow_training.config import JudgeConfig
+from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving.goalflow_objective import (
     GoalFlowObjective,
     GoalFlowObjectiveConfig,
@@ -21,7 +21,6 @@ from anchorflow_training.driving.goalflow_objective import (
 from anchorflow_training.driving.goalflow_run import (
     GoalFlowRun,
     GoalFlowRunConfig,
-    goalflow_settings,
 )
 from anchorflow_training.driving.windows import DrivingWindows, open_windows
 from anchorflow_training.planners import TRAININGS
@@ -34,8 +33,8 @@ CONFIG = GoalFlowRunConfig(
     report_every=1,
     tensorboard=False,
     accelerator="cpu",
-    batch=BatchConfig(scenes=3, samples=4),
-    evaluation=JudgeConfig(held_out=1, scenes=1),
+    batch=SampledBatchConfig(scenes=3, samples=4),
+    evaluation=HeldOutConfig(held_out=1, scenes=1),
     model=GoalFlowConfig(goals=16, picked=5, width=32, channels=8, feature_channels=4),
     objective=GoalFlowObjectiveConfig(scored=12),
 )
@@ -50,7 +49,7 @@ def test_it_is_trained_by_its_name_on_the_raster_that_is_drawn(windows: DrivingW
     training = TRAININGS["goalflow"]
 
     assert training.config is GoalFlowRunConfig
-    assert goalflow_settings(windows)["bev"] == vars(GoalFlowConfig().bev)
+    assert GoalFlowRun.model_settings(windows)["bev"] == vars(GoalFlowConfig().bev)
 
 
 def test_a_run_is_judged_and_its_checkpoint_restored(
@@ -115,6 +114,6 @@ def test_a_raster_moves_with_its_start() -> None:
 
 
 def test_too_few_windows_are_named(windows: DrivingWindows, tmp_path: Path) -> None:
-    config = replace(CONFIG, batch=BatchConfig(scenes=64, samples=4))
+    config = replace(CONFIG, batch=SampledBatchConfig(scenes=64, samples=4))
     with pytest.raises(ConfigError, match=r"batch.scenes: expected at most \d+, the windows of"):
         GoalFlowRun(config, windows, tmp_path)

@@ -14,15 +14,16 @@ from numpy.typing import NDArray
 from tiny_wote import TINY
 
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.log import read_log
+from anchorflow_driving.errors import LogError
+from anchorflow_driving.log import read_log, write_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.sensors.rendering import Renderer, RenderingUnavailable
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.wote import RewardWeights, WoTE
-from anchorflow_training.batches import BatchConfig
+from anchorflow_training.batches import MirroredBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
-from anchorflow_training.config import JudgeConfig
-from anchorflow_training.driving import sensor_windows, wote_run
+from anchorflow_training.config import HeldOutConfig
+from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.anchor_scores import (
     anchor_scores,
     driven,
@@ -30,11 +31,11 @@ from anchorflow_training.driving.anchor_scores import (
     read_anchors,
     trajectory_anchors,
 )
+from anchorflow_training.driving.kept_logs import open_logs
 from anchorflow_training.driving.semantic_bev import CLASSES, semantic_bev, view_after
 from anchorflow_training.driving.sensor_windows import (
     Drawn,
     SensorSizes,
-    open_logs,
     open_sensor_windows,
     reflected,
 )
@@ -53,8 +54,8 @@ CONFIG = WoteRunConfig(
     checkpoint_every=2,
     tensorboard=False,
     accelerator="cpu",
-    batch=BatchConfig(scenes=2),
-    evaluation=JudgeConfig(held_out=1, scenes=1, every=2),
+    batch=MirroredBatchConfig(scenes=2),
+    evaluation=HeldOutConfig(held_out=1, scenes=1, every=2),
     model=MODEL,
 )
 
@@ -130,7 +131,7 @@ def test_scores_are_the_scorers_and_are_kept(logs: list[Path]) -> None:
 
 def test_half_of_the_batches_are_reflected(logs: list[Path], tmp_path: Path) -> None:
     def futures(*, mirror: bool) -> list[NDArray[np.float32]]:
-        config = replace(CONFIG, batch=BatchConfig(scenes=2, mirror=mirror))
+        config = replace(CONFIG, batch=MirroredBatchConfig(scenes=2, mirror=mirror))
         return [batch["future"] for batch in WoteRun(config, logs, tmp_path).stream(range(12))]
 
     signs = [
@@ -241,11 +242,27 @@ def test_a_run_begins_with_the_backbone_of_another(logs: list[Path], tmp_path: P
 
 
 def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
-    many = replace(CONFIG, batch=BatchConfig(scenes=99))
+    many = replace(CONFIG, batch=MirroredBatchConfig(scenes=99))
     with pytest.raises(ConfigError, match=r"batch.scenes: expected at most \d+, .* got 99"):
         WoteRun(many, logs, tmp_path)
+    hasty = replace(CONFIG, model=replace(MODEL, dt=0.1))
+    with pytest.raises(ConfigError, match=r"model.dt: expected 0.5, as the logs have, got 0.1"):
+        WoteRun(hasty, logs, tmp_path)
     assert TRAININGS["wote"].config is WoteRunConfig
-    assert wote_run.wote_settings(logs) == {}
+
+
+def test_a_log_without_windows_is_passed_over(logs: list[Path], tmp_path: Path) -> None:
+    log, bare = read_log(logs[0]), tmp_path / "bare.npz"
+    own = {
+        name: array[:0]
+        for name, array in vars(log).items()
+        if name.startswith(("window_", "route_"))
+    }
+    write_log(replace(log, **own | {"route_offsets": log.route_offsets[:1]}), bare)
+    windows = open_sensor_windows([bare, logs[1]], SIZES, draw=drawn)
+    assert set(windows.log) == {1}
+    with pytest.raises(LogError, match="expected windows, found none in any log"):
+        open_sensor_windows([bare], SIZES, draw=drawn)
 
 
 def _stop_after(step: int) -> Report:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Literal
 
-from anchorflow_models import L2Config
 from anchorflow_models.flow_matching import LossWeights
-from anchorflow_training.config import RunConfig
+from anchorflow_training.config import CostMapRunConfig
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ode.schedule import check_schedule
 
@@ -27,7 +26,7 @@ class TeacherConfig:
 
 
 @dataclass(frozen=True)
-class DistillConfig(RunConfig):
+class DistillConfig(CostMapRunConfig):
     """A run that teaches a student of FlowMP what a teacher does in many evaluations.
 
     schedule: flow times from 0 to 1; the student takes an Euler step from each to the next
@@ -35,8 +34,6 @@ class DistillConfig(RunConfig):
     Raises:
         ValueError: the schedule does not rise from 0 to 1.
     """
-
-    planner: ClassVar[str] = "flowmp"
 
     method: Literal["reflow", "direct", "consistency"] = setting(
         "direct", "What the student learns; docs/distillation.md."
@@ -57,7 +54,6 @@ class DistillConfig(RunConfig):
     intervals: int = setting(8, "consistency: intervals that [0, 1] is cut into.", least=1)
     weights: LossWeights = field(default_factory=LossWeights)
     teacher: TeacherConfig = field(default_factory=TeacherConfig)
-    model: L2Config = field(default_factory=L2Config)
 
     def __post_init__(self) -> None:
         if check_schedule(self.schedule)[0] != 0.0:

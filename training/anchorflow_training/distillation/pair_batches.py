@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from anchorflow_training.batches import (
     Batch,
-    BatchConfig,
+    FlowBatchConfig,
     batch_rng,
     batch_scenes,
     dealt_routes,
@@ -36,7 +36,7 @@ class PairBatches:
     dataset: SceneDataset
     bank: PairBank
     starts: FloatArray
-    config: BatchConfig
+    config: FlowBatchConfig
 
     def draw(self, index: int) -> Batch:
         """Batch number `index`: the inputs of encode; PAIRED.

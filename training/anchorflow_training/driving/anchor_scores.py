@@ -15,7 +15,7 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
 from anchorflow_driving.window import Scenes
-from anchorflow_training.driving.sensor_windows import Progress, each_log, write_beside
+from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
 from anchorflow_training.driving.vocabulary import clustered
 from anchorflow_training.settings import ConfigError
 
@@ -66,7 +66,7 @@ def anchor_scores(
     Those of each log are worked out once, on every core, and kept beside it under the anchors'
     digest. Raises `LogError` where a log cannot be read or there is no place to write beside it.
     """
-    missing = [log for log in logs if not _fresh(log, _kept(log, anchors))]
+    missing = [log for log in logs if not is_fresh(_kept(log, anchors), log)]
     each_log(partial(keep_scores, anchors=anchors), missing, of=len(logs), progress=progress)
     parts: list[Any] = [np.load(_kept(log, anchors), allow_pickle=False) for log in logs]
     return np.concatenate([part["scores"].astype(np.float32) for part in parts])
@@ -89,7 +89,3 @@ def pdms(scores: NDArray[np.floating]) -> NDArray[np.floating]:
 def _kept(log: Path, anchors: Floats) -> Path:
     digest = hashlib.sha256(np.ascontiguousarray(anchors).tobytes()).hexdigest()[:DIGITS]
     return log.with_suffix(f".pdm-{digest}")
-
-
-def _fresh(log: Path, kept: Path) -> bool:
-    return kept.exists() and kept.stat().st_mtime >= log.stat().st_mtime

@@ -42,11 +42,6 @@ class DiffusionDriveRunConfig(SensorRunConfig):
     before: str | None = setting(None, "Checkpoint of the stage before, to begin with.")
 
 
-def diffusiondrive_settings(_logs: Sequence[Path]) -> Mapping[str, Any]:
-    """What logs fix of the model: the classes of the semantic BEV that is drawn of them."""
-    return {"classes": len(CLASSES)}
-
-
 class DiffusionDriveRun(SensorRun):
     """Learns to denoise anchors, or to score what was denoised.
 
@@ -61,6 +56,11 @@ class DiffusionDriveRun(SensorRun):
         if stage in ("scorers", "reinforcement") and config.before is None:
             raise ConfigError(f"before: expected a checkpoint to begin {stage} with, got none")
         super().__init__(config, logs, out)
+
+    @staticmethod
+    def model_settings(data: Sequence[Path]) -> Mapping[str, Any]:  # noqa: ARG004
+        """The classes of the semantic BEV that is drawn."""
+        return {"classes": len(CLASSES)}
 
     @cached_property
     def judge(self) -> PdmJudge:

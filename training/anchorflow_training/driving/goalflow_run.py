@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,8 +13,14 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.sensors.bev import BEV
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
-from anchorflow_training.batches import Batch, BatchConfig, batch_rng, batch_scenes
-from anchorflow_training.config import JudgeConfig, RunConfig
+from anchorflow_training.batches import (
+    Batch,
+    SampledBatchConfig,
+    batch_rng,
+    batch_scenes,
+    prefetched,
+)
+from anchorflow_training.config import HeldOutConfig, RunConfig
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.augmentation import (
     AugmentationConfig,
@@ -27,10 +32,11 @@ from anchorflow_training.driving.goalflow_objective import (
     GoalFlowObjective,
     GoalFlowObjectiveConfig,
 )
+from anchorflow_training.driving.kept_logs import PLAN_SETTINGS
 from anchorflow_training.driving.vocabulary import clustered, read_vocabulary
 from anchorflow_training.driving.windows import DrivingWindows
 from anchorflow_training.run import TrainingRun
-from anchorflow_training.settings import ConfigError, setting
+from anchorflow_training.settings import ConfigError, check_fixed, setting
 
 RETIMED_SHARE = 1  # ends of re-timed targets to one of the record, in the vocabulary
 TOP, NEAR_M, MOVING_M = 5, 3.0, 2.0
@@ -45,29 +51,14 @@ class GoalFlowRunConfig(RunConfig):
 
     steps: int = 6000
     warmup: int = 200
-    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=32, samples=8))
-    evaluation: JudgeConfig = field(default_factory=JudgeConfig)
+    batch: SampledBatchConfig = field(
+        default_factory=lambda: SampledBatchConfig(scenes=32, samples=8)
+    )
+    evaluation: HeldOutConfig = field(default_factory=HeldOutConfig)
     model: GoalFlowConfig = field(default_factory=GoalFlowConfig)
     objective: GoalFlowObjectiveConfig = field(default_factory=GoalFlowObjectiveConfig)
     augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
     vocabulary: str | None = setting(None, "File of goals [K, 2] (.npy) instead of clustered ones.")
-
-
-def goalflow_settings(_: DrivingWindows) -> Mapping[str, Any]:
-    """What windows fix of the model: the raster that they hold."""
-    names = BEV.channels
-    return {
-        "bev": {
-            "channels": len(names),
-            "rows": BEV.rows,
-            "columns": BEV.columns,
-            "extent": BEV.extent,
-            "drivable": names.index("drivable"),
-            "boxes": names.index("vehicles"),
-            "occupied": names.index(f"occupied_{BEV.ahead_s[0]:.1f}s"),
-            "foretold": len(BEV.ahead_s),
-        }
-    }
 
 
 class GoalFlowRun(TrainingRun):
@@ -82,7 +73,24 @@ class GoalFlowRun(TrainingRun):
             )
         first = len(windows) - kept
         self.windows, self.held_out = windows.part(slice(first)), windows.part(slice(first, None))
+        check_fixed(config.model, self.model_settings(windows), by="the windows")
         super().__init__(config, out)
+
+    @staticmethod
+    def model_settings(data: DrivingWindows) -> Mapping[str, Any]:  # noqa: ARG004
+        """The raster that windows hold, and the times of what was driven."""
+        names = BEV.channels
+        bev = {
+            "channels": len(names),
+            "rows": BEV.rows,
+            "columns": BEV.columns,
+            "extent": BEV.extent,
+            "drivable": names.index("drivable"),
+            "boxes": names.index("vehicles"),
+            "occupied": names.index(f"occupied_{BEV.ahead_s[0]:.1f}s"),
+            "foretold": len(BEV.ahead_s),
+        }
+        return {**PLAN_SETTINGS, "bev": bev}
 
     def begin(self, model: GoalFlow) -> None:
         """The vocabulary, and how far poses stray from the way to their goal."""
@@ -112,15 +120,7 @@ class GoalFlowRun(TrainingRun):
         return GoalFlowObjective(model, self.config.objective)
 
     def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        """The next batch is drawn while one is learnt from."""
-        with ThreadPoolExecutor(1) as pool:
-            waiting = None
-            for index in indices:
-                drawn, waiting = waiting, pool.submit(self.batch, index)
-                if drawn is not None:
-                    yield drawn.result()
-            if waiting is not None:
-                yield waiting.result()
+        return prefetched(self.batch, indices)
 
     def batch(self, index: int) -> Batch:
         """Batch number `index`."""

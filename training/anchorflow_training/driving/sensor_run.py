@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from anchorflow_models.transfuser import TransfuserBackbone
 from anchorflow_training.batches import (
     Batch,
-    BatchConfig,
+    MirroredBatchConfig,
     batch_rng,
     batch_scenes,
     prefetched,
 )
-from anchorflow_training.config import JudgeConfig, RunConfig
+from anchorflow_training.config import HeldOutConfig, RunConfig
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.anchor_scores import read_anchors, trajectory_anchors
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.pretrained import load_backbone, load_resnet
 from anchorflow_training.run import TrainingRun
-from anchorflow_training.settings import ConfigError, setting
+from anchorflow_training.settings import ConfigError, check_fixed, setting
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class SensorRunConfig(RunConfig):
     """A run that learns from camera, LiDAR and ego status, and begins with anchors."""
 
     learning_rate: float = 3e-4
-    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=8))
-    evaluation: JudgeConfig = field(default_factory=JudgeConfig)
+    batch: MirroredBatchConfig = field(default_factory=lambda: MirroredBatchConfig(scenes=8))
+    evaluation: HeldOutConfig = field(default_factory=HeldOutConfig)
     anchors: str | None = setting(
         None, "File of anchors [K, T, 3] (.npy) instead of clustered ones."
     )
@@ -57,6 +57,7 @@ class SensorRun(TrainingRun):
 
     def __init__(self, config: Any, logs: Sequence[Path], out: Path) -> None:
         self.config, self.logs = config, logs
+        check_fixed(config.model, self.model_settings(logs), by="the logs")
         self.windows = open_sensor_windows(logs, SensorSizes.of(config.model.backbone))
         self.count = len(self.windows) - config.evaluation.held_out
         if self.count < config.batch.scenes:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import zlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +14,6 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import TensorSpec
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log
 from anchorflow_driving.sensors.agents import nearest_agents
 from anchorflow_driving.sensors.by_name import draw_inputs
@@ -24,6 +21,13 @@ from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.transfuser import TransfuserConfig
 from anchorflow_training.batches import Batch
 from anchorflow_training.driving.augmentation import mirrored_status
+from anchorflow_training.driving.kept_logs import (
+    Progress,
+    each_log,
+    is_fresh,
+    no_windows,
+    write_beside,
+)
 from anchorflow_training.driving.semantic_bev import semantic_bev, view_after
 from anchorflow_training.reflection import reflection
 
@@ -34,8 +38,6 @@ COUNTS = 5  # points in a LiDAR cell that make 1
 PICTURES = ("camera", "lidar", "semantics", "future_semantics")
 NUMBERS = ("ego_status", "future", "agents", "agent_count")
 
-Progress = Callable[[int, int], None]
-"""Told how many of how many logs are done."""
 Drawn = dict[str, NDArray[Any]]
 
 
@@ -126,14 +128,6 @@ def reflected(batch: Batch) -> Batch:
     }
 
 
-def open_logs(folder: Path) -> Sequence[Path]:
-    """The logs of a folder. Raises `LogError` where there are none."""
-    logs = sorted(folder.glob("*.npz"))
-    if not logs:
-        raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
-    return logs
-
-
 def open_sensor_windows(
     logs: Sequence[Path],
     sizes: SensorSizes,
@@ -147,32 +141,24 @@ def open_sensor_windows(
         the simulated camera and LiDAR
 
     Raises:
-        LogError: a log cannot be read, or there is no place to write beside it.
+        LogError: a log cannot be read, there is no place to write beside it, or none has a window.
     """
     missing = [log for log in logs if not _is_kept(log, sizes)]
     keep = partial(keep_sensors, sizes=sizes, draw=draw or simulated)
     each_log(keep, missing, of=len(logs), progress=progress)
     parts = [np.load(log.with_suffix(KEPT), allow_pickle=False) for log in logs]
-    streams = [
-        part["pictures"][begin : begin + size].tobytes()
-        for part in parts
-        for begin, size in zip(_begins(part["sizes"]), part["sizes"], strict=True)
-    ]
     counts = [len(part["sizes"]) for part in parts]
-    numbers = {name: np.concatenate([part[name] for part in parts]) for name in NUMBERS}
+    if not any(counts):
+        raise no_windows(logs[0].parent)
+    streams = [
+        part["pictures"][end - size : end].tobytes()
+        for part in parts
+        for end, size in zip(part["sizes"].cumsum(), part["sizes"], strict=True)
+    ]
+    # A log without windows has no rows, not even of a shape.
+    there = [part for part, count in zip(parts, counts, strict=True) if count]
+    numbers = {name: np.concatenate([part[name] for part in there]) for name in NUMBERS}
     return SensorWindows(streams, numbers, np.repeat(np.arange(len(logs)), counts), logs, sizes)
-
-
-def each_log(
-    keep: Callable[[Path], None], logs: Sequence[Path], *, of: int, progress: Progress
-) -> None:
-    """Do something with every log, on every core; what is done stays done if it is cut off."""
-    progress(of - len(logs), of)
-    if not logs:
-        return
-    with ProcessPoolExecutor(min(len(logs), os.cpu_count() or 1)) as pool:
-        for done, _ in enumerate(pool.map(keep, logs), start=of - len(logs) + 1):
-            progress(done, of)
 
 
 def keep_sensors(
@@ -192,17 +178,6 @@ def keep_sensors(
         layout=np.array(list(asdict(sizes).values())),
         **arrays,
     )
-
-
-def write_beside(path: Path, **arrays: NDArray[Any]) -> None:
-    """Write arrays whole or not at all; raises `LogError` where there is no place to write."""
-    scratch = path.with_name(f"{path.name}.{os.getpid()}")
-    try:
-        with scratch.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-        scratch.replace(path)
-    except OSError as error:
-        raise LogError(path, "file", expected="a place to write", found=str(error)) from error
 
 
 def simulated(window: Window, sizes: SensorSizes) -> Drawn:
@@ -228,11 +203,7 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
 def _is_kept(log: Path, sizes: SensorSizes) -> bool:
     """Whether a log's windows are there, of these sizes, and drawn of the log as it is."""
     kept = log.with_suffix(KEPT)
-    if not kept.exists() or kept.stat().st_mtime < log.stat().st_mtime:
+    if not is_fresh(kept, log):
         return False
     with np.load(kept, allow_pickle=False) as file:
         return np.array_equal(file["layout"], list(asdict(sizes).values()))
-
-
-def _begins(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.concatenate([[0], sizes.cumsum()[:-1]])

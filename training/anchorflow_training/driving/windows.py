@@ -6,10 +6,8 @@ as long.
 
 from __future__ import annotations
 
-import os
 import zlib
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, read_log
 from anchorflow_driving.sensors.bev import BEV, draw_bev
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
+from anchorflow_training.driving.kept_logs import (
+    each_log,
+    is_fresh,
+    no_windows,
+    open_logs,
+    write_beside,
+)
 
 Floats = NDArray[np.float32]
 
@@ -84,27 +88,16 @@ def open_windows(folder: Path) -> DrivingWindows:
     Raises:
         LogError: there is no log, one cannot be read, or there is no place to write beside it.
     """
-    paths = sorted(folder.glob("*.npz"))
-    if not paths:
-        raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
-    missing = [path for path in paths if not _is_kept(path)]
-    if missing:
-        with ProcessPoolExecutor(min(len(missing), os.cpu_count() or 1)) as pool:
-            list(pool.map(keep_windows, missing, chunksize=4))
-    return _joined([_kept(path) for path in paths], folder)
+    logs = open_logs(folder)
+    missing = [log for log in logs if not is_fresh(log.with_suffix(KEPT), log)]
+    each_log(keep_windows, missing, of=len(logs))
+    return _joined([_kept(log) for log in logs], folder)
 
 
 def keep_windows(path: Path) -> None:
     """Draws the windows of a log and keeps them beside it. Raises `LogError`."""
-    drawn = _drawn([_of_window(window) for window in Scenes(read_log(path))])
-    kept = path.with_suffix(KEPT)
-    scratch = kept.with_suffix(f".{os.getpid()}")
-    try:
-        with scratch.open("wb") as file:
-            np.savez(file, **drawn)  # pyright: ignore[reportArgumentType] - its own keyword is no array
-        scratch.replace(kept)
-    except OSError as error:
-        raise LogError(kept, "file", expected="a place to write", found=str(error)) from error
+    rows = [_of_window(window) for window in Scenes(read_log(path))]
+    write_beside(path.with_suffix(KEPT), **_drawn(rows))
 
 
 def course_of(window: Window) -> tuple[Floats, Floats]:
@@ -124,12 +117,6 @@ def course_of(window: Window) -> tuple[Floats, Floats]:
     places = SPACING * np.arange(COURSE_POINTS)
     course = np.stack([np.interp(places, length, axis) for axis in line.T], -1)
     return course.astype(np.float32), along.astype(np.float32)
-
-
-def _is_kept(path: Path) -> bool:
-    """Whether a log's windows are there, and were drawn of the log as it is."""
-    kept = path.with_suffix(KEPT)
-    return kept.exists() and kept.stat().st_mtime >= path.stat().st_mtime
 
 
 def _kept(path: Path) -> dict[str, NDArray[Any]]:
@@ -163,7 +150,7 @@ def _drawn(rows: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
 def _joined(parts: Sequence[dict[str, NDArray[Any]]], folder: Path) -> DrivingWindows:
     parts = [part for part in parts if len(part["bev_sizes"])]
     if not parts:
-        raise LogError(folder, "window_ego", expected="windows", found="none in any log")
+        raise no_windows(folder)
     whole = {name: np.concatenate([part[name] for part in parts]) for name in STORED}
     sizes = whole.pop("bev_sizes")
     counts = [len(part["bev_sizes"]) for part in parts]

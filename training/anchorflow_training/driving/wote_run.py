@@ -16,7 +16,9 @@ from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_training.batches import Batch
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.anchor_scores import anchor_scores, pdms
+from anchorflow_training.driving.kept_logs import PLAN_SETTINGS
 from anchorflow_training.driving.likeness import distances
+from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
 from anchorflow_training.driving.wote_objective import WoteObjective, WoteObjectiveConfig
 from anchorflow_training.reflection import reflection
@@ -32,15 +34,15 @@ class WoteRunConfig(SensorRunConfig):
     objective: WoteObjectiveConfig = field(default_factory=WoteObjectiveConfig)
 
 
-def wote_settings(_logs: Sequence[Path]) -> Mapping[str, Any]:
-    """Logs fix nothing of the model: its sensors are drawn in the sizes that it wants."""
-    return {}
-
-
 class WoteRun(SensorRun):
     """Learns to move anchors, and to foretell what each is worth."""
 
     config: WoteRunConfig
+
+    @staticmethod
+    def model_settings(data: Sequence[Path]) -> Mapping[str, Any]:  # noqa: ARG004
+        """The times of what was driven, and the classes of the semantic BEV that is drawn."""
+        return {**PLAN_SETTINGS, "semantic_classes": len(CLASSES)}
 
     @cached_property
     def pdm(self) -> NDArray[np.float32]:

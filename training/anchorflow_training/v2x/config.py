@@ -36,9 +36,7 @@ class V2XRunConfig(RunConfig):
 
     steps: int = setting(6000, "Optimiser steps in all.", least=1)
     learning_rate: float = setting(5e-4, "Peak learning rate.", above=0)
-    batch: BatchConfig = field(
-        default_factory=lambda: BatchConfig(scenes=8, samples=1, mirror=False)
-    )
+    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=8))
     evaluation: JudgeConfig = field(default_factory=lambda: JudgeConfig(every=500, scenes=64))
     model: V2XConfig = field(default_factory=V2XConfig)
     loss: LossConfig = field(default_factory=LossConfig)

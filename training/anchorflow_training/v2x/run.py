@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,22 +18,18 @@ from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.curve import Row
 from anchorflow_training.restore import restore_model
 from anchorflow_training.run import TrainingRun
-from anchorflow_training.settings import ConfigError
+from anchorflow_training.settings import ConfigError, check_fixed
 from anchorflow_training.v2x.config import V2XRunConfig
 from anchorflow_training.v2x.dataset import PairDataset
 from anchorflow_training.v2x.evaluation import judge
 from anchorflow_training.v2x.objective import V2XObjective
 from anchorflow_training.v2x.pretrained import load_pretrained
 from anchorflow_training.v2x.prompts import UNTOLD
+from anchorflow_training.v2x.recording import FUTURE, STEP_S
 from anchorflow_training.v2x.tokenizer import opened, token_rows
 
 SMALLEST_SPREAD = 0.1
 """m, below which the spread of a waypoint is no unit to learn in."""
-
-
-def model_settings(dataset: PairDataset) -> dict[str, Any]:
-    """What of V2X-VLM's configuration the pairs fix."""
-    return {"image_size": dataset.meta["image_size"], "vocabulary": dataset.vocabulary}
 
 
 class V2XRun(TrainingRun):
@@ -46,16 +42,23 @@ class V2XRun(TrainingRun):
 
     def __init__(self, config: V2XRunConfig, dataset: PairDataset, out: Path) -> None:
         self.config, self.dataset = config, dataset
-        for name, value in model_settings(dataset).items():
-            if getattr(config.model, name) != value:
-                own = getattr(config.model, name)
-                raise ConfigError(f"model.{name}: expected {value}, as the pairs have, got {own}")
+        check_fixed(config.model, self.model_settings(dataset), by="the pairs")
         self.trained_on = dataset.indices(held_out=False)
         if len(self.trained_on) < config.batch.scenes:
             most = f"at most {len(self.trained_on)}, the pairs that there are"
             raise ConfigError(f"batch.scenes: expected {most}, got {config.batch.scenes}")
         self._tokenizer = opened(dataset.tokenizer)
         super().__init__(config, out)
+
+    @staticmethod
+    def model_settings(data: PairDataset) -> Mapping[str, Any]:
+        """Size and times of the pairs, and their tokenizer's words."""
+        return {
+            "image_size": data.meta["image_size"],
+            "vocabulary": data.vocabulary,
+            "waypoints": FUTURE,
+            "dt": STEP_S,
+        }
 
     @cached_property
     def _teacher(self) -> V2XVLM | None:

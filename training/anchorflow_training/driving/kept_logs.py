@@ -1,0 +1,66 @@
+"""What all training on driving logs shares: the logs of a folder, and what is kept beside them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_driving.drivers import PLAN_TIMES
+from anchorflow_driving.errors import LogError
+
+PLAN_SETTINGS: Mapping[str, Any] = {"num_steps": len(PLAN_TIMES), "dt": float(PLAN_TIMES[0])}
+"""What the times of a log's plans fix of a model's configuration."""
+
+Progress = Callable[[int, int], None]
+"""Told how many of how many logs are done."""
+
+
+def open_logs(folder: Path) -> Sequence[Path]:
+    """The logs of a folder. Raises `LogError` where there are none."""
+    logs = sorted(folder.glob("*.npz"))
+    if not logs:
+        raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
+    return logs
+
+
+def no_windows(folder: Path) -> LogError:
+    """None of the logs has a window to learn from."""
+    return LogError(folder, "window_ego", expected="windows", found="none in any log")
+
+
+def each_log(
+    keep: Callable[[Path], None],
+    logs: Sequence[Path],
+    *,
+    of: int,
+    progress: Progress = lambda *_: None,
+) -> None:
+    """Do something with every log, on every core; what is done stays done if it is cut off."""
+    progress(of - len(logs), of)
+    if not logs:
+        return
+    with ProcessPoolExecutor(min(len(logs), os.cpu_count() or 1)) as pool:
+        for done, _ in enumerate(pool.map(keep, logs), start=of - len(logs) + 1):
+            progress(done, of)
+
+
+def is_fresh(kept: Path, log: Path) -> bool:
+    """Whether a file is there, and was made of the log as it is."""
+    return kept.exists() and kept.stat().st_mtime >= log.stat().st_mtime
+
+
+def write_beside(path: Path, **arrays: NDArray[Any]) -> None:
+    """Write arrays whole or not at all; raises `LogError` where there is no place to write."""
+    scratch = path.with_name(f"{path.name}.{os.getpid()}")
+    try:
+        with scratch.open("wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+        scratch.replace(path)
+    except OSError as error:
+        raise LogError(path, "file", expected="a place to write", found=str(error)) from error
