@@ -32,7 +32,7 @@ def prove_parity(
     """Compare a bundle's graphs and whole samples with the torch model.
 
     Raises:
-        ExportError: a difference is above the tolerance, or not a number; it lists all of them.
+        ExportError: differences are above the tolerance, or not a number; it lists them.
     """
     with torch.inference_mode():
         differences = (
@@ -43,8 +43,8 @@ def prove_parity(
             ),
         )
     # Written so that a NaN fails.
-    if not all(difference.error <= tolerance for difference in differences):
-        numbers = "; ".join(str(difference) for difference in differences)
+    if wrong := [each for each in differences if not each.error <= tolerance]:
+        numbers = "; ".join(map(str, wrong))
         raise ExportError(f"ONNX and torch differ by more than {tolerance:g}: {numbers}")
     return differences
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from anchorflow_training.batches import BatchConfig
 from anchorflow_training.config import CostMapRunConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
 from anchorflow_training.settings import ConfigError, check_fixed
@@ -17,16 +18,9 @@ def split(
     held_out, path = config.evaluation.held_out, config.evaluation.dataset
     if held_out and path:
         raise ConfigError("evaluation: expected held_out or dataset, got both")
-    if held_out >= len(dataset):
-        raise ConfigError(
-            f"evaluation.held_out: expected less than {len(dataset)}, the scenes of "
-            f"{dataset.path}, got {held_out}"
-        )
-    if len(dataset) - held_out < config.batch.scenes:
-        raise ConfigError(
-            f"batch.scenes: expected at most {len(dataset) - held_out}, the scenes of "
-            f"{dataset.path} less evaluation.held_out, got {config.batch.scenes}"
-        )
+    left_to_learn(
+        len(dataset), of=f"the scenes of {dataset.path}", held_out=held_out, batch=config.batch
+    )
     training, judged = dataset, open_dataset(Path(path)) if path else None
     if held_out:
         training = _part(dataset, slice(None, -held_out))
@@ -35,6 +29,19 @@ def split(
         if part:
             check_fixed(config.model, shapes(part), by=f"the scenes of {part.path}")
     return training, judged
+
+
+def left_to_learn(count: int, *, of: str, held_out: int, batch: BatchConfig) -> int:
+    """How many of `count`, which `of` names, are trained on; raises `ConfigError` if too few."""
+    if held_out >= count:
+        raise ConfigError(f"evaluation.held_out: expected less than {count}, {of}, got {held_out}")
+    left = count - held_out
+    if left < batch.scenes:
+        raise ConfigError(
+            f"batch.scenes: expected at most {left}, {of} less evaluation.held_out, "
+            f"got {batch.scenes}"
+        )
+    return left
 
 
 def _part(dataset: SceneDataset, scenes: slice) -> SceneDataset:

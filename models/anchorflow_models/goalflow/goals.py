@@ -52,7 +52,8 @@ class WayScorer(nn.Module):
 def pick(goals: Tensor, scores: Tensor, *, count: int, spacing: float) -> Tensor:
     """Indices [B, count] of the best goals that keep their spacing, the best first.
 
-    goals: [K, 2] m; scores: [B, K] from 0 to 1. Where too few are left, the nearest come after.
+    goals: [K, 2] m; scores: [B, K] from 0 to 1. Where too few are left, those
+    near to the fewest that are picked come after.
     """
     near = (goals[:, None] - goals).square().sum(-1) < spacing**2
     number = torch.arange(goals.shape[0], device=goals.device)
@@ -60,7 +61,7 @@ def pick(goals: Tensor, scores: Tensor, *, count: int, spacing: float) -> Tensor
     for _ in range(count):
         best = left.argmax(-1)
         picked.append(best)
-        # Still in order among themselves, below all that stand apart.
+        # Below all that are near to fewer.
         left = torch.where(near[best], left - 2.0, left)
         left = torch.where(number == best[:, None], TAKEN, left)
     return torch.stack(picked, -1)

@@ -15,8 +15,15 @@ def test_the_best_goals_that_keep_apart() -> None:
     scores = torch.tensor([[0.8, 0.9, 0.1, 0.5], [0.9, 0.8, 0.1, 0.5]])
 
     assert pick(goals, scores, count=3, spacing=2.0).tolist() == [[1, 3, 2], [0, 3, 2]]
-    # Where no more stand apart, the nearest come in the order of their scores.
+    # Where no more stand apart, those near to the fewest come, in the order of their scores.
     assert pick(goals, scores, count=4, spacing=100.0).tolist() == [[1, 0, 3, 2], [0, 1, 3, 2]]
+
+
+def test_where_goals_crowd_those_near_to_fewer_come_first() -> None:
+    goals = torch.tensor([[0.0, 0.0], [3.0, 0.0], [1.5, 0.0], [4.5, 0.0]])
+    scores = torch.tensor([[0.9, 0.8, 0.7, 0.1]])
+
+    assert pick(goals, scores, count=4, spacing=2.0).tolist() == [[0, 1, 3, 2]]
 
 
 def test_the_first_row_lies_ahead_and_the_first_column_left() -> None:

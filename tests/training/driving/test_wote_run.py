@@ -245,6 +245,11 @@ def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
     many = replace(CONFIG, batch=MirroredBatchConfig(scenes=99))
     with pytest.raises(ConfigError, match=r"batch.scenes: expected at most \d+, .* got 99"):
         WoteRun(many, logs, tmp_path)
+    all_held_out = replace(CONFIG, evaluation=HeldOutConfig(held_out=99))
+    with pytest.raises(
+        ConfigError, match=r"evaluation.held_out: expected less than \d+, .* got 99"
+    ):
+        WoteRun(all_held_out, logs, tmp_path)
     hasty = replace(CONFIG, model=replace(MODEL, dt=0.1))
     with pytest.raises(ConfigError, match=r"model.dt: expected 0.5, as the logs have, got 0.1"):
         WoteRun(hasty, logs, tmp_path)

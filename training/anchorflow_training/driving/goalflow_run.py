@@ -35,8 +35,9 @@ from anchorflow_training.driving.goalflow_objective import (
 from anchorflow_training.driving.kept_logs import PLAN_SETTINGS
 from anchorflow_training.driving.vocabulary import clustered, read_vocabulary
 from anchorflow_training.driving.windows import DrivingWindows
+from anchorflow_training.held_out import left_to_learn
 from anchorflow_training.run import TrainingRun
-from anchorflow_training.settings import ConfigError, check_fixed, setting
+from anchorflow_training.settings import check_fixed, setting
 
 RETIMED_SHARE = 1  # ends of re-timed targets to one of the record, in the vocabulary
 TOP, NEAR_M, MOVING_M = 5, 3.0, 2.0
@@ -65,13 +66,13 @@ class GoalFlowRun(TrainingRun):
     """windows: those to train on; held_out: those to judge on, the last of the data"""
 
     def __init__(self, config: GoalFlowRunConfig, windows: DrivingWindows, out: Path) -> None:
-        self.config, kept = config, config.evaluation.held_out
-        if len(windows) - kept < config.batch.scenes:
-            raise ConfigError(
-                f"batch.scenes: expected at most {len(windows) - kept}, the windows of "
-                f"{windows.path} less evaluation.held_out, got {config.batch.scenes}"
-            )
-        first = len(windows) - kept
+        self.config = config
+        first = left_to_learn(
+            len(windows),
+            of=f"the windows of {windows.path}",
+            held_out=config.evaluation.held_out,
+            batch=config.batch,
+        )
         self.windows, self.held_out = windows.part(slice(first)), windows.part(slice(first, None))
         check_fixed(config.model, self.model_settings(windows), by="the windows")
         super().__init__(config, out)

@@ -24,9 +24,10 @@ from anchorflow_training.config import HeldOutConfig, RunConfig
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.anchor_scores import read_anchors, trajectory_anchors
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
+from anchorflow_training.held_out import left_to_learn
 from anchorflow_training.pretrained import load_backbone, load_resnet
 from anchorflow_training.run import TrainingRun
-from anchorflow_training.settings import ConfigError, check_fixed, setting
+from anchorflow_training.settings import check_fixed, setting
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class SensorRun(TrainingRun):
     """windows: with what sensors tell of them; those from `count` on are held out
 
     Raises:
-        ConfigError: names `batch.scenes`.
+        ConfigError: names `batch.scenes` or `evaluation.held_out`.
     """
 
     config: Any
@@ -59,12 +60,12 @@ class SensorRun(TrainingRun):
         self.config, self.logs = config, logs
         check_fixed(config.model, self.model_settings(logs), by="the logs")
         self.windows = open_sensor_windows(logs, SensorSizes.of(config.model.backbone))
-        self.count = len(self.windows) - config.evaluation.held_out
-        if self.count < config.batch.scenes:
-            raise ConfigError(
-                f"batch.scenes: expected at most {self.count}, the windows of the logs less "
-                f"evaluation.held_out, got {config.batch.scenes}"
-            )
+        self.count = left_to_learn(
+            len(self.windows),
+            of="the windows of the logs",
+            held_out=config.evaluation.held_out,
+            batch=config.batch,
+        )
         super().__init__(config, out)
 
     @abstractmethod

@@ -198,7 +198,7 @@ class DiffusionDriveAdapter:
                 got = {"trajectories": drawn.states, **drawn.arrays}
                 for name, tensor in expected.items():
                     what = f"{steps} steps in scene {b}, {name}"
-                    yield SampleTrial(what, got[name], tensor.numpy())
+                    yield SampleTrial(what, got[name], tensor.numpy(), relative=True)
 
 
 def torch_sample(

@@ -189,11 +189,10 @@ class GoalFlowAdapter:
         near = torch.cdist(goals, goals) < config.spacing
         wrong = [scores[config.picked :].diff()]
         for place in range(config.picked):
-            # Apart from all that are picked before it, or all that are left are near one.
-            left = ~near[:place].any(0)
-            left[:place] = False
-            rivals = scores[left] if left.any() else scores[place:]
-            wrong.append((rivals.max() - scores[place])[None])
+            # Of those that are left, the ones near to the fewest that are picked before.
+            crowd = near[:place].sum(0)[place:]
+            rivals = scores[place:][crowd == crowd.min()]
+            wrong.append((rivals.max() - scores[place] + 2 * (crowd[0] - crowd.min()))[None])
         above = torch.cat(wrong).clamp(min=0.0).numpy()
         return SampleTrial(what, above, np.zeros_like(above))
 
