@@ -33,8 +33,15 @@ LIDAR_LEAST_HEIGHT_M = 0.2
 LIDAR_MOST_POINTS = 5
 
 
-def stitch_cameras(left: ArrayLike, front: ArrayLike, right: ArrayLike) -> Bytes:
-    """Three cameras side by side as NAVSIM has them: uint8 [3, 256, 1024].
+def stitch_cameras(
+    left: ArrayLike,
+    front: ArrayLike,
+    right: ArrayLike,
+    *,
+    rows: int = CAMERA_ROWS,
+    columns: int = CAMERA_COLUMNS,
+) -> Bytes:
+    """Three cameras side by side as NAVSIM has them: uint8 [3, rows, columns].
 
     Of images of 1920 x 1080 pixels, 28 rows are cut at the top and at the bottom, and 416 columns
     at either side of the left and the right one; of others, as large a share. What is left is
@@ -53,13 +60,13 @@ def stitch_cameras(left: ArrayLike, front: ArrayLike, right: ArrayLike) -> Bytes
         if image.shape != (height, width, 3):
             told = f"expected the front's shape [{height}, {width}, 3], got {list(image.shape)}"
             raise InvalidRequest(told, f"camera_{name}")
-    rows, columns = round(CROPPED_ROWS * height), round(CROPPED_COLUMNS * width)
-    cut = slice(rows, height - rows)
-    sides = slice(columns, width - columns)
+    above, beside = round(CROPPED_ROWS * height), round(CROPPED_COLUMNS * width)
+    cut = slice(above, height - above)
+    sides = slice(beside, width - beside)
     stitched = np.concatenate(
         [arrays["left"][cut, sides], arrays["front"][cut], arrays["right"][cut, sides]], axis=1
     )
-    resized = resize_image(stitched, rows=CAMERA_ROWS, columns=CAMERA_COLUMNS)
+    resized = resize_image(stitched, rows=rows, columns=columns)
     return np.ascontiguousarray(resized.transpose(2, 0, 1))
 
 

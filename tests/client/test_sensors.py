@@ -37,6 +37,9 @@ def test_a_quarter_of_the_size_needs_no_resizing() -> None:
     stitched = stitch_cameras(*images)
 
     np.testing.assert_array_equal(stitched[:, :, 272:752], images[1][7:-7].transpose(2, 0, 1))
+    small = stitch_cameras(*images, rows=128, columns=512)
+    halves = resize_image(stitched.transpose(1, 2, 0), rows=128, columns=512)
+    np.testing.assert_array_equal(small, halves.transpose(2, 0, 1))
 
 
 def test_resizing_averages_what_a_pixel_covers() -> None:

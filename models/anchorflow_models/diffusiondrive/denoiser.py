@@ -20,7 +20,7 @@ from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.layers.embedding import sinusoidal
 from anchorflow_models.layers.zero_linear import zero_linear
 
-LEVELS = 1000.0  # the longest wavelength of a diffusion time
+LONGEST = 10_000.0  # wavelength of a diffusion time, in levels
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class Denoiser(nn.Module):
     def forward(self, x_t: Tensor, t: Tensor, scene: SceneFeatures) -> list[Denoised]:
         """x_t: [B, N, T, 2] in the diffusion's units; t: [B or 1] levels -> one a layer"""
         points = self.space.metric(x_t)
-        time = self.time(sinusoidal(t, self.width, longest=10 * LEVELS, shortest=2 * math.pi))
+        time = self.time(sinusoidal(t, self.width, longest=LONGEST, shortest=2 * math.pi))
         x = self.embed(embedded_points(points))
         made = []
         for layer, values in zip(self.layers, scene.values.unbind(1), strict=True):

@@ -9,7 +9,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class SceneFeatures:
-    """Worked out once a scene.
+    """Worked out once a scene; of bev and values a graph of its own has what it reads, for both.
 
     bev: [B, W, H, H], of the square that the LiDAR sees
     values: [B, L, H, H, W], what each layer of the denoiser looks up in it

@@ -34,7 +34,7 @@ def clustered(ends: NDArray[np.floating], *, count: int, seed: int) -> NDArray[n
 def _spread(
     points: NDArray[np.float64], count: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Points to begin with [K, 2], each drawn by its squared distance from those before it
+    """Points to begin with [K, F], each drawn by its squared distance from those before it
     (k-means++; Arthur and Vassilvitskii, 2007)."""
     centres = [points[rng.integers(len(points))]]
     away = np.full(len(points), np.inf)
