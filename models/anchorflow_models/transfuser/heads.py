@@ -30,7 +30,7 @@ class SemanticHead(nn.Module):
         self.out = nn.Conv2d(channels, classes, 1)
 
     def forward(self, upscaled: Tensor) -> Tensor:
-        """[B, C', H/4, H/4] -> logits [B, classes, H/2, H], row 0 farthest ahead, column 0 farthest left"""
+        """[B, C', H/4, H/4] -> logits [B, classes, H/2, H]; column 0 lies farthest left"""
         ahead = upscaled[:, :, : upscaled.shape[2] // 2]
         logits = self.out(F.relu(self.hidden(ahead)))
         return F.interpolate(logits, size=self.size, mode="bilinear", align_corners=False)
