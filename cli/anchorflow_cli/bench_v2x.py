@@ -8,13 +8,11 @@ from typing import Annotated, Literal
 
 import typer
 
-from anchorflow_benchmarks.driving.pairs import Group, judged_crossings, pair_tables
 from anchorflow_cli.bench_options import RESULTS, OutOption, ThreadsOption
 from anchorflow_cli.bench_output import progress, report, say
 from anchorflow_cli.extras import needs_extra
 from anchorflow_client.contract import VisionLanguageSpec
 from anchorflow_service.local import LocalClient
-from anchorflow_training.v2x.dataset import open_pairs
 
 
 def pairs(
@@ -29,6 +27,9 @@ def pairs(
     out: OutOption = RESULTS,
 ) -> None:
     """Judge V2X-VLM bundles by L2 and collisions, with and without the roadside picture."""
+    with needs_extra("train", who="anchorflow bench pairs"):
+        from anchorflow_benchmarks.driving.pairs import Group, judged_crossings, pair_tables
+        from anchorflow_training.v2x.dataset import open_pairs
     asked = [LocalClient.of(bundle, threads=threads) for bundle in bundles]
     sizes = {client.engine.card.name: _image_size(client) for client in asked}
     if len({*sizes.values()}) > 1:

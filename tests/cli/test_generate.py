@@ -199,7 +199,9 @@ def test_what_cannot_be_is_one_line(checkpoint: Path, tmp_path: Path) -> None:
     assert "v_max: expected" in failure(*asked, "--v-max", "-1")
     assert "horizon_s: expected" in failure(*asked, "--horizon", "0")
     assert "absent" in failure(*asked, "--out", tmp_path / "absent" / "anchors.npz")
-    assert "absent.pt: not a checkpoint" in failure("--checkpoint", tmp_path / "absent.pt", *ENDS)
+    assert "absent.pt: expected a checkpoint, found no file" in failure(
+        "--checkpoint", tmp_path / "absent.pt", *ENDS
+    )
 
 
 def test_smoothing_may_be_left_out(checkpoint: Path, tmp_path: Path) -> None:

@@ -14,12 +14,22 @@ from anchorflow_cli import main as cli
 from anchorflow_client.errors import AnchorFlowError
 
 
+WITHOUT = """
+import sys
+class Absent:
+    @staticmethod
+    def find_spec(name, *_):
+        if name == {module!r}:
+            raise ModuleNotFoundError(name, name=name)
+sys.meta_path.insert(0, Absent)
+from anchorflow_cli.main import main
+main({arguments!r})
+"""
+
+
 def run_without(module: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Runs the command in an interpreter in which `module` is not installed."""
-    program = (
-        f"import sys; sys.modules[{module!r}] = None; "
-        f"from anchorflow_cli.main import main; main({list(arguments)!r})"
-    )
+    program = WITHOUT.format(module=module, arguments=arguments)
     return subprocess.run(
         [sys.executable, "-c", program], check=False, capture_output=True, text=True
     )
@@ -34,6 +44,12 @@ def test_a_base_install_names_the_extra_in_one_line(command: str) -> None:
         f"anchorflow {command} needs typer, which is not installed: "
         "pip install 'anchorflow[service]'\n"
     )
+
+
+def test_benchmarks_start_without_torch() -> None:
+    answer = run_without("torch", "bench", "--help")
+
+    assert answer.returncode == 0, answer.stderr
 
 
 def test_a_base_install_lists_the_commands() -> None:

@@ -55,6 +55,8 @@ def load_checkpoint(path: Path) -> Checkpoint:
     """Read a checkpoint without running code from it; raises `CheckpointError`."""
     try:
         return Checkpoint(**torch.load(path, map_location="cpu", weights_only=True))
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{path}: expected a checkpoint, found no file") from error
     except Exception as error:
         said = str(error).split("\n", 1)[0]
         raise CheckpointError(

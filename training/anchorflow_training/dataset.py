@@ -145,6 +145,11 @@ def open_dataset(path: Path) -> SceneDataset:
     """Memory-map a dataset folder; raises `DatasetError` naming the file that is wrong."""
     try:
         meta = json.loads((path / "dataset.json").read_text())
+    except FileNotFoundError as error:
+        found = "driving logs, of which another planner learns" if [*path.glob("*.npz")] else "none"
+        raise DatasetError(
+            f"{path}: expected a dataset, with a dataset.json, found {found}"
+        ) from error
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path / 'dataset.json'}: {error}") from error
     scenes = meta.get("scenes") if isinstance(meta, dict) else None
