@@ -13,7 +13,6 @@ import pytest
 from anchorflow_cli import main as cli
 from anchorflow_client.errors import AnchorFlowError
 
-
 WITHOUT = """
 import sys
 class Absent:
