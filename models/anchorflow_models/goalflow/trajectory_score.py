@@ -195,7 +195,7 @@ def _steps(poses: Tensor) -> Tensor:
 def _speeds(poses: Tensor, *, dt: float) -> Tensor:
     """[..., T] m/s at the poses; that between two is the mean of theirs."""
     mean = _steps(poses) / dt
-    following = torch.cat([mean[..., 1:], 1.5 * mean[..., -1:] - 0.5 * mean[..., -2:-1]], -1)
+    following = torch.cat([mean[..., 1:], 2.0 * mean[..., -1:] - mean[..., -2:-1]], -1)
     return (0.5 * (mean + following)).clamp(min=0.0)
 
 
