@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from driven_bend import write_bends
+from driven_bend import bend, write_bends
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import Tensor
 
@@ -117,6 +117,45 @@ def test_steps_make_every_term_smaller(stage: str) -> None:
         optimiser.step()
     for name in TERMS[stage]:
         assert terms[name] < first[name], name
+
+
+def scored(loss_of: DiffusionDriveObjective, name: str) -> list[tuple[Any, ...]]:
+    """What a scorer is given, and what it makes of it, from now on."""
+    calls: list[tuple[Any, ...]] = []
+    scorer = getattr(loss_of.model, name)
+    scorer.register_forward_hook(lambda _module, given, made: calls.append((*given, made)))
+    return calls
+
+
+def test_the_coarse_scorers_best_are_judged_and_scored_finely() -> None:
+    judged: list[Tensor] = []
+
+    def judge(_windows: Tensor, candidates: Tensor, _speeds: Tensor) -> Tensor:
+        judged.append(candidates)
+        return torch.rand(*candidates.shape[:2], 5)
+
+    settings = DiffusionDriveObjectiveConfig(stage="scorers", judged=12)
+    loss_of = DiffusionDriveObjective(tiny_diffusiondrive(), settings, judge)
+    coarse, fine = scored(loss_of, "coarse_scorer"), scored(loss_of, "fine_scorer")
+    loss_of(batch(), *drawn_for(loss_of))
+    candidates, _, made = coarse[0]
+    best = made.scores.topk(TINY.keep).indices[..., None, None]
+    wanted = torch.take_along_dim(candidates, best, 1)
+    torch.testing.assert_close(judged[0][:, : TINY.keep], wanted)
+    torch.testing.assert_close(fine[0][0], wanted)
+
+
+def test_the_first_variant_is_what_was_denoised() -> None:
+    loss_of = objective("scorers")
+    coarse, draws = scored(loss_of, "coarse_scorer"), drawn_for(loss_of)
+    loss_of(batch(), *draws)
+    candidates, scene, _ = coarse[0]
+    with torch.no_grad():
+        plain = denoised(loss_of.model, scene, draws[0]).trajectories
+        plain = loss_of.model.variants(plain, torch.zeros(*plain.shape[:2], 1, 2))
+    first, second = candidates[:, : -TINY.vocabulary].unflatten(1, (-1, 2)).unbind(2)
+    torch.testing.assert_close(first, plain)
+    assert not torch.allclose(second, plain, atol=0.1)
 
 
 def test_which_candidate_would_be_driven_is_learnt_from_windows_as_recorded() -> None:
@@ -303,6 +342,24 @@ def test_the_judge_is_the_scorer_of_each_window(logs: list[Path]) -> None:
     wanted = PdmScorer(scenes[0][0], speed=own + 9.0).score(plans[0].numpy())
     np.testing.assert_allclose(faster[:, 2], wanted.ep, atol=1e-6)
     assert not np.array_equal(faster, twice)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_candidates_in_a_reflected_window_are_judged_as_in_that_of_the_mirrored_bend(
+    logs: list[Path], tmp_path: Path, *, mirrored: bool
+) -> None:
+    window = Scenes(bend(0, mirrored=mirrored))[0]
+    aside = np.linspace(-4.0, 4.0, 5)[:, None, None] * [0.0, 1.0, 0.0]
+    plans = window.recorded(np.arange(1, 9) / 2) + aside
+    run = DiffusionDriveRun(CONFIG, logs, tmp_path)
+    drawn = run.batch(np.array([0]), mirrored=mirrored)
+    given = {name: torch.from_numpy(drawn[name]) for name in ("window", "signs")}
+    told = run.new_objective(run.model)._judged(
+        given, torch.from_numpy(plans).float()[None], torch.tensor([torch.nan])
+    )
+    wanted = PdmScorer(window).score(plans).sub_scores
+    np.testing.assert_allclose(told[0], wanted, atol=1e-4)
+    assert np.ptp(wanted[:, 1]) == 1
 
 
 def test_the_stages_follow_one_another_and_go_on_where_they_stopped(
