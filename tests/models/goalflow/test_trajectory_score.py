@@ -144,4 +144,4 @@ def test_a_missed_goal_costs_by_its_distance(missed: float, share: float) -> Non
 
 def test_speeds_are_those_at_the_poses() -> None:
     speeds = _speeds(driven(5.0, pull=2.0), dt=DT)[0, 0]
-    torch.testing.assert_close(speeds[:-1], 5.0 + 2.0 * DT * torch.arange(1.0, T))
+    torch.testing.assert_close(speeds, 5.0 + 2.0 * DT * torch.arange(1.0, T + 1))
