@@ -5,7 +5,9 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from http.client import HTTPConnection
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -109,6 +111,29 @@ def test_a_connection_that_closes_as_it_is_asked_is_opened_again(serve: Serve) -
     transport = serve(answer_once, answer)
 
     assert [get(transport), get(transport)] == [b"ok", b"ok"]
+
+
+def test_a_signal_leaves_no_connection_half_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while an answer is awaited: the next request opens a connection of its own."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        transport = SocketTransport(
+            f"http://127.0.0.1:{listener.getsockname()[1]}", connect_timeout_s=5
+        )
+        with monkeypatch.context() as signalled:
+            signalled.setattr(HTTPConnection, "getresponse", Mock(side_effect=KeyboardInterrupt))
+            with pytest.raises(KeyboardInterrupt):
+                get(transport)
+        with listener.accept()[0] as left:
+            read_head(left)
+            assert left.recv(1) == b""  # closed
+
+        thread = threading.Thread(target=get, args=(transport,))
+        thread.start()
+        with listener.accept()[0] as connection:
+            answer(connection)
+            thread.join(10)
+            transport.close()
+        assert not thread.is_alive()
 
 
 def test_it_is_opened_again_only_once(serve: Serve) -> None:

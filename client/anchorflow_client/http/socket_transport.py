@@ -82,6 +82,9 @@ class SocketTransport:
                 raise unreachable(self._url, timeout_s=connection.timeout) from error
             connection.close()
             raise translated(error, self._url, timeout_s=timeout_s) from error
+        except BaseException:  # a signal handler's too
+            self._connection.close()
+            raise
 
 
 _CONNECTIONS = {"http": http.client.HTTPConnection, "https": http.client.HTTPSConnection}
