@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from anchorflow_client.contract import AnchorRequest
+from anchorflow_client.contract.checks import is_number
 from anchorflow_client.errors import (
     AnchorFlowError,
     ConnectionFailed,
@@ -21,6 +22,13 @@ RETRIED = (Overloaded, NotReady, ConnectionFailed, TimedOut)
 logger = logging.getLogger("anchorflow_client.retry")
 
 
+def check_times(**times_s: float) -> None:
+    """Raises `ValueError` by its name for the first that is no number above 0."""
+    for name, time_s in times_s.items():
+        if not is_number(time_s) or not time_s > 0.0:
+            raise ValueError(f"{name}: expected a number above 0, got {time_s}")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Patience:
     """How long, and how often, something is asked again; `RetryingClient` says what is what."""
@@ -33,9 +41,11 @@ class Patience:
 
     def __post_init__(self) -> None:
         """Raises `ValueError` where a time is not above 0."""
-        for name in ("patience_s", "first_pause_s", "longest_pause_s"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
+        check_times(
+            patience_s=self.patience_s,
+            first_pause_s=self.first_pause_s,
+            longest_pause_s=self.longest_pause_s,
+        )
 
     def attempts(self, budget_ms: float | None = None) -> Attempts:
         """For one question, which is asked first now."""

@@ -223,3 +223,23 @@ def test_leaving_the_block_closes_the_transport(client: Client) -> None:
 def test_a_strange_url_is_refused(kind: Callable[[str], object], url: str) -> None:
     with pytest.raises(ValueError, match=r"http://|[Pp]ort"):
         kind(url)
+
+
+@pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])
+@pytest.mark.parametrize("name", ["timeout_s", "connect_timeout_s"])
+@pytest.mark.parametrize("seconds", [0, -1.0, float("nan"), None])
+def test_a_time_that_is_none_is_refused(
+    kind: Callable[..., object], name: str, seconds: float | None
+) -> None:
+    with pytest.raises(ValueError, match=f"{name}: expected a number above 0, got {seconds}"):
+        kind("http://robot", **{name: seconds})
+
+
+@pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])
+@pytest.mark.parametrize("end", ["\n", "\r\nX: y", "ä"])
+def test_a_token_that_no_header_carries_is_refused_and_not_repeated(
+    kind: Callable[..., object], end: str
+) -> None:
+    with pytest.raises(ValueError, match=r"^token: expected printable ASCII") as caught:
+        kind("http://robot", token=f"secret{end}")
+    assert "secret" not in str(caught.value)

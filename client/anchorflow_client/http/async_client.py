@@ -10,6 +10,7 @@ from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.http.exchange import UNHEALTHY, Exchange, Exchanges
 from anchorflow_client.http.transport import AsyncTransport
 from anchorflow_client.oip_codec import OipCodec
+from anchorflow_client.patience import check_times
 
 Result = TypeVar("Result")
 
@@ -48,7 +49,11 @@ class AsyncAnchorClient(BaseAsyncClient):
             token: sent as a bearer token.
             transport: carries the requests in place of sockets.
             codec: the form on the wire: binary unless told, `JsonCodec()` to read along.
+
+        Raises:
+            ValueError: the URL is none, a time is not above 0, or no header can carry the token.
         """
+        check_times(timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
         if transport is None:
             # Here, so that a blocking robot's `import anchorflow_client` does not load asyncio.
             from anchorflow_client.http.async_socket_transport import AsyncSocketTransport

@@ -11,6 +11,7 @@ from anchorflow_client.http.exchange import UNHEALTHY, Exchange, Exchanges
 from anchorflow_client.http.socket_transport import SocketTransport
 from anchorflow_client.http.transport import Transport
 from anchorflow_client.oip_codec import OipCodec
+from anchorflow_client.patience import check_times
 
 Result = TypeVar("Result")
 
@@ -45,7 +46,11 @@ class AnchorClient(BaseClient):
             token: sent as a bearer token.
             transport: carries the requests in place of a socket.
             codec: the form on the wire: binary unless told, `JsonCodec()` to read along.
+
+        Raises:
+            ValueError: the URL is none, a time is not above 0, or no header can carry the token.
         """
+        check_times(timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
         self._transport = transport or SocketTransport(url, connect_timeout_s=connect_timeout_s)
         self._exchanges = Exchanges(url, codec=codec or OipCodec(), token=token)
         self._timeout_s = timeout_s

@@ -59,7 +59,13 @@ class Exchanges:
     """All that a service can be asked."""
 
     def __init__(self, url: str, *, codec: Codec, token: str | None) -> None:
-        """For a service at a URL, whose path stands before every path of the contract."""
+        """For a service at a URL, whose path stands before every path of the contract.
+
+        Raises:
+            ValueError: no header can carry the token; what it is is not repeated.
+        """
+        if token is not None and not (token.isascii() and token.isprintable()):
+            raise ValueError("token: expected printable ASCII, got other characters too")
         self._codec = codec
         self._base_path = urlsplit(url).path.rstrip("/")
         self._authorization = {} if token is None else {"Authorization": f"Bearer {token}"}

@@ -42,6 +42,9 @@ class AsyncZenohAnchorClient(BaseAsyncClient):
                 the request brings none.
             max_threads: requests on their way at the same time; others wait for a place, and their
                 budgets begin when they have one.
+
+        Raises:
+            ValueError: `timeout_s` is not above 0, or there is no thread.
         """
         self._client = ZenohAnchorClient(where, timeout_s=timeout_s)
         self._threads = ThreadPoolExecutor(max_threads, thread_name_prefix="anchorflow-zenoh")

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from anchorflow_client.zenoh_client import ZenohConfigError, ZenohSettings
+from anchorflow_client.zenoh_client import (
+    AsyncZenohAnchorClient,
+    ZenohAnchorClient,
+    ZenohConfigError,
+    ZenohSettings,
+)
 from anchorflow_client.zenoh_client.session import config_of, open_session
 
 ENDPOINT = "tcp/127.0.0.1:7447"
@@ -93,3 +99,10 @@ def test_an_endpoint_that_is_none_is_refused() -> None:
 def test_an_address_of_another_machine_cannot_be_listened_on() -> None:
     with pytest.raises(ZenohConfigError, match=r"192\.0\.2\.1"):
         open_session(ZenohSettings(listen=("tcp/192.0.2.1:7447",)))
+
+
+@pytest.mark.parametrize("kind", [ZenohAnchorClient, AsyncZenohAnchorClient])
+@pytest.mark.parametrize("seconds", [0, -1.0, float("nan")])
+def test_a_time_that_is_none_is_refused(kind: Callable[..., object], seconds: float) -> None:
+    with pytest.raises(ValueError, match=f"timeout_s: expected a number above 0, got {seconds}"):
+        kind(ENDPOINT, timeout_s=seconds)
