@@ -128,6 +128,9 @@ def map_fields(
         if resolution is not None or origin is not None:
             raise InvalidRequest("expected resolution and origin inside this map only", "cost_map")
         return cost_map
-    data = np.asarray(cost_map)
+    try:
+        data = np.asarray(cost_map)
+    except ValueError:  # ragged lists: whoever reads them tells where
+        return {"data": cost_map, "resolution": resolution, "origin": origin}
     data = data[None] if data.ndim == 2 else data
     return {"data": data, "resolution": resolution, "origin": origin}

@@ -129,6 +129,13 @@ def test_a_map_may_be_an_array(
     assert (sent["resolution"], sent["origin"]) == (0.5, [-5.0, -4.0])
 
 
+def test_a_ragged_map_is_refused_with_its_place(client: Client, fields: dict[str, Any]) -> None:
+    fields["cost_map"] = [[0, 1], [0]]
+
+    with pytest.raises(InvalidRequest, match=r"a list of 2 like the first at cost_map\.data\[1\]"):
+        client(Canned()).plan(**fields, resolution=0.1)
+
+
 def test_a_map_that_knows_its_place_takes_no_other(client: Client, fields: dict[str, Any]) -> None:
     fields["cost_map"] = CostMap.build(np.zeros((1, 16, 20)), 0.5)
 
