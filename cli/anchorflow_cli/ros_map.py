@@ -19,6 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from anchorflow_client.contract.ranges import RESOLUTION
 from anchorflow_client.errors import AnchorFlowError
 
 
@@ -79,7 +80,7 @@ def load_ros_map(path: Path | str, *, unknown_is_free: bool = False) -> RosMap:
     return RosMap(
         occupancy=np.where(unknown, unknown_occupancy, occupancy).astype(np.float32),
         unknown=unknown,
-        resolution=fields.number("resolution", low=1e-6),
+        resolution=fields.number("resolution", low=RESOLUTION.low),
         origin=_origin(fields),
         unknown_occupancy=unknown_occupancy,
     )

@@ -125,7 +125,10 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
         ("x_curr", [NAN, 0, 0, 0, 0, 0], ["finite", "nan", "x_curr[0]"]),
         ("x_curr", [0, 0, 0, 0, 0, -INF], ["finite", "-inf", "x_curr[5]"]),
         ("x_curr", [10**400, 0, 0, 0, 0, 0], ["finite"]),
-        ("x_curr", [0, 0, 1e30, 0, 0, 0], ["1e+07", "1e+30"]),
+        ("x_curr", [1e30, 0, 0, 0, 0, 0], ["[-1e+07, 1e+07] m", "1e+30"]),
+        ("x_curr", [0, 0, 0, -500, 0, 0], ["[-100, 100] m/s", "-500.0", "x_curr[3]"]),
+        ("x_curr", [[0] * 6, [0] * 5 + [1e4]], ["[-1000, 1000] m/s^2", "10000.0", "x_curr[1][5]"]),
+        ("x_goal", [0, 0, 3000, 0], ["[-100, 100] m/s", "3000.0", "x_goal[2]"]),
         ("x_curr", np.array(["a"] * 6), ["numbers", "<U1"]),
         ("x_curr", [6, 0, 0, 0, 0, 0], ["on the map", "x from -5 to 5", "(6, 0)"]),
         ("x_goal", [0, -4.1, 0, 0], ["on the map", "y from -4 to 4", "(0, -4.1)"]),
@@ -180,7 +183,8 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
         ("cost_map.data", np.zeros((65, 1, 16, 16)).tolist(), ["B from 1 to 64", "65"]),
         ("cost_map.data", np.full((1, 16, 20), 1.5).tolist(), ["[0, 1]", "1.5"]),
         ("cost_map.data", np.zeros((1, 1, 1, 16, 20)).tolist(), ["deeper"]),
-        ("cost_map.resolution", 0, ["(0, 100] m/cell", "0"]),
+        ("cost_map.resolution", 0, ["[1e-06, 100] m/cell", "0"]),
+        ("cost_map.resolution", 1e-40, ["[1e-06, 100] m/cell", "1e-40"]),
         ("cost_map.resolution", None, ["required"]),
         ("cost_map.origin", [0, 0, 0], ["[2]", "[3]"]),
         ("cost_map.origin", [0, INF], ["finite"]),
@@ -227,10 +231,10 @@ def test_the_length_of_the_state_tells_the_dimensions(
 
 
 def test_a_heading_is_no_place_on_the_map(heading_fields: dict[str, Any]) -> None:
-    """The map reaches 5 m; a heading of 6 rad is as good as any."""
-    heading_fields["x_curr"][2] = 6.0
+    """The map reaches 5 m, and a velocity 100 m/s; a heading of 600 rad is as good as any."""
+    heading_fields["x_curr"][2] = 600.0
 
-    assert AnchorRequest.from_fields(heading_fields).x_curr[0, 2] == 6.0
+    assert AnchorRequest.from_fields(heading_fields).x_curr[0, 2] == 600.0
 
 
 @pytest.mark.parametrize(
@@ -239,6 +243,7 @@ def test_a_heading_is_no_place_on_the_map(heading_fields: dict[str, Any]) -> Non
         ("x_goal", [3, 0.5, 0, 0], ["[6] or [B,6]", "got [4]"]),
         ("x_goal", [[3, 0.5, 0, 0]] * 2, ["[6] or [B,6]", "got [2, 4]"]),
         ("x_curr", [-3, 9, 0, 0, 0, 0, 0, 0, 0], ["on the map", "(-3, 9)"]),
+        ("x_curr", [0, 0, 0, 0, 0, 500, 0, 0, 0], ["[-100, 100]", "500.0 at x_curr[5]"]),
         ("warm_start", {"trajectory": [[0] * 2] * 4}, ["[T,3] to [T,9]", "[4, 2]"]),
         ("warm_start", {"trajectory": [[0] * 10] * 4}, ["[T,3] to [T,9]", "[4, 10]"]),
     ],
@@ -260,6 +265,28 @@ def test_a_missing_field_is_named(fields: dict[str, Any], field: str) -> None:
 
     assert error.field == field
     assert "required" in error.message
+
+
+@pytest.mark.parametrize(
+    ("body", "field", "words"),
+    [
+        ({}, "body", "expected cost_map, x_curr and x_goal, or inputs, got none of them"),
+        ({"inputs": {}}, "body", "expected cost_map, x_curr and x_goal, or inputs, got none"),
+        ({"inputs": {"a": 1}, "w_style": "efficient"}, "w_style", "expected none for a planner"),
+        (
+            {"inputs": {"a": 1}, "sampler": {"schedule": [0.5, 1]}},
+            "sampler.schedule",
+            "first time of 0",
+        ),
+    ],
+)
+def test_without_a_map_a_bad_field_is_named_too(
+    body: dict[str, Any], field: str, words: str
+) -> None:
+    error = refusal(body)
+
+    assert error.field == field
+    assert words in error.message
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,7 @@ REFUSED: dict[str, dict[str, Any]] = {
     "goal-in-obstacle": {"x_goal": [0, 0, 0, 0]},
     "start-off-the-map": {"x_curr": [-6, 0, 0, 0, 0, 0]},
     "states-of-another-length": {"x_curr": [-3, 0]},
+    "state-too-fast": {"x_curr": [-3, 0, 500, 0, 0, 0]},
     "map-without-channels": {"cost_map": cost_map(occupancy()[0])},
     "map-of-percent": {"cost_map": cost_map(100 * occupancy())},
     "map-with-nan": {"cost_map": cost_map(np.nan * occupancy())},

@@ -41,16 +41,30 @@ def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[n
     return within(array, field, interval)
 
 
-def within(array: Array, field: str, interval: Interval) -> Array:
-    """The array itself. Raises `InvalidRequest` for the first number outside the interval."""
+def within(
+    array: Array, field: str, interval: Interval, *, part: NDArray[np.bool_] | None = None
+) -> Array:
+    """The array itself. Raises `InvalidRequest` for the first number outside the interval.
+
+    part: the columns that are held against it; None: all.
+    """
     outside = ~interval.contains(array)
+    if part is not None:
+        outside &= part
     if outside.any():
-        index = int(outside.argmax())
-        came = array.flat[index]
-        what = f"numbers {interval}" if np.isfinite(came) else "finite numbers"
-        place = _place(index, array.shape)
-        raise InvalidRequest(f"expected {what}, got {describe(came)} at {field}{place}", field)
+        is_finite = np.isfinite(array[outside][0])
+        what = f"numbers {interval}" if is_finite else "finite numbers"
+        raise first_refused(array, outside, field, what)
     return array
+
+
+def first_refused(
+    array: NDArray[Any], refused: NDArray[np.bool_], field: str, what: str
+) -> InvalidRequest:
+    """The refusal of the first of an array's numbers that is `refused`, with its place."""
+    index = int(refused.argmax())
+    came = f"{describe(array.flat[index])} at {field}{_place(index, array.shape)}"
+    return InvalidRequest(f"expected {what}, got {came}", field)
 
 
 def vectors(value: Any, field: str, interval: Interval, *sizes: int) -> NDArray[np.float64]:

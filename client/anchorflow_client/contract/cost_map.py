@@ -36,7 +36,7 @@ class CostMap:
 
         Args:
             data: [C,H,W] or [B,C,H,W] in [0, 1]; a numpy array of bool is an occupancy grid.
-            resolution: m/cell, above 0.
+            resolution: m/cell, from 1e-6.
             origin: [2] m; None centres the map on (0, 0).
 
         Raises:

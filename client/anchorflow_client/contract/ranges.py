@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,13 +64,18 @@ MAX_PIXELS = 16 * 2**20
 
 UNIT = Interval(0.0, 1.0)
 INSIDE_UNIT = Interval(0.0, 1.0, open_low=True, open_high=True)
+EVERY_NUMBER = Interval(-math.inf, math.inf)
 COORDINATE = Interval(-1e7, 1e7, "m")
-STATE = Interval(-1e7, 1e7)
+WARM_START = Interval(-1e7, 1e7)
 STYLE_WEIGHT = Interval(0.0, 1e6)
-RESOLUTION = Interval(0.0, 100.0, "m/cell", open_low=True)
+RESOLUTION = Interval(1e-6, 100.0, "m/cell")
 ROBOT_RADIUS = Interval(0.0, 5.0, "m")
 V_MAX = Interval(0.0, 100.0, "m/s", open_low=True)
 A_MAX = Interval(0.0, 1000.0, "m/s^2", open_low=True)
+VELOCITY = Interval(-V_MAX.high, V_MAX.high, V_MAX.unit)
+ACCELERATION = Interval(-A_MAX.high, A_MAX.high, A_MAX.unit)
+STATE = (COORDINATE, VELOCITY, ACCELERATION)
+"""Of each component of the D-vectors of `x_curr` and `x_goal`, a heading's in rad."""
 HORIZON = Interval(0.0, 600.0, "s", open_low=True)
 TIME_STEP = Interval(0.0, 600.0, "s", open_low=True)
 SAFETY_MARGIN = Interval(0.0, 5.0, "m")

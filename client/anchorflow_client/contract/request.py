@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import read_only, vectors
+from anchorflow_client.contract.arrays import read_only, vectors, within
 from anchorflow_client.contract.checks import expected, fields_of, integer, number, text
 from anchorflow_client.contract.cost_map import CostMap
 from anchorflow_client.contract.inputs import Inputs, read_inputs
@@ -53,9 +53,10 @@ class MapScenes:
 
     cost_map: CostMap
     x_curr: NDArray[np.float64]
-    """[B,3D] position in m, velocity in m/s, acceleration in m/s^2; D = 2, or 3 with heading."""
+    """[B,3D] position in m, velocity within ±100 m/s, acceleration within ±1000 m/s^2; D = 2, or 3
+    with heading."""
     x_goal: NDArray[np.float64]
-    """[B,2D] position in m, velocity in m/s."""
+    """[B,2D] position in m, velocity within ±100 m/s."""
     w_style: NDArray[np.float64]
     """[B,3] safety, energy, smooth; sums to 1."""
 
@@ -129,18 +130,19 @@ class AnchorRequest:
             if value is not None
         }
         inputs = read_inputs(options.pop("inputs", {}))
-        style = options.pop("w_style", None)
-        if inputs and all(value is None for value in (*on_map.values(), style)):
-            return cls(inputs=inputs, **_options(options, dim=None))
-        fields_of(on_map, "", MAP_FIELDS, MAP_FIELDS)
-        scenes, batched = _scenes(cost_map, x_curr, x_goal, style)
-        request = cls(
-            map_scenes=scenes,
-            inputs=inputs,
-            num_scenes=len(scenes.x_curr),
-            batched=batched,
-            **_options(options, scenes.dim),
-        )
+        if all(value is None for value in on_map.values()):
+            request = cls(inputs=_alone(inputs), **_options(options, dim=None))
+        else:
+            fields_of(on_map, "", MAP_FIELDS, MAP_FIELDS)
+            style = options.pop("w_style", DEFAULT_STYLE)
+            scenes, batched = _scenes(cost_map, x_curr, x_goal, style)
+            request = cls(
+                map_scenes=scenes,
+                inputs=inputs,
+                num_scenes=len(scenes.x_curr),
+                batched=batched,
+                **_options(options, scenes.dim),
+            )
         _check_first_time(request)
         return request
 
@@ -189,13 +191,12 @@ def _dim_of(x_curr: NDArray[np.float64]) -> int:
 def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapScenes, bool]:
     """The scenes, and whether any of the arrays was batched."""
     cost_map = CostMap.from_fields(cost_map)
-    state_sizes = (ranges.STATE_FIELDS * dim for dim in ranges.DIMENSIONS)
-    x_curr = vectors(x_curr, "x_curr", ranges.STATE, *state_sizes)
+    x_curr = _states(x_curr, "x_curr", ranges.STATE_FIELDS, *ranges.DIMENSIONS)
     arrays = {
         "cost_map.data": cost_map.data,
         "x_curr": x_curr,
-        "x_goal": vectors(x_goal, "x_goal", ranges.STATE, ranges.GOAL_FIELDS * _dim_of(x_curr)),
-        "w_style": _style(DEFAULT_STYLE if w_style is None else w_style),
+        "x_goal": _states(x_goal, "x_goal", ranges.GOAL_FIELDS, _dim_of(x_curr)),
+        "w_style": _style(w_style),
     }
     batches = {name: len(array) for name, array in arrays.items() if array.ndim in (2, 4)}
     num_scenes = _common_num_scenes(batches)
@@ -207,6 +208,16 @@ def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapS
     _check_on_free_cells(cost_map, start[:, :2], "x_curr")
     _check_on_free_cells(cost_map, goal[:, :2], "x_goal")
     return MapScenes(cost_map, start, goal, style), bool(batches)
+
+
+def _states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.float64]:
+    """One or a batch of position, velocity and so on to `parts` D-vectors, each in its range."""
+    states = vectors(value, field, ranges.EVERY_NUMBER, *(parts * dim for dim in dims))
+    size = states.shape[-1]
+    part_of = np.arange(size) * parts // size
+    for part in range(parts):
+        within(states, field, ranges.STATE[part], part=part_of == part)
+    return states
 
 
 def _common_num_scenes(batches: Mapping[str, int]) -> int:
@@ -261,10 +272,21 @@ def _position(point: NDArray[np.float64], scene: int) -> str:
     return f"({point[0]:g}, {point[1]:g}) m of scene {scene}"
 
 
+def _alone(inputs: Inputs) -> Inputs:
+    """The inputs of a request without a map, which has some."""
+    if not inputs:
+        *first, last = MAP_FIELDS
+        either = f"{', '.join(first)} and {last}, or inputs"
+        raise InvalidRequest(f"expected {either}, got none of them", "body")
+    return inputs
+
+
 def _options(options: Mapping[str, Any], dim: int | None) -> dict[str, Any]:
     """Check the optional fields that need no scene beside D = `dim`; None: there is no state."""
-    if dim is None and "warm_start" in options:
-        raise InvalidRequest("expected none for a planner without a cost map", "warm_start")
+    if dim is None:
+        for name in ("w_style", "warm_start"):
+            if name in options:
+                raise InvalidRequest("expected none for a planner without a cost map", name)
     checks = _CHECK_OF_OPTION
     if dim is not None:
         checks = checks | {"warm_start": partial(WarmStart.from_fields, dim=dim)}

@@ -197,7 +197,7 @@ def _increasing(times: NDArray[np.float64]) -> tuple[float, ...]:
 def _warm_trajectory(value: Any, dim: int) -> NDArray[np.float64]:
     most = ranges.STATE_FIELDS * dim
     field, shape = "warm_start.trajectory", f"[T,{dim}] to [T,{most}]"
-    trajectory = numbers(value, field, ranges.STATE, shape)
+    trajectory = numbers(value, field, ranges.WARM_START, shape)
     steps, size = trajectory.shape if trajectory.ndim == 2 else (0, 0)
     if not (2 <= steps <= ranges.MAX_WARM_START_STEPS and dim <= size <= most):
         raise wrong_shape(field, shape, trajectory)

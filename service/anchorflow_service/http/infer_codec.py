@@ -24,8 +24,8 @@ from anchorflow_client.contract.checks import (
     number,
     text,
 )
-from anchorflow_client.contract.inputs import EVERY_NUMBER, texts
-from anchorflow_client.contract.ranges import BUDGET, Interval
+from anchorflow_client.contract.inputs import texts
+from anchorflow_client.contract.ranges import BUDGET, EVERY_NUMBER, Interval
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.oip.datatypes import BYTES, DATATYPES, DTYPE_OF, name_of, to_wire
 from anchorflow_client.oip.message import ALIGNMENT, unpack_header, unpack_tensors

@@ -22,7 +22,8 @@ Tensor4 = list[list[list[list[float]]]]
 
 
 # What is asked, as far as a schema tells. Beyond it is checked that a map has enough cells in rows
-# of one length, that B and D are the same everywhere, and that start and goal lie on free cells.
+# of one length, that B and D are the same everywhere, that velocities and accelerations keep to
+# their ranges, and that start and goal lie on free cells.
 _SIDE = Field(min_length=1, max_length=ranges.MAX_MAP_CELLS)
 _BATCH = Field(min_length=1, max_length=ranges.MAX_SCENES)
 Text = Annotated[str, Field(min_length=1, max_length=ranges.MAX_TEXT_LENGTH, pattern=r"^[ -~]*$")]
@@ -31,7 +32,7 @@ Grid = Annotated[
     list[Annotated[list[Annotated[list[Share], _SIDE]], _SIDE]],
     Field(min_length=1, max_length=ranges.MAX_CHANNELS),
 ]
-Coordinate = Annotated[float, Field(ge=ranges.STATE.low, le=ranges.STATE.high)]
+Coordinate = Annotated[float, Field(ge=ranges.COORDINATE.low, le=ranges.COORDINATE.high)]
 Origin = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 State = Annotated[list[Coordinate], Field(min_length=6, max_length=9)]
 Goal = Annotated[list[Coordinate], Field(min_length=4, max_length=6)]
@@ -171,12 +172,13 @@ class AnchorRequestBody(_Body):
     cost_map: CostMapBody | None = Field(None, description="Of planners with a cost map, required.")
     x_curr: State | Annotated[list[State], _BATCH] | None = Field(
         None,
-        description="[6] or [B,6]: p [m], v [m/s], a [m/s^2], each x and y; [9] or [B,9] for a "
-        "model with D = 3: x, y and heading [rad], which runs on beyond pi; map and limits see "
-        "x and y alone.",
+        description=f"[6] or [B,6]: p [m], v {ranges.VELOCITY}, a {ranges.ACCELERATION}, each x "
+        "and y; [9] or [B,9] for a model with D = 3: x, y and heading [rad], which runs on beyond "
+        "pi; map and limits see x and y alone.",
     )
     x_goal: Goal | Annotated[list[Goal], _BATCH] | None = Field(
-        None, description="[4] or [B,4]: p [m], v [m/s]; [6] or [B,6] with heading."
+        None,
+        description=f"[4] or [B,4]: p [m], v {ranges.VELOCITY}; [6] or [B,6] with heading.",
     )
     w_style: Style | Annotated[list[Style], _BATCH] | StyleName | None = Field(
         list(DEFAULT_STYLE),
