@@ -79,8 +79,6 @@ def _input(value: Input) -> Any:
     if value.dtype.kind == "O":
         return value.tolist()
     dtype = value.dtype.newbyteorder("=").name
-    if dtype not in DTYPES:
-        value, dtype = value.astype(np.float64), "float64"
     data = np.ascontiguousarray(value, DTYPES[dtype]).tobytes()
     return {"dtype": dtype, "shape": value.shape, "base64": base64.b64encode(data).decode()}
 

@@ -16,6 +16,8 @@ from anchorflow_client import (
     AnchorBatch,
     AnchorRequest,
     Codec,
+    EncodedImage,
+    InvalidRequest,
     JsonCodec,
     ModelId,
     OipCodec,
@@ -131,3 +133,29 @@ def test_what_was_read_is_written_as_it_came(codec: Codec, asked: AnchorRequest)
     sent = codec.encode_request(asked)
 
     assert codec.encode_request(codec.decode_request(sent)) == sent
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize(
+    ("given", "sent"),
+    [("i1", "i8"), ("u2", "i8"), (">i4", "i8"), ("u8", "i8"), ("f2", "f4"), ("g", "f8")],
+)
+def test_an_input_of_a_type_that_the_wire_lacks_is_widened(
+    codec: Codec, given: str, sent: str
+) -> None:
+    asked = AnchorRequest.build(inputs={"ego_status": np.array([1, 0, 5], given)})
+
+    came = codec.decode_request(codec.encode_request(asked)).inputs["ego_status"]
+
+    assert isinstance(came, np.ndarray)
+    assert (came.dtype, came.tolist()) == (np.dtype(sent), [1, 0, 5])
+
+
+def test_an_input_that_no_type_of_the_wire_holds_is_refused() -> None:
+    with pytest.raises(InvalidRequest, match=r"inputs\.ego_status: expected numbers that int64 h"):
+        AnchorRequest.build(inputs={"ego_status": np.full(8, 2**64 - 1, np.uint64)})
+
+
+def test_a_picture_is_bytes() -> None:
+    with pytest.raises(InvalidRequest, match="data: expected bytes, got the string 'abc'"):
+        EncodedImage("png", "abc")  # pyright: ignore[reportArgumentType] - the mistake

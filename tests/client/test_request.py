@@ -278,6 +278,7 @@ def test_a_missing_field_is_named(fields: dict[str, Any], field: str) -> None:
             "sampler.schedule",
             "first time of 0",
         ),
+        ({"inputs": {"a": 10**30}}, "inputs.a", "9223372036854775807, got an integer of 100 bits"),
     ],
 )
 def test_without_a_map_a_bad_field_is_named_too(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import numbers, read_only, within
+from anchorflow_client.contract.arrays import first_refused, numbers, read_only, within
 from anchorflow_client.contract.checks import choice, describe, expected, fields_of, integer, text
 from anchorflow_client.contract.kinds import TensorSpec
 from anchorflow_client.contract.ranges import Interval
@@ -29,7 +29,7 @@ DTYPES = {
 }
 """The types that a tensor may have on the wire, little-endian; beside them there is text."""
 IMAGE_FORMATS = ("png", "jpeg")
-EVERY_NUMBER = Interval(-math.inf, math.inf)
+INT64 = Interval(-(2**63), 2**63 - 1)
 MAX_AXES = 8
 
 
@@ -42,8 +42,12 @@ class EncodedImage:
     data: bytes
 
     def __post_init__(self) -> None:
-        """Raises `InvalidRequest` where the format is none of the two."""
+        """Raises `InvalidRequest` where the format is none of the two, or the data no bytes."""
         choice(self.format, "format", IMAGE_FORMATS)
+        try:
+            memoryview(self.data)
+        except TypeError as error:
+            raise expected("data", "bytes", self.data) from error
 
 
 Input: TypeAlias = NDArray[Any] | EncodedImage
@@ -123,10 +127,12 @@ def _read(name: str, value: Any) -> Input:
             return texts(list(value), field, (len(value),))
         case Mapping():
             return _read_object(value, field)
-        case bool() | int() | float():
+        case bool() | float():
             return read_only(np.asarray(value))
+        case int():
+            return read_only(np.asarray(integer(value, field, INT64)))
         case _:
-            return read_only(numbers(value, field, EVERY_NUMBER, "numbers"))
+            return read_only(numbers(value, field, ranges.EVERY_NUMBER, "numbers"))
 
 
 def _own_array(array: NDArray[Any], field: str) -> NDArray[Any]:
@@ -137,7 +143,22 @@ def _own_array(array: NDArray[Any], field: str) -> NDArray[Any]:
         return texts([str(each) for each in array.flat], field, array.shape)
     if array.dtype.kind not in "biuf":
         raise expected(field, "numbers or texts", array)
+    if array.dtype.newbyteorder("=").name not in DTYPES:
+        return read_only(_widened(array, field))
     return read_only(array.copy() if array.flags.writeable else array)
+
+
+def _widened(array: NDArray[Any], field: str) -> NDArray[Any]:
+    """Numbers of a type that the wire lacks in one that it has; nothing is lost of them."""
+    if array.dtype.kind in "iu":
+        wider = np.dtype(np.int64)
+    else:
+        wider = np.dtype(np.float32 if array.dtype.itemsize == 2 else np.float64)
+    with np.errstate(all="ignore"):
+        wide = array.astype(wider)
+    if not np.array_equal(wide, array, equal_nan=True):
+        raise expected(field, f"numbers that {wider} holds", array)
+    return wide
 
 
 def _read_object(value: Mapping[str, Any], field: str) -> Input:
@@ -187,8 +208,9 @@ def _typed(value: Input, spec: TensorSpec, field: str) -> NDArray[Any]:
     if value.dtype.kind in "if" and value.dtype.itemsize == 8:
         with np.errstate(all="ignore"):
             cast = value.astype(dtype)
-        if dtype.kind == "f" or np.array_equal(cast, value):
-            return cast
+        if dtype.kind != "f" and (changed := cast != value).any():
+            raise first_refused(value, changed, field, f"{dtype} numbers")
+        return cast
     raise expected(field, f"{spec.dtype} {_shape_of(spec)}", value)
 
 

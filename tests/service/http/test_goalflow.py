@@ -198,6 +198,10 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"vehicle_size": np.array([4.0, 0.0], np.float32)},
         "expected numbers in [0.3, 30] m, got 0.0 at inputs.vehicle_size[1]",
     ),
+    "integers of 32 bits": (
+        {"vehicle_size": np.array([4, 0], np.int32)},
+        "expected numbers in [0.3, 30] m, got 0.0 at inputs.vehicle_size[1]",
+    ),
     "none": ({"vehicle_size": None}, "inputs.vehicle_size: this field is required"),
 }
 

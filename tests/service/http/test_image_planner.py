@@ -261,11 +261,13 @@ def test_nested_lists_are_numbers_of_the_cards_type(service: Any) -> None:
     assert answer.status_code == 200
     np.testing.assert_allclose(answer.json()["scores"], [0.0], atol=1e-5)
 
-    half = picture(153).astype(float)
-    half[0, 0, 0] = 0.5
-    refused = post(service, half.tolist()).json()["error"]
-    assert refused["field"] == "inputs.camera"
-    assert "expected uint8" in refused["message"]
+    for stray in (0.5, 256):
+        strange = picture(153).tolist()
+        strange[2][0][7] = stray
+        refused = post(service, strange).json()["error"]
+        assert refused["field"] == "inputs.camera"
+        message = f"expected uint8 numbers, got {float(stray)} at inputs.camera[2][0][7]"
+        assert refused["message"] == message
 
 
 def test_zenoh_carries_pixels(service_of_images: PlanningService) -> None:
