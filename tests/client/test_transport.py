@@ -124,6 +124,7 @@ def test_a_signal_leaves_no_connection_half_used(monkeypatch: pytest.MonkeyPatch
             with pytest.raises(KeyboardInterrupt):
                 get(transport)
         with listener.accept()[0] as left:
+            left.settimeout(10)
             read_head(left)
             assert left.recv(1) == b""  # closed
 
