@@ -57,7 +57,7 @@ class PlanKeywords(ABC, Generic[Answer]):
             cost_map: a CostMap, {"data", "resolution", "origin"}, or an array [H,W], [C,H,W] or
                 [B,C,H,W] in [0, 1] beside `resolution` and `origin`.
             x_curr: [3D] or [B,3D] position in m, velocity within ±100 m/s, acceleration within
-                ±1000 m/s^2; D is the model's: 2 (x, y) or 3 (x, y, heading in rad, which runs on
+                ±100 m/s^2; D is the model's: 2 (x, y) or 3 (x, y, heading in rad, which runs on
                 beyond ±π).
             x_goal: [2D] or [B,2D] position, velocity.
             resolution: m/cell, with an array.

@@ -73,7 +73,7 @@ ROBOT_RADIUS = Interval(0.0, 5.0, "m")
 V_MAX = Interval(0.0, 100.0, "m/s", open_low=True)
 A_MAX = Interval(0.0, 1000.0, "m/s^2", open_low=True)
 VELOCITY = Interval(-V_MAX.high, V_MAX.high, V_MAX.unit)
-ACCELERATION = Interval(-A_MAX.high, A_MAX.high, A_MAX.unit)
+ACCELERATION = Interval(-100.0, 100.0, A_MAX.unit)
 STATE = (COORDINATE, VELOCITY, ACCELERATION)
 """Of each component of the D-vectors of `x_curr` and `x_goal`, a heading's in rad."""
 HORIZON = Interval(0.0, 600.0, "s", open_low=True)

@@ -53,7 +53,7 @@ class MapScenes:
 
     cost_map: CostMap
     x_curr: NDArray[np.float64]
-    """[B,3D] position in m, velocity within ±100 m/s, acceleration within ±1000 m/s^2; D = 2, or 3
+    """[B,3D] position in m, velocity within ±100 m/s, acceleration within ±100 m/s^2; D = 2, or 3
     with heading."""
     x_goal: NDArray[np.float64]
     """[B,2D] position in m, velocity within ±100 m/s."""

@@ -68,7 +68,7 @@ BAD_VALUES: dict[str, tuple[str, Any, str]] = {
     "infinity": ("x_goal", [0, 0, INF, 0], "expected finite numbers, got inf at x_goal[2]"),
     "minus infinity": ("robot_radius", -INF, "got -inf"),
     "500 m/s": ("x_curr", [0, 0, 500, 0, 0, 0], "numbers in [-100, 100] m/s, got 500.0 at x_cu"),
-    "10000 m/s^2": ("x_curr", [0, 0, 0, 0, 0, 1e4], "in [-1000, 1000] m/s^2, got 10000.0 at x_c"),
+    "10000 m/s^2": ("x_curr", [0, 0, 0, 0, 0, 1e4], "in [-100, 100] m/s^2, got 10000.0 at x_c"),
     "negative style": ("w_style", [0.5, -0.5, 1.0], "got -0.5 at w_style[1]"),
     "style of zeros": ("w_style", [0, 0, 0], "expected a weight above 0, got only zeros"),
     "no samples": ("num_samples", 0, "expected an integer from 1 to 512, got 0"),
