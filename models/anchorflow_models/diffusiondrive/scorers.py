@@ -18,6 +18,7 @@ from anchorflow_models.diffusiondrive.trajectories import (
     motion_features,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
+from anchorflow_models.layers.scalar_head import scalar_head
 from anchorflow_models.transfuser import BevValues, Footprint
 
 SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
@@ -73,9 +74,9 @@ class ScorerLayer(nn.Module):
         self.others = Attention(width, heads)
         self.feed_forward = FeedForward(width, config.scorer_hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(5))
-        self.heads = nn.ModuleList(_head(width) for _ in SUB_SCORES)
+        self.heads = nn.ModuleList(scalar_head(width) for _ in SUB_SCORES)
         self.weight = config.imitation
-        self.imitation = _head(width) if config.imitation else None
+        self.imitation = scalar_head(width) if config.imitation else None
 
     def forward(self, x: Tensor, points: Tensor, scene: SceneFeatures) -> Scored:
         """x: [B, M, F]; points: [B, M, T, 2] m"""
@@ -174,7 +175,3 @@ class FineScorer(nn.Module):
             features = scored.features
             made.append(scored)
         return made
-
-
-def _head(width: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(width, width // 2), nn.ReLU(), nn.Linear(width // 2, 1))

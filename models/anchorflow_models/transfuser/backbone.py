@@ -13,11 +13,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.layers.attention import PreNormLayer
+from anchorflow_models.layers.pixels import PIXEL_MEAN, PIXEL_SPREAD
 from anchorflow_models.transfuser.config import TransfuserConfig
-
-# Of ImageNet's photographs, by colour; what pretrained weights expect.
-PIXEL_MEAN = (0.485, 0.456, 0.406)
-PIXEL_SPREAD = (0.229, 0.224, 0.225)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from anchorflow_models.layers.pixels import PIXEL_MEAN, PIXEL_SPREAD
 from anchorflow_models.v2x_vlm.config import V2XConfig
 from anchorflow_models.v2x_vlm.florence import new_florence
 
-# Of ImageNet's pixels in [0, 1], with which the published tower was trained.
-MEAN = (0.485, 0.456, 0.406)
-STD = (0.229, 0.224, 0.225)
 LOCATED = 8
 """Channels of each cell that are left to where the nearest other is."""
 STANDING = 0.05
@@ -78,8 +76,12 @@ class V2XVLM(nn.Module):
         self.register_buffer("mean", torch.zeros(config.waypoints, 2))
         self.register_buffer("scale", torch.ones(config.waypoints, 2))
         colour = (1, 3, 1, 1)
-        self.register_buffer("pixel_mean", 255 * torch.tensor(MEAN).view(colour), persistent=False)
-        self.register_buffer("pixel_std", 255 * torch.tensor(STD).view(colour), persistent=False)
+        self.register_buffer(
+            "pixel_mean", 255 * torch.tensor(PIXEL_MEAN).view(colour), persistent=False
+        )
+        self.register_buffer(
+            "pixel_std", 255 * torch.tensor(PIXEL_SPREAD).view(colour), persistent=False
+        )
 
     def look(self, pixels: Tensor) -> Tensor:
         """pixels: uint8 [B,3,S,S] RGB -> features [B,C,h,h]"""

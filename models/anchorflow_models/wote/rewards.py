@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from anchorflow_models.layers.scalar_head import scalar_head
 from anchorflow_models.wote.config import RewardWeights
 
 SIMULATED = ("NC", "DAC", "EP", "TTC", "C")
@@ -28,8 +29,8 @@ class RewardHead(nn.Module):
         self.future = nn.Conv2d(width, width, 3, padding=1, bias=False)
         self.both = nn.Conv2d(width, width, 3, padding=1)
         self.with_ego = nn.Linear(2 * width, width)
-        self.imitation = _head(width)
-        self.simulation = nn.ModuleList(_head(width) for _ in SIMULATED)
+        self.imitation = scalar_head(width)
+        self.simulation = nn.ModuleList(scalar_head(width) for _ in SIMULATED)
 
     def forward(
         self, ego: Tensor, bev: Tensor, future: Tensor, under: Tensor | None = None
@@ -62,7 +63,3 @@ def final_scores(imitation: Tensor, simulation: Tensor, weights: RewardWeights) 
     rest = (parts + shares.to(parts)).logsumexp(-1)
     safe = weights.nc * log_sim[..., _NC] + weights.dac * log_sim[..., _DAC]
     return weights.im * log_im + safe + weights.rest * rest
-
-
-def _head(width: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(width, width // 2), nn.ReLU(), nn.Linear(width // 2, 1))
