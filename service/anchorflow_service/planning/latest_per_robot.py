@@ -23,20 +23,30 @@ class LatestPerRobot:
         """Robots that wait for an answer."""
         return len(self._newest)
 
-    @contextmanager
-    def registered(self, robot_id: str | None, job: Job[Any]) -> Iterator[None]:
-        """Inside, the job stands for its robot; the older one that stood there is cancelled.
+    def standing(self, robot_id: str | None, job: Job[Any]) -> Job[Any] | None:
+        """The robot's older job, whose place this one would take.
 
         Raises:
             Superseded: the job is the older one, read later because it was longer.
         """
         if robot_id is None:
+            return None
+        standing = self._newest.get(robot_id)
+        if standing is not None and standing.arrival.is_after(job.arrival):
+            raise _superseded(robot_id)
+        return standing
+
+    @contextmanager
+    def registered(self, robot_id: str | None, job: Job[Any]) -> Iterator[None]:
+        """Inside, the job stands for its robot; the older one that stood there is cancelled.
+
+        Raises:
+            Superseded: as `standing`.
+        """
+        if robot_id is None:
             yield
             return
-        standing = self._newest.get(robot_id)
-        if standing is not None:
-            if standing.arrival.is_after(job.arrival):
-                raise _superseded(robot_id)
+        if (standing := self.standing(robot_id, job)) is not None:
             standing.cancel(_superseded(robot_id))
         self._newest[robot_id] = job
         try:

@@ -103,7 +103,7 @@ class PlanningQueue:
     def num_waiting(self) -> int:
         """Jobs that somebody waits for and no lane has taken."""
         with self._changed:
-            return self._line.count() + sum(1 for _ in self._left_in_batch())
+            return self._count_waiting()
 
     @property
     def oldest_wait_s(self) -> float:
@@ -130,15 +130,38 @@ class PlanningQueue:
             Overloaded: too many wait, or likely take longer than the job's budget.
             DeadlineExceeded: the budget ran out.
         """
+        with self.admitted(job):
+            return await self.result_of(job)
+
+    @contextmanager
+    def admitted(self, job: Job[Result], *, in_place_of: AnyJob | None = None) -> Iterator[None]:
+        """The job has a place in the line, or on a lane, as long as the block lasts.
+
+        in_place_of: a job that is to be cancelled inside; it does not count as one ahead
+
+        Raises:
+            NotReady, Overloaded: as `submit`.
+        """
         with self._changed:
             if not self._is_open:
                 raise NotReady("the service is stopping")
-            self._check_room(self.num_waiting + self._busy_lanes)
-            self._check_worth_waiting(job)
+            leaves = in_place_of is not None and not in_place_of.has_ended
+            self._check_room(self._count_waiting() + self._busy_lanes - leaves)
+            self._check_worth_waiting(job, ahead=self._count_waiting(but=in_place_of))
             job.submitted = self._clock()
             self._line.add(job)
             self._awaited.add(job)
             self._changed.notify()
+        try:
+            yield
+        finally:
+            job.cancel(JobCancelled())
+            with self._changed:
+                self._line.discard(job)
+                self._awaited.discard(job)
+
+    async def result_of(self, job: Job[Result]) -> Result:
+        """What an admitted job's work returns. Raises `DeadlineExceeded`: the budget ran out."""
         loop = asyncio.get_running_loop()
         budget_ms = job.budget_ms
         alarm = (
@@ -151,10 +174,6 @@ class PlanningQueue:
         finally:
             if alarm is not None:
                 alarm.cancel()
-            job.cancel(JobCancelled())
-            with self._changed:
-                self._line.discard(job)
-                self._awaited.discard(job)
 
     def cancel_all(self) -> None:
         """Refuse all that waits and all that is worked on, as `not_ready`."""
@@ -231,6 +250,10 @@ class PlanningQueue:
         self._changed.notify(len(jobs))
         return None
 
+    def _count_waiting(self, *, but: AnyJob | None = None) -> int:
+        left = sum(job is not but for job in self._left_in_batch())
+        return self._line.count(but=but) + left
+
     def _left_in_batch(self) -> Iterator[AnyJob]:
         """Of those, the ones that have left the line as part of a batch."""
         return (each.job for each in self._batch if not each.job.has_ended)
@@ -241,12 +264,11 @@ class PlanningQueue:
         if waiting >= (self._limits.max_waiting if max_waiting is None else max_waiting):
             raise self._overloaded(f"{waiting} requests wait already", held)
 
-    def _check_worth_waiting(self, job: AnyJob) -> None:
+    def _check_worth_waiting(self, job: AnyJob, *, ahead: int) -> None:
         """Raises `Overloaded` where those ahead and the job itself likely outlast its budget.
 
         A job with nobody ahead is never refused: it is what the estimate learns from.
         """
-        ahead = self.num_waiting
         if job.budget_ms is None or not ahead:
             return
         likely_ms = self._service_time.wait_s(ahead + self.num_lanes) * 1e3

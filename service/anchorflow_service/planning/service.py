@@ -104,8 +104,14 @@ class PlanningService:
                 budget_ms=request.budget_ms,
                 key=_batch_key(engine, request),
             )
-            with self._latest.registered(request.robot_id, job):
-                return await self.queue.submit(job)
+            robot_id = request.robot_id
+            older = self._latest.standing(robot_id, job)
+            # Admitted first: what is refused supersedes nobody.
+            with (
+                self.queue.admitted(job, in_place_of=older),
+                self._latest.registered(robot_id, job),
+            ):
+                return await self.queue.result_of(job)
 
     def __enter__(self) -> PlanningService:
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="reading")

@@ -15,9 +15,9 @@ class WaitingLine:
     def __init__(self) -> None:
         self._jobs: list[AnyJob] = []
 
-    def count(self) -> int:
-        """Jobs that still wait for something."""
-        return sum(not job.has_ended for job in self._jobs)
+    def count(self, *, but: AnyJob | None = None) -> int:
+        """Jobs that still wait for something, `but` apart."""
+        return sum(not job.has_ended and job is not but for job in self._jobs)
 
     @property
     def first(self) -> AnyJob | None:

@@ -242,6 +242,59 @@ def test_where_no_place_is_left_a_robot_has_that_of_its_older_request(
         asyncio.run(fill())
 
 
+def test_the_place_may_be_on_a_lane(
+    service: PlanningService, stepping: SteppingEngine, ask: Ask, until_waiting: UntilWaiting
+) -> None:
+    async def fill() -> None:
+        older = ask(robot_id="r1")
+        await until_at_work(stepping)
+        others = [ask(), ask()]
+        await until_waiting(2)
+        newer = ask(robot_id="r1", seed=2)
+        with pytest.raises(Superseded):
+            await older
+        stepping.steps.release(10)
+        await asyncio.gather(*others, newer)
+
+    with service:
+        asyncio.run(fill())
+
+
+def test_who_is_refused_supersedes_nobody(
+    stepping: SteppingEngine, fields: dict[str, Any], until: Any
+) -> None:
+    now = 7.0
+
+    def take_50_s(_: object) -> None:
+        nonlocal now
+        now += 50.0
+
+    service = PlanningService(
+        {"lines": stepping},
+        default="lines",
+        limits=ServiceLimits(threads=1),
+        clock=lambda: now,
+    )
+
+    def ask(**changes: Any) -> asyncio.Task[Any]:
+        payload = CODEC.encode_request(AnchorRequest.from_fields(fields | changes))
+        return asyncio.ensure_future(service.answer(Call(payload, CODEC, service.arrival(), "r")))
+
+    async def fill() -> None:
+        await service.queue.run(take_50_s)
+        first = ask()
+        await until_at_work(stepping)
+        older, other = ask(robot_id="r1"), ask()
+        await asyncio.to_thread(until, lambda: service.queue.num_waiting == 2)
+        with pytest.raises(Overloaded, match=r"1 requests wait already.* 100000 ms"):
+            await ask(robot_id="r1", seed=2, budget_ms=60_000)
+        stepping.steps.release(9)
+        await asyncio.gather(first, older, other)
+
+    with service:
+        asyncio.run(fill())
+
+
 def test_who_is_refused_a_place_costs_no_reading(
     service: PlanningService,
     stepping: SteppingEngine,
