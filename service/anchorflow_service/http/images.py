@@ -14,9 +14,6 @@ from anchorflow_client.contract import AnchorRequest, EncodedImage
 from anchorflow_client.contract.ranges import MAX_PIXELS
 from anchorflow_client.errors import InvalidRequest
 
-BROKEN = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)
-"""What Pillow raises of broken files, by their format."""
-
 
 def with_pixels(request: AnchorRequest) -> AnchorRequest:
     """The request with its pictures decoded. Raises `InvalidRequest`, which names the input."""
@@ -32,18 +29,29 @@ def decoded(image: EncodedImage, field: str) -> NDArray[np.uint8]:
     """Pixels [3,H,W], RGB.
 
     Raises:
-        InvalidRequest: it is no file of the format that it claims, it is broken, or it has more
-            than MAX_PIXELS, which is looked at before anything is decoded.
+        InvalidRequest: it is no file of the format that it claims, it is broken, a number of it
+            has more than 8 bits, or it has more than MAX_PIXELS, which is looked at before
+            anything is decoded.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit is our own
             with Image.open(io.BytesIO(image.data), formats=[image.format]) as picture:
-                width, height = picture.size
-                if width * height > MAX_PIXELS:
-                    most = f"a picture of at most {MAX_PIXELS} pixels"
-                    raise InvalidRequest(f"expected {most}, got {width} x {height}", field)
+                _check(picture, field)
                 pixels = np.asarray(picture.convert("RGB"))
-    except BROKEN as error:
-        raise InvalidRequest(f"expected a {image.format} file, got {error}", field) from error
+    except InvalidRequest:
+        raise
+    except Exception as error:  # of broken files Pillow raises whatever its plugins stumble over
+        came = f"{len(image.data)} bytes that cannot be read as one"
+        raise InvalidRequest(f"expected a {image.format} file, got {came}", field) from error
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _check(picture: Image.Image, field: str) -> None:
+    """Before it is decoded. Raises `InvalidRequest`."""
+    width, height = picture.size
+    if width * height > MAX_PIXELS:
+        most = f"a picture of at most {MAX_PIXELS} pixels"
+        raise InvalidRequest(f"expected {most}, got {width} x {height}", field)
+    if picture.mode.startswith(("I", "F")):  # which `convert` would clip at 255
+        raise InvalidRequest(f"expected 8 bits a channel, got mode {picture.mode}", field)

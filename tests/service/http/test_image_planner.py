@@ -11,6 +11,7 @@ import base64
 import io
 import re
 import socket
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -44,8 +45,12 @@ def picture(grey: int) -> np.ndarray:
 
 
 def encoded(grey: int, image_format: str = "PNG", size: tuple[int, int] = (WIDTH, HEIGHT)) -> bytes:
+    return written(Image.new("RGB", size, (grey, grey, grey)), image_format)
+
+
+def written(image: Image.Image, image_format: str = "PNG") -> bytes:
     data = io.BytesIO()
-    Image.new("RGB", size, (grey, grey, grey)).save(data, image_format)
+    image.save(data, image_format)
     return data.getvalue()
 
 
@@ -219,9 +224,38 @@ def base64_of(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
+def without_palette() -> bytes:
+    image = Image.new("P", (WIDTH, HEIGHT))
+    image.info["transparency"] = 0
+    png = written(image)
+    start = png.index(b"PLTE") - 4
+    return png[:start] + png[start + 12 + int.from_bytes(png[start : start + 4], "big") :]
+
+
+def with_an_empty_profile() -> bytes:
+    png = encoded(9)
+    chunk = bytes(4) + b"iCCP" + zlib.crc32(b"iCCP").to_bytes(4, "big")
+    return png[:-12] + chunk + png[-12:]  # in front of IEND
+
+
 BAD_FILES: dict[str, tuple[Any, str]] = {
     "no base64": ({"png": "%%%"}, "inputs.camera.png: expected base64"),
-    "no picture": ({"png": base64_of(b"GIF89a")}, "inputs.camera.png: expected a png file"),
+    "no picture": (
+        {"png": base64_of(b"GIF89a")},
+        "inputs.camera.png: expected a png file, got 6 bytes that cannot be read as one$",
+    ),
+    "no palette": (
+        {"png": base64_of(without_palette())},
+        "inputs.camera.png: expected a png file",
+    ),
+    "an empty profile": (
+        {"png": base64_of(with_an_empty_profile())},
+        "inputs.camera.png: expected a png file",
+    ),
+    "16 bits": (
+        {"png": base64_of(written(Image.new("I;16", (WIDTH, HEIGHT), 40_000)))},
+        "inputs.camera.png: expected 8 bits a channel, got mode I;16",
+    ),
     "cut off": (
         {"jpeg": base64_of(encoded(9, "JPEG", (400, 400))[:-300])},
         "inputs.camera.jpeg: expected a jpeg file",
