@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from anchorflow_cli.options import finite
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.planning import PlanningEngine
 from anchorflow_service.repository import BundleFolders
@@ -31,7 +32,10 @@ BatchOption = Annotated[
     int, typer.Option(min=1, help="Requests of a micro-batch; 1: one after the other.")
 ]
 BatchWaitOption = Annotated[
-    float, typer.Option(min=0, help="How long [ms] a micro-batch waits for others to join it.")
+    float,
+    typer.Option(
+        min=0, callback=finite, help="How long [ms] a micro-batch waits for others to join it."
+    ),
 ]
 WaitingOption = Annotated[
     int, typer.Option(min=0, help="Requests that may wait; more are refused.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,6 +24,13 @@ def command_app() -> typer.Typer:
     """A typer app as every command has it; errors are `main`'s to print."""
     # Markup would take the units in help texts, `[m]`, for tags.
     return typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+def finite(value: float) -> float:
+    """Of an option whose number must have an end. Raises `typer.BadParameter`."""
+    if not math.isfinite(value):
+        raise typer.BadParameter(f"expected a finite number, got {value}")
+    return value
 
 
 def vector_option(metavar: str, help_text: str) -> Any:

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from anchorflow_cli.options import finite
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.http.tls import tls_context
 
@@ -52,10 +53,15 @@ PerAddressOption = Annotated[
 BodyOption = Annotated[int, typer.Option(min=1, help="Longest body of a request [bytes].")]
 NoticeOption = Annotated[
     float,
-    typer.Option(min=0, help="Time [s] from readiness turning false to the closing of the port."),
+    typer.Option(
+        min=0,
+        callback=finite,
+        help="Time [s] from readiness turning false to the closing of the port.",
+    ),
 ]
 DrainOption = Annotated[
-    float, typer.Option(min=0, help="Longest wait [s] for running requests on SIGTERM.")
+    float,
+    typer.Option(min=0, callback=finite, help="Longest wait [s] for running requests on SIGTERM."),
 ]
 LogFormatOption = Annotated[LogFormat, typer.Option(help="Form of the log on stderr.")]
 LogLevelOption = Annotated[LogLevel, typer.Option(help="From `info` on every request is a line.")]

@@ -153,6 +153,13 @@ def test_what_is_wrong_at_the_start_is_one_line(tmp_path: Path) -> None:
     assert failure("--bundle", absent).startswith(f"{absent}/manifest.json: cannot be read")
 
 
+@pytest.mark.parametrize("option", ["--notice-s", "--drain-s", "--batch-wait-ms"])
+def test_a_time_without_an_end_is_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["serve", "--port", "0", "--bundle", "absent", option, "inf"])
+    assert f"'{option}': expected a finite number, got inf" in capsys.readouterr().err
+
+
 def test_a_provider_that_is_not_there_is_one_line() -> None:
     name = lacking()
 
