@@ -54,16 +54,24 @@ class JsonCodec:
         ).encode()
 
     def _load(self, body: bytes) -> Any:
-        """Parsed JSON; NaN and Infinity come through, for the field's own check to name them."""
-        try:
-            return json.loads(body)
-        except json.JSONDecodeError as error:
-            raise not_json(error.msg, error.pos, len(body)) from error
-        except UnicodeDecodeError as error:
-            raise not_json("not UTF-8", error.start, len(body)) from error
-        # Lists nested beyond any contract, or an integer of thousands of digits.
-        except (RecursionError, ValueError) as error:
-            raise InvalidRequest(f"expected the contract's JSON, got {error}", "body") from error
+        return parse(body)
+
+
+def parse(body: bytes) -> Any:
+    """Parsed JSON; NaN and Infinity come through, for the field's own check to name them.
+
+    Raises:
+        InvalidRequest: "body" is no JSON.
+    """
+    try:
+        return json.loads(body)
+    except json.JSONDecodeError as error:
+        raise not_json(error.msg, error.pos, len(body)) from error
+    except UnicodeDecodeError as error:
+        raise not_json("not UTF-8", error.start, len(body)) from error
+    # Lists nested beyond any contract, or an integer of thousands of digits.
+    except (RecursionError, ValueError) as error:
+        raise InvalidRequest(f"expected the contract's JSON, got {error}", "body") from error
 
 
 def not_json(reason: str, position: int, length: int) -> InvalidRequest:

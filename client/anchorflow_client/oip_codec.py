@@ -16,12 +16,18 @@ from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.contract.arrays import wrong_shape
 from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.contract.checks import expected, fields_of, text
+from anchorflow_client.contract.checks import boolean, expected, fields_of, text
 from anchorflow_client.contract.inputs import EncodedImage
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
 from anchorflow_client.oip.datatypes import FLOATS, name_of
 from anchorflow_client.oip.message import Datatypes, pack, unpack_header, unpack_tensors
-from anchorflow_client.oip.parameters import check_binary_output, flatten, nest, scalars
+from anchorflow_client.oip.parameters import (
+    check_binary_output,
+    check_in_binary,
+    flatten,
+    nest,
+    scalars,
+)
 from anchorflow_client.wire_fields import answer_fields, answer_of, request_fields
 
 GEOMETRY = "map_geometry"
@@ -73,8 +79,10 @@ class OipCodec:
         header = fields_of(value, "", ("id", "parameters", "inputs", "outputs"), ("inputs",))
         leaves = scalars(header.get("parameters"))
         check_binary_output(leaves)
-        if outputs := header.get("outputs"):
-            leaves["outputs"] = wanted_outputs(outputs)
+        if outputs := wanted_outputs(header.get("outputs"), in_binary=True):
+            for name, in_binary in outputs.items():
+                check_in_binary(in_binary, f"{name}.parameters.binary_data")
+            leaves["outputs"] = list(outputs)
         tensors = unpack_tensors(header["inputs"], data, "inputs", RESERVED)
         return request_of(tensors, leaves, header.get("id"))
 
@@ -122,13 +130,17 @@ def request_of(
         InvalidRequest: names the field or the tensor.
     """
     leaves = dict(leaves)
+    beside: dict[str, Any] = {
+        PATH_OF_INPUT.get(name, INPUTS + name): tensor
+        for name, tensor in tensors.items()
+        if name != GEOMETRY
+    }
     if GEOMETRY in tensors:
-        leaves |= _geometry_leaves(tensors[GEOMETRY])
-    for name, tensor in tensors.items():
-        if name != GEOMETRY:
-            _put(leaves, PATH_OF_INPUT.get(name, INPUTS + name), tensor)
+        beside |= _geometry_leaves(tensors[GEOMETRY])
     if request_id is not None:
-        _put(leaves, "request_id", request_id)
+        beside["request_id"] = request_id
+    for path, value in beside.items():
+        _put(leaves, path, value)
     return AnchorRequest.from_fields(nest(leaves))
 
 
@@ -140,15 +152,25 @@ def answer_tensors(batch: AnchorBatch) -> list[str]:
     return [*([TIME_STEP] if np.ndim(batch.dt) else []), *batch.arrays]
 
 
-def wanted_outputs(outputs: Any) -> list[str]:
-    """The names that a header's `outputs` list. Raises `InvalidRequest`."""
-    if not isinstance(outputs, list):
+def wanted_outputs(outputs: Any, *, in_binary: bool) -> dict[str, bool]:
+    """The names that a header's `outputs` list, and whether it wants them in binary.
+
+    in_binary: those for which nothing else is said
+
+    Raises:
+        InvalidRequest: names the entry.
+    """
+    if not isinstance(outputs, list | None):
         raise expected("outputs", "a list of outputs", outputs)
-    entries = [
-        fields_of(value, f"outputs[{index}]", ("name", "parameters"), ("name",))
-        for index, value in enumerate(outputs)
-    ]
-    return [text(entry["name"], f"outputs[{i}].name") for i, entry in enumerate(entries)]
+    wanted: dict[str, bool] = {}
+    for index, value in enumerate(outputs or ()):
+        field = f"outputs[{index}]"
+        entry = fields_of(value, field, ("name", "parameters"), ("name",))
+        name, said = text(entry["name"], f"{field}.name"), entry.get("parameters")
+        field += ".parameters"
+        said = {} if said is None else fields_of(said, field, ("binary_data",))
+        wanted[name] = boolean(said.get("binary_data", in_binary), f"{field}.binary_data")
+    return wanted
 
 
 def _request_tensors(leaves: dict[str, Any]) -> dict[str, NDArray[Any]]:

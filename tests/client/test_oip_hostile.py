@@ -135,6 +135,23 @@ BAD_HEADERS: dict[str, tuple[Edit, str, str]] = {
         "expected 12 bytes, got 0",
     ),
     "outputs are no list": (lambda header: header.update(outputs={"a": 1}), "outputs", "a list of"),
+    "output with nonsense": (
+        lambda header: header.update(outputs=[{"name": "safe", "parameters": "nonsense"}]),
+        "outputs[0].parameters",
+        "an object, got the string",
+    ),
+    "output in JSON": (
+        lambda header: header.update(
+            outputs=[{"name": "safe", "parameters": {"binary_data": False}}]
+        ),
+        "safe.parameters.binary_data",
+        "got false",
+    ),
+    "resolution twice": (
+        parameter("cost_map.resolution", 0.5),
+        "cost_map.resolution",
+        "as a parameter too",
+    ),
     "output without a name": (
         lambda header: header.update(outputs=[{}]),
         "outputs[0].name",

@@ -136,12 +136,8 @@ class _Entry:
 
     def view(self, part: memoryview, datatypes: Sequence[str]) -> NDArray[Any]:
         """The tensor in `part`, whose shape, type and size agree."""
-        datatype, shape = choice(self.datatype, self.name, datatypes), self.shape
-        if not (isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS):
-            raise expected(self.name, f"a shape of at most {MAX_DIMENSIONS} axes", shape)
-        for size in shape:
-            if not _is_count(size, at_least=1):
-                raise expected(self.name, "a shape of whole numbers from 1 on", size)
+        datatype = choice(self.datatype, self.name, datatypes)
+        shape = checked_shape(self.shape, self.name)
         # Python's own integers: a product of lying axes overflows none.
         wanted = self.size if datatype == BYTES else math.prod(shape) * DTYPE_OF[datatype].itemsize
         if wanted != self.size:
@@ -153,6 +149,16 @@ class _Entry:
         if datatype == BYTES:
             return texts_from_wire(part, shape, self.name)
         return _array(part, DTYPE_OF[datatype], self.name).reshape(shape)
+
+
+def checked_shape(shape: Any, name: str) -> list[int]:
+    """The shape that a header gives a tensor. Raises `InvalidRequest`."""
+    if not (isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS):
+        raise expected(name, f"a shape of at most {MAX_DIMENSIONS} axes", shape)
+    for size in shape:
+        if not _is_count(size, at_least=1):
+            raise expected(name, "a shape of whole numbers from 1 on", size)
+    return shape
 
 
 def _is_count(value: Any, *, at_least: int) -> bool:

@@ -60,7 +60,12 @@ def scalars(value: Any) -> dict[str, Any]:
 def check_binary_output(leaves: dict[str, Any]) -> None:
     """Take `binary_data_output` out. Raises `InvalidRequest` where it asks for outputs in JSON."""
     field = "binary_data_output"
-    if not boolean(leaves.pop(field, True), field):
+    check_in_binary(boolean(leaves.pop(field, True), field), field)
+
+
+def check_in_binary(wanted: bool, field: str) -> None:
+    """Raises `InvalidRequest` where not."""
+    if not wanted:
         raise InvalidRequest(
             "expected true, as answers have the form of requests, got false", field
         )

@@ -28,7 +28,12 @@ from anchorflow_client.contract.inputs import texts
 from anchorflow_client.contract.ranges import BUDGET, EVERY_NUMBER, Interval
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.oip.datatypes import BYTES, DATATYPES, DTYPE_OF, name_of, to_wire
-from anchorflow_client.oip.message import ALIGNMENT, unpack_header, unpack_tensors
+from anchorflow_client.oip.message import (
+    ALIGNMENT,
+    checked_shape,
+    unpack_header,
+    unpack_tensors,
+)
 from anchorflow_client.oip.parameters import flatten, scalars
 from anchorflow_client.oip_codec import (
     RESERVED,
@@ -70,12 +75,14 @@ class InferCodec:
         header = fields_of(value, "", ("id", "parameters", "inputs", "outputs"), ("inputs",))
         leaves = scalars(header.get("parameters"))
         self._in_binary = boolean(leaves.pop("binary_data_output", False), "binary_data_output")
-        self._wanted = _wanted(header.get("outputs"), self._in_binary)
+        self._wanted = wanted_outputs(header.get("outputs"), in_binary=self._in_binary)
         if self._wanted:
             leaves["outputs"] = list(self._wanted)
         if TIMEOUT in leaves:
+            if "budget_ms" in leaves:
+                raise InvalidRequest("expected this field or budget_ms, got both", TIMEOUT)
             timeout_ms = Interval(BUDGET.low, BUDGET.high * 1e3, "µs", open_low=True)
-            leaves.setdefault("budget_ms", number(leaves.pop(TIMEOUT), TIMEOUT, timeout_ms) / 1e3)
+            leaves["budget_ms"] = number(leaves.pop(TIMEOUT), TIMEOUT, timeout_ms) / 1e3
         return request_of(_tensors(header["inputs"], data), leaves, header.get("id"))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
@@ -111,16 +118,6 @@ class InferCodec:
         return {name: in_binary for name, in_binary in told.items() if name in tensors}
 
 
-def _wanted(outputs: Any, in_binary: bool) -> dict[str, bool]:
-    """The outputs that a header names, and whether it wants them in binary."""
-    wanted: dict[str, bool] = {}
-    for index, name in enumerate(wanted_outputs(outputs) if outputs else ()):
-        field, value = f"outputs[{index}]", outputs[index]
-        said = fields_of(value.get("parameters") or {}, f"{field}.parameters", ("binary_data",))
-        wanted[name] = boolean(said.get("binary_data", in_binary), f"{field}.binary_data")
-    return wanted
-
-
 def _tensors(inputs: Any, data: memoryview) -> Mapping[str, NDArray[Any]]:
     """The tensors of a header, whose data stand in it or behind it."""
     if not isinstance(inputs, list):
@@ -143,9 +140,7 @@ def _json_tensor(value: Any, field: str) -> tuple[str, NDArray[Any]]:
     entry = fields_of(value, field, names, required=names)
     name = text(entry["name"], f"{field}.name")
     datatype = choice(entry["datatype"], name, RESERVED.get(name, DATATYPES))
-    shape = entry["shape"]
-    if not isinstance(shape, list) or not all(type(size) is int and size > 0 for size in shape):
-        raise expected(name, "a shape of whole numbers from 1 on", shape)
+    shape = checked_shape(entry["shape"], name)
     if datatype == BYTES:
         tensor = _texts(entry["data"], name)
     else:

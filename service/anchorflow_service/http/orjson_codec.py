@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import orjson
 
+from anchorflow_client import json_codec
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.json_codec import JsonCodec, not_json
@@ -23,10 +24,13 @@ def dump(value: Any) -> bytes:
 
 
 def parse(body: bytes) -> Any:
-    """JSON as the standard has it. Raises `InvalidRequest`."""
+    """As `json_codec.parse`. Raises `InvalidRequest`."""
     try:
         return orjson.loads(body)
     except orjson.JSONDecodeError as error:
+        if _NOT_FINITE.match(error.doc, error.pos):
+            # Read again by a parser that lets them through, so that they are refused by field.
+            return json_codec.parse(body)
         raise not_json(error.msg, error.pos, len(body)) from error
 
 
@@ -41,13 +45,7 @@ class OrjsonCodec(JsonCodec):
         return dump(value)
 
     def _load(self, body: bytes) -> Any:
-        try:
-            return orjson.loads(body)
-        except orjson.JSONDecodeError as error:
-            if _NOT_FINITE.match(error.doc, error.pos):
-                # Read again by a parser that lets them through, so that they are refused by field.
-                return super()._load(body)
-            raise not_json(error.msg, error.pos, len(body)) from error
+        return parse(body)
 
 
 def _contiguous(value: Any) -> Any:

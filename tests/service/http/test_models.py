@@ -162,10 +162,25 @@ REFUSED: dict[str, tuple[Any, str]] = {
         "inputs.camera: unknown to lines, which is asked with cost_map, x_curr, x_goal",
     ),
     "unknown type": (lambda body: change(body, datatype="BYTES"), "cost_map: expected one of FP32"),
-    "shape no list": (lambda body: change(body, shape=5), "cost_map: expected a shape of whole"),
-    "shape of true": (lambda body: change(body, shape=[True]), "cost_map: expected a shape of"),
+    "shape no list": (lambda body: change(body, shape=5), "cost_map: expected a shape of at most"),
+    "shape of true": (
+        lambda body: change(body, shape=[True]),
+        "cost_map: expected a shape of whole numbers from 1 on, got the boolean true",
+    ),
+    "shape of -6": (
+        lambda body: change(body, shape=[-6]),
+        "cost_map: expected a shape of whole numbers from 1 on, got -6",
+    ),
+    "65 axes": (
+        lambda body: change(body, shape=[1, 16, 20] + [1] * 62),
+        "cost_map: expected a shape of at most 8 axes, got a list of 65",
+    ),
     "shape too small": (lambda body: change(body, shape=[1, 16, 19]), "cost_map: expected shape"),
-    "huge shape": (lambda body: change(body, shape=[2**62] * 9), "cost_map: expected shape"),
+    "huge shape": (lambda body: change(body, shape=[2**62] * 8), "cost_map: expected shape"),
+    "not a number": (
+        lambda body: change(body, data=[float("nan")] * 320),
+        r"expected finite numbers, got nan at cost_map\[0\]",
+    ),
     "data of strings": (
         lambda body: change(body, data=["1"] * 320),
         r"expected a number at cost_map\[0\], got",
@@ -216,6 +231,14 @@ REFUSED: dict[str, tuple[Any, str]] = {
         "shared_memory_region: unknown field",
     ),
     "a timeout of 0": (lambda body: body | {"parameters": {"timeout": 0}}, "timeout: expected"),
+    "a timeout and a budget": (
+        lambda body: body | {"parameters": {"timeout": 1e6, "budget_ms": 1e3}},
+        "timeout: expected this field or budget_ms, got both",
+    ),
+    "parameters of an output that are none": (
+        lambda body: body | {"outputs": [{"name": "safe", "parameters": ""}]},
+        r"outputs\[0\].parameters: expected an object",
+    ),
     "a nested parameter": (
         lambda body: body | {"parameters": {"sampler": {"method": "rk4"}}},
         "sampler: expected a string, a number or a boolean",
