@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import re
 from dataclasses import dataclass
 
 import h11
@@ -26,6 +27,8 @@ RESERVE = 64
 """Connections beyond the limit that are still heard, so that a probe gets through a crowd."""
 SHARE = 0.75
 """Of the connections, for one address."""
+BLANK_LINE = re.compile(rb"\n\r?\n")
+"""It ends a head."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,23 @@ class ConnectionLimits:
         )
 
 
+class LimitedHead(h11.Connection):
+    """Refuses too long a head also where it comes in one piece, which h11 itself lets pass."""
+
+    def __init__(self, max_head_bytes: int) -> None:
+        super().__init__(h11.SERVER, max_head_bytes)
+        self._max_head_bytes = max_head_bytes
+
+    def next_event(self) -> h11.Event | type[h11.NEED_DATA] | type[h11.PAUSED]:
+        """Raises `h11.RemoteProtocolError` for what is no HTTP and for too long a head."""
+        if self.their_state is h11.IDLE:
+            came, _ = self.trailing_data
+            most = self._max_head_bytes
+            if len(came) > most and not BLANK_LINE.search(came, 0, most):
+                raise h11.RemoteProtocolError("head too long", error_status_hint=431)
+        return super().next_event()
+
+
 class LimitedConnection(H11Protocol):
     """One connection of a server; `limited` makes the class, with the limits and the places."""
 
@@ -67,6 +87,7 @@ class LimitedConnection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Serve it, or hear it and refuse, by how many there are."""
         super().connection_made(transport)
+        self.conn = LimitedHead(self.limits.max_head_bytes)
         source = None if self.client is None else source_of(self.client[0])
         has_place, evicted = self.places.enter(self, source)
         if evicted is not None:

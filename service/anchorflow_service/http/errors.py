@@ -12,6 +12,9 @@ from starlette.responses import Response
 from anchorflow_client.errors import InvalidRequest, Overloaded, RequestError
 from anchorflow_service.http.answers import json_answer
 
+MAX_ECHOED = 100
+"""Characters of a method and a path that a refusal repeats."""
+
 
 def install_error_handlers(app: FastAPI) -> None:
     """Answer refusals, unknown paths and wrong methods in the contract's words."""
@@ -35,7 +38,7 @@ def _refused(_: Request, error: Exception) -> Response:
 
 def _not_routed(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    came = f"{request.method} {request.url.path}"
+    came = f"{request.method} {request.url.path}"[:MAX_ECHOED]
     expected = (error.headers or {}).get("Allow", "one of the paths in /openapi.json")
     message = f"{error.detail}: expected {expected}, got {came}"
     return error_answer(InvalidRequest(message, http_status=error.status_code), error.headers)

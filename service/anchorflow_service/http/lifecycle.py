@@ -75,7 +75,6 @@ class AnchorServer(uvicorn.Server):
                 server_header=False,
                 proxy_headers=False,
                 backlog=ACCEPTED_AT_A_TIME,
-                h11_max_incomplete_event_size=limits.max_head_bytes,
                 # What is cancelled by then is still answered.
                 timeout_graceful_shutdown=math.ceil(self._draining.drain_s + CANCELLING_S),
                 ssl_context_factory=None if tls is None else (lambda *_: tls),

@@ -175,6 +175,7 @@ def test_bodies_that_are_to_be_refused_do_not_keep_probes_out(
     [
         b"GET /v2 HTTP/1.1\r\nHost: a\r\nX-Long: " + b"x" * 2000,
         b"GET /" + b"x" * 2000,
+        b"GET /" + b"x" * 1000 + b" HTTP/1.1\r\nHost: a\r\n\r\n",
         b"nonsense\r\n\r\n",
         b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n",
         b"POST /anchors HTTP/1.1\r\nHost: a\r\nContent-Length: -1\r\n\r\n",

@@ -167,3 +167,9 @@ def test_a_wrong_path_or_method_is_refused_in_the_same_words(
     error = refusal(service.request(method, path), status, "invalid_request")
 
     assert f"{method} {path}" in error["message"]
+
+
+def test_a_long_path_is_not_repeated(service: Any) -> None:
+    error = refusal(service.request("GET", "/" + "x" * 10_000), 404, "invalid_request")
+
+    assert len(error["message"]) < 200
