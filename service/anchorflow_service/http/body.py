@@ -7,7 +7,7 @@ from contextlib import suppress
 
 from starlette.requests import ClientDisconnect, Request
 
-from anchorflow_client.errors import TooLarge
+from anchorflow_client.errors import InvalidRequest, TooLarge
 
 # An ordinary client sends its whole body before it looks for the answer; one that is refused in
 # mid-send sees a reset connection instead of the reason. So the rest is taken and thrown away.
@@ -19,8 +19,14 @@ async def read_body(request: Request, max_bytes: int) -> bytes:
     """The whole body.
 
     Raises:
+        InvalidRequest: it would have to be unpacked; a small body that unpacks to a huge one is
+            nobody's to send.
         TooLarge: by its Content-Length, or as soon as more has come; what still comes is discarded.
     """
+    encoding = request.headers.get("content-encoding", "identity")
+    if encoding.lower() != "identity":
+        await discard_body(request)
+        raise InvalidRequest(f"expected a body as it is, got {encoding[:40]!r}", "Content-Encoding")
     declared = request.headers.get("content-length", "")
     if declared.isdecimal() and int(declared) > max_bytes:
         await discard_body(request)

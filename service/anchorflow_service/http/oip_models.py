@@ -15,7 +15,7 @@ from starlette.responses import Response
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import CostMapSpec, ModelCard, TensorSpec
 from anchorflow_client.contract.batch import ARRAY_DTYPES, MOTIONS
-from anchorflow_client.errors import InvalidRequest, NotReady, UnknownModel
+from anchorflow_client.errors import NotReady, UnknownModel
 from anchorflow_client.oip.datatypes import datatype_of
 from anchorflow_client.oip_codec import TIME_STEP
 from anchorflow_service.http.anchors import answer_to, header_length
@@ -65,20 +65,12 @@ def models_router(service: PlanningService) -> APIRouter:
         """Anchors, each tensor in JSON or in binary, both ways."""
         arrival = service.arrival()
         body = await read_body(request, service.limits.max_body_bytes)
-        _check_encoding(request)
         card_of(name, version)
         payload = Payload(body, header_length(request))
         call = Call(payload, InferCodec(), arrival, request.state.request_id, model=name)
         return await answer_to(call, request, service)
 
     return router
-
-
-def _check_encoding(request: Request) -> None:
-    """Raises `InvalidRequest`: a small body that unpacks to a huge one is nobody's to send."""
-    encoding = request.headers.get("content-encoding", "identity")
-    if encoding.lower() != "identity":
-        raise InvalidRequest(f"expected a body as it is, got {encoding[:40]!r}", "Content-Encoding")
 
 
 def _metadata(card: ModelCard) -> dict[str, Any]:

@@ -254,12 +254,3 @@ def test_what_is_wrong_is_refused_by_name(service: Any, body: dict[str, Any], ca
 
     assert answer.status_code == 422
     assert re.match(words, answer.json()["error"]["message"]), answer.text
-
-
-def test_a_body_that_would_have_to_be_unpacked_is_refused(
-    service: Any, body: dict[str, Any]
-) -> None:
-    answer = infer(service, body, **{"Content-Encoding": "gzip"})
-
-    assert answer.status_code == 422
-    assert answer.json()["error"]["field"] == "Content-Encoding"

@@ -152,6 +152,15 @@ def test_another_form_than_json_is_refused(service: Any, content_type: str) -> N
     assert "application/json" in error["message"]
 
 
+@pytest.mark.parametrize("path", ["/anchors", "/v2/models/lines/infer"])
+def test_a_body_that_would_have_to_be_unpacked_is_refused(service: Any, path: str) -> None:
+    answer = service.request("POST", path, headers={"Content-Encoding": "gzip"}, content=b"\x1f")
+
+    error = refusal(answer, 422, "invalid_request")
+    assert error["field"] == "Content-Encoding"
+    assert "expected a body as it is, got 'gzip'" in error["message"]
+
+
 @pytest.mark.parametrize(
     ("method", "path", "status"),
     [
