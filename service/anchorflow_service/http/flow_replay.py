@@ -19,6 +19,7 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_service.http.answers import json_answer
 from anchorflow_service.http.body import read_body
+from anchorflow_service.http.hang_up import HungUp, to_nobody, unless_hung_up
 from anchorflow_service.http.orjson_codec import OrjsonCodec
 from anchorflow_service.planning import PlanningService
 
@@ -44,6 +45,7 @@ def flow_replay_router(service: PlanningService) -> APIRouter:
     @router.post("/page/flow")
     async def flow(request: Request) -> Response:
         """{times [K], positions [K,N,T,2]} of a request as `POST /anchors` takes it in JSON."""
+        arrival = service.arrival()
         body = await read_body(request, service.limits.max_body_bytes)
         asked = await asyncio.to_thread(OrjsonCodec().decode_request, Payload(body))
         engine = service.engines.choose(asked.model)
@@ -51,7 +53,15 @@ def flow_replay_router(service: PlanningService) -> APIRouter:
             raise InvalidRequest(f"expected a model with a flow, got {engine.card.name}", "model")
         resolved = resolve_for_card(asked, engine.card)
         _check_size(resolved)
-        return await service.queue.run(lambda _: _answer(engine.flow_states(resolved)))
+        replay = service.queue.run(
+            lambda _: _answer(engine.flow_states(resolved)),
+            arrival=arrival,
+            budget_ms=resolved.budget_ms,
+        )
+        try:
+            return await unless_hung_up(request, replay)
+        except HungUp:
+            return to_nobody()
 
     return router
 

@@ -113,14 +113,27 @@ class PlanningQueue:
             first = next(self._left_in_batch(), self._line.first)
             return 0.0 if first is None else self._clock() - first.submitted
 
-    async def run(self, work: Callable[[JobContext], Result]) -> Result:
+    async def run(
+        self,
+        work: Callable[[JobContext], Result],
+        *,
+        arrival: Arrival | None = None,
+        budget_ms: float | None = None,
+    ) -> Result:
         """What work that is no request returns; it takes a place, and a lane to itself.
+
+        Args:
+            work: the function to run, on a lane's thread.
+            arrival: when the caller asked; None: now.
+            budget_ms: from then on; None: the caller waits as long as it takes.
 
         Raises:
             NotReady, Overloaded: as `place`.
+            DeadlineExceeded: the budget ran out.
         """
+        arrival = arrival or Arrival(clock=self._clock)
         with self.place():
-            return await self.submit(Job(work, Arrival(clock=self._clock)))
+            return await self.submit(Job(work, arrival, budget_ms=budget_ms))
 
     async def submit(self, job: Job[Result]) -> Result:
         """What the job's work returns; whoever cancels this cancels the job.

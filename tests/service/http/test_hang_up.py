@@ -13,6 +13,8 @@ import pytest
 from fastapi import FastAPI
 
 from anchorflow_client import AnchorBatch, AnchorRequest
+from anchorflow_client.contract import ResolvedRequest
+from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_service.http import create_app
 from anchorflow_service.planning import (
     ANSWERED,
@@ -49,6 +51,9 @@ class StepByStep:
         finally:
             self.left.set()
         return self._engine.plan(request, threads=threads, check=check)
+
+    def flow_states(self, request: ResolvedRequest, /) -> FlowStates:
+        raise AssertionError(request)
 
 
 class Outcomes(Observer):
@@ -149,3 +154,20 @@ def test_who_hangs_up_in_the_queue_is_not_planned(
 
     assert stepping.steps_taken == 4
     assert outcomes.seen == [CANCELLED, ANSWERED]
+
+
+def test_who_hangs_up_gives_the_place_of_a_replay_back(
+    planning: PlanningService,
+    stepping: StepByStep,
+    fields: dict[str, Any],
+    listen: Callable[[FastAPI], str],
+    until: Any,
+) -> None:
+    url, body = listen(create_app(planning)), json.dumps(fields).encode()
+    with post(url, "/anchors", body) as first:
+        assert stepping.at_work.wait(PATIENCE_S)
+        with post(url, "/page/flow", body):
+            until(lambda: planning.queue.in_flight == 2)
+        until(lambda: planning.queue.in_flight == 1)
+        stepping.step.release(4)
+        assert b"200 OK" in first.recv(4096)

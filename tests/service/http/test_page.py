@@ -278,6 +278,13 @@ def test_a_flow_that_is_refused(
     assert expected in answer.json()["error"]["message"]
 
 
+def test_a_flow_has_the_budget_of_its_request(flowing: Any, flow_fields: dict[str, Any]) -> None:
+    answer = post_flow(flowing, flow_fields | {"budget_ms": 1e-6})
+
+    assert answer.status_code == 504
+    assert answer.json()["error"]["code"] == "deadline_exceeded"
+
+
 def test_an_engine_without_a_flow_says_so(service: Any, fields: dict[str, Any]) -> None:
     answer = post_flow(service, fields)
 
