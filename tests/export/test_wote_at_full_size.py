@@ -14,7 +14,8 @@ from torch import nn
 from anchorflow_client.contract import TensorSpec
 from anchorflow_export.adapter import TracedGraph
 from anchorflow_export.parity import TOLERANCE
-from anchorflow_export.planners.wote.adapter import SCORED, Encode, Score, sensor_inputs
+from anchorflow_export.planners.sensors import sensor_inputs
+from anchorflow_export.planners.wote.adapter import SCORED, Encode, Score
 from anchorflow_export.tracing import trace
 from anchorflow_models.wote import WoTE, WoteConfig, create_wote
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from anchorflow_client.contract import AnchorRequest, TensorSpec, resolve_for_card
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
-from anchorflow_export.planners.wote.adapter import sensor_inputs
+from anchorflow_export.planners.sensors import sensor_inputs
 from anchorflow_export.tracing import random_tensor, trace
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S

@@ -17,8 +17,9 @@ from anchorflow_export.adapter import (
     SampleTrial,
     TracedGraph,
 )
+from anchorflow_export.planners.sensors import sensor_inputs
 from anchorflow_export.tracing import random_tensor, trace
-from anchorflow_models.transfuser import AGENT_STATE, STATUS, TransfuserConfig
+from anchorflow_models.transfuser import AGENT_STATE, STATUS
 from anchorflow_models.wote import SIMULATED, WoTE, WoteConfig
 from anchorflow_models.wote.wote import POSE
 from anchorflow_service.bundle import Bundle
@@ -37,30 +38,6 @@ COMPONENTS = ("x", "y", "heading")
 TOLD = ("agents", "agent_scores", "bev_semantics")
 SCORED = ("trajectories", "scores", "offsets", "im_rewards", "sim_rewards")
 TRIALS = (1, 3)  # B; traced at another
-FASTEST = 60.0  # m/s, and m/s²: what a status may say
-
-
-def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
-    """What a planner with a Transfuser backbone is asked with: camera, LiDAR, ego status."""
-    sizes, reach = dict(backbone.input_sizes()), backbone.lidar_range
-    return (
-        TensorSpec("camera", "uint8", ("B", *sizes["camera"])),
-        TensorSpec(
-            "lidar",
-            F32,
-            ("B", *sizes["lidar"]),
-            f"rows x, columns y, both from {-reach:g} to {reach:g} m",
-            range=(0.0, 1.0),
-        ),
-        TensorSpec(
-            "ego_status",
-            F32,
-            ("B", STATUS),
-            "command left, straight, right, unknown: 0 or 1; velocity x, y: m/s; "
-            "acceleration x, y: m/s^2",
-            range=(-FASTEST, FASTEST),
-        ),
-    )
 
 
 def answer_extras(config: WoteConfig) -> tuple[TensorSpec, ...]:
