@@ -123,6 +123,7 @@ def test_it_plans_with_what_was_filled_in(camera: Any, tmp_path: Path, artefacts
     rows = camera.locate("#poses tbody tr").all_inner_texts()
     read = np.array([row.replace("−", "-").split() for row in rows], float)
     np.testing.assert_allclose(read, np.column_stack([TIMES, paths[0]]), atol=0.005001)
+    expect(camera.locate("#anchor-figures")).to_contain_text(f"{TIMES[-1]:.1f} s")
     camera.page.screenshot(path=artefacts / "camera.png")
 
 

@@ -64,6 +64,7 @@ def test_what_is_left_of_a_plan_is_a_warm_start_in_its_own_time(
     ("dt", "durations", "text", "own"),
     [
         ("0.5", [2.0, 2.0, 2.0], "2.0 s", False),
+        ("0.5, first_s: 0.5", [2.5, 2.5, 2.5], "2.5 s", False),  # from now on
         (
             "{ shape: [3], values: Float64Array.of(1, 2, 3) }",
             [4.0, 8.0, 12.0],

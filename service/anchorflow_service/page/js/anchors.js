@@ -57,9 +57,9 @@ export class Anchors {
     return this.first + t * this.dts[n];
   }
 
-  /** s from an anchor's first time step to its last. */
+  /** s from now to an anchor's last time step. */
   duration(n) {
-    return this.dts[n] * (this.steps - 1);
+    return this.time(n, this.steps - 1);
   }
 
   /** "4.2 to 9.1 s" of the safe ones, of all where none is; "8.0 s" where they are alike. */
