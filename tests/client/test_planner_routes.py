@@ -144,8 +144,8 @@ def test_a_robot_that_stays_in_place_is_stuck_after_a_while() -> None:
 def test_the_reason_says_how_much_room_there_is() -> None:
     batch = batch_of([1.5, -1.5], scores=[-1, -1], safe=[False, False])
     assert why_unsafe(batch, 0.05) == "none of 2 anchors is safe"
-    clearance = np.array([0.01, -0.2], np.float32)
-    told = why_unsafe(replace(batch, arrays={**batch.arrays, "clearance": clearance}), 0.05)
+    clearance = np.array([0.0284, -0.2], np.float32)
+    told = why_unsafe(replace(batch, arrays={**batch.arrays, "clearance": clearance}), 0.03)
     assert told is not None
-    assert "keeps 0.01 m of the 0.05 m" in told
+    assert "keeps 0.028 m of the 0.030 m" in told
     assert why_unsafe(batch_of([1.5], scores=[-1]), 0.05) is None

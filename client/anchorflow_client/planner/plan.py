@@ -84,4 +84,4 @@ def why_unsafe(batch: AnchorBatch, margin_m: float) -> str | None:
     widest = float(clearance.max())
     if widest >= margin_m:
         return f"{told}: those that have room break a limit or keep the margin only just"
-    return f"{told}: the widest way keeps {widest:.2f} m of the {margin_m:.2f} m that are asked for"
+    return f"{told}: the widest way keeps {widest:.3f} m of the {margin_m:.3f} m that are asked for"
