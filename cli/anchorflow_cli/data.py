@@ -19,7 +19,7 @@ from anchorflow_cli.data_frames import frames
 from anchorflow_cli.data_import_log import import_log
 from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
-from anchorflow_cli.options import command_app
+from anchorflow_cli.options import command_app, picture_option
 from anchorflow_training.data import TrajectoryDataset
 from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.inspection import (
@@ -155,7 +155,7 @@ def inspect(
         Path, typer.Argument(metavar="FILE_OR_DIR", help="Trajectory file or dataset folder.")
     ],
     *,
-    out: Annotated[Path | None, typer.Option(help="Picture of some scenes, .png or .svg.")] = None,
+    out: Annotated[Path | None, picture_option("Picture of some scenes")] = None,
     scenes: Annotated[
         int, typer.Option(min=1, help="Scenes whose homology classes are counted.")
     ] = 200,

@@ -29,6 +29,7 @@ from anchorflow_cli.options import (
     Vector,
     command_app,
     end_states,
+    picture_option,
 )
 from anchorflow_cli.plan import table
 from anchorflow_cli.ros_map import RosMap, load_ros_map
@@ -100,7 +101,7 @@ def generate(
         float | None, typer.Option(help="Steer clear while drawing, at this rate; about 5.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Arrays to write, .npz.")] = None,
-    plot: Annotated[Path | None, typer.Option(help="Picture to draw, .png or .svg.")] = None,
+    plot: Annotated[Path | None, picture_option("Picture to draw")] = None,
 ) -> None:
     """Draw anchors between two points; print a table, write them, draw them."""
     seen = _seen(map_file, start, goal, size_m=size, unknown_is_free=unknown_is_free)

@@ -33,6 +33,23 @@ def finite(value: float) -> float:
     return value
 
 
+PICTURE_SUFFIXES = (".png", ".svg")
+
+
+def picture_path(text: str) -> Path:
+    """The file of a picture to draw. Raises `typer.BadParameter` for another suffix."""
+    path = Path(text)
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise typer.BadParameter(f"expected a file {' or '.join(PICTURE_SUFFIXES)}, got {text!r}")
+    return path
+
+
+def picture_option(what: str) -> Any:
+    """An option of a picture's file, checked before any work is done."""
+    suffixes = " or ".join(PICTURE_SUFFIXES)
+    return typer.Option(parser=picture_path, metavar="PATH", help=f"{what}, {suffixes}.")
+
+
 def vector_option(metavar: str, help_text: str) -> Any:
     """An option of numbers, `--start 1.5,-2`: as many as the metavar (`X,Y[,HEADING]`) has parts.
 

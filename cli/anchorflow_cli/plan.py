@@ -29,6 +29,7 @@ from anchorflow_cli.options import (
     VMaxOption,
     command_app,
     end_states,
+    picture_option,
 )
 from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
@@ -58,7 +59,7 @@ def plan(
         float | None, typer.Option(help="Side of the map's window [m]; by the way's length.")
     ] = None,
     unknown_is_free: UnknownIsFreeOption = False,
-    out: Annotated[Path | None, typer.Option(help="Picture to draw, .png or .svg.")] = None,
+    out: Annotated[Path | None, picture_option("Picture to draw")] = None,
     url: Annotated[
         str | None, typer.Option(help="Ask this server instead of the engine in-process.")
     ] = None,

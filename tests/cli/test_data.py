@@ -97,7 +97,9 @@ def test_errors_are_one_line(file: Path, tmp_path: Path) -> None:
     (tmp_path / "a.pkl").write_bytes(pickle.dumps(np.zeros((2, 9, 2))))
     assert "--allow-pickle" in str(data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1))
     assert data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1, "--allow-pickle") == 0
-    assert "sheet.txt" in str(data("inspect", tmp_path / "d", "--out", tmp_path / "sheet.txt"))
+    sheet = tmp_path / "absent" / "sheet.svg"
+    assert "sheet.svg" in str(data("inspect", tmp_path / "d", "--out", sheet))
+    assert data("inspect", tmp_path / "d", "--out", tmp_path / "sheet.txt") == 2
     assert "expected KITTI" in str(data("from-poses", tmp_path / "none", tmp_path / "p.npz"))
 
 

@@ -175,12 +175,24 @@ def test_a_picture_tells_how_long_anchors_last(dt: float | np.ndarray, told: str
     assert told_durations(batch) == told
 
 
-@pytest.mark.usefixtures("requests")
-@pytest.mark.parametrize("name", ["absent/plot.png", "plot.xyz"])
-def test_a_picture_that_cannot_be_written_is_one_line(
-    map_file: Path, tmp_path: Path, name: str
+@pytest.mark.parametrize("name", ["plot.bmp", "plot", "plot.png.pdf"])
+def test_another_format_than_the_help_names_is_refused_before_planning(
+    map_file: Path, requests: list[AnchorRequest], capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    ends, picture = ["--start", "0,0", "--goal", "3,0"], str(tmp_path / name)
+    with pytest.raises(SystemExit) as caught:
+        main(["plan", "--map", str(map_file), "--start=0,0", "--goal=3,0", "--out", name])
+
+    assert caught.value.code == 2
+    assert f"expected a file .png or .svg, got '{name}'" in capsys.readouterr().err
+    assert not requests
+    with pytest.raises(SystemExit):
+        main(["plan", "--help"])
+    assert "Picture to draw, .png or .svg." in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.usefixtures("requests")
+def test_a_picture_that_cannot_be_written_is_one_line(map_file: Path, tmp_path: Path) -> None:
+    ends, picture = ["--start", "0,0", "--goal", "3,0"], str(tmp_path / "absent/plot.png")
     with pytest.raises(SystemExit) as caught:
         main(["plan", "--map", str(map_file), *ends, "--out", picture])
 
