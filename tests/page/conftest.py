@@ -127,6 +127,15 @@ def served_driving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]
 
 
 @pytest.fixture(scope="session")
+def served_v2x() -> Iterator[Served]:
+    """A service with the default bundle, and one that takes two pictures of any size and a text."""
+    served = Served("--bundle", str(DEFAULT_BUNDLE), "--bundle", str(DEFAULT_BUNDLE.parent / "v2x"))
+    served.start()
+    yield served
+    served.stop()
+
+
+@pytest.fixture(scope="session")
 def served_one_robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """A service whose card lets a request set no limit, and whose anchors all last 8 s."""
     folder = tmp_path_factory.mktemp("robot") / "bundle"

@@ -45,7 +45,7 @@ function rangeText([low, high]) {
 
 function inputText(spec) {
   const limits = limitsText(spec);
-  return make("span", {}, make("b", {}, spec.name), ` ${typeText(spec)}${limits && `, ${limits}`}`);
+  return make("span", {}, make("b", {}, spec.name), ` ${typeText(spec)}${limits && `, ${limits}`}${spec.optional ? ", optional" : ""}`);
 }
 
 /** Any part: its kind and what it says of itself. */

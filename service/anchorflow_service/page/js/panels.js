@@ -32,6 +32,13 @@ export function say(text) {
   if (byId("summary").textContent !== text) byId("summary").textContent = text;
 }
 
+/** Nothing has come back of what is asked now. */
+export function clearAnswer() {
+  for (const id of ["anchor-figures", "times", "times-key", "round-trip"]) byId(id).replaceChildren();
+  byId("times").removeAttribute("aria-label");
+  byId("best").tBodies[0].replaceChildren();
+}
+
 /** Where the time between asking and seeing went; `screenMs` is all of it. */
 export function showTimes(timing, screenMs) {
   const served = { ...timing, way: Math.max(0, screenMs - timing.total) };

@@ -1,4 +1,4 @@
-/** An input that is a picture: a file, brought to the size that the card lists. */
+/** An input that is a picture: a file, in its own size or brought to the one that the card lists. */
 
 import { make } from "../dom.js";
 import { Raster } from "./raster.js";
@@ -7,19 +7,29 @@ import { axesOf, base64, unpacked } from "./tensor.js";
 const FORMATS = { "image/png": "png", "image/jpeg": "jpeg" };
 
 export class ImageField {
-  static fits = (spec) => spec.dtype === "uint8" && axesOf(spec).length === 3 && axesOf(spec)[0] === 3 && axesOf(spec).every(Number.isInteger);
+  static fits = (spec) => spec.dtype === "uint8" && axesOf(spec).length === 3 && axesOf(spec)[0] === 3;
 
   constructor(spec, id, onChange) {
-    [, this.height, this.width] = axesOf(spec);
-    this.hint = `A picture, ${this.width} × ${this.height} pixels; black until you choose one`;
+    const [, height, width] = axesOf(spec);
+    /** Pixels, or the letter of an axis that is as long as a file makes it. */
+    this.size = { width, height };
+    this.optional = Boolean(spec.optional);
+    this.isBlackAtFirst = !this.optional && [width, height].every(Number.isInteger);
+    const what = [width, height].some(Number.isInteger) ? `, ${width} × ${height} pixels` : " of any size";
+    const first = this.optional ? "left out" : this.isBlackAtFirst ? "black" : "nothing is asked";
+    this.hint = `A picture${what}; ${first} until you choose one`;
     this.onChange = onChange;
-    this.picture = make("canvas", { className: "thumbnail", width: this.width, height: this.height });
+    this.picture = make("canvas", { className: "thumbnail" });
     this.context = this.picture.getContext("2d");
-    this.context.imageSmoothingQuality = "high";
     this.file = make("input", { id, type: "file", accept: Object.keys(FORMATS).join() });
     this.file.addEventListener("change", () => this.#read(this.file.files[0]));
     this.note = make("p", { className: "hint" });
-    this.control = make("div", { className: "picture" }, this.picture, make("div", {}, this.file, this.note));
+    this.leaveOut = make("button", { type: "button", className: "button" }, "Leave out");
+    this.leaveOut.addEventListener("click", () => {
+      this.file.value = "";
+      this.#read();
+    });
+    this.control = make("div", { className: "picture" }, this.picture, make("div", {}, this.file, this.note), this.leaveOut);
     this.control.addEventListener("dragover", (event) => event.preventDefault());
     this.control.addEventListener("drop", (event) => {
       event.preventDefault();
@@ -28,8 +38,10 @@ export class ImageField {
     this.#clear();
   }
 
-  /** As the contract's JSON has it. */
+  /** As the contract's JSON has it; undefined: left out. Throws an Error where there has to be one. */
   value() {
+    if (this.picture.hidden && this.optional) return undefined;
+    if (this.picture.hidden) throw new Error("expected a picture, got none");
     return this.original ?? { png: this.picture.toDataURL("image/png").split(",")[1] };
   }
 
@@ -37,14 +49,31 @@ export class ImageField {
   fill(value) {
     this.#clear();
     const raster = new Raster({ range: [0, 255] }, unpacked(value), []);
-    this.context.drawImage(raster.canvas, 0, 0);
+    this.#draw(raster.canvas);
   }
 
   #clear() {
     this.original = null;
-    this.context.fillStyle = "#000";
-    this.context.fillRect(0, 0, this.width, this.height);
     this.note.textContent = "";
+    this.picture.hidden = !this.isBlackAtFirst;
+    this.leaveOut.hidden = true;
+    if (this.isBlackAtFirst) this.#blacken(this.size);
+  }
+
+  #blacken({ width, height }) {
+    Object.assign(this.picture, { width, height });
+    this.context.fillRect(0, 0, width, height);
+  }
+
+  /** Where the card leaves the size open, it is the picture's own. */
+  #draw(picture) {
+    const [width, height] = ["width", "height"].map((side) => (Number.isInteger(this.size[side]) ? this.size[side] : picture[side]));
+    this.#blacken({ width, height });
+    this.picture.hidden = false;
+    this.leaveOut.hidden = !this.optional;
+    this.context.imageSmoothingQuality = "high";
+    this.context.drawImage(picture, 0, 0, width, height);
+    return { width, height };
   }
 
   async #read(file) {
@@ -60,9 +89,9 @@ export class ImageField {
   async #show(file) {
     const format = FORMATS[file.type];
     const picture = await createImageBitmap(file);
-    this.context.drawImage(picture, 0, 0, this.width, this.height);
-    const fits = picture.width === this.width && picture.height === this.height;
-    this.note.textContent = `${picture.width} × ${picture.height} pixels${fits ? "" : `, drawn to ${this.width} × ${this.height}`}`;
+    const { width, height } = this.#draw(picture);
+    const fits = picture.width === width && picture.height === height;
+    this.note.textContent = `${picture.width} × ${picture.height} pixels${fits ? "" : `, drawn to ${width} × ${height}`}`;
     // A file of the right size goes as it is; what is drawn loses nothing more as PNG.
     if (fits && format) this.original = { [format]: base64(new Uint8Array(await file.arrayBuffer())) };
   }

@@ -24,20 +24,24 @@ export class Inputs {
     byId("inputs").replaceChildren(...card.inputs.map((spec) => this.#row(spec)));
   }
 
-  /** {name: value} as the contract's JSON has them; null where one of them is no value. */
+  /**
+   * {values: {name: value} as the contract's JSON has them, wrong}: what the first that is no value
+   * lacks, or null. One that is optional and not filled in is left out.
+   */
   values() {
     this.clear();
     const values = {};
-    let good = true;
+    let wrong = null;
     for (const [name, { field }] of this.#fields) {
       try {
-        values[name] = field.value();
+        const value = field.value();
+        if (value !== undefined) values[name] = value;
       } catch (error) {
-        good = false;
+        wrong ??= `${name}: ${error.message}`;
         this.#say(name, error.message);
       }
     }
-    return good ? values : null;
+    return { values, wrong };
   }
 
   /** Fill in {name: value}, as the contract's JSON has them; nobody is told of a change. */
@@ -68,7 +72,7 @@ export class Inputs {
     });
     const wrong = make("p", { className: "wrong", role: "alert", hidden: true });
     this.#fields.set(spec.name, { field, wrong });
-    const type = typeText({ dtype: spec.dtype, shape: axesOf(spec) });
+    const type = [typeText({ dtype: spec.dtype, shape: axesOf(spec) }), spec.optional && "optional"].filter(Boolean).join(", ");
     const hint = [field.hint, limitsText(spec)].filter(Boolean).join(": ");
     const label = make("label", { htmlFor: id }, spec.name, make("span", { className: "type" }, type));
     return make("div", { className: "input" }, label, field.control, make("p", { className: "hint" }, hint), wrong);

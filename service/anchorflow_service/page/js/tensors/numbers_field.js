@@ -12,7 +12,7 @@ export class NumbersField {
   constructor(spec, id, onChange) {
     this.spec = spec;
     this.count = countOf(spec);
-    const text = Array.from({ length: this.count }, () => neutral(spec)).join(", ");
+    const text = spec.optional ? "" : Array.from({ length: this.count }, () => neutral(spec)).join(", ");
     this.hint = this.count === 1 ? "A number" : `${this.count} numbers`;
     this.control = make("input", { id, type: "text", value: text, autocomplete: "off", spellcheck: false });
     this.control.addEventListener("input", onChange);
@@ -23,9 +23,10 @@ export class NumbersField {
     this.control.value = [value].flat().join(", ");
   }
 
-  /** As the contract's JSON has it. Throws an Error that says what is wrong. */
+  /** As the contract's JSON has it; undefined: left out. Throws an Error that says what is wrong. */
   value() {
     const parts = this.control.value.trim().replace(/^\[|\]$/g, "").split(/[\s,;]+/).filter(Boolean);
+    if (!parts.length && this.spec.optional) return undefined;
     const values = parts.map(Number);
     const wrong = parts.find((_, k) => !Number.isFinite(values[k]));
     if (wrong !== undefined) throw new Error(`expected numbers, got ${wrong}`);

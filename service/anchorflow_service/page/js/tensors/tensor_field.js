@@ -1,4 +1,4 @@
-/** Any other input: the value nearest to 0 everywhere, unless it is filled in or JSON is pasted. */
+/** Any other input: left out or the value nearest to 0 everywhere, unless it is filled in or JSON is pasted. */
 
 import { make, plain } from "../dom.js";
 import { filled, neutral } from "./tensor.js";
@@ -11,8 +11,9 @@ export class TensorField {
 
   constructor(spec, id, onChange) {
     this.spec = spec;
-    this.hint = `${plain(neutral(spec))} everywhere, unless you paste JSON: lists, or {"dtype", "shape", "base64"}`;
-    this.control = make("textarea", { id, rows: 2, spellcheck: false, placeholder: `${plain(neutral(spec))} everywhere` });
+    const first = spec.optional ? "left out" : `${plain(neutral(spec))} everywhere`;
+    this.hint = `${first}, unless you paste JSON: lists, or {"dtype", "shape", "base64"}`;
+    this.control = make("textarea", { id, rows: 2, spellcheck: false, placeholder: first });
     this.control.addEventListener("input", onChange);
   }
 
@@ -23,10 +24,10 @@ export class TensorField {
     this.control.placeholder = JSON.stringify({ ...value, base64: `${value.base64.slice(0, SHOWN)}…` });
   }
 
-  /** As the contract's JSON has it. Throws an Error that says what is wrong. */
+  /** As the contract's JSON has it; undefined: left out. Throws an Error that says what is wrong. */
   value() {
     const text = this.control.value.trim();
-    if (!text) return this.held ?? filled(this.spec);
+    if (!text) return this.held ?? (this.spec.optional ? undefined : filled(this.spec));
     try {
       return JSON.parse(text);
     } catch (cause) {

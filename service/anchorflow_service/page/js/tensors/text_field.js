@@ -7,6 +7,7 @@ export class TextField {
   hint = "A text";
 
   constructor(spec, id, onChange) {
+    this.spec = spec;
     this.control = make("textarea", { id, rows: 4, spellcheck: false });
     this.control.addEventListener("input", onChange);
   }
@@ -15,8 +16,8 @@ export class TextField {
     this.control.value = value;
   }
 
-  /** As the contract's JSON has it. */
+  /** As the contract's JSON has it; undefined: left out. */
   value() {
-    return this.control.value;
+    return this.control.value || !this.spec.optional ? this.control.value : undefined;
   }
 }

@@ -5,7 +5,7 @@ import { limitsText, typeText } from "../card.js";
 import { byId, make } from "../dom.js";
 import { listenForCopies, toCurl } from "../exchange.js";
 import { pick, showLegend } from "../lines.js";
-import { columnsOf, nameAnchor, say, showBest, showTimes } from "../panels.js";
+import { clearAnswer, columnsOf, nameAnchor, say, showBest, showTimes } from "../panels.js";
 import { ask } from "../service.js";
 import { BirdsEye } from "./birds_eye.js";
 import { Drive } from "./drive.js";
@@ -86,8 +86,11 @@ export class TensorView {
   /** What the planner sends: the inputs as they are now; no body where one of them is no value. */
   question() {
     const { card, options, version } = this;
-    const inputs = this.inputs.values();
-    if (!inputs) return {};
+    const { values: inputs, wrong } = this.inputs.values();
+    if (wrong) {
+      say(`Not asked. ${wrong}.`);
+      return {};
+    }
     const outputs = [...byId("outputs").querySelectorAll("input:checked")].map((box) => box.value);
     const body = { inputs, num_samples: options.num, seed: options.seed, model: card.name, ...(outputs.length && { outputs }) };
     return { body, card, version, held: this.drive.held, send: (asked) => ask("anchors", asked) };
@@ -129,7 +132,10 @@ export class TensorView {
 
   #changed() {
     this.version++;
-    if (!this.eye.show.anchors) return;
+    if (!this.eye.show.anchors) {
+      say("Press Plan to ask.");
+      return;
+    }
     say("What is asked has changed: plan again.");
     this.#fade();
   }
@@ -147,6 +153,7 @@ export class TensorView {
 
   #clearFigures() {
     say("");
+    clearAnswer();
     byId("poses").replaceChildren();
     byId("birds-eye-legend").hidden = true;
     this.#showExtras({}, null);

@@ -1,0 +1,103 @@
+"""The page before V2X-VLM: pictures of any size, one of which may be left out."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
+
+PATIENCE_MS = 60_000
+CAR, ROADSIDE = "#input-vehicle_image", "#input-infrastructure_image"
+PROMPT = "The ego vehicle drives at 7.4 m/s. Plan its path for 4.5 seconds."
+
+
+@pytest.fixture
+def visit(open_page: Callable[..., Any], served_v2x: Any) -> Iterator[Any]:
+    """The page with V2X chosen, behind the first answer of another bundle."""
+    visit = open_page(served_v2x.url)
+    expect(visit.locate("#summary")).to_contain_text("anchors are safe", timeout=PATIENCE_MS)
+    visit.locate("#bundle").select_option("v2x")
+    yield visit
+    assert visit.errors == []
+
+
+def picture(folder: Path, name: str, *, width: int, height: int) -> Path:
+    """A file, from dark to light."""
+    levels = np.linspace(0, 255, width * height).astype(np.uint8).reshape(height, width)
+    Image.fromarray(levels).convert("RGB").save(folder / name)
+    return folder / name
+
+
+def choose(visit: Any, field: str, file: Path) -> None:
+    visit.locate(field).set_input_files(file)
+    expect(visit.locate(f".picture:has({field}) .hint")).to_contain_text("pixels")
+
+
+def plan(visit: Any) -> Any:
+    """The exchange that the button brings about."""
+    return visit.answer(lambda: visit.locate("#plan").click(), lambda asked: "inputs" in asked)
+
+
+def test_nothing_is_asked_before_there_is_a_picture(visit: Any) -> None:
+    summary = visit.locate("#summary")
+    expect(summary).to_have_text("Not asked. vehicle_image: expected a picture, got none.")
+    expect(visit.locate("#inputs .wrong:visible")).to_have_text("expected a picture, got none")
+    # Nor are there figures of the bundle before.
+    expect(visit.locate("#best tbody tr")).to_have_count(0)
+    expect(visit.locate("#anchor-figures")).to_be_empty()
+
+    visit.locate("#plan").click()
+    visit.page.wait_for_timeout(300)
+
+    asked = [request.post_data_buffer for request in visit.requests if request.method == "POST"]
+    assert not [body for body in asked if b"vehicle_image" in body]
+
+
+def test_a_picture_goes_in_its_own_size_and_an_optional_one_when_it_is_given(
+    visit: Any, tmp_path: Path, artefacts: Path
+) -> None:
+    car = picture(tmp_path, "car.png", width=90, height=50)
+    pole = picture(tmp_path, "pole.jpg", width=64, height=80)
+    expect(visit.locate(".input").nth(1)).to_contain_text("uint8 [3, HI, WI], optional")
+    visit.locate("#input-prompt").fill(PROMPT)
+    choose(visit, CAR, car)
+    expect(visit.locate("#summary")).to_have_text("Press Plan to ask.")
+
+    alone = plan(visit)
+
+    told = {"vehicle_image": {"png": base64.b64encode(car.read_bytes()).decode()}, "prompt": PROMPT}
+    assert alone.asked["inputs"] == told
+    assert alone.status == 200
+    assert alone.answered["absent_inputs"] == "infrastructure_image"
+
+    choose(visit, ROADSIDE, pole)
+    both = plan(visit)
+
+    jpeg = base64.b64encode(pole.read_bytes()).decode()
+    assert both.asked["inputs"] == {**told, "infrastructure_image": {"jpeg": jpeg}}
+    assert both.status == 200
+    visit.page.screenshot(path=artefacts / "v2x.png")
+
+    visit.locate(".picture button:visible").click()
+    expect(visit.locate(".thumbnail:visible")).to_have_count(1)
+    assert plan(visit).asked["inputs"] == told
+
+
+def test_a_file_that_is_no_picture_is_not_sent(visit: Any, tmp_path: Path) -> None:
+    (tmp_path / "notes.png").write_text("no picture")
+
+    visit.locate(CAR).set_input_files(tmp_path / "notes.png")
+    expect(visit.locate(f".picture:has({CAR}) .hint")).to_have_text(
+        "notes.png: expected a PNG or JPEG picture."
+    )
+    visit.locate("#plan").click()
+
+    expect(visit.locate("#summary")).to_contain_text("expected a picture, got none")
