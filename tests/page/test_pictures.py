@@ -1,4 +1,4 @@
-"""The page before V2X-VLM: pictures of any size, one of which may be left out."""
+"""The page before V2X-VLM: pictures of any size, one of which may be left out, and one anchor."""
 
 from __future__ import annotations
 
@@ -89,6 +89,20 @@ def test_a_picture_goes_in_its_own_size_and_an_optional_one_when_it_is_given(
     visit.locate(".picture button:visible").click()
     expect(visit.locate(".thumbnail:visible")).to_have_count(1)
     assert plan(visit).asked["inputs"] == told
+
+
+def test_one_anchor_is_told_as_one(visit: Any, tmp_path: Path) -> None:
+    choose(visit, CAR, picture(tmp_path, "car.png", width=20, height=10))
+    visit.locate("#input-prompt").fill(PROMPT)
+    assert plan(visit).status == 200
+
+    expect(visit.locate("#summary")).to_have_text("1 anchor, in gold.")
+    expect(visit.locate("#bundle-hint")).to_have_text("What answers: 45 poses up to 4.5 s.")
+    expect(visit.locate("#best-name")).to_have_text("The anchor")
+    expect(visit.locate("#num")).to_be_hidden()
+    expect(visit.locate("#num-value")).to_have_text("1")
+    expect(visit.locate("#poses tbody tr").last).to_contain_text("4.50")
+    expect(visit.locate("#anchor-figures")).to_have_text("4.5 s")
 
 
 def test_a_file_that_is_no_picture_is_not_sent(visit: Any, tmp_path: Path) -> None:

@@ -17,6 +17,8 @@ export class Amount {
   show({ num, most, seed }) {
     this.shown = { num, most, seed };
     Object.assign(byId("num"), { max: most, value: num });
+    // A planner of one leaves nothing to choose.
+    byId("num").hidden = most === 1;
     byId("num-value").value = num;
     showFill(byId("num"));
     byId("seed").value = seed;

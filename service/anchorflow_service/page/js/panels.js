@@ -67,7 +67,7 @@ export function showTimes(timing, screenMs) {
 export function showBest(stage, anchors, { columns, by, focus, onLook, onKeep }) {
   const body = bodyFor(columns, onLook, onKeep);
   const best = anchors.order.slice(0, ROWS);
-  byId("best-name").textContent = anchors.count > ROWS ? "Ten best" : "All anchors";
+  byId("best-name").textContent = anchors.count > ROWS ? "Ten best" : anchors.count > 1 ? "All anchors" : "The anchor";
   while (body.rows.length > best.length) body.rows[body.rows.length - 1].remove();
   best.forEach((n, place) => {
     const row = body.rows[place] ?? newRow(body, columns.length);

@@ -65,7 +65,7 @@ export class TensorView {
     this.#clearFigures();
     const { steps, first_s: first, dt } = card.time;
     const lasting = dt === null ? "each anchor in its own time" : `up to ${(first + (steps - 1) * dt).toFixed(1)} s`;
-    byId("bundle-hint").textContent = `What answers: ${steps} poses ${lasting}${candidates ? `, the best of ${candidates}` : ""}.`;
+    byId("bundle-hint").textContent = `What answers: ${steps} poses ${lasting}${candidates > 1 ? `, the best of ${candidates}` : ""}.`;
     this.amount.show({ ...this.options, most: this.most });
     this.drive.useCard(card);
     if (!this.drive.isOpen) this.planner.ask();
@@ -169,7 +169,7 @@ export class TensorView {
   #showAnchors() {
     const { anchors, focus, step, stale, colourBy } = this.eye.show;
     if (!anchors || !this.active) return;
-    if (!stale) say(`${anchors.count} anchors, the ${anchors.scores ? "best by score" : "first"} in gold.`);
+    if (!stale) say(anchors.count === 1 ? "1 anchor, in gold." : `${anchors.count} anchors, the ${anchors.scores ? "best by score" : "first"} in gold.`);
     const looked = focus ?? anchors.best;
     nameAnchor(anchors, focus);
     showPoses(anchors, looked, step);
