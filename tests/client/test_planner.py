@@ -136,7 +136,7 @@ def test_an_answer_without_anything_safe_says_why(stage: Stage) -> None:
     reason = stage.cycle().reason
 
     assert reason is not None
-    assert "keeps -0.02 m of the 0.00 m" in reason
+    assert "keeps -0.020 m of the 0.000 m" in reason
 
 
 def test_a_robot_that_gets_nowhere_asks_with_another_seed_and_from_noise() -> None:

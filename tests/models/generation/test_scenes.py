@@ -111,7 +111,7 @@ def test_the_maps_edge_is_on_the_map(corner: tuple[float, float]) -> None:
         ({"cost_map": np.full((1, 40, 60), -0.1)}, "cost_map.data", r"numbers in \[0, 1\]"),
         ({"w_style": [1, -1, 1]}, "w_style", r"numbers in \[0, 1e\+06\], got -1"),
         ({"w_style": [0, 0, 0]}, "w_style", "a weight above 0, got only zeros"),
-        ({"resolution": 0.0}, "cost_map.resolution", r"in \(0, 100\] m/cell, got 0"),
+        ({"resolution": 0.0}, "cost_map.resolution", r"in \[1e-06, 100\] m/cell, got 0"),
         ({"robot_radius": -0.1}, "robot_radius", r"in \[0, 5\] m, got -0.1"),
         ({"origin": [1.0, 2.0, 3.0]}, "cost_map.origin", r"shape \[2\], got \[3\]"),
         ({"x_curr": [X_CURR] * 2, "x_goal": [X_GOAL] * 3}, "x_goal", "B = 2 as in x_curr, got 3"),
