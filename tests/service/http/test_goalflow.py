@@ -52,15 +52,6 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_goals_that_crowd_are_proved_too(tmp_path: Path) -> None:
-    torch.manual_seed(0)
-    model = GoalFlow(CONFIG).eval()
-    model.vocabulary.copy_(torch.linspace(0, 4, K)[:, None] * torch.tensor([1.0, 0.0]))
-    adapter = adapter_of("goalflow", model, ExportChoices())
-    description = BundleDescription(name=MODEL, version="1.0.0", planner="goalflow")
-    export_bundle(adapter, description, out=tmp_path / "bundle")
-
-
 @pytest.fixture(scope="module")
 def planning(bundle: Path) -> PlanningService:
     engine = LocalClient.of(bundle, threads=1).engine
