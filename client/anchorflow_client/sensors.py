@@ -6,6 +6,7 @@ rear axle, x forward, y left, metres.
 Example:
     camera = stitch_cameras(left, front, right)
     lidar = lidar_histogram(points)
+    lidar_before = lidar_histogram(points_before, pose=(-4.0, 0.0, 0.0))  # where the car was
     status = ego_status(command="left", velocity=(8.0, 0.0), acceleration=(0.3, 0.1))
 """
 
@@ -31,6 +32,8 @@ LIDAR_RANGE_M = 32.0
 LIDAR_CELLS_PER_M = 4
 LIDAR_LEAST_HEIGHT_M = 0.2
 LIDAR_MOST_POINTS = 5
+LIDAR_BEFORE_S = 0.5
+"""Between the two sweeps that a planner may look at: as far apart as NAVSIM's samples."""
 
 
 def stitch_cameras(
@@ -85,15 +88,22 @@ def resize_image(image: ArrayLike, *, rows: int, columns: int) -> Bytes:
     return np.rint(mean).clip(0, 255).astype(np.uint8)
 
 
-def lidar_histogram(points: ArrayLike) -> Floats:
+def lidar_histogram(points: ArrayLike, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
     """Points [P, 3 or more] (x, y, z above the ground, m) as counts [1, 256, 256] in [0, 1].
 
     Rows go by x and columns by y, both from -32 to 32 m, four cells a metre, as NAVSIM has it.
     Points higher than 0.2 m are counted; five or more make 1.
 
+    Args:
+        pose: x, y (m) and heading (rad) of the frame of these points in the frame of now: where
+            the rear axle was when an earlier sweep was taken.
+
     Raises:
-        InvalidRequest: names `lidar`.
+        InvalidRequest: names `lidar` or `pose`.
     """
+    frame = np.asarray(pose, np.float64)
+    if frame.shape != (3,) or not np.isfinite(frame).all():
+        raise InvalidRequest(f"expected x, y, heading, all finite, got {frame.tolist()}", "pose")
     cloud = np.asarray(points, np.float32)
     if cloud.ndim != 2 or cloud.shape[1] < 3:
         raise InvalidRequest(f"expected shape [P, 3], got {list(cloud.shape)}", "lidar")
@@ -101,6 +111,9 @@ def lidar_histogram(points: ArrayLike) -> Floats:
         raise InvalidRequest("expected finite numbers, got NaN or infinity", "lidar")
     cells = round(2 * LIDAR_RANGE_M * LIDAR_CELLS_PER_M)
     high = cloud[cloud[:, 2] > LIDAR_LEAST_HEIGHT_M, :2]
+    if frame.any():
+        cos, sin = np.cos(frame[2]), np.sin(frame[2])
+        high = high @ np.array([[cos, sin], [-sin, cos]]) + frame[:2]
     # Beyond the range may lie beyond what an integer holds.
     near = high[(np.abs(high) <= LIDAR_RANGE_M).all(1)]
     cell = np.floor((near + LIDAR_RANGE_M) * LIDAR_CELLS_PER_M).astype(int)

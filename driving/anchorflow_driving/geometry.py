@@ -35,6 +35,16 @@ def into_frame(points: Array, frame: Array) -> Array:
     return np.stack([cos * x + sin * y, cos * y - sin * x, *_headings(points, -frame[..., 2])], -1)
 
 
+def states_into_frame(states: Array, frame: Array) -> Array:
+    """States [..., 5] x, y, heading, vx, vy, seen from a frame (x, y, heading) of the same parent.
+
+    The frame stands still: velocities are turned, no more.
+    """
+    turned = np.array([0.0, 0.0, 1.0]) * frame
+    poses, velocities = states[..., :3], states[..., 3:]
+    return np.concatenate([into_frame(poses, frame), into_frame(velocities, turned)], -1)
+
+
 def ahead_of(poses: Array, distance: float | Array) -> Array:
     """Poses [..., 3] moved forward along their headings, m."""
     moved = poses.copy()

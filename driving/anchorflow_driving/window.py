@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import ahead_of, into_frame, wrap_angle
+from anchorflow_driving.geometry import ahead_of, into_frame, states_into_frame, wrap_angle
 from anchorflow_driving.log import COMMANDS, FRAME_S, HISTORY_FRAMES, DrivingLog, Polylines
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
@@ -193,14 +193,11 @@ def planner_view(
     vehicle = Vehicle(float(length), float(width))
     now = tracks.shape[1] - 1
     state = _moving(tracks[ego], vehicle, now=now, before=now - 1, after=now)
-    turned = np.array([0.0, 0.0, state.pose[2]])
     return PlannerView(
         state=state,
         vehicle=vehicle,
         ego=ego,
-        tracks=np.concatenate(
-            [into_frame(tracks[..., :3], state.pose), into_frame(tracks[..., 3:], turned)], -1
-        ),
+        tracks=states_into_frame(tracks, state.pose),
         track_type=track_type,
         track_size=track_size,
         route=Route(into_frame(route, state.pose)),

@@ -98,6 +98,22 @@ def test_a_wrong_cloud_is_named(points: np.ndarray) -> None:
     assert told.value.field == "lidar"
 
 
+def test_an_earlier_sweep_lies_where_it_is_now() -> None:
+    # Two metres ahead of where the car was, which is 5 m behind, 1 m aside and turned left.
+    histogram = lidar_histogram([[2.0, 0.0, 1.0]], pose=(-5.0, 1.1, np.pi / 2))
+
+    row, column = np.argwhere(histogram[0])[0]
+    assert (row, column) == ((32 - 5) * 4, round((32 + 3.0) * 4))
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0), (0.0, np.nan, 0.0)])
+def test_a_wrong_pose_is_named(pose: tuple[float, ...]) -> None:
+    with pytest.raises(InvalidRequest, match="x, y, heading") as told:
+        lidar_histogram(np.zeros((0, 3)), pose=pose)
+
+    assert told.value.field == "pose"
+
+
 def test_ego_status() -> None:
     status = ego_status(command="right", velocity=(8.0, 0.5), acceleration=(-1.0, 0.0))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from anchorflow_models.transfuser import TransfuserConfig
+from anchorflow_models.transfuser import LIDAR_BEFORE, TransfuserConfig
 from anchorflow_models.wote import WoTE, WoteConfig, create_wote
 
 TINY = WoteConfig(
@@ -41,15 +41,18 @@ def tiny_wote(config: WoteConfig = TINY) -> WoTE:
 
 
 def sensors(config: WoteConfig = TINY, B: int = 2) -> dict[str, Tensor]:
-    """camera, lidar and ego_status of B scenes, none like another."""
+    """What B scenes are asked with, none like another."""
     generator = torch.Generator().manual_seed(1)
     sizes = dict(config.backbone.input_sizes())
     status = torch.zeros(B, 8)
     status[:, 1], status[:, 4] = 1.0, 15.0 * torch.rand(B, generator=generator)
-    return {
+    given = {
         "camera": torch.randint(
             0, 256, (B, *sizes["camera"]), dtype=torch.uint8, generator=generator
         ),
         "lidar": torch.rand(B, *sizes["lidar"], generator=generator),
         "ego_status": status,
     }
+    if config.backbone.lidar_before:
+        given[LIDAR_BEFORE] = torch.rand(B, *sizes[LIDAR_BEFORE], generator=generator)
+    return given

@@ -17,14 +17,15 @@ def load_resnet(backbone: TransfuserBackbone, folder: Path) -> None:
     """Begin both networks of a backbone with the weights of a ResNet.
 
     folder: what `save_pretrained` of a `transformers` ResNet writes, config.json and
-        model.safetensors; nothing is downloaded. LiDAR has one channel, whose first weights are
-        the sum of the colours'.
+        model.safetensors; nothing is downloaded. The LiDAR's first weights are the sum of the
+        colours', shared by its sweeps.
 
     Raises:
         ConfigError: there is no ResNet in the folder, or one of another shape.
     """
     weights = _weights(folder)
-    grey = {**weights, FIRST: weights[FIRST].sum(1, keepdim=True)}
+    sweeps = 2 if backbone.config.lidar_before else 1
+    grey = {**weights, FIRST: weights[FIRST].sum(1, keepdim=True).repeat(1, sweeps, 1, 1) / sweeps}
     try:
         backbone.image.load_state_dict(weights)
         backbone.lidar.load_state_dict(grey)

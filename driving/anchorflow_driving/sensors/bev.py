@@ -103,6 +103,11 @@ def draw_bev(view: PlannerView, grid: BevGrid = BEV) -> Bytes:
     )
 
 
+def draw_boxes(states: Array, size: Array, grid: BevGrid) -> Bytes:
+    """The boxes of those states [K, 5] that are there, in the raster's frame: [H, W]."""
+    return _Painter(grid).boxes(states, size, np.ones(len(states), np.bool_))
+
+
 def _ahead(states: Array, time: float) -> Array:
     """States [K, 5] after a time at constant velocity."""
     return np.concatenate([states[:, :2] + time * states[:, 3:], states[:, 2:]], axis=1)

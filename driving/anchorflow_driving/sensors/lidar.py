@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.sensors import lidar_histogram
-from anchorflow_driving.geometry import into_frame
+from anchorflow_client.sensors import LIDAR_BEFORE_S, lidar_histogram
+from anchorflow_driving.geometry import ahead_of, into_frame, states_into_frame
+from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.sensors.solids import solids
 from anchorflow_driving.window import PlannerView
 
@@ -65,6 +66,19 @@ def simulated_points(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[np.floa
 def simulated_lidar(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[np.float32]:
     """The histogram [1, 256, 256] of the simulated points."""
     return lidar_histogram(simulated_points(view, lidar))
+
+
+def simulated_lidar_before(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[np.float32]:
+    """The histogram [1, 256, 256] of what was struck LIDAR_BEFORE_S ago, in the frame of now.
+
+    Zeros where the ego was not there yet.
+    """
+    then = view.tracks.shape[1] - 1 - round(LIDAR_BEFORE_S / FRAME_S)
+    axle = ahead_of(view.tracks[view.ego, then, :3], -view.vehicle.rear_axle)
+    if not np.isfinite(axle).all():
+        return lidar_histogram(np.zeros((0, 3)))
+    past = replace(view, tracks=states_into_frame(view.tracks[:, : then + 1], axle))
+    return lidar_histogram(simulated_points(past, lidar), pose=axle)
 
 
 def _crossed(

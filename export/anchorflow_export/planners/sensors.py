@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 from anchorflow_client.contract import TensorSpec
-from anchorflow_models.transfuser import STATUS, TransfuserConfig
+from anchorflow_client.sensors import LIDAR_BEFORE_S
+from anchorflow_models.transfuser import LIDAR_BEFORE, STATUS, TransfuserConfig
 
 F32 = "float32"
 FASTEST = 60.0  # m/s, and m/s²: what a status may say
 
 
 def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
-    """What a planner with a Transfuser backbone is asked with: camera, LiDAR, ego status."""
+    """What a planner with a Transfuser backbone is asked with: camera, LiDAR, ego status.
+
+    The LiDAR of before may be left out, as when the car has only just been switched on.
+    """
     sizes, reach = dict(backbone.input_sizes()), backbone.lidar_range
+    cells = f"rows x, columns y, both from {-reach:g} to {reach:g} m"
+    before = TensorSpec(
+        LIDAR_BEFORE,
+        F32,
+        ("B", *sizes["lidar"]),
+        f"as lidar, {LIDAR_BEFORE_S:g} s ago, in the frame of now",
+        range=(0.0, 1.0),
+        optional=True,
+    )
     return (
         TensorSpec("camera", "uint8", ("B", *sizes["camera"])),
-        TensorSpec(
-            "lidar",
-            F32,
-            ("B", *sizes["lidar"]),
-            f"rows x, columns y, both from {-reach:g} to {reach:g} m",
-            range=(0.0, 1.0),
-        ),
+        TensorSpec("lidar", F32, ("B", *sizes["lidar"]), cells, range=(0.0, 1.0)),
         TensorSpec(
             "ego_status",
             F32,
@@ -29,4 +36,5 @@ def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
             "acceleration x, y: m/s^2",
             range=(-FASTEST, FASTEST),
         ),
+        *([before] if backbone.lidar_before else []),
     )

@@ -18,7 +18,7 @@ from anchorflow_models.diffusiondrive.trajectories import (
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.layers.embedding import sinusoidal
-from anchorflow_models.layers.zero_linear import zero_linear
+from anchorflow_models.layers.zero import zero_linear
 
 LONGEST = 10_000.0  # wavelength of a diffusion time, in levels
 

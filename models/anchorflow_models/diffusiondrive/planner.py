@@ -31,6 +31,7 @@ from anchorflow_models.transfuser import (
     STATUS_UNITS,
     AgentHead,
     BevValues,
+    OccupancyHead,
     SemanticHead,
     TransfuserBackbone,
 )
@@ -47,12 +48,14 @@ class Perceived:
 
     agents: [B, Q, 5] x, y [m], heading [rad], length, width [m]; agent_logits: [B, Q]
     semantics: logits [B, classes, h, w]
+    occupancy: logits [B, T, H/4, H/4] of where others will be when the poses are reached
     """
 
     scene: SceneFeatures
     agents: Tensor
     agent_logits: Tensor
     semantics: Tensor
+    occupancy: Tensor
 
 
 class Perception(nn.Module):
@@ -77,6 +80,7 @@ class Perception(nn.Module):
         )
         self.agents = AgentHead(width, config.hidden, reach=backbone.lidar_range)
         self.semantics = SemanticHead(backbone, config.classes)
+        self.occupancy = OccupancyHead(backbone.bev_channels, POSES)
         self.joined = nn.Sequential(
             nn.Linear(width + backbone.bev_channels, width), nn.ReLU(), nn.LayerNorm(width)
         )
@@ -85,9 +89,16 @@ class Perception(nn.Module):
             for _ in range(config.denoiser_layers)
         )
 
-    def forward(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Perceived:
-        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'], as the backbone; ego_status: [B, 8]"""
-        seen = self.backbone(camera, lidar)
+    def forward(
+        self,
+        camera: Tensor,
+        lidar: Tensor,
+        ego_status: Tensor,
+        lidar_before: Tensor | None = None,
+    ) -> Perceived:
+        """camera: uint8 [B, 3, H, W]; lidar, lidar_before: [B, 1, H', H'], as the backbone;
+        ego_status: [B, 8]"""
+        seen = self.backbone(camera, lidar, lidar_before)
         cells = self.narrow(seen.features).flatten(2).transpose(1, 2)
         status = self.status(ego_status / self.status_units)[:, None]
         known = torch.cat([cells, status], 1) + self.places
@@ -99,7 +110,8 @@ class Perception(nn.Module):
             ego, motion = ego + status, ego_status[:, MOTION]
         scene = SceneFeatures(bev, values, agents=decoded[:, 1:], ego=ego, motion=motion)
         agents, logits = self.agents(scene.agents)
-        return Perceived(scene, agents, logits, self.semantics(seen.upscaled))
+        semantics, occupancy = self.semantics(seen.upscaled), self.occupancy(seen.upscaled)
+        return Perceived(scene, agents, logits, semantics, occupancy)
 
     def _joined(self, cells: Tensor, upscaled: Tensor) -> Tensor:
         """The coarse cells [B, h h, W] over the fine ones [B, C, H, H] -> [B, W, H, H]"""
@@ -129,9 +141,15 @@ class DiffusionDriveV2(nn.Module):
         self.register_buffer("anchors", usual_anchors(config.anchors))
         self.register_buffer("vocabulary", torch.zeros(config.vocabulary, POSES, 3))
 
-    def encode(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Outputs:
+    def encode(
+        self,
+        camera: Tensor,
+        lidar: Tensor,
+        ego_status: Tensor,
+        lidar_before: Tensor | None = None,
+    ) -> Outputs:
         """What the other graphs take, by name, and what is told of the scene beside."""
-        seen = self.perception(camera, lidar, ego_status)
+        seen = self.perception(camera, lidar, ego_status, lidar_before)
         begin = self.denoiser.space.normalised(self.anchors)
         told = {} if seen.scene.motion is None else {"ego_motion": seen.scene.motion}
         return told | {

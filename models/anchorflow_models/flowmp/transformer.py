@@ -14,7 +14,7 @@ from anchorflow_models.flowmp.config import (
 from anchorflow_models.flowmp.vector_field import VectorField, repeat_last_step
 from anchorflow_models.layers.adaln import CHUNKS, AdaLNBlock, modulate, neutral_modulation
 from anchorflow_models.layers.embedding import sinusoidal_positions
-from anchorflow_models.layers.zero_linear import zero_linear
+from anchorflow_models.layers.zero import zero_linear
 
 
 class FlowMPTransformer(VectorField):

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from anchorflow_models.layers.embedding import GaussianFourierTime
 from anchorflow_models.layers.map_attention import MapAttention
-from anchorflow_models.layers.zero_linear import zero_linear
+from anchorflow_models.layers.zero import zero_linear
 
 
 class VectorField(nn.Module):

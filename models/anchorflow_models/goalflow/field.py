@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from anchorflow_models.goalflow.config import GoalFlowConfig
 from anchorflow_models.layers.adaln import AdaLNBlock, neutral_modulation
 from anchorflow_models.layers.embedding import GaussianFourierTime, sinusoidal_positions
-from anchorflow_models.layers.zero_linear import zero_linear
+from anchorflow_models.layers.zero import zero_linear
 
 CONTROLS = 2  # acceleration, curvature
 HEADS = 4

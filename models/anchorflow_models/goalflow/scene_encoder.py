@@ -7,10 +7,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.layers.residual import ResidualBlock
+from anchorflow_models.transfuser import STATUS
 
 STRIDE = 4  # cells of the raster a side of a cell of the features
-STATUS = 8  # command, velocity, acceleration
-VELOCITY = 4  # the first of two
+VELOCITY = 4  # in the ego status, the first of two
 
 
 class SceneEncoder(nn.Module):

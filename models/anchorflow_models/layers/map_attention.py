@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.layers.zero_linear import zero_linear
+from anchorflow_models.layers.zero import zero_linear
 
 MAP_TOKEN_WIDTH = 128
 

@@ -2,12 +2,18 @@
 
 from anchorflow_models.transfuser.backbone import BevFeatures, FeaturePyramid, TransfuserBackbone
 from anchorflow_models.transfuser.bev_values import BevValues, bev_places
-from anchorflow_models.transfuser.config import TransfuserConfig, small_transfuser
+from anchorflow_models.transfuser.config import (
+    LIDAR_BEFORE,
+    SEMANTIC_STRIDE,
+    TransfuserConfig,
+    small_transfuser,
+)
 from anchorflow_models.transfuser.footprint import CAR, Footprint, Places
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
     AGENT_STATE,
     AgentHead,
+    OccupancyHead,
     SemanticHead,
 )
 from anchorflow_models.transfuser.status import MOTION, STATUS, STATUS_UNITS
@@ -16,7 +22,9 @@ __all__ = [
     "AGENT_QUERIES",
     "AGENT_STATE",
     "CAR",
+    "LIDAR_BEFORE",
     "MOTION",
+    "SEMANTIC_STRIDE",
     "STATUS",
     "STATUS_UNITS",
     "AgentHead",
@@ -24,6 +32,7 @@ __all__ = [
     "BevValues",
     "FeaturePyramid",
     "Footprint",
+    "OccupancyHead",
     "Places",
     "SemanticHead",
     "TransfuserBackbone",

@@ -6,6 +6,7 @@ hear every part of the other.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -14,6 +15,7 @@ from torch.nn import functional as F
 
 from anchorflow_models.layers.attention import PreNormLayer
 from anchorflow_models.layers.pixels import PIXEL_MEAN, PIXEL_SPREAD
+from anchorflow_models.layers.zero import zero_conv
 from anchorflow_models.transfuser.config import TransfuserConfig
 
 
@@ -96,21 +98,28 @@ class Fusion(nn.Module):
 
 
 class FeaturePyramid(nn.Module):
-    """BEV features of a width, upscaled: [B, width, h, h] -> [B, C', H/4, H/4]."""
+    """BEV features of a width, upscaled: [B, width, h, h] -> [B, C', H/4, H/4].
 
-    def __init__(self, width: int, config: TransfuserConfig) -> None:
+    below: widths of finer features that are added before the last convolution
+    """
+
+    def __init__(self, width: int, config: TransfuserConfig, below: Sequence[int] = ()) -> None:
         super().__init__()
         channels = config.bev_channels
         self.size = config.upscaled_size
         self.lateral = nn.Conv2d(width, channels, 1)
         self.middle = nn.Conv2d(channels, channels, 3, padding=1)
         self.fine = nn.Conv2d(channels, channels, 3, padding=1)
+        self.skips = nn.ModuleList(zero_conv(each, channels, 3) for each in below)
 
-    def forward(self, features: Tensor) -> Tensor:
+    def forward(self, features: Tensor, finer: Sequence[Tensor] = ()) -> Tensor:
+        """finer: [B, W, h', h'], a tensor for each width `below`"""
         x = F.relu(self.lateral(features))
         x = F.interpolate(x, scale_factor=2.0, mode="bilinear", align_corners=False)
         x = F.relu(self.middle(x))
         x = F.interpolate(x, size=(self.size, self.size), mode="bilinear", align_corners=False)
+        for skip, each in zip(self.skips, finer, strict=True):
+            x = x + _resized(skip(each), x.shape)
         return F.relu(self.fine(x))
 
 
@@ -123,21 +132,31 @@ class TransfuserBackbone(nn.Module):
     def __init__(self, config: TransfuserConfig) -> None:
         super().__init__()
         self.config = config
-        self.image, self.lidar = ResNet(3, config), ResNet(1, config)
+        self.image, self.lidar = ResNet(3, config), ResNet(2 if config.lidar_before else 1, config)
         self.fusions = nn.ModuleList(Fusion(width, config) for width in config.widths)
-        self.pyramid = FeaturePyramid(config.bev_width, config)
+        below = config.widths[:-1] if config.pyramid_skips else ()
+        self.pyramid = FeaturePyramid(config.bev_width, config, below)
         for name, values in (("pixel_mean", PIXEL_MEAN), ("pixel_spread", PIXEL_SPREAD)):
             self.register_buffer(name, 255 * torch.tensor(values)[:, None, None], persistent=False)
 
-    def forward(self, camera: Tensor, lidar: Tensor) -> BevFeatures:
+    def forward(
+        self, camera: Tensor, lidar: Tensor, lidar_before: Tensor | None = None
+    ) -> BevFeatures:
         """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1], as its histogram has it:
-        row 0 lies farthest behind, column 0 farthest right"""
+        row 0 lies farthest behind, column 0 farthest right; lidar_before: likewise, zeros where
+        there is none, for a backbone that reads it"""
+        if self.config.lidar_before:
+            before = torch.zeros_like(lidar) if lidar_before is None else lidar_before
+            lidar = torch.cat([lidar, before], 1)
         image = self.image.stem((camera.float() - self.pixel_mean) / self.pixel_spread)
         bev = self.lidar.stem(lidar.flip(-2, -1))
+        scales = []
         for index, fusion in enumerate(self.fusions):
             image, bev = self.image.stage(index, image), self.lidar.stage(index, bev)
             image, bev = fusion(image, bev)
-        return BevFeatures(bev, self.pyramid(bev))
+            scales.append(bev)
+        finer = scales[:-1] if self.config.pyramid_skips else ()
+        return BevFeatures(bev, self.pyramid(bev, finer))
 
 
 def _pooled(x: Tensor, grid: tuple[int, int]) -> Tensor:

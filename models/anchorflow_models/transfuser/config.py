@@ -9,6 +9,8 @@ from anchorflow_models.generation.checks import check
 
 STEM_STRIDE = 2
 SEMANTIC_STRIDE = 4
+LIDAR_BEFORE = "lidar_before"
+"""The input that shows an earlier sweep of the LiDAR, in the frame of now."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,8 @@ class TransfuserConfig:
     stem_pooling: each ResNet halves its input once more before the first stage
     fusion_layers, fusion_heads: of the transformer between image and LiDAR after each stage
     bev_channels: of the upscaled BEV
+    pyramid_skips: the upscaled BEV also sees the LiDAR's stages before the last; published is not
+    lidar_before: an earlier sweep of the LiDAR is read beside that of now; published is not
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.
@@ -38,6 +42,8 @@ class TransfuserConfig:
     fusion_layers: int = 2
     fusion_heads: int = 4
     bev_channels: int = 64
+    pyramid_skips: bool = False
+    lidar_before: bool = False
 
     def __post_init__(self) -> None:
         for name, least in (("stem_width", 1), ("fusion_heads", 1), ("bev_channels", 1)):
@@ -93,10 +99,15 @@ class TransfuserConfig:
         """What the backbone reads, by name: the axes of each without B."""
         yield "camera", (3, self.image_height, self.image_width)
         yield "lidar", (1, self.lidar_size, self.lidar_size)
+        if self.lidar_before:
+            yield LIDAR_BEFORE, (1, self.lidar_size, self.lidar_size)
 
 
 def small_transfuser() -> TransfuserConfig:
-    """Narrow and shallow, over an image of half the height and width: for two cores."""
+    """Narrow and shallow, over an image of half the height and width: for two cores.
+
+    Two sweeps of the LiDAR, whose finer stages the upscaled BEV sees.
+    """
     return TransfuserConfig(
         image_height=128,
         image_width=512,
@@ -105,4 +116,6 @@ def small_transfuser() -> TransfuserConfig:
         depths=(1, 1, 1, 1),
         fusion_layers=1,
         bev_channels=32,
+        pyramid_skips=True,
+        lidar_before=True,
     )

@@ -36,6 +36,19 @@ class SemanticHead(nn.Module):
         return F.interpolate(logits, size=self.size, mode="bilinear", align_corners=False)
 
 
+class OccupancyHead(nn.Module):
+    """The upscaled BEV to where others will be, a map a time; it teaches, and is not served."""
+
+    def __init__(self, channels: int, times: int) -> None:
+        super().__init__()
+        self.hidden = nn.Conv2d(channels, channels, 3, padding=1)
+        self.out = nn.Conv2d(channels, times, 1)
+
+    def forward(self, upscaled: Tensor) -> Tensor:
+        """[B, C', H/4, H/4] -> logits [B, T, H/4, H/4]"""
+        return self.out(F.relu(self.hidden(upscaled)))
+
+
 class AgentHead(nn.Module):
     """Decoded queries to boxes in the ego's frame, and how sure it is of each.
 

@@ -19,6 +19,7 @@ from anchorflow_models.transfuser import (
     BevValues,
     FeaturePyramid,
     Footprint,
+    OccupancyHead,
     SemanticHead,
     TransfuserBackbone,
 )
@@ -40,6 +41,7 @@ class Seen:
     bev: [B, M, W] tokens; ego: [B, W]
     agents: [B, Q, 5] x, y, heading, length, width; agent_logits: [B, Q]
     semantic_logits: [B, classes, H/2, H] of the half before the ego
+    occupancy_logits: [B, T, H/4, H/4] of where others will be when the poses are reached
     fine: [B, h, h, C] what footprints look up, where there are any
     """
 
@@ -48,6 +50,7 @@ class Seen:
     agents: Tensor
     agent_logits: Tensor
     semantic_logits: Tensor
+    occupancy_logits: Tensor
     fine: Tensor | None
 
 
@@ -113,6 +116,7 @@ class WoTE(nn.Module):
         self.agent_decoder = Decoder(width, heads, hidden=hidden, layers=config.agent_layers)
         self.agent_head = AgentHead(width, hidden, reach=backbone.lidar_range)
         self.semantics = SemanticHead(backbone, config.semantic_classes)
+        self.occupancy = OccupancyHead(backbone.bev_channels, config.num_steps)
         self.future_pyramid = FeaturePyramid(width, backbone)
         self.future_semantics = SemanticHead(backbone, config.semantic_classes)
 
@@ -155,14 +159,21 @@ class WoTE(nn.Module):
             raise ValueError(f"anchors: expected shape {wanted}, got {came}")
         self.anchors.copy_(anchors)
 
-    def encode(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Context:
-        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1]; ego_status: [B, 8].
+    def encode(
+        self,
+        camera: Tensor,
+        lidar: Tensor,
+        ego_status: Tensor,
+        lidar_before: Tensor | None = None,
+    ) -> Context:
+        """camera: uint8 [B, 3, H, W]; lidar: [B, 1, H', H'] in [0, 1]; ego_status: [B, 8];
+        lidar_before: as lidar, for a backbone that reads it.
 
         Returns by name: bev_tokens [B, M, W], ego [B, W], bev_fine [B, h, h, C] where there are
         footprints; agents [B, Q, 5], agent_scores [B, Q] and bev_semantics [B, classes, H'/2, H'],
         both in [0, 1].
         """
-        seen = self.look(camera, lidar, ego_status)
+        seen = self.look(camera, lidar, ego_status, lidar_before)
         return {
             "bev_tokens": seen.bev,
             "ego": seen.ego,
@@ -199,9 +210,15 @@ class WoTE(nn.Module):
             "sim_rewards": judged.simulation.sigmoid(),
         }
 
-    def look(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> Seen:
+    def look(
+        self,
+        camera: Tensor,
+        lidar: Tensor,
+        ego_status: Tensor,
+        lidar_before: Tensor | None = None,
+    ) -> Seen:
         """What the sensors tell; shapes as of `encode`."""
-        features = self.backbone(camera, lidar)
+        features = self.backbone(camera, lidar, lidar_before)
         bev = self.to_bev(features.features).flatten(2).transpose(1, 2) + self.keys
         queries = self.agent_decoder(self.queries.expand(bev.shape[0], -1, -1), bev)
         agents, agent_logits = self.agent_head(queries)
@@ -211,6 +228,7 @@ class WoTE(nn.Module):
             agents,
             agent_logits,
             self.semantics(features.upscaled),
+            self.occupancy(features.upscaled),
             self.fine_values(features.upscaled) if self.config.footprint else None,
         )
 

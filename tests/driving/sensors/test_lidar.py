@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from anchorflow_driving.log import PEDESTRIAN
 from anchorflow_driving.sensors.agents import nearest_agents
-from anchorflow_driving.sensors.lidar import LIDAR, simulated_lidar, simulated_points
+from anchorflow_driving.sensors.lidar import (
+    LIDAR,
+    simulated_lidar,
+    simulated_lidar_before,
+    simulated_points,
+)
 from anchorflow_driving.window import Window
 
 AXLE = 0.2823 * 5.0
 """m that the ego's rear axle lies behind the street's x = 0."""
+
+
+def struck(histogram: np.ndarray) -> np.ndarray:
+    """x and y of the cells that were hit, m."""
+    return (np.argwhere(histogram[0] > 0) + 0.5) / 4 - 32
 
 
 def above_ground(window: Window) -> np.ndarray:
@@ -75,3 +86,36 @@ def test_agents_are_the_nearest_vehicles_in_range(on_street: Callable, other: ty
     np.testing.assert_allclose(boxes[0], [-10.0 + AXLE, 0.0, 0.0, 5.0, 2.0], atol=1e-4)
     np.testing.assert_allclose(boxes[1], [20.0 + AXLE, 4.0, 0.1, 4.0, 1.8], atol=1e-4)
     assert not boxes[2:].any()
+
+
+def test_who_stands_is_where_it_was_half_a_second_ago(on_street: Callable, other: type) -> None:
+    view = on_street(other(15.0, 4.0), speed=10.0).view
+
+    now, before = struck(simulated_lidar(view)), struck(simulated_lidar_before(view))
+    assert before[:, 0].min() == pytest.approx(now[:, 0].min(), abs=0.3)
+    assert before[:, 1].min() == pytest.approx(now[:, 1].min(), abs=0.3)
+
+
+def test_who_drives_is_where_it_was_half_a_second_ago(on_street: Callable, other: type) -> None:
+    view = on_street(other(15.0, 4.0, speed=8.0), speed=10.0).view
+
+    now, before = struck(simulated_lidar(view)), struck(simulated_lidar_before(view))
+    assert now[:, 0].min() - before[:, 0].min() == pytest.approx(4.0, abs=0.3)
+
+
+def test_an_ego_that_turns_sees_who_stands_in_one_place(on_street: Callable, other: type) -> None:
+    window = on_street(other(12.0, 4.0), speed=0.0)
+    turned = window.view.tracks.copy()
+    turned[window.ego, :-3, 2] -= 0.3
+    view = replace(window.view, tracks=turned)
+
+    now, before = struck(simulated_lidar(view)), struck(simulated_lidar_before(view))
+    assert np.abs(before.mean(0) - now.mean(0)).max() < 0.3
+
+
+def test_before_it_was_there_the_ego_saw_nothing(on_street: Callable, other: type) -> None:
+    window = on_street(other(12.0, 4.0))
+    tracks = window.view.tracks.copy()
+    tracks[window.ego, :-3] = np.nan
+
+    assert not simulated_lidar_before(replace(window.view, tracks=tracks)).any()

@@ -113,3 +113,30 @@ def test_boxes_stay_within_reach() -> None:
 def test_a_wrong_size_is_named(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(SMALL, **wrong)
+
+
+TWO_SWEEPS = replace(SMALL, lidar_before=True)
+
+
+@torch.no_grad()
+def test_an_earlier_sweep_is_heard_and_may_be_missing() -> None:
+    network, (camera, lidar) = backbone(TWO_SWEEPS), sensors()
+    shown = network(camera, lidar, 1 - lidar).features
+    missing = network(camera, lidar).features
+    assert (shown - missing).abs().max() > 1e-3
+    torch.testing.assert_close(network(camera, lidar, torch.zeros_like(lidar)).features, missing)
+    assert dict(TWO_SWEEPS.input_sizes())["lidar_before"] == (1, 256, 256)
+
+
+@torch.no_grad()
+def test_skips_begin_as_nothing_and_then_bring_the_finer_stages() -> None:
+    network = backbone(replace(SMALL, pyramid_skips=True))
+    camera, lidar = sensors()
+    plain = network(camera, lidar)
+    without = network.pyramid(plain.features, [torch.zeros(2, w, 8, 8) for w in SMALL.widths[:-1]])
+    torch.testing.assert_close(without, plain.upscaled)
+    for skip in network.pyramid.skips:
+        torch.nn.init.normal_(skip.weight)
+        changed = network(camera, lidar)
+        assert (changed.upscaled - plain.upscaled).abs().max() > 1e-3
+        torch.nn.init.zeros_(skip.weight)

@@ -170,3 +170,38 @@ def test_the_card_says_what_the_rasters_cover(client: AnchorClient) -> None:
     assert specs["lidar"].unit == "rows x, columns y, both from -32 to 32 m"
     assert specs["bev_semantics"].extent == (0.0, 32.0, -32.0, 32.0)
     assert (card.sampler.kind, card.planner) == ("vocabulary", "wote")
+
+
+@pytest.fixture(scope="module")
+def two_sweeps(tmp_path_factory: pytest.TempPathFactory) -> LocalClient:
+    config = replace(CONFIG, backbone=replace(CONFIG.backbone, lidar_before=True))
+    out = tmp_path_factory.mktemp("sweeps") / "bundle"
+    adapter = adapter_of("wote", tiny_wote(config), ExportChoices())
+    description = BundleDescription(name=MODEL, version="1.0.0", planner="wote")
+    differences = export_bundle(adapter, description, out=out)
+    assert max(part.error for part in differences) <= 1e-5
+    return LocalClient.of(out, threads=1)
+
+
+def test_an_earlier_sweep_may_be_left_out(two_sweeps: LocalClient) -> None:
+    missing = two_sweeps.plan(inputs=scene(), num_samples=3)
+    sweep = np.zeros_like(scene()["lidar"])
+    empty = two_sweeps.plan(inputs={**scene(), "lidar_before": sweep}, num_samples=3)
+    full = two_sweeps.plan(inputs={**scene(), "lidar_before": sweep + 1}, num_samples=3)
+    assert missing.trajectories.tobytes() == empty.trajectories.tobytes()
+    assert np.abs(full.arrays["scores"] - empty.arrays["scores"]).max() > 1e-6
+    assert (missing.absent_inputs, full.absent_inputs) == (("lidar_before",), ())
+
+
+def test_a_batch_without_an_earlier_sweep_is_its_scenes_alone(two_sweeps: LocalClient) -> None:
+    together = two_sweeps.plan(inputs=scenes(2), num_samples=3)
+    for b in range(2):
+        own = {name: array[b] for name, array in scenes(2).items()}
+        alone = two_sweeps.plan(inputs=own, num_samples=3)
+        assert together.trajectories[b].tobytes() == alone.trajectories.tobytes()
+
+
+def test_an_odd_earlier_sweep_is_refused_by_name(two_sweeps: LocalClient) -> None:
+    with pytest.raises(InvalidRequest, match="expected shape") as caught:
+        two_sweeps.plan(inputs={**scene(), "lidar_before": np.zeros((1, 8, 8), np.float32)})
+    assert str(caught.value.field).startswith("inputs.lidar_before")

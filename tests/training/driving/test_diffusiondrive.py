@@ -38,6 +38,7 @@ from anchorflow_training.settings import ConfigError
 
 B, T = 2, 8
 MODEL = replace(TINY, classes=len(CLASSES))
+IMITATION = {"classes", "poses", "agents", "semantics", "occupancy"}
 STAGES = ("imitation", "scorers", "together", "reinforcement")
 
 
@@ -52,6 +53,7 @@ def batch() -> dict[str, Tensor]:
         "agents": 10 * torch.rand(B, 30, 5, generator=generator),
         "agent_count": torch.tensor([3, 0]),
         "semantics": torch.randint(0, TINY.classes, (B, 8, 16), generator=generator),
+        "occupancy": (torch.rand(B, T, 4, 4, generator=generator) < 0.2).byte(),
         "window": torch.tensor([4, 9]),
         "signs": torch.ones(B, 3),
     }
@@ -77,10 +79,10 @@ def drawn_for(objective: DiffusionDriveObjective) -> tuple[Tensor, ...]:
 
 
 TERMS = {
-    "imitation": {"classes", "poses", "agents", "semantics"},
+    "imitation": IMITATION,
     "scorers": {"coarse", "fine", "rank"},
-    "together": {"classes", "poses", "agents", "semantics", "coarse", "fine", "rank"},
-    "reinforcement": {"classes", "poses", "agents", "semantics", "reinforcement"},
+    "together": IMITATION | {"coarse", "fine", "rank"},
+    "reinforcement": IMITATION | {"reinforcement"},
 }
 LEARNS = {
     "imitation": {"perception", "denoiser"},
@@ -106,7 +108,7 @@ def test_each_stage_reaches_its_own_weights_and_no_others(stage: str) -> None:
 
 @pytest.mark.parametrize("stage", ["imitation", "scorers"])
 def test_steps_make_every_term_smaller(stage: str) -> None:
-    loss_of, given = objective(stage, rank=1.0), batch()
+    loss_of, given = objective(stage, rank=1.0, occupancy=1.0), batch()
     draws = drawn_for(loss_of)
     optimiser = torch.optim.AdamW(loss_of.parameters(), 3e-3)
     first = terms = loss_of(given, *draws)[1]
@@ -208,7 +210,9 @@ def test_the_scorers_learn_other_speeds_and_imitation_does_not() -> None:
     settings = DiffusionDriveObjectiveConfig(stage="together", judged=12, speed=4.0)
     loss_of = DiffusionDriveObjective(tiny_diffusiondrive(), settings, judge)
     told: list[Tensor] = []
-    loss_of.model.perception.register_forward_pre_hook(lambda _module, given: told.append(given[2]))
+    loss_of.model.perception.register_forward_pre_hook(
+        lambda _module, _, named: told.append(named["ego_status"]), with_kwargs=True
+    )
     given = batch()
     given["ego_status"][:, 4] = torch.tensor([6.0, 3.0])
     given["ego_status"][:, 7] = 1.8
@@ -302,6 +306,7 @@ def sensed(window: Window, sizes: SensorSizes) -> Drawn:
         "lidar": pictures["lidar"] % 6,
         "semantics": pictures["semantics"] % len(CLASSES),
         "future_semantics": pictures["semantics"] % len(CLASSES),
+        "occupancy": pictures["occupancy"] % 2,
         "ego_status": np.eye(8, dtype=np.float32)[1],
         "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
         "agents": np.ones((30, 5), np.float32),

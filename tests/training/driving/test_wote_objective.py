@@ -12,7 +12,12 @@ from torch import Tensor
 
 from anchorflow_models.wote import WoteConfig
 from anchorflow_training.driving.likeness import distances, likeness_loss
-from anchorflow_training.driving.perception_losses import agent_loss, focal_loss, match
+from anchorflow_training.driving.perception_losses import (
+    agent_loss,
+    focal_loss,
+    match,
+    occupancy_loss,
+)
 from anchorflow_training.driving.wote_objective import (
     WoteObjective,
     WoteObjectiveConfig,
@@ -33,11 +38,12 @@ def batch(config: WoteConfig = TINY, B: int = 2) -> dict[str, Tensor]:
         "agent_count": torch.tensor([3, 0]),
         "semantics": classes[0],
         "future_semantics": classes[1],
+        "occupancy": (torch.rand(B, config.num_steps, 8, 8, generator=generator) < 0.2).byte(),
     }
 
 
 def test_the_loss_is_the_weighted_sum_of_its_terms() -> None:
-    config = WoteObjectiveConfig(semantics=3.0, future_semantics=0.0)
+    config = WoteObjectiveConfig(semantics=3.0, future_semantics=0.0, occupancy=2.0)
     objective = WoteObjective(tiny_wote(), config)
     loss, terms = objective(batch(), *objective.draw(2, 1, torch.Generator()))
     assert set(terms) == {
@@ -48,6 +54,7 @@ def test_the_loss_is_the_weighted_sum_of_its_terms() -> None:
         "agents",
         "semantics",
         "future_semantics",
+        "occupancy",
     }
     wanted = sum(getattr(config, name) * term for name, term in terms.items())
     torch.testing.assert_close(loss, torch.as_tensor(wanted))
@@ -64,11 +71,11 @@ def test_every_weight_is_reached() -> None:
 
 def test_steps_make_every_term_smaller() -> None:
     model, given = tiny_wote().train(), batch()
-    objective = WoteObjective(model, WoteObjectiveConfig())
+    objective = WoteObjective(model, WoteObjectiveConfig(occupancy=1.0))
     drawn = objective.draw(2, 1, torch.Generator().manual_seed(0))
     optimiser = torch.optim.AdamW(model.parameters(), 3e-3)
     first = terms = objective(given, *drawn)[1]
-    for _ in range(60):
+    for _ in range(120):
         loss, terms = objective(given, *drawn)
         optimiser.zero_grad()
         loss.backward()
@@ -154,3 +161,16 @@ def test_likely_anchors_are_drawn_as_often_as_their_scores_say() -> None:
     luck = torch.rand(logits.shape, generator=torch.Generator().manual_seed(0))
     first = likely(logits, luck)[:, 0].bincount() / len(logits)
     torch.testing.assert_close(first, torch.tensor([0.6, 0.3, 0.1]), atol=0.02, rtol=0.0)
+
+
+def test_occupancy_is_learnt_where_its_weight_says_so() -> None:
+    logits = torch.zeros(1, 2, 4, 4)
+    assert occupancy_loss(logits, torch.ones(1, 2, 4, 4).byte()) == pytest.approx(math.log(2))
+    model, given = tiny_wote().train(), batch()
+    for weight, learns in ((0.0, False), (1.0, True)):
+        objective = WoteObjective(model, WoteObjectiveConfig(occupancy=weight))
+        model.zero_grad()
+        objective(given, *objective.draw(2, 1, torch.Generator().manual_seed(0)))[0].backward()
+        gradient = model.occupancy.out.weight.grad
+        assert gradient is not None
+        assert bool(gradient.any()) is learns

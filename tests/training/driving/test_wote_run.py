@@ -32,7 +32,7 @@ from anchorflow_training.driving.anchor_scores import (
     trajectory_anchors,
 )
 from anchorflow_training.driving.kept_logs import open_logs
-from anchorflow_training.driving.semantic_bev import CLASSES, semantic_bev, view_after
+from anchorflow_training.driving.semantic_bev import CLASSES, occupancy, semantic_bev, view_after
 from anchorflow_training.driving.sensor_windows import (
     Drawn,
     SensorSizes,
@@ -69,7 +69,8 @@ def drawn(window: Window, sizes: SensorSizes) -> Drawn:
     later = view_after(window, 4.0)
     return {
         **pictures,
-        "lidar": pictures["lidar"] % 6,
+        **{name: pictures[name] % 6 for name in sizes.sweeps},
+        "occupancy": pictures["occupancy"] % 2,
         "semantics": semantic_bev(view, rows=16, reach=32.0),
         "future_semantics": semantic_bev(later, rows=16, reach=32.0),
         "ego_status": np.eye(8, dtype=np.float32)[1],
@@ -114,6 +115,22 @@ def test_what_is_kept_is_not_drawn_again(logs: list[Path]) -> None:
     assert told == [(1, 2), (2, 2)]
     other = open_sensor_windows(logs, replace(SIZES, camera_rows=8), draw=drawn)
     assert other.batch(np.array([0]))["camera"].shape == (1, 3, 8, 32)
+
+
+def test_an_earlier_sweep_is_kept_beside_and_now_and_then_lost(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    model = replace(MODEL, backbone=replace(MODEL.backbone, lidar_before=True))
+    config = replace(CONFIG, model=model, lidar_before_lost=0.5, steps=1)
+    run = WoteRun(config, logs, tmp_path)
+    batch = run.windows.batch(np.array([2]), mirrored=True)
+    assert float(batch["lidar_before"].max()) == np.float32(0.4)
+    told = ["lidar_before" in each for each in run.stream(range(20))]
+    assert 4 < sum(told) < 16
+    assert told == ["lidar_before" in each for each in run.stream(range(20))]
+    run.fit()
+    plain = open_sensor_windows(logs, SIZES, draw=drawn)
+    assert "lidar_before" not in plain.batch(np.array([0]))
 
 
 def test_scores_are_the_scorers_and_are_kept(logs: list[Path]) -> None:
@@ -189,6 +206,20 @@ def test_semantics_show_the_leader_where_it_is_and_will_be(logs: list[Path]) -> 
     assert (later == vehicle).sum() == 0
     still = later == now
     assert still[now != vehicle].all()
+
+
+def test_occupancy_follows_the_leader_and_leaves_the_ego_out(logs: list[Path]) -> None:
+    window = Scenes(read_log(logs[0]))[0]
+    maps = occupancy(window, cells=64, reach=32.0)
+    assert maps.shape == (len(PLAN_TIMES), 64, 64)
+    assert maps.any((1, 2))[:2].all()
+    # Row 0 lies farthest ahead.
+    ahead = [32 - np.nonzero(each)[0].mean() for each in maps[:2]]
+    place = [view_after(window, t).tracks[1, -1, 0] for t in (0.5, 1.0)]
+    np.testing.assert_allclose(ahead, place, atol=1.0)
+    own = window.recorded(PLAN_TIMES[:1])[0]
+    row, column = (np.array([32.0, 32.0]) - own[:2]).astype(int)
+    assert not maps[0, row, column]
 
 
 def test_a_run_goes_on_as_if_it_had_not_stopped(logs: list[Path], tmp_path: Path) -> None:
@@ -293,10 +324,12 @@ def test_a_reflected_window_is_the_window_of_the_mirrored_bend() -> None:
         sensor_windows.simulated(Scenes(bend(0, mirrored=mirrored))[0], sizes)
         for mirrored in (False, True)
     )
-    seen = reflected({name: array[None] for name, array in own.items()})
+    seen = reflected(
+        {name: array[None] for name, array in own.items()}, pictures=tuple(sizes.shapes)
+    )
     for name in ("ego_status", "future", "agents"):
         np.testing.assert_allclose(seen[name][0], other[name], atol=1e-3, err_msg=name)
-    for name, most in {"camera": 2.0, "lidar": 0.01, "semantics": 0.05}.items():
+    for name, most in {"camera": 2.0, "lidar": 0.01, "semantics": 0.05, "occupancy": 0.01}.items():
         unlike, plain = (
             np.abs(drawn.astype(float) - other[name].astype(float)).mean()
             for drawn in (seen[name][0], own[name])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import read_log
-from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
+from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
 from anchorflow_training.driving.vocabulary import clustered
@@ -82,8 +82,7 @@ def keep_scores(log: Path, *, anchors: Floats) -> None:
 
 def pdms(scores: NDArray[np.floating]) -> NDArray[np.floating]:
     """PDMS [...] of sub-scores [..., 5]."""
-    nc, dac, ep, ttc, c = np.moveaxis(scores, -1, 0)
-    return nc * dac * (5 * ep + 5 * ttc + 2 * c) / 12
+    return PdmScores(*np.moveaxis(scores, -1, 0)).pdms
 
 
 def _kept(log: Path, anchors: Floats) -> Path:

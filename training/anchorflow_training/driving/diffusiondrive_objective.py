@@ -31,7 +31,8 @@ from anchorflow_training.driving.diffusiondrive_losses import (
     wrong_order,
 )
 from anchorflow_training.driving.likeness import distances, likeness_loss
-from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
+from anchorflow_training.driving.perception_losses import agent_loss, focal_loss, occupancy_loss
+from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import ddim_step, noised
 
@@ -58,6 +59,7 @@ class DiffusionDriveObjectiveConfig:
     poses: float = setting(8.0, "L1 of its poses.", least=0)
     agents: float = setting(1.0, "Of the boxes.", least=0)
     semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
+    occupancy: float = setting(0.0, "Of where others will be; published has none.", least=0)
     coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
     fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
     imitation: float = setting(
@@ -139,17 +141,18 @@ class DiffusionDriveObjective(nn.Module):
         order: Tensor,
         change: Tensor,
     ) -> tuple[Tensor, Terms]:
-        """batch: camera, lidar, ego_status as of `Perception`; future [B, T, 3] m, rad; agents
-        [B, Q, 5] and agent_count [B]; semantics [B, H/2, H] classes; window [B], for the judge;
-        signs [B, 3] of its poses, which reflect a window that was reflected."""
+        """batch: camera, lidar, ego_status, lidar_before as of `Perception`; future [B, T, 3] m and
+        rad; agents [B, Q, 5] and agent_count [B]; semantics [B, H/2, H] classes; occupancy
+        [B, T, H/4, H/4] 0 or 1; window [B], for the judge; signs [B, 3] of its poses, which reflect
+        a window that was reflected."""
         config, anchors = self.config, self.model.config.anchors
         status, speeds = self._changed(batch["ego_status"], change)
-        sensors = (batch["camera"], batch["lidar"], status)
+        sensors = {**sensors_of(batch), "ego_status": status}
         learns = config.stage != "scorers"
         if not learns:
             self.model.perception.eval()  # its normalisation does not learn either
         with torch.set_grad_enabled(learns):
-            seen = self.model.perception(*sensors)
+            seen = self.model.perception(**sensors)
         terms: Terms = {}
         if learns:
             terms |= self._imitation(seen, batch, noise[:, :anchors], level, speeds)
@@ -203,6 +206,7 @@ class DiffusionDriveObjective(nn.Module):
                 seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
             ),
             "semantics": focal_loss(seen.semantics, batch["semantics"]),
+            "occupancy": occupancy_loss(seen.occupancy, batch["occupancy"]),
         }
 
     def nearest(self, future: Tensor) -> Tensor:

@@ -26,6 +26,7 @@ from anchorflow_training.driving.diffusiondrive_objective import (
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
+from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.reflection import SIGNS, reflection
 from anchorflow_training.restore import other_weights, restore_model
 from anchorflow_training.settings import ConfigError, setting
@@ -117,7 +118,7 @@ def choices(
     spread_m, spread_plain_m: of the candidates' ends, with diversity noise and without
     """
     config, device = model.config, model.anchors.device
-    scene = model.perception(batch["camera"], batch["lidar"], batch["ego_status"]).scene
+    scene = model.perception(**sensors_of(batch)).scene
     count = config.anchors * config.groups
     noise = torch.randn(1, count, POSES, 2, generator=generator).to(device)
     diversity = torch.randn(1, count, config.variants, 2, generator=generator).to(device)

@@ -21,6 +21,11 @@ def focal_loss(
     return -(alpha * (1 - log_p.exp()).pow(gamma) * log_p).mean()
 
 
+def occupancy_loss(logits: Tensor, occupied: Tensor) -> Tensor:
+    """Binary cross-entropy, its mean; logits: [B, T, H, H]; occupied: 0 or 1 likewise."""
+    return F.binary_cross_entropy_with_logits(logits, occupied.to(logits.dtype))
+
+
 def agent_loss(states: Tensor, logits: Tensor, boxes: Tensor, count: Tensor) -> Tensor:
     """Binary cross-entropy of who is there, L1 of where; each box is matched to one query.
 

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import into_frame
+from anchorflow_driving.drivers import PLAN_TIMES
+from anchorflow_driving.geometry import states_into_frame
 from anchorflow_driving.log import FRAME_S
-from anchorflow_driving.sensors.bev import FULL, LANES, BevGrid, draw_bev
+from anchorflow_driving.sensors.bev import FULL, LANES, BevGrid, draw_bev, draw_boxes
 from anchorflow_driving.window import PlannerView, Window
 
 CLASSES = ("nothing", "drivable", "lane", "line", "crosswalk", "static", "vehicle", "person")
@@ -40,13 +41,25 @@ def semantic_bev(view: PlannerView, *, rows: int, reach: float) -> NDArray[np.ui
     return classes
 
 
+def occupancy(window: Window, *, cells: int, reach: float) -> NDArray[np.uint8]:
+    """Where others will be: 0 or 1 [T, cells, cells] at the times of a plan, the ego in the middle.
+
+    Row 0 lies farthest ahead, column 0 farthest left, each `reach` m from the rear axle.
+    """
+    grid = BevGrid(extent=(-reach, reach, -reach, reach), cell=2 * reach / cells, ahead_s=())
+    view, others = window.view, np.arange(len(window.view.tracks)) != window.ego
+    size = view.track_size[others]
+    boxes = [
+        draw_boxes(view_after(window, float(time)).tracks[others, -1], size, grid)
+        for time in PLAN_TIMES
+    ]
+    return (np.stack(boxes) >= FULL // 4).astype(np.uint8)
+
+
 def view_after(window: Window, seconds: float) -> PlannerView:
     """The view, with the others where the record has them later: in the ego's frame now."""
     view, log = window.view, window.log
     frame = window.frame + round(seconds / FRAME_S)
     states = log.track_state[:, frame].astype(np.float64)
-    turned = np.array([0.0, 0.0, view.state.pose[2]])
-    later = np.concatenate(
-        [into_frame(states[:, :3], view.state.pose), into_frame(states[:, 3:], turned)], -1
-    )
+    later = states_into_frame(states, view.state.pose)
     return replace(view, tracks=np.repeat(later[:, None], view.tracks.shape[1], axis=1))

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from anchorflow_models.transfuser import TransfuserBackbone
+from anchorflow_models.transfuser import LIDAR_BEFORE, TransfuserBackbone
 from anchorflow_training.batches import (
     Batch,
     MirroredBatchConfig,
@@ -41,6 +41,9 @@ class SensorRunConfig(RunConfig):
         None, "File of anchors [K, T, 3] (.npy) instead of clustered ones."
     )
     resnet: str | None = setting(None, "Folder of ResNet weights to begin with.")
+    lidar_before_lost: float = setting(
+        0.1, "Share of the batches without the LiDAR of before.", least=0, most=1
+    )
     backbone: str | None = setting(
         None, "Checkpoint of any planner with the same backbone, to begin with its weights."
     )
@@ -101,8 +104,12 @@ class SensorRun(TrainingRun):
 
     def _numbered(self, index: int) -> Batch:
         sizes = self.config.batch
-        mirrored = sizes.mirror and batch_rng(sizes, index).random() < 0.5
-        return self.batch(batch_scenes(self.count, sizes, index), mirrored=mirrored)
+        luck = batch_rng(sizes, index).random(2)
+        mirrored = sizes.mirror and bool(luck[0] < 0.5)
+        batch = self.batch(batch_scenes(self.count, sizes, index), mirrored=mirrored)
+        if luck[1] < self.config.lidar_before_lost:
+            batch.pop(LIDAR_BEFORE, None)
+        return batch
 
     @property
     def data(self) -> dict[str, Any]:

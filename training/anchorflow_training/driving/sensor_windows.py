@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from anchorflow_driving.log import read_log
 from anchorflow_driving.sensors.agents import nearest_agents
 from anchorflow_driving.sensors.by_name import draw_inputs
 from anchorflow_driving.window import Scenes, Window
-from anchorflow_models.transfuser import TransfuserConfig
+from anchorflow_models.transfuser import LIDAR_BEFORE, SEMANTIC_STRIDE, TransfuserConfig
 from anchorflow_training.batches import Batch
 from anchorflow_training.driving.augmentation import mirrored_status
 from anchorflow_training.driving.kept_logs import (
@@ -28,33 +28,44 @@ from anchorflow_training.driving.kept_logs import (
     no_windows,
     write_beside,
 )
-from anchorflow_training.driving.semantic_bev import semantic_bev, view_after
+from anchorflow_training.driving.semantic_bev import occupancy, semantic_bev, view_after
 from anchorflow_training.reflection import reflection
 
 KEPT = ".sensors"
 """Suffix of the file beside a log that holds what its sensors tell."""
 LEVEL = 3  # of zlib
 COUNTS = 5  # points in a LiDAR cell that make 1
-PICTURES = ("camera", "lidar", "semantics", "future_semantics")
+SWEEPS = ("lidar", LIDAR_BEFORE)
 NUMBERS = ("ego_status", "future", "agents", "agent_count")
 
+INPUTS = ("camera", *SWEEPS, "ego_status")
+
 Drawn = dict[str, NDArray[Any]]
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
 class SensorSizes:
-    """Of the camera's picture, of the LiDAR's histogram (cells a side) and its range, m."""
+    """Of the camera's picture, of the LiDAR's histogram (cells a side) and its range, m.
+
+    lidar_before: whether there is an earlier sweep beside
+    """
 
     camera_rows: int
     camera_columns: int
     lidar_size: int
     lidar_range: float
+    lidar_before: bool = False
 
     @classmethod
     def of(cls, backbone: TransfuserConfig) -> SensorSizes:
         """Of what a backbone looks at."""
         return cls(
-            backbone.image_height, backbone.image_width, backbone.lidar_size, backbone.lidar_range
+            backbone.image_height,
+            backbone.image_width,
+            backbone.lidar_size,
+            backbone.lidar_range,
+            backbone.lidar_before,
         )
 
     @property
@@ -63,10 +74,21 @@ class SensorSizes:
         semantic = (self.lidar_size // 2, self.lidar_size)
         return {
             "camera": (3, self.camera_rows, self.camera_columns),
-            "lidar": (1, self.lidar_size, self.lidar_size),
+            **dict.fromkeys(self.sweeps, (1, self.lidar_size, self.lidar_size)),
             "semantics": semantic,
             "future_semantics": semantic,
+            "occupancy": (len(PLAN_TIMES), self.cells, self.cells),
         }
+
+    @property
+    def sweeps(self) -> tuple[str, ...]:
+        """Of the LiDAR, by the names of their histograms."""
+        return SWEEPS if self.lidar_before else SWEEPS[:1]
+
+    @property
+    def cells(self) -> int:
+        """Cells a side of the occupancy."""
+        return self.lidar_size // SEMANTIC_STRIDE
 
     @property
     def inputs(self) -> tuple[TensorSpec, ...]:
@@ -74,7 +96,7 @@ class SensorSizes:
         shapes = self.shapes
         return (
             TensorSpec("camera", "uint8", ("B", *shapes["camera"])),
-            TensorSpec("lidar", "float32", ("B", *shapes["lidar"])),
+            *(TensorSpec(name, "float32", ("B", *shapes[name])) for name in self.sweeps),
             TensorSpec("ego_status", "float32", ("B", 8)),
         )
 
@@ -83,7 +105,7 @@ class SensorSizes:
 class SensorWindows:
     """W windows, those of a log beside one another.
 
-    streams: zlib, one a window: its PICTURES as bytes, the LiDAR as counts
+    streams: zlib, one a window: the pictures of `sizes.shapes` as bytes, the LiDAR as counts
     numbers: ego_status [W, 8]; future [W, T, 3] poses that were driven, m and rad;
         agents [W, Q, 5] x, y, heading, length, width, the first agent_count [W] of which are there
     logs: the files; log: [W] which of them
@@ -101,27 +123,32 @@ class SensorWindows:
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
         """What sensors tell of these windows, or of their reflections, and what is to be learnt."""
         pictures = [self._pictures(int(window)) for window in windows]
-        drawn = {name: np.stack([each[name] for each in pictures]) for name in PICTURES}
-        drawn["lidar"] = drawn["lidar"].astype(np.float32) / COUNTS
+        drawn = {n: np.stack([each[n] for each in pictures]) for n in self.sizes.shapes}
+        drawn |= {name: drawn[name].astype(np.float32) / COUNTS for name in self.sizes.sweeps}
         seen = drawn | {name: array[windows] for name, array in self.numbers.items()}
-        return reflected(seen) if mirrored else seen
+        return reflected(seen, pictures=tuple(drawn)) if mirrored else seen
 
     def _pictures(self, window: int) -> Drawn:
         data = np.frombuffer(zlib.decompress(self.streams[window]), np.uint8)
         shapes = self.sizes.shapes
-        ends = np.cumsum([np.prod(shapes[name]) for name in PICTURES])
+        ends = np.cumsum([np.prod(shape) for shape in shapes.values()])
         parts = np.split(data, ends[:-1])
-        return {n: part.reshape(shapes[n]) for n, part in zip(PICTURES, parts, strict=True)}
+        return {n: part.reshape(shapes[n]) for n, part in zip(shapes, parts, strict=True)}
 
 
-def reflected(batch: Batch) -> Batch:
-    """A batch as it would be, were left right."""
-    pictures = {name: np.ascontiguousarray(batch[name][..., ::-1]) for name in PICTURES}
+def sensors_of(batch: Mapping[str, Value]) -> dict[str, Value]:
+    """What a batch holds of a network's inputs, by their names."""
+    return {name: batch[name] for name in INPUTS if name in batch}
+
+
+def reflected(batch: Batch, *, pictures: Sequence[str]) -> Batch:
+    """A batch as it would be, were left right; pictures: by which names it has some."""
+    turned = {name: np.ascontiguousarray(batch[name][..., ::-1]) for name in pictures}
     signs = reflection(3)
     boxes = np.concatenate([signs, np.ones(batch["agents"].shape[-1] - 3, np.float32)])
     return {
         **batch,
-        **pictures,
+        **turned,
         "ego_status": mirrored_status(batch["ego_status"]),
         "future": batch["future"] * signs,
         "agents": batch["agents"] * boxes,
@@ -137,8 +164,8 @@ def open_sensor_windows(
 ) -> SensorWindows:
     """The windows of logs; those of each log are drawn once, on every core, and kept beside it.
 
-    draw: what the sensors tell of a window, by the names of PICTURES and NUMBERS; by default by
-        the simulated camera and LiDAR
+    draw: what the sensors tell of a window, by the names of `sizes.shapes` and NUMBERS; by
+        default by the simulated camera and LiDAR
 
     Raises:
         LogError: a log cannot be read, there is no place to write beside it, or none has a window.
@@ -167,7 +194,7 @@ def keep_sensors(
     """Draw what the sensors tell of a log's windows, and keep it beside the log."""
     rows = [draw(window, sizes) for window in Scenes(read_log(log))]
     streams = [
-        zlib.compress(b"".join(row[name].astype(np.uint8).tobytes() for name in PICTURES), LEVEL)
+        zlib.compress(b"".join(row[n].astype(np.uint8).tobytes() for n in sizes.shapes), LEVEL)
         for row in rows
     ]
     arrays = {name: np.array([row[name] for row in rows]) for name in NUMBERS}
@@ -188,11 +215,12 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
     rows, reach = sizes.lidar_size // 2, sizes.lidar_range
     return {
         "camera": seen["camera"],
-        "lidar": np.rint(COUNTS * seen["lidar"]).astype(np.uint8),
+        **{name: np.rint(COUNTS * seen[name]).astype(np.uint8) for name in sizes.sweeps},
         "semantics": semantic_bev(view, rows=rows, reach=reach),
         "future_semantics": semantic_bev(
             view_after(window, float(PLAN_TIMES[-1])), rows=rows, reach=reach
         ),
+        "occupancy": occupancy(window, cells=sizes.cells, reach=reach),
         "ego_status": seen["ego_status"],
         "future": window.recorded(PLAN_TIMES).astype(np.float32),
         "agents": agents,

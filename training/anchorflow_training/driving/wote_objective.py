@@ -11,7 +11,8 @@ from torch.nn import functional as F
 
 from anchorflow_models.wote import WoTE
 from anchorflow_training.driving.likeness import distances, likeness_loss
-from anchorflow_training.driving.perception_losses import agent_loss, focal_loss
+from anchorflow_training.driving.perception_losses import agent_loss, focal_loss, occupancy_loss
+from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.settings import setting
 
 TINY = 1e-9
@@ -34,6 +35,7 @@ class WoteObjectiveConfig:
     agents: float = setting(1.0, "Of the boxes.", least=0)
     semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
     future_semantics: float = setting(0.1, "Of the semantic BEV that is imagined.", least=0)
+    occupancy: float = setting(0.0, "Of where others will be; published has none.", least=0)
     likeness: float = setting(1.0, "m, over which an anchor's soft label falls by e.", above=0)
     judged: int = setting(0, "Anchors that the world model looks at in a step; 0: all.", least=0)
     likely: int = setting(0, "Of them, how many are drawn by their offset scores.", least=0)
@@ -54,11 +56,11 @@ class WoteObjective(nn.Module):
     def forward(
         self, batch: Mapping[str, Tensor], order: Tensor, luck: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """batch: camera, lidar, ego_status as of `WoTE.encode`; future [B, T, 3] m, rad;
-        pdm [B, K, 5] of the anchors in [0, 1]; agents [B, Q, 5] and agent_count [B];
-        semantics, future_semantics [B, H/2, H] classes."""
+        """batch: camera, lidar, ego_status, lidar_before as of `WoTE.encode`; future [B, T, 3] m,
+        rad; pdm [B, K, 5] of the anchors in [0, 1]; agents [B, Q, 5] and agent_count [B];
+        semantics, future_semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1."""
         model, config = self.model, self.config
-        seen = model.look(batch["camera"], batch["lidar"], batch["ego_status"])
+        seen = model.look(**sensors_of(batch))
         moved = model.move(seen.bev, seen.ego)
         distance = distances(model.anchors[None], batch["future"])
         nearest = distance.argmin(-1)
@@ -76,6 +78,7 @@ class WoteObjective(nn.Module):
                 seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
             ),
             "semantics": focal_loss(seen.semantic_logits, batch["semantics"]),
+            "occupancy": occupancy_loss(seen.occupancy_logits, batch["occupancy"]),
             # The first that is judged is the nearest to what was driven.
             "future_semantics": focal_loss(
                 model.future_semantic_logits(judged.future[:, 0]), batch["future_semantics"]

@@ -20,6 +20,7 @@ from anchorflow_training.driving.kept_logs import PLAN_SETTINGS
 from anchorflow_training.driving.likeness import distances
 from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
+from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.driving.wote_objective import WoteObjective, WoteObjectiveConfig
 from anchorflow_training.reflection import reflection
 
@@ -72,7 +73,7 @@ class WoteRun(SensorRun):
 
         success: PDMS of the anchor with the best score, before its offset
         """
-        seen = model.look(batch["camera"], batch["lidar"], batch["ego_status"])
+        seen = model.look(**sensors_of(batch))
         scored = model.score(seen.bev, seen.ego, seen.fine)
         refined = distances(scored["trajectories"], batch["future"])
         worth = pdms(self.pdm[window])

@@ -60,15 +60,21 @@ def answer_extras(config: WoteConfig) -> tuple[TensorSpec, ...]:
 
 
 class Encode(nn.Module):
-    """camera, lidar, ego_status -> the context for scores, and what TOLD names"""
+    """What a request brings -> the context for scores, and what TOLD names"""
 
     def __init__(self, model: WoTE) -> None:
         super().__init__()
         self.model = model
         self.names = (*model.context_for_score, *TOLD)
 
-    def forward(self, camera: Tensor, lidar: Tensor, ego_status: Tensor) -> tuple[Tensor, ...]:
-        context = self.model.encode(camera, lidar, ego_status)
+    def forward(
+        self,
+        camera: Tensor,
+        lidar: Tensor,
+        ego_status: Tensor,
+        lidar_before: Tensor | None = None,
+    ) -> tuple[Tensor, ...]:
+        context = self.model.encode(camera, lidar, ego_status, lidar_before)
         return tuple(context[name] for name in self.names)
 
 

@@ -17,7 +17,7 @@ PROBE_AXIS = 32
 
 
 class TensorConditioning:
-    """Scenes of named tensors."""
+    """Scenes of named tensors; of those that are optional zeros, where a request brings none."""
 
     def __init__(self, manifest: Manifest) -> None:
         self._manifest = manifest
@@ -31,12 +31,15 @@ class TensorConditioning:
             if spec.name in given and spec.dtype != given[spec.name].dtype:
                 own = f"{spec.name} is {spec.dtype}"
                 yield f"graphs.encode.inputs: {own}, in request.inputs {given[spec.name].dtype}"
-            if spec.name in given and given[spec.name].optional:
-                yield f"request.inputs: {spec.name} is optional, but graphs.encode takes it always"
 
     def scenes(self, request: ResolvedRequest) -> list[TensorScene]:
         """The scenes of a request, whose inputs are bound to the card's."""
-        return [TensorScene(request, b) for b in range(request.num_scenes)]
+        absent = {
+            spec.name: np.asarray(probe_of(spec))[None]
+            for spec in self._manifest.request.inputs
+            if spec.optional and spec.name not in request.inputs
+        }
+        return [TensorScene(request, b, absent) for b in range(request.num_scenes)]
 
     def probe(self) -> AnchorRequest:
         """Zeros, or the nearest to them that the card allows."""
@@ -46,16 +49,21 @@ class TensorConditioning:
 
 @dataclass(frozen=True)
 class TensorScene:
-    """One scene of a request."""
+    """One scene of a request; absent: what stands for the optional inputs that it left out."""
 
     request: ResolvedRequest
     index: int
+    absent: Arrays
 
     def inputs(self, names: Iterable[str]) -> Arrays:
         """The request's own, with a B axis of 1."""
         own = slice(self.index, self.index + 1)
-        bound = {name: np.asarray(self.request.inputs[name]) for name in names}
-        return {name: np.ascontiguousarray(array[own]) for name, array in bound.items()}
+        return {
+            name: self.absent[name]
+            if name in self.absent
+            else np.ascontiguousarray(np.asarray(self.request.inputs[name])[own])
+            for name in names
+        }
 
     def answered(self, arrays: Arrays) -> Arrays:
         """As they are: the frame is the planner's own."""
