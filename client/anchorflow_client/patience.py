@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -22,11 +23,17 @@ RETRIED = (Overloaded, NotReady, ConnectionFailed, TimedOut)
 logger = logging.getLogger("anchorflow_client.retry")
 
 
-def check_times(**times_s: float) -> None:
-    """Raises `ValueError` by its name for the first that is no number above 0."""
+LONGEST_S = 1e6
+"""Of a wait that is handed to the operating system, which cannot count to infinity."""
+
+
+def check_times(most: float = math.inf, /, **times_s: float) -> None:
+    """Raises `ValueError` by its name for the first that is no number above 0, up to `most`."""
     for name, time_s in times_s.items():
         if not is_number(time_s) or not time_s > 0.0:
             raise ValueError(f"{name}: expected a number above 0, got {time_s}")
+        if time_s > most:
+            raise ValueError(f"{name}: expected at most {most:g} s, got {time_s}")
 
 
 @dataclass(frozen=True, kw_only=True)

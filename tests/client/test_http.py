@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -230,6 +231,13 @@ def test_leaving_the_block_closes_the_transport(client: Client) -> None:
 def test_a_strange_url_is_refused(kind: Callable[[str], object], url: str) -> None:
     with pytest.raises(ValueError, match=r"http://|[Pp]ort"):
         kind(url)
+
+
+@pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])
+@pytest.mark.parametrize("name", ["timeout_s", "connect_timeout_s"])
+def test_a_wait_that_never_ends_is_refused(kind: Callable[..., object], name: str) -> None:
+    with pytest.raises(ValueError, match=rf"{name}: expected at most 1e\+06 s, got inf"):
+        kind("http://robot", **{name: math.inf})
 
 
 @pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])

@@ -10,7 +10,7 @@ from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.http.exchange import UNHEALTHY, Exchange, Exchanges
 from anchorflow_client.http.transport import AsyncTransport
 from anchorflow_client.oip_codec import OipCodec
-from anchorflow_client.patience import check_times
+from anchorflow_client.patience import LONGEST_S, check_times
 
 Result = TypeVar("Result")
 
@@ -53,7 +53,7 @@ class AsyncAnchorClient(BaseAsyncClient):
         Raises:
             ValueError: the URL is none, a time is not above 0, or no header can carry the token.
         """
-        check_times(timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
+        check_times(LONGEST_S, timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
         if transport is None:
             # Here, so that a blocking robot's `import anchorflow_client` does not load asyncio.
             from anchorflow_client.http.async_socket_transport import AsyncSocketTransport

@@ -11,7 +11,7 @@ from anchorflow_client.http.exchange import UNHEALTHY, Exchange, Exchanges
 from anchorflow_client.http.socket_transport import SocketTransport
 from anchorflow_client.http.transport import Transport
 from anchorflow_client.oip_codec import OipCodec
-from anchorflow_client.patience import check_times
+from anchorflow_client.patience import LONGEST_S, check_times
 
 Result = TypeVar("Result")
 
@@ -50,7 +50,7 @@ class AnchorClient(BaseClient):
         Raises:
             ValueError: the URL is none, a time is not above 0, or no header can carry the token.
         """
-        check_times(timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
+        check_times(LONGEST_S, timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
         self._transport = transport or SocketTransport(url, connect_timeout_s=connect_timeout_s)
         self._exchanges = Exchanges(url, codec=codec or OipCodec(), token=token)
         self._timeout_s = timeout_s

@@ -11,7 +11,7 @@ from anchorflow_client.cancellation import Cancellation
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.errors import ConnectionFailed, TimedOut
 from anchorflow_client.oip_codec import OipCodec
-from anchorflow_client.patience import check_times
+from anchorflow_client.patience import LONGEST_S, check_times
 from anchorflow_client.zenoh_client.attempt import Question
 from anchorflow_client.zenoh_client.connection import Connection
 from anchorflow_client.zenoh_client.deadline import Deadline
@@ -56,7 +56,7 @@ class ZenohAnchorClient(BaseClient):
         Raises:
             ValueError: `timeout_s` is not above 0.
         """
-        check_times(timeout_s=timeout_s)
+        check_times(LONGEST_S, timeout_s=timeout_s)
         self._connection = Connection(_settings(where))
         self._timeout_s = timeout_s
         self._codec = OipCodec()

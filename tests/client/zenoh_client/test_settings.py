@@ -102,6 +102,12 @@ def test_an_address_of_another_machine_cannot_be_listened_on() -> None:
 
 
 @pytest.mark.parametrize("kind", [ZenohAnchorClient, AsyncZenohAnchorClient])
+def test_a_wait_that_never_ends_is_refused(kind: Callable[..., object]) -> None:
+    with pytest.raises(ValueError, match=r"timeout_s: expected at most 1e\+06 s, got inf"):
+        kind(ENDPOINT, timeout_s=float("inf"))
+
+
+@pytest.mark.parametrize("kind", [ZenohAnchorClient, AsyncZenohAnchorClient])
 @pytest.mark.parametrize("seconds", [0, -1.0, float("nan")])
 def test_a_time_that_is_none_is_refused(kind: Callable[..., object], seconds: float) -> None:
     with pytest.raises(ValueError, match=f"timeout_s: expected a number above 0, got {seconds}"):
