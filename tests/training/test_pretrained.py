@@ -42,6 +42,7 @@ def test_both_networks_begin_with_the_folders_weights(
         torch.testing.assert_close(weight, wanted[name], msg=name)
     lidar = backbone.lidar.state_dict()
     torch.testing.assert_close(lidar[FIRST][:, 0], wanted[FIRST].sum(1))
+    assert not lidar[FIRST][:, 1:].any()
     assert all(torch.equal(lidar[name], wanted[name]) for name in wanted if name != FIRST)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from anchorflow_models.transfuser import TransfuserBackbone
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.settings import ConfigError
@@ -18,14 +20,15 @@ def load_resnet(backbone: TransfuserBackbone, folder: Path) -> None:
 
     folder: what `save_pretrained` of a `transformers` ResNet writes, config.json and
         model.safetensors; nothing is downloaded. The LiDAR's first weights are the sum of the
-        colours', shared by its sweeps.
+        colours'; an earlier sweep is not heard yet.
 
     Raises:
         ConfigError: there is no ResNet in the folder, or one of another shape.
     """
     weights = _weights(folder)
-    sweeps = 2 if backbone.config.lidar_before else 1
-    grey = {**weights, FIRST: weights[FIRST].sum(1, keepdim=True).repeat(1, sweeps, 1, 1) / sweeps}
+    sum_of_colours = weights[FIRST].sum(1, keepdim=True)
+    sweeps = [sum_of_colours, *([0 * sum_of_colours] if backbone.config.lidar_before else [])]
+    grey = {**weights, FIRST: torch.cat(sweeps, 1)}
     try:
         backbone.image.load_state_dict(weights)
         backbone.lidar.load_state_dict(grey)

@@ -116,7 +116,6 @@ class WoTE(nn.Module):
         self.agent_decoder = Decoder(width, heads, hidden=hidden, layers=config.agent_layers)
         self.agent_head = AgentHead(width, hidden, reach=backbone.lidar_range)
         self.semantics = SemanticHead(backbone, config.semantic_classes)
-        self.occupancy = OccupancyHead(backbone.bev_channels, config.num_steps)
         self.future_pyramid = FeaturePyramid(width, backbone)
         self.future_semantics = SemanticHead(backbone, config.semantic_classes)
 
@@ -146,6 +145,7 @@ class WoTE(nn.Module):
                 places=config.footprint,
                 reach=backbone.lidar_range,
             )
+        self.occupancy = OccupancyHead(backbone.bev_channels, config.num_steps)
 
     @property
     def context_for_score(self) -> tuple[str, ...]:

@@ -135,8 +135,8 @@ def test_skips_begin_as_nothing_and_then_bring_the_finer_stages() -> None:
     plain = network(camera, lidar)
     without = network.pyramid(plain.features, [torch.zeros(2, w, 8, 8) for w in SMALL.widths[:-1]])
     torch.testing.assert_close(without, plain.upscaled)
-    for skip in network.pyramid.skips:
-        torch.nn.init.normal_(skip.weight)
+    for weight in network.pyramid.skips.parameters():
+        weight.normal_()
         changed = network(camera, lidar)
         assert (changed.upscaled - plain.upscaled).abs().max() > 1e-3
-        torch.nn.init.zeros_(skip.weight)
+        weight.zero_()
