@@ -175,14 +175,15 @@ class Renderer:
         self, view: PlannerView, camera: PinholeCamera, *, with_ego: bool = False
     ) -> NDArray[np.uint8]:
         """The camera's picture [rows, columns, 3], red first."""
-        many, single = self._target(camera.rows, camera.columns)
-        many.use()
-        many.clear(*SKY, 1.0, depth=1.0)
-        matrix = _floats(camera.matrix().T)
-        self._draw_ground(view, matrix)
-        self._draw_boxes(solids(view, reach=REACH, with_ego=with_ego), matrix)
-        self._gl.copy_framebuffer(single, many)
-        pixels = np.frombuffer(single.read(components=3, alignment=1), np.uint8)
+        with self._gl:  # where there are two in a process, the other's may be the current one
+            many, single = self._target(camera.rows, camera.columns)
+            many.use()
+            many.clear(*SKY, 1.0, depth=1.0)
+            matrix = _floats(camera.matrix().T)
+            self._draw_ground(view, matrix)
+            self._draw_boxes(solids(view, reach=REACH, with_ego=with_ego), matrix)
+            self._gl.copy_framebuffer(single, many)
+            pixels = np.frombuffer(single.read(components=3, alignment=1), np.uint8)
         return pixels.reshape(camera.rows, camera.columns, 3)[::-1].copy()
 
     def _draw_ground(self, view: PlannerView, matrix: bytes) -> None:

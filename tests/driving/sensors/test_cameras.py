@@ -77,3 +77,15 @@ def test_a_picture_is_drawn_again_alike(renderer: Any, on_street: Callable, othe
     simulated_camera(second, renderer)
 
     np.testing.assert_array_equal(simulated_camera(first, renderer), drawn)
+
+
+def test_two_renderers_in_a_process_do_not_touch_one_another(
+    renderer: Any, on_street: Callable, other: type
+) -> None:
+    from anchorflow_driving.sensors.cameras import simulated_camera
+
+    view = on_street(other(12.0, 0.0)).view
+    alone = simulated_camera(view, renderer)
+    second = type(renderer)()  # whose context is now the current one
+    np.testing.assert_array_equal(simulated_camera(view, renderer), alone)
+    np.testing.assert_array_equal(simulated_camera(view, second), alone)
