@@ -20,11 +20,10 @@ from anchorflow_client.errors import (
 RETRIED = (Overloaded, NotReady, ConnectionFailed, TimedOut)
 """What the same request may not meet a moment later."""
 
-logger = logging.getLogger("anchorflow_client.retry")
-
-
 LONGEST_S = 1e6
 """Of a wait that is handed to the operating system, which cannot count to infinity."""
+
+logger = logging.getLogger("anchorflow_client.retry")
 
 
 def check_times(most: float = math.inf, /, **times_s: float) -> None:

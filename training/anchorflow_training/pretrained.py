@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import torch
+from torch.nn import functional as F
 
 from anchorflow_models.transfuser import TransfuserBackbone
 from anchorflow_training.checkpoint import load_checkpoint
@@ -26,9 +26,9 @@ def load_resnet(backbone: TransfuserBackbone, folder: Path) -> None:
         ConfigError: there is no ResNet in the folder, or one of another shape.
     """
     weights = _weights(folder)
-    sum_of_colours = weights[FIRST].sum(1, keepdim=True)
-    sweeps = [sum_of_colours, *([0 * sum_of_colours] if backbone.config.lidar_before else [])]
-    grey = {**weights, FIRST: torch.cat(sweeps, 1)}
+    earlier = int(backbone.config.lidar_before)
+    first = F.pad(weights[FIRST].sum(1, keepdim=True), (0, 0, 0, 0, 0, earlier))
+    grey = {**weights, FIRST: first}
     try:
         backbone.image.load_state_dict(weights)
         backbone.lidar.load_state_dict(grey)

@@ -51,7 +51,8 @@ class AsyncAnchorClient(BaseAsyncClient):
             codec: the form on the wire: binary unless told, `JsonCodec()` to read along.
 
         Raises:
-            ValueError: the URL is none, a time is not above 0, or no header can carry the token.
+            ValueError: the URL is none, a time is not above 0 or is over 10⁶ s, or no header can
+                carry the token.
         """
         check_times(LONGEST_S, timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
         if transport is None:

@@ -44,7 +44,7 @@ class AsyncZenohAnchorClient(BaseAsyncClient):
                 budgets begin when they have one.
 
         Raises:
-            ValueError: `timeout_s` is not above 0, or there is no thread.
+            ValueError: `timeout_s` is not above 0 or is over 10⁶ s, or there is no thread.
         """
         self._client = ZenohAnchorClient(where, timeout_s=timeout_s)
         self._threads = ThreadPoolExecutor(max_threads, thread_name_prefix="anchorflow-zenoh")

@@ -54,7 +54,7 @@ class ZenohAnchorClient(BaseClient):
                 the request brings none.
 
         Raises:
-            ValueError: `timeout_s` is not above 0.
+            ValueError: `timeout_s` is not above 0, or over 10⁶ s.
         """
         check_times(LONGEST_S, timeout_s=timeout_s)
         self._connection = Connection(_settings(where))

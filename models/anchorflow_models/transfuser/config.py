@@ -24,8 +24,8 @@ class TransfuserConfig:
     stem_pooling: each ResNet halves its input once more before the first stage
     fusion_layers, fusion_heads: of the transformer between image and LiDAR after each stage
     bev_channels: of the upscaled BEV
-    pyramid_skips: the upscaled BEV also sees the LiDAR's stages before the last; published is not
-    lidar_before: an earlier sweep of the LiDAR is read beside that of now; published is not
+    pyramid_skips: the upscaled BEV also sees the LiDAR's stages before the last; published is without
+    lidar_before: an earlier sweep of the LiDAR is read beside that of now; published is without
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.

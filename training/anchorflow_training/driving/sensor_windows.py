@@ -36,9 +36,8 @@ KEPT = ".sensors"
 LEVEL = 3  # of zlib
 COUNTS = 5  # points in a LiDAR cell that make 1
 SWEEPS = ("lidar", LIDAR_BEFORE)
-NUMBERS = ("ego_status", "future", "agents", "agent_count")
-
 INPUTS = ("camera", *SWEEPS, "ego_status")
+NUMBERS = ("ego_status", "future", "agents", "agent_count")
 
 Drawn = dict[str, NDArray[Any]]
 Value = TypeVar("Value")
