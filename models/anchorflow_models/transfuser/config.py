@@ -24,7 +24,7 @@ class TransfuserConfig:
     stem_pooling: each ResNet halves its input once more before the first stage
     fusion_layers, fusion_heads: of the transformer between image and LiDAR after each stage
     bev_channels: of the upscaled BEV
-    pyramid_skips: the upscaled BEV also sees the LiDAR's stages before the last; published is without
+    pyramid_skips: the upscaled BEV also sees the LiDAR's earlier stages; published is without
     lidar_before: an earlier sweep of the LiDAR is read beside that of now; published is without
 
     Raises:
