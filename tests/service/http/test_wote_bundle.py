@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import io
+import json
+import shutil
 import socket
 from collections.abc import Iterator
 from dataclasses import replace
@@ -25,6 +27,7 @@ from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners import adapter_of
+from anchorflow_service.bundle import BundleError
 from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
@@ -173,14 +176,28 @@ def test_the_card_says_what_the_rasters_cover(client: AnchorClient) -> None:
 
 
 @pytest.fixture(scope="module")
-def two_sweeps(tmp_path_factory: pytest.TempPathFactory) -> LocalClient:
+def two_sweeps_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = replace(CONFIG, backbone=replace(CONFIG.backbone, lidar_before=True))
     out = tmp_path_factory.mktemp("sweeps") / "bundle"
     adapter = adapter_of("wote", tiny_wote(config), ExportChoices())
     description = BundleDescription(name=MODEL, version="1.0.0", planner="wote")
     differences = export_bundle(adapter, description, out=out)
     assert max(part.error for part in differences) <= 1e-5
-    return LocalClient.of(out, threads=1)
+    return out
+
+
+@pytest.fixture(scope="module")
+def two_sweeps(two_sweeps_bundle: Path) -> LocalClient:
+    return LocalClient.of(two_sweeps_bundle, threads=1)
+
+
+def test_an_optional_input_of_open_size_is_refused(two_sweeps_bundle: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(two_sweeps_bundle, tmp_path / "open")
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["request"]["inputs"][-1]["shape"] = ["B", 1, "H", "W"]
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError, match="lidar_before is optional, expected a fixed size"):
+        LocalClient.of(copy, threads=1)
 
 
 def test_an_earlier_sweep_may_be_left_out(two_sweeps: LocalClient) -> None:

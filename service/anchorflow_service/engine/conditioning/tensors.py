@@ -23,7 +23,8 @@ class TensorConditioning:
         self._manifest = manifest
 
     def faults(self) -> Iterator[str]:
-        """Inputs of encode that no request brings, or that it brings in another type."""
+        """Inputs of encode that no request brings, or that it brings in another type, and optional
+        ones whose size nobody knows where they are left out."""
         given = {spec.name: spec for spec in self._manifest.request.inputs}
         encode = self._manifest.graphs["encode"]
         yield from unknown_names("graphs.encode.inputs", encode.input_names, given)
@@ -31,6 +32,10 @@ class TensorConditioning:
             if spec.name in given and spec.dtype != given[spec.name].dtype:
                 own = f"{spec.name} is {spec.dtype}"
                 yield f"graphs.encode.inputs: {own}, in request.inputs {given[spec.name].dtype}"
+        for spec in given.values():
+            if spec.optional and not all(isinstance(size, int) for size in spec.shape[1:]):
+                told = f"expected a fixed size, got {list(spec.shape)}"
+                yield f"request.inputs: {spec.name} is optional, {told}"
 
     def scenes(self, request: ResolvedRequest) -> list[TensorScene]:
         """The scenes of a request, whose inputs are bound to the card's."""
