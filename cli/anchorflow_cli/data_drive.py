@@ -27,6 +27,10 @@ def drive(
     left_hand: Annotated[
         float, typer.Option(min=0.0, max=1.0, help="Share of logs with left-hand traffic.")
     ] = LogConfig.left_hand,
+    deviating: Annotated[
+        float,
+        typer.Option(min=0.0, max=1.0, help="Share of logs whose windows begin off their lines."),
+    ] = LogConfig.deviating,
     speed_limits: Annotated[
         bool,
         typer.Option(help="Write the lanes' limits; unknown ones, as of recordings, are 15 m/s."),
@@ -45,6 +49,7 @@ def drive(
         seconds=seconds,
         windows=windows,
         left_hand=left_hand,
+        deviating=deviating,
         speed_limits=speed_limits,
     )
     with Progress() as bar:

@@ -52,6 +52,7 @@ class Driven:
     line: Array  # [V, 2] every 0.25 m
     place: Array  # [F] where on it the box's middle was, m; NaN where absent
     speed_limit: Array  # [F] m/s
+    asked: Booleans | None = None  # [F] where a window may begin; everywhere, if None
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,8 @@ def _candidates(driven: Driven, states: Array) -> list[_Candidate]:
         if not present[frame - HISTORY_FRAMES : end + 1].all():
             continue
         if not np.isfinite(driven.place[[frame, end]]).all():
+            continue
+        if driven.asked is not None and not driven.asked[frame]:
             continue
         turn = abs(states[end, 2] - states[frame, 2])
         moved = float(np.linalg.norm(states[end, :2] - states[frame, :2]))

@@ -12,6 +12,7 @@ class LogConfig:
     seconds: recorded
     windows: at most, a third of them turning where there are as many
     left_hand: share of logs in which traffic keeps left
+    deviating: share of logs in which vehicles leave their lines, and windows ask for the way back
     speed_limits: whether windows tell their lanes' limits, which few recordings do
     """
 
@@ -19,4 +20,5 @@ class LogConfig:
     seconds: float = 25.0
     windows: int = 48
     left_hand: float = 0.3
+    deviating: float = 0.0
     speed_limits: bool = True

@@ -23,6 +23,7 @@ from anchorflow_driving.log import (
 from anchorflow_driving.simulation.config import LogConfig
 from anchorflow_driving.simulation.courses import person_states, vehicle_states
 from anchorflow_driving.simulation.demand import make_demand
+from anchorflow_driving.simulation.deviations import deviating
 from anchorflow_driving.simulation.recording import Recording, VehicleRecord, as_array, record
 from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.roadside import roadside
@@ -95,7 +96,10 @@ def _simulated(
         demand = make_demand(net, rng, folder, warm_up_s=warm_up_s, seconds=config.seconds)
         seed = int(rng.integers(2**31))
         recording = record(path, demand, seed=seed, frames=begin + frames + AFTER)
-    tracks, driven = _tracks(recording, net, begin=begin, frames=frames)
+    deviate = config.deviating > 0 and rng.random() < config.deviating
+    tracks, driven = _tracks(
+        recording, net, begin=begin, frames=frames, deviations=rng if deviate else None
+    )
     level = float(rng.uniform(0.1, 0.38))
     beside = roadside(net, rng, level=level)
     for each in [*all_that_stands(net, rng), *beside.standing]:
@@ -122,16 +126,29 @@ def _simulated(
 
 
 def _tracks(
-    recording: Recording, net: RoadNet, *, begin: int, frames: int
+    recording: Recording,
+    net: RoadNet,
+    *,
+    begin: int,
+    frames: int,
+    deviations: np.random.Generator | None,
 ) -> tuple[Tracks, list[Driven]]:
-    """Tracks of the frames from `begin`, and the lines that the vehicles among them followed."""
+    """Tracks of the frames from `begin`, and the lines that the vehicles among them followed.
+
+    deviations: draws where vehicles leave those lines; nobody does where there is none
+    """
     tracks, driven = Tracks([], [], []), []
     for vehicle in recording.vehicles:
-        states = vehicle_states(as_array(vehicle.front), vehicle.size[0])
+        front, asked = as_array(vehicle.front), np.ones(len(vehicle.front), bool)
+        if deviations is not None:
+            front, asked = deviating(front, deviations, first=vehicle.first - begin)
+        states = vehicle_states(front, vehicle.size[0])
         cut = _cut(states, vehicle.first, begin=begin, frames=frames)
         seen = int(np.isfinite(cut[:, 0]).sum())
         if seen > HISTORY_FRAMES + FUTURE_FRAMES:
-            driven.append(_driven(len(tracks.kind), vehicle, net, begin=begin, frames=frames))
+            course = _driven(len(tracks.kind), vehicle, net, begin=begin, frames=frames)
+            wanted = _cut(asked[:, None], vehicle.first, begin=begin, frames=frames)[:, 0] == 1
+            driven.append(replace(course, asked=wanted))
         if seen >= LEAST_FRAMES:
             tracks.add(vehicle.kind, vehicle.size, cut)
     for person in recording.people:
