@@ -59,7 +59,7 @@ $(VENV)/.created:
 	touch $@
 
 $(VENV)/.service: pyproject.toml $(VENV)/.created
-	$(PIP) install --editable '.[service]'
+	$(PIP) install --editable '.[service,language]'
 	$(COMPILE)
 	touch $@
 

@@ -69,7 +69,7 @@ make_image() {
     step "fetching wheels"
     rm -rf "$WHEELS"
     python3.11 -m pip --quiet wheel --wheel-dir "$WHEELS" \
-        hatchling "$REPOSITORY[service,zenoh,otel]" >"$FOLDER/wheels.log" 2>&1 \
+        hatchling "$REPOSITORY[service,zenoh,otel,language]" >"$FOLDER/wheels.log" 2>&1 \
         || failed "fetching wheels" "$FOLDER/wheels.log"
     step "building"
     local status=0

@@ -11,6 +11,7 @@ import json
 import re
 import shutil
 import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -329,6 +330,14 @@ def test_a_picture_file_is_decoded_before_the_engine(engine: Engine) -> None:
     image = EncodedImage("png", encoded(picture(1)))
     with pytest.raises(InvalidRequest, match="vehicle_image: expected uint8; no picture is decod"):
         LocalClient(engine).plan(inputs={"vehicle_image": image, "prompt": "x"})
+
+
+def test_without_its_extra_a_bundle_says_what_to_install(
+    bundle: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "tokenizers", None)
+    with pytest.raises(BundleError, match=r"pip install 'anchorflow\[language\]'"):
+        Engine(load_bundle(bundle))
 
 
 def test_another_tokenizer_is_found_out(bundle: Path, tmp_path: Path) -> None:

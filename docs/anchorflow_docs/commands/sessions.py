@@ -184,6 +184,7 @@ WALKTHROUGH = (
             "pip install '.[service,zenoh]'",
             "pip install '.[service]'",
             "pip install '.[service,otel]'",
+            "pip install '.[service,language]'",
             "pip install '.[plot]'",
             "pip install playwright",
         ),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from tokenizers import Tokenizer
 
 from anchorflow_client.contract import AnchorRequest, ResolvedRequest
 from anchorflow_client.contract.inputs import TEXT
@@ -18,6 +18,9 @@ from anchorflow_service.bundle.manifest import VisionLanguageEntry
 from anchorflow_service.engine.conditioning.tensors import probe_of
 from anchorflow_service.engine.parts import Array, Arrays
 
+if TYPE_CHECKING:
+    from tokenizers import Tokenizer
+
 TOKENS = "tokens"
 TOKENIZER = "tokenizer"
 HAS = "has_"
@@ -28,7 +31,8 @@ class VisionLanguageConditioning:
     """Scenes of pictures and a text.
 
     Raises:
-        BundleError: the bundle has no tokenizer, or it cannot be read.
+        BundleError: the bundle has no tokenizer, it cannot be read, or the extra `language` is not
+            installed.
     """
 
     def __init__(self, bundle: Bundle) -> None:
@@ -37,11 +41,7 @@ class VisionLanguageConditioning:
         self._entry = bundle.manifest.conditioning
         if TOKENIZER not in bundle.manifest.files:
             raise bundle.fault(f"files: expected {TOKENIZER}, the text's, got none of this name")
-        path = bundle.file_path(TOKENIZER)
-        try:
-            self._tokenizer: Tokenizer = Tokenizer.from_str(path.read_text("utf-8"))
-        except Exception as error:  # the library's own exceptions are plain `Exception`s
-            raise BundleError(path, "is no tokenizer", str(error)) from error
+        self._tokenizer = _tokenizer(bundle)
 
     def faults(self) -> Iterator[str]:
         """Pictures and texts that no request brings, and inputs of encode that are made of none."""
@@ -117,3 +117,16 @@ class VisionLanguageScene:
     def answered(self, arrays: Arrays) -> Arrays:
         """As they are: the frame is the planner's own."""
         return arrays
+
+
+def _tokenizer(bundle: Bundle) -> Tokenizer:
+    try:
+        from tokenizers import Tokenizer
+    except ModuleNotFoundError as error:
+        missing = "needs tokenizers, which is not installed"
+        raise bundle.fault(f"{missing}: pip install 'anchorflow[language]'") from error
+    path = bundle.file_path(TOKENIZER)
+    try:
+        return Tokenizer.from_str(path.read_text("utf-8"))
+    except Exception as error:  # the library's own exceptions are plain `Exception`s
+        raise BundleError(path, "is no tokenizer", str(error)) from error
