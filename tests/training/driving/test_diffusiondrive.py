@@ -257,8 +257,9 @@ def test_training_denoises_as_the_service_does() -> None:
         made = model.candidates(
             denoised(model, scene, start[None]).trajectories, torch.zeros(1, count, 1, 2)
         )
-        best = torch_sample(model, own, noise, start=TINY.start, steps=TINY.steps, count=1)
-    assert torch.cdist(best["trajectories"].flatten(1), made[0].flatten(1)).min() < 1e-3
+        kept = torch_sample(model, own, noise, start=TINY.start, steps=TINY.steps)
+    apart = torch.cdist(kept["trajectories"].flatten(1), made[0].flatten(1))
+    assert apart.min(dim=1).values.max() < 1e-3
 
 
 def test_candidates_begin_with_the_noise_of_the_models_start() -> None:

@@ -192,19 +192,25 @@ class DiffusionDriveAdapter:
                 encoded = sampler.encode(scene, threads=1)
                 drawn = sampler.sample(scene, encoded, threads=1, check=lambda: None)
                 own = {name: tensor[b : b + 1] for name, tensor in inputs.items()}
-                expected = torch_sample(
-                    self.model, own, noise, start=self.start, steps=steps, count=count
-                )
-                got = {"trajectories": drawn.states, **drawn.arrays}
-                for name, tensor in expected.items():
-                    what = f"{steps} steps in scene {b}, {name}"
-                    yield SampleTrial(what, got[name], tensor.numpy(), relative=True)
+                told = torch_sample(self.model, own, noise, start=self.start, steps=steps)
+                kept = {name: tensor.numpy() for name, tensor in told.items()}
+                where = f"{steps} steps in scene {b}"
+                # Scores nearly equal may stand in either order, so each is found by its place.
+                apart = np.abs(drawn.states[:, None] - kept["trajectories"]).max((-2, -1))
+                nearest = apart.argmin(1)
+                for name, got in {"trajectories": drawn.states, **drawn.arrays}.items():
+                    if name in kept:
+                        yield SampleTrial(
+                            f"{where}, {name}", got, kept[name][nearest], relative=True
+                        )
+                got, best = drawn.arrays["scores"], kept["scores"][:count]
+                yield SampleTrial(f"{where}, the best first", got, best, relative=True)
 
 
 def torch_sample(
-    model: DiffusionDriveV2, inputs: Outputs, noise: Noise, *, start: int, steps: int, count: int
+    model: DiffusionDriveV2, inputs: Outputs, noise: Noise, *, start: int, steps: int
 ) -> Outputs:
-    """The sampler written the plain way for one scene: the best N, the best first."""
+    """The sampler written the plain way for one scene: all that are kept, the best first."""
     config, signal = model.config, model.config.noise_levels.signal
     told = model.encode(**inputs)
     anchors = told["anchors"].repeat(1, config.groups, 1, 1)
@@ -220,7 +226,7 @@ def torch_sample(
     best = told["coarse_scores"][0].argsort(descending=True, stable=True)[: config.keep]
     told |= {name: told[name][:, best] for name in ("candidates", "features", "coarse_scores")}
     told |= model.fine(**_taken(model.fine, told))
-    best = told["scores"][0].argsort(descending=True, stable=True)[:count]
+    best = told["scores"][0].argsort(descending=True, stable=True)
     picked = {name: told[name][0, best] for name in ("scores", "sub_scores", "coarse_scores")}
     return {"trajectories": told["candidates"][0, best], **picked}
 
