@@ -147,7 +147,8 @@ def _tracks(
         seen = int(np.isfinite(cut[:, 0]).sum())
         if seen > HISTORY_FRAMES + FUTURE_FRAMES:
             course = _driven(len(tracks.kind), vehicle, net, begin=begin, frames=frames)
-            wanted = _cut(asked[:, None], vehicle.first, begin=begin, frames=frames)[:, 0] == 1
+            column = asked[:, None].astype(float)
+            wanted = _cut(column, vehicle.first, begin=begin, frames=frames)[:, 0] == 1
             driven.append(replace(course, asked=wanted))
         if seen >= LEAST_FRAMES:
             tracks.add(vehicle.kind, vehicle.size, cut)
