@@ -32,6 +32,9 @@ COMMANDS = {
     "plan": Command("anchorflow_cli.plan", "Plan on a ROS map and draw it.", extra="service"),
     "data": Command("anchorflow_cli.data", "Make a dataset to train on.", extra="train"),
     "train": Command("anchorflow_cli.train", "Train a planner on a dataset.", extra="train"),
+    "average": Command(
+        "anchorflow_cli.average", "Average the weights of checkpoints.", extra="train"
+    ),
     "distill": Command("anchorflow_cli.distill", "Teach a student of few steps.", extra="train"),
     "generate": Command(
         "anchorflow_cli.generate", "Draw anchors from a checkpoint.", extra="train"

@@ -1,9 +1,16 @@
-"""The exponential moving average of a model's weights, which is what is used after training."""
+"""Averages of weights: of one run as it goes, which is what is used after it, and of several."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
 import torch
 from torch import Tensor, nn
+
+from anchorflow_training.checkpoint import Checkpoint, CheckpointError, load_checkpoint
+from anchorflow_training.restore import other_weights, saved_model_config
 
 
 @torch.no_grad()
@@ -17,3 +24,31 @@ def update_average(
             average[name].lerp_(value, share)
         else:
             average[name].copy_(value)
+
+
+def mean_checkpoint(paths: Sequence[Path]) -> Checkpoint:
+    """The last of some checkpoints of one network, its averaged weights the mean of all of theirs.
+
+    Weights that began alike and then learnt on, for longer or from other data, may have a mean
+    that is better than each (Wortsman et al., *Model soups*, ICML 2022); weights that began apart
+    do not.
+
+    Raises:
+        CheckpointError: one cannot be read, or is of another planner or network than the last.
+    """
+    *others, last = [load_checkpoint(path) for path in paths]
+    wanted = saved_model_config(last)
+    for path, other in zip(paths, others, strict=False):
+        if other.planner != last.planner:
+            raise CheckpointError(f"{path}: expected {last.planner}, got {other.planner}")
+        for name, (old, new) in other_weights(saved_model_config(other), wanted).items():
+            raise CheckpointError(f"{path}: expected model.{name} {new!r}, got {old!r}")
+    every = [*others, last]
+    average = {
+        name: torch.stack([each.average[name] for each in every]).mean(0)
+        if value.is_floating_point()
+        else value
+        for name, value in last.average.items()
+    }
+    parts = [{"steps": each.step, "data": each.data} for each in every]
+    return replace(last, average=average, mean_of=parts)

@@ -27,6 +27,7 @@ class Checkpoint:
     scaler: the state of float16's loss scaling
     teacher: of a distilled student, which checkpoint it learnt from
     planner: its name in the registry of planners
+    mean_of: of a mean of checkpoints, steps and data of each
     """
 
     step: int
@@ -41,6 +42,7 @@ class Checkpoint:
     scaler: dict[str, Any] = field(default_factory=dict)
     teacher: dict[str, Any] = field(default_factory=dict)
     planner: str = UNNAMED
+    mean_of: list[dict[str, Any]] = field(default_factory=list)
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:

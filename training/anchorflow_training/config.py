@@ -83,6 +83,9 @@ class RunConfig:
     accelerator: Literal["auto", "cpu", "cuda"] = setting("auto", "Where to train.")
     devices: int = setting(1, "GPUs, or processes on a CPU; each draws its own batches.", least=1)
     threads: int = setting(0, "CPU threads a process; 0: as torch chooses.", least=0)
+    before: str | None = setting(
+        None, "Checkpoint of an earlier run of the same network, to begin with its weights."
+    )
     checkpoint_every: int = setting(500, "Steps from one checkpoint to the next.", least=1)
     report_every: int = setting(50, "Steps a line of the curve.", least=1)
     tensorboard: bool = setting(True, "Write scalars and pictures for TensorBoard.")

@@ -6,6 +6,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from torch import Tensor
+
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.registry import Planner, planner_named
 from anchorflow_training.checkpoint import Checkpoint, CheckpointError, load_checkpoint
@@ -52,6 +54,19 @@ def resumable(path: Path, config: RunConfig) -> Checkpoint | None:
     for name, (old, new) in other_weights(then, config.model).items():
         _check_same(path, f"model.{name}", old, new)
     return saved
+
+
+def weights_before(path: str, config: RunConfig) -> dict[str, Tensor]:
+    """The averaged weights of the checkpoint that a run begins with; raises `ConfigError`."""
+    saved = load_checkpoint(Path(path))
+    if saved.planner != config.planner:
+        raise ConfigError(
+            f"before: {path}: expected a checkpoint of {config.planner}, got one of {saved.planner}"
+        )
+    before = restore_model(saved)
+    for name, (old, new) in other_weights(saved_model_config(saved), config.model).items():
+        raise ConfigError(f"before: {path}: expected model.{name} {new!r}, got {old!r}")
+    return before.state_dict()
 
 
 def other_weights(then: Any, now: Any) -> dict[str, tuple[Any, Any]]:

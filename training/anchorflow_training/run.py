@@ -31,7 +31,7 @@ from anchorflow_training.divergence import check_finite
 from anchorflow_training.learning_rate import rate_share
 from anchorflow_training.patience import out_of_patience
 from anchorflow_training.record import RunRecord
-from anchorflow_training.restore import resumable
+from anchorflow_training.restore import resumable, weights_before
 
 Report = Callable[[int, Row], None]
 Picture = NDArray[np.uint8]
@@ -55,7 +55,7 @@ class TrainingRun(ABC):
     evaluations: a row an evaluation, where scenes are held out
 
     Raises:
-        ConfigError: the configuration does not fit the dataset or the machine.
+        ConfigError: the configuration does not fit the dataset, the machine or the run `before`.
         CheckpointError: the folder's checkpoint is of another model or another teacher.
     """
 
@@ -67,10 +67,12 @@ class TrainingRun(ABC):
         self.fabric.launch()
         saved = resumable(self.checkpoint_path, config)
         self.model = self._new_model()
-        if saved is None:
-            self.begin(self.model)
-        else:
+        if saved is not None:
             self.model.load_state_dict(saved.model)
+        elif config.before is not None:
+            self.model.load_state_dict(weights_before(config.before, config))
+        else:
+            self.begin(self.model)
         if config.compile:
             # In place and part by part, so that the weights keep their names.
             for part in self.model.children():
@@ -94,7 +96,7 @@ class TrainingRun(ABC):
 
     @abstractmethod
     def begin(self, model: Any) -> None:
-        """Give a model of random weights what it begins with."""
+        """Give a model of random weights what it begins with, where no run was `before`."""
 
     @abstractmethod
     def new_objective(self, model: Any) -> nn.Module:

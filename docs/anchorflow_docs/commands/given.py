@@ -105,5 +105,5 @@ def training(folder: Path) -> None:
 
 def runs(folder: Path) -> None:
     """The small planner's run in the place of those that take hours."""
-    for run in ("runs/default", "runs/student", "runs/first", "my_run"):
+    for run in ("runs/default", "runs/student", "runs/first", "runs/second", "my_run"):
         shutil.copytree(folder / "runs" / "small", folder / run)

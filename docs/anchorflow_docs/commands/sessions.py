@@ -146,6 +146,8 @@ WALKTHROUGH = (
             "anchorflow train data/train --config train.yaml --print-config",
             "tail -f runs/first/curve.jsonl",
             "tensorboard --logdir runs",
+            "anchorflow average runs/first/checkpoint.pt runs/second/checkpoint.pt"
+            " --out runs/mean.pt",
             "anchorflow export runs/first/checkpoint.pt --out bundles/first",
         ),
         (given.training, given.runs),

@@ -16,7 +16,6 @@ from anchorflow_models.diffusiondrive import DiffusionDriveConfig, DiffusionDriv
 from anchorflow_models.diffusiondrive.config import POSES
 from anchorflow_models.diffusiondrive.scorers import pdm_score
 from anchorflow_training.batches import Batch
-from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.diffusiondrive_objective import (
     DiffusionDriveObjective,
@@ -28,8 +27,7 @@ from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
 from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.reflection import SIGNS, reflection
-from anchorflow_training.restore import other_weights, restore_model
-from anchorflow_training.settings import ConfigError, setting
+from anchorflow_training.settings import ConfigError
 
 
 @dataclass(frozen=True)
@@ -40,15 +38,10 @@ class DiffusionDriveRunConfig(SensorRunConfig):
 
     model: DiffusionDriveConfig = field(default_factory=DiffusionDriveConfig)
     objective: DiffusionDriveObjectiveConfig = field(default_factory=DiffusionDriveObjectiveConfig)
-    before: str | None = setting(None, "Checkpoint of the stage before, to begin with.")
 
 
 class DiffusionDriveRun(SensorRun):
-    """Learns to denoise anchors, or to score what was denoised.
-
-    Raises:
-        ConfigError: names `before`, too.
-    """
+    """Learns to denoise anchors, or to score what was denoised."""
 
     config: DiffusionDriveRunConfig
 
@@ -69,22 +62,9 @@ class DiffusionDriveRun(SensorRun):
         return PdmJudge(self.logs, self.windows.log)
 
     def begin(self, model: DiffusionDriveV2) -> None:
-        """The weights of the stage before; or anchors, and a backbone that has seen pictures."""
-        config = self.config
-        if config.before:
-            saved = load_checkpoint(Path(config.before))
-            if saved.planner != config.planner:
-                raise ConfigError(
-                    f"before: expected a checkpoint of {config.planner}, got one of {saved.planner}"
-                )
-            before = restore_model(saved)
-            for name, (old, new) in other_weights(before.config, config.model).items():
-                raise ConfigError(
-                    f"before: {config.before}: expected model.{name} {new!r}, got {old!r}"
-                )
-            model.load_state_dict(before.state_dict())
-            return
-        model.anchors.copy_(self.first_anchors(count=config.model.anchors, steps=POSES)[..., :2])
+        """Anchors, and a backbone that has seen pictures where there is one."""
+        anchors = self.first_anchors(count=self.config.model.anchors, steps=POSES)
+        model.anchors.copy_(anchors[..., :2])
         self.first_weights(model.perception.backbone)
 
     def new_objective(self, model: DiffusionDriveV2) -> DiffusionDriveObjective:

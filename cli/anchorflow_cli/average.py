@@ -1,0 +1,32 @@
+"""`anchorflow average`: the mean of checkpoints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from anchorflow_cli.options import command_app
+from anchorflow_training.average import mean_checkpoint
+from anchorflow_training.checkpoint import save_checkpoint
+
+app = command_app()
+
+
+@app.command()
+def average(
+    checkpoints: Annotated[
+        list[Path], typer.Argument(help="checkpoint.pt or best.pt of runs of one network.")
+    ],
+    *,
+    out: Annotated[Path, typer.Option(help="File of the mean, a checkpoint itself.")],
+) -> None:
+    """Average the weights of checkpoints; all else in the mean is the last one's.
+
+    Of runs that went on from the same weights the mean is often better than each.
+    """
+    if len(checkpoints) < 2:
+        raise typer.BadParameter("expected two or more, got one", param_hint="CHECKPOINTS")
+    save_checkpoint(out, mean_checkpoint(checkpoints))
+    typer.echo(out)

@@ -1,0 +1,96 @@
+"""The mean of checkpoints, and a run that begins with another's weights."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from anchorflow_cli.main import main
+from anchorflow_models import L2Config
+from anchorflow_training.average import mean_checkpoint
+from anchorflow_training.batches import FlowBatchConfig
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.provenance import provenance
+from anchorflow_training.restore import restore_model
+from anchorflow_training.settings import ConfigError
+from anchorflow_training.trainer import CFMTrainer, TrainerConfig
+
+CONFIG = TrainerConfig(
+    steps=2,
+    warmup=0,
+    tensorboard=False,
+    batch=FlowBatchConfig(scenes=2, samples=4),
+    model=L2Config(map_size=16, feature_channels=4),
+)
+
+
+@pytest.fixture
+def first(tiny_dataset: SceneDataset, tmp_path: Path) -> Path:
+    return trained(CONFIG, tiny_dataset, tmp_path / "first")
+
+
+def trained(config: TrainerConfig, data: SceneDataset, out: Path) -> Path:
+    CFMTrainer(config, data, out).fit()
+    return out / "checkpoint.pt"
+
+
+def test_a_run_begins_with_the_averaged_weights_of_the_one_before(
+    first: Path, tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    begun = CFMTrainer(replace(CONFIG, before=str(first)), tiny_dataset, tmp_path / "next")
+    assert begun.step == 0
+    wanted = load_checkpoint(first).average
+    assert any(not torch.equal(wanted[n], w) for n, w in load_checkpoint(first).model.items())
+    for name, weight in begun.model.state_dict().items():
+        torch.testing.assert_close(weight, wanted[name], rtol=0, atol=0)
+
+
+def test_a_run_begins_with_no_other_planner_and_no_other_network(
+    first: Path, tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    after = replace(CONFIG, before=str(first))
+    other = replace(after, model=replace(CONFIG.model, feature_channels=6))
+    with pytest.raises(ConfigError, match=r"before: .*expected model\.feature_channels 6, got 4"):
+        CFMTrainer(other, tiny_dataset, tmp_path / "other")
+    save_checkpoint(first, replace(load_checkpoint(first), planner="wote"))
+    with pytest.raises(ConfigError, match=r"before: .*checkpoint of flowmp, got one of wote"):
+        CFMTrainer(after, tiny_dataset, tmp_path / "wote")
+
+
+def test_a_mean_is_half_of_each_and_says_whose_it_is(
+    first: Path, tiny_dataset: SceneDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    longer = replace(CONFIG, steps=3, before=str(first))
+    second = trained(longer, tiny_dataset, tmp_path / "second")
+    out = tmp_path / "mean.pt"
+    with pytest.raises(SystemExit) as end:
+        main(["average", str(first), str(second), "--out", str(out)])
+    assert not end.value.code
+    assert capsys.readouterr().out.strip() == str(out)
+    one, two, mean = load_checkpoint(first), load_checkpoint(second), load_checkpoint(out)
+    for name, weight in mean.average.items():
+        torch.testing.assert_close(weight, (one.average[name] + two.average[name]) / 2)
+    assert mean.config == asdict(longer)
+    restore_model(mean)
+    told = provenance(mean)["mean_of"]
+    assert told == [{"steps": 2, "data": one.data}, {"steps": 3, "data": two.data}]
+    assert "mean_of" not in provenance(two)
+
+
+def test_a_mean_of_what_does_not_fit_is_refused(
+    first: Path, tiny_dataset: SceneDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wide = replace(CONFIG, model=replace(CONFIG.model, feature_channels=6))
+    other = trained(wide, tiny_dataset, tmp_path / "wide")
+    with pytest.raises(CheckpointError, match=r"first.*expected model\.feature_channels 6, got 4"):
+        mean_checkpoint([first, other])
+    save_checkpoint(other, replace(load_checkpoint(other), planner="wote"))
+    with pytest.raises(CheckpointError, match=r"wide.*expected flowmp, got wote"):
+        mean_checkpoint([other, first])
+    with pytest.raises(SystemExit):
+        main(["average", str(first), "--out", str(tmp_path / "mean.pt")])
+    assert "expected two or more" in capsys.readouterr().err
