@@ -31,6 +31,9 @@ def drive(
         float,
         typer.Option(min=0.0, max=1.0, help="Share of logs whose windows begin off their lines."),
     ] = LogConfig.deviating,
+    arterial: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Share of logs on long, fast streets.")
+    ] = LogConfig.arterial,
     speed_limits: Annotated[
         bool,
         typer.Option(help="Write the lanes' limits; unknown ones, as of recordings, are 15 m/s."),
@@ -50,6 +53,7 @@ def drive(
         windows=windows,
         left_hand=left_hand,
         deviating=deviating,
+        arterial=arterial,
         speed_limits=speed_limits,
     )
     with Progress() as bar:

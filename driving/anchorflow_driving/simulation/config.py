@@ -13,6 +13,7 @@ class LogConfig:
     windows: at most, a third of them turning where there are as many
     left_hand: share of logs in which traffic keeps left
     deviating: share of logs in which vehicles leave their lines, and windows ask for the way back
+    arterial: share of logs on nets of long, fast streets
     speed_limits: whether windows tell their lanes' limits, which few recordings do
     """
 
@@ -21,4 +22,5 @@ class LogConfig:
     windows: int = 48
     left_hand: float = 0.3
     deviating: float = 0.0
+    arterial: float = 0.0
     speed_limits: bool = True

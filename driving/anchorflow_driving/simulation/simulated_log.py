@@ -29,7 +29,7 @@ from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.roadside import roadside
 from anchorflow_driving.simulation.routes import followed_line
 from anchorflow_driving.simulation.standing import all_that_stands
-from anchorflow_driving.simulation.street_plan import make_net
+from anchorflow_driving.simulation.street_plan import ARTERIAL, QUARTER, make_net
 from anchorflow_driving.simulation.sumo_programs import SimulationError
 from anchorflow_driving.window_choice import Driven, choose_windows
 
@@ -91,7 +91,8 @@ def _simulated(
     begin, frames = round(warm_up_s / FRAME_S), round(config.seconds / FRAME_S)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
-        path = make_net(rng, folder, medians=True)
+        arterial = config.arterial > 0 and rng.random() < config.arterial
+        path = make_net(rng, folder, medians=True, kind=ARTERIAL if arterial else QUARTER)
         net = RoadNet(path)
         demand = make_demand(net, rng, folder, warm_up_s=warm_up_s, seconds=config.seconds)
         seed = int(rng.integers(2**31))

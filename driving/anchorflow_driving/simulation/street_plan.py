@@ -6,6 +6,7 @@ they are.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -53,11 +54,36 @@ class StreetPlan:
         return sum(node in (street.start, street.end) for street in self.streets)
 
 
+@dataclass(frozen=True)
+class StreetKind:
+    """How long, how many and how fast the streets of a net are.
+
+    length, crossings: times those of a quarter
+    speeds: m/s, of which a net has one, and so much of it on its slower streets
+    widest: most that the chance of a further lane can be
+    """
+
+    length: float
+    crossings: float
+    speeds: tuple[float, ...]
+    slower: float
+    widest: float
+
+
+QUARTER = StreetKind(1.0, 1.0, (8.3, 11.1, 13.9, 16.7), slower=0.75, widest=0.7)
+ARTERIAL = StreetKind(2.2, 0.5, (13.9, 15.3, 16.7), slower=0.85, widest=0.9)
+
+
 def make_net(
-    rng: np.random.Generator, folder: Path, *, lights: bool = True, medians: bool = False
+    rng: np.random.Generator,
+    folder: Path,
+    *,
+    lights: bool = True,
+    medians: bool = False,
+    kind: StreetKind = QUARTER,
 ) -> Path:
     """Draws a street plan and has netconvert build its net; the path of the .net.xml."""
-    plan = _skeleton(rng, folder)
+    plan = _skeleton(rng, folder, kind)
     if medians:
         _part(plan, rng)
     _bend(plan, rng)
@@ -84,11 +110,11 @@ def make_net(
     return net
 
 
-def _skeleton(rng: np.random.Generator, folder: Path) -> StreetPlan:
+def _skeleton(rng: np.random.Generator, folder: Path, kind: StreetKind) -> StreetPlan:
     """Nodes and streets of netgenerate, shifted a little and turned as a whole."""
     run_program(
         "netgenerate",
-        *_family(rng),
+        *_family(rng, kind),
         *("--seed", str(rng.integers(2**31))),
         *("--plain-output-prefix", str(folder / "skeleton")),
         *("--output-file", str(folder / "skeleton.net.xml")),
@@ -108,15 +134,15 @@ def _skeleton(rng: np.random.Generator, folder: Path) -> StreetPlan:
         tuple(sorted((edge.attrib["from"], edge.attrib["to"])))
         for edge in ElementTree.parse(folder / "skeleton.edg.xml").iter("edge")
     )
-    width, fast = rng.uniform(2.9, 3.7), rng.choice([8.3, 11.1, 13.9, 16.7])
-    wide, parking = rng.uniform(0.0, 0.7), rng.uniform(0.0, 0.5)
+    width, fast = rng.uniform(2.9, 3.7), rng.choice(kind.speeds)
+    wide, parking = rng.uniform(0.0, kind.widest), rng.uniform(0.0, 0.5)
     streets = [
         Street(
             start=a,
             end=b,
             line=np.stack([nodes[a], nodes[b]]),
             lanes=1 + int(rng.binomial(2, wide)),
-            speed=float(rng.choice([fast, fast * 0.75])),
+            speed=float(rng.choice([fast, fast * kind.slower])),
             lane_width=float(width + rng.uniform(-0.15, 0.15)),
             parking=bool(rng.random() < parking),
             one_way=bool(rng.random() < 0.06),
@@ -126,28 +152,29 @@ def _skeleton(rng: np.random.Generator, folder: Path) -> StreetPlan:
     return StreetPlan(nodes, dict.fromkeys(nodes, "priority"), streets)
 
 
-def _family(rng: np.random.Generator) -> list[str]:
+def _family(rng: np.random.Generator, kind: StreetKind) -> list[str]:
     """Arguments of netgenerate."""
+    length, crossings = kind.length, kind.crossings
     family = rng.choice(["grid", "spider", "rand"], p=[0.4, 0.25, 0.35])
     if family == "grid":
         numbers = {
-            "grid.x-number": int(rng.integers(2, 5)),
-            "grid.y-number": int(rng.integers(2, 4)),
-            "grid.x-length": rng.uniform(60.0, 130.0),
-            "grid.y-length": rng.uniform(60.0, 130.0),
-            "grid.attach-length": rng.uniform(50.0, 90.0),
+            "grid.x-number": int(rng.integers(2, 2 + math.ceil(3 * crossings))),
+            "grid.y-number": int(rng.integers(2, 2 + math.ceil(2 * crossings))),
+            "grid.x-length": length * rng.uniform(60.0, 130.0),
+            "grid.y-length": length * rng.uniform(60.0, 130.0),
+            "grid.attach-length": length * rng.uniform(50.0, 90.0),
         }
     elif family == "spider":
         numbers = {
             "spider.arm-number": int(rng.integers(4, 7)),
-            "spider.circle-number": int(rng.integers(2, 4)),
-            "spider.space-radius": rng.uniform(55.0, 90.0),
+            "spider.circle-number": int(rng.integers(2, 2 + math.ceil(2 * crossings))),
+            "spider.space-radius": length * rng.uniform(55.0, 90.0),
         }
     else:
         numbers = {
-            "rand.iterations": int(rng.integers(9, 18)),
-            "rand.min-distance": rng.uniform(50.0, 80.0),
-            "rand.max-distance": rng.uniform(100.0, 170.0),
+            "rand.iterations": int(rng.integers(int(9 * crossings), int(18 * crossings))),
+            "rand.min-distance": length * rng.uniform(50.0, 80.0),
+            "rand.max-distance": length * rng.uniform(100.0, 170.0),
             "rand.min-angle": 50,
         }
     options = [f"--{family}"]
