@@ -70,7 +70,7 @@ class TrainingRun(ABC):
         if saved is not None:
             self.model.load_state_dict(saved.model)
         elif config.before is not None:
-            self.model.load_state_dict(weights_before(config.before, config))
+            self.begin_after(self.model, weights_before(config.before, config))
         else:
             self.begin(self.model)
         if config.compile:
@@ -97,6 +97,10 @@ class TrainingRun(ABC):
     @abstractmethod
     def begin(self, model: Any) -> None:
         """Give a model of random weights what it begins with, where no run was `before`."""
+
+    def begin_after(self, model: Any, weights: Mapping[str, Tensor]) -> None:
+        """Give a model what it begins with where a run was `before`: the weights of that."""
+        model.load_state_dict(weights)
 
     @abstractmethod
     def new_objective(self, model: Any) -> nn.Module:

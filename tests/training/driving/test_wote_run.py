@@ -272,6 +272,35 @@ def test_a_run_begins_with_the_backbone_of_another(logs: list[Path], tmp_path: P
         WoteRun(unlike, logs, tmp_path / "unlike")
 
 
+def test_a_backbone_goes_over_the_weights_of_the_run_before(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    saved = []
+    for seed in (1, 2):
+        config = replace(CONFIG, steps=1, batch=replace(CONFIG.batch, seed=seed))
+        WoteRun(config, logs, tmp_path / str(seed)).fit()
+        saved.append(tmp_path / str(seed) / "checkpoint.pt")
+    config = replace(CONFIG, before=str(saved[0]), backbone=str(saved[1]))
+    found = WoteRun(config, logs, tmp_path / "both").model.state_dict()
+    first, second = (load_checkpoint(path).average for path in saved)
+    for name, weight in found.items():
+        wanted = second if name.startswith("backbone.") else first
+        torch.testing.assert_close(weight, wanted[name])
+
+
+def test_a_frozen_backbone_stays_as_it_is(logs: list[Path], tmp_path: Path) -> None:
+    run = WoteRun(replace(CONFIG, frozen_backbone=True), logs, tmp_path)
+    before = {name: value.clone() for name, value in run.model.state_dict().items()}
+    run.fit()
+    changed = {
+        name
+        for name, value in run.model.state_dict().items()
+        if not torch.equal(value, before[name])
+    }
+    assert "to_ego.weight" in changed
+    assert not [name for name in changed if name.startswith("backbone.")]
+
+
 def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
     many = replace(CONFIG, batch=MirroredBatchConfig(scenes=99))
     with pytest.raises(ConfigError, match=r"batch.scenes: expected at most \d+, .* got 99"):

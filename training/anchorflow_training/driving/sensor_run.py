@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
 from anchorflow_models.transfuser import LIDAR_BEFORE, TransfuserBackbone
 from anchorflow_training.batches import (
@@ -47,6 +48,7 @@ class SensorRunConfig(RunConfig):
     backbone: str | None = setting(
         None, "Checkpoint of any planner with the same backbone, to begin with its weights."
     )
+    frozen_backbone: bool = setting(False, "Keep the backbone as it begins: it does not learn.")
 
 
 class SensorRun(TrainingRun):
@@ -70,6 +72,14 @@ class SensorRun(TrainingRun):
             batch=config.batch,
         )
         super().__init__(config, out)
+        if config.frozen_backbone:
+            # Its normalisation neither.
+            backbone_of(self.model).requires_grad_(False).eval()
+
+    def begin_after(self, model: Any, weights: Mapping[str, torch.Tensor]) -> None:
+        """Those weights, and over them another planner's backbone, where one is named."""
+        super().begin_after(model, weights)
+        self.first_weights(backbone_of(model))
 
     @abstractmethod
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
@@ -130,3 +140,8 @@ class SensorRun(TrainingRun):
             batch = {name: torch.from_numpy(array) for name, array in arrays.items()}
             rows.append(self.judged(model, int(window), self.fabric.to_device(batch)))
         return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}, None
+
+
+def backbone_of(model: nn.Module) -> TransfuserBackbone:
+    """The one backbone of a planner that sees by sensors."""
+    return next(part for part in model.modules() if isinstance(part, TransfuserBackbone))
