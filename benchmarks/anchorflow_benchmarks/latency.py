@@ -26,6 +26,9 @@ from anchorflow_trajectory.scene import Scene
 
 SEED = 1
 STAGES = ("encode", "sample", "refine", "total")
+REST_S = 0.1
+"""Between two calls: OpenBLAS's threads spin for some 25 ms after a product, onnxruntime's for a
+while too, and a request that begins meanwhile has one core. A robot asks ten times a second."""
 SAME_STATE = 1e-2  # m, m/s, m/s^2 by which loops of the same weights may differ at t = 1
 
 Loop = Callable[[Arrays, Beginning, OdeSpec], Array]
@@ -152,7 +155,7 @@ def _measure(
     calls: dict[str, Callable[[], object]] = {"engine": ask_engine, "product": MatrixProduct()}
     for name, loop in contest.loops.items():
         calls[name] = lambda loop=loop: loop(work.inputs, work.begun, contest.sampler)
-    times = take_turns(calls, rounds=config.rounds, budget_s=config.budget_s)
+    times = take_turns(calls, rounds=config.rounds, budget_s=config.budget_s, rest_s=REST_S)
     warm = {stage: values[1:] for stage, values in stages.items()}
     warm["total"] = times.pop("engine")  # seen from outside: the request's checks belong to it
     flops = _field_flops(contest.bundle, work, num) * evaluations(contest.sampler)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from time import perf_counter
+from time import perf_counter, sleep
 
 import numpy as np
 
@@ -13,11 +13,12 @@ LEAST = 3  # timed calls of each contender, however slow it is
 
 
 def take_turns(
-    calls: Mapping[str, Callable[[], object]], *, rounds: int, budget_s: float
+    calls: Mapping[str, Callable[[], object]], *, rounds: int, budget_s: float, rest_s: float = 0.0
 ) -> dict[str, list[float]]:
     """Times [ms] of each call by its name, after one that is not counted.
 
-    A call that has used up `budget_s` leaves the round, but not before its third turn.
+    A call that has used up `budget_s` leaves the round, but not before its third turn. Before each
+    the machine rests for `rest_s`, so that nobody is timed beside the idle threads of another.
     """
     times: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
@@ -27,6 +28,7 @@ def take_turns(
             spent = times[name]
             if len(spent) >= LEAST and sum(spent) > budget_s * 1e3:
                 continue
+            sleep(rest_s)
             start = perf_counter()
             call()
             spent.append((perf_counter() - start) * 1e3)
