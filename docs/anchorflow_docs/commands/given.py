@@ -57,7 +57,7 @@ def ros_map(folder: Path) -> None:
 
 def bundles(folder: Path) -> None:
     """A repository of one model."""
-    shutil.copytree(SHIPPED / "default", folder / "bundles" / "flowmp-small" / "0.2.0")
+    shutil.copytree(SHIPPED / "default", folder / "bundles" / "flowmp-small" / "0.3.0")
 
 
 def two_bundles(folder: Path) -> None:

@@ -60,7 +60,7 @@ QUICK = (
             "anchorflow serve --repository bundles",
             "curl -X POST localhost:8000/v2/repository/index",
             f"{LOAD} -d '{{}}'",
-            f'{LOAD} -d \'{{"parameters": {{"version": "0.2.0"}}}}\'',
+            f'{LOAD} -d \'{{"parameters": {{"version": "0.3.0"}}}}\'',
             "curl -X POST localhost:8000/v2/repository/models/flowmp-small/unload",
         ),
         (given.bundles,),
@@ -158,7 +158,7 @@ WALKTHROUGH = (
             "anchorflow export runs/student/checkpoint.pt --out bundles/student"
             " --name flowmp-small-student",
             f"anchorflow export runs/default/checkpoint.pt --out {SHIPPED}/default"
-            " --version 0.2.0 --noise-scale 1.4 --refine-steps 6 --refine-rate 0.12",
+            " --version 0.3.0 --noise-scale 1.4 --refine-steps 6 --refine-rate 0.12 --int8",
             f"anchorflow export runs/student/checkpoint.pt --out {SHIPPED}/student"
             " --name flowmp-small-student --version 0.3.0 --refine-steps 6 --refine-rate 0.12"
             " --int8",
