@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.device import DEVICES
 from anchorflow_service.bundle.graphs import WideGraph
 from anchorflow_service.bundle.manifest import Manifest, OdeEntry
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
@@ -31,6 +32,7 @@ from anchorflow_service.engine.parts import (
     Context,
     Samples,
 )
+from anchorflow_service.engine.samplers.device_loop import DeviceLoop
 from anchorflow_service.engine.samplers.flow_field import FieldGraphs, FlowField
 from anchorflow_service.engine.samplers.flow_score import ROLE, FlowScore
 from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
@@ -81,6 +83,10 @@ class OdeSampler:
     them at every node of every evaluation instead. A caller who has one thread leaves the anchors
     in one piece, which takes less time in all.
 
+    On a provider with a memory of its own they stay in one piece, and in that memory until t = 1.
+    Guidance and the states on the way need the host at every step, so with them the anchors are
+    integrated there, on such a provider too, and cross to it and back at every evaluation.
+
     Raises:
         BundleError: a graph cannot be opened or its signature is not the manifest's.
         ProviderError: the provider is not to be had.
@@ -92,6 +98,7 @@ class OdeSampler:
         self._prior = bundle.manifest.sampler.prior
         self._encode = WideGraph(bundle, "encode", threads=threads, provider=provider)
         self._fields = FieldGraphs(bundle, provider=provider)
+        self._on_device = DeviceLoop(DEVICES[provider]) if provider in DEVICES else None
         self._score = (
             FlowScore(bundle, threads=threads, provider=provider)
             if ROLE in bundle.manifest.graphs
@@ -234,6 +241,8 @@ class OdeSampler:
         check: called after every step of every slice; what it raises ends the work and is raised
         """
         field = self._fields.over(context, sampler)
+        if self._on_device and guidance is None:
+            return self._on_device.integrate(field, begun.x, begun.mean, on_step=check)
         threads = threads or self._threads
 
         def integrate_slice(part: Beginning) -> Array:
