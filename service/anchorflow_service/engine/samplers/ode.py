@@ -35,13 +35,13 @@ from anchorflow_service.engine.parts import (
 from anchorflow_service.engine.samplers.device_loop import DeviceLoop
 from anchorflow_service.engine.samplers.flow_field import FieldGraphs, FlowField
 from anchorflow_service.engine.samplers.flow_score import ROLE, FlowScore
-from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
+from anchorflow_service.engine.samplers.guided import guidance_of, guided
 from anchorflow_service.engine.samplers.ode_faults import ode_faults, state_shape
 from anchorflow_service.engine.samplers.warm_start import renoised
 from anchorflow_service.engine.side_by_side import Helpers
 from anchorflow_trajectory.guidance import Guidance
-from anchorflow_trajectory.ode.integrate import VectorField, integrate
-from anchorflow_trajectory.ode.schedule import remaining, stage_strides
+from anchorflow_trajectory.ode.integrate import integrate
+from anchorflow_trajectory.ode.schedule import remaining
 from anchorflow_trajectory.prior import drawn
 from anchorflow_trajectory.scene import ROUTE_STATES
 
@@ -247,7 +247,7 @@ class OdeSampler:
 
         def integrate_slice(part: Beginning) -> Array:
             return integrate(
-                _guided(field, part.mean, guidance),
+                guided(field, part.mean, guidance),
                 part.x,
                 schedule=field.schedule,
                 method=field.method,
@@ -273,22 +273,13 @@ class OdeSampler:
         """The states at every time of the schedule [K,N,T,S]; the first are those begun with."""
         visited, field = [begun.x], self._fields.over(context, sampler)
         integrate(
-            _guided(field, begun.mean, guidance),
+            guided(field, begun.mean, guidance),
             begun.x,
             schedule=field.schedule,
             method=field.method,
             on_step=lambda state: visited.append(state.copy()),
         )
         return np.stack(visited)
-
-
-def _guided(field: FlowField, mean: Array | None, guidance: Guidance | None) -> VectorField:
-    """The field of the anchors that began on these means [N,T,S], corrected by guidance if any."""
-    bound = field.bound(mean)
-    if guidance is None:
-        return bound
-    strides = stage_strides(field.method, field.schedule)
-    return GuidedField(bound, guidance, field.times, strides)
 
 
 def _cut(begun: Beginning, parts: int) -> list[Beginning]:
