@@ -21,7 +21,8 @@ from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_car
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
-from anchorflow_service.engine.samplers.ode import PRIOR_MEAN, Beginning, OdeSampler
+from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
+from anchorflow_service.engine.samplers.ode import Beginning, OdeSampler
 from anchorflow_trajectory.scene import Scene
 
 SEED = 1

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.engine.samplers.ode import PRIOR_MEAN
+from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
 from anchorflow_trajectory.ode.method import method_named
 from anchorflow_trajectory.ode.reference import PlainField, integrate_plainly
 

@@ -5,6 +5,7 @@ samplers   what it says of how anchors are drawn
 reader     a bundle read, and checked before it serves
 graphs     its graphs, opened by onnxruntime
 providers  where onnxruntime runs them
+device     the memory that they compute in there
 """
 
 from anchorflow_service.bundle.reader import DEFAULT_BUNDLE, Bundle, BundleError, load_bundle

@@ -11,10 +11,17 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import TensorSpec
-from anchorflow_service.bundle.providers import DEFAULT_PROVIDER, check_obtained, provider_named
+from anchorflow_service.bundle.providers import (
+    DEFAULT_PROVIDER,
+    check_obtained,
+    preferences,
+    provider_named,
+)
 from anchorflow_service.bundle.reader import Bundle, BundleError
 
 Array = NDArray[Any]
+Tensor = Array | ort.OrtValue
+"""An array in the host's memory, or a value that lies on a device."""
 
 ONNX_TYPES = {
     "float32": "tensor(float)",
@@ -59,31 +66,49 @@ class Graph:
         """Those of the arrays that the graph takes by name."""
         return {name: arrays[name] for name in self.input_names if name in arrays}
 
-    def bind(self, **inputs: Array) -> BoundGraph:
+    def bind(self, **inputs: Tensor) -> BoundGraph:
         """The graph with some inputs fixed, for a loop that writes where it is told."""
         return BoundGraph(self, inputs)
 
 
 class BoundGraph:
-    """A graph with some of its inputs fixed; one for each loop, it is not shared by threads."""
+    """A graph with some of its inputs fixed; one for each loop, it is not shared by threads.
 
-    def __init__(self, graph: Graph, inputs: Mapping[str, Array]) -> None:
+    What lies on the device of the graph's provider is used where it is. An array crosses to it and
+    back, at every call unless it is fixed.
+    """
+
+    def __init__(self, graph: Graph, inputs: Mapping[str, Tensor]) -> None:
         self._session = graph.session
         self._binding = graph.session.io_binding()
-        # The binding borrows the arrays' memory, so they live as long as it does.
+        # The binding borrows the tensors' memory, so they live as long as it does.
         self._fixed = dict(inputs)
-        for name, array in self._fixed.items():
-            self._binding.bind_cpu_input(name, array)
+        self._bind_inputs(self._fixed)
 
-    def __call__(self, inputs: Mapping[str, Array], *, outputs: Mapping[str, Array]) -> None:
-        """Run on the fixed inputs and these; the outputs are written into the arrays given."""
-        for name, array in inputs.items():
-            self._binding.bind_cpu_input(name, array)
-        for name, array in outputs.items():
-            self._binding.bind_output(
-                name, "cpu", 0, array.dtype.type, array.shape, array.ctypes.data
-            )
+    def __call__(self, inputs: Mapping[str, Tensor], *, outputs: Mapping[str, Tensor]) -> None:
+        """Run on the fixed inputs and these; the outputs are written into the tensors given.
+
+        They are there when it returns, for another graph to read too: onnxruntime waits for the
+        device at the end of every run unless it is told not to.
+        """
+        # Anew at each call, though they may be the same as before: what a node on another device
+        # reads is copied when it is bound, not when it is read.
+        self._bind_inputs(inputs)
+        for name, tensor in outputs.items():
+            if isinstance(tensor, ort.OrtValue):
+                self._binding.bind_ortvalue_output(name, tensor)
+            else:
+                self._binding.bind_output(
+                    name, "cpu", 0, tensor.dtype.type, tensor.shape, tensor.ctypes.data
+                )
         self._session.run_with_iobinding(self._binding)
+
+    def _bind_inputs(self, inputs: Mapping[str, Tensor]) -> None:
+        for name, tensor in inputs.items():
+            if isinstance(tensor, ort.OrtValue):
+                self._binding.bind_ortvalue_input(name, tensor)
+            else:
+                self._binding.bind_cpu_input(name, tensor)
 
 
 class WideGraph:
@@ -140,7 +165,7 @@ def _open(path: Path, threads: int, provider: str) -> ort.InferenceSession:
     # Idle threads that spin take the cores from the other graphs and from refinement.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
-        session = ort.InferenceSession(path, options, providers=[wanted])
+        session = ort.InferenceSession(path, options, providers=preferences(wanted))
     except Exception as error:  # onnxruntime's exceptions share no public base
         raise BundleError(path, "onnxruntime cannot open it", str(error)) from error
     check_obtained(session, wanted, path)

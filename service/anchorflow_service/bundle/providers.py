@@ -15,6 +15,9 @@ PROVIDERS = {
     "openvino": "OpenVINOExecutionProvider",
 }
 DEFAULT_PROVIDER = "cpu"
+# Who takes the nodes that a provider does not; the CPU would, and every tensor between them would
+# cross from the device and back.
+HELPERS = {PROVIDERS["tensorrt"]: (PROVIDERS["cuda"],)}
 
 
 class ProviderError(AnchorFlowError):
@@ -36,6 +39,12 @@ def provider_named(name: str) -> str:
             f"provider: {name} is not in this build of onnxruntime, which offers {known}"
         )
     return PROVIDERS[name]
+
+
+def preferences(wanted: str) -> list[str]:
+    """The providers of a session, by onnxruntime's names: the wanted one, then its helpers."""
+    offered = ort.get_available_providers()
+    return [wanted, *(name for name in HELPERS.get(wanted, ()) if name in offered)]
 
 
 def check_obtained(session: ort.InferenceSession, wanted: str, path: Path) -> None:

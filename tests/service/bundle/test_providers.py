@@ -9,7 +9,12 @@ import onnxruntime as ort
 import pytest
 
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.bundle.providers import ProviderError, check_obtained, provider_named
+from anchorflow_service.bundle.providers import (
+    ProviderError,
+    check_obtained,
+    preferences,
+    provider_named,
+)
 from anchorflow_service.engine import Engine
 
 WITHOUT_CUDA = pytest.mark.skipif(
@@ -37,3 +42,21 @@ def test_a_fallback_is_noticed() -> None:
     session = SimpleNamespace(get_providers=lambda: ["CPUExecutionProvider"])
     with pytest.raises(ProviderError, match=r"asked for CUDA.*took CPU.*field.onnx"):
         check_obtained(session, "CUDAExecutionProvider", Path("field.onnx"))  # pyright: ignore[reportArgumentType]
+
+
+CUDA, TENSORRT = "CUDAExecutionProvider", "TensorrtExecutionProvider"
+
+
+@pytest.mark.parametrize(
+    ("wanted", "offered", "asked_for"),
+    [
+        (TENSORRT, [TENSORRT, CUDA, "CPUExecutionProvider"], [TENSORRT, CUDA]),
+        (TENSORRT, [TENSORRT, "CPUExecutionProvider"], [TENSORRT]),
+        (CUDA, [TENSORRT, CUDA, "CPUExecutionProvider"], [CUDA]),
+    ],
+)
+def test_what_tensorrt_does_not_take_goes_to_cuda(
+    wanted: str, offered: list[str], asked_for: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ort, "get_available_providers", lambda: offered)
+    assert preferences(wanted) == asked_for

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.ode.integrate import Array, VectorField, integrate
+from anchorflow_trajectory.ode.integrate import Array, VectorField, integrate, integrate_in
 from anchorflow_trajectory.ode.method import METHODS, Method
 from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times, uniform_schedule
 from anchorflow_trajectory.ode.tableau import ButcherTableau
@@ -72,3 +72,44 @@ def test_constant_field_is_exact_in_float32(method: Method) -> None:
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, x1, atol=1e-6)
     np.testing.assert_array_equal(x0, kept)
+
+
+class Boxes:
+    """States that no array library knows: a list of one number each, nothing in it at first."""
+
+    def empty(self) -> list[float]:
+        return []
+
+    def add_scaled(
+        self, x: list[float], slope: list[float], weight: float, *, out: list[float]
+    ) -> None:
+        assert out is not slope
+        out[:] = [x[0] + weight * slope[0]]
+
+
+@EACH_METHOD
+def test_the_loop_is_the_same_wherever_states_are_kept(method: Method) -> None:
+    """To the last bit, each step in turn; what was not written yet would not be there to read."""
+    schedule, start = EIGHT_STEP_SCHEDULE, [0.3]
+    in_array = logistic(method, schedule)
+
+    def in_box(x: list[float], time_index: int, out: list[float]) -> None:
+        slope = np.empty(1)
+        in_array(np.array(x), time_index, slope)
+        out[:] = slope.tolist()
+
+    arrays: list[float] = []
+    boxes: list[float] = []
+    integrate(
+        in_array,
+        np.array(start),
+        schedule=schedule,
+        method=method,
+        on_step=lambda x: arrays.extend(x.tolist()),
+    )
+    last = integrate_in(
+        Boxes(), in_box, start, schedule=schedule, method=method, on_step=boxes.extend
+    )
+    assert boxes == arrays
+    assert len(boxes) == 8
+    assert (last, start) == (boxes[-1:], [0.3])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
-from typing import Any, Protocol
+from dataclasses import dataclass
+from itertools import cycle, pairwise
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from anchorflow_trajectory.ode.method import Method
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
 
 Array = NDArray[np.floating[Any]]
+State = TypeVar("State")
 
 
 class VectorField(Protocol):
@@ -21,10 +23,39 @@ class VectorField(Protocol):
     def __call__(self, x: Array, time_index: int, out: Array) -> object:
         """Writes the field at x into out, of the same shape; what it returns is not looked at.
 
-        time_index counts the times of `stage_times(method, schedule)`, so what depends on the
-        time alone is worked out once for all of them.
+        x is left as it is. time_index counts the times of `stage_times(method, schedule)`, so what
+        depends on the time alone is worked out once for all of them.
         """
         ...
+
+
+class States(Protocol[State]):
+    """Where the states of a loop are kept, and how they are added up there."""
+
+    def empty(self) -> State:
+        """One more to write into."""
+        ...
+
+    def add_scaled(self, x: State, slope: State, weight: float, *, out: State) -> object:
+        """out = x + weight · slope; out may be x."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ArrayStates:
+    """States as numpy arrays.
+
+    term: of their shape and dtype, to multiply into
+    """
+
+    term: Array
+
+    def empty(self) -> Array:
+        return np.empty_like(self.term)
+
+    def add_scaled(self, x: Array, slope: Array, weight: float, *, out: Array) -> None:
+        np.multiply(slope, weight, out=self.term)
+        np.add(x, self.term, out=out)
 
 
 def integrate(
@@ -37,35 +68,47 @@ def integrate(
 ) -> Array:
     """x at the schedule's end, of x0's shape and dtype; x0 is left as it is.
 
-    `on_step` sees x after each step, in a buffer that the next step overwrites.
+    `on_step` sees x after each step, in a buffer that a later step overwrites.
     """
-    x, point, term = x0.copy(), np.empty_like(x0), np.empty_like(x0)
-    slopes = [np.empty_like(x0) for _ in range(method.slopes)]
+    states = ArrayStates(np.empty_like(x0))
+    return integrate_in(states, vector_field, x0, schedule=schedule, method=method, on_step=on_step)
+
+
+def integrate_in(
+    states: States[State],
+    vector_field: Callable[[State, int, State], object],
+    x0: State,
+    *,
+    schedule: Schedule,
+    method: Method,
+    on_step: Callable[[State], object] = lambda _: None,
+) -> State:
+    """The same wherever states are kept; of a state, the loop knows nothing but `states`."""
+    x, buffers = x0, cycle((states.empty(), states.empty()))
+    slopes = [states.empty() for _ in range(method.slopes)]
     stages = stage_times(method, schedule).index
     for step, ((start, end), indices) in enumerate(zip(pairwise(schedule), stages, strict=True)):
-        h = end - start
+        h, point = end - start, next(buffers)
         slopes = [slopes[-1], *slopes[:-1]]  # a multistep method looks back; its oldest goes
         for row, index, slope in zip(method.a_lower, indices, slopes, strict=False):
-            _advance(x, slopes, row, h, out=point, term=term)
-            vector_field(point, index, slope)
-        _advance(x, slopes, method.weights(schedule, step), h, out=x, term=term)
+            vector_field(_advanced(states, x, slopes, row, h, out=point), index, slope)
+        x = _advanced(states, x, slopes, method.weights(schedule, step), h, out=point)
         on_step(x)
     return x
 
 
-def _advance(
-    x: Array,
-    slopes: Sequence[Array],
+def _advanced(
+    states: States[State],
+    x: State,
+    slopes: Sequence[State],
     weights: Sequence[float],
     h: float,
     *,
-    out: Array,
-    term: Array,
-) -> None:
-    """out = x + h Σ weights_i slopes_i; out may be x."""
-    if out is not x:
-        np.copyto(out, x)
+    out: State,
+) -> State:
+    """x + h Σ weights_i slopes_i, in out; x itself where nothing is added."""
     for weight, slope in zip(weights, slopes, strict=False):  # a stage uses only the ones before it
         if weight:
-            np.multiply(slope, h * weight, out=term)
-            np.add(out, term, out=out)
+            states.add_scaled(x, slope, h * weight, out=out)
+            x = out
+    return x

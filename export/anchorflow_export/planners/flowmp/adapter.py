@@ -36,7 +36,8 @@ from anchorflow_service.bundle.manifest import (
     TimeEntry,
 )
 from anchorflow_service.bundle.samplers import PriorEntry
-from anchorflow_service.engine.samplers.ode import PRIOR_MEAN, OdeSampler
+from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
+from anchorflow_service.engine.samplers.ode import OdeSampler
 from anchorflow_trajectory.ode.method import Method, method_named
 from anchorflow_trajectory.ode.reference import integrate_plainly
 from anchorflow_trajectory.scene import ROUTE_STATES

@@ -12,8 +12,10 @@ from anchorflow_service.bundle.manifest import Manifest, OdeEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish.spline import refiner_of
 from anchorflow_service.engine.parts import ConditionedScene, Context
+from anchorflow_service.engine.samplers.flow_field import FlowField
 from anchorflow_trajectory.guidance import Guidance
 from anchorflow_trajectory.ode.integrate import VectorField
+from anchorflow_trajectory.ode.schedule import stage_strides
 
 Array = NDArray[np.float32]
 
@@ -36,6 +38,15 @@ def guidance_of(manifest: Manifest, scene: ConditionedScene, context: Context) -
         prior_basis=context[prior.basis][0] if prior else np.eye(size, dtype=np.float32),
         scale=spec.guidance,
     )
+
+
+def guided(field: FlowField, mean: Array | None, guidance: Guidance | None) -> VectorField:
+    """The field of the anchors that began on these means [N,T,S], corrected by guidance if any."""
+    bound = field.bound(mean)
+    if guidance is None:
+        return bound
+    strides = stage_strides(field.method, field.schedule)
+    return GuidedField(bound, guidance, field.times, strides)
 
 
 @dataclass(frozen=True)

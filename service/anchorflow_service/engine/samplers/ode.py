@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.bundle.graphs import BoundGraph, WideGraph, open_graph
+from anchorflow_service.bundle.device import DEVICES
+from anchorflow_service.bundle.graphs import WideGraph
 from anchorflow_service.bundle.manifest import Manifest, OdeEntry
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning.cost_map import MapScene
@@ -31,15 +32,16 @@ from anchorflow_service.engine.parts import (
     Context,
     Samples,
 )
-from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN, ROLE, FlowScore
-from anchorflow_service.engine.samplers.guided import GuidedField, guidance_of
+from anchorflow_service.engine.samplers.device_loop import DeviceLoop
+from anchorflow_service.engine.samplers.flow_field import FieldGraphs, FlowField
+from anchorflow_service.engine.samplers.flow_score import ROLE, FlowScore
+from anchorflow_service.engine.samplers.guided import guidance_of, guided
 from anchorflow_service.engine.samplers.ode_faults import ode_faults, state_shape
 from anchorflow_service.engine.samplers.warm_start import renoised
 from anchorflow_service.engine.side_by_side import Helpers
 from anchorflow_trajectory.guidance import Guidance
-from anchorflow_trajectory.ode.integrate import VectorField, integrate
-from anchorflow_trajectory.ode.method import method_named
-from anchorflow_trajectory.ode.schedule import remaining, stage_strides, stage_times
+from anchorflow_trajectory.ode.integrate import integrate
+from anchorflow_trajectory.ode.schedule import remaining
 from anchorflow_trajectory.prior import drawn
 from anchorflow_trajectory.scene import ROUTE_STATES
 
@@ -81,6 +83,10 @@ class OdeSampler:
     them at every node of every evaluation instead. A caller who has one thread leaves the anchors
     in one piece, which takes less time in all.
 
+    On a provider with a memory of its own they stay in one piece, and in that memory until t = 1.
+    Guidance and the states on the way need the host at every step, so with them the anchors are
+    integrated there, on such a provider too, and cross to it and back at every evaluation.
+
     Raises:
         BundleError: a graph cannot be opened or its signature is not the manifest's.
         ProviderError: the provider is not to be had.
@@ -91,8 +97,8 @@ class OdeSampler:
         assert isinstance(bundle.manifest.sampler, OdeEntry)
         self._prior = bundle.manifest.sampler.prior
         self._encode = WideGraph(bundle, "encode", threads=threads, provider=provider)
-        self._modulate = open_graph(bundle, "modulate", provider=provider)
-        self._field = open_graph(bundle, "field", provider=provider)
+        self._fields = FieldGraphs(bundle, provider=provider)
+        self._on_device = DeviceLoop(DEVICES[provider]) if provider in DEVICES else None
         self._score = (
             FlowScore(bundle, threads=threads, provider=provider)
             if ROLE in bundle.manifest.graphs
@@ -123,14 +129,12 @@ class OdeSampler:
         begun = self.beginning(context, noise)
         if self._score:
             self._score.settle(context, begun.x, begun.mean)
-        x, field = begun.x, self._field_over(context, OdeSpec("euler", (0.0, 1.0)), None)
-        whole = _evaluated(field(begun.mean), x)
+        field = self._fields.over(context, OdeSpec("euler", (0.0, 1.0)))
+        whole = _evaluated(field, begun)
         self.cuts_freely = all(
             np.array_equal(
                 whole,
-                np.concatenate(
-                    [_evaluated(field(part.mean), part.x) for part in _cut(begun, parts)]
-                ),
+                np.concatenate([_evaluated(field, part) for part in _cut(begun, parts)]),
             )
             for parts in range(2, self._threads + 1)
         )
@@ -236,16 +240,17 @@ class OdeSampler:
         threads: to spread over; None: all of them
         check: called after every step of every slice; what it raises ends the work and is raised
         """
-        schedule, method = sampler.schedule, method_named(sampler.method)
-        new_field = self._field_over(context, sampler, guidance)
+        field = self._fields.over(context, sampler)
+        if self._on_device and guidance is None:
+            return self._on_device.integrate(field, begun.x, begun.mean, on_step=check)
         threads = threads or self._threads
 
         def integrate_slice(part: Beginning) -> Array:
             return integrate(
-                new_field(part.mean),
+                guided(field, part.mean, guidance),
                 part.x,
-                schedule=schedule,
-                method=method,
+                schedule=field.schedule,
+                method=field.method,
                 on_step=lambda _: check(),
             )
 
@@ -266,55 +271,15 @@ class OdeSampler:
         guidance: Guidance | None = None,
     ) -> Array:
         """The states at every time of the schedule [K,N,T,S]; the first are those begun with."""
-        visited = [begun.x]
+        visited, field = [begun.x], self._fields.over(context, sampler)
         integrate(
-            self._field_over(context, sampler, guidance)(begun.mean),
+            guided(field, begun.mean, guidance),
             begun.x,
-            schedule=sampler.schedule,
-            method=method_named(sampler.method),
+            schedule=field.schedule,
+            method=field.method,
             on_step=lambda state: visited.append(state.copy()),
         )
         return np.stack(visited)
-
-    def _field_over(
-        self, context: Context, sampler: OdeSpec, guidance: Guidance | None
-    ) -> Callable[[Array | None], VectorField]:
-        """Makes the vector field of a scene at the sampler's times, one for each thread's anchors.
-
-        It takes their prior means [N,T,S], if there are any.
-        """
-        method = method_named(sampler.method)
-        times = stage_times(method, sampler.schedule).times
-        modulate_inputs = self._modulate.select({**context, "times": times})
-        modulation = self._modulate(**modulate_inputs)["modulation"]
-        field_inputs = self._field.select(context)
-
-        def new_field(mean: Array | None) -> VectorField:
-            # Of a mixture that encode gives, the field gets what each anchor began on.
-            own = self._field.select({} if mean is None else {PRIOR_MEAN: mean[None]})
-            field = _ModulatedField(self._field.bind(**{**field_inputs, **own}), modulation)
-            if guidance is None:
-                return field
-            return GuidedField(field, guidance, times, stage_strides(method, sampler.schedule))
-
-        return new_field
-
-
-class _ModulatedField:
-    """The bound field graph as the solver's vector field.
-
-    modulation: [1,K,M], one row for each distinct stage time
-    """
-
-    def __init__(self, field: BoundGraph, modulation: Array) -> None:
-        self._field = field
-        self._modulation = modulation
-
-    def __call__(self, x: Array, time_index: int, out: Array) -> None:
-        self._field(
-            {"x_t": x[None], "modulation": self._modulation[:, time_index]},
-            outputs={"dx_t": out[None]},
-        )
 
 
 def _cut(begun: Beginning, parts: int) -> list[Beginning]:
@@ -324,8 +289,8 @@ def _cut(begun: Beginning, parts: int) -> list[Beginning]:
     return [Beginning(*part) for part in zip(xs, routes, means, strict=True)]
 
 
-def _evaluated(field: VectorField, x: Array) -> Array:
+def _evaluated(field: FlowField, begun: Beginning) -> Array:
     """dx/dt at the first of the field's times."""
-    slope = np.empty_like(x)
-    field(x, 0, slope)
+    slope = np.empty_like(begun.x)
+    field.bound(begun.mean)(begun.x, 0, slope)
     return slope
