@@ -197,7 +197,7 @@ def _hurry(
             lasting[m] = given[m] * timing.shares[h]
             rounded[m] = lasting[m]
         set_lanes_ends(tried, lasting, ends, lanes)
-        cost_of_lanes(problem, tried, rounded, style, lanes, found, slope)
+        cost_of_lanes(problem, tried, rounded, style, lanes, found, slope, False)
         for m in range(lanes):
             if h == 0 or found[0, m] < least[m]:
                 least[m], duration[m] = found[0, m], lasting[m]

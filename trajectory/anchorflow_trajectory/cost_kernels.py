@@ -80,7 +80,7 @@ def cost_of_splines(
             lasting[m] = duration[begin + m]
             for k in range(3):
                 leaning[k, m] = style[k, begin + m]
-        cost_of_lanes(problem, taken, lasting, leaning, lanes, found, slopes)
+        cost_of_lanes(problem, taken, lasting, leaning, lanes, found, slopes, True)
         put_lanes(slopes, begin, lanes, slope)
         for m in range(lanes):
             cost[begin + m], by_duration[begin + m] = found[0, m], found[1, m]
@@ -96,12 +96,13 @@ def cost_of_lanes(
     lanes: int,
     found: FloatArray,
     slope: FloatArray,
+    is_sloped: bool,
 ) -> None:
     """Write J of control points [D, K, LANES] and durations [LANES], and its gradient.
 
     style: [3, LANES], u of safety, energy and smoothness; so many lanes are in use
     found: [2, LANES], J and its derivative by log duration where the control points stay
-    slope: [D, K, LANES], by the control points
+    slope: [D, K, LANES], by the control points; left at zero unless is_sloped, in less time
     """
     band, gains, real = problem.band, problem.gains, control.dtype.type
     dim, steps = control.shape[0], len(band.first)
@@ -131,7 +132,8 @@ def cost_of_lanes(
                 ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.soft, x, y)
         _charge_ground(gains, style, ground, lanes, hinges, samples)
         _charge_motion(gains, pace, gain, lanes, squares, hinges, samples)
-        gather_slopes(samples, lanes, band, t, slope)
+        if is_sloped:
+            gather_slopes(samples, lanes, band, t, slope)
     share = real(1.0) / real(steps)
     for m in range(lanes):
         slow = style[0, m] * gains.slow * pace[0, m] * pace[0, m]

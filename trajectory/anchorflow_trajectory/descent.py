@@ -160,7 +160,7 @@ def descend_lanes(
     for step in range(way.steps):
         for m in range(lanes):
             duration[m] = real(np.exp(log_duration[m]))
-        cost_of_lanes(problem, control, duration, style, lanes, found, slope)
+        cost_of_lanes(problem, control, duration, style, lanes, found, slope, True)
         _turn_slopes(way, slope, away, lanes, change)
         if way.is_timed:
             if way.is_moving:
