@@ -53,17 +53,14 @@ class Job(Generic[Result]):
         self.budget_ms = budget_ms
         self.key = key
         self.result: Future[Result] = Future()
+        self.has_ended = False
+        """Whether there is a result, or an error in its place."""
         self.submitted = 0.0  # s, by the queue's clock
         self._work = work
         self._lock = threading.Lock()
         self._stage = "in the queue"
         # Else whoever stops waiting for the future would end it before `cancel` can.
         self.result.set_running_or_notify_cancel()
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether there is a result, or an error in its place."""
-        return self.result.done()
 
     def check(self) -> None:
         """Raises `JobCancelled`, `DeadlineExceeded` where nobody waits for the result any more."""
@@ -95,4 +92,5 @@ class Job(Generic[Result]):
     def _end(self, settle: Callable[[], None]) -> None:
         with self._lock:
             if not self.has_ended:
+                self.has_ended = True
                 settle()

@@ -159,8 +159,10 @@ class PlanningQueue:
             if not self._is_open:
                 raise NotReady("the service is stopping")
             leaves = in_place_of is not None and not in_place_of.has_ended
-            self._check_room(self._count_waiting() + self._busy_lanes - leaves)
-            self._check_worth_waiting(job, ahead=self._count_waiting(but=in_place_of))
+            waiting = self._count_waiting()
+            self._check_room(waiting + self._busy_lanes - leaves)
+            ahead = waiting if in_place_of is None else self._count_waiting(but=in_place_of)
+            self._check_worth_waiting(job, ahead=ahead)
             job.submitted = self._clock()
             self._line.add(job)
             self._awaited.add(job)
