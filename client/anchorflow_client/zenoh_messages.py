@@ -15,6 +15,7 @@ from anchorflow_client.errors import InvalidAnswer, InvalidRequest
 _LENGTHS = Interval(0, 2**53)
 _COUNTS = Interval(0, 2**31)
 _TIMES = Interval(0.0, 1e9, "ms")
+_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))  # `json.dumps` makes one each time
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ class ReplicaInfo:
 
 
 def _written(value: Mapping[str, Any]) -> bytes:
-    return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
+    return _JSON.encode(value).encode()
 
 
 def _parsed(data: bytes) -> Mapping[str, Any]:
