@@ -171,7 +171,7 @@ def _plan(
     context.check()
     timing_ms = {**batch.timing_ms, "queue": context.queue_ms, "total": call.arrival.elapsed_ms}
     call.timing_ms = timing_ms
-    answer = replace(batch, timing_ms=timing_ms, request_id=request.request_id)
+    answer = batch.told(timing_ms=timing_ms, request_id=request.request_id)
     return call.codec.encode_answer(answer)
 
 
