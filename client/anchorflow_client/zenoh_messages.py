@@ -30,7 +30,7 @@ class RequestAttachment:
 
     def to_bytes(self) -> bytes:
         """UTF-8 JSON; what is None is left out."""
-        return _written({name: value for name, value in asdict(self).items() if value is not None})
+        return _written({name: value for name, value in vars(self).items() if value is not None})
 
     @classmethod
     def from_bytes(cls, data: bytes | None) -> RequestAttachment:
@@ -103,7 +103,7 @@ class AnswerAttachment:
 
     def to_bytes(self) -> bytes:
         """UTF-8 JSON."""
-        return _written(asdict(self))
+        return _written({**vars(self), "load": vars(self.load)})
 
     @classmethod
     def from_bytes(cls, data: bytes | None) -> AnswerAttachment:
