@@ -100,7 +100,7 @@ def over_http(url: str, codec: Codec | None = None) -> Connect:
     Raises:
         BenchmarkError: the URL names another machine, which is nobody's to load.
     """
-    _check_loopback(url)
+    check_loopback(url)
     return lambda stack: (
         stack.enter_context(AnchorClient(url, timeout_s=TIMEOUT_S, codec=codec)).plan_request
     )
@@ -130,7 +130,7 @@ def retrying(url: str, attempts: Outcomes, *, timeout_s: float, patience_s: floa
     Raises:
         BenchmarkError: the URL names another machine.
     """
-    _check_loopback(url)
+    check_loopback(url)
 
     def connect(stack: ExitStack) -> Ask:
         client = NotedClient(url, attempts, timeout_s=timeout_s)
@@ -189,7 +189,8 @@ def asking(
             outcomes.elapsed_s = perf_counter() - start
 
 
-def _check_loopback(url: str) -> None:
+def check_loopback(url: str) -> None:
+    """Raises `BenchmarkError` where the URL names another machine, which is nobody's to load."""
     host = urlsplit(url).hostname or ""
     with suppress(ValueError):
         if host == "localhost" or ip_address(host).is_loopback:

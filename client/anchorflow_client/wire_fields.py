@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,7 @@ def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
         "dt": batch.dt,
         "first_s": batch.first_s,
         "seed": batch.seed,
-        "model": asdict(batch.model),
+        "model": {**vars(batch.model)},
         "timing_ms": dict(batch.timing_ms),
         "request_id": batch.request_id,
         **absent,

@@ -15,6 +15,7 @@ from anchorflow_client.errors import InvalidAnswer, InvalidRequest
 _LENGTHS = Interval(0, 2**53)
 _COUNTS = Interval(0, 2**31)
 _TIMES = Interval(0.0, 1e9, "ms")
+_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))  # `json.dumps` makes one each time
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class RequestAttachment:
 
     def to_bytes(self) -> bytes:
         """UTF-8 JSON; what is None is left out."""
-        return _written({name: value for name, value in asdict(self).items() if value is not None})
+        return _written({name: value for name, value in vars(self).items() if value is not None})
 
     @classmethod
     def from_bytes(cls, data: bytes | None) -> RequestAttachment:
@@ -102,7 +103,7 @@ class AnswerAttachment:
 
     def to_bytes(self) -> bytes:
         """UTF-8 JSON."""
-        return _written(asdict(self))
+        return _written({**vars(self), "load": vars(self.load)})
 
     @classmethod
     def from_bytes(cls, data: bytes | None) -> AnswerAttachment:
@@ -160,7 +161,7 @@ class ReplicaInfo:
 
 
 def _written(value: Mapping[str, Any]) -> bytes:
-    return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
+    return _JSON.encode(value).encode()
 
 
 def _parsed(data: bytes) -> Mapping[str, Any]:

@@ -135,3 +135,12 @@ def test_far_from_zero_trajectories_keep_their_digits(reach: float, dtype: type)
     paths = np.full((3, 4, 2), reach + 0.0)
 
     assert batch(trajectories=paths).trajectories.dtype == dtype
+
+
+def test_told_anew_its_anchors_are_the_same() -> None:
+    first = batch(request_id="first")
+    second = first.told(timing_ms={"total": 2.0}, request_id="second")
+
+    assert (first.request_id, second.request_id) == ("first", "second")
+    assert (second.timing_ms, second.arrays) == ({"total": 2.0}, first.arrays)
+    assert first.timing_ms != second.timing_ms

@@ -13,7 +13,7 @@ import pytest
 
 from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut
 from anchorflow_client.http.async_socket_transport import AsyncSocketTransport
-from anchorflow_client.http.socket_transport import SocketTransport
+from anchorflow_client.http.socket_transport import JOINED_BYTES, SocketTransport
 
 OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nX-Kind: test\r\n\r\nok"
 Script = Callable[[socket.socket], None]
@@ -111,6 +111,24 @@ def test_a_connection_that_closes_as_it_is_asked_is_opened_again(serve: Serve) -
     transport = serve(answer_once, answer)
 
     assert [get(transport), get(transport)] == [b"ok", b"ok"]
+
+
+@pytest.mark.parametrize(("size", "calls"), [(4, 1), (JOINED_BYTES, 1), (JOINED_BYTES + 1, 2)])
+def test_a_head_and_a_body_of_ordinary_length_are_sent_at_once(
+    size: int, calls: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[bytes] = []
+    monkeypatch.setattr(HTTPConnection, "send", lambda _, data: sent.append(bytes(data)))
+    monkeypatch.setattr(HTTPConnection, "getresponse", Mock(side_effect=KeyboardInterrupt))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        with pytest.raises(KeyboardInterrupt):
+            SocketTransport(url, connect_timeout_s=5).send("POST", "/x", {}, bytes(size), 10)
+
+    head, _, body = b"".join(sent).partition(b"\r\n\r\n")
+    assert len(sent) == calls
+    assert head.startswith(b"POST /x HTTP/1.1\r\n")
+    assert body == bytes(size)
 
 
 def test_a_signal_leaves_no_connection_half_used(monkeypatch: pytest.MonkeyPatch) -> None:

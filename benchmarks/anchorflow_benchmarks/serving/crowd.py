@@ -8,10 +8,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from anchorflow_benchmarks.clients import Outcomes, asking, over_http
+from anchorflow_benchmarks.clients import Outcomes
+from anchorflow_benchmarks.serving.lean_callers import lean_callers
 from anchorflow_client.contract import AnchorRequest
 
-# In a process of its own: what is measured is the server's delay, not that of 64 threads here.
+# In a process of its own: what is measured is the server's delay, not that of the callers here.
 PROBE = """
 import http.client, json, sys, time
 host, port, seconds, pause_s = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), 0.1
@@ -46,10 +47,8 @@ def crowd(
     asked = [replace(request, budget_ms=config.budget_ms) for request in requests]
     host, port = url.removeprefix("http://").split(":")
     probe = (sys.executable, "-c", PROBE, host, port, str(config.seconds))
-    with (
-        subprocess.Popen(probe, stdout=subprocess.PIPE, text=True) as health,
-        asking(over_http(url), asked, callers=config.clients, seconds=config.seconds) as outcomes,
-    ):
+    with subprocess.Popen(probe, stdout=subprocess.PIPE, text=True) as health:
         assert health.stdout is not None
+        outcomes = lean_callers(url, asked, callers=config.clients, seconds=config.seconds)
         health_ms = json.loads(health.stdout.read())
     return outcomes, health_ms

@@ -67,7 +67,8 @@ def batching_table(
             one, other = (p50(each.per_second) for each in results.values())
             ratios.append(f"{other / one:.2f}" if one else "no answers")
     note = (
-        f"{configs[0].clients} clients, rounds of {configs[0].seconds:g} s by turns; "
+        f"{configs[0].clients} clients, which encode ahead and read of an answer only who gave it, "
+        f"rounds of {configs[0].seconds:g} s by turns; "
         f"throughput with micro-batches over that without: {', '.join(ratios)}"
     )
     return ResultTable("Micro-batches", rows, note)

@@ -41,21 +41,19 @@ def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[n
     return within(array, field, interval)
 
 
-def within(
-    array: Array, field: str, interval: Interval, *, part: NDArray[np.bool_] | None = None
-) -> Array:
+def within(array: Array, field: str, interval: Interval, *, part: slice = slice(None)) -> Array:
     """The array itself. Raises `InvalidRequest` for the first number outside the interval.
 
-    part: the columns that are held against it; None: all.
+    part: the columns that are held against it
     """
-    outside = ~interval.contains(array)
-    if part is not None:
-        outside &= part
-    if outside.any():
-        is_finite = np.isfinite(array[outside][0])
-        what = f"numbers {interval}" if is_finite else "finite numbers"
-        raise first_refused(array, outside, field, what)
-    return array
+    held = array[..., part]
+    if interval.holds_all(held):
+        return array
+    outside = np.zeros(array.shape, np.bool_)
+    outside[..., part] = ~interval.contains(held)
+    is_finite = np.isfinite(array[outside][0])
+    what = f"numbers {interval}" if is_finite else "finite numbers"
+    raise first_refused(array, outside, field, what)
 
 
 def first_refused(

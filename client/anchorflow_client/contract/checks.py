@@ -58,7 +58,7 @@ def is_number_type(kind: type) -> bool:
 
 def number(value: Any, field: str, interval: Interval) -> float:
     """A finite number inside `interval`."""
-    if not is_number(value) or not interval.contains(value):
+    if not is_number(value) or not interval.holds(value):
         raise expected(field, f"a number {interval}", value)
     return float(value)
 

@@ -63,7 +63,7 @@ class CostMap:
     def extent(self) -> NDArray[np.float64]:
         """[2,2] m: the lower and the upper corner (x, y) of the map."""
         height, width = self.data.shape[-2:]
-        return np.stack([self.origin, self.origin + self.resolution * np.array([width, height])])
+        return np.array([self.origin, self.origin + self.resolution * np.array([width, height])])
 
     def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether points [...,2] in m lie on the map, its border included."""
@@ -72,9 +72,11 @@ class CostMap:
 
     def cells_of(self, points: NDArray[np.float64]) -> NDArray[np.intp]:
         """(row, column) [...,2] of the cells that hold points [...,2] in m; the nearest outside."""
-        from_corner = np.clip(points, *self.extent) - self.origin
+        low, high = self.extent
+        from_corner = np.minimum(np.maximum(points, low), high) - self.origin
         column_row = np.floor(from_corner / self.resolution).astype(np.intp)
-        return np.clip(column_row[..., ::-1], 0, np.array(self.data.shape[-2:]) - 1)
+        last = np.array(self.data.shape[-2:]) - 1
+        return np.minimum(np.maximum(column_row[..., ::-1], 0), last)
 
 
 def _grid(data: Any) -> NDArray[np.float32]:

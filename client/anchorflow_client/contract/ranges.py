@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,6 +26,17 @@ class Interval:
         above = values > self.low if self.open_low else values >= self.low
         below = values < self.high if self.open_high else values <= self.high
         return above & below
+
+    def holds(self, number: float) -> bool:
+        """Whether one number lies inside; a NaN does not."""
+        above = number > self.low if self.open_low else number >= self.low
+        below = number < self.high if self.open_high else number <= self.high
+        return bool(above and below)
+
+    def holds_all(self, values: NDArray[Any]) -> bool:
+        """Whether every number lies inside: told by the least and the greatest, without a mask."""
+        # A NaN is the least and the greatest of all that it is among.
+        return not values.size or (self.holds(values.min()) and self.holds(values.max()))
 
     def __str__(self) -> str:
         left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"

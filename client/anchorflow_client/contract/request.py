@@ -201,22 +201,27 @@ def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapS
     batches = {name: len(array) for name, array in arrays.items() if array.ndim in (2, 4)}
     num_scenes = _common_num_scenes(batches)
     grid, start, goal, style = (
-        read_only(np.broadcast_to(array, (num_scenes, *array.shape[name in batches :])))
+        read_only(array if name in batches else _over_scenes(array, num_scenes))
         for name, array in arrays.items()
     )
     cost_map = CostMap(grid, cost_map.resolution, cost_map.origin)
-    _check_on_free_cells(cost_map, start[:, :2], "x_curr")
-    _check_on_free_cells(cost_map, goal[:, :2], "x_goal")
+    _check_on_free_cells(cost_map, {"x_curr": start[:, :2], "x_goal": goal[:, :2]})
     return MapScenes(cost_map, start, goal, style), bool(batches)
+
+
+def _over_scenes(array: NDArray[Any], num_scenes: int) -> NDArray[Any]:
+    """The same for every scene: [B,…] with a stride of 0."""
+    alone = array[None]
+    # broadcast_to asks more of numpy than is needed for the one scene that most requests have.
+    return alone if num_scenes == 1 else np.broadcast_to(alone, (num_scenes, *array.shape))
 
 
 def _states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.float64]:
     """One or a batch of position, velocity and so on to `parts` D-vectors, each in its range."""
     states = vectors(value, field, ranges.EVERY_NUMBER, *(parts * dim for dim in dims))
-    size = states.shape[-1]
-    part_of = np.arange(size) * parts // size
+    dim = states.shape[-1] // parts
     for part in range(parts):
-        within(states, field, ranges.STATE[part], part=part_of == part)
+        within(states, field, ranges.STATE[part], part=slice(part * dim, (part + 1) * dim))
     return states
 
 
@@ -246,26 +251,30 @@ def _style(value: Any) -> NDArray[np.float64]:
     return np.where(np.abs(total - 1) < 1e-12, weights, weights / total)
 
 
-def _check_on_free_cells(cost_map: CostMap, points: NDArray[np.float64], field: str) -> None:
-    """Refuse points [B,2] off the map or in an occupied cell of their own scene."""
+def _check_on_free_cells(cost_map: CostMap, fields: Mapping[str, NDArray[np.float64]]) -> None:
+    """Refuse points [B,2] of a field off the map or in an occupied cell of their own scene."""
+    points = np.concatenate([*fields.values()])  # looked up together: one scene is the rule
+    num_scenes = len(points) // len(fields)
     rows, columns = cost_map.cells_of(points).T
-    occupancy = cost_map.occupancy[np.arange(len(points)), rows, columns]
+    occupancy = cost_map.occupancy[np.arange(len(points)) % num_scenes, rows, columns]
     inside = cost_map.contains(points)
     refused = ~inside | (occupancy >= ranges.OCCUPIED)
     if not refused.any():
         return
-    scene = int(refused.argmax())
-    if not inside[scene]:
-        raise InvalidRequest(_off_map(cost_map, points[scene], scene), field)
-    cell = f"cell [row {rows[scene]}, column {columns[scene]}]"
-    came = f"{_position(points[scene], scene)} in {cell} of occupancy {occupancy[scene]:.2g}"
+    first = int(refused.argmax())
+    place, scene = divmod(first, num_scenes)
+    field, position = [*fields][place], _position(points[first], scene)
+    if not inside[first]:
+        raise InvalidRequest(f"{_on_map(cost_map)}, got {position}", field)
+    cell = f"cell [row {rows[first]}, column {columns[first]}]"
+    came = f"{position} in {cell} of occupancy {occupancy[first]:.2g}"
     raise InvalidRequest(f"expected a cell of occupancy below {ranges.OCCUPIED}, got {came}", field)
 
 
-def _off_map(cost_map: CostMap, point: NDArray[np.float64], scene: int) -> str:
+def _on_map(cost_map: CostMap) -> str:
     (x_low, y_low), (x_high, y_high) = cost_map.extent
     extent = f"x from {x_low:g} to {x_high:g} m and y from {y_low:g} to {y_high:g} m"
-    return f"expected a position on the map ({extent}), got {_position(point, scene)}"
+    return f"expected a position on the map ({extent})"
 
 
 def _position(point: NDArray[np.float64], scene: int) -> str:

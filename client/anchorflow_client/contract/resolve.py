@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import secrets
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from anchorflow_client.contract import ranges
@@ -150,7 +150,7 @@ def _not_chosen(card: ModelCard, field: str, kind: str) -> InvalidRequest:
 
 
 def _limits(request: AnchorRequest, card: ModelCard, own: CostMapSpec) -> LimitsSpec:
-    limits: dict[str, Any] = asdict(own.limits)
+    limits: dict[str, Any] = {**vars(own.limits)}
     for name, limit in limits.items():
         limits[name] = _limit(name, request, card, limit)
     return LimitsSpec(**limits)

@@ -6,8 +6,12 @@ import http.client
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from typing import Any
 
 from anchorflow_client.http.transport import HttpAnswer, address_of, translated, unreachable
+
+JOINED_BYTES = 512 * 2**10
+"""Of a body: to copy so many behind the head takes less than to send them by a second call."""
 
 
 class SocketTransport:
@@ -66,7 +70,7 @@ class SocketTransport:
         connection.sock.settimeout(timeout_s)
         # A service that refuses a large body stops reading it: its answer may be here already.
         with suppress(BrokenPipeError, ConnectionResetError):
-            connection.request(method, path, body, dict(headers))
+            connection.send_at_once(method, path, body, headers)
         answer = connection.getresponse()
         names = {name.lower(): value for name, value in answer.getheaders()}
         return answer.status, names, answer.read()
@@ -87,4 +91,34 @@ class SocketTransport:
             raise
 
 
-_CONNECTIONS = {"http": http.client.HTTPConnection, "https": http.client.HTTPSConnection}
+class _AtOnce(http.client.HTTPConnection):
+    """Sends a head together with its body, so that the service is woken once."""
+
+    _parts: list[bytes] | None = None
+
+    def send_at_once(
+        self, method: str, path: str, body: bytes | None, headers: Mapping[str, str]
+    ) -> None:
+        """As `request`, on a connection that is open."""
+        if body is None or len(body) > JOINED_BYTES:
+            self.request(method, path, body, dict(headers))
+            return
+        self._parts = parts = []
+        try:
+            self.request(method, path, body, dict(headers))
+        finally:
+            self._parts = None
+        self.send(b"".join(parts))
+
+    def send(self, data: Any) -> None:
+        if self._parts is None:
+            super().send(data)
+        else:
+            self._parts.append(data)
+
+
+class _SecureAtOnce(_AtOnce, http.client.HTTPSConnection):
+    """The same through TLS."""
+
+
+_CONNECTIONS = {"http": _AtOnce, "https": _SecureAtOnce}

@@ -35,6 +35,7 @@ ALIGNMENT = 64
 MAX_HEADER_BYTES = 64 * 1024
 """Longest header that is parsed; an honest one has one or two KiB."""
 MAX_DIMENSIONS = 8
+_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))  # `json.dumps` makes one each time
 
 Tensors = Mapping[str, NDArray[Any]]
 Datatypes = Mapping[str, Sequence[str]]
@@ -59,7 +60,7 @@ def pack(fields: Mapping[str, Any], role: str, tensors: Tensors) -> Payload:
         }
         for (name, tensor), part in zip(tensors.items(), parts, strict=True)
     ]
-    header = json.dumps({**fields, role: entries}, allow_nan=False, separators=(",", ":")).encode()
+    header = _JSON.encode({**fields, role: entries}).encode()
     header += b" " * (-len(header) % ALIGNMENT)
     return Payload(b"".join([header, *parts]), len(header))
 

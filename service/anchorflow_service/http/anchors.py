@@ -13,6 +13,7 @@ from anchorflow_service.http.body import read_body
 from anchorflow_service.http.hang_up import HungUp, to_nobody, unless_hung_up
 from anchorflow_service.http.openapi import ANCHORS_DOCUMENTATION, HEADER_LENGTH
 from anchorflow_service.http.orjson_codec import OrjsonCodec
+from anchorflow_service.http.plain_route import PlainRoute
 from anchorflow_service.planning import Call, PlanningService
 
 CODECS: dict[str, Codec] = {codec.content_type: codec for codec in (OrjsonCodec(), OipCodec())}
@@ -23,7 +24,7 @@ MAX_DIGITS = 18
 
 def anchors_router(service: PlanningService) -> APIRouter:
     """The route, over the service."""
-    router = APIRouter()
+    router = APIRouter(route_class=PlainRoute)
 
     @router.post("/anchors", tags=["anchors"], **ANCHORS_DOCUMENTATION)
     async def plan_anchors(request: Request) -> Response:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 from collections.abc import Coroutine
-from contextlib import suppress
 from typing import Any, TypeVar
 
 from starlette.requests import Request
@@ -23,23 +23,36 @@ class HungUp(Exception):
 async def unless_hung_up(request: Request, work: Coroutine[Any, Any, Result]) -> Result:
     """What the work returns; it is cancelled where the client leaves first.
 
-    The request's body must have been read: what comes after it is the client's leaving.
+    The request's body must have been read: what comes after it is the client's leaving. The work is
+    done by the task that asks, which costs fewer passes of the event loop than one of its own.
 
     Raises:
         HungUp: the client left.
     """
-    working = asyncio.ensure_future(work)
+    working = asyncio.current_task()
+    assert working is not None
+    was_left = is_over = False
+
+    def leave(leaving: asyncio.Future[None]) -> None:
+        nonlocal was_left
+        # Of work that is over, what the task does next would be cancelled.
+        if not is_over and not leaving.cancelled():
+            was_left = True
+            working.cancel()
+
     leaving = asyncio.ensure_future(_hang_up(request))
+    leaving.add_done_callback(leave)
     try:
-        await asyncio.wait({working, leaving}, return_when=asyncio.FIRST_COMPLETED)
-        if not working.done():
-            raise HungUp
-        return working.result()
+        return await work
+    except asyncio.CancelledError:
+        if not was_left:
+            raise
+        if sys.version_info >= (3, 11):
+            working.uncancel()
+        raise HungUp from None
     finally:
+        is_over = True
         leaving.cancel()
-        working.cancel()
-        with suppress(asyncio.CancelledError):
-            await leaving
 
 
 def to_nobody() -> Response:

@@ -72,6 +72,8 @@ class Exchanges:
 
 def log_exchange(exchange: Exchange) -> None:
     """One line, at level info."""
+    if not logger.isEnabledFor(logging.INFO):
+        return
     logger.info(
         "%s %s %d in %.1f ms",
         exchange.method,

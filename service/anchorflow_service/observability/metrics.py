@@ -47,7 +47,8 @@ class Metrics(Observer):
             "request", "From arrival to the answer, of what was answered.", registry, ["transport"]
         )
         self._queue = _seconds("queue", "Age of a request when a worker took it.", registry, [])
-        self._stages = _seconds("stage", "Engine time of an answer.", registry, ["stage"])
+        stages = _seconds("stage", "Engine time of an answer.", registry, ["stage"])
+        self._stages = {stage: stages.labels(stage) for stage in STAGES}
         self._batch = Histogram(
             "anchorflow_batch_requests",
             "Requests that went through an engine together.",
@@ -72,8 +73,8 @@ class Metrics(Observer):
         if outcome == ANSWERED:
             self._total.labels(call.transport).observe(call.arrival.elapsed_ms / 1e3)
             self._queue.observe(call.timing_ms["queue"] / 1e3)
-            for stage in STAGES:
-                self._stages.labels(stage).observe(call.timing_ms.get(stage, 0.0) / 1e3)
+            for stage, seconds in self._stages.items():
+                seconds.observe(call.timing_ms.get(stage, 0.0) / 1e3)
 
     def batch_planned(self, requests: int) -> None:
         """Count it."""

@@ -53,17 +53,14 @@ class Job(Generic[Result]):
         self.budget_ms = budget_ms
         self.key = key
         self.result: Future[Result] = Future()
+        self.has_ended = False
+        """Whether there is a result, or an error in its place."""
         self.submitted = 0.0  # s, by the queue's clock
         self._work = work
         self._lock = threading.Lock()
         self._stage = "in the queue"
         # Else whoever stops waiting for the future would end it before `cancel` can.
         self.result.set_running_or_notify_cancel()
-
-    @property
-    def has_ended(self) -> bool:
-        """Whether there is a result, or an error in its place."""
-        return self.result.done()
 
     def check(self) -> None:
         """Raises `JobCancelled`, `DeadlineExceeded` where nobody waits for the result any more."""
@@ -80,19 +77,32 @@ class Job(Generic[Result]):
         assert self.budget_ms is not None
         self.cancel(self.arrival.exceeded(self.budget_ms, self._stage))
 
-    def run(self, *, queue_ms: float, threads: int) -> bool:
-        """Do the work; whether it was completed."""
+    def run(
+        self,
+        *,
+        queue_ms: float,
+        threads: int,
+        freed: Callable[[bool], None] = lambda _: None,
+    ) -> bool:
+        """Do the work; whether it was completed.
+
+        freed: told the same before anybody hears what came of it, who may ask for more at once
+        """
         try:
             self.check()
             self._stage = "while planning"
             result = self._work(JobContext(queue_ms, threads, self.check))
         except BaseException as error:  # noqa: BLE001 - raised again by whoever asks for the result
+            freed(False)
             self._end(partial(self.result.set_exception, error))
             return False
+        freed(True)
         self._end(partial(self.result.set_result, result))
         return True
 
     def _end(self, settle: Callable[[], None]) -> None:
         with self._lock:
-            if not self.has_ended:
-                settle()
+            if self.has_ended:
+                return
+            self.has_ended = True
+        settle()  # what others do with the result keeps nobody waiting who would end it too

@@ -13,6 +13,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import TracebackType
 from typing import NamedTuple, TypeVar
 
@@ -159,8 +160,10 @@ class PlanningQueue:
             if not self._is_open:
                 raise NotReady("the service is stopping")
             leaves = in_place_of is not None and not in_place_of.has_ended
-            self._check_room(self._count_waiting() + self._busy_lanes - leaves)
-            self._check_worth_waiting(job, ahead=self._count_waiting(but=in_place_of))
+            waiting = self._count_waiting()
+            self._check_room(waiting + self._busy_lanes - leaves)
+            ahead = waiting if in_place_of is None else self._count_waiting(but=in_place_of)
+            self._check_worth_waiting(job, ahead=ahead)
             job.submitted = self._clock()
             self._line.add(job)
             self._awaited.add(job)
@@ -227,11 +230,15 @@ class PlanningQueue:
         while (assignment := self._next()) is not None:
             job, threads = assignment
             began = self._clock()
-            was_done = job.run(queue_ms=(began - job.submitted) * 1e3, threads=threads)
-            with self._changed:
-                self._busy_lanes -= 1
-                if was_done:
-                    self._service_time.observe(self._clock() - began)
+            wait_ms = (began - job.submitted) * 1e3
+            job.run(queue_ms=wait_ms, threads=threads, freed=partial(self._free, began))
+
+    def _free(self, began: float, was_done: bool) -> None:
+        """A lane is free that was taken at that time [s]."""
+        with self._changed:
+            self._busy_lanes -= 1
+            if was_done:
+                self._service_time.observe(self._clock() - began)
 
     def _next(self) -> _Assignment | None:
         """The next job for a lane; None once the queue is closed."""
@@ -250,8 +257,7 @@ class PlanningQueue:
         jobs = self._line.batch(self._limits.max_batch)
         if not jobs:
             return None
-        waited_s = self._clock() - jobs[0].submitted
-        wait_s = self._limits.batch_wait_ms / 1e3 - waited_s
+        wait_s = self._limits.batch_wait_ms / 1e3 - (self._clock() - jobs[0].submitted)
         if len(jobs) < self._limits.max_batch and wait_s > 0:
             return wait_s
         self._line.remove(jobs)

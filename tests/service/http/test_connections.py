@@ -9,11 +9,12 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import Any
 
+import h11
 import pytest
 from fastapi import FastAPI
 
 from anchorflow_client import AnchorClient, Overloaded
-from anchorflow_service.http.connections import RESERVE, ConnectionLimits
+from anchorflow_service.http.connections import RESERVE, ConnectionLimits, LimitedHead
 from anchorflow_service.http.lifecycle import AnchorServer
 from anchorflow_service.planning import PlanningService
 
@@ -271,3 +272,36 @@ def test_planning_may_take_longer_than_receiving(
 
         assert asked.result(PATIENCE_S).seed == 1
         assert client.plan(**fields).seed == 1  # and again over the same connection
+
+
+def answering(method: str) -> LimitedHead:
+    """A server that has been asked something without a body."""
+    connection = LimitedHead(1024)
+    connection.receive_data(f"{method} / HTTP/1.1\r\nHost: test\r\n\r\n".encode())
+    assert isinstance(connection.next_event(), h11.Request)
+    return connection
+
+
+def test_a_head_leaves_with_what_follows_it() -> None:
+    connection = answering("GET")
+
+    head = connection.send(h11.Response(status_code=200, headers=[("Content-Length", "4")]))
+    both = connection.send(h11.Data(data=b"bo"))
+    rest = connection.send(h11.Data(data=b"dy"))
+    end = connection.send(h11.EndOfMessage())
+
+    assert (head, rest, end) == (b"", b"dy", b"")
+    assert both is not None
+    assert both.startswith(b"HTTP/1.1 200")
+    assert both.endswith(b"\r\n\r\nbo")
+
+
+def test_a_head_without_a_body_leaves_with_the_end() -> None:
+    connection = answering("HEAD")
+
+    head = connection.send(h11.Response(status_code=200, headers=[("Content-Length", "4")]))
+    end = connection.send(h11.EndOfMessage())
+
+    assert head == b""
+    assert end is not None
+    assert end.startswith(b"HTTP/1.1 200")

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from anchorflow_client import NotReady, Overloaded
-from anchorflow_service.planning import PlanningQueue, ServiceLimits
+from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
+from anchorflow_service.planning.job import Job
 
 PATIENCE_S = 20
 
@@ -42,6 +43,21 @@ def test_a_job_that_fails_gives_its_place_back() -> None:
         for _ in range(3):
             with pytest.raises(ZeroDivisionError):
                 asyncio.run(queue.run(fail))
+
+
+def test_whoever_hears_of_a_result_finds_the_lane_free() -> None:
+    job: Job[str] = Job(lambda _: "done", Arrival())
+    taken: list[str] = []
+
+    def ask_again(_: object) -> None:
+        with queue.admitted(Job(lambda _: None, Arrival())):
+            taken.append("another")
+
+    with PlanningQueue(ServiceLimits(threads=1, max_waiting=0)) as queue:
+        job.result.add_done_callback(ask_again)
+        assert asyncio.run(queue.submit(job)) == "done"
+
+    assert taken == ["another"]
 
 
 def test_a_caller_who_leaves_gives_his_place_back() -> None:
