@@ -28,7 +28,9 @@ CANDIDATES = 4 * 2 * 2 + 3
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Difference, ...]]:
     out = tmp_path_factory.mktemp("diffusiondrive") / "tiny"
-    adapter = adapter_of("diffusiondrive", tiny_diffusiondrive(), ExportChoices())
+    # With all that the small preset has and the published planner has not.
+    model = tiny_diffusiondrive(replace(TINY, imitation=0.1, pessimistic=True))
+    adapter = adapter_of("diffusiondrive", model, ExportChoices())
     return out, export_bundle(adapter, DESCRIPTION, out=out)
 
 
@@ -65,7 +67,7 @@ def test_anchors_begin_with_as_much_noise_as_is_asked_for(noise_scale: float, le
     assert sampler.start == level
 
 
-def test_no_graph_of_the_published_planner_takes_the_ego_s_motion(
+def test_no_graph_of_the_published_planner_takes_what_the_small_one_adds(
     exported: tuple[Path, tuple[Difference, ...]],
 ) -> None:
     told = load_bundle(exported[0]).manifest.graphs
@@ -75,6 +77,7 @@ def test_no_graph_of_the_published_planner_takes_the_ego_s_motion(
         assert ("ego_motion" in {spec.name for spec in graphs["encode"].outputs}) is wanted
         for role in ("coarse", "fine"):
             assert ("ego_motion" in {spec.name for spec in graphs[role].inputs}) is wanted
+        assert ("coarse_logits" in {spec.name for spec in graphs["fine"].inputs}) is wanted
 
 
 def test_the_card(client: LocalClient) -> None:
@@ -103,9 +106,15 @@ def test_an_answer_holds_what_was_asked_for(client: LocalClient) -> None:
         "bev_semantics": (3, 8, 16),
     }
     np.testing.assert_array_equal(told.trajectories, plain.trajectories[:4])
-    nc, dac, ep, ttc, c = told.arrays["sub_scores"].T
-    np.testing.assert_allclose(told.scores, nc * dac * (5 * ep + 5 * ttc + 2 * c) / 12, atol=1e-6)
     assert (np.diff(told.scores) <= 0).all()
+
+
+def test_a_score_is_the_pdm_score_times_a_likelihood(client: LocalClient) -> None:
+    kept = client.plan(inputs=sensors(), seed=1, outputs=EXTRAS)
+    nc, dac, ep, ttc, c = kept.arrays["sub_scores"].T
+    likelihood = kept.scores / (nc * dac * (5 * ep + 5 * ttc + 2 * c) / 12)
+    assert likelihood.max() == pytest.approx(1.0, abs=1e-5)  # beside the likeliest of those kept
+    assert 0.0 < likelihood.min() < 0.999
 
 
 def test_a_batch_has_the_bytes_of_its_scenes(client: LocalClient) -> None:

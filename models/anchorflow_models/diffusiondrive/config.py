@@ -37,6 +37,8 @@ class DiffusionDriveConfig:
         all poses of a candidate; published is none
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
         published is 0, no head that foretells it
+    pessimistic: whether a candidate is worth the least that the coarse scorer and any layer of the
+        fine one foretell; published: what the last layer foretells
     x_range, y_range: m, what the diffusion's unit interval spans; a place beyond is drawn to it
     diversity: spread of the factors on x and on y that make variants of a denoised trajectory
     bezier_degree: of the curve that each variant is fitted to
@@ -68,6 +70,7 @@ class DiffusionDriveConfig:
     ego_motion: bool = False
     footprint: Places = ()
     imitation: float = 0.0
+    pessimistic: bool = field(default=False, metadata={"free": True})
     x_range: tuple[float, float] = (-1.2, 55.7)
     y_range: tuple[float, float] = (-20.0, 26.0)
     diversity: tuple[float, float] = (0.1, 0.1)
@@ -123,6 +126,8 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
     """Narrow, over the small backbone: trains on two cores."""
     return DiffusionDriveConfig(
         backbone=small_transfuser(),
+        anchors=100,
+        groups=2,
         width=64,
         heads=4,
         hidden=256,

@@ -21,7 +21,7 @@ from anchorflow_models.diffusiondrive.config import (
 )
 from anchorflow_models.diffusiondrive.denoiser import Denoiser
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
-from anchorflow_models.diffusiondrive.scorers import CoarseScorer, FineScorer
+from anchorflow_models.diffusiondrive.scorers import CoarseScorer, FineScorer, Scored, least_of
 from anchorflow_models.diffusiondrive.trajectories import Variants
 from anchorflow_models.layers.attention import Decoder
 from anchorflow_models.transfuser import (
@@ -185,7 +185,8 @@ class DiffusionDriveV2(nn.Module):
         ego_motion: Tensor | None = None,
     ) -> Outputs:
         """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none ->
-        candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M]
+        candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M];
+        coarse_logits [B, M, 5] and, where it is foretold, coarse_imitation [B, M]
         """
         candidates = self.candidates(trajectories, diversity)
         scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion)
@@ -194,6 +195,8 @@ class DiffusionDriveV2(nn.Module):
             "candidates": candidates,
             "features": scored.features,
             "coarse_scores": scored.scores,
+            "coarse_logits": scored.logits,
+            **({} if scored.imitation is None else {"coarse_imitation": scored.imitation}),
         }
 
     def candidates(self, trajectories: Tensor, diversity: Tensor) -> Tensor:
@@ -211,10 +214,19 @@ class DiffusionDriveV2(nn.Module):
         agent_queries: Tensor,
         ego_query: Tensor,
         ego_motion: Tensor | None = None,
+        coarse_logits: Tensor | None = None,
+        coarse_imitation: Tensor | None = None,
     ) -> Outputs:
-        """candidates: [B, M, T, 3]; features: [B, M, F] -> scores [B, M], sub_scores [B, M, 5]"""
+        """candidates: [B, M, T, 3]; features: [B, M, F]; the last two as of `coarse`, which counts
+        too where the network is pessimistic -> scores [B, M], sub_scores [B, M, 5]
+        """
         scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion)
-        scored = self.fine_scorer(candidates, features, scene)[-1]
+        fine = self.fine_scorer(candidates, features, scene)
+        scored = fine[-1]
+        if self.config.pessimistic:
+            assert coarse_logits is not None
+            coarse = Scored(features, coarse_logits, coarse_imitation, scored.weight)
+            scored = least_of([coarse, *fine])
         return {"scores": scored.scores, "sub_scores": scored.sub_scores}
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
@@ -44,6 +45,16 @@ class Scored:
     imitation: Tensor | None
     weight: float
 
+    def taken(self, chosen: Tensor) -> Scored:
+        """What it foretells of the candidates at these places [K]."""
+        imitation = None if self.imitation is None else self.imitation[:, chosen]
+        return replace(
+            self,
+            features=self.features[:, chosen],
+            logits=self.logits[:, chosen],
+            imitation=imitation,
+        )
+
     @property
     def sub_scores(self) -> Tensor:
         """[B, M, 5] in [0, 1]"""
@@ -57,6 +68,21 @@ class Scored:
             return score
         beside = self.imitation - self.imitation.amax(-1, keepdim=True)
         return score * (self.weight * beside).exp()
+
+
+def least_of(judged: Sequence[Scored]) -> Scored:
+    """The least that several scorers foretell of each sub-score, and their mean imitation.
+
+    The best of hundreds is often the one that a scorer is wrong about; it is seldom the same one
+    for all of them (as in clipped double Q-learning, Fujimoto et al., 2018).
+    """
+    last = judged[-1]
+    told = [scored.imitation for scored in judged if scored.imitation is not None]
+    return replace(
+        last,
+        logits=torch.stack([scored.logits for scored in judged]).amin(0),
+        imitation=torch.stack(told).mean(0) if told else None,
+    )
 
 
 class ScorerLayer(nn.Module):

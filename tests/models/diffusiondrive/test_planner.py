@@ -61,7 +61,14 @@ def whole(
     best = told["coarse_scores"].argsort(-1, descending=True)[:, : config.keep]
     told["kept"] = torch.take_along_dim(told["candidates"], best[..., None, None], 1)
     features = torch.take_along_dim(told["features"], best[..., None], 1)
-    return told | model.fine(told["kept"], features, told["bev"], *scene)
+    coarse = {}
+    if config.pessimistic:
+        coarse = {
+            "coarse_logits": torch.take_along_dim(told["coarse_logits"], best[..., None], 1),
+            "coarse_imitation": torch.take_along_dim(told["coarse_imitation"], best, 1),
+        }
+    told |= coarse
+    return told | model.fine(told["kept"], features, told["bev"], *scene, **coarse)
 
 
 def shapes(told: dict[str, Tensor]) -> dict[str, tuple[int, ...]]:
@@ -119,6 +126,28 @@ def test_trajectories_are_denoised_each_for_itself() -> None:
     after = model.denoise(x_t, t, *scene)["trajectories"]
     torch.testing.assert_close(after[:, 1:], before[:, 1:])
     assert (after[:, 0] - before[:, 0]).abs().max() > 0.1
+
+
+@torch.inference_mode()
+def test_a_pessimist_expects_the_least_that_any_scorer_foretells() -> None:
+    model = planner(replace(SMALL, pessimistic=True, anchors=7, groups=2, variants=3, keep=20))
+    heard: list[list[Scored]] = []
+    model.fine_scorer.register_forward_hook(lambda *told: heard.append(told[-1]))
+    told = whole(model, sensors())
+    logits = [told["coarse_logits"], *(scored.logits for scored in heard[0])]
+    least = torch.stack(logits).amin(0)
+    torch.testing.assert_close(told["sub_scores"], least.sigmoid())
+    # Each of them decides somewhere, so none is left out.
+    assert all((logit == least).any() for logit in logits)
+    likely = torch.stack(
+        [
+            told["coarse_imitation"],
+            *(each.imitation for each in heard[0] if each.imitation is not None),
+        ]
+    ).mean(0)
+    beside = likely - likely.amax(-1, keepdim=True)
+    wanted = pdm_score(least.sigmoid()) * (SMALL.imitation * beside).exp()
+    torch.testing.assert_close(told["scores"], wanted)
 
 
 OF_NO_DENOISER = ("bev", "ego_motion")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -44,7 +44,7 @@ OUTPUTS = {
         *("agents", "agent_scores", "bev_semantics"),
     ),
     "denoise": ("x_0", "trajectories", "class_scores"),
-    "coarse": ("candidates", "features", "coarse_scores"),
+    "coarse": ("candidates", "features", "coarse_scores", "coarse_logits", "coarse_imitation"),
     "fine": ("scores", "sub_scores"),
 }
 
@@ -69,14 +69,14 @@ def start_level(model: DiffusionDriveV2, noise_scale: float) -> int:
 
 
 class Role(nn.Module):
-    """A method of the network as a module of its own, its outputs in order."""
+    """A method of the network as a module of its own, its inputs by name, its outputs in order."""
 
-    def __init__(self, model: DiffusionDriveV2, role: str) -> None:
+    def __init__(self, model: DiffusionDriveV2, role: str, inputs: Sequence[str]) -> None:
         super().__init__()
-        self.model, self.role = model, role
+        self.model, self.role, self.inputs = model, role, tuple(inputs)
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        made = getattr(self.model, self.role)(*inputs)
+        made = getattr(self.model, self.role)(**dict(zip(self.inputs, inputs, strict=True)))
         return tuple(made[name] for name in _outputs(self.model, self.role))
 
 
@@ -146,7 +146,8 @@ class DiffusionDriveAdapter:
         for role in OUTPUTS:
             inputs = self._inputs(role, given)
             outputs = _outputs(self.model, role)
-            graphs[role] = trace(Role(self.model, role), inputs=inputs, outputs=outputs)
+            method = Role(self.model, role, [spec.name for spec in inputs])
+            graphs[role] = trace(method, inputs=inputs, outputs=outputs)
             given |= {spec.name: _of_anchors(spec) for spec in graphs[role].outputs}
         return graphs
 
@@ -224,7 +225,7 @@ def torch_sample(
     told["diversity"] = torch.from_numpy(noise.diversity)[None]
     told |= model.coarse(**_taken(model.coarse, told))
     best = told["coarse_scores"][0].argsort(descending=True, stable=True)[: config.keep]
-    told |= {name: told[name][:, best] for name in ("candidates", "features", "coarse_scores")}
+    told |= {name: told[name][:, best] for name in _outputs(model, "coarse")}
     told |= model.fine(**_taken(model.fine, told))
     best = told["scores"][0].argsort(descending=True, stable=True)
     picked = {name: told[name][0, best] for name in ("scores", "sub_scores", "coarse_scores")}
@@ -232,8 +233,14 @@ def torch_sample(
 
 
 def _outputs(model: DiffusionDriveV2, role: str) -> tuple[str, ...]:
-    """The ego's motion only where the scorers are told it."""
-    unread = () if model.config.ego_motion else ("ego_motion",)
+    """The ego's motion only where the scorers are told it; what `coarse` foretells only where it
+    counts with what `fine` does."""
+    config = model.config
+    unread = set() if config.ego_motion else {"ego_motion"}
+    if not config.pessimistic:
+        unread |= {"coarse_logits", "coarse_imitation"}
+    if not config.imitation:
+        unread |= {"coarse_imitation"}
     return tuple(name for name in OUTPUTS[role] if name not in unread)
 
 
