@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -38,9 +38,6 @@ class Call:
     budget_ms: float | None = None
     """Said beside the bytes, and newer than the one inside them."""
     transport: str = "http"
-    deliver: Callable[[Payload], None] | None = None
-    """Sends the answer from the thread that planned it, the moment it is there; None: whoever asked
-    the service sends what he is given. A refusal is left to him either way."""
     model_id: ModelId | None = field(default=None, init=False)
     """Of the model that was chosen for it."""
     timing_ms: Mapping[str, float] = field(default_factory=dict, init=False)

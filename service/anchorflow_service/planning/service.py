@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -104,8 +104,6 @@ class PlanningService:
                 budget_ms=request.budget_ms,
                 key=_batch_key(engine, request),
             )
-            if call.deliver is not None:
-                job.result.add_done_callback(partial(_delivered, call.deliver))
             robot_id = request.robot_id
             older = self._latest.standing(robot_id, job)
             # Admitted first: what is refused supersedes nobody.
@@ -175,12 +173,6 @@ def _plan(
     call.timing_ms = timing_ms
     answer = batch.told(timing_ms=timing_ms, request_id=request.request_id)
     return call.codec.encode_answer(answer)
-
-
-def _delivered(deliver: Callable[[Payload], None], result: Future[Payload]) -> None:
-    """Deliver an answer, if it is one; of a job's ends this is told one alone."""
-    if result.exception() is None:
-        deliver(result.result())
 
 
 def _batch_key(engine: PlanningEngine, request: ResolvedRequest) -> Hashable:

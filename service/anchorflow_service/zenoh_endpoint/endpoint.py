@@ -8,7 +8,6 @@ import threading
 import uuid
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from types import TracebackType
 
@@ -132,8 +131,11 @@ class ZenohEndpoint:
         with query:
             try:
                 call = self._call(query, key, arrival, request_id)
-                call.deliver = partial(self._reply, query, key, call)
-                await self._service.answer(call)
+                answer = await self._service.answer(call)
+                attachment = AnswerAttachment(
+                    answer.header_length, call.request_id, self.replica, self._load()
+                )
+                reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
                 logger.debug("request %s answered in %.1f ms", call.request_id, arrival.elapsed_ms)
             except RequestError as error:
                 refuse(query, error)
@@ -141,13 +143,6 @@ class ZenohEndpoint:
                 failed = request_id if call is None else call.request_id
                 logger.exception("request %s failed", failed, extra={"request_id": failed})
                 refuse(query, internal_error(failed))
-
-    def _reply(self, query: zenoh.Query, key: str, call: Call, answer: Payload) -> None:
-        """Send an answer, on the thread that planned it: the event loop is one hand less."""
-        load = self._load()
-        others = replace(load, in_flight=max(0, load.in_flight - 1))
-        attachment = AnswerAttachment(answer.header_length, call.request_id, self.replica, others)
-        reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
 
     def _call(self, query: zenoh.Query, key: str, arrival: Arrival, request_id: str) -> Call:
         """What a query asks. Raises `RequestError`."""

@@ -18,7 +18,6 @@ from anchorflow_client import (
     NotReady,
     OipCodec,
     Payload,
-    RequestError,
     UnknownModel,
 )
 from anchorflow_client.contract import resolve_for_card
@@ -148,58 +147,3 @@ def test_what_takes_long_to_read_is_read_off_the_event_loop(
     answer(open_planning, call(open_planning, fields))
 
     assert threads == [loop, "reading", "reading"]
-
-
-def test_an_answer_is_delivered_by_the_thread_that_planned_it(
-    open_planning: PlanningService, fields: dict[str, Any]
-) -> None:
-    delivered: list[tuple[str, Payload]] = []
-    asked = call(
-        open_planning,
-        fields,
-        deliver=lambda payload: delivered.append((threading.current_thread().name, payload)),
-    )
-
-    payload = asyncio.run(open_planning.answer(asked))
-
-    ((thread, first),) = delivered
-    assert first is payload
-    assert thread.startswith("planning-")
-
-
-@pytest.mark.parametrize("changes", [{"v_max": 9.0}, {"budget_ms": 1e-6}])
-def test_a_refusal_is_not_delivered(
-    open_planning: PlanningService,
-    fields: dict[str, Any],
-    changes: dict[str, Any],
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    delivered: list[Payload] = []
-    asked = call(open_planning, fields | changes, deliver=delivered.append)
-
-    with pytest.raises(RequestError):
-        asyncio.run(open_planning.answer(asked))
-
-    assert not delivered
-    assert not caplog.records
-
-
-def test_a_call_that_is_given_up_is_not_delivered(
-    planning: PlanningService, gate: Any, fields: dict[str, Any], caplog: Any
-) -> None:
-    delivered: list[Payload] = []
-    asked = call(planning, fields, deliver=delivered.append)
-
-    async def give_up() -> None:
-        answering = asyncio.ensure_future(planning.answer(asked))
-        await asyncio.to_thread(gate.reached.wait, 20)
-        answering.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await answering
-
-    with planning:  # which waits at its end for what is planned
-        asyncio.run(give_up())
-        gate.opened.set()
-
-    assert not delivered
-    assert not caplog.records
