@@ -268,7 +268,7 @@ NOT_HERE = {
         "needs what the training above leaves; tests/service/http/test_wote_bundle.py exports one"
     ),
     "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/together"
-    " --backbone runs/wote/checkpoint.pt": TRAINS,
+    " --backbone runs/wote/checkpoint.pt --frozen-backbone": TRAINS,
     "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/scorers"
     " --before runs/together/checkpoint.pt --objective.stage scorers --objective.groups 0"
     " --steps 200": TRAINS,

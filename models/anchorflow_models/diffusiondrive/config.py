@@ -142,4 +142,5 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         noise=(4e-6, 8e-4),
         footprint=CAR,
         imitation=0.1,
+        pessimistic=True,
     )
