@@ -6,6 +6,7 @@ Its parts are those of Zou et al. (DiffusionDriveV2, 2025) over Liao et al. (Dif
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -221,13 +222,21 @@ class DiffusionDriveV2(nn.Module):
         too where the network is pessimistic -> scores [B, M], sub_scores [B, M, 5]
         """
         scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion)
-        fine = self.fine_scorer(candidates, features, scene)
-        scored = fine[-1]
-        if self.config.pessimistic:
-            assert coarse_logits is not None
-            coarse = Scored(features, coarse_logits, coarse_imitation, scored.weight)
-            scored = least_of([coarse, *fine])
+        layers, coarse = self.fine_scorer(candidates, features, scene), None
+        if coarse_logits is not None:
+            coarse = Scored(features, coarse_logits, coarse_imitation, self.config.imitation)
+        scored = self.deciding(layers, coarse)
         return {"scores": scored.scores, "sub_scores": scored.sub_scores}
+
+    def deciding(self, fine: Sequence[Scored], coarse: Scored | None) -> Scored:
+        """What decides of candidates: the last layer of the fine scorer, or the least of all.
+
+        coarse: what the coarse scorer foretells of them, which a pessimistic network asks too
+        """
+        if not self.config.pessimistic:
+            return fine[-1]
+        assert coarse is not None  # as `coarse` tells it
+        return least_of([coarse, *fine])
 
 
 def usual_anchors(count: int) -> Tensor:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from anchorflow_models.diffusiondrive import DiffusionDriveConfig, DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import POSES
-from anchorflow_models.diffusiondrive.scorers import least_of, pdm_score
+from anchorflow_models.diffusiondrive.scorers import pdm_score
 from anchorflow_training.batches import Batch
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.diffusiondrive_objective import (
@@ -108,7 +108,7 @@ def choices(
     coarse = model.coarse_scorer(candidates, scene)
     best = coarse.scores[0].argsort(descending=True)[: config.keep]
     layers = model.fine_scorer(candidates[:, best], coarse.features[:, best], scene)
-    fine = least_of([coarse.taken(best), *layers]) if config.pessimistic else layers[-1]
+    fine = model.deciding(layers, coarse.taken(best))
     worth = pdm_score(judge(batch["window"], candidates))[0]
     plain = torch.arange(count) * config.variants
     ends = candidates[0, :, -1, :2].cpu()

@@ -79,7 +79,8 @@ class SensorRun(TrainingRun):
     def begin_after(self, model: Any, weights: Mapping[str, torch.Tensor]) -> None:
         """Those weights, and over them another planner's backbone, where one is named."""
         super().begin_after(model, weights)
-        self.first_weights(backbone_of(model))
+        if self.config.backbone:
+            load_backbone(backbone_of(model), Path(self.config.backbone))
 
     @abstractmethod
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
