@@ -160,6 +160,7 @@ class Renderer:
             raise RenderingUnavailable(told) from error
         self._samples = samples
         gl = self._gl
+        gl.gc_mode = "context_gc"  # what Python has forgotten is released in `draw`
         gl.enable(moderngl.DEPTH_TEST)
         self._ground = gl.program(vertex_shader=_GROUND[0], fragment_shader=_GROUND[1])
         self._boxes = gl.program(vertex_shader=_BOXES[0], fragment_shader=_BOXES[1])
@@ -176,6 +177,7 @@ class Renderer:
     ) -> NDArray[np.uint8]:
         """The camera's picture [rows, columns, 3], red first."""
         with self._gl:  # where there are two in a process, the other's may be the current one
+            self._gl.gc()
             many, single = self._target(camera.rows, camera.columns)
             many.use()
             many.clear(*SKY, 1.0, depth=1.0)
@@ -219,8 +221,6 @@ class Renderer:
         _set(self._boxes, "camera", matrix)
         _set(self._boxes, "sky", _floats(np.array(SKY)))
         array.render(moderngl.TRIANGLES, instances=len(boxes))
-        array.release()
-        instances.release()
 
     def _target(self, rows: int, columns: int) -> tuple[moderngl.Framebuffer, moderngl.Framebuffer]:
         size = columns, rows

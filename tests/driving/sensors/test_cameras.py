@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -89,3 +91,21 @@ def test_two_renderers_in_a_process_do_not_touch_one_another(
     second = type(renderer)()  # whose context is now the current one
     np.testing.assert_array_equal(simulated_camera(view, renderer), alone)
     np.testing.assert_array_equal(simulated_camera(view, second), alone)
+
+
+def test_the_pictures_of_roads_that_are_forgotten_take_no_memory(
+    renderer: Any, on_street: Callable
+) -> None:
+    from anchorflow_driving.sensors.cameras import simulated_camera
+
+    def megabytes() -> float:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * resource.getpagesize() / 1e6
+
+    def draw(roads: int) -> float:
+        for _ in range(roads):
+            simulated_camera(on_street().view, renderer)  # 9 MB each
+        return megabytes()
+
+    before = draw(4)
+    assert draw(20) - before < 90
