@@ -144,7 +144,7 @@ class PinholeCamera:
 
 
 class Renderer:
-    """Draws windows; keeps the ground of each road that it has drawn.
+    """Draws windows; keeps the ground of each road that it has drawn, as long as the road is there.
 
     samples: a pixel; 4 smooth the edges of boxes, for more than twice the time
 
