@@ -14,8 +14,11 @@ AGENTS = 30
 RANGE_M = 32.0
 
 
-def nearest_agents(view: PlannerView) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Boxes [30, 5] (x, y, heading, length, width), nearest first, and which are there [30].
+def nearest_agents(
+    view: PlannerView,
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+    """Boxes [30, 5] (x, y, heading, length, width), nearest first, their velocities [30, 2] m/s
+    forward and to the left, and which are there [30].
 
     Vehicles whose middles lie within 32 m of the rear axle in x and in y; zeros where there are
     fewer.
@@ -29,4 +32,6 @@ def nearest_agents(view: PlannerView) -> tuple[NDArray[np.float32], NDArray[np.b
     boxes[: len(order), :3] = others.poses[order]
     boxes[: len(order), 2] = wrap_angle(others.poses[order, 2])
     boxes[: len(order), 3:] = others.size[order, :2]
-    return boxes, np.arange(AGENTS) < len(order)
+    velocity = np.zeros((AGENTS, 2), np.float32)
+    velocity[: len(order)] = view.tracks[others.track[order], -1, 3:]
+    return boxes, velocity, np.arange(AGENTS) < len(order)

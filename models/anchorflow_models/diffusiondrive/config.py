@@ -10,6 +10,7 @@ from anchorflow_trajectory.ddim import NoiseLevels
 
 POSES = 8
 FIRST_S = STEP_S = 0.5
+POSE_TIMES = tuple(FIRST_S + STEP_S * pose for pose in range(POSES))
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}
@@ -35,6 +36,8 @@ class DiffusionDriveConfig:
         themselves, and the scorers how each candidate goes on from them
     footprint: m ahead and to the left of a pose, places at which both scorers look up the BEV in
         all poses of a candidate; published is none
+    encounters: m ahead and to the left of a pose, places at which both scorers look up who will be
+        there when it is reached, if all go on as two sweeps of the LiDAR show; published is none
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
         published is 0, no head that foretells it
     pessimistic: whether a candidate is worth the least that the coarse scorer and any layer of the
@@ -69,6 +72,7 @@ class DiffusionDriveConfig:
     look_heads: int = 1
     ego_motion: bool = False
     footprint: Places = ()
+    encounters: Places = ()
     imitation: float = 0.0
     pessimistic: bool = field(default=False, metadata={"free": True})
     x_range: tuple[float, float] = (-1.2, 55.7)
@@ -101,6 +105,8 @@ class DiffusionDriveConfig:
             low, high = getattr(self, name)
             check(name, low < 0.0 < high, "least below 0, greatest above", (low, high))
         check("value_kernel", self.value_kernel in (1, 3, 5), "1, 3 or 5", self.value_kernel)
+        seen = self.backbone.lidar_before or not self.encounters
+        check("encounters", seen, "none without lidar_before of the backbone", self.encounters)
         check("imitation", self.imitation >= 0, "at least 0", self.imitation)
         check("diversity", min(self.diversity) >= 0, "at least 0 each", self.diversity)
         fits = 1 <= self.bezier_degree <= POSES
@@ -141,6 +147,7 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         ego_motion=True,
         noise=(4e-6, 8e-4),
         footprint=CAR,
+        encounters=(*CAR, (6.0, 0.0), (10.0, 0.0)),
         imitation=0.1,
         pessimistic=True,
     )

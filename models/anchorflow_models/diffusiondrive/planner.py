@@ -16,6 +16,7 @@ from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive.config import (
     FIRST_S,
+    POSE_TIMES,
     POSES,
     STEP_S,
     DiffusionDriveConfig,
@@ -32,8 +33,10 @@ from anchorflow_models.transfuser import (
     STATUS_UNITS,
     AgentHead,
     BevValues,
+    Moving,
     OccupancyHead,
     SemanticHead,
+    SweepMotion,
     TransfuserBackbone,
 )
 
@@ -50,6 +53,8 @@ class Perceived:
     agents: [B, Q, 5] x, y [m], heading [rad], length, width [m]; agent_logits: [B, Q]
     semantics: logits [B, classes, h, w]
     occupancy: logits [B, T, H/4, H/4] of where others will be when the poses are reached
+    upscaled: [B, C', H/4, H/4] the backbone's BEV
+    moving: where others are and how fast they move, with `encounters`
     """
 
     scene: SceneFeatures
@@ -57,6 +62,8 @@ class Perceived:
     agent_logits: Tensor
     semantics: Tensor
     occupancy: Tensor
+    upscaled: Tensor
+    moving: Moving | None
 
 
 class Perception(nn.Module):
@@ -89,6 +96,7 @@ class Perception(nn.Module):
             BevValues(width, width, kernel=config.value_kernel)
             for _ in range(config.denoiser_layers)
         )
+        self.sweeps = SweepMotion(backbone) if config.encounters else None
 
     def forward(
         self,
@@ -109,10 +117,15 @@ class Perception(nn.Module):
         ego, motion = decoded[:, :1], None
         if self.tells_motion:
             ego, motion = ego + status, ego_status[:, MOTION]
-        scene = SceneFeatures(bev, values, agents=decoded[:, 1:], ego=ego, motion=motion)
+        moving = foretold = None
+        if self.sweeps is not None:
+            before = torch.zeros_like(lidar) if lidar_before is None else lidar_before
+            moving = self.sweeps(lidar, before, seen.upscaled)
+            foretold = self.sweeps.foretold(moving, POSE_TIMES)
+        scene = SceneFeatures(bev, values, decoded[:, 1:], ego, motion, foretold)
         agents, logits = self.agents(scene.agents)
         semantics, occupancy = self.semantics(seen.upscaled), self.occupancy(seen.upscaled)
-        return Perceived(scene, agents, logits, semantics, occupancy)
+        return Perceived(scene, agents, logits, semantics, occupancy, seen.upscaled, moving)
 
     def _joined(self, cells: Tensor, upscaled: Tensor) -> Tensor:
         """The coarse cells [B, h h, W] over the fine ones [B, C, H, H] -> [B, W, H, H]"""
@@ -152,7 +165,8 @@ class DiffusionDriveV2(nn.Module):
         """What the other graphs take, by name, and what is told of the scene beside."""
         seen = self.perception(camera, lidar, ego_status, lidar_before)
         begin = self.denoiser.space.normalised(self.anchors)
-        told = {} if seen.scene.motion is None else {"ego_motion": seen.scene.motion}
+        scene = {"ego_motion": seen.scene.motion, "foretold": seen.scene.foretold}
+        told = {name: tensor for name, tensor in scene.items() if tensor is not None}
         return told | {
             "anchors": begin.expand(camera.shape[0], -1, -1, -1),
             "bev": seen.scene.bev,
@@ -184,13 +198,14 @@ class DiffusionDriveV2(nn.Module):
         agent_queries: Tensor,
         ego_query: Tensor,
         ego_motion: Tensor | None = None,
+        foretold: Tensor | None = None,
     ) -> Outputs:
         """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none ->
         candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M];
         coarse_logits [B, M, 5] and, where it is foretold, coarse_imitation [B, M]
         """
         candidates = self.candidates(trajectories, diversity)
-        scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion)
+        scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion, foretold)
         scored = self.coarse_scorer(candidates, scene)
         return {
             "candidates": candidates,
@@ -215,13 +230,14 @@ class DiffusionDriveV2(nn.Module):
         agent_queries: Tensor,
         ego_query: Tensor,
         ego_motion: Tensor | None = None,
+        foretold: Tensor | None = None,
         coarse_logits: Tensor | None = None,
         coarse_imitation: Tensor | None = None,
     ) -> Outputs:
         """candidates: [B, M, T, 3]; features: [B, M, F]; the last two as of `coarse`, which counts
         too where the network is pessimistic -> scores [B, M], sub_scores [B, M, 5]
         """
-        scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion)
+        scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion, foretold)
         layers, coarse = self.fine_scorer(candidates, features, scene), None
         if coarse_logits is not None:
             coarse = Scored(features, coarse_logits, coarse_imitation, self.config.imitation)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive.bev_attention import BevAttention
 from anchorflow_models.diffusiondrive.config import POSES, DiffusionDriveConfig
@@ -19,10 +20,13 @@ from anchorflow_models.diffusiondrive.trajectories import (
     motion_features,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
+from anchorflow_models.layers.lookup import lookup
 from anchorflow_models.layers.scalar_head import scalar_head
-from anchorflow_models.transfuser import BevValues, Footprint
+from anchorflow_models.layers.zero import zero_linear
+from anchorflow_models.transfuser import BevValues, Footprint, bev_places, placed
 
 SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
+LEAST_SHARE = 1e-3
 
 
 def pdm_score(sub_scores: Tensor) -> Tensor:
@@ -162,6 +166,39 @@ class SeenUnder(nn.Module):
         return x + self.footprint(self.values(bev), candidates)
 
 
+class Encounters(nn.Module):
+    """Adds to candidates who will be where they lead when they are there, and a pose later;
+    without `encounters`, nothing.
+    """
+
+    places: Tensor
+
+    def __init__(self, config: DiffusionDriveConfig) -> None:
+        super().__init__()
+        self.reach, self.told = config.backbone.lidar_range, bool(config.encounters)
+        if not self.told:
+            return
+        count, width = len(config.encounters), config.scorer_width // 4
+        self.register_buffer("places", torch.tensor(config.encounters), persistent=False)
+        self.pose = nn.Linear(2 * count, width)
+        self.times = nn.Parameter(0.02 * torch.randn(POSES, width))
+        self.whole = zero_linear(POSES * width, config.scorer_width)
+
+    def forward(self, x: Tensor, candidates: Tensor, foretold: Tensor | None) -> Tensor:
+        """x: [B, M, F]; candidates: [B, M, T, 3]; foretold: [B, T, H, H]"""
+        if not self.told:
+            return x
+        assert foretold is not None  # as `Perception` tells it
+        share = (foretold + LEAST_SHARE).log() / 3 + 1  # shares of thousandths tell something too
+        later = torch.cat([share[:, 1:], share[:, -1:]], 1)
+        maps = torch.stack([share, later], -1).flatten(0, 1)
+        points = bev_places(placed(candidates, self.places), self.reach)
+        points = points.transpose(1, 2).flatten(0, 1)  # each pose in the map of its time
+        found = lookup(maps, points.flatten(1, 2)).unflatten(1, (-1, len(self.places)))
+        found = found.flatten(2).unflatten(0, (-1, POSES)).transpose(1, 2)
+        return x + self.whole(F.relu(self.pose(found) + self.times).flatten(2))
+
+
 class CoarseScorer(nn.Module):
     """One layer over all candidates."""
 
@@ -174,12 +211,13 @@ class CoarseScorer(nn.Module):
             nn.Linear(width, width),
         )
         self.motion, self.under = ToldMotion(config), SeenUnder(config)
+        self.met = Encounters(config)
         self.layer = ScorerLayer(config)
 
     def forward(self, candidates: Tensor, scene: SceneFeatures) -> Scored:
         """candidates: [B, M, T, 3]"""
         x = self.motion(self.embed(embedded_poses(candidates)), candidates, scene.motion)
-        x = self.under(x, candidates, scene.bev)
+        x = self.met(self.under(x, candidates, scene.bev), candidates, scene.foretold)
         return self.layer(x, candidates[..., :2], scene)
 
 
@@ -189,6 +227,7 @@ class FineScorer(nn.Module):
     def __init__(self, config: DiffusionDriveConfig) -> None:
         super().__init__()
         self.motion, self.under = ToldMotion(config), SeenUnder(config)
+        self.met = Encounters(config)
         self.layers = nn.ModuleList(ScorerLayer(config) for _ in range(config.fine_layers))
 
     def forward(self, candidates: Tensor, features: Tensor, scene: SceneFeatures) -> list[Scored]:
@@ -196,6 +235,7 @@ class FineScorer(nn.Module):
         made = []
         features = self.motion(features, candidates, scene.motion)
         features = self.under(features, candidates, scene.bev)
+        features = self.met(features, candidates, scene.foretold)
         for layer in self.layers:
             scored = layer(features, candidates[..., :2], scene)
             features = scored.features

@@ -8,7 +8,7 @@ from anchorflow_models.transfuser.config import (
     TransfuserConfig,
     small_transfuser,
 )
-from anchorflow_models.transfuser.footprint import CAR, Footprint, Places
+from anchorflow_models.transfuser.footprint import CAR, Footprint, Places, placed
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
     AGENT_STATE,
@@ -17,6 +17,7 @@ from anchorflow_models.transfuser.heads import (
     SemanticHead,
 )
 from anchorflow_models.transfuser.status import MOTION, STATUS, STATUS_UNITS
+from anchorflow_models.transfuser.sweep_motion import Moving, SweepMotion
 
 __all__ = [
     "AGENT_QUERIES",
@@ -32,11 +33,14 @@ __all__ = [
     "BevValues",
     "FeaturePyramid",
     "Footprint",
+    "Moving",
     "OccupancyHead",
     "Places",
     "SemanticHead",
+    "SweepMotion",
     "TransfuserBackbone",
     "TransfuserConfig",
     "bev_places",
+    "placed",
     "small_transfuser",
 ]

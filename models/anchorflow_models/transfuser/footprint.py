@@ -47,14 +47,15 @@ class Footprint(nn.Module):
     def forward(self, values: Tensor, poses: Tensor) -> Tensor:
         """values: [B, H, H, C]; poses: [B, K, T, 3] m, m, rad -> [B, K, W]"""
         batch, count, steps, _ = poses.shape
-        points = bev_places(self._points(poses), self.reach).reshape(batch, -1, 2)
+        points = bev_places(placed(poses, self.places), self.reach).reshape(batch, -1, 2)
         found = lookup(values, points).reshape(batch, count, steps, -1)
         return self.whole(F.relu(self.pose(found) + self.times).flatten(2))
 
-    def _points(self, poses: Tensor) -> Tensor:
-        """[B, K, T, P, 2]"""
-        cos, sin = poses[..., 2:].cos(), poses[..., 2:].sin()
-        ahead, left = self.places.unbind(-1)
-        x = poses[..., :1] + cos * ahead - sin * left
-        y = poses[..., 1:2] + sin * ahead + cos * left
-        return torch.stack([x, y], -1)
+
+def placed(poses: Tensor, places: Tensor) -> Tensor:
+    """Where places [P, 2] of the car lie in poses [..., 3]: [..., P, 2] m."""
+    cos, sin = poses[..., 2:].cos(), poses[..., 2:].sin()
+    ahead, left = places.unbind(-1)
+    x = poses[..., :1] + cos * ahead - sin * left
+    y = poses[..., 1:2] + sin * ahead + cos * left
+    return torch.stack([x, y], -1)

@@ -72,9 +72,9 @@ def test_a_turned_box_is_hit_where_it_stands(on_street: Callable, other: type) -
 
 
 def test_agents_are_the_nearest_vehicles_in_range(on_street: Callable, other: type) -> None:
-    boxes, there = nearest_agents(
+    boxes, velocity, there = nearest_agents(
         on_street(
-            other(20.0, 4.0, heading=0.1, size=(4.0, 1.8)),
+            other(20.0, 4.0, 3.0, heading=0.1, size=(4.0, 1.8)),
             other(-10.0, 0.0),
             other(5.0, -3.0, kind=PEDESTRIAN, size=(0.6, 0.6)),
             other(40.0, 0.0),
@@ -86,6 +86,9 @@ def test_agents_are_the_nearest_vehicles_in_range(on_street: Callable, other: ty
     np.testing.assert_allclose(boxes[0], [-10.0 + AXLE, 0.0, 0.0, 5.0, 2.0], atol=1e-4)
     np.testing.assert_allclose(boxes[1], [20.0 + AXLE, 4.0, 0.1, 4.0, 1.8], atol=1e-4)
     assert not boxes[2:].any()
+    np.testing.assert_allclose(
+        velocity[:2], [[0.0, 0.0], [3 * np.cos(0.1), 3 * np.sin(0.1)]], atol=1e-5
+    )
 
 
 def test_who_stands_is_where_it_was_half_a_second_ago(on_street: Callable, other: type) -> None:

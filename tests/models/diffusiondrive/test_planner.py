@@ -16,7 +16,7 @@ from anchorflow_models.diffusiondrive import (
     create_diffusiondrive,
     small_diffusiondrive,
 )
-from anchorflow_models.diffusiondrive.scorers import Scored, SeenUnder, pdm_score
+from anchorflow_models.diffusiondrive.scorers import Encounters, Scored, SeenUnder, pdm_score
 
 SMALL = small_diffusiondrive()
 OF_SCENE = ("agent_queries", "ego_query")
@@ -56,8 +56,8 @@ def whole(
     scene = [told[name] for name in OF_SCENE]
     told |= model.denoise(begin + 0.03 * noise, torch.tensor([8.0]), told["values"], *scene)
     diversity = diversity.expand(len(begin), -1, -1, -1)
-    scene += [told[name] for name in ("ego_motion",) if config.ego_motion]
-    told |= model.coarse(told["trajectories"], diversity, told["bev"], *scene)
+    of_scorers = {name: told[name] for name in ("ego_motion", "foretold") if name in told}
+    told |= model.coarse(told["trajectories"], diversity, told["bev"], *scene, **of_scorers)
     best = told["coarse_scores"].argsort(-1, descending=True)[:, : config.keep]
     told["kept"] = torch.take_along_dim(told["candidates"], best[..., None, None], 1)
     features = torch.take_along_dim(told["features"], best[..., None], 1)
@@ -68,7 +68,7 @@ def whole(
             "coarse_imitation": torch.take_along_dim(told["coarse_imitation"], best, 1),
         }
     told |= coarse
-    return told | model.fine(told["kept"], features, told["bev"], *scene, **coarse)
+    return told | model.fine(told["kept"], features, told["bev"], *scene, **of_scorers, **coarse)
 
 
 def shapes(told: dict[str, Tensor]) -> dict[str, tuple[int, ...]]:
@@ -150,10 +150,12 @@ def test_a_pessimist_expects_the_least_that_any_scorer_foretells() -> None:
     torch.testing.assert_close(told["scores"], wanted)
 
 
-OF_NO_DENOISER = ("bev", "ego_motion")
+OF_NO_DENOISER = ("bev", "ego_motion", "foretold")
 
 
-@pytest.mark.parametrize("told", ["agent_queries", "ego_query", "ego_motion", "values", "bev"])
+@pytest.mark.parametrize(
+    "told", ["agent_queries", "ego_query", "ego_motion", "values", "bev", "foretold"]
+)
 @torch.inference_mode()
 def test_every_stage_hears_the_scene(told: str) -> None:
     model = planner()
@@ -187,7 +189,7 @@ def test_an_untrained_denoiser_leaves_points_where_they_are() -> None:
 
 @torch.inference_mode()
 def test_the_published_planner_is_told_no_motion() -> None:
-    config = replace(SMALL, ego_motion=False, look_heads=1)
+    config = replace(SMALL, ego_motion=False, encounters=(), look_heads=1)
     model = planner(config)
     assert "ego_motion" not in model.encode(**sensors())
     assert not any("motion" in name for name in model.state_dict())
@@ -219,6 +221,35 @@ def test_both_scorers_look_under_the_car(scorer: str) -> None:
     assert not torch.allclose(after["scores"], before["scores"], atol=1e-6)
     heard = not torch.allclose(after["coarse_scores"], before["coarse_scores"], atol=1e-6)
     assert heard is (scorer == "coarse_scorer")
+
+
+@torch.inference_mode()
+def test_a_candidate_is_told_whom_it_meets_when_it_is_there() -> None:
+    torch.manual_seed(0)
+    met = Encounters(SMALL)
+    met.whole.weight.normal_()
+    candidates = torch.zeros(1, 2, 8, 3)
+    candidates[0, :, :, 0] = 2.0 * torch.arange(1, 9)  # m, a pose each
+    candidates[0, 1, :, 1] = 12.0  # to the left
+    free = torch.zeros(1, 8, 64, 64)
+    x = torch.zeros(1, 2, SMALL.scorer_width)
+
+    def apart(time: int) -> Tensor:
+        taken = free.clone()
+        taken[0, time, 31 - 6, 31:33] = 1.0  # 6 to 7 m ahead
+        return (met(x, candidates, taken) - met(x, candidates, free))[0].abs().amax(-1)
+
+    assert apart(2)[0] > 1e-3  # as the third pose is reached
+    assert apart(7)[0] == 0.0  # 16 m ahead by then
+    assert apart(2)[1] == 0.0
+
+
+@torch.inference_mode()
+def test_the_published_planner_is_told_nobody_s_future() -> None:
+    assert DiffusionDriveConfig().encounters == ()
+    model = planner(replace(SMALL, encounters=()))
+    assert not any("met" in name or "sweeps" in name for name in model.state_dict())
+    assert "foretold" not in model.encode(**sensors())
 
 
 @torch.inference_mode()

@@ -6,13 +6,12 @@ import math
 
 import torch
 
-from anchorflow_models.transfuser import Footprint
+from anchorflow_models.transfuser import placed
 
 
 def places_of(x: float, y: float, heading: float) -> list[list[float]]:
     """Where the car of one pose is looked up: its middle, and 3 m ahead and 1 m to its left."""
-    footprint = Footprint(2, 4, steps=1, places=((0.0, 0.0), (3.0, 1.0)), reach=32.0)
-    return footprint._points(torch.tensor([[[[x, y, heading]]]]))[0, 0, 0].tolist()
+    return placed(torch.tensor([x, y, heading]), torch.tensor([(0.0, 0.0), (3.0, 1.0)])).tolist()
 
 
 def test_places_turn_with_the_car() -> None:

@@ -51,6 +51,8 @@ def batch() -> dict[str, Tensor]:
         "ego_status": torch.randn(B, 8, generator=generator),
         "future": future + torch.tensor([0.4, 0.2, 0.1]),
         "agents": 10 * torch.rand(B, 30, 5, generator=generator),
+        "agent_velocity": torch.randn(B, 30, 2, generator=generator),
+        "randomised_velocity": torch.randn(B, 30, 2, generator=generator),
         "agent_count": torch.tensor([3, 0]),
         "semantics": torch.randint(0, TINY.classes, (B, 8, 16), generator=generator),
         "occupancy": (torch.rand(B, T, 4, 4, generator=generator) < 0.2).byte(),
@@ -238,6 +240,27 @@ def test_recorded_accelerations_are_told_roughly() -> None:
     assert speeds.isnan().all()
 
 
+def test_how_others_move_is_learnt_where_sweeps_are_compared() -> None:
+    config = replace(
+        TINY, backbone=replace(TINY.backbone, lidar_before=True), encounters=TINY.footprint
+    )
+    settings = DiffusionDriveObjectiveConfig(stage="imitation")
+    loss_of = DiffusionDriveObjective(tiny_diffusiondrive(config).train(), settings)
+    sweeps = ("lidar_before", "lidar_randomised")
+    given = batch() | {name: torch.rand(B, 1, 16, 16) for name in sweeps}
+    given["agents"][..., 3:] = 30.0  # so long and wide that middles of the large cells lie inside
+    loss, terms = loss_of(given, *drawn_for(loss_of))
+    loss.backward()
+    assert set(terms) == IMITATION | {"motion"}
+    motion = loss_of.model.perception.sweeps
+    assert motion is not None
+    learns = {n for n, p in motion.named_parameters() if p.grad is not None and p.grad.any()}
+    assert {"more.weight", "match.weight", "key.weight", "there.0.weight"} <= learns
+    given.pop("lidar_before")
+    _, without = loss_of(given, *drawn_for(loss_of))
+    assert without["motion"] != terms["motion"]  # of those that move as chance has it alone
+
+
 def test_the_winner_is_the_nearest_anchor() -> None:
     loss_of = objective("imitation")
     assert loss_of.nearest(batch()["future"]).tolist() == [1, 2]
@@ -311,6 +334,7 @@ def sensed(window: Window, sizes: SensorSizes) -> Drawn:
         "ego_status": np.eye(8, dtype=np.float32)[1],
         "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
         "agents": np.ones((30, 5), np.float32),
+        **{name: np.ones((30, 2), np.float32) for name in sensor_windows.VELOCITIES},
         "agent_count": np.array(1),
     }
 

@@ -69,13 +69,14 @@ def drawn(window: Window, sizes: SensorSizes) -> Drawn:
     later = view_after(window, 4.0)
     return {
         **pictures,
-        **{name: pictures[name] % 6 for name in sizes.sweeps},
+        **{name: pictures[name] % 6 for name in sizes.histograms},
         "occupancy": pictures["occupancy"] % 2,
         "semantics": semantic_bev(view, rows=16, reach=32.0),
         "future_semantics": semantic_bev(later, rows=16, reach=32.0),
         "ego_status": np.eye(8, dtype=np.float32)[1],
         "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
         "agents": np.zeros((MODEL.agents, 5), np.float32),
+        **{name: np.zeros((MODEL.agents, 2), np.float32) for name in sensor_windows.VELOCITIES},
         "agent_count": np.array(1),
     }
 

@@ -24,6 +24,7 @@ from anchorflow_models.diffusiondrive.config import SCHEDULES, TRAINED_LEVELS
 from anchorflow_models.diffusiondrive.denoiser import Denoised
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import Scored, pdm_score
+from anchorflow_models.transfuser import LIDAR_BEFORE
 from anchorflow_training.driving.diffusiondrive_losses import (
     FAILED,
     advantages,
@@ -31,8 +32,13 @@ from anchorflow_training.driving.diffusiondrive_losses import (
     wrong_order,
 )
 from anchorflow_training.driving.likeness import distances, likeness_loss
-from anchorflow_training.driving.perception_losses import agent_loss, focal_loss, occupancy_loss
-from anchorflow_training.driving.sensor_windows import sensors_of
+from anchorflow_training.driving.perception_losses import (
+    agent_loss,
+    focal_loss,
+    motion_loss,
+    occupancy_loss,
+)
+from anchorflow_training.driving.sensor_windows import LIDAR_RANDOMISED, sensors_of
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import ddim_step, noised
 
@@ -60,6 +66,9 @@ class DiffusionDriveObjectiveConfig:
     agents: float = setting(1.0, "Of the boxes.", least=0)
     semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
     occupancy: float = setting(0.0, "Of where others will be; published has none.", least=0)
+    motion: float = setting(
+        0.5, "Of how fast others move, where the model compares two sweeps.", least=0
+    )
     coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
     fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
     imitation: float = setting(
@@ -142,9 +151,10 @@ class DiffusionDriveObjective(nn.Module):
         change: Tensor,
     ) -> tuple[Tensor, Terms]:
         """batch: camera, lidar, ego_status, lidar_before as of `Perception`; future [B, T, 3] m and
-        rad; agents [B, Q, 5] and agent_count [B]; semantics [B, H/2, H] classes; occupancy
-        [B, T, H/4, H/4] 0 or 1; window [B], for the judge; signs [B, 3] of its poses, which reflect
-        a window that was reflected."""
+        rad; agents [B, Q, 5], agent_velocity [B, Q, 2] and agent_count [B]; semantics [B, H/2, H]
+        classes; occupancy [B, T, H/4, H/4] 0 or 1; where the model compares two sweeps also
+        lidar_randomised as lidar_before and randomised_velocity as agent_velocity; window [B], for
+        the judge; signs [B, 3] of its poses, which reflect a window that was reflected."""
         config, anchors = self.config, self.model.config.anchors
         status, speeds = self._changed(batch["ego_status"], change)
         sensors = {**sensors_of(batch), "ego_status": status}
@@ -200,6 +210,7 @@ class DiffusionDriveObjective(nn.Module):
             classes.append(share @ F.cross_entropy(made.logits, winner, reduction="none"))
             poses.append(share @ pose_distance(made.trajectories[rows, winner], future))
         return {
+            **self._motion(seen, batch),
             "classes": torch.stack(classes).mean(),
             "poses": torch.stack(poses).mean(),
             "agents": agent_loss(
@@ -208,6 +219,22 @@ class DiffusionDriveObjective(nn.Module):
             "semantics": focal_loss(seen.semantics, batch["semantics"]),
             "occupancy": occupancy_loss(seen.occupancy, batch["occupancy"]),
         }
+
+    def _motion(self, seen: Perceived, batch: Mapping[str, Tensor]) -> Terms:
+        """The term `motion`, where sweeps are compared: of others that move as they did, and of
+        others that moved as chance has it."""
+        sweeps = self.model.perception.sweeps
+        if sweeps is None:
+            return {}
+        chance = sweeps(batch["lidar"], batch[LIDAR_RANDOMISED], seen.upscaled)
+        learnt = [(chance, batch["randomised_velocity"])]
+        if LIDAR_BEFORE in batch:
+            assert seen.moving is not None
+            learnt.append((seen.moving, batch["agent_velocity"]))
+        boxes, count = batch["agents"], batch["agent_count"]
+        reach = self.model.config.backbone.lidar_range
+        losses = [motion_loss(each, boxes, true, count, reach=reach) for each, true in learnt]
+        return {"motion": torch.stack(losses).mean()}
 
     def nearest(self, future: Tensor) -> Tensor:
         """[B]: the anchor whose points lie nearest to those of the record."""

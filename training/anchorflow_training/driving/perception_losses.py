@@ -7,7 +7,13 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 from torch.nn import functional as F
 
+from anchorflow_models.transfuser import Moving
+
 HEADING = 2  # of x, y, heading, length, width
+MOVES = 0.5  # m/s
+MOVING = 4.0  # times what the velocity of something at rest weighs
+CLOSE = 0.3  # m/s, below which smooth L1 is a square
+THERE = 5.0  # times the loss of velocities weighs whether somebody is there
 
 
 def focal_loss(
@@ -24,6 +30,37 @@ def focal_loss(
 def occupancy_loss(logits: Tensor, occupied: Tensor) -> Tensor:
     """Binary cross-entropy, its mean; logits: [B, T, H, H]; occupied: 0 or 1 likewise."""
     return F.binary_cross_entropy_with_logits(logits, occupied.to(logits.dtype))
+
+
+def motion_loss(
+    moving: Moving, boxes: Tensor, velocity: Tensor, count: Tensor, *, reach: float
+) -> Tensor:
+    """Of which cells others are in, binary cross-entropy, and of how fast, smooth L1.
+
+    boxes: [B, Q, 5] m, rad; velocity: [B, Q, 2] m/s; the first count [B] are there
+    reach: m from the middle of the cells to their edges
+    """
+    inside = _cells_inside(boxes, count, size=moving.there.shape[-1], reach=reach)
+    taken = inside.any(1)
+    told = F.binary_cross_entropy_with_logits(moving.there, taken.to(moving.there))
+    of = inside.to(velocity).argmax(1).flatten(1)[..., None].expand(-1, -1, 2)
+    true = velocity.gather(1, of).transpose(1, 2).unflatten(-1, tuple(taken.shape[1:]))
+    apart = F.smooth_l1_loss(moving.velocity, true, reduction="none", beta=CLOSE).sum(1)
+    weight = taken * (1 + (MOVING - 1) * (true.norm(dim=1) > MOVES))
+    return (weight * apart).sum() / weight.sum().clamp(min=1.0) + THERE * told
+
+
+def _cells_inside(boxes: Tensor, count: Tensor, *, size: int, reach: float) -> Tensor:
+    """[B, Q, size, size]: whether the middle of a cell, row 0 farthest ahead and column 0 farthest
+    left, lies in a box.
+    """
+    middle = reach * (1 - 2 * (torch.arange(size, device=boxes.device) + 0.5) / size)
+    x, y, heading, length, width = (each[..., None, None] for each in boxes.unbind(-1))
+    ahead, left = middle[:, None] - x, middle - y
+    along = ahead * heading.cos() + left * heading.sin()
+    across = left * heading.cos() - ahead * heading.sin()
+    there = torch.arange(boxes.shape[1], device=boxes.device) < count[:, None]
+    return (2 * along.abs() < length) & (2 * across.abs() < width) & there[..., None, None]
 
 
 def agent_loss(states: Tensor, logits: Tensor, boxes: Tensor, count: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import read_log
 from anchorflow_driving.sensors.agents import nearest_agents
 from anchorflow_driving.sensors.by_name import draw_inputs
+from anchorflow_driving.sensors.lidar import simulated_lidar_before
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.transfuser import LIDAR_BEFORE, SEMANTIC_STRIDE, TransfuserConfig
 from anchorflow_training.batches import Batch
@@ -28,6 +29,7 @@ from anchorflow_training.driving.kept_logs import (
     no_windows,
     write_beside,
 )
+from anchorflow_training.driving.randomised_motion import randomised_motion
 from anchorflow_training.driving.semantic_bev import occupancy, semantic_bev, view_after
 from anchorflow_training.reflection import reflection
 
@@ -36,8 +38,11 @@ KEPT = ".sensors"
 LEVEL = 3  # of zlib
 COUNTS = 5  # points in a LiDAR cell that make 1
 SWEEPS = ("lidar", LIDAR_BEFORE)
+LIDAR_RANDOMISED = "lidar_randomised"
+"""The earlier sweep, had the others moved as chance has it."""
 INPUTS = ("camera", *SWEEPS, "ego_status")
-NUMBERS = ("ego_status", "future", "agents", "agent_count")
+VELOCITIES = ("agent_velocity", "randomised_velocity")
+NUMBERS = ("ego_status", "future", "agents", *VELOCITIES, "agent_count")
 
 Drawn = dict[str, NDArray[Any]]
 Value = TypeVar("Value")
@@ -73,7 +78,7 @@ class SensorSizes:
         semantic = (self.lidar_size // 2, self.lidar_size)
         return {
             "camera": (3, self.camera_rows, self.camera_columns),
-            **dict.fromkeys(self.sweeps, (1, self.lidar_size, self.lidar_size)),
+            **dict.fromkeys(self.histograms, (1, self.lidar_size, self.lidar_size)),
             "semantics": semantic,
             "future_semantics": semantic,
             "occupancy": (len(PLAN_TIMES), self.cells, self.cells),
@@ -83,6 +88,11 @@ class SensorSizes:
     def sweeps(self) -> tuple[str, ...]:
         """Of the LiDAR, by the names of their histograms."""
         return SWEEPS if self.lidar_before else SWEEPS[:1]
+
+    @property
+    def histograms(self) -> tuple[str, ...]:
+        """Of sweeps, with that of others who move as chance has it."""
+        return (*SWEEPS, LIDAR_RANDOMISED) if self.lidar_before else self.sweeps
 
     @property
     def cells(self) -> int:
@@ -106,7 +116,9 @@ class SensorWindows:
 
     streams: zlib, one a window: the pictures of `sizes.shapes` as bytes, the LiDAR as counts
     numbers: ego_status [W, 8]; future [W, T, 3] poses that were driven, m and rad;
-        agents [W, Q, 5] x, y, heading, length, width, the first agent_count [W] of which are there
+        agents [W, Q, 5] x, y, heading, length, width, the first agent_count [W] of which are there;
+        agent_velocity [W, Q, 2] theirs, m/s forward and to the left; randomised_velocity, had they
+        moved as chance has it
     logs: the files; log: [W] which of them
     """
 
@@ -123,7 +135,7 @@ class SensorWindows:
         """What sensors tell of these windows, or of their reflections, and what is to be learnt."""
         pictures = [self._pictures(int(window)) for window in windows]
         drawn = {n: np.stack([each[n] for each in pictures]) for n in self.sizes.shapes}
-        drawn |= {name: drawn[name].astype(np.float32) / COUNTS for name in self.sizes.sweeps}
+        drawn |= {name: drawn[name].astype(np.float32) / COUNTS for name in self.sizes.histograms}
         seen = drawn | {name: array[windows] for name, array in self.numbers.items()}
         return reflected(seen, pictures=tuple(drawn)) if mirrored else seen
 
@@ -151,6 +163,7 @@ def reflected(batch: Batch, *, pictures: Sequence[str]) -> Batch:
         "ego_status": mirrored_status(batch["ego_status"]),
         "future": batch["future"] * signs,
         "agents": batch["agents"] * boxes,
+        **{name: batch[name] * signs[:2] for name in VELOCITIES},
     }
 
 
@@ -210,11 +223,14 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
     """By the simulated camera and LiDAR. Raises what they raise where nothing can be drawn."""
     view = window.view
     seen = draw_inputs(view, sizes.inputs)
-    agents, there = nearest_agents(view)
+    agents, velocity, there = nearest_agents(view)
+    chance = randomised_motion(view)
+    if sizes.lidar_before:
+        seen[LIDAR_RANDOMISED] = simulated_lidar_before(chance)
     rows, reach = sizes.lidar_size // 2, sizes.lidar_range
     return {
         "camera": seen["camera"],
-        **{name: np.rint(COUNTS * seen[name]).astype(np.uint8) for name in sizes.sweeps},
+        **{name: np.rint(COUNTS * seen[name]).astype(np.uint8) for name in sizes.histograms},
         "semantics": semantic_bev(view, rows=rows, reach=reach),
         "future_semantics": semantic_bev(
             view_after(window, float(PLAN_TIMES[-1])), rows=rows, reach=reach
@@ -223,14 +239,17 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
         "ego_status": seen["ego_status"],
         "future": window.recorded(PLAN_TIMES).astype(np.float32),
         "agents": agents,
+        "agent_velocity": velocity,
+        "randomised_velocity": nearest_agents(chance)[1],
         "agent_count": np.array(there.sum()),
     }
 
 
 def _is_kept(log: Path, sizes: SensorSizes) -> bool:
-    """Whether a log's windows are there, of these sizes, and drawn of the log as it is."""
+    """Whether a log's windows are there, whole, of these sizes, and drawn of the log as it is."""
     kept = log.with_suffix(KEPT)
     if not is_fresh(kept, log):
         return False
     with np.load(kept, allow_pickle=False) as file:
-        return np.array_equal(file["layout"], list(asdict(sizes).values()))
+        whole = all(name in file for name in NUMBERS)
+        return whole and np.array_equal(file["layout"], list(asdict(sizes).values()))

@@ -40,7 +40,7 @@ Told = TypeVar("Told")
 F32 = "float32"
 OUTPUTS = {
     "encode": (
-        *("anchors", "bev", "values", "agent_queries", "ego_query", "ego_motion"),
+        *("anchors", "bev", "values", "agent_queries", "ego_query", "ego_motion", "foretold"),
         *("agents", "agent_scores", "bev_semantics"),
     ),
     "denoise": ("x_0", "trajectories", "class_scores"),
@@ -233,10 +233,13 @@ def torch_sample(
 
 
 def _outputs(model: DiffusionDriveV2, role: str) -> tuple[str, ...]:
-    """The ego's motion only where the scorers are told it; what `coarse` foretells only where it
-    counts with what `fine` does."""
+    """The ego's motion and where others will be only where the scorers are told; what `coarse`
+    foretells only where it counts with what `fine` does.
+    """
     config = model.config
     unread = set() if config.ego_motion else {"ego_motion"}
+    if not config.encounters:
+        unread |= {"foretold"}
     if not config.pessimistic:
         unread |= {"coarse_logits", "coarse_imitation"}
     if not config.imitation:
