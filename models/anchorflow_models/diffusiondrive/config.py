@@ -9,7 +9,7 @@ from anchorflow_models.transfuser import CAR, Places, TransfuserConfig, small_tr
 from anchorflow_trajectory.ddim import NoiseLevels
 
 POSES = 8
-FIRST_S = STEP_S = 0.5
+FIRST_S = STEP_S = 0.5  # s
 POSE_TIMES = tuple(FIRST_S + STEP_S * pose for pose in range(POSES))
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
