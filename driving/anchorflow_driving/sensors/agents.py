@@ -1,4 +1,6 @@
-"""The nearest vehicles as a list of boxes, which NAVSIM's planners learn to find."""
+"""Others as lists of boxes, which planners learn to find: the nearest vehicles, as NAVSIM has them,
+and whoever stands farther ahead than a LiDAR's square reaches.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +9,19 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import wrap_angle
 from anchorflow_driving.log import VEHICLE
-from anchorflow_driving.sensors.solids import solids
+from anchorflow_driving.sensors.solids import Solids, solids
 from anchorflow_driving.window import PlannerView
+
+Boxes = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]
 
 AGENTS = 30
 RANGE_M = 32.0
+FAR_OTHERS = 48
+FAR_AHEAD_M, FAR_ASIDE_M = (26.0, 78.0), 26.0
+"""Between which x, and up to which y, the middles of those lie that are far ahead."""
 
 
-def nearest_agents(
-    view: PlannerView,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+def nearest_agents(view: PlannerView) -> Boxes:
     """Boxes [30, 5] (x, y, heading, length, width), nearest first, their velocities [30, 2] m/s
     forward and to the left, and which are there [30].
 
@@ -24,14 +29,27 @@ def nearest_agents(
     fewer.
     """
     others = solids(view, reach=2 * RANGE_M)
-    seen = np.flatnonzero(
-        (others.kind == VEHICLE) & (np.abs(others.poses[:, :2]) <= RANGE_M).all(1)
-    )
-    order = seen[np.argsort(np.linalg.norm(others.poses[seen, :2], axis=1), kind="stable")][:AGENTS]
-    boxes = np.zeros((AGENTS, 5), np.float32)
+    near = (np.abs(others.poses[:, :2]) <= RANGE_M).all(1)
+    return _boxes(view, others, (others.kind == VEHICLE) & near, most=AGENTS)
+
+
+def far_others(view: PlannerView) -> Boxes:
+    """The same of whatever stands or moves 26 to 78 m ahead and up to 26 m aside, at most 48."""
+    least, most = FAR_AHEAD_M
+    others = solids(view, reach=most + FAR_ASIDE_M)
+    ahead, left = others.poses[:, 0], others.poses[:, 1]
+    far = (least <= ahead) & (ahead <= most) & (np.abs(left) <= FAR_ASIDE_M)
+    return _boxes(view, others, far, most=FAR_OTHERS)
+
+
+def _boxes(view: PlannerView, others: Solids, seen: NDArray[np.bool_], *, most: int) -> Boxes:
+    """Of those that are seen, the nearest."""
+    found = np.flatnonzero(seen)
+    away = np.linalg.norm(others.poses[found, :2], axis=1)
+    order = found[np.argsort(away, kind="stable")][:most]
+    boxes, velocity = np.zeros((most, 5), np.float32), np.zeros((most, 2), np.float32)
     boxes[: len(order), :3] = others.poses[order]
     boxes[: len(order), 2] = wrap_angle(others.poses[order, 2])
     boxes[: len(order), 3:] = others.size[order, :2]
-    velocity = np.zeros((AGENTS, 2), np.float32)
     velocity[: len(order)] = view.tracks[others.track[order], -1, 3:]
-    return boxes, velocity, np.arange(AGENTS) < len(order)
+    return boxes, velocity, np.arange(most) < len(order)

@@ -13,6 +13,16 @@ FIRST_S = STEP_S = 0.5  # s
 POSE_TIMES = tuple(FIRST_S + STEP_S * pose for pose in range(POSES))
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
+FORETOLD_S = 0.25
+LOOKAHEAD = (0, 1, 2, 3, 4)
+"""Steps of FORETOLD_S after each pose at which both scorers ask who is there."""
+POSE_MAPS = tuple(round(time / FORETOLD_S) - 1 for time in POSE_TIMES)
+"""The map of each pose among those of FORETOLD_TIMES."""
+FORETOLD_TIMES = tuple(
+    FORETOLD_S * (step + 1) for step in range(POSE_MAPS[-1] + LOOKAHEAD[-1] + 1)
+)
+"""s, for which is foretold where others will be."""
+
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}
 """The levels at which so many steps denoise."""
 TRAINED_LEVELS = 50
@@ -37,7 +47,8 @@ class DiffusionDriveConfig:
     footprint: m ahead and to the left of a pose, places at which both scorers look up the BEV in
         all poses of a candidate; published is none
     encounters: m ahead and to the left of a pose, places at which both scorers look up who will be
-        there when it is reached, if all go on as two sweeps of the LiDAR show; published is none
+        there when it is reached and within a second of it, if all go on as two sweeps of the LiDAR
+        show; published is none
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
         published is 0, no head that foretells it
     pessimistic: whether a candidate is worth the least that the coarse scorer and any layer of the
@@ -147,7 +158,7 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         ego_motion=True,
         noise=(4e-6, 8e-4),
         footprint=CAR,
-        encounters=(*CAR, (6.0, 0.0), (10.0, 0.0)),
+        encounters=(*CAR, (5.0, 0.0)),
         imitation=0.1,
         pessimistic=True,
     )

@@ -16,7 +16,7 @@ from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive.config import (
     FIRST_S,
-    POSE_TIMES,
+    FORETOLD_TIMES,
     POSES,
     STEP_S,
     DiffusionDriveConfig,
@@ -33,11 +33,13 @@ from anchorflow_models.transfuser import (
     STATUS_UNITS,
     AgentHead,
     BevValues,
+    FarSight,
     Moving,
     OccupancyHead,
     SemanticHead,
     SweepMotion,
     TransfuserBackbone,
+    with_far,
 )
 
 Outputs: TypeAlias = dict[str, Tensor]
@@ -54,7 +56,7 @@ class Perceived:
     semantics: logits [B, classes, h, w]
     occupancy: logits [B, T, H/4, H/4] of where others will be when the poses are reached
     upscaled: [B, C', H/4, H/4] the backbone's BEV
-    moving: where others are and how fast they move, with `encounters`
+    moving: where others are and how fast they move, with `encounters`; far: beyond the LiDAR
     """
 
     scene: SceneFeatures
@@ -64,6 +66,7 @@ class Perceived:
     occupancy: Tensor
     upscaled: Tensor
     moving: Moving | None
+    far: Moving | None
 
 
 class Perception(nn.Module):
@@ -97,6 +100,7 @@ class Perception(nn.Module):
             for _ in range(config.denoiser_layers)
         )
         self.sweeps = SweepMotion(backbone) if config.encounters else None
+        self.far = FarSight(backbone) if config.encounters else None
 
     def forward(
         self,
@@ -117,15 +121,17 @@ class Perception(nn.Module):
         ego, motion = decoded[:, :1], None
         if self.tells_motion:
             ego, motion = ego + status, ego_status[:, MOTION]
-        moving = foretold = None
-        if self.sweeps is not None:
+        moving = far = foretold = None
+        if self.sweeps is not None and self.far is not None:
             before = torch.zeros_like(lidar) if lidar_before is None else lidar_before
-            moving = self.sweeps(lidar, before, seen.upscaled)
-            foretold = self.sweeps.foretold(moving, POSE_TIMES)
+            moving, far = self.sweeps(lidar, before, seen.upscaled), self.far(camera)
+            foretold = self.sweeps.foretold(with_far(moving, far), FORETOLD_TIMES)
         scene = SceneFeatures(bev, values, decoded[:, 1:], ego, motion, foretold)
         agents, logits = self.agents(scene.agents)
         semantics, occupancy = self.semantics(seen.upscaled), self.occupancy(seen.upscaled)
-        return Perceived(scene, agents, logits, semantics, occupancy, seen.upscaled, moving)
+        return Perceived(
+            scene, agents, logits, semantics, occupancy, seen.upscaled, moving, far
+        )
 
     def _joined(self, cells: Tensor, upscaled: Tensor) -> Tensor:
         """The coarse cells [B, h h, W] over the fine ones [B, C, H, H] -> [B, W, H, H]"""

@@ -16,8 +16,8 @@ class SceneFeatures:
     agents: [B, Q, W], a query each
     ego: [B, 1, W]
     motion: [B, 4] the ego's velocity (m/s) and acceleration (m/s²), where the scorers are told it
-    foretold: [B, T, H, H] the share of each cell that others take when each pose is reached, where
-        the scorers are told it
+    foretold: [B, FORETOLD_TIMES, H', H] the share of each cell that others take at these times,
+        beyond the LiDAR's square too, where the scorers are told it
     """
 
     bev: Tensor

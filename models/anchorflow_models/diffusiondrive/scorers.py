@@ -10,7 +10,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive.bev_attention import BevAttention
-from anchorflow_models.diffusiondrive.config import POSES, DiffusionDriveConfig
+from anchorflow_models.diffusiondrive.config import (
+    FORETOLD_S,
+    LOOKAHEAD,
+    POSE_MAPS,
+    POSES,
+    STEP_S,
+    DiffusionDriveConfig,
+)
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.trajectories import (
     HEADING_FEATURES,
@@ -18,6 +25,7 @@ from anchorflow_models.diffusiondrive.trajectories import (
     POINT_FEATURES,
     embedded_poses,
     motion_features,
+    with_halfway,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.layers.lookup import lookup
@@ -141,8 +149,8 @@ class ToldMotion(nn.Module):
 
 
 class SeenUnder(nn.Module):
-    """Adds to candidates what the BEV shows under the car in each of their poses; without
-    `footprint`, nothing.
+    """Adds to candidates what the BEV shows under the car in each of their poses, and halfway to
+    it; without `footprint`, nothing.
     """
 
     def __init__(self, config: DiffusionDriveConfig) -> None:
@@ -154,7 +162,7 @@ class SeenUnder(nn.Module):
             self.footprint = Footprint(
                 channels,
                 config.scorer_width,
-                steps=POSES,
+                steps=2 * POSES,
                 places=config.footprint,
                 reach=backbone.lidar_range,
             )
@@ -163,40 +171,58 @@ class SeenUnder(nn.Module):
         """x: [B, M, F]; candidates: [B, M, T, 3]; bev: [B, W, H, H]"""
         if self.footprint is None:
             return x
-        return x + self.footprint(self.values(bev), candidates)
+        return x + self.footprint(self.values(bev), with_halfway(candidates))
 
 
 class Encounters(nn.Module):
-    """Adds to candidates who will be where they lead when they are there, and a pose later;
-    without `encounters`, nothing.
+    """Adds to candidates who will be where they lead: in each pose, and within a second of it at
+    its speed and heading, as the PDM score's collisions and time to collision ask; without
+    `encounters`, nothing.
     """
 
     places: Tensor
+    maps: Tensor
+    ahead: Tensor
 
     def __init__(self, config: DiffusionDriveConfig) -> None:
         super().__init__()
-        self.reach, self.told = config.backbone.lidar_range, bool(config.encounters)
+        backbone, self.told = config.backbone, bool(config.encounters)
+        self.reach, self.beyond = backbone.lidar_range, backbone.far_range
         if not self.told:
             return
-        count, width = len(config.encounters), config.scorer_width // 4
+        count, width = len(config.encounters) * len(LOOKAHEAD), config.scorer_width // 3
         self.register_buffer("places", torch.tensor(config.encounters), persistent=False)
-        self.pose = nn.Linear(2 * count, width)
+        at = [POSE_MAPS[pose] + step for pose in range(POSES) for step in LOOKAHEAD]
+        self.register_buffer("maps", torch.tensor(at), persistent=False)
+        self.register_buffer("ahead", FORETOLD_S * torch.tensor(LOOKAHEAD), persistent=False)
+        self.pose = nn.Linear(count, width)
         self.times = nn.Parameter(0.02 * torch.randn(POSES, width))
-        self.whole = zero_linear(POSES * width, config.scorer_width)
+        self.whole = zero_linear(POSES * width + len(LOOKAHEAD), config.scorer_width)
 
     def forward(self, x: Tensor, candidates: Tensor, foretold: Tensor | None) -> Tensor:
-        """x: [B, M, F]; candidates: [B, M, T, 3]; foretold: [B, T, H, H]"""
+        """x: [B, M, F]; candidates: [B, M, T, 3]; foretold: [B, FORETOLD_TIMES, H', H]"""
         if not self.told:
             return x
         assert foretold is not None  # as `Perception` tells it
         share = (foretold + LEAST_SHARE).log() / 3 + 1  # shares of thousandths tell something too
-        later = torch.cat([share[:, 1:], share[:, -1:]], 1)
-        maps = torch.stack([share, later], -1).flatten(0, 1)
-        points = bev_places(placed(candidates, self.places), self.reach)
-        points = points.transpose(1, 2).flatten(0, 1)  # each pose in the map of its time
-        found = lookup(maps, points.flatten(1, 2)).unflatten(1, (-1, len(self.places)))
-        found = found.flatten(2).unflatten(0, (-1, POSES)).transpose(1, 2)
-        return x + self.whole(F.relu(self.pose(found) + self.times).flatten(2))
+        points = placed(self._moved_on(candidates), self.places)
+        points = bev_places(points, self.reach, beyond=self.beyond)
+        # [B, M, T, L, P, 2]: each in the map of its time.
+        points = points.permute(0, 2, 3, 1, 4, 5).flatten(1, 2).flatten(0, 1)
+        values = share[:, self.maps].flatten(0, 1)[..., None]
+        found = lookup(values, points.flatten(1, 2)).unflatten(1, (-1, len(self.places)))
+        found = found[..., 0].unflatten(0, (-1, POSES, len(LOOKAHEAD))).permute(0, 3, 1, 2, 4)
+        pose = F.relu(self.pose(found.flatten(3)) + self.times).flatten(2)
+        return x + self.whole(torch.cat([pose, found.amax((2, 4))], -1))
+
+    def _moved_on(self, candidates: Tensor) -> Tensor:
+        """[B, M, T, L, 3]: the poses, and where their speed and heading lead from them."""
+        way = candidates[..., :2]
+        way = way - torch.cat([torch.zeros_like(way[:, :, :1]), way[:, :, :-1]], 2)
+        on = way.norm(dim=-1, keepdim=True) / STEP_S * self.ahead
+        heading = candidates[..., 2:]
+        moved = torch.stack([on * heading.cos(), on * heading.sin(), torch.zeros_like(on)], -1)
+        return candidates[..., None, :] + moved
 
 
 class CoarseScorer(nn.Module):

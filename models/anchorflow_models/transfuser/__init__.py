@@ -8,6 +8,7 @@ from anchorflow_models.transfuser.config import (
     TransfuserConfig,
     small_transfuser,
 )
+from anchorflow_models.transfuser.far_sight import FarSight, with_far
 from anchorflow_models.transfuser.footprint import CAR, Footprint, Places, placed
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
@@ -31,6 +32,7 @@ __all__ = [
     "AgentHead",
     "BevFeatures",
     "BevValues",
+    "FarSight",
     "FeaturePyramid",
     "Footprint",
     "Moving",
@@ -43,4 +45,5 @@ __all__ = [
     "bev_places",
     "placed",
     "small_transfuser",
+    "with_far",
 ]

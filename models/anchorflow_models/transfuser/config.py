@@ -91,6 +91,24 @@ class TransfuserConfig:
         return self.lidar_size // SEMANTIC_STRIDE
 
     @property
+    def upscaled_cell(self) -> float:
+        """m, a side of a cell of the upscaled BEV."""
+        return 2 * self.lidar_range / self.upscaled_size
+
+    @property
+    def far_size(self) -> tuple[int, int]:
+        """Rows and columns of such cells beyond the LiDAR's square, straight ahead of it: as far
+        again as five eighths of its side, and as wide.
+        """
+        side = 2 * (5 * self.upscaled_size // 16)
+        return side, side
+
+    @property
+    def far_range(self) -> float:
+        """m, by which these reach farther."""
+        return self.far_size[0] * self.upscaled_cell
+
+    @property
     def semantic_size(self) -> tuple[int, int]:
         """Rows and columns of the semantic BEV, which is the half before the ego."""
         return self.lidar_size // 2, self.lidar_size

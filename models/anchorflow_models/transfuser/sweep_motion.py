@@ -18,6 +18,8 @@ SEARCHED = 4
 EYES, COARSE, WIDTH = 32, 64, 48  # channels
 DILATIONS = ((1, 2), (1, 2, 1, 4, 1))  # of the convolutions over coarse cells, and over fine ones
 SHARPNESS = 2.0  # of the best match, to begin with
+WIDER_S = 1.5
+"""After which what is foretold is spread a cell wider, and again as much later."""
 UNITS = 4.0  # m/s, of what is added to the best match
 
 
@@ -25,8 +27,8 @@ UNITS = 4.0  # m/s, of what is added to the best match
 class Moving:
     """Of cells of the upscaled BEV, row 0 farthest ahead, column 0 farthest left.
 
-    there: [B, h, h] logits, whether another vehicle is there
-    velocity: [B, 2, h, h] m/s, forward and to the left, of what is there
+    there: [B, h, w] logits, whether somebody else is there
+    velocity: [B, 2, h, w] m/s, forward and to the left, of what is there
     """
 
     there: Tensor
@@ -90,14 +92,14 @@ class SweepMotion(nn.Module):
         return Moving(there[:, 0], finer[:, WIDTH:] + UNITS * self.more(x))
 
     def foretold(self, moving: Moving, times: Sequence[float]) -> Tensor:
-        """[B, T, h, h]: the share of a cell that is taken at these times [s], at constant velocity.
+        """[B, T, h, w]: the share of a cell that is taken at these times [s], at constant velocity.
 
         The later, the wider it is spread, as nobody keeps his velocity for long.
         """
         maps = foretold(moving.there.sigmoid(), moving.velocity / self.cell, times)
         spread = []
-        for number, each in enumerate(maps.split(1, 1)):
-            for _ in range(1 + number // 2):
+        for time, each in zip(times, maps.split(1, 1), strict=True):
+            for _ in range(int(time / WIDER_S)):
                 each = F.avg_pool2d(each, 3, 1, 1)
             spread.append(each)
         return torch.cat(spread, 1)
@@ -123,22 +125,24 @@ def correlation(now: Tensor, before: Tensor) -> Tensor:
 
 
 def foretold(there: Tensor, velocity: Tensor, times: Sequence[float]) -> Tensor:
-    """Cells that are taken [B, h, h] in [0, 1], moved by velocities [B, 2, h, h] in cells a
-    second, forward and to the left: [B, T, h, h]. Each is shared by the four cells that it lands
+    """Cells that are taken [B, h, w] in [0, 1], moved by velocities [B, 2, h, w] in cells a
+    second, forward and to the left: [B, T, h, w]. Each is shared by the four cells that it lands
     between; what lands in one adds up, to 1 at most.
     """
-    batch, size, _ = there.shape
-    cells = torch.arange(size, dtype=there.dtype, device=there.device)
+    batch, height, width = there.shape
+    rows, columns = (
+        torch.arange(size, dtype=there.dtype, device=there.device) for size in (height, width)
+    )
     maps = []
     for time in times:
-        row, column = cells[:, None] - time * velocity[:, 0], cells - time * velocity[:, 1]
+        row, column = rows[:, None] - time * velocity[:, 0], columns - time * velocity[:, 1]
         above, before = row.floor(), column.floor()
-        taken = there.new_zeros(batch, size * size)
+        taken = there.new_zeros(batch, height * width)
         for y, share_of_y in ((above, above + 1 - row), (above + 1, row - above)):
             for x, share_of_x in ((before, before + 1 - column), (before + 1, column - before)):
-                inside = (y >= 0) & (y < size) & (x >= 0) & (x < size)
-                place = (y * size + x).where(inside, torch.zeros_like(y)).long().flatten(1)
+                inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+                place = (y * width + x).where(inside, torch.zeros_like(y)).long().flatten(1)
                 share = there * share_of_y * share_of_x * inside
                 taken = taken.scatter_add(1, place, share.flatten(1))
         maps.append(taken.clamp(max=1.0))
-    return torch.stack(maps, 1).unflatten(-1, (size, size))
+    return torch.stack(maps, 1).unflatten(-1, (height, width))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anchorflow_driving.log import PEDESTRIAN
-from anchorflow_driving.sensors.agents import nearest_agents
+from anchorflow_driving.sensors.agents import far_others, nearest_agents
 from anchorflow_driving.sensors.lidar import (
     LIDAR,
     simulated_lidar,
@@ -89,6 +89,25 @@ def test_agents_are_the_nearest_vehicles_in_range(on_street: Callable, other: ty
     np.testing.assert_allclose(
         velocity[:2], [[0.0, 0.0], [3 * np.cos(0.1), 3 * np.sin(0.1)]], atol=1e-5
     )
+
+
+def test_far_others_are_all_that_stand_far_ahead(on_street: Callable, other: type) -> None:
+    boxes, velocity, there = far_others(
+        on_street(
+            other(60.0, -4.0, 5.0, heading=0.1),
+            other(40.0, 3.0, kind=PEDESTRIAN, size=(0.6, 0.6)),
+            other(20.0, 0.0),
+            other(-40.0, 0.0),
+            other(50.0, 40.0),
+        ).view
+    )
+
+    assert boxes.shape == (48, 5)
+    assert there.sum() == 2
+    np.testing.assert_allclose(boxes[0], [40.0 + AXLE, 3.0, 0.0, 0.6, 0.6], atol=1e-4)
+    np.testing.assert_allclose(boxes[1, :2], [60.0 + AXLE, -4.0], atol=1e-4)
+    np.testing.assert_allclose(velocity[1], [5 * np.cos(0.1), 5 * np.sin(0.1)], atol=1e-5)
+    assert not velocity[2:].any()
 
 
 def test_who_stands_is_where_it_was_half_a_second_ago(on_street: Callable, other: type) -> None:

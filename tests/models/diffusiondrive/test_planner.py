@@ -16,6 +16,7 @@ from anchorflow_models.diffusiondrive import (
     create_diffusiondrive,
     small_diffusiondrive,
 )
+from anchorflow_models.diffusiondrive.config import FORETOLD_TIMES
 from anchorflow_models.diffusiondrive.scorers import Encounters, Scored, SeenUnder, pdm_score
 
 SMALL = small_diffusiondrive()
@@ -223,25 +224,59 @@ def test_both_scorers_look_under_the_car(scorer: str) -> None:
     assert heard is (scorer == "coarse_scorer")
 
 
-@torch.inference_mode()
-def test_a_candidate_is_told_whom_it_meets_when_it_is_there() -> None:
+def met_by(candidates: Tensor, *, at_s: float, ahead: int = 6) -> Tensor:
+    """[M]: how much candidates [M, T, 3] hear of somebody who stands so many metres ahead, and one
+    more, at that time alone.
+    """
     torch.manual_seed(0)
     met = Encounters(SMALL)
     met.whole.weight.normal_()
-    candidates = torch.zeros(1, 2, 8, 3)
-    candidates[0, :, :, 0] = 2.0 * torch.arange(1, 9)  # m, a pose each
-    candidates[0, 1, :, 1] = 12.0  # to the left
-    free = torch.zeros(1, 8, 64, 64)
-    x = torch.zeros(1, 2, SMALL.scorer_width)
+    far = SMALL.backbone.far_size[0]
+    free = torch.zeros(1, len(FORETOLD_TIMES), far + 64, 64)
+    taken = free.clone()
+    taken[0, FORETOLD_TIMES.index(at_s), far + 31 - ahead, 31:33] = 1.0
+    x = torch.zeros(1, len(candidates), SMALL.scorer_width)
+    heard = [met(x, candidates[None], maps) for maps in (taken, free)]
+    return (heard[0] - heard[1])[0].abs().amax(-1)
 
-    def apart(time: int) -> Tensor:
-        taken = free.clone()
-        taken[0, time, 31 - 6, 31:33] = 1.0  # 6 to 7 m ahead
-        return (met(x, candidates, taken) - met(x, candidates, free))[0].abs().amax(-1)
 
-    assert apart(2)[0] > 1e-3  # as the third pose is reached
-    assert apart(7)[0] == 0.0  # 16 m ahead by then
-    assert apart(2)[1] == 0.0
+@torch.inference_mode()
+def test_a_candidate_is_told_whom_it_meets_when_it_is_there() -> None:
+    candidates = torch.zeros(2, 8, 3)
+    candidates[:, :, 0] = 2.0 * torch.arange(1, 9)  # m, a pose each
+    candidates[1, :, 1] = 12.0  # to the left
+    as_the_third_is_reached = met_by(candidates, at_s=1.5)
+    assert as_the_third_is_reached[0] > 1e-3
+    assert as_the_third_is_reached[1] == 0.0
+    assert met_by(candidates, at_s=4.0)[0] == 0.0  # 16 m ahead by then
+
+
+@torch.inference_mode()
+def test_a_candidate_is_told_whom_it_would_meet_within_a_second() -> None:
+    candidates = torch.full((2, 8, 3), -20.0) * torch.tensor([1.0, 0.0, 0.0])
+    candidates[:, 2, 0] = 0.0
+    candidates[0, 1, 0], candidates[1, 1, 0] = -4.0, 0.0  # 8 m/s, and standing
+    three_quarters_later = met_by(candidates, at_s=2.25)
+    assert three_quarters_later[0] > 1e-3
+    assert three_quarters_later[1] == 0.0
+    assert met_by(candidates, at_s=1.5)[0] == 0.0  # not yet
+    assert met_by(candidates, at_s=3.0)[0] == 0.0  # nobody asks so far ahead
+
+
+@torch.inference_mode()
+def test_it_looks_beyond_the_lidar_s_square() -> None:
+    candidates = torch.zeros(1, 8, 3)
+    candidates[:, :, 0] = 12.0 * torch.arange(1, 9)  # m, a pose each
+    assert met_by(candidates, at_s=2.0, ahead=48)[0] > 1e-3
+    assert met_by(candidates, at_s=2.0, ahead=44)[0] == 0.0
+
+
+@torch.inference_mode()
+def test_it_looks_on_along_the_heading() -> None:
+    candidates = torch.full((2, 8, 3), -20.0) * torch.tensor([1.0, 0.0, 0.0])
+    candidates[:, 1, 0], candidates[:, 2, 0] = -4.0, 0.0  # 8 m/s
+    candidates[1, 2, 2] = torch.pi / 2
+    assert (met_by(candidates, at_s=2.25) > 1e-3).tolist() == [True, False]
 
 
 @torch.inference_mode()

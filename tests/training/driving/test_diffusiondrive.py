@@ -54,6 +54,9 @@ def batch() -> dict[str, Tensor]:
         "agent_velocity": torch.randn(B, 30, 2, generator=generator),
         "randomised_velocity": torch.randn(B, 30, 2, generator=generator),
         "agent_count": torch.tensor([3, 0]),
+        "far_others": torch.tensor([44.0, 0.0, 0.0, 30.0, 30.0]).expand(B, 48, 5),
+        "far_velocity": torch.randn(B, 48, 2, generator=generator),
+        "far_count": torch.tensor([1, 0]),
         "semantics": torch.randint(0, TINY.classes, (B, 8, 16), generator=generator),
         "occupancy": (torch.rand(B, T, 4, 4, generator=generator) < 0.2).byte(),
         "window": torch.tensor([4, 9]),
@@ -251,11 +254,14 @@ def test_how_others_move_is_learnt_where_sweeps_are_compared() -> None:
     given["agents"][..., 3:] = 30.0  # so long and wide that middles of the large cells lie inside
     loss, terms = loss_of(given, *drawn_for(loss_of))
     loss.backward()
-    assert set(terms) == IMITATION | {"motion"}
+    assert set(terms) == IMITATION | {"motion", "far"}
     motion = loss_of.model.perception.sweeps
     assert motion is not None
     learns = {n for n, p in motion.named_parameters() if p.grad is not None and p.grad.any()}
     assert {"more.weight", "match.weight", "key.weight", "there.0.weight"} <= learns
+    far = loss_of.model.perception.far
+    assert far is not None
+    assert all(weight.grad is not None and weight.grad.any() for weight in far.parameters())
     given.pop("lidar_before")
     _, without = loss_of(given, *drawn_for(loss_of))
     assert without["motion"] != terms["motion"]  # of those that move as chance has it alone
@@ -336,6 +342,9 @@ def sensed(window: Window, sizes: SensorSizes) -> Drawn:
         "agents": np.ones((30, 5), np.float32),
         **{name: np.ones((30, 2), np.float32) for name in sensor_windows.VELOCITIES},
         "agent_count": np.array(1),
+        "far_others": np.ones((48, 5), np.float32),
+        "far_velocity": np.ones((48, 2), np.float32),
+        "far_count": np.array(1),
     }
 
 

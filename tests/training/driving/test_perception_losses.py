@@ -17,7 +17,8 @@ VELOCITY = torch.tensor([[[6.0, 1.0], [0.0, 0.0]]])
 
 def loss(there: Tensor, velocity: Tensor, *, count: int = 2) -> float:
     moving = Moving(there, velocity)
-    return float(motion_loss(moving, BOXES, VELOCITY, torch.tensor([count]), reach=REACH))
+    told = motion_loss(moving, BOXES, VELOCITY, torch.tensor([count]), cell=1.0, ahead=REACH)
+    return float(told)
 
 
 def truth() -> tuple[Tensor, Tensor]:
@@ -51,3 +52,13 @@ def test_where_nobody_is_no_velocity_is_learnt() -> None:
     there, velocity = truth()
     velocity[0, :, 8, 8] = 50.0
     assert loss(there, velocity) < 1e-9
+
+
+def test_cells_may_begin_farther_ahead() -> None:
+    there, velocity = truth()
+    far = BOXES + torch.tensor([20.0, 0.0, 0.0, 0.0, 0.0])
+    moving, count = Moving(there, velocity), torch.tensor([2])
+    told = motion_loss(moving, far, VELOCITY, count, cell=1.0, ahead=REACH + 20.0)
+    assert told < 1e-9
+    narrow = Moving(there[..., 4:12], velocity[..., 4:12])  # 4 m to either side
+    assert motion_loss(narrow, far, VELOCITY, count, cell=1.0, ahead=REACH + 20.0) < 1e-9

@@ -78,6 +78,9 @@ def drawn(window: Window, sizes: SensorSizes) -> Drawn:
         "agents": np.zeros((MODEL.agents, 5), np.float32),
         **{name: np.zeros((MODEL.agents, 2), np.float32) for name in sensor_windows.VELOCITIES},
         "agent_count": np.array(1),
+        "far_others": np.ones((48, 5), np.float32),
+        "far_velocity": np.ones((48, 2), np.float32),
+        "far_count": np.array(1),
     }
 
 

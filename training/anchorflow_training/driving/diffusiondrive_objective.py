@@ -29,6 +29,7 @@ from anchorflow_training.driving.diffusiondrive_losses import (
     FAILED,
     advantages,
     pose_distance,
+    sub_score_loss,
     wrong_order,
 )
 from anchorflow_training.driving.likeness import distances, likeness_loss
@@ -68,6 +69,9 @@ class DiffusionDriveObjectiveConfig:
     occupancy: float = setting(0.0, "Of where others will be; published has none.", least=0)
     motion: float = setting(
         0.5, "Of how fast others move, where the model compares two sweeps.", least=0
+    )
+    far: float = setting(
+        0.5, "Of who is beyond the LiDAR's square, where the model looks there.", least=0
     )
     coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
     fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
@@ -153,7 +157,8 @@ class DiffusionDriveObjective(nn.Module):
         """batch: camera, lidar, ego_status, lidar_before as of `Perception`; future [B, T, 3] m and
         rad; agents [B, Q, 5], agent_velocity [B, Q, 2] and agent_count [B]; semantics [B, H/2, H]
         classes; occupancy [B, T, H/4, H/4] 0 or 1; where the model compares two sweeps also
-        lidar_randomised as lidar_before and randomised_velocity as agent_velocity; window [B], for
+        lidar_randomised as lidar_before and randomised_velocity as agent_velocity, and far_others,
+        far_velocity and far_count, as those of agents, of who is far ahead; window [B], for
         the judge; signs [B, 3] of its poses, which reflect a window that was reflected."""
         config, anchors = self.config, self.model.config.anchors
         status, speeds = self._changed(batch["ego_status"], change)
@@ -221,8 +226,8 @@ class DiffusionDriveObjective(nn.Module):
         }
 
     def _motion(self, seen: Perceived, batch: Mapping[str, Tensor]) -> Terms:
-        """The term `motion`, where sweeps are compared: of others that move as they did, and of
-        others that moved as chance has it."""
+        """The terms `motion` and `far`, where there are encounters: of others that move as they did
+        and as chance has it, by the sweeps, and of those beyond, by the camera."""
         sweeps = self.model.perception.sweeps
         if sweeps is None:
             return {}
@@ -231,10 +236,16 @@ class DiffusionDriveObjective(nn.Module):
         if LIDAR_BEFORE in batch:
             assert seen.moving is not None
             learnt.append((seen.moving, batch["agent_velocity"]))
+        backbone = self.model.config.backbone
+        cell, reach = backbone.upscaled_cell, backbone.lidar_range
         boxes, count = batch["agents"], batch["agent_count"]
-        reach = self.model.config.backbone.lidar_range
-        losses = [motion_loss(each, boxes, true, count, reach=reach) for each, true in learnt]
-        return {"motion": torch.stack(losses).mean()}
+        losses = [
+            motion_loss(each, boxes, true, count, cell=cell, ahead=reach) for each, true in learnt
+        ]
+        assert seen.far is not None
+        far = (batch["far_others"], batch["far_velocity"], batch["far_count"])
+        beyond = motion_loss(seen.far, *far, cell=cell, ahead=reach + backbone.far_range)
+        return {"motion": torch.stack(losses).mean(), "far": beyond}
 
     def nearest(self, future: Tensor) -> Tensor:
         """[B]: the anchor whose points lie nearest to those of the record."""
@@ -269,7 +280,7 @@ class DiffusionDriveObjective(nn.Module):
             torch.take_along_dim(coarse.features, kept, 1),
             scene,
         )
-        misses = [F.binary_cross_entropy_with_logits(s.logits, true_of_kept) for s in fine]
+        misses = [sub_score_loss(s.logits, true_of_kept) for s in fine]
         score, choice = pdm_score(truth), fine[-1].scores.detach().argmax(-1, keepdim=True)
         coarse_scores = pdm_score(logits.sigmoid())
         apart = distances(candidates, batch["future"])
@@ -277,7 +288,7 @@ class DiffusionDriveObjective(nn.Module):
         ranks += [wrong_order(pdm_score(s.sub_scores), pdm_score(true_of_kept)) for s in fine]
         return {
             **self._likeness(coarse, fine, apart, kept[..., 0], as_recorded(speeds)),
-            "coarse": F.binary_cross_entropy_with_logits(logits, truth),
+            "coarse": sub_score_loss(logits, truth),
             "fine": torch.stack(misses).mean(),
             "rank": torch.stack(ranks).mean(),
             "pdms_best": score.amax(-1).mean(),

@@ -33,14 +33,17 @@ def occupancy_loss(logits: Tensor, occupied: Tensor) -> Tensor:
 
 
 def motion_loss(
-    moving: Moving, boxes: Tensor, velocity: Tensor, count: Tensor, *, reach: float
+    moving: Moving, boxes: Tensor, velocity: Tensor, count: Tensor, *, cell: float, ahead: float
 ) -> Tensor:
     """Of which cells others are in, binary cross-entropy, and of how fast, smooth L1.
 
     boxes: [B, Q, 5] m, rad; velocity: [B, Q, 2] m/s; the first count [B] are there
-    reach: m from the middle of the cells to their edges
+    cell: m, a side of the cells, whose columns lie about the ego's line; ahead: m, their first edge
     """
-    inside = _cells_inside(boxes, count, size=moving.there.shape[-1], reach=reach)
+    rows, columns = moving.there.shape[-2:]
+    x = ahead - cell * (torch.arange(rows, device=boxes.device) + 0.5)
+    y = cell * (columns / 2 - 0.5 - torch.arange(columns, device=boxes.device))
+    inside = _inside(boxes, count, x, y)
     taken = inside.any(1)
     told = F.binary_cross_entropy_with_logits(moving.there, taken.to(moving.there))
     of = inside.to(velocity).argmax(1).flatten(1)[..., None].expand(-1, -1, 2)
@@ -50,15 +53,14 @@ def motion_loss(
     return (weight * apart).sum() / weight.sum().clamp(min=1.0) + THERE * told
 
 
-def _cells_inside(boxes: Tensor, count: Tensor, *, size: int, reach: float) -> Tensor:
-    """[B, Q, size, size]: whether the middle of a cell, row 0 farthest ahead and column 0 farthest
-    left, lies in a box.
+def _inside(boxes: Tensor, count: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """[B, Q, rows, columns]: whether the middle of a cell, at x [rows] and y [columns], lies in a
+    box.
     """
-    middle = reach * (1 - 2 * (torch.arange(size, device=boxes.device) + 0.5) / size)
-    x, y, heading, length, width = (each[..., None, None] for each in boxes.unbind(-1))
-    ahead, left = middle[:, None] - x, middle - y
-    along = ahead * heading.cos() + left * heading.sin()
-    across = left * heading.cos() - ahead * heading.sin()
+    middle_x, middle_y, heading, length, width = (each[..., None, None] for each in boxes.unbind(-1))
+    forward, left = x[:, None] - middle_x, y - middle_y
+    along = forward * heading.cos() + left * heading.sin()
+    across = left * heading.cos() - forward * heading.sin()
     there = torch.arange(boxes.shape[1], device=boxes.device) < count[:, None]
     return (2 * along.abs() < length) & (2 * across.abs() < width) & there[..., None, None]
 

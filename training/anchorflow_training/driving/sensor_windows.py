@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import TensorSpec
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import read_log
-from anchorflow_driving.sensors.agents import nearest_agents
+from anchorflow_driving.sensors.agents import far_others, nearest_agents
 from anchorflow_driving.sensors.by_name import draw_inputs
 from anchorflow_driving.sensors.lidar import simulated_lidar_before
 from anchorflow_driving.window import Scenes, Window
@@ -41,8 +41,9 @@ SWEEPS = ("lidar", LIDAR_BEFORE)
 LIDAR_RANDOMISED = "lidar_randomised"
 """The earlier sweep, had the others moved as chance has it."""
 INPUTS = ("camera", *SWEEPS, "ego_status")
-VELOCITIES = ("agent_velocity", "randomised_velocity")
-NUMBERS = ("ego_status", "future", "agents", *VELOCITIES, "agent_count")
+BOXES = ("agents", "far_others")
+VELOCITIES = ("agent_velocity", "randomised_velocity", "far_velocity")
+NUMBERS = ("ego_status", "future", *BOXES, *VELOCITIES, "agent_count", "far_count")
 
 Drawn = dict[str, NDArray[Any]]
 Value = TypeVar("Value")
@@ -118,7 +119,7 @@ class SensorWindows:
     numbers: ego_status [W, 8]; future [W, T, 3] poses that were driven, m and rad;
         agents [W, Q, 5] x, y, heading, length, width, the first agent_count [W] of which are there;
         agent_velocity [W, Q, 2] theirs, m/s forward and to the left; randomised_velocity, had they
-        moved as chance has it
+        moved as chance has it; far_others, far_velocity, far_count: likewise of those far ahead
     logs: the files; log: [W] which of them
     """
 
@@ -162,7 +163,7 @@ def reflected(batch: Batch, *, pictures: Sequence[str]) -> Batch:
         **turned,
         "ego_status": mirrored_status(batch["ego_status"]),
         "future": batch["future"] * signs,
-        "agents": batch["agents"] * boxes,
+        **{name: batch[name] * boxes for name in BOXES},
         **{name: batch[name] * signs[:2] for name in VELOCITIES},
     }
 
@@ -224,6 +225,7 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
     view = window.view
     seen = draw_inputs(view, sizes.inputs)
     agents, velocity, there = nearest_agents(view)
+    far, far_velocity, far_there = far_others(view)
     chance = randomised_motion(view)
     if sizes.lidar_before:
         seen[LIDAR_RANDOMISED] = simulated_lidar_before(chance)
@@ -242,6 +244,9 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
         "agent_velocity": velocity,
         "randomised_velocity": nearest_agents(chance)[1],
         "agent_count": np.array(there.sum()),
+        "far_others": far,
+        "far_velocity": far_velocity,
+        "far_count": np.array(far_there.sum()),
     }
 
 
