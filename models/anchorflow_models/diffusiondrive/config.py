@@ -18,9 +18,7 @@ LOOKAHEAD = (0, 1, 2, 3, 4)
 """Steps of FORETOLD_S after each pose at which both scorers ask who is there."""
 POSE_MAPS = tuple(round(time / FORETOLD_S) - 1 for time in POSE_TIMES)
 """The map of each pose among those of FORETOLD_TIMES."""
-FORETOLD_TIMES = tuple(
-    FORETOLD_S * (step + 1) for step in range(POSE_MAPS[-1] + LOOKAHEAD[-1] + 1)
-)
+FORETOLD_TIMES = tuple(FORETOLD_S * (step + 1) for step in range(POSE_MAPS[-1] + LOOKAHEAD[-1] + 1))
 """s, for which is foretold where others will be."""
 
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}

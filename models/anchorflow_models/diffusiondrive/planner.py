@@ -129,9 +129,7 @@ class Perception(nn.Module):
         scene = SceneFeatures(bev, values, decoded[:, 1:], ego, motion, foretold)
         agents, logits = self.agents(scene.agents)
         semantics, occupancy = self.semantics(seen.upscaled), self.occupancy(seen.upscaled)
-        return Perceived(
-            scene, agents, logits, semantics, occupancy, seen.upscaled, moving, far
-        )
+        return Perceived(scene, agents, logits, semantics, occupancy, seen.upscaled, moving, far)
 
     def _joined(self, cells: Tensor, upscaled: Tensor) -> Tensor:
         """The coarse cells [B, h h, W] over the fine ones [B, C, H, H] -> [B, W, H, H]"""

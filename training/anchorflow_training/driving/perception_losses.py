@@ -57,7 +57,9 @@ def _inside(boxes: Tensor, count: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """[B, Q, rows, columns]: whether the middle of a cell, at x [rows] and y [columns], lies in a
     box.
     """
-    middle_x, middle_y, heading, length, width = (each[..., None, None] for each in boxes.unbind(-1))
+    middle_x, middle_y, heading, length, width = (
+        each[..., None, None] for each in boxes.unbind(-1)
+    )
     forward, left = x[:, None] - middle_x, y - middle_y
     along = forward * heading.cos() + left * heading.sin()
     across = left * heading.cos() - forward * heading.sin()
