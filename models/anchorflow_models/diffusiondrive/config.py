@@ -157,6 +157,6 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         noise=(4e-6, 8e-4),
         footprint=CAR,
         encounters=(*CAR, (5.0, 0.0)),
-        imitation=0.1,
+        imitation=0.05,
         pessimistic=True,
     )
