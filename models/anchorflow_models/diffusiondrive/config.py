@@ -13,7 +13,7 @@ FIRST_S = STEP_S = 0.5  # s
 POSE_TIMES = tuple(FIRST_S + STEP_S * pose for pose in range(POSES))
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
-FORETOLD_S = 0.25
+FORETOLD_S = 0.25  # s, from one map to the next
 LOOKAHEAD = (0, 1, 2, 3, 4)
 """Steps of FORETOLD_S after each pose at which both scorers ask who is there."""
 POSE_MAPS = tuple(round(time / FORETOLD_S) - 1 for time in POSE_TIMES)
@@ -46,7 +46,7 @@ class DiffusionDriveConfig:
         all poses of a candidate; published is none
     encounters: m ahead and to the left of a pose, places at which both scorers look up who will be
         there when it is reached and within a second of it, if all go on as two sweeps of the LiDAR
-        show; published is none
+        show, and as the front camera does beyond them; published is none
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
         published is 0, no head that foretells it
     pessimistic: whether a candidate is worth the least that the coarse scorer and any layer of the
