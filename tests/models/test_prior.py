@@ -55,7 +55,7 @@ def test_noise_is_drawn_around_each_samples_own_route(
     mean = means_of(model, scene, COUNT)
     still = model.draw(torch.zeros(1, COUNT, model.prior.rank), mean, context)
     torch.testing.assert_close(still, mean)
-    noise = torch.randn(BATCH, COUNT, model.prior.rank)
+    noise = torch.randn(BATCH, COUNT, model.prior.rank, generator=torch.Generator().manual_seed(0))
     x_0 = model.draw(noise, mean, context)
     residual = x_0 - mean
     assert (residual[:, :, 20:40].abs().amax((-2, -1)) > 0.05).all()
