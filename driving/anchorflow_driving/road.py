@@ -20,7 +20,7 @@ class Road:
     def __init__(self, log: DrivingLog) -> None:
         rings = log.polylines("drivable")
         self._drivable = DrivableGrid(rings)
-        self._lanes = log.polylines("lane")
+        self._lanes, self._centres = log.polylines("lane"), log.polylines("centre")
         self._junction = log.lane_intersection
         boxes = [np.concatenate([lane.min(0), lane.max(0)]) for lane in self._lanes]
         self._bounds = np.array(boxes).reshape(-1, 2, 2)
@@ -41,6 +41,21 @@ class Road:
                 here = np.flatnonzero(((flat >= low) & (flat <= high)).all(1))
                 held[lane, here] = points_in_polygon(flat[here], self._lanes[lane])
         return held.reshape(len(self._lanes), *points.shape[:-1])
+
+    def against_lanes(self, poses: Array) -> NDArray[np.bool_]:
+        """[...] whether poses [..., 3] lie in lanes, all of which lead the other way: by more than
+        a right angle. Where lanes cross or share a place, one of them is enough.
+        """
+        flat = poses.reshape(-1, 3)
+        held = self.in_lanes(flat[:, :2])
+        heading = np.stack([np.cos(flat[:, 2]), np.sin(flat[:, 2])], -1)
+        along = np.zeros(len(flat), bool)
+        for lane in np.flatnonzero(held.any(axis=1)):
+            here, centre = np.flatnonzero(held[lane]), self._centres[lane]
+            away = flat[here, None, :2] - (centre[1:] + centre[:-1]) / 2
+            nearest = (away**2).sum(-1).argmin(1)
+            along[here] |= (np.diff(centre, axis=0)[nearest] * heading[here]).sum(-1) > 0
+        return (held.any(axis=0) & ~along).reshape(poses.shape[:-1])
 
     def in_junction(self, in_lanes: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Of what `in_lanes` says: [...] whether one of the lanes belongs to a junction."""

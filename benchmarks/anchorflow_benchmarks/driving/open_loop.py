@@ -30,9 +30,9 @@ from anchorflow_driving.window import Scenes, Window
 Array = NDArray[np.float64]
 
 NOTE = (
-    "Shares and scores from 0 to 1, distances in m. ADE and FDE over the 8 poses of 4 s; hit: share"
-    " of plans whose box, as 45 waypoints and untracked, overlaps another within 4.5 s; ms: median"
-    " time of a plan."
+    "Shares and scores from 0 to 1, distances in m. against: driven in lanes that lead the other way;"
+    " ADE and FDE over the 8 poses of 4 s; hit: share of plans whose box, as 45 waypoints and"
+    " untracked, overlaps another within 4.5 s; ms: median time of a plan."
 )
 
 
@@ -152,7 +152,12 @@ def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Jud
             command=window.command_name,
             plan=plan,
             waypoints=waypoints,
-            figures={**_sub_scores(scores), **_distances(window, plan, entry.times), "hit": hit},
+            figures={
+                **_sub_scores(scores),
+                "against": float(scorer.metres_against(plan[None])[0]),
+                **_distances(window, plan, entry.times),
+                "hit": hit,
+            },
             ms=ms,
         )
         if proposals:

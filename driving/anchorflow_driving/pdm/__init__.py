@@ -1,6 +1,7 @@
 """The PDM score of NAVSIM v1.1 (Dauner et al., 2024, arXiv:2406.15349), and PDM-Closed."""
 
 from anchorflow_driving.pdm.closed import PdmClosed, pdm_closed
+from anchorflow_driving.pdm.direction import direction_compliance
 from anchorflow_driving.pdm.score import SUB_SCORES, PdmScorer, PdmScores
 
-__all__ = ["SUB_SCORES", "PdmClosed", "PdmScorer", "PdmScores", "pdm_closed"]
+__all__ = ["SUB_SCORES", "PdmClosed", "PdmScorer", "PdmScores", "direction_compliance", "pdm_closed"]

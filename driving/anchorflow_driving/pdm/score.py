@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.pdm.closed import PdmClosed, pdm_closed
+from anchorflow_driving.pdm.direction import metres_against
 from anchorflow_driving.pdm.rating import SUB_SCORES, PdmScores, rate
 from anchorflow_driving.pdm.tracker import Motion, interpolate, track
 from anchorflow_driving.pdm.traffic import recorded_traffic
@@ -52,6 +53,14 @@ class PdmScorer:
             ValueError: another shape, or numbers that are not finite.
         """
         return rate(self.motion(plans), self._traffic, best=self.reference.progress).scores
+
+    def metres_against(self, plans: Array) -> Array:
+        """[P] m that plans, as of `score`, go in lanes that lead the other way; part of no score.
+
+        Raises:
+            ValueError: another shape, or numbers that are not finite.
+        """
+        return metres_against(self.motion(plans), self._traffic)
 
     def motion(self, plans: Array) -> Motion:
         """What the vehicle drives that follows the plans, in the log's frame."""

@@ -47,6 +47,8 @@ class DiffusionDriveConfig:
     encounters: m ahead and to the left of a pose, places at which both scorers look up who will be
         there when it is reached and within a second of it, if all go on as two sweeps of the LiDAR
         show, and as the front camera does beyond them; published is none
+    direction: whether both scorers also foretell how far a candidate drives against its lanes'
+        direction (DDC), and multiply by it; published is not
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
         published is 0, no head that foretells it
     pessimistic: whether a candidate is worth the least that the coarse scorer and any layer of the
@@ -82,6 +84,7 @@ class DiffusionDriveConfig:
     ego_motion: bool = False
     footprint: Places = ()
     encounters: Places = ()
+    direction: bool = False
     imitation: float = 0.0
     pessimistic: bool = field(default=False, metadata={"free": True})
     x_range: tuple[float, float] = (-1.2, 55.7)
@@ -157,6 +160,7 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         noise=(4e-6, 8e-4),
         footprint=CAR,
         encounters=(*CAR, (5.0, 0.0)),
+        direction=True,
         imitation=0.05,
         pessimistic=True,
     )

@@ -206,7 +206,7 @@ class DiffusionDriveV2(nn.Module):
     ) -> Outputs:
         """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none ->
         candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M];
-        coarse_logits [B, M, 5] and, where it is foretold, coarse_imitation [B, M]
+        coarse_logits [B, M, 5 or 6] and, where it is foretold, coarse_imitation [B, M]
         """
         candidates = self.candidates(trajectories, diversity)
         scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion, foretold)
@@ -239,14 +239,19 @@ class DiffusionDriveV2(nn.Module):
         coarse_imitation: Tensor | None = None,
     ) -> Outputs:
         """candidates: [B, M, T, 3]; features: [B, M, F]; the last two as of `coarse`, which counts
-        too where the network is pessimistic -> scores [B, M], sub_scores [B, M, 5]
+        too where the network is pessimistic -> scores [B, M], sub_scores [B, M, 5] and, where it
+        is foretold, direction_scores [B, M]
         """
         scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion, foretold)
         layers, coarse = self.fine_scorer(candidates, features, scene), None
         if coarse_logits is not None:
             coarse = Scored(features, coarse_logits, coarse_imitation, self.config.imitation)
         scored = self.deciding(layers, coarse)
-        return {"scores": scored.scores, "sub_scores": scored.sub_scores}
+        return {
+            "scores": scored.scores,
+            "sub_scores": scored.sub_scores,
+            **({} if scored.direction is None else {"direction_scores": scored.direction}),
+        }
 
     def deciding(self, fine: Sequence[Scored], coarse: Scored | None) -> Scored:
         """What decides of candidates: the last layer of the fine scorer, or the least of all.

@@ -34,20 +34,26 @@ from anchorflow_models.layers.zero import zero_linear
 from anchorflow_models.transfuser import BevValues, Footprint, bev_places, placed
 
 SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
+DIRECTION = "DDC"
+"""Driving direction compliance, which stands behind SUB_SCORES where it is foretold too."""
 LEAST_SHARE = 1e-3
 
 
 def pdm_score(sub_scores: Tensor) -> Tensor:
-    """[..., 5] in the order of SUB_SCORES -> [...]: NC DAC (5 EP + 5 TTC + 2 C) / 12."""
-    nc, dac, ep, ttc, comfort = sub_scores.unbind(-1)
-    return nc * dac * (5 * ep + 5 * ttc + 2 * comfort) / 12
+    """[..., 5] in the order of SUB_SCORES -> [...]: NC DAC (5 EP + 5 TTC + 2 C) / 12.
+
+    Of [..., 6] also times the last, DDC, as the extended PDM score of NAVSIM v2 has it.
+    """
+    nc, dac, ep, ttc, comfort, *direction = sub_scores.unbind(-1)
+    score = nc * dac * (5 * ep + 5 * ttc + 2 * comfort) / 12
+    return score * direction[0] if direction else score
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
     """What a layer foretells of M candidates.
 
-    features: [B, M, F]; logits: [B, M, 5] in the order of SUB_SCORES
+    features: [B, M, F]; logits: [B, M, 5] in the order of SUB_SCORES, [B, M, 6] with DDC
     imitation: [B, M] logits over the candidates, of which a person would drive, where a head
         foretells them; weight: what they count in the scores
     """
@@ -70,12 +76,18 @@ class Scored:
     @property
     def sub_scores(self) -> Tensor:
         """[B, M, 5] in [0, 1]"""
-        return self.logits.sigmoid()
+        return self.logits[..., : len(SUB_SCORES)].sigmoid()
+
+    @property
+    def direction(self) -> Tensor | None:
+        """[B, M] DDC in [0, 1], where a head foretells it."""
+        told = self.logits.shape[-1] > len(SUB_SCORES)
+        return self.logits[..., len(SUB_SCORES)].sigmoid() if told else None
 
     @property
     def scores(self) -> Tensor:
         """[B, M] in [0, 1]: the PDM score, times the likelihood beside that of the likeliest."""
-        score = pdm_score(self.sub_scores)
+        score = pdm_score(self.logits.sigmoid())
         if self.imitation is None:
             return score
         beside = self.imitation - self.imitation.amax(-1, keepdim=True)
@@ -112,7 +124,8 @@ class ScorerLayer(nn.Module):
         self.others = Attention(width, heads)
         self.feed_forward = FeedForward(width, config.scorer_hidden)
         self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in range(5))
-        self.heads = nn.ModuleList(scalar_head(width) for _ in SUB_SCORES)
+        foretold = (*SUB_SCORES, DIRECTION) if config.direction else SUB_SCORES
+        self.heads = nn.ModuleList(scalar_head(width) for _ in foretold)
         self.weight = config.imitation
         self.imitation = scalar_head(width) if config.imitation else None
 

@@ -12,7 +12,7 @@ import pytest
 
 from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, constant_velocity, stop
 from anchorflow_driving.log import PEDESTRIAN, STATIC, read_logs
-from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.pdm import PdmScorer, direction_compliance
 from anchorflow_driving.window import Scenes, Window
 
 OnStreet = Callable[..., Window]
@@ -135,6 +135,32 @@ def test_leaving_the_road(on_street: OnStreet) -> None:
 
     assert found["dac"] == found["pdms"] == found["ep"] == 0
     assert found["nc"] == 1
+
+
+def test_metres_against_the_lanes(on_street: OnStreet) -> None:
+    """The left lane leads the other way, from y = 2 m on; its wheels take the vehicle there in 2 s."""
+    there, back = (np.array([[x, y], [-x, y]]) for x, y in ((-100.0, 0.0), (200.0, 4.0)))
+    two_way = on_street(centre_points=np.concatenate([there, back]).astype(np.float32))
+    side = np.array([1.5, 3.5, *[4.0] * 6])
+    across = np.stack([10 * PLAN_TIMES, side, 0 * PLAN_TIMES], -1)
+    plans = np.stack([constant_velocity(two_way), across])
+
+    kept, crossed = PdmScorer(two_way).metres_against(plans)
+
+    assert kept == 0
+    assert 18 < crossed < 22
+    np.testing.assert_array_equal(PdmScorer(on_street()).metres_against(plans), 0)
+    compliance = direction_compliance(np.array([0.0, 2.0, 12.0]))
+    np.testing.assert_allclose(compliance, [1, 1, np.exp(-1)])
+
+
+def test_a_lane_that_is_shared_leads_both_ways(on_street: OnStreet) -> None:
+    """As in a junction: where one lane leads along, nobody goes against another."""
+    lanes = np.array([[-100, -2], [200, -2], [200, 2], [-100, 2]] * 2, np.float32)
+    centres = np.array([[-100, 0], [200, 0], [200, 0], [-100, 0]], np.float32)
+    window = on_street(lane_points=lanes, centre_points=centres)
+
+    assert PdmScorer(window).metres_against(constant_velocity(window)[None])[0] == 0
 
 
 def test_a_plan_gets_among_256_what_it_gets_alone(on_street: OnStreet, other) -> None:

@@ -95,6 +95,7 @@ def test_the_published_shapes() -> None:
     assert (told["candidates"], told["features"]) == ((1, 800, 8, 3), (1, 800, 512))
     assert told["kept"] == (1, 32, 8, 3)
     assert (told["scores"], told["sub_scores"]) == ((1, 32), (1, 32, 5))
+    assert "direction_scores" not in told
 
 
 @torch.inference_mode()
@@ -137,7 +138,8 @@ def test_a_pessimist_expects_the_least_that_any_scorer_foretells() -> None:
     told = whole(model, sensors())
     logits = [told["coarse_logits"], *(scored.logits for scored in heard[0])]
     least = torch.stack(logits).amin(0)
-    torch.testing.assert_close(told["sub_scores"], least.sigmoid())
+    torch.testing.assert_close(told["sub_scores"], least[..., :5].sigmoid())
+    torch.testing.assert_close(told["direction_scores"], least[..., 5].sigmoid())
     # Each of them decides somewhere, so none is left out.
     assert all((logit == least).any() for logit in logits)
     likely = torch.stack(

@@ -14,7 +14,7 @@ from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import Tensor
 
 from anchorflow_driving.log import read_log
-from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.pdm import PdmScorer, direction_compliance
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_training.batches import MirroredBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
@@ -381,6 +381,11 @@ def test_the_judge_is_the_scorer_of_each_window(logs: list[Path]) -> None:
     wanted = PdmScorer(scenes[0][0], speed=own + 9.0).score(plans[0].numpy())
     np.testing.assert_allclose(faster[:, 2], wanted.ep, atol=1e-6)
     assert not np.array_equal(faster, twice)
+    judge = PdmJudge(logs, of_log, direction=True)
+    wanted = direction_compliance(PdmScorer(scenes[0][0]).metres_against(plans[0].numpy()))
+    told = judge(torch.tensor([0]), plans[:1]).numpy()[0]
+    np.testing.assert_array_equal(told[:, :5], twice)
+    np.testing.assert_allclose(told[:, 5], wanted, atol=1e-6)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -29,16 +29,16 @@ def advantages(sub_scores: Tensor, anchors: int) -> Tensor:
 
 
 def sub_score_loss(logits: Tensor, truth: Tensor) -> Tensor:
-    """Binary cross-entropy of sub-scores [B, M, 5] in the order of SUB_SCORES, each by what it
-    counts: EP, TTC and C by NC x DAC, as the PDM score multiplies.
+    """Binary cross-entropy of sub-scores [B, M, 5] in the order of SUB_SCORES, or [B, M, 6] with
+    DDC, each by what it counts: EP, TTC and C by NC x DAC, as the PDM score multiplies.
 
     Of what collides the score is 0 however far it came. Heads that learnt that too would count
     every risk twice, once by NC and again by EP and TTC, and prefer whatever creeps. Learnt so,
     NC DAC (5 EP + 5 TTC + 2 C) / 12 of what they foretell is the score to be expected.
     """
     losses = F.binary_cross_entropy_with_logits(logits, truth, reduction="none")
-    counts = (truth[..., :1] * truth[..., 1:2]).expand_as(truth).clone()
-    counts[..., :2] = 1.0
+    counts = torch.ones_like(truth)
+    counts[..., 2:5] = truth[..., :1] * truth[..., 1:2]
     return ((losses * counts).sum((0, 1)) / counts.sum((0, 1)).clamp(min=1.0)).mean()
 
 

@@ -45,8 +45,8 @@ from anchorflow_trajectory.ddim import ddim_step, noised
 
 Terms = dict[str, Tensor]
 Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""PDM sub-scores [B, M, 5] in [0, 1] of trajectories [B, M, T, 3] in windows [B], by number, the
-ego beginning at speeds [B]; NaN: as recorded."""
+"""PDM sub-scores [B, M, 5] in [0, 1], or [B, M, 6] with DDC, of trajectories [B, M, T, 3] in
+windows [B], by number, the ego beginning at speeds [B]; NaN: as recorded."""
 
 SPEED, ALONG, ACROSS = 4, 6, 7
 """Of the ego status: velocity and acceleration forward, acceleration to the left."""
@@ -285,7 +285,7 @@ class DiffusionDriveObjective(nn.Module):
         coarse_scores = pdm_score(logits.sigmoid())
         apart = distances(candidates, batch["future"])
         ranks = [wrong_order(coarse_scores, score)]
-        ranks += [wrong_order(pdm_score(s.sub_scores), pdm_score(true_of_kept)) for s in fine]
+        ranks += [wrong_order(pdm_score(s.logits.sigmoid()), pdm_score(true_of_kept)) for s in fine]
         return {
             **self._likeness(coarse, fine, apart, kept[..., 0], as_recorded(speeds)),
             "coarse": sub_score_loss(logits, truth),

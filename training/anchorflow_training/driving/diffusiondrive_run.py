@@ -59,7 +59,7 @@ class DiffusionDriveRun(SensorRun):
     @cached_property
     def judge(self) -> PdmJudge:
         """Of trajectories in the windows."""
-        return PdmJudge(self.logs, self.windows.log)
+        return PdmJudge(self.logs, self.windows.log, direction=self.config.model.direction)
 
     def begin(self, model: DiffusionDriveV2) -> None:
         """Anchors, and a backbone that has seen pictures where there is one."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from anchorflow_driving.log import read_log
-from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.pdm import PdmScorer, direction_compliance
 from anchorflow_driving.window import Scenes, Window
 
 KEPT_LOGS, KEPT_WINDOWS = 256, 256
@@ -23,29 +23,42 @@ class PdmJudge:
     """Scores trajectories in the windows of logs, by their number over all logs.
 
     logs: the files; log: [W] which of them each window is of, those of a log beside one another
+    direction: whether it tells driving direction compliance too
     """
 
-    def __init__(self, logs: Sequence[Path], log: NDArray[np.int64]) -> None:
-        self._log = log
+    def __init__(
+        self, logs: Sequence[Path], log: NDArray[np.int64], *, direction: bool = False
+    ) -> None:
+        self._log, self._direction = log, direction
         self._scenes = lru_cache(KEPT_LOGS)(lambda number: Scenes(read_log(logs[number])))
         self._scorer = lru_cache(KEPT_WINDOWS)(self._new_scorer)
 
     def __call__(
         self, windows: Tensor, trajectories: Tensor, speeds: Tensor | None = None
     ) -> Tensor:
-        """Sub-scores [B, M, 5] in the order of SUB_SCORES of trajectories [B, M, T, 3].
+        """Sub-scores [B, M, 5] in the order of SUB_SCORES of trajectories [B, M, T, 3]; [B, M, 6]
+        with driving direction compliance.
 
         speeds: [B] m/s that the ego begins with; NaN: as recorded, as is everybody's without them
         """
         plans = trajectories.detach().cpu().double().numpy()
         begun = [math.nan] * len(plans) if speeds is None else speeds.tolist()
         rows = [
-            (self._scorer(int(window)) if math.isnan(speed) else self._begun(int(window), speed))
-            .score(own)
-            .sub_scores
+            self._judged(
+                self._scorer(int(window)) if math.isnan(speed) else self._begun(int(window), speed),
+                own,
+            )
             for window, speed, own in zip(windows, begun, plans, strict=True)
         ]
         return torch.from_numpy(np.array(rows, np.float32))
+
+    def _judged(self, scorer: PdmScorer, plans: NDArray[np.float64]) -> NDArray[np.float64]:
+        """[M, 5 or 6]"""
+        scores = scorer.score(plans).sub_scores
+        if not self._direction:
+            return scores
+        compliance = direction_compliance(scorer.metres_against(plans))
+        return np.concatenate([scores, compliance[:, None]], axis=-1)
 
     def _new_scorer(self, window: int) -> PdmScorer:
         return PdmScorer(self._window(window))
