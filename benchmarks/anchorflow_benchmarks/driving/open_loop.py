@@ -30,8 +30,8 @@ from anchorflow_driving.window import Scenes, Window
 Array = NDArray[np.float64]
 
 NOTE = (
-    "Shares and scores from 0 to 1, distances in m. against: driven in lanes that lead the other way;"
-    " ADE and FDE over the 8 poses of 4 s; hit: share of plans whose box, as 45 waypoints and"
+    "Shares and scores from 0 to 1, distances in m. against: driven in lanes that lead the other"
+    " way; ADE and FDE over the 8 poses of 4 s; hit: share of plans whose box, as 45 waypoints and"
     " untracked, overlaps another within 4.5 s; ms: median time of a plan."
 )
 

@@ -4,4 +4,11 @@ from anchorflow_driving.pdm.closed import PdmClosed, pdm_closed
 from anchorflow_driving.pdm.direction import direction_compliance
 from anchorflow_driving.pdm.score import SUB_SCORES, PdmScorer, PdmScores
 
-__all__ = ["SUB_SCORES", "PdmClosed", "PdmScorer", "PdmScores", "direction_compliance", "pdm_closed"]
+__all__ = [
+    "SUB_SCORES",
+    "PdmClosed",
+    "PdmScorer",
+    "PdmScores",
+    "direction_compliance",
+    "pdm_closed",
+]

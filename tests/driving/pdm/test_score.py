@@ -138,7 +138,7 @@ def test_leaving_the_road(on_street: OnStreet) -> None:
 
 
 def test_metres_against_the_lanes(on_street: OnStreet) -> None:
-    """The left lane leads the other way, from y = 2 m on; its wheels take the vehicle there in 2 s."""
+    """The left lane, from y = 2 m on, leads the other way; the vehicle is in it after 2 s."""
     there, back = (np.array([[x, y], [-x, y]]) for x, y in ((-100.0, 0.0), (200.0, 4.0)))
     two_way = on_street(centre_points=np.concatenate([there, back]).astype(np.float32))
     side = np.array([1.5, 3.5, *[4.0] * 6])
