@@ -142,7 +142,7 @@ def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Jud
         else:
             plan = entry.driver(window, entry.times)
         ms = 1e3 * (perf_counter() - started)
-        scores = scorer.score(plan[None])
+        motion = scorer.motion(plan[None])
         waypoints = _waypoints(entry.driver, window)
         hit = float("nan") if waypoints is None else float(collides(window, waypoints))
         verdict = Judged(
@@ -153,8 +153,8 @@ def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Jud
             plan=plan,
             waypoints=waypoints,
             figures={
-                **_sub_scores(scores),
-                "against": float(scorer.metres_against(plan[None])[0]),
+                **_sub_scores(scorer.judge(motion)),
+                "against": float(scorer.metres_against(motion)[0]),
                 **_distances(window, plan, entry.times),
                 "hit": hit,
             },

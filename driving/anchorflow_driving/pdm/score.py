@@ -52,15 +52,15 @@ class PdmScorer:
         Raises:
             ValueError: another shape, or numbers that are not finite.
         """
-        return rate(self.motion(plans), self._traffic, best=self.reference.progress).scores
+        return self.judge(self.motion(plans))
 
-    def metres_against(self, plans: Array) -> Array:
-        """[P] m that plans, as of `score`, go in lanes that lead the other way; part of no score.
+    def judge(self, motion: Motion) -> PdmScores:
+        """Scores [P] of what `motion` says is driven."""
+        return rate(motion, self._traffic, best=self.reference.progress).scores
 
-        Raises:
-            ValueError: another shape, or numbers that are not finite.
-        """
-        return metres_against(self.motion(plans), self._traffic)
+    def metres_against(self, motion: Motion) -> Array:
+        """[P] m of it in lanes that lead the other way; part of no score."""
+        return metres_against(motion, self._traffic)
 
     def motion(self, plans: Array) -> Motion:
         """What the vehicle drives that follows the plans, in the log's frame."""

@@ -86,7 +86,8 @@ class Scored:
 
     @property
     def scores(self) -> Tensor:
-        """[B, M] in [0, 1]: the PDM score, times the likelihood beside that of the likeliest."""
+        """[B, M] in [0, 1]: the PDM score, with DDC where a head foretells it, times the likelihood
+        beside that of the likeliest."""
         score = pdm_score(self.logits.sigmoid())
         if self.imitation is None:
             return score

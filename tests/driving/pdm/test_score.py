@@ -24,6 +24,11 @@ def score(window: Window, plan: np.ndarray) -> dict[str, float]:
     return {name: float(getattr(scores, name)[0]) for name in SUB_SCORES}
 
 
+def against(window: Window, plans: np.ndarray) -> np.ndarray:
+    scorer = PdmScorer(window)
+    return scorer.metres_against(scorer.motion(plans))
+
+
 def test_a_straight_drive_at_the_limit_scores_1(on_street: OnStreet) -> None:
     window = on_street()
 
@@ -145,11 +150,11 @@ def test_metres_against_the_lanes(on_street: OnStreet) -> None:
     across = np.stack([10 * PLAN_TIMES, side, 0 * PLAN_TIMES], -1)
     plans = np.stack([constant_velocity(two_way), across])
 
-    kept, crossed = PdmScorer(two_way).metres_against(plans)
+    kept, crossed = against(two_way, plans)
 
     assert kept == 0
     assert 18 < crossed < 22
-    np.testing.assert_array_equal(PdmScorer(on_street()).metres_against(plans), 0)
+    np.testing.assert_array_equal(against(on_street(), plans), 0)
     compliance = direction_compliance(np.array([0.0, 2.0, 12.0]))
     np.testing.assert_allclose(compliance, [1, 1, np.exp(-1)])
 
@@ -160,7 +165,7 @@ def test_a_lane_that_is_shared_leads_both_ways(on_street: OnStreet) -> None:
     centres = np.array([[-100, 0], [200, 0], [200, 0], [-100, 0]], np.float32)
     window = on_street(lane_points=lanes, centre_points=centres)
 
-    assert PdmScorer(window).metres_against(constant_velocity(window)[None])[0] == 0
+    assert against(window, constant_velocity(window)[None]) == 0
 
 
 def test_a_plan_gets_among_256_what_it_gets_alone(on_street: OnStreet, other) -> None:

@@ -54,10 +54,11 @@ class PdmJudge:
 
     def _judged(self, scorer: PdmScorer, plans: NDArray[np.float64]) -> NDArray[np.float64]:
         """[M, 5 or 6]"""
-        scores = scorer.score(plans).sub_scores
+        motion = scorer.motion(plans)
+        scores = scorer.judge(motion).sub_scores
         if not self._direction:
             return scores
-        compliance = direction_compliance(scorer.metres_against(plans))
+        compliance = direction_compliance(scorer.metres_against(motion))
         return np.concatenate([scores, compliance[:, None]], axis=-1)
 
     def _new_scorer(self, window: int) -> PdmScorer:
