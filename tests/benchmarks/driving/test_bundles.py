@@ -22,6 +22,7 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.pdm import PdmScorer, PdmScores
+from anchorflow_driving.pdm.tracker import Motion
 from anchorflow_driving.sensors.by_name import SENSORS
 from anchorflow_driving.window import Scenes
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
@@ -126,17 +127,17 @@ def test_what_else_it_could_have_chosen_by() -> None:
 
 
 def test_a_window_s_proposals_are_scored_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    scored, score = [], PdmScorer.score
+    judged_plans, judge = [], PdmScorer.judge
 
-    def counting(self: PdmScorer, plans: np.ndarray) -> PdmScores:
-        scored.append(len(plans))
-        return score(self, plans)
+    def counting(self: PdmScorer, motion: Motion) -> PdmScores:
+        judged_plans.append(len(motion.poses))
+        return judge(self, motion)
 
-    monkeypatch.setattr(PdmScorer, "score", counting)
+    monkeypatch.setattr(PdmScorer, "judge", counting)
     driver = BundleDriver(GOALFLOW, num=N, threads=1)
     judged = judge_drivers({driver.name: Entry(driver)}, [bend(0)])[driver.name]
 
-    assert scored == [1, N] * len(judged)
+    assert judged_plans == [1, N] * len(judged)
 
 
 def test_a_bundle_without_windows_has_no_choices() -> None:
