@@ -161,6 +161,5 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         footprint=CAR,
         encounters=(*CAR, (5.0, 0.0)),
         direction=True,
-        imitation=0.05,
-        pessimistic=True,
+        imitation=0.01,
     )
