@@ -121,12 +121,16 @@ def machine() -> dict[str, str]:
 
 
 def processor() -> str:
+    """What decides which kernels run: one model name covers several generations."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        first, _, _ = Path("/proc/cpuinfo").read_text().partition("\n\n")
     except OSError:
         return "unknown"
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, "unknown")
+    pairs = (line.partition(":")[::2] for line in first.splitlines())
+    facts = {key.strip(): value.strip() for key, value in pairs}
+    told = [f"{key} {facts.get(key)}" for key in ("cpu family", "model", "stepping")]
+    vectors = sorted(flag for flag in facts.get("flags", "").split() if flag.startswith("avx"))
+    return ", ".join([facts.get("model name", "unknown"), *told, *vectors])
 
 
 def in_json(answer: bytes) -> dict[str, Any]:
