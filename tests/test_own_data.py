@@ -17,7 +17,8 @@ from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.planning import PlanningService
 
-SMALL = ("--steps", 3, "--scenes", 4, "--samples", 4, "--no-tensorboard", "--model.map-size", 16)
+SHORT = ("--steps", 3, "--scenes", 4, "--samples", 4, "--no-tensorboard")
+SMALL = ("--model.map-size", 16, "--model.map-scales", 1, "--model.layers", 1)
 N, CELLS = 6, 32
 
 
@@ -32,7 +33,7 @@ def bundle_of(poses: Path, folder: Path, *cut: object) -> Engine:
     """From recorded poses to an engine by the commands of docs/training-data.md."""
     anchorflow("data", "from-poses", poses, folder / "my.npz", *cut)
     anchorflow("data", "import", folder / "my.npz", folder / "data", "--cells", CELLS)
-    anchorflow("train", folder / "data", "--out", folder / "run", *SMALL)
+    anchorflow("train", folder / "data", "--out", folder / "run", *SHORT, *SMALL)
     checkpoint = folder / "run" / "checkpoint.pt"
     anchorflow("export", checkpoint, "--out", folder / "bundle", "--refine-steps", 2)
     return Engine(load_bundle(folder / "bundle"), threads=1)

@@ -57,15 +57,16 @@ def export_bundle(
             behind.
     """
     with into_place(out) as folder:
+        parts = adapter.parts
+        manifest = _manifest(parts, description)  # Its faults are told before a minute of tracing.
         graphs = {
             role: _write(graph, folder / f"{role}.onnx") for role, graph in adapter.trace().items()
         }
-        parts = adapter.parts
         files = {
             role: _write_file(folder / name, data) for role, (name, data) in parts.files.items()
         }
-        manifest = _manifest(parts, description, graphs, files)
-        (folder / FILE_NAME).write_bytes(manifest.to_json())
+        whole = manifest.model_copy(update={"graphs": graphs, "files": files})
+        (folder / FILE_NAME).write_bytes(whole.to_json())
         return prove_parity(adapter, load_bundle(folder), tolerance=tolerance)
 
 
@@ -98,12 +99,8 @@ def _write_file(path: Path, data: bytes) -> FileEntry:
     return FileEntry(file=path.name, sha256=hashlib.sha256(data).hexdigest())
 
 
-def _manifest(
-    parts: PlannerParts,
-    description: BundleDescription,
-    graphs: dict[str, GraphEntry],
-    files: dict[str, FileEntry],
-) -> Manifest:
+def _manifest(parts: PlannerParts, description: BundleDescription) -> Manifest:
+    """As it is before there are graphs and files."""
     try:
         return Manifest(
             format=FORMAT,
@@ -116,8 +113,7 @@ def _manifest(
             finish=parts.finish,
             time=parts.time,
             answer=parts.answer,
-            graphs=graphs,
-            files=files,
+            graphs={},
             training=dict(description.training),
             quality=dict(description.quality),
         )

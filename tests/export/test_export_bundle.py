@@ -161,7 +161,7 @@ def test_the_card_has_the_limits_and_ranges_that_are_chosen(
         ranges={"v_max": (0.5, 2.0), "horizon_s": (2.0, 30.0)},
         robot_radius=0.3,
     )
-    config = L2Config(map_size=16, feature_channels=4, layers=1)
+    config = L2Config(map_size=16, map_scales=1, feature_channels=4, layers=1)
     export_bundle(flowmp_adapter(untaught(config), choices), description, out=tmp_path / "bundle")
     card = load_bundle(tmp_path / "bundle").card.cost_map
     limits = card.limits

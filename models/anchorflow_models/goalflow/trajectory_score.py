@@ -93,28 +93,24 @@ def _clear(poses: Tensor, speed: Tensor, around: Surroundings, config: GoalFlowC
     layer = torch.arange(poses.shape[-2], device=poses.device)
     middles = _halved(poses)[..., ::2, :]
     # Halfway between two layers a box may still be where it was, or be where it will be.
-    hits = [
-        _hits(poses, layer + 1, around, config),
-        _hits(middles, layer, around, config),
-        _hits(middles, layer + 1, around, config),
-    ]
-    return 1 - _covered((torch.stack(hits).amax(0) * moving).amax(-1))
+    asked = torch.cat([poses, middles, middles], -2)
+    hits = _hits(asked, torch.cat([layer + 1, layer, layer + 1]), around, config)
+    return 1 - _covered((hits.unflatten(-1, (3, -1)).amax(-2) * moving).amax(-1))
 
 
 def _time_to_collision(
     poses: Tensor, speed: Tensor, around: Surroundings, config: GoalFlowConfig
 ) -> Tensor:
     """[B, N]: whether nobody is touched straight on at the same speed for AHEAD_S."""
-    worst = torch.zeros_like(speed[..., 0])
-    count = around.occupied.shape[1] - 1
+    count, steps = around.occupied.shape[1] - 1, poses.shape[-2]
     moving = (speed / MOVING).clamp(0.0, 1.0)
-    layers = torch.arange(poses.shape[-2], device=poses.device) + 1
-    for more, seconds in enumerate(AHEAD_S, start=1):
-        known = min(poses.shape[-2], count - more)
-        ahead = _moved(poses, speed * seconds)[..., :known, :]
-        hit = _hits(ahead, layers[:known] + more, around, config) * moving[..., :known]
-        worst = torch.maximum(worst, hit.amax(-1))
-    return 1 - _covered(worst)
+    layers = torch.arange(steps, device=poses.device) + 1
+    looks = [(m, s, min(steps, count - m)) for m, s in enumerate(AHEAD_S, start=1)]
+    ahead = [_moved(poses, speed * seconds)[..., :known, :] for _, seconds, known in looks]
+    layer = [layers[:known] + more for more, _, known in looks]
+    hits = _hits(torch.cat(ahead, -2), torch.cat(layer), around, config)
+    going = torch.cat([moving[..., :known] for *_, known in looks], -1)
+    return 1 - _covered((hits * going).amax(-1))
 
 
 def _comfort(poses: Tensor, speed: Tensor, around: Surroundings, *, dt: float) -> Tensor:

@@ -92,17 +92,17 @@ class SweepMotion(nn.Module):
         return Moving(there[:, 0], finer[:, WIDTH:] + UNITS * self.more(x))
 
     def foretold(self, moving: Moving, times: Sequence[float]) -> Tensor:
-        """[B, T, h, w]: the share of a cell that is taken at these times [s], at constant velocity.
+        """[B, T, h, w]: the share of a cell that is taken at these times [s], which ascend, at
+        constant velocity.
 
         The later, the wider it is spread, as nobody keeps his velocity for long.
         """
         maps = foretold(moving.there.sigmoid(), moving.velocity / self.cell, times)
-        spread = []
-        for time, each in zip(times, maps.split(1, 1), strict=True):
-            for _ in range(int(time / WIDER_S)):
-                each = F.avg_pool2d(each, 3, 1, 1)
-            spread.append(each)
-        return torch.cat(spread, 1)
+        for wider in range(1, int(times[-1] / WIDER_S) + 1):
+            sooner = sum(time < wider * WIDER_S for time in times)
+            later = F.avg_pool2d(maps[:, sooner:], 3, 1, 1)
+            maps = torch.cat([maps[:, :sooner], later], 1)
+        return maps
 
 
 def _around(inputs: int, outputs: int, dilation: int = 1) -> nn.Conv2d:
@@ -129,20 +129,30 @@ def foretold(there: Tensor, velocity: Tensor, times: Sequence[float]) -> Tensor:
     second, forward and to the left: [B, T, h, w]. Each is shared by the four cells that it lands
     between; what lands in one adds up, to 1 at most.
     """
-    batch, height, width = there.shape
-    rows, columns = (
-        torch.arange(size, dtype=there.dtype, device=there.device) for size in (height, width)
+    height, width = there.shape[-2:]
+    rows, columns, later = (
+        torch.as_tensor(each, dtype=there.dtype, device=there.device)
+        for each in (range(height), range(width), times)
     )
-    maps = []
-    for time in times:
-        row, column = rows[:, None] - time * velocity[:, 0], columns - time * velocity[:, 1]
-        above, before = row.floor(), column.floor()
-        taken = there.new_zeros(batch, height * width)
-        for y, share_of_y in ((above, above + 1 - row), (above + 1, row - above)):
-            for x, share_of_x in ((before, before + 1 - column), (before + 1, column - before)):
-                inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-                place = (y * width + x).where(inside, torch.zeros_like(y)).long().flatten(1)
-                share = there * share_of_y * share_of_x * inside
-                taken = taken.scatter_add(1, place, share.flatten(1))
-        maps.append(taken.clamp(max=1.0))
-    return torch.stack(maps, 1).unflatten(-1, (height, width))
+    passed = later[:, None, None]
+    row = rows[:, None] - passed * velocity[:, :1]
+    column = columns - passed * velocity[:, 1:]
+    above, before = row.floor(), column.floor()
+    y, share_of_y = _both(above, row - above)
+    x, share_of_x = _both(before, column - before)
+    y, share_of_y = y.unsqueeze(3), share_of_y.unsqueeze(3)
+    x, share_of_x = x.unsqueeze(2), share_of_x.unsqueeze(2)
+    inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+    place = (y * width + x).where(inside, torch.zeros_like(y)).long().flatten(2)
+    share = there[:, None, None, None] * share_of_y * share_of_x * inside
+    nobody = torch.zeros_like(row).flatten(2)
+    taken = nobody.scatter_add(2, place, share.flatten(2)).clamp(max=1.0)
+    return taken.unflatten(-1, (height, width))
+
+
+def _both(first: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
+    """The two whole numbers [B, T, 2, h, w] about each place, and their shares of what lands there.
+
+    first: [B, T, h, w] the lower ones; past: how far beyond it is, in [0, 1)
+    """
+    return torch.stack([first, first + 1], 2), torch.stack([1 - past, past], 2)
