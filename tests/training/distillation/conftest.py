@@ -17,7 +17,7 @@ from anchorflow_training.distillation.config import DistillConfig, TeacherConfig
 from anchorflow_training.distillation.distiller import Distiller
 from anchorflow_training.distillation.teacher import Teacher
 
-MODEL = L2Config(map_size=16, feature_channels=4)
+MODEL = L2Config(map_size=16, map_scales=1, feature_channels=4)
 CONFIG = DistillConfig(
     steps=4,
     warmup=0,
