@@ -267,7 +267,10 @@ class DiffusionDriveV2(nn.Module):
 def usual_anchors(count: int) -> Tensor:
     """[A, T, 2]: arcs of some speeds and curvatures, until k-means of data takes their place."""
     rows = -(-count // len(USUAL_SPEEDS))
-    curvature = torch.linspace(-1, 1, rows) * USUAL_CURVATURE if rows > 1 else torch.zeros(1)
+    # Not torch.linspace, which forgets the device that is chosen around it once transformers has
+    # loaded a network in this process.
+    share = 2 * torch.arange(rows) / (rows - 1) - 1 if rows > 1 else torch.zeros(1)
+    curvature = share * USUAL_CURVATURE
     speed = torch.tensor(USUAL_SPEEDS).repeat(rows)[:count, None]
     bend = curvature.repeat_interleave(len(USUAL_SPEEDS))[:count, None]
     along = speed * (FIRST_S + STEP_S * torch.arange(POSES))
