@@ -185,9 +185,13 @@ def test_the_card_has_the_limits_and_ranges_that_are_chosen(
             client.plan(**{**request, name: value})
 
 
-def test_an_open_horizon_needs_its_range(description: BundleDescription, tmp_path: Path) -> None:
+def test_an_open_horizon_needs_its_range(
+    description: BundleDescription, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     config = L2Config(map_size=16, feature_channels=4, layers=1)
     adapter = flowmp_adapter(untaught(config), ExportChoices(ranges={}))
+    # It is told at once, and not after a minute of tracing.
+    monkeypatch.setattr(type(adapter), "trace", lambda _: pytest.fail("it was traced"))
     with pytest.raises(ExportError, match=r"ranges\.horizon_s"):
         export_bundle(adapter, description, out=tmp_path / "bundle")
     assert list(tmp_path.iterdir()) == []
