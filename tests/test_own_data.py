@@ -109,20 +109,18 @@ def assert_served(engine: Engine, folder: Path, *, T: int, D: int) -> None:
     assert f"expected shape [{3 * D}]" in refused.json()["error"]["message"]
 
 
-@pytest.mark.parametrize("heading", [False, True], ids=["planar", "heading"])
-def test_recorded_poses_become_a_served_bundle(tmp_path: Path, *, heading: bool) -> None:
+def test_recorded_poses_become_a_served_bundle(tmp_path: Path) -> None:
     (tmp_path / "poses").mkdir()
     write_drive(tmp_path / "poses")
-    cut = ("--steps", 20, "--stride", 4, *(["--heading"] if heading else []))
-    engine = bundle_of(tmp_path / "poses", tmp_path, *cut)
-    assert_served(engine, tmp_path, T=20, D=3 if heading else 2)
+    engine = bundle_of(tmp_path / "poses", tmp_path, "--steps", 20, "--stride", 4, "--heading")
+    assert_served(engine, tmp_path, T=20, D=3)
 
 
 def test_a_real_drive_becomes_a_served_bundle(
     tmp_path: Path, shared_data: Callable[[str], Path]
 ) -> None:
-    """With heading, at the speeds and distances of a car."""
+    """In the plane, at the speeds and distances of a car."""
     poses = shared_data("kitti_00_poses.txt")
-    engine = bundle_of(poses, tmp_path, "--stride", 50, "--heading")
+    engine = bundle_of(poses, tmp_path, "--stride", 50)
     assert engine.card.cost_map.limits.v_max > 10.0
-    assert_served(engine, tmp_path, T=45, D=3)
+    assert_served(engine, tmp_path, T=45, D=2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ import pytest
 import uvicorn
 from image_planner import write_image_bundle
 
+from anchorflow_cli.listening import listen, url_of
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
@@ -49,13 +49,13 @@ def served(*engines: Engine) -> Iterator[str]:
     by_name = {engine.card.name: engine for engine in engines}
     app = create_app(PlanningService(by_name, default=engines[0].card.name))
     server = uvicorn.Server(uvicorn.Config(app, log_level="warning", ws="none"))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
+    with listen("127.0.0.1", 0) as listener:
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         while not server.started:
             assert thread.is_alive()
             time.sleep(0.01)
-        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+        yield url_of(listener)
         server.should_exit = True
         thread.join(20)
     assert not thread.is_alive()

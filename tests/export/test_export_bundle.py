@@ -144,25 +144,17 @@ def untaught(config: L2Config) -> L2SafetyCFM:
 def test_the_planner_of_this_repository_exports(
     description: BundleDescription, tmp_path: Path
 ) -> None:
-    choices = ExportChoices(sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE))
-    adapter = flowmp_adapter(untaught(L2Config()), choices)
-    differences = export_bundle(adapter, description, out=tmp_path / "bundle")
-    assert max(part.error for part in differences) <= 1e-4
-    card = load_bundle(tmp_path / "bundle").card
-    assert card.time.dt is None  # each anchor has its own
-
-
-def test_the_card_has_the_limits_and_ranges_that_are_chosen(
-    description: BundleDescription, tmp_path: Path
-) -> None:
-    """What has no range cannot be asked for, and what has one only within it."""
+    """As it is chosen: what has no range cannot be asked for, what has one only within it."""
     choices = ExportChoices(
         limits=MotionLimits(1.5, 2.5),
         ranges={"v_max": (0.5, 2.0), "horizon_s": (2.0, 30.0)},
         robot_radius=0.3,
+        sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE),
     )
-    config = L2Config(map_size=16, map_scales=1, feature_channels=4, layers=1)
-    export_bundle(flowmp_adapter(untaught(config), choices), description, out=tmp_path / "bundle")
+    adapter = flowmp_adapter(untaught(L2Config()), choices)
+    differences = export_bundle(adapter, description, out=tmp_path / "bundle")
+    assert max(part.error for part in differences) <= 1e-4
+    assert load_bundle(tmp_path / "bundle").card.time.dt is None  # each anchor has its own
     card = load_bundle(tmp_path / "bundle").card.cost_map
     limits = card.limits
     assert (limits.v_max, limits.a_max, limits.robot_radius) == (1.5, 2.5, 0.3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,19 @@ from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.engine.samplers.ode import OdeSampler
 
 
+@pytest.fixture(scope="module")
+def exported(
+    tmp_path_factory: pytest.TempPathFactory, small_flow: Any, description: Any, adapted: Any
+) -> Path:
+    out = tmp_path_factory.mktemp("exported") / "bundle"
+    export_bundle(adapted(small_flow()), description, out=out)
+    return out
+
+
 @pytest.fixture
-def bundle(tmp_path: Path, small_flow: Any, description: Any, adapted: Any) -> Path:
-    export_bundle(adapted(small_flow()), description, out=tmp_path / "bundle")
-    return tmp_path / "bundle"
+def bundle(exported: Path, tmp_path: Path) -> Path:
+    """One to round, or to break."""
+    return shutil.copytree(exported, tmp_path / "bundle")
 
 
 def operations(bundle: Path, role: str) -> set[str]:

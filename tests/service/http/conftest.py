@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import threading
 import time
 from collections.abc import AsyncIterable, Callable, Iterator, Mapping
@@ -16,6 +15,8 @@ import uvicorn
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 from fastapi import FastAPI
 
+from anchorflow_cli.listening import listen as listen_at
+from anchorflow_cli.listening import url_of
 from anchorflow_service.http import create_app
 from anchorflow_service.http.lifecycle import AnchorServer
 from anchorflow_service.planning import PlanningService
@@ -93,14 +94,14 @@ def listen() -> Iterator[Callable[[FastAPI], str]]:
 
     def start(app: FastAPI) -> str:
         server = uvicorn.Server(uvicorn.Config(app, log_level="warning", ws="none"))
-        listener = socket.create_server(("127.0.0.1", 0))
+        listener = listen_at("127.0.0.1", 0)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         stops.append((server, thread))
         while not server.started:
             assert thread.is_alive()
             time.sleep(0.01)
-        return f"http://127.0.0.1:{listener.getsockname()[1]}"
+        return url_of(listener)
 
     yield start
     for server, thread in stops:
@@ -114,7 +115,7 @@ class Served:
 
     def __init__(self, server: AnchorServer) -> None:
         self.server = server
-        listener = socket.create_server(("127.0.0.1", 0))
+        listener = listen_at("127.0.0.1", 0)
         self.port = listener.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}"
         self._thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
