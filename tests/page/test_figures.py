@@ -16,7 +16,7 @@ import pytest
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 FIRST_LOAD_BYTES = 300 * 1000
-DRAG_S = 3.0
+DRAG_S = 1.0
 MOVE_MS = 16
 
 
