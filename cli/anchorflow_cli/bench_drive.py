@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -41,6 +42,10 @@ def drive(
     ] = None,
     num: NumOption = 64,
     samplers: SamplersOption = CARD,
+    seeds: Annotated[
+        list[int] | None,
+        typer.Option("--seed", help="Of a bundle's noise; repeatable.", show_default="0", min=0),
+    ] = None,
     threads: ThreadsOption = None,
     plans: Annotated[
         Path | None,
@@ -52,8 +57,8 @@ def drive(
     found = read_logs(logs)
     chosen = {} if drivers == "none" else named_drivers(drivers.split(","))
     for folder in bundle or []:
-        for sampler in samplers.split(","):
-            driver = BundleDriver(folder, num=num, sampler=sampler, threads=threads)
+        for sampler, seed in product(samplers.split(","), seeds or [0]):
+            driver = BundleDriver(folder, num=num, sampler=sampler, seed=seed, threads=threads)
             chosen[driver.name] = Entry(driver)
     windows = sum(log.windows for log in found)
     with progress("driving", windows) as advance:

@@ -27,7 +27,8 @@ from anchorflow_service.local import LocalClient
 
 Array = NDArray[np.float64]
 
-SEED = 0
+SEED_MARK = "_seed"
+"""In the name of a driver whose noise is not of seed 0."""
 
 FORETOLD = ("sim_rewards", "sub_scores")
 """Extras [N, 5] that foretell sub-scores."""
@@ -65,6 +66,8 @@ class Proposals:
 class BundleDriver:
     """Drives by the proposal with the highest score, of `num` or as many as there are.
 
+    seed: of the noise that its proposals come of, where they do
+
     Raises:
         BundleError: the bundle is broken.
         SensorError: it asks for what no log tells.
@@ -72,7 +75,13 @@ class BundleDriver:
     """
 
     def __init__(
-        self, folder: Path, *, num: int, sampler: str = CARD, threads: int | None = None
+        self,
+        folder: Path,
+        *,
+        num: int,
+        sampler: str = CARD,
+        seed: int = 0,
+        threads: int | None = None,
     ) -> None:
         bundle = load_bundle(folder)
         card = bundle.card
@@ -83,7 +92,7 @@ class BundleDriver:
         # Who chooses among fewer answers all of them.
         if isinstance(card.sampler, VocabularySpec | TruncatedDiffusionSpec):
             num = min(num, card.sampler.size)
-        self._options: dict[str, Any] = {"num_samples": num, "seed": SEED}
+        self._options: dict[str, Any] = {"num_samples": num, "seed": seed}
         if isinstance(card.sampler, OdeSpec):
             spec = parse_sampler(sampler, card)
             self._options["sampler"] = {"method": spec.method, "schedule": list(spec.schedule)}
@@ -94,6 +103,8 @@ class BundleDriver:
         self._told = [name for name in told if name in extras]
         self._inputs = card.inputs
         self.name = card.name if sampler == CARD else f"{card.name}_{sampler.replace(':', '_')}"
+        if seed and not isinstance(card.sampler, VocabularySpec):  # which draws no noise
+            self.name += f"{SEED_MARK}{seed}"
         self._client = LocalClient(Engine(bundle, threads=threads))
 
     def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array:

@@ -19,6 +19,7 @@ from anchorflow_benchmarks.driving.proposals import (
     proposal_figures,
 )
 from anchorflow_benchmarks.driving.rewards import choice_figures, choices_table, heads_table
+from anchorflow_benchmarks.driving.seeds import seeds_table
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, Driver
@@ -240,6 +241,9 @@ def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
             }
         ),
         heads_table(_foretold(judged)),
+        seeds_table(
+            {name: [v.figures["PDMS"] for v in verdicts] for name, verdicts in judged.items()}
+        ),
     ]
     return [table for table in tables if table]
 

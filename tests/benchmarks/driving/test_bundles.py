@@ -52,6 +52,27 @@ def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plans["trajectories"], chosen)
 
 
+def test_other_seeds_make_other_proposals_and_a_table_of_their_spread() -> None:
+    drivers = [BundleDriver(GOALFLOW, num=N, seed=seed, threads=1) for seed in (0, 1)]
+    assert [driver.name for driver in drivers] == ["goalflow", "goalflow_seed1"]
+    judged = judge_drivers({driver.name: Entry(driver) for driver in drivers}, [bend(0)])
+    tables = {table.title: table.rows for table in drive_tables(judged)}
+
+    zero, one = (each[0].proposals for each in judged.values())
+    assert zero is not None
+    assert one is not None
+    assert not np.array_equal(zero.trajectories, one.trajectories)
+    of_each = [float(str(row["PDMS"])) for row in tables["Proposals"]]
+    (row,) = tables["PDMS by seed"]
+    assert (row["driver"], row["seeds"]) == ("goalflow", 2)
+    assert (row["least"], row["most"]) == (min(of_each), max(of_each))
+    assert row["PDMS"] == pytest.approx(np.mean(of_each))
+
+
+def test_who_draws_no_noise_has_one_name_for_all_seeds() -> None:
+    assert BundleDriver(GOALFLOW.parent / "wote", num=N, seed=1, threads=1).name == "wote"
+
+
 def test_who_chooses_among_fewer_proposes_all_of_them() -> None:
     bundle = DEFAULT_BUNDLE.parent / "diffusiondrive"
     most = load_bundle(bundle).card.sampler.size  # type: ignore[union-attr]
