@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import product
 from pathlib import Path
 from typing import Annotated
 
@@ -57,9 +56,10 @@ def drive(
     found = read_logs(logs)
     chosen = {} if drivers == "none" else named_drivers(drivers.split(","))
     for folder in bundle or []:
-        for sampler, seed in product(samplers.split(","), seeds or [0]):
-            driver = BundleDriver(folder, num=num, sampler=sampler, seed=seed, threads=threads)
-            chosen[driver.name] = Entry(driver)
+        for sampler in samplers.split(","):
+            driver = BundleDriver(folder, num=num, sampler=sampler, threads=threads)
+            seeded = map(driver.seeded, seeds or [0])
+            chosen |= {each.name: Entry(each) for each in seeded}
     windows = sum(log.windows for log in found)
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)

@@ -154,12 +154,12 @@ def test_the_planner_of_this_repository_exports(
     adapter = flowmp_adapter(untaught(L2Config()), choices)
     differences = export_bundle(adapter, description, out=tmp_path / "bundle")
     assert max(part.error for part in differences) <= 1e-4
-    assert load_bundle(tmp_path / "bundle").card.time.dt is None  # each anchor has its own
-    card = load_bundle(tmp_path / "bundle").card.cost_map
-    limits = card.limits
+    card = load_bundle(tmp_path / "bundle").card
+    assert card.time.dt is None  # each anchor has its own
+    limits = card.cost_map.limits
     assert (limits.v_max, limits.a_max, limits.robot_radius) == (1.5, 2.5, 0.3)
     assert limits.horizon_s is None
-    assert card.ranges == {"v_max": (0.5, 2.0), "horizon_s": (2.0, 30.0)}
+    assert card.cost_map.ranges == {"v_max": (0.5, 2.0), "horizon_s": (2.0, 30.0)}
     client = LocalClient.of(tmp_path / "bundle", threads=1)
     request: dict[str, Any] = {
         "cost_map": {"data": np.zeros((1, 40, 40)), "resolution": 0.25},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -28,7 +29,7 @@ from anchorflow_service.local import LocalClient
 Array = NDArray[np.float64]
 
 SEED_MARK = "_seed"
-"""In the name of a driver whose noise is not of seed 0."""
+"""Before its number, at the end of the name of a driver whose noise is of another seed than 0."""
 
 FORETOLD = ("sim_rewards", "sub_scores")
 """Extras [N, 5] that foretell sub-scores."""
@@ -66,8 +67,6 @@ class Proposals:
 class BundleDriver:
     """Drives by the proposal with the highest score, of `num` or as many as there are.
 
-    seed: of the noise that its proposals come of, where they do
-
     Raises:
         BundleError: the bundle is broken.
         SensorError: it asks for what no log tells.
@@ -75,13 +74,7 @@ class BundleDriver:
     """
 
     def __init__(
-        self,
-        folder: Path,
-        *,
-        num: int,
-        sampler: str = CARD,
-        seed: int = 0,
-        threads: int | None = None,
+        self, folder: Path, *, num: int, sampler: str = CARD, threads: int | None = None
     ) -> None:
         bundle = load_bundle(folder)
         card = bundle.card
@@ -92,7 +85,7 @@ class BundleDriver:
         # Who chooses among fewer answers all of them.
         if isinstance(card.sampler, VocabularySpec | TruncatedDiffusionSpec):
             num = min(num, card.sampler.size)
-        self._options: dict[str, Any] = {"num_samples": num, "seed": seed}
+        self._options: dict[str, Any] = {"num_samples": num, "seed": 0}
         if isinstance(card.sampler, OdeSpec):
             spec = parse_sampler(sampler, card)
             self._options["sampler"] = {"method": spec.method, "schedule": list(spec.schedule)}
@@ -103,9 +96,17 @@ class BundleDriver:
         self._told = [name for name in told if name in extras]
         self._inputs = card.inputs
         self.name = card.name if sampler == CARD else f"{card.name}_{sampler.replace(':', '_')}"
-        if seed and not isinstance(card.sampler, VocabularySpec):  # which draws no noise
-            self.name += f"{SEED_MARK}{seed}"
+        self._draws_noise = not isinstance(card.sampler, VocabularySpec)
         self._client = LocalClient(Engine(bundle, threads=threads))
+
+    def seeded(self, seed: int) -> BundleDriver:
+        """The same engine, with noise of that seed; itself for 0, and where it draws none."""
+        if not seed or not self._draws_noise:
+            return self
+        other = copy(self)
+        other._options = {**self._options, "seed": seed}
+        other.name = f"{self.name}{SEED_MARK}{seed}"
+        return other
 
     def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array:
         """Its best proposal [T, 3]; NaN at times (s) that are none of PLAN_TIMES."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from statistics import mean
 
@@ -19,7 +20,7 @@ def seeds_table(pdms: Mapping[str, Sequence[float]]) -> ResultTable | None:
     of_seeds: dict[str, list[float]] = {}
     for name, windows in pdms.items():
         if windows:
-            of_seeds.setdefault(name.partition(SEED_MARK)[0], []).append(mean(windows))
+            of_seeds.setdefault(re.sub(rf"{SEED_MARK}\d+$", "", name), []).append(mean(windows))
     rows: list[Row] = [
         {"driver": name, "seeds": len(of), "PDMS": mean(of), "least": min(of), "most": max(of)}
         for name, of in of_seeds.items()

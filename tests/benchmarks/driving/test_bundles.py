@@ -53,7 +53,7 @@ def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
 
 
 def test_other_seeds_make_other_proposals_and_a_table_of_their_spread() -> None:
-    drivers = [BundleDriver(GOALFLOW, num=N, seed=seed, threads=1) for seed in (0, 1)]
+    drivers = [*map(BundleDriver(GOALFLOW, num=N, threads=1).seeded, (0, 1))]
     assert [driver.name for driver in drivers] == ["goalflow", "goalflow_seed1"]
     judged = judge_drivers({driver.name: Entry(driver) for driver in drivers}, [bend(0)])
     tables = {table.title: table.rows for table in drive_tables(judged)}
@@ -70,7 +70,8 @@ def test_other_seeds_make_other_proposals_and_a_table_of_their_spread() -> None:
 
 
 def test_who_draws_no_noise_has_one_name_for_all_seeds() -> None:
-    assert BundleDriver(GOALFLOW.parent / "wote", num=N, seed=1, threads=1).name == "wote"
+    driver = BundleDriver(GOALFLOW.parent / "wote", num=N, threads=1)
+    assert driver.seeded(1) is driver
 
 
 def test_who_chooses_among_fewer_proposes_all_of_them() -> None:
