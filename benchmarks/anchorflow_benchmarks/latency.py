@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
@@ -19,6 +19,7 @@ from anchorflow_benchmarks.samplers import evaluations, sampler_name
 from anchorflow_benchmarks.turns import p50, p99, take_turns
 from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_card
 from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
 from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
@@ -40,12 +41,15 @@ Loop = Callable[[Arrays, Beginning, OdeSpec], Array]
 
 @dataclass(frozen=True)
 class LatencyConfig:
-    """threads: that each contender may keep busy; rounds, budget_s: as `take_turns` takes them"""
+    """threads: that each contender may keep busy; rounds, budget_s: as `take_turns` takes them
+    providers: execution providers that the engine is also asked on, beside the CPU's
+    """
 
     counts: Sequence[int] = (1, 16, 64, 256)
     rounds: int = 30
     budget_s: float = 20.0
     threads: int = 1
+    providers: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -83,51 +87,71 @@ def latency_tables(
 
     Raises:
         BenchmarkError: a loop's anchors are not the engine's, so it does not do the same work.
+        ProviderError: a provider is not to be had here.
     """
-    stages, ratios = [], []
+    stages, ratios, elsewhere = [], [], []
     with threadpool_limits(config.threads):
         for contest in contests:
-            engine = Engine(contest.bundle, threads=config.threads)
+            engines = {
+                provider: Engine(contest.bundle, threads=config.threads, provider=provider)
+                for provider in (DEFAULT_PROVIDER, *config.providers)
+            }
             for num in config.counts:
                 progress(f"{contest.name}, N = {num}")
-                measured = _measure(contest, engine, scenes, num, config)
+                measured = _measure(contest, engines, scenes, num, config)
                 head = {
                     "model": contest.name,
                     "sampler": sampler_name(contest.sampler),
                     "N": num,
                     "evaluations": evaluations(contest.sampler),
                 }
-                stages.append(head | measured.stage_row())
+                stages.append(head | measured.stage_row(DEFAULT_PROVIDER))
+                elsewhere += [
+                    head
+                    | {"provider": provider}
+                    | measured.stage_row(provider)
+                    | {"apart m": apart}
+                    for provider, apart in measured.apart.items()
+                ]
                 ratios.append(head | measured.ratio_row())
     note = (
         f"threads: {config.threads}; medians of {config.rounds} rounds, fewer where a call is slow"
     )
-    return [
+    tables = [
         ResultTable("A request in this process, ms", stages, note),
         ResultTable("Against the floor, a 2048³ float32 product and plain loops", ratios, note),
     ]
+    if config.providers:
+        told = f"{note}; apart: the most that a position differs from the CPU's"
+        tables.append(ResultTable("The same by execution provider, ms", elsewhere, told))
+    return tables
 
 
 @dataclass(frozen=True)
 class Measured:
-    """stages, loops: times in ms by name; flops: of the field in one sample; product: ms"""
+    """stages: times in ms by provider and name; loops: by name; product: ms
+    flops: of the field in one sample; apart: m, of anchors from the CPU's, by provider
+    """
 
-    stages: dict[str, list[float]]
+    stages: dict[str, dict[str, list[float]]]
     loops: dict[str, list[float]]
     product: list[float]
     flops: int
+    apart: dict[str, float]
 
     @property
     def floor_ms(self) -> float:
         return self.flops * p50(self.product) / PRODUCT_FLOPS
 
-    def stage_row(self) -> dict[str, float | int]:
-        total = self.stages["total"]
-        row: dict[str, float | int] = {f"{s} p50": p50(self.stages[s]) for s in STAGES}
+    def stage_row(self, provider: str) -> dict[str, float | int]:
+        stages = self.stages[provider]
+        total = stages["total"]
+        row: dict[str, float | int] = {f"{s} p50": p50(stages[s]) for s in STAGES}
         return row | {"total p99": p99(total), "requests": len(total)}
 
     def ratio_row(self) -> dict[str, float]:
-        total, sample = p50(self.stages["total"]), p50(self.stages["sample"])
+        stages = self.stages[DEFAULT_PROVIDER]
+        total, sample = p50(stages["total"]), p50(stages["sample"])
         row = {
             "floor ms": self.floor_ms,
             "sample / floor": sample / self.floor_ms,
@@ -141,28 +165,51 @@ class Measured:
 
 
 def _measure(
-    contest: Contest, engine: Engine, scenes: Sequence[Scene], num: int, config: LatencyConfig
+    contest: Contest,
+    engines: Mapping[str, Engine],
+    scenes: Sequence[Scene],
+    num: int,
+    config: LatencyConfig,
 ) -> Measured:
     asked = [request_of(s, num=num, seed=SEED, sampler=contest.sampler) for s in scenes]
-    requests = [resolve_for_card(request, engine.card) for request in asked]
+    requests = [resolve_for_card(request, engines[DEFAULT_PROVIDER].card) for request in asked]
     work = _sampling_work(contest.bundle, requests[0])
     _check_same_work(contest, work)
-    stages: dict[str, list[float]] = {stage: [] for stage in STAGES}
-    ahead = cycle(requests)
-
-    def ask_engine() -> None:
-        timing = engine.plan(next(ahead)).timing_ms
-        for stage, times in stages.items():
-            times.append(timing[stage])
-
-    calls: dict[str, Callable[[], object]] = {"engine": ask_engine, "product": MatrixProduct()}
+    timed = {provider: _TimedEngine(engine, requests) for provider, engine in engines.items()}
+    calls: dict[str, Callable[[], object]] = {**timed, "product": MatrixProduct()}
     for name, loop in contest.loops.items():
         calls[name] = lambda loop=loop: loop(work.inputs, work.begun, contest.sampler)
     times = take_turns(calls, rounds=config.rounds, budget_s=config.budget_s, rest_s=REST_S)
-    warm = {stage: values[1:] for stage, values in stages.items()}
-    warm["total"] = times.pop("engine")  # seen from outside: the request's checks belong to it
+    # The total as seen from outside: the request's checks belong to it.
+    stages = {name: engine.warm() | {"total": times.pop(name)} for name, engine in timed.items()}
     flops = _field_flops(contest.bundle, work, num) * evaluations(contest.sampler)
-    return Measured(warm, times, times.pop("product"), flops)
+    apart = {provider: _apart(engines, provider, requests[0]) for provider in config.providers}
+    return Measured(stages, times, times.pop("product"), flops, apart)
+
+
+class _TimedEngine:
+    """Asks an engine for one request after the other, and keeps its own times."""
+
+    def __init__(self, engine: Engine, requests: Sequence[ResolvedRequest]) -> None:
+        self._engine, self._ahead = engine, cycle(requests)
+        self._stages: dict[str, list[float]] = {stage: [] for stage in STAGES}
+
+    def __call__(self) -> None:
+        timing = self._engine.plan(next(self._ahead)).timing_ms
+        for stage, times in self._stages.items():
+            times.append(timing[stage])
+
+    def warm(self) -> dict[str, list[float]]:
+        """The times in ms by stage, without the first call's."""
+        return {stage: times[1:] for stage, times in self._stages.items()}
+
+
+def _apart(engines: Mapping[str, Engine], provider: str, request: ResolvedRequest) -> float:
+    """m, the most that a position of one provider's anchors differs from the CPU's."""
+    ours, theirs = (
+        engines[each].plan(request).trajectories[..., :2] for each in (DEFAULT_PROVIDER, provider)
+    )
+    return float(np.abs(ours - theirs).max())
 
 
 @dataclass(frozen=True)

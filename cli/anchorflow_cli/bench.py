@@ -188,6 +188,12 @@ def latency(
         list[Path] | None,
         typer.Option(help="A truncated diffusion to time stage by stage, and nothing else."),
     ] = None,
+    provider: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="cuda|tensorrt|openvino", help="Also ask the engine there; repeatable."
+        ),
+    ] = None,
     threads: ThreadsOption = None,
     out: OutOption = RESULTS,
 ) -> None:
@@ -202,6 +208,7 @@ def latency(
         rounds=rounds,
         budget_s=budget_s,
         threads=threads or usable_cores(),
+        providers=provider or (),
     )
     weights = [*(checkpoint or []), *[None] * len(bundles)]
     if len(checkpoint or []) > len(bundles):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,17 @@ def test_the_engine_and_its_loops_are_measured(bundle: Bundle, scenes: list[Fami
     assert ratio["evaluations"] == 4
     assert float(ratio["floor ms"] or 0) > 0
     assert {"total / ONNX loop", "total / inputs repeated"} <= set(ratio)
+
+
+def test_other_providers_are_asked_by_turns_and_held_against_the_cpu(
+    bundle: Bundle, scenes: list[FamilyScene]
+) -> None:
+    contest = Contest("small", bundle, parse_sampler("midpoint:uniform2", bundle.card))
+    *_, elsewhere = latency_tables([contest], scenes, replace(ONCE, providers=("cpu",)))
+
+    (row,) = elsewhere.rows
+    assert (row["provider"], row["requests"], row["apart m"]) == ("cpu", LEAST, 0.0)
+    assert float(row["total p50"] or 0) >= float(row["sample p50"] or 0) > 0
 
 
 def test_a_loop_that_does_other_work_is_found(bundle: Bundle, scenes: list[FamilyScene]) -> None:

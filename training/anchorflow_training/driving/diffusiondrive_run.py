@@ -68,7 +68,8 @@ class DiffusionDriveRun(SensorRun):
         self.first_weights(model.perception.backbone)
 
     def new_objective(self, model: DiffusionDriveV2) -> DiffusionDriveObjective:
-        return DiffusionDriveObjective(model, self.config.objective, self.judge)
+        judge = self.judge
+        return DiffusionDriveObjective(model, self.config.objective, judge, judge.references)
 
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
         return {
