@@ -303,7 +303,7 @@ NOT_HERE = {
         "needs a container engine; tests/docker holds the file to the commands' options"
     ),
     "docker build --file docker/Dockerfile --tag anchorflow:cuda"
-    " --build-arg BASE_IMAGE=nvidia/cuda:12.6.3-cudnn-runtime-ubuntu24.04"
+    " --build-arg BASE_IMAGE=nvidia/cuda:13.0.1-cudnn-runtime-ubuntu24.04"
     " --build-arg ONNXRUNTIME=onnxruntime-gpu .": "needs a container engine and a GPU",
     "docker run --gpus all --publish 127.0.0.1:8000:8000 anchorflow:cuda"
     " serve --host 0.0.0.0 --provider cuda": "needs a container engine and a GPU",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeAlias
 
 import onnxruntime as ort
 
@@ -18,6 +19,11 @@ DEFAULT_PROVIDER = "cpu"
 # Who takes the nodes that a provider does not; the CPU would, and every tensor between them would
 # cross from the device and back.
 HELPERS = {PROVIDERS["tensorrt"]: (PROVIDERS["cuda"],)}
+# Products of ten bits' precision, CUDA's default, move anchors by decimetres over a flow.
+OPTIONS = {PROVIDERS["cuda"]: {"use_tf32": "0"}}
+
+Preference: TypeAlias = tuple[str, dict[str, str]]
+"""A provider by onnxruntime's name, and its options."""
 
 
 class ProviderError(AnchorFlowError):
@@ -41,10 +47,11 @@ def provider_named(name: str) -> str:
     return PROVIDERS[name]
 
 
-def preferences(wanted: str) -> list[str]:
-    """The providers of a session, by onnxruntime's names: the wanted one, then its helpers."""
+def preferences(wanted: str) -> list[Preference]:
+    """The providers of a session: the wanted one, then its helpers."""
     offered = ort.get_available_providers()
-    return [wanted, *(name for name in HELPERS.get(wanted, ()) if name in offered)]
+    names = [wanted, *(name for name in HELPERS.get(wanted, ()) if name in offered)]
+    return [(name, OPTIONS.get(name, {})) for name in names]
 
 
 def check_obtained(session: ort.InferenceSession, wanted: str, path: Path) -> None:

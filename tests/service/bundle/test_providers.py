@@ -59,4 +59,8 @@ def test_what_tensorrt_does_not_take_goes_to_cuda(
     wanted: str, offered: list[str], asked_for: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ort, "get_available_providers", lambda: offered)
-    assert preferences(wanted) == asked_for
+    assert [name for name, _ in preferences(wanted)] == asked_for
+
+
+def test_cuda_multiplies_in_float32() -> None:
+    assert dict(preferences(CUDA))[CUDA] == {"use_tf32": "0"}
