@@ -2,7 +2,7 @@
 
 Three stages, each of which goes on from the weights of the one before, and one that joins two:
 
-    imitation       perception and denoiser: the anchor nearest to the expert's way, moved onto it
+    imitation       perception and denoiser: the anchor nearest to the record, moved onto it
     scorers         both scorers: PDM sub-scores of the candidates that the denoiser makes
     together        both at once, so that perception learns what the scorers ask of it
     reinforcement   the denoiser: of each anchor's samples, those that score above its others
@@ -38,6 +38,7 @@ from anchorflow_training.driving.perception_losses import (
     focal_loss,
     motion_loss,
     occupancy_loss,
+    route_loss,
 )
 from anchorflow_training.driving.sensor_windows import LIDAR_RANDOMISED, sensors_of
 from anchorflow_training.settings import setting
@@ -47,8 +48,6 @@ Terms = dict[str, Tensor]
 Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
 """PDM sub-scores [B, M, 5] in [0, 1], or [B, M, 6] with DDC, of trajectories [B, M, T, 3] in
 windows [B], by number, the ego beginning at speeds [B]; NaN: as recorded."""
-References = Callable[[Tensor, Tensor], Tensor]
-"""Plans [B, T, 3] of the PDM score's reference in such windows, at such speeds."""
 
 SPEED, ALONG, ACROSS = 4, 6, 7
 """Of the ego status: velocity and acceleration forward, acceleration to the left."""
@@ -64,9 +63,6 @@ class DiffusionDriveObjectiveConfig:
     stage: Literal["imitation", "scorers", "together", "reinforcement"] = setting(
         "imitation", "What is learnt; each stage begins with a checkpoint of the one before."
     )
-    expert: Literal["record", "reference"] = setting(
-        "record", "Who is imitated: who was recorded, or PDM-Closed, the PDM score's reference."
-    )
     classes: float = setting(1.0, "Which anchor is the one.", least=0)
     poses: float = setting(8.0, "L1 of its poses.", least=0)
     agents: float = setting(1.0, "Of the boxes.", least=0)
@@ -78,10 +74,13 @@ class DiffusionDriveObjectiveConfig:
     far: float = setting(
         0.5, "Of who is beyond the LiDAR's square, where the model looks there.", least=0
     )
+    route: float = setting(
+        0.5, "Of how far places lie aside of the way, where the model looks for it.", least=0
+    )
     coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
     fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
     imitation: float = setting(
-        1.0, "Of which candidate is the expert's, where the model has a head for it.", least=0
+        1.0, "Of which candidate a person would drive, where the model has a head for it.", least=0
     )
     likeness: float = setting(1.0, "m, over which a candidate's soft label falls by e.", above=0)
     rank: float = setting(0.0, "Of pairs of candidates in the wrong order, both scorers.", least=0)
@@ -105,34 +104,19 @@ class DiffusionDriveObjectiveConfig:
     exploration: float = setting(0.1, "Spread of a sample's factors on x and on y.", above=0)
 
 
-@dataclass(frozen=True, eq=False)
-class Expert:
-    """Who is imitated.
-
-    ways: [B, T, 3] m, rad; share: weights [B] of the windows, which sum to 1 or are all 0
-    """
-
-    ways: Tensor
-    share: Tensor
-
-
 class DiffusionDriveObjective(nn.Module):
-    """Loss and its terms on a batch; `judge` is asked in all stages but the first, `references`
-    where they are the expert's."""
+    """Loss and its terms on a batch; `judge` is asked in all stages but the first."""
 
     def __init__(
         self,
         model: DiffusionDriveV2,
         config: DiffusionDriveObjectiveConfig,
         judge: Judge | None = None,
-        references: References | None = None,
     ) -> None:
         super().__init__()
         if judge is None and config.stage != "imitation":
             raise ValueError(f"judge: expected one for the stage {config.stage!r}, got None")
-        if references is None and config.expert == "reference":
-            raise ValueError("references: expected those of the expert 'reference', got None")
-        self.model, self.config, self.judge, self.references = model, config, judge, references
+        self.model, self.config, self.judge = model, config, judge
 
     def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:  # noqa: ARG002
         """Noise [B, A G, T, 2], levels [B], diversity [B, A G, V, 2], order of candidates [B, M],
@@ -178,7 +162,8 @@ class DiffusionDriveObjective(nn.Module):
         rad; agents [B, Q, 5], agent_velocity [B, Q, 2] and agent_count [B]; semantics [B, H/2, H]
         classes; occupancy [B, T, H/4, H/4] 0 or 1; where the model compares two sweeps also
         lidar_randomised as lidar_before and randomised_velocity as agent_velocity, and far_others,
-        far_velocity and far_count, as those of agents, of who is far ahead; window [B], for
+        far_velocity and far_count, as those of agents, of who is far ahead; where it looks for the
+        way, aside [B, R, C] m, of its cells, NaN where nobody knows; window [B], for
         the judge; signs [B, 3] of its poses, which reflect a window that was reflected."""
         config, anchors = self.config, self.model.config.anchors
         status, speeds = self._changed(batch["ego_status"], change)
@@ -189,11 +174,10 @@ class DiffusionDriveObjective(nn.Module):
         with torch.set_grad_enabled(learns):
             seen = self.model.perception(**sensors)
         terms: Terms = {}
-        expert = self._expert(batch, speeds)
         if learns:
-            terms |= self._imitation(seen, batch, noise[:, :anchors], level, expert)
+            terms |= self._imitation(seen, batch, noise[:, :anchors], level, speeds)
         if config.stage in SCORED:
-            terms |= self._scorers(seen, batch, noise, diversity, order, speeds, expert)
+            terms |= self._scorers(seen, batch, noise, diversity, order, speeds)
         if config.stage == "reinforcement":
             terms |= self._reinforcement(seen, batch, noise, diversity[:, :, 0])
         weighted = [
@@ -205,7 +189,7 @@ class DiffusionDriveObjective(nn.Module):
         """The status [B, 8] as it is told, and the speeds [B] that are not as recorded, or NaN."""
         config, status = self.config, status.clone()
         speeds = torch.full_like(status[:, 0], torch.nan)
-        if config.speed and (config.stage in SCORED or config.expert == "reference"):
+        if config.stage in SCORED and config.speed:
             other = change[:, 3] < OTHER_SPEEDS
             before = status[:, SPEED]
             after = (before + config.speed * change[:, 0]).clamp(min=0.0)
@@ -217,34 +201,27 @@ class DiffusionDriveObjective(nn.Module):
         status[:, ALONG:] += config.acceleration * change[:, 1:3]
         return status, speeds
 
-    def _expert(self, batch: Mapping[str, Tensor], speeds: Tensor) -> Expert:
-        if self.config.expert == "record":
-            return Expert(batch["future"], as_recorded(speeds))
-        assert self.references is not None  # as the constructor found
-        ways = self.references(batch["window"], speeds).to(batch["future"])
-        share = torch.full_like(batch["ego_status"][:, 0], 1 / len(speeds))
-        return Expert(ways * batch["signs"][:, None], share)
-
     def _imitation(
         self,
         seen: Perceived,
         batch: Mapping[str, Tensor],
         noise: Tensor,
         level: Tensor,
-        expert: Expert,
+        speeds: Tensor,
     ) -> Terms:
-        model, future = self.model, expert.ways
+        model, future = self.model, batch["future"]
         signal = torch.as_tensor(model.config.noise_levels.signal).to(noise)[level]
         x_t = noised(begun(model, groups=1), noise, signal[:, None, None, None])
         winner = self.nearest(future)
         rows = torch.arange(len(winner), device=winner.device)
-        share = expert.share
+        share = as_recorded(speeds)
         classes, poses = [], []
         for made in model.denoiser(x_t, level.to(noise.dtype), seen.scene):
             classes.append(share @ F.cross_entropy(made.logits, winner, reduction="none"))
             poses.append(share @ pose_distance(made.trajectories[rows, winner], future))
         return {
             **self._motion(seen, batch),
+            **self._route(seen, batch),
             "classes": torch.stack(classes).mean(),
             "poses": torch.stack(poses).mean(),
             "agents": agent_loss(
@@ -276,8 +253,13 @@ class DiffusionDriveObjective(nn.Module):
         beyond = motion_loss(seen.far, *far, cell=cell, ahead=reach + backbone.far_range)
         return {"motion": torch.stack(losses).mean(), "far": beyond}
 
+    def _route(self, seen: Perceived, batch: Mapping[str, Tensor]) -> Terms:
+        """The term `route`, where the fine scorer counts keeping to the way."""
+        aside = seen.scene.aside
+        return {} if aside is None else {"route": route_loss(aside, batch["aside"])}
+
     def nearest(self, future: Tensor) -> Tensor:
-        """[B]: the anchor whose points lie nearest to those of the expert's way [B, T, 3]."""
+        """[B]: the anchor whose points lie nearest to those of the record."""
         apart = (self.model.anchors - future[:, None, :, :2]).norm(dim=-1).mean(-1)
         return apart.argmin(-1)
 
@@ -289,7 +271,6 @@ class DiffusionDriveObjective(nn.Module):
         diversity: Tensor,
         order: Tensor,
         speeds: Tensor,
-        expert: Expert,
     ) -> Terms:
         model, scene = self.model, seen.scene
         with torch.no_grad():
@@ -313,11 +294,11 @@ class DiffusionDriveObjective(nn.Module):
         misses = [sub_score_loss(s.logits, true_of_kept) for s in fine]
         score, choice = pdm_score(truth), fine[-1].scores.detach().argmax(-1, keepdim=True)
         coarse_scores = pdm_score(logits.sigmoid())
-        apart = distances(candidates, expert.ways)
+        apart = distances(candidates, batch["future"])
         ranks = [wrong_order(coarse_scores, score)]
         ranks += [wrong_order(pdm_score(s.logits.sigmoid()), pdm_score(true_of_kept)) for s in fine]
         return {
-            **self._likeness(coarse, fine, apart, kept[..., 0], expert.share),
+            **self._likeness(coarse, fine, apart, kept[..., 0], as_recorded(speeds)),
             "coarse": sub_score_loss(logits, truth),
             "fine": torch.stack(misses).mean(),
             "rank": torch.stack(ranks).mean(),
@@ -331,7 +312,7 @@ class DiffusionDriveObjective(nn.Module):
     ) -> Terms:
         """The term `imitation`, where there are heads for it.
 
-        apart: [B, M] m from the expert's way; kept: [B, K] of them that are scored finely
+        apart: [B, M] m from the record; kept: [B, K] of them that are scored finely
         share: [B] of the windows in the loss
         """
         judged = [(coarse, apart), *((scored, apart.gather(1, kept)) for scored in fine)]

@@ -68,8 +68,7 @@ class DiffusionDriveRun(SensorRun):
         self.first_weights(model.perception.backbone)
 
     def new_objective(self, model: DiffusionDriveV2) -> DiffusionDriveObjective:
-        judge = self.judge
-        return DiffusionDriveObjective(model, self.config.objective, judge, judge.references)
+        return DiffusionDriveObjective(model, self.config.objective, self.judge)
 
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
         return {

@@ -12,13 +12,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.log import FRAME_S, read_log
+from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer, direction_compliance
 from anchorflow_driving.window import Scenes, Window
 
 KEPT_LOGS, KEPT_WINDOWS = 256, 256
-AT_POSES = np.rint(PLAN_TIMES / FRAME_S).astype(int)
 
 
 class PdmJudge:
@@ -46,19 +44,13 @@ class PdmJudge:
         plans = trajectories.detach().cpu().double().numpy()
         begun = [math.nan] * len(plans) if speeds is None else speeds.tolist()
         rows = [
-            self._judged(self._scorer_of(int(window), speed), own)
+            self._judged(
+                self._scorer(int(window)) if math.isnan(speed) else self._begun(int(window), speed),
+                own,
+            )
             for window, speed, own in zip(windows, begun, plans, strict=True)
         ]
         return torch.from_numpy(np.array(rows, np.float32))
-
-    def references(self, windows: Tensor, speeds: Tensor) -> Tensor:
-        """[B, T, 3]: what PDM-Closed plans in windows [B], the ego beginning at speeds [B]; NaN:
-        as recorded. It sees everybody as he is now, and goes by the route."""
-        plans = [
-            self._scorer_of(int(window), speed).reference.plan.poses[AT_POSES]
-            for window, speed in zip(windows, speeds.tolist(), strict=True)
-        ]
-        return torch.from_numpy(np.array(plans, np.float32))
 
     def _judged(self, scorer: PdmScorer, plans: NDArray[np.float64]) -> NDArray[np.float64]:
         """[M, 5 or 6]"""
@@ -69,11 +61,10 @@ class PdmJudge:
         compliance = direction_compliance(scorer.metres_against(motion))
         return np.concatenate([scores, compliance[:, None]], axis=-1)
 
-    def _scorer_of(self, window: int, speed: float) -> PdmScorer:
-        # None and not NaN, which is not itself and would never be found again.
-        return self._scorer(window, None if math.isnan(speed) else speed)
+    def _new_scorer(self, window: int) -> PdmScorer:
+        return PdmScorer(self._window(window))
 
-    def _new_scorer(self, window: int, speed: float | None) -> PdmScorer:
+    def _begun(self, window: int, speed: float) -> PdmScorer:
         return PdmScorer(self._window(window), speed=speed)
 
     def _window(self, window: int) -> Window:
