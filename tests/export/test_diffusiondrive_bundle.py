@@ -26,7 +26,7 @@ from anchorflow_service.local import LocalClient
 
 DESCRIPTION = BundleDescription(name="tiny", version="1.0.0", planner="diffusiondrive")
 EXTRAS = (
-    *("coarse_scores", "sub_scores", "direction_scores", "keeping_scores"),
+    *("coarse_scores", "sub_scores", "direction_scores"),
     *("agents", "agent_scores", "bev_semantics"),
 )
 CANDIDATES = 4 * 2 * 2 + 3
@@ -35,7 +35,6 @@ SMALL = replace(
     backbone=replace(TINY.backbone, lidar_before=True),
     encounters=TINY.footprint,
     direction=True,
-    keeping=2.0,
     imitation=0.1,
     pessimistic=True,
 )
@@ -96,12 +95,9 @@ def test_no_graph_of_the_published_planner_takes_what_the_small_one_adds(
         for name in ("ego_motion", "foretold"):
             assert (name in {spec.name for spec in graphs["encode"].outputs}) is wanted
             assert [name in taken for taken in scorers] == [wanted, wanted]
-        assert "aside" not in scorers[0]
-        assert ("aside" in scorers[1]) is wanted
         assert ("coarse_logits" in scorers[1]) is wanted
         told_last = {spec.name for spec in graphs["fine"].outputs}
-        assert {"direction_scores", "keeping_scores"} <= told_last or not wanted
-        assert not {"direction_scores", "keeping_scores"} & told_last or wanted
+        assert ("direction_scores" in told_last) is wanted
 
 
 def untraced(_: nn.Module, *, inputs: Sequence[TensorSpec], outputs: Sequence[str]) -> TracedGraph:
@@ -131,7 +127,6 @@ def test_an_answer_holds_what_was_asked_for(client: LocalClient) -> None:
         "coarse_scores": (4,),
         "sub_scores": (4, 5),
         "direction_scores": (4,),
-        "keeping_scores": (4,),
         "agents": (30, 5),
         "agent_scores": (30,),
         "bev_semantics": (3, 8, 16),
@@ -140,13 +135,11 @@ def test_an_answer_holds_what_was_asked_for(client: LocalClient) -> None:
     assert (np.diff(told.scores) <= 0).all()
 
 
-def test_a_score_is_made_of_what_is_told_beside_it(client: LocalClient) -> None:
-    """The PDM score with keeping among what is weighed, times direction and likelihood."""
+def test_a_score_is_the_pdm_score_times_direction_and_likelihood(client: LocalClient) -> None:
     kept = client.plan(inputs=sensors(), seed=1, outputs=EXTRAS)
     nc, dac, ep, ttc, c = kept.arrays["sub_scores"].T
     direction = kept.arrays["direction_scores"]
-    weighted = 5 * ep + 5 * ttc + 2 * c + 2 * kept.arrays["keeping_scores"]
-    likelihood = kept.scores / (nc * dac * direction * weighted / 14)
+    likelihood = kept.scores / (nc * dac * direction * (5 * ep + 5 * ttc + 2 * c) / 12)
     assert np.ptp(direction) > 1e-4
     assert likelihood.max() == pytest.approx(1.0, abs=1e-5)  # beside the likeliest of those kept
     assert 0.0 < likelihood.min() < 0.999

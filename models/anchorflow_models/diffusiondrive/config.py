@@ -49,9 +49,6 @@ class DiffusionDriveConfig:
         show, and as the front camera does beyond them; published is none
     direction: whether both scorers also foretell how far a candidate drives against its lanes'
         direction (DDC), and multiply by it; published is not
-    keeping: weight in the fine scorer's scores, beside 5 of EP and of TTC and 2 of C, of how well a
-        candidate keeps to the way that is commanded, as the front camera shows it; published is 0,
-        no network that looks for it
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
         published is 0, no head that foretells it
     pessimistic: whether a candidate is worth the least that the coarse scorer and any layer of the
@@ -88,7 +85,6 @@ class DiffusionDriveConfig:
     footprint: Places = ()
     encounters: Places = ()
     direction: bool = False
-    keeping: float = 0.0
     imitation: float = 0.0
     pessimistic: bool = field(default=False, metadata={"free": True})
     x_range: tuple[float, float] = (-1.2, 55.7)
@@ -123,7 +119,6 @@ class DiffusionDriveConfig:
         check("value_kernel", self.value_kernel in (1, 3, 5), "1, 3 or 5", self.value_kernel)
         seen = self.backbone.lidar_before or not self.encounters
         check("encounters", seen, "none without lidar_before of the backbone", self.encounters)
-        check("keeping", self.keeping >= 0, "at least 0", self.keeping)
         check("imitation", self.imitation >= 0, "at least 0", self.imitation)
         check("diversity", min(self.diversity) >= 0, "at least 0 each", self.diversity)
         fits = 1 <= self.bezier_degree <= POSES
@@ -166,6 +161,5 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         footprint=CAR,
         encounters=(*CAR, (5.0, 0.0)),
         direction=True,
-        keeping=2.0,
         imitation=0.01,
     )

@@ -36,7 +36,6 @@ from anchorflow_models.transfuser import (
     FarSight,
     Moving,
     OccupancyHead,
-    RouteSight,
     SemanticHead,
     SweepMotion,
     TransfuserBackbone,
@@ -102,7 +101,6 @@ class Perception(nn.Module):
         )
         self.sweeps = SweepMotion(backbone) if config.encounters else None
         self.far = FarSight(backbone) if config.encounters else None
-        self.route = RouteSight(backbone) if config.keeping else None
 
     def forward(
         self,
@@ -128,8 +126,7 @@ class Perception(nn.Module):
             before = torch.zeros_like(lidar) if lidar_before is None else lidar_before
             moving, far = self.sweeps(lidar, before, seen.upscaled), self.far(camera)
             foretold = self.sweeps.foretold(with_far(moving, far), FORETOLD_TIMES)
-        aside = None if self.route is None else self.route(camera, seen.upscaled, ego_status)
-        scene = SceneFeatures(bev, values, decoded[:, 1:], ego, motion, foretold, aside)
+        scene = SceneFeatures(bev, values, decoded[:, 1:], ego, motion, foretold)
         agents, logits = self.agents(scene.agents)
         semantics, occupancy = self.semantics(seen.upscaled), self.occupancy(seen.upscaled)
         return Perceived(scene, agents, logits, semantics, occupancy, seen.upscaled, moving, far)
@@ -172,11 +169,7 @@ class DiffusionDriveV2(nn.Module):
         """What the other graphs take, by name, and what is told of the scene beside."""
         seen = self.perception(camera, lidar, ego_status, lidar_before)
         begin = self.denoiser.space.normalised(self.anchors)
-        scene = {
-            "ego_motion": seen.scene.motion,
-            "foretold": seen.scene.foretold,
-            "aside": seen.scene.aside,
-        }
+        scene = {"ego_motion": seen.scene.motion, "foretold": seen.scene.foretold}
         told = {name: tensor for name, tensor in scene.items() if tensor is not None}
         return told | {
             "anchors": begin.expand(camera.shape[0], -1, -1, -1),
@@ -242,15 +235,14 @@ class DiffusionDriveV2(nn.Module):
         ego_query: Tensor,
         ego_motion: Tensor | None = None,
         foretold: Tensor | None = None,
-        aside: Tensor | None = None,
         coarse_logits: Tensor | None = None,
         coarse_imitation: Tensor | None = None,
     ) -> Outputs:
         """candidates: [B, M, T, 3]; features: [B, M, F]; the last two as of `coarse`, which counts
-        too where the network is pessimistic -> scores [B, M], sub_scores [B, M, 5] and, where
-        they are foretold, direction_scores and keeping_scores [B, M]
+        too where the network is pessimistic -> scores [B, M], sub_scores [B, M, 5] and, where it
+        is foretold, direction_scores [B, M]
         """
-        scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion, foretold, aside)
+        scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion, foretold)
         layers, coarse = self.fine_scorer(candidates, features, scene), None
         if coarse_logits is not None:
             coarse = Scored(features, coarse_logits, coarse_imitation, self.config.imitation)
@@ -259,7 +251,6 @@ class DiffusionDriveV2(nn.Module):
             "scores": scored.scores,
             "sub_scores": scored.sub_scores,
             **({} if scored.direction is None else {"direction_scores": scored.direction}),
-            **({} if scored.keeping is None else {"keeping_scores": scored.keeping}),
         }
 
     def deciding(self, fine: Sequence[Scored], coarse: Scored | None) -> Scored:

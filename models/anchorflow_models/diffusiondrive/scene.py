@@ -18,7 +18,6 @@ class SceneFeatures:
     motion: [B, 4] the ego's velocity (m/s) and acceleration (m/s²), where the scorers are told it
     foretold: [B, FORETOLD_TIMES, H', H] the share of each cell that others take at these times,
         beyond the LiDAR's square too, where the scorers are told it
-    aside: [B, 2, R, C] of `RouteSight`, where the fine scorer is told it
     """
 
     bev: Tensor
@@ -27,4 +26,3 @@ class SceneFeatures:
     ego: Tensor
     motion: Tensor | None = None
     foretold: Tensor | None = None
-    aside: Tensor | None = None

@@ -31,13 +31,7 @@ from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.layers.lookup import lookup
 from anchorflow_models.layers.scalar_head import scalar_head
 from anchorflow_models.layers.zero import zero_linear
-from anchorflow_models.transfuser import (
-    BevValues,
-    Footprint,
-    bev_places,
-    placed,
-    route_keeping,
-)
+from anchorflow_models.transfuser import BevValues, Footprint, bev_places, placed
 
 SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
 DIRECTION = "DDC"
@@ -45,17 +39,13 @@ DIRECTION = "DDC"
 LEAST_SHARE = 1e-3
 
 
-def pdm_score(sub_scores: Tensor, keeping: Tensor | None = None, *, weight: float = 0.0) -> Tensor:
+def pdm_score(sub_scores: Tensor) -> Tensor:
     """[..., 5] in the order of SUB_SCORES -> [...]: NC DAC (5 EP + 5 TTC + 2 C) / 12.
 
-    Of [..., 6] also times the last, DDC, and with [...] lane keeping among the weighted ones, as
-    the extended PDM score of NAVSIM v2 has them.
+    Of [..., 6] also times the last, DDC, as the extended PDM score of NAVSIM v2 has it.
     """
     nc, dac, ep, ttc, comfort, *direction = sub_scores.unbind(-1)
-    weighted, of = 5 * ep + 5 * ttc + 2 * comfort, 12.0
-    if keeping is not None:
-        weighted, of = weighted + weight * keeping, of + weight
-    score = nc * dac * weighted / of
+    score = nc * dac * (5 * ep + 5 * ttc + 2 * comfort) / 12
     return score * direction[0] if direction else score
 
 
@@ -66,16 +56,12 @@ class Scored:
     features: [B, M, F]; logits: [B, M, 5] in the order of SUB_SCORES, [B, M, 6] with DDC
     imitation: [B, M] logits over the candidates, of which a person would drive, where a head
         foretells them; weight: what they count in the scores
-    keeping: [B, M] in [0, 1], how well they keep to the way, where the network looks for it;
-        keeping_weight: what that counts
     """
 
     features: Tensor
     logits: Tensor
     imitation: Tensor | None
     weight: float
-    keeping: Tensor | None = None
-    keeping_weight: float = 0.0
 
     def taken(self, chosen: Tensor) -> Scored:
         """What it foretells of the candidates at these places [K]."""
@@ -100,9 +86,9 @@ class Scored:
 
     @property
     def scores(self) -> Tensor:
-        """[B, M] in [0, 1]: the PDM score, with DDC where a head foretells it and with keeping
-        where the way is looked for, times the likelihood beside that of the likeliest."""
-        score = pdm_score(self.logits.sigmoid(), self.keeping, weight=self.keeping_weight)
+        """[B, M] in [0, 1]: the PDM score, with DDC where a head foretells it, times the likelihood
+        beside that of the likeliest."""
+        score = pdm_score(self.logits.sigmoid())
         if self.imitation is None:
             return score
         beside = self.imitation - self.imitation.amax(-1, keepdim=True)
@@ -283,7 +269,6 @@ class FineScorer(nn.Module):
         self.motion, self.under = ToldMotion(config), SeenUnder(config)
         self.met = Encounters(config)
         self.layers = nn.ModuleList(ScorerLayer(config) for _ in range(config.fine_layers))
-        self.keeping, self.cell = config.keeping, config.backbone.upscaled_cell
 
     def forward(self, candidates: Tensor, features: Tensor, scene: SceneFeatures) -> list[Scored]:
         """candidates: [B, M, T, 3]; features: [B, M, F] -> one a layer, of which the last counts"""
@@ -295,8 +280,4 @@ class FineScorer(nn.Module):
             scored = layer(features, candidates[..., :2], scene)
             features = scored.features
             made.append(scored)
-        if not self.keeping:
-            return made
-        assert scene.aside is not None  # as `Perception` tells it
-        kept = route_keeping(scene.aside, candidates[..., :2], cell=self.cell)
-        return [replace(each, keeping=kept, keeping_weight=self.keeping) for each in made]
+        return made

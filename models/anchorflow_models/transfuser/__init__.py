@@ -17,7 +17,6 @@ from anchorflow_models.transfuser.heads import (
     OccupancyHead,
     SemanticHead,
 )
-from anchorflow_models.transfuser.route_sight import RouteSight, route_keeping
 from anchorflow_models.transfuser.status import MOTION, STATUS, STATUS_UNITS
 from anchorflow_models.transfuser.sweep_motion import Moving, SweepMotion
 
@@ -39,14 +38,12 @@ __all__ = [
     "Moving",
     "OccupancyHead",
     "Places",
-    "RouteSight",
     "SemanticHead",
     "SweepMotion",
     "TransfuserBackbone",
     "TransfuserConfig",
     "bev_places",
     "placed",
-    "route_keeping",
     "small_transfuser",
     "with_far",
 ]

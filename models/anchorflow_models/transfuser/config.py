@@ -109,13 +109,6 @@ class TransfuserConfig:
         return self.far_size[0] * self.upscaled_cell
 
     @property
-    def route_size(self) -> tuple[int, int]:
-        """Rows and columns of such cells ahead of the ego: as far as three quarters of the side,
-        and half of it wide.
-        """
-        return 3 * self.upscaled_size // 4, 2 * (self.upscaled_size // 4)
-
-    @property
     def semantic_size(self) -> tuple[int, int]:
         """Rows and columns of the semantic BEV, which is the half before the ego."""
         return self.lidar_size // 2, self.lidar_size

@@ -62,8 +62,6 @@ def whole(
     best = told["coarse_scores"].argsort(-1, descending=True)[:, : config.keep]
     told["kept"] = torch.take_along_dim(told["candidates"], best[..., None, None], 1)
     features = torch.take_along_dim(told["features"], best[..., None], 1)
-    if "aside" in told:
-        of_scorers["aside"] = told["aside"]
     coarse = {}
     if config.pessimistic:
         coarse = {
@@ -97,7 +95,7 @@ def test_the_published_shapes() -> None:
     assert (told["candidates"], told["features"]) == ((1, 800, 8, 3), (1, 800, 512))
     assert told["kept"] == (1, 32, 8, 3)
     assert (told["scores"], told["sub_scores"]) == ((1, 32), (1, 32, 5))
-    assert not {"direction_scores", "keeping_scores"} & set(told)
+    assert "direction_scores" not in told
 
 
 @torch.inference_mode()
@@ -151,9 +149,7 @@ def test_a_pessimist_expects_the_least_that_any_scorer_foretells() -> None:
         ]
     ).mean(0)
     beside = likely - likely.amax(-1, keepdim=True)
-    kept = told["keeping_scores"]
-    score = pdm_score(least.sigmoid(), kept, weight=SMALL.keeping)
-    wanted = score * (SMALL.imitation * beside).exp()
+    wanted = pdm_score(least.sigmoid()) * (SMALL.imitation * beside).exp()
     torch.testing.assert_close(told["scores"], wanted)
 
 
@@ -161,7 +157,7 @@ OF_NO_DENOISER = ("bev", "ego_motion", "foretold")
 
 
 @pytest.mark.parametrize(
-    "told", ["agent_queries", "ego_query", "ego_motion", "values", "bev", "foretold", "aside"]
+    "told", ["agent_queries", "ego_query", "ego_motion", "values", "bev", "foretold"]
 )
 @torch.inference_mode()
 def test_every_stage_hears_the_scene(told: str) -> None:
@@ -172,8 +168,7 @@ def test_every_stage_hears_the_scene(told: str) -> None:
     )
     for name in ("trajectories", "coarse_scores", "scores"):
         heard = not torch.allclose(after[name], before[name], atol=1e-6)
-        deaf = told in OF_NO_DENOISER and name == "trajectories"
-        assert heard is not (deaf or (told == "aside" and name != "scores")), name
+        assert heard is not (told in OF_NO_DENOISER and name == "trajectories"), name
 
 
 @torch.inference_mode()
@@ -292,20 +287,6 @@ def test_the_published_planner_is_told_nobody_s_future() -> None:
     model = planner(replace(SMALL, encounters=()))
     assert not any("met" in name or "sweeps" in name for name in model.state_dict())
     assert "foretold" not in model.encode(**sensors())
-
-
-@torch.inference_mode()
-def test_keeping_to_the_way_is_weighed_beside_the_sub_scores() -> None:
-    assert DiffusionDriveConfig().keeping == 0.0
-    told = whole(planner(replace(SMALL, keeping=3.0, imitation=0.0)), sensors())
-    sub_scores, keeping = told["sub_scores"], told["keeping_scores"]
-    nc, dac, ep, ttc, comfort = sub_scores.unbind(-1)
-    weighted = (5 * ep + 5 * ttc + 2 * comfort + 3 * keeping) / 15
-    torch.testing.assert_close(told["scores"], nc * dac * weighted * told["direction_scores"])
-    assert keeping.max() - keeping.min() > 1e-3
-    plain = planner(replace(SMALL, keeping=0.0))
-    assert not any("route" in name for name in plain.state_dict())
-    assert "aside" not in plain.encode(**sensors())
 
 
 @torch.inference_mode()

@@ -267,23 +267,6 @@ def test_how_others_move_is_learnt_where_sweeps_are_compared() -> None:
     assert without["motion"] != terms["motion"]  # of those that move as chance has it alone
 
 
-def test_the_way_is_learnt_where_keeping_to_it_counts() -> None:
-    settings = DiffusionDriveObjectiveConfig(stage="imitation")
-    model = tiny_diffusiondrive(replace(TINY, keeping=2.0)).train()
-    loss_of = DiffusionDriveObjective(model, settings)
-    aside = torch.tensor([[[3.0, -1.0], [2.0, torch.nan], [0.5, -8.0]]]).expand(B, -1, -1)
-    given, optimiser = batch() | {"aside": aside}, torch.optim.AdamW(model.parameters(), 1e-2)
-    before = loss_of(given, *drawn_for(loss_of))[1]
-    assert set(before) == IMITATION | {"route"}
-    for _ in range(60):
-        loss, terms = loss_of(given, *drawn_for(loss_of))
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    assert terms["route"].isfinite()
-    assert terms["route"] < before["route"] - 0.5
-
-
 def test_the_winner_is_the_nearest_anchor() -> None:
     loss_of = objective("imitation")
     assert loss_of.nearest(batch()["future"]).tolist() == [1, 2]
@@ -354,7 +337,6 @@ def sensed(window: Window, sizes: SensorSizes) -> Drawn:
         "semantics": pictures["semantics"] % len(CLASSES),
         "future_semantics": pictures["semantics"] % len(CLASSES),
         "occupancy": pictures["occupancy"] % 2,
-        "aside": pictures["aside"] % 241,
         "ego_status": np.eye(8, dtype=np.float32)[1],
         "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
         "agents": np.ones((30, 5), np.float32),

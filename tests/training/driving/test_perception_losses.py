@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-import pytest
 import torch
 from torch import Tensor
 
 from anchorflow_models.transfuser import Moving
-from anchorflow_training.driving.perception_losses import THERE, motion_loss, route_loss
+from anchorflow_training.driving.perception_losses import THERE, motion_loss
 
 REACH = 8.0
 BOXES = torch.tensor([[[4.5, 2.5, 0.0, 3.0, 1.0], [-4.5, -2.5, math.pi / 2, 3.0, 1.0]]])
@@ -63,19 +62,3 @@ def test_cells_may_begin_farther_ahead() -> None:
     assert told < 1e-9
     narrow = Moving(there[..., 4:12], velocity[..., 4:12])  # 4 m to either side
     assert motion_loss(narrow, far, VELOCITY, count, cell=1.0, ahead=REACH + 20.0) < 1e-9
-
-
-def test_the_way_costs_by_how_sure_one_was() -> None:
-    aside = torch.tensor([[[1.0, torch.nan], [-2.0, 1.0]]])
-    told = torch.zeros(1, 2, 2, 2)
-    told[:, 0] = torch.tensor([[1.0, 99.0], [-2.0, 2.0]])  # the last is 1 m wrong
-    assert float(route_loss(told, aside)) == pytest.approx(1 / 3)
-    told[:, 1] = math.log(2.0)
-    assert float(route_loss(told, aside)) == pytest.approx(math.log(2.0) + 0.5 / 3)
-
-
-def test_what_lies_far_aside_counts_a_tenth() -> None:
-    aside = torch.tensor([[[20.0, 1.0]]])
-    told = torch.zeros(1, 2, 1, 2)
-    told[0, 0, 0, 1] = 1.0
-    assert float(route_loss(told, aside)) == pytest.approx(0.1 * 5.9 / 1.1)

@@ -17,7 +17,6 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log, write_log
 from anchorflow_driving.pdm import PdmScorer
-from anchorflow_driving.route import Route
 from anchorflow_driving.sensors.rendering import Renderer, RenderingUnavailable
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.wote import RewardWeights, WoTE
@@ -33,18 +32,10 @@ from anchorflow_training.driving.anchor_scores import (
     trajectory_anchors,
 )
 from anchorflow_training.driving.kept_logs import open_logs
-from anchorflow_training.driving.semantic_bev import (
-    CLASSES,
-    aside_of_route,
-    occupancy,
-    semantic_bev,
-    view_after,
-)
+from anchorflow_training.driving.semantic_bev import CLASSES, occupancy, semantic_bev, view_after
 from anchorflow_training.driving.sensor_windows import (
     Drawn,
     SensorSizes,
-    aside_as_bytes,
-    aside_of_bytes,
     open_sensor_windows,
     reflected,
 )
@@ -80,7 +71,6 @@ def drawn(window: Window, sizes: SensorSizes) -> Drawn:
         **pictures,
         **{name: pictures[name] % 6 for name in sizes.histograms},
         "occupancy": pictures["occupancy"] % 2,
-        "aside": pictures["aside"] % 241,
         "semantics": semantic_bev(view, rows=16, reach=32.0),
         "future_semantics": semantic_bev(later, rows=16, reach=32.0),
         "ego_status": np.eye(8, dtype=np.float32)[1],
@@ -220,24 +210,6 @@ def test_semantics_show_the_leader_where_it_is_and_will_be(logs: list[Path]) -> 
     assert (later == vehicle).sum() == 0
     still = later == now
     assert still[now != vehicle].all()
-
-
-def test_places_are_told_how_far_they_lie_aside_of_the_route(logs: list[Path]) -> None:
-    window = Scenes(read_log(logs[0]))[0]
-    aside = aside_of_route(window.view, rows=12, columns=8, cell=1.0)
-    assert aside.shape == (12, 8)
-    # The bend begins along the ego's line: near it the column tells the distance.
-    np.testing.assert_allclose(aside[-1], 3.5 - np.arange(8), atol=0.3)
-    ends = replace(window.view, route=Route(np.array([[-5.0, 0.0], [6.5, 0.0]])))
-    told = aside_of_route(ends, rows=12, columns=8, cell=1.0)
-    assert np.isnan(told[:5]).all()  # from 7 m on
-    np.testing.assert_allclose(told[6:], np.tile(3.5 - np.arange(8), (6, 1)))
-
-
-def test_distances_are_kept_to_five_centimetres_and_six_metres() -> None:
-    aside = np.array([[0.0, -1.23, 5.99], [9.0, -70.0, np.nan]])
-    told = aside_of_bytes(aside_as_bytes(aside))
-    np.testing.assert_allclose(told, [[0.0, -1.25, 6.0], [6.0, -6.0, np.nan]], atol=1e-5)
 
 
 def test_occupancy_follows_the_leader_and_leaves_the_ego_out(logs: list[Path]) -> None:

@@ -38,7 +38,6 @@ from anchorflow_training.driving.perception_losses import (
     focal_loss,
     motion_loss,
     occupancy_loss,
-    route_loss,
 )
 from anchorflow_training.driving.sensor_windows import LIDAR_RANDOMISED, sensors_of
 from anchorflow_training.settings import setting
@@ -73,9 +72,6 @@ class DiffusionDriveObjectiveConfig:
     )
     far: float = setting(
         0.5, "Of who is beyond the LiDAR's square, where the model looks there.", least=0
-    )
-    route: float = setting(
-        0.5, "Of how far places lie aside of the way, where the model looks for it.", least=0
     )
     coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
     fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
@@ -162,8 +158,7 @@ class DiffusionDriveObjective(nn.Module):
         rad; agents [B, Q, 5], agent_velocity [B, Q, 2] and agent_count [B]; semantics [B, H/2, H]
         classes; occupancy [B, T, H/4, H/4] 0 or 1; where the model compares two sweeps also
         lidar_randomised as lidar_before and randomised_velocity as agent_velocity, and far_others,
-        far_velocity and far_count, as those of agents, of who is far ahead; where it looks for the
-        way, aside [B, R, C] m, of its cells, NaN where nobody knows; window [B], for
+        far_velocity and far_count, as those of agents, of who is far ahead; window [B], for
         the judge; signs [B, 3] of its poses, which reflect a window that was reflected."""
         config, anchors = self.config, self.model.config.anchors
         status, speeds = self._changed(batch["ego_status"], change)
@@ -221,7 +216,6 @@ class DiffusionDriveObjective(nn.Module):
             poses.append(share @ pose_distance(made.trajectories[rows, winner], future))
         return {
             **self._motion(seen, batch),
-            **self._route(seen, batch),
             "classes": torch.stack(classes).mean(),
             "poses": torch.stack(poses).mean(),
             "agents": agent_loss(
@@ -252,11 +246,6 @@ class DiffusionDriveObjective(nn.Module):
         far = (batch["far_others"], batch["far_velocity"], batch["far_count"])
         beyond = motion_loss(seen.far, *far, cell=cell, ahead=reach + backbone.far_range)
         return {"motion": torch.stack(losses).mean(), "far": beyond}
-
-    def _route(self, seen: Perceived, batch: Mapping[str, Tensor]) -> Terms:
-        """The term `route`, where the fine scorer counts keeping to the way."""
-        aside = seen.scene.aside
-        return {} if aside is None else {"route": route_loss(aside, batch["aside"])}
 
     def nearest(self, future: Tensor) -> Tensor:
         """[B]: the anchor whose points lie nearest to those of the record."""

@@ -8,13 +8,11 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from anchorflow_models.transfuser import Moving
-from anchorflow_models.transfuser.route_sight import LOG_SPREAD
 
 HEADING = 2  # of x, y, heading, length, width
 MOVES = 0.5  # m/s
 MOVING = 4.0  # times what the velocity of something at rest weighs
 CLOSE = 0.3  # m/s, below which smooth L1 is a square
-FAR_ASIDE, FAR_COUNTS = 5.9, 0.1  # m, from which on a place counts so little
 THERE = 5.0  # times the loss of velocities weighs whether somebody is there
 
 
@@ -32,20 +30,6 @@ def focal_loss(
 def occupancy_loss(logits: Tensor, occupied: Tensor) -> Tensor:
     """Binary cross-entropy, its mean; logits: [B, T, H, H]; occupied: 0 or 1 likewise."""
     return F.binary_cross_entropy_with_logits(logits, occupied.to(logits.dtype))
-
-
-def route_loss(told: Tensor, aside: Tensor) -> Tensor:
-    """How far places lie aside of the way, by a Laplace density's logarithm, its mean.
-
-    told: [B, 2, R, C] as `RouteSight` tells it; aside: [B, R, C] m, NaN where nobody knows, which
-    counts for nothing; what lies FAR_ASIDE or more counts little
-    """
-    known = aside.isfinite()
-    true = torch.where(known, aside, torch.zeros_like(aside)).clamp(-FAR_ASIDE, FAR_ASIDE)
-    weight = known * torch.where(true.abs() < FAR_ASIDE, 1.0, FAR_COUNTS)
-    spread = told[:, 1].clamp(*LOG_SPREAD)
-    misses = (told[:, 0] - true).abs() * (-spread).exp() + spread
-    return (weight * misses).sum() / weight.sum().clamp(min=1.0)
 
 
 def motion_loss(

@@ -13,9 +13,6 @@ from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.sensors.bev import FULL, LANES, BevGrid, draw_bev, draw_boxes
 from anchorflow_driving.window import PlannerView, Window
 
-NEXT_TO_AN_END = 1e-3  # m
-Floats = NDArray[np.float64]
-
 CLASSES = ("nothing", "drivable", "lane", "line", "crosswalk", "static", "vehicle", "person")
 # Channels of the raster in the order in which they are painted over one another, and the least
 # share of a cell that counts: centrelines touch a cell's edge.
@@ -57,20 +54,6 @@ def occupancy(window: Window, *, cells: int, reach: float) -> NDArray[np.uint8]:
         for time in PLAN_TIMES
     ]
     return (np.stack(boxes) >= FULL // 4).astype(np.uint8)
-
-
-def aside_of_route(view: PlannerView, *, rows: int, columns: int, cell: float) -> Floats:
-    """m [rows, columns] that cells ahead of the ego lie to the left of the route; NaN beyond its
-    ends.
-
-    Row 0 lies farthest ahead, column 0 farthest left; the last row begins at the rear axle.
-    """
-    ahead = cell * (rows - 0.5 - np.arange(rows))
-    left = cell * (columns / 2 - 0.5 - np.arange(columns))
-    places = np.stack(np.meshgrid(ahead, left, indexing="ij"), axis=-1)
-    along, aside = view.route.project(places)
-    beside = (along > NEXT_TO_AN_END) & (along < view.route.length - NEXT_TO_AN_END)
-    return np.where(beside, aside, np.nan)
 
 
 def view_after(window: Window, seconds: float) -> PlannerView:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -31,19 +30,13 @@ from anchorflow_training.driving.kept_logs import (
     write_beside,
 )
 from anchorflow_training.driving.randomised_motion import randomised_motion
-from anchorflow_training.driving.semantic_bev import (
-    aside_of_route,
-    occupancy,
-    semantic_bev,
-    view_after,
-)
+from anchorflow_training.driving.semantic_bev import occupancy, semantic_bev, view_after
 from anchorflow_training.reflection import reflection
 
 KEPT = ".sensors"
 """Suffix of the file beside a log that holds what its sensors tell."""
 LEVEL = 3  # of zlib
 COUNTS = 5  # points in a LiDAR cell that make 1
-ASIDE_UNIT, FARTHEST_ASIDE, UNKNOWN = 0.05, 6.0, 255  # m, of a byte, and at most; of no distance
 SWEEPS = ("lidar", LIDAR_BEFORE)
 LIDAR_RANDOMISED = "lidar_randomised"
 """The earlier sweep, had the others moved as chance has it."""
@@ -90,14 +83,7 @@ class SensorSizes:
             "semantics": semantic,
             "future_semantics": semantic,
             "occupancy": (len(PLAN_TIMES), self.cells, self.cells),
-            "aside": (3 * self.cells // 4, 2 * (self.cells // 4)),
         }
-
-    @property
-    def layout(self) -> NDArray[np.float64]:
-        """Of what is kept: the sizes, and the bytes of a window's pictures."""
-        size = sum(math.prod(shape) for shape in self.shapes.values())
-        return np.array([*asdict(self).values(), size])
 
     @property
     def sweeps(self) -> tuple[str, ...]:
@@ -111,7 +97,7 @@ class SensorSizes:
 
     @property
     def cells(self) -> int:
-        """Cells a side of the occupancy, as large as those of `aside`."""
+        """Cells a side of the occupancy."""
         return self.lidar_size // SEMANTIC_STRIDE
 
     @property
@@ -151,7 +137,6 @@ class SensorWindows:
         pictures = [self._pictures(int(window)) for window in windows]
         drawn = {n: np.stack([each[n] for each in pictures]) for n in self.sizes.shapes}
         drawn |= {name: drawn[name].astype(np.float32) / COUNTS for name in self.sizes.histograms}
-        drawn["aside"] = aside_of_bytes(drawn["aside"])
         seen = drawn | {name: array[windows] for name, array in self.numbers.items()}
         return reflected(seen, pictures=tuple(drawn)) if mirrored else seen
 
@@ -176,7 +161,6 @@ def reflected(batch: Batch, *, pictures: Sequence[str]) -> Batch:
     return {
         **batch,
         **turned,
-        "aside": -turned["aside"],
         "ego_status": mirrored_status(batch["ego_status"]),
         "future": batch["future"] * signs,
         **{name: batch[name] * boxes for name in BOXES},
@@ -231,7 +215,7 @@ def keep_sensors(
         log.with_suffix(KEPT),
         pictures=np.frombuffer(b"".join(streams), np.uint8),
         sizes=np.array([len(stream) for stream in streams], np.int64),
-        layout=sizes.layout,
+        layout=np.array(list(asdict(sizes).values())),
         **arrays,
     )
 
@@ -254,14 +238,6 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
             view_after(window, float(PLAN_TIMES[-1])), rows=rows, reach=reach
         ),
         "occupancy": occupancy(window, cells=sizes.cells, reach=reach),
-        "aside": aside_as_bytes(
-            aside_of_route(
-                view,
-                rows=sizes.shapes["aside"][0],
-                columns=sizes.shapes["aside"][1],
-                cell=2 * reach / sizes.cells,
-            )
-        ),
         "ego_status": seen["ego_status"],
         "future": window.recorded(PLAN_TIMES).astype(np.float32),
         "agents": agents,
@@ -274,20 +250,6 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
     }
 
 
-def aside_as_bytes(aside: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Distances in m, NaN where unknown, to the nearest 5 cm and as far as 6 m to either side."""
-    known = np.isfinite(aside)
-    clipped = np.clip(np.where(known, aside, 0.0), -FARTHEST_ASIDE, FARTHEST_ASIDE)
-    counted = np.rint((clipped + FARTHEST_ASIDE) / ASIDE_UNIT)
-    return np.where(known, counted, UNKNOWN).astype(np.uint8)
-
-
-def aside_of_bytes(counted: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """The distances that `aside_as_bytes` was given."""
-    aside = counted.astype(np.float32) * ASIDE_UNIT - FARTHEST_ASIDE
-    return np.where(counted == UNKNOWN, np.float32(np.nan), aside)
-
-
 def _is_kept(log: Path, sizes: SensorSizes) -> bool:
     """Whether a log's windows are there, whole, of these sizes, and drawn of the log as it is."""
     kept = log.with_suffix(KEPT)
@@ -295,4 +257,4 @@ def _is_kept(log: Path, sizes: SensorSizes) -> bool:
         return False
     with np.load(kept, allow_pickle=False) as file:
         whole = all(name in file for name in NUMBERS)
-        return whole and np.array_equal(file["layout"], sizes.layout)
+        return whole and np.array_equal(file["layout"], list(asdict(sizes).values()))

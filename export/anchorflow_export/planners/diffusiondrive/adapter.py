@@ -41,11 +41,11 @@ F32 = "float32"
 OUTPUTS = {
     "encode": (
         *("anchors", "bev", "values", "agent_queries", "ego_query", "ego_motion", "foretold"),
-        *("aside", "agents", "agent_scores", "bev_semantics"),
+        *("agents", "agent_scores", "bev_semantics"),
     ),
     "denoise": ("x_0", "trajectories", "class_scores"),
     "coarse": ("candidates", "features", "coarse_scores", "coarse_logits", "coarse_imitation"),
-    "fine": ("scores", "sub_scores", "direction_scores", "keeping_scores"),
+    "fine": ("scores", "sub_scores", "direction_scores"),
 }
 
 
@@ -95,7 +95,6 @@ class DiffusionDriveAdapter:
         """A planner asked with tensors, a "truncated_diffusion" sampler and no finish."""
         config, levels = self.model.config, self.model.config.noise_levels
         direction = TensorSpec("direction_scores", F32, ("B", "N"), range=(0.0, 1.0))
-        keeping = TensorSpec("keeping_scores", F32, ("B", "N"), range=(0.0, 1.0))
         rows, columns = config.backbone.semantic_size
         reach = config.backbone.lidar_range
         return PlannerParts(
@@ -121,7 +120,6 @@ class DiffusionDriveAdapter:
                     TensorSpec("coarse_scores", F32, ("B", "N"), range=(0.0, 1.0)),
                     TensorSpec("sub_scores", F32, ("B", "N", 5), range=(0.0, 1.0)),
                     *((direction,) if config.direction else ()),
-                    *((keeping,) if config.keeping else ()),
                     TensorSpec("agents", F32, ("B", AGENT_QUERIES, AGENT_STATE), "m, m, rad, m, m"),
                     TensorSpec("agent_scores", F32, ("B", AGENT_QUERIES), range=(0.0, 1.0)),
                     TensorSpec(
@@ -232,15 +230,14 @@ def torch_sample(
     told |= {name: told[name][:, best] for name in _outputs(model, "coarse")}
     told |= model.fine(**_taken(model.fine, told))
     best = told["scores"][0].argsort(descending=True, stable=True)
-    chosen = ("scores", "sub_scores", "direction_scores", "keeping_scores", "coarse_scores")
+    chosen = ("scores", "sub_scores", "direction_scores", "coarse_scores")
     picked = {name: told[name][0, best] for name in chosen if name in told}
     return {"trajectories": told["candidates"][0, best], **picked}
 
 
 def _outputs(model: DiffusionDriveV2, role: str) -> tuple[str, ...]:
     """The ego's motion and where others will be only where the scorers are told; what `coarse`
-    foretells only where it counts with what `fine` does; direction and way only where they are
-    foretold.
+    foretells only where it counts with what `fine` does; the direction only where it is foretold.
     """
     config = model.config
     unread = set() if config.ego_motion else {"ego_motion"}
@@ -252,8 +249,6 @@ def _outputs(model: DiffusionDriveV2, role: str) -> tuple[str, ...]:
         unread |= {"coarse_imitation"}
     if not config.direction:
         unread |= {"direction_scores"}
-    if not config.keeping:
-        unread |= {"aside", "keeping_scores"}
     return tuple(name for name in OUTPUTS[role] if name not in unread)
 
 
