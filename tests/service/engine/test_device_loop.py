@@ -6,6 +6,7 @@ What needs a GPU is skipped by the provider's name.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -194,7 +195,7 @@ def needing(provider: str, named: str) -> Any:
     return pytest.param(provider, marks=skip, id=provider)
 
 
-def obtained(wanted: str) -> list[str]:
+def obtained(wanted: str) -> Sequence[str]:
     """The providers of a session that was asked for one."""
     options = ort.SessionOptions()
     options.log_severity_level = 4  # what cannot be loaded is no news here
