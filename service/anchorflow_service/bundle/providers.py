@@ -19,7 +19,7 @@ DEFAULT_PROVIDER = "cpu"
 # Who takes the nodes that a provider does not; the CPU would, and every tensor between them would
 # cross from the device and back.
 HELPERS = {PROVIDERS["tensorrt"]: (PROVIDERS["cuda"],)}
-# Products of ten bits' precision, CUDA's default, move anchors by decimetres over a flow.
+# float32 is multiplied as on the CPU, and not with factors of ten bits, CUDA's default.
 OPTIONS = {PROVIDERS["cuda"]: {"use_tf32": "0"}}
 
 Preference: TypeAlias = tuple[str, dict[str, str]]
