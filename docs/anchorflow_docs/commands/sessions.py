@@ -221,6 +221,7 @@ NOT_HERE = {
     "anchorflow bench quality --bundle whole --bundle rounded": MEASURES,
     "anchorflow bench routes": MEASURES,
     "anchorflow bench latency": MEASURES,
+    "anchorflow bench latency --provider cuda": "needs a GPU",
     "anchorflow bench latency --checkpoint runs/default/checkpoint.pt"
     " --samplers rk4:8step,card": MEASURES,
     "anchorflow bench load": MEASURES,
