@@ -18,12 +18,14 @@ class BevAttention(nn.Module):
 
     heads: shares of the values, each with weights of its own; several begin by looking at one point
         each, from the first to the last
-    reach: m from the middle of the BEV to its edges
+    reach: m from the middle of the BEV to its edges; ahead: m by which it lies before the ego
     """
 
-    def __init__(self, width: int, *, points: int, heads: int, reach: float) -> None:
+    def __init__(
+        self, width: int, *, points: int, heads: int, reach: float, ahead: float = 0.0
+    ) -> None:
         super().__init__()
-        self.reach, self.heads = reach, heads
+        self.reach, self.ahead, self.heads = reach, ahead, heads
         self.weights = nn.Linear(width, heads * points)
         if heads > 1:
             own = torch.arange(heads) * points // heads
@@ -34,4 +36,5 @@ class BevAttention(nn.Module):
     def forward(self, queries: Tensor, points: Tensor, values: Tensor) -> Tensor:
         """What to add to queries [B, N, W]; points: [B, N, T, 2] m; values: [B, H, H, W]"""
         weights = self.weights(queries).unflatten(-1, (self.heads, -1)).softmax(-1)
-        return self.out(lookup_sum(values, bev_places(points, self.reach), weights))
+        places = bev_places(points, self.reach, ahead=self.ahead)
+        return self.out(lookup_sum(values, places, weights))

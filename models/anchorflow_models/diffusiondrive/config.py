@@ -47,6 +47,9 @@ class DiffusionDriveConfig:
     encounters: m ahead and to the left of a pose, places at which both scorers look up who will be
         there when it is reached and within a second of it, if all go on as two sweeps of the LiDAR
         show, and as the front camera does beyond them; published is none
+    ground_sight: whether the cameras' picture is also looked up on the ground, and denoiser and
+        scorers look at the road ahead, to 7/8 of the LiDAR square's side, in place of that square;
+        published is not
     direction: whether both scorers also foretell how far a candidate drives against its lanes'
         direction (DDC), and multiply by it; published is not
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
@@ -84,6 +87,7 @@ class DiffusionDriveConfig:
     ego_motion: bool = False
     footprint: Places = ()
     encounters: Places = ()
+    ground_sight: bool = False
     direction: bool = False
     imitation: float = 0.0
     pessimistic: bool = field(default=False, metadata={"free": True})
@@ -133,6 +137,11 @@ class DiffusionDriveConfig:
     def noise_levels(self) -> NoiseLevels:
         """How much of the data is left at each level."""
         return NoiseLevels(first=self.noise[0], last=self.noise[1])
+
+    @property
+    def bev_ahead(self) -> float:
+        """m by which the BEV that denoiser and scorers look at lies before the LiDAR's square."""
+        return self.backbone.ground_ahead if self.ground_sight else 0.0
 
     @property
     def candidates(self) -> int:

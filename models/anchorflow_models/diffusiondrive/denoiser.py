@@ -43,7 +43,11 @@ class DenoiserLayer(nn.Module):
         super().__init__()
         width, heads = config.width, config.heads
         self.look = BevAttention(
-            width, points=POSES, heads=config.look_heads, reach=config.backbone.lidar_range
+            width,
+            points=POSES,
+            heads=config.look_heads,
+            reach=config.backbone.lidar_range,
+            ahead=config.bev_ahead,
         )
         self.agents, self.ego = Attention(width, heads), Attention(width, heads)
         self.feed_forward = FeedForward(width, config.hidden)

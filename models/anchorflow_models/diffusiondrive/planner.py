@@ -28,12 +28,15 @@ from anchorflow_models.diffusiondrive.trajectories import Variants
 from anchorflow_models.layers.attention import Decoder
 from anchorflow_models.transfuser import (
     AGENT_QUERIES,
+    GROUND_WIDTH,
     MOTION,
     STATUS,
     STATUS_UNITS,
     AgentHead,
     BevValues,
     FarSight,
+    GroundSemanticHead,
+    GroundSight,
     Moving,
     OccupancyHead,
     SemanticHead,
@@ -78,7 +81,7 @@ class Perception(nn.Module):
         super().__init__()
         width, backbone = config.width, config.backbone
         self.tells_motion = config.ego_motion
-        self.cells = backbone.bev_size
+        self.cells, self.ground_rows = backbone.bev_size, backbone.ground_rows
         self.backbone = TransfuserBackbone(backbone)
         self.narrow = nn.Conv2d(backbone.bev_width, width, 1)
         self.status = nn.Linear(STATUS, width)
@@ -90,10 +93,17 @@ class Perception(nn.Module):
             width, config.heads, hidden=config.hidden, layers=config.query_layers
         )
         self.agents = AgentHead(width, config.hidden, reach=backbone.lidar_range)
-        self.semantics = SemanticHead(backbone, config.classes)
+        self.ground: GroundSight | None = None
+        self.semantics: SemanticHead | GroundSemanticHead
+        if config.ground_sight:
+            self.ground = GroundSight(backbone)
+            self.semantics = GroundSemanticHead(backbone, width, config.classes)
+        else:
+            self.semantics = SemanticHead(backbone, config.classes)
         self.occupancy = OccupancyHead(backbone.bev_channels, POSES)
+        ground = GROUND_WIDTH if config.ground_sight else 0
         self.joined = nn.Sequential(
-            nn.Linear(width + backbone.bev_channels, width), nn.ReLU(), nn.LayerNorm(width)
+            nn.Linear(width + backbone.bev_channels + ground, width), nn.ReLU(), nn.LayerNorm(width)
         )
         self.values = nn.ModuleList(
             BevValues(width, width, kernel=config.value_kernel)
@@ -116,7 +126,7 @@ class Perception(nn.Module):
         status = self.status(ego_status / self.status_units)[:, None]
         known = torch.cat([cells, status], 1) + self.places
         decoded = self.decoder(self.queries.expand(known.shape[0], -1, -1), known)
-        bev = self._joined(known[:, :-1], seen.upscaled)
+        bev = self._joined(known[:, :-1], seen.upscaled, camera, ego_status)
         values = torch.stack([value(bev) for value in self.values], 1)
         ego, motion = decoded[:, :1], None
         if self.tells_motion:
@@ -128,16 +138,25 @@ class Perception(nn.Module):
             foretold = self.sweeps.foretold(with_far(moving, far), FORETOLD_TIMES)
         scene = SceneFeatures(bev, values, decoded[:, 1:], ego, motion, foretold)
         agents, logits = self.agents(scene.agents)
-        semantics, occupancy = self.semantics(seen.upscaled), self.occupancy(seen.upscaled)
+        semantics = self.semantics(seen.upscaled if self.ground is None else bev)
+        occupancy = self.occupancy(seen.upscaled)
         return Perceived(scene, agents, logits, semantics, occupancy, seen.upscaled, moving, far)
 
-    def _joined(self, cells: Tensor, upscaled: Tensor) -> Tensor:
+    def _joined(self, cells: Tensor, upscaled: Tensor, camera: Tensor, status: Tensor) -> Tensor:
         """The coarse cells [B, h h, W] over the fine ones [B, C, H, H] -> [B, W, H, H]"""
         coarse = cells.transpose(1, 2).unflatten(-1, (self.cells, self.cells))
         size = [int(side) for side in upscaled.shape[-2:]]
         spread = F.interpolate(coarse, size=size, mode="bilinear", align_corners=False)
-        both = torch.cat([spread, upscaled], 1).permute(0, 2, 3, 1)
-        return self.joined(both).permute(0, 3, 1, 2)
+        parts = [spread, upscaled]
+        if self.ground is not None:
+            parts = [_before(part, self.ground_rows) for part in parts]
+            parts.append(self.ground(camera, parts[1], status / self.status_units))
+        return self.joined(torch.cat(parts, 1).permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
+
+
+def _before(bev: Tensor, rows: int) -> Tensor:
+    """A BEV of a square so many rows farther ahead, where nothing is known of those."""
+    return F.pad(bev[:, :, : bev.shape[2] - rows], (0, 0, rows, 0))
 
 
 class DiffusionDriveV2(nn.Module):

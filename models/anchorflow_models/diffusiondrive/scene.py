@@ -11,7 +11,7 @@ from torch import Tensor
 class SceneFeatures:
     """Worked out once a scene; of bev and values a graph of its own has what it reads, for both.
 
-    bev: [B, W, H, H], of the square that the LiDAR sees
+    bev: [B, W, H, H], of the square that the LiDAR sees, or with `ground_sight` of one before it
     values: [B, L, H, H, W], what each layer of the denoiser looks up in it
     agents: [B, Q, W], a query each
     ego: [B, 1, W]

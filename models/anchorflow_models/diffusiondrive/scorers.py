@@ -118,7 +118,11 @@ class ScorerLayer(nn.Module):
         width, heads = config.scorer_width, config.scorer_heads
         self.values = BevValues(config.width, width, kernel=config.value_kernel)
         self.look = BevAttention(
-            width, points=POSES, heads=config.look_heads, reach=config.backbone.lidar_range
+            width,
+            points=POSES,
+            heads=config.look_heads,
+            reach=config.backbone.lidar_range,
+            ahead=config.bev_ahead,
         )
         self.widen = nn.Linear(config.width, width)
         self.agents, self.ego = Attention(width, heads), Attention(width, heads)
@@ -179,6 +183,7 @@ class SeenUnder(nn.Module):
                 steps=2 * POSES,
                 places=config.footprint,
                 reach=backbone.lidar_range,
+                ahead=config.bev_ahead,
             )
 
     def forward(self, x: Tensor, candidates: Tensor, bev: Tensor) -> Tensor:

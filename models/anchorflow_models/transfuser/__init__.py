@@ -10,10 +10,12 @@ from anchorflow_models.transfuser.config import (
 )
 from anchorflow_models.transfuser.far_sight import FarSight, with_far
 from anchorflow_models.transfuser.footprint import CAR, Footprint, Places, placed
+from anchorflow_models.transfuser.ground_sight import GROUND_WIDTH, GroundSight
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
     AGENT_STATE,
     AgentHead,
+    GroundSemanticHead,
     OccupancyHead,
     SemanticHead,
 )
@@ -24,6 +26,7 @@ __all__ = [
     "AGENT_QUERIES",
     "AGENT_STATE",
     "CAR",
+    "GROUND_WIDTH",
     "LIDAR_BEFORE",
     "MOTION",
     "SEMANTIC_STRIDE",
@@ -35,6 +38,8 @@ __all__ = [
     "FarSight",
     "FeaturePyramid",
     "Footprint",
+    "GroundSemanticHead",
+    "GroundSight",
     "Moving",
     "OccupancyHead",
     "Places",

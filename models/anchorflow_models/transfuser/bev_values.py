@@ -19,13 +19,14 @@ class BevValues(nn.Module):
         return F.relu(self.conv(bev)).permute(0, 2, 3, 1)
 
 
-def bev_places(points: Tensor, reach: float, *, beyond: float = 0.0) -> Tensor:
+def bev_places(points: Tensor, reach: float, *, beyond: float = 0.0, ahead: float = 0.0) -> Tensor:
     """Points [..., 2] m, x forward and y left, as column and row from -1 to 1 of a BEV.
 
     Its first row lies at the greatest x, its first column at the greatest y.
 
-    reach: m from the ego to its edges; beyond: m by which it reaches farther ahead
+    reach: m from the middle of the BEV to its edges; beyond: m by which it reaches farther ahead
+    ahead: m by which its middle lies before the ego
     """
     x, y = points.unbind(-1)
     half = beyond / 2
-    return torch.stack([-y / reach, (half - x) / (reach + half)], -1)
+    return torch.stack([-y / reach, (ahead + half - x) / (reach + half)], -1)

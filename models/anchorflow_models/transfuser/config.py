@@ -96,6 +96,18 @@ class TransfuserConfig:
         return 2 * self.lidar_range / self.upscaled_size
 
     @property
+    def ground_ahead(self) -> float:
+        """m by which a BEV of the road ahead lies before the LiDAR's square: three eighths of its
+        side, so that an eighth is left behind the ego.
+        """
+        return self.ground_rows * self.upscaled_cell
+
+    @property
+    def ground_rows(self) -> int:
+        """The same in cells of the upscaled BEV."""
+        return 3 * self.upscaled_size // 8
+
+    @property
     def far_size(self) -> tuple[int, int]:
         """Rows and columns of such cells beyond the LiDAR's square, straight ahead of it: as far
         again as five eighths of its side, and as wide.

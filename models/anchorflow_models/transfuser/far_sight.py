@@ -8,14 +8,10 @@ from torch.nn import functional as F
 
 from anchorflow_models.layers.lookup import lookup
 from anchorflow_models.layers.pixels import PIXEL_MEAN, PIXEL_SPREAD
+from anchorflow_models.transfuser.camera_places import FRONT_CAMERA, span, within
 from anchorflow_models.transfuser.config import TransfuserConfig
 from anchorflow_models.transfuser.sweep_motion import UNITS, Moving
 
-# The front camera of nuPlan, as NAVSIM's stitched picture shows it.
-FOCAL = 1545 / 4096
-"""In widths of the stitched picture."""
-AHEAD, HEIGHT = 1.7, 1.5
-"""m before the rear axle and above the ground; it looks straight ahead."""
 BAND = (0.375, 0.625)
 """Of the picture's rows: where what is far stands, about the horizon."""
 FRONT = (0.25, 0.75)
@@ -41,7 +37,7 @@ class FarSight(nn.Module):
 
     def __init__(self, config: TransfuserConfig) -> None:
         super().__init__()
-        self.rows, self.columns = _span(BAND, config.image_height), _span(FRONT, config.image_width)
+        self.rows, self.columns = span(BAND, config.image_height), span(FRONT, config.image_width)
         self.depth, self.breadth = config.far_size
         self.eyes = nn.Sequential(
             nn.Conv2d(3, EYES // 2, 5, padding=2),
@@ -83,15 +79,10 @@ class FarSight(nn.Module):
 
     def _places(self, ground: Tensor, config: TransfuserConfig) -> Tensor:
         """[1, Z R C, 2]: column and row from -1 to 1 of the band where places [R, C, 2] appear."""
-        height, width = config.image_height, config.image_width
-        away = ground[..., 0] - AHEAD
-        column = width / 2 - FOCAL * width * ground[..., 1] / away
-        # The picture is as wide as four of its heights, or is drawn as if it were.
-        drop = FOCAL * 4 * height / away
-        rows = [height / 2 + drop * (HEIGHT - z) for z in LOOKED_AT]
+        seen = [FRONT_CAMERA.pixels(ground, z, config) for z in LOOKED_AT]
         places = [
-            torch.stack([_within(column, self.columns), _within(row, self.rows)], -1)
-            for row in rows
+            torch.stack([within(column, self.columns), within(row, self.rows)], -1)
+            for column, row in seen
         ]
         return torch.stack(places).flatten(0, 2)[None]
 
@@ -111,12 +102,3 @@ def _ground(config: TransfuserConfig) -> Tensor:
     ahead = reach + cell * DEPTH * (rows // DEPTH - 0.5 - torch.arange(rows // DEPTH))
     left = cell * (columns / 2 - 0.5 - torch.arange(columns))
     return torch.stack(torch.meshgrid(ahead, left, indexing="ij"), -1)
-
-
-def _span(share: tuple[float, float], size: int) -> tuple[int, int]:
-    return round(share[0] * size), round(share[1] * size)
-
-
-def _within(pixel: Tensor, span: tuple[int, int]) -> Tensor:
-    first, end = span
-    return (2 * pixel - first - end) / (end - first)

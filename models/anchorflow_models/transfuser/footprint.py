@@ -24,6 +24,7 @@ class Footprint(nn.Module):
         steps: poses of a trajectory
         places: m ahead and to the left of a pose
         reach: m from the middle of the BEV to its edges
+        ahead: m by which its middle lies before the ego
     """
 
     places: Tensor
@@ -36,9 +37,10 @@ class Footprint(nn.Module):
         steps: int,
         places: Places,
         reach: float,
+        ahead: float = 0.0,
     ) -> None:
         super().__init__()
-        self.reach = reach
+        self.reach, self.ahead = reach, ahead
         self.register_buffer("places", torch.tensor(places), persistent=False)
         self.pose = nn.Linear(len(places) * channels, width // 2)
         self.times = nn.Parameter(0.02 * torch.randn(steps, width // 2))
@@ -47,7 +49,8 @@ class Footprint(nn.Module):
     def forward(self, values: Tensor, poses: Tensor) -> Tensor:
         """values: [B, H, H, C]; poses: [B, K, T, 3] m, m, rad -> [B, K, W]"""
         batch, count, steps, _ = poses.shape
-        points = bev_places(placed(poses, self.places), self.reach).reshape(batch, -1, 2)
+        points = bev_places(placed(poses, self.places), self.reach, ahead=self.ahead)
+        points = points.reshape(batch, -1, 2)
         found = lookup(values, points).reshape(batch, count, steps, -1)
         return self.whole(F.relu(self.pose(found) + self.times).flatten(2))
 

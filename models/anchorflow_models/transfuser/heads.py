@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.transfuser.config import TransfuserConfig
+from anchorflow_models.transfuser.config import SEMANTIC_STRIDE, TransfuserConfig
 
 AGENT_QUERIES = 30
 AGENT_STATE = 5
@@ -34,6 +34,23 @@ class SemanticHead(nn.Module):
         ahead = upscaled[:, :, : upscaled.shape[2] // 2]
         logits = self.out(F.relu(self.hidden(ahead)))
         return F.interpolate(logits, size=self.size, mode="bilinear", align_corners=False)
+
+
+class GroundSemanticHead(nn.Module):
+    """The same of a BEV that lies `ground_ahead`: each of its cells tells the classes of every
+    cell of the semantic BEV within it, so that a line is told though it is narrower than a cell.
+    """
+
+    def __init__(self, config: TransfuserConfig, width: int, classes: int) -> None:
+        super().__init__()
+        self.first, self.rows = config.ground_rows, config.upscaled_size // 2
+        self.hidden = nn.Conv2d(width, config.bev_channels, 3, padding=1)
+        self.out = nn.Conv2d(config.bev_channels, classes * SEMANTIC_STRIDE**2, 1)
+
+    def forward(self, bev: Tensor) -> Tensor:
+        """[B, W, H/4, H/4] -> logits [B, classes, H/2, H]; column 0 lies farthest left"""
+        ahead = bev[:, :, self.first : self.first + self.rows]
+        return F.pixel_shuffle(self.out(F.relu(self.hidden(ahead))), SEMANTIC_STRIDE)
 
 
 class OccupancyHead(nn.Module):

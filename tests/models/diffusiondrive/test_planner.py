@@ -226,6 +226,33 @@ def test_both_scorers_look_under_the_car(scorer: str) -> None:
     assert heard is (scorer == "coarse_scorer")
 
 
+@torch.inference_mode()
+def test_with_ground_sight_it_looks_at_the_road_ahead() -> None:
+    config = replace(SMALL, ground_sight=True)
+    model, inputs = planner(config), sensors()
+    told = whole(model, inputs)
+    assert told["bev"].shape == (1, SMALL.width, 64, 64)
+    assert told["bev_semantics"].shape == (1, config.classes, 128, 256)
+    # What is 40 m ahead, beyond the LiDAR's square, is heard by candidates that lead there alone.
+    candidates = torch.zeros(1, 2, 8, 3)
+    candidates[0, 0, :, 0], candidates[0, 1, :, 0] = 40.0, 20.0
+    changed = told["bev"].clone()
+    changed[:, :, 13:19] += 1.0
+    under = model.coarse_scorer.under
+    x = torch.zeros(1, 2, SMALL.scorer_width)
+    apart = (under(x, candidates, changed) - under(x, candidates, told["bev"]))[0].abs().amax(-1)
+    assert apart[0] > 1e-3
+    assert apart[1] == 0.0
+
+
+@torch.inference_mode()
+def test_the_published_planner_looks_at_the_lidar_s_square() -> None:
+    assert not DiffusionDriveConfig().ground_sight
+    assert not any(
+        "ground" in name for name in planner(replace(SMALL, ground_sight=False)).state_dict()
+    )
+
+
 def met_by(candidates: Tensor, *, at_s: float, ahead: int = 6) -> Tensor:
     """[M]: how much candidates [M, T, 3] hear of somebody who stands so many metres ahead, and one
     more, at that time alone.

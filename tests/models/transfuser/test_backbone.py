@@ -11,6 +11,7 @@ from torch import Tensor
 
 from anchorflow_models.transfuser import (
     AgentHead,
+    GroundSemanticHead,
     SemanticHead,
     TransfuserBackbone,
     TransfuserConfig,
@@ -88,6 +89,24 @@ def test_only_what_lies_ahead_is_told_by_the_semantic_head() -> None:
     behind[:, :, 16:], ahead[:, :, :16] = 0, 0
     torch.testing.assert_close(head(behind), before)
     assert (head(ahead) - before).abs().max() > 1e-3
+
+
+@torch.no_grad()
+def test_the_same_half_of_a_bev_that_lies_ahead_and_each_cell_s_parts() -> None:
+    torch.manual_seed(0)
+    head, bev = GroundSemanticHead(SMALL, 16, 8), torch.rand(1, 16, 64, 64)
+    before = head(bev)
+    assert before.shape == (1, 8, 128, 256)
+    elsewhere = bev.clone()
+    elsewhere[:, :, :23] = elsewhere[:, :, 57:] = 0.0  # beyond 33 m, and behind
+    torch.testing.assert_close(head(elsewhere), before)
+    changed = bev.clone()
+    changed[:, :, 24 + 5, 7] = 0.0  # and its neighbours hear of it, by the convolution
+    apart = (head(changed) - before).abs().amax((0, 1))
+    assert apart[4 * 4 : 4 * 7, 4 * 6 : 4 * 9].min() > 0.0
+    assert apart[4 * 5 : 4 * 6, 4 * 7 : 4 * 8].unique().numel() == 16
+    apart[4 * 4 : 4 * 7, 4 * 6 : 4 * 9] = 0.0
+    assert apart.max() == 0.0
 
 
 @torch.no_grad()
