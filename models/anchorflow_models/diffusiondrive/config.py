@@ -169,6 +169,7 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         noise=(4e-6, 8e-4),
         footprint=CAR,
         encounters=(*CAR, (5.0, 0.0)),
+        ground_sight=True,
         direction=True,
         imitation=0.01,
     )

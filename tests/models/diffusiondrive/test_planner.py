@@ -204,10 +204,10 @@ def test_a_candidate_is_told_what_lies_under_its_own_car() -> None:
     torch.manual_seed(0)
     under = SeenUnder(SMALL)
     candidates = torch.zeros(1, 2, 8, 3)
-    candidates[0, 0, :, 0], candidates[0, 1, :, 0] = 10.0, -20.0
+    candidates[0, 0, :, 0], candidates[0, 1, :, 0] = 25.0, 5.0
     bev = torch.rand(1, SMALL.width, 64, 64)
     changed = bev.clone()
-    changed[:, :, :32] += 1.0  # the rows before the ego
+    changed[:, :, :44] += 1.0  # 12 m ahead of the ego and more
     x = torch.zeros(1, 2, SMALL.scorer_width)
     apart = (under(x, candidates, changed) - under(x, candidates, bev))[0].abs().amax(-1)
     assert apart[0] > 1e-3
@@ -228,11 +228,10 @@ def test_both_scorers_look_under_the_car(scorer: str) -> None:
 
 @torch.inference_mode()
 def test_with_ground_sight_it_looks_at_the_road_ahead() -> None:
-    config = replace(SMALL, ground_sight=True)
-    model, inputs = planner(config), sensors()
+    model, inputs = planner(), sensors()
     told = whole(model, inputs)
     assert told["bev"].shape == (1, SMALL.width, 64, 64)
-    assert told["bev_semantics"].shape == (1, config.classes, 128, 256)
+    assert told["bev_semantics"].shape == (1, SMALL.classes, 128, 256)
     # What is 40 m ahead, beyond the LiDAR's square, is heard by candidates that lead there alone.
     candidates = torch.zeros(1, 2, 8, 3)
     candidates[0, 0, :, 0], candidates[0, 1, :, 0] = 40.0, 20.0
