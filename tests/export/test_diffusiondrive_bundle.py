@@ -34,6 +34,7 @@ SMALL = replace(
     TINY,
     backbone=replace(TINY.backbone, lidar_before=True),
     encounters=TINY.footprint,
+    ground_sight=True,
     direction=True,
     imitation=0.1,
     pessimistic=True,

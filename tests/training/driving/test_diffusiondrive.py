@@ -267,6 +267,20 @@ def test_how_others_move_is_learnt_where_sweeps_are_compared() -> None:
     assert without["motion"] != terms["motion"]  # of those that move as chance has it alone
 
 
+def test_the_road_ahead_is_learnt_by_its_semantics_and_by_what_looks_at_it() -> None:
+    settings = DiffusionDriveObjectiveConfig(stage="imitation")
+    model = tiny_diffusiondrive(replace(TINY, ground_sight=True)).train()
+    loss_of = DiffusionDriveObjective(model, settings)
+    _, terms = loss_of(batch(), *drawn_for(loss_of))
+    for name in ("semantics", "poses"):
+        model.zero_grad()
+        terms[name].backward(retain_graph=True)
+        ground = model.perception.ground
+        assert ground is not None
+        silent = [n for n, p in ground.named_parameters() if p.grad is None or not p.grad.any()]
+        assert silent == [], name
+
+
 def test_the_winner_is_the_nearest_anchor() -> None:
     loss_of = objective("imitation")
     assert loss_of.nearest(batch()["future"]).tolist() == [1, 2]
