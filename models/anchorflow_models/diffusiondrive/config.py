@@ -48,8 +48,8 @@ class DiffusionDriveConfig:
         there when it is reached and within a second of it, if all go on as two sweeps of the LiDAR
         show, and as the front camera does beyond them; published is none
     ground_sight: whether the cameras' picture is also looked up on the ground, and denoiser and
-        scorers look at the road ahead, to 7/8 of the LiDAR square's side, in place of that square;
-        published is not
+        scorers look at a square as large as the LiDAR's that lies three eighths of its side farther
+        ahead; published is not
     direction: whether both scorers also foretell how far a candidate drives against its lanes'
         direction (DDC), and multiply by it; published is not
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;

@@ -58,6 +58,20 @@ FRONT_CAMERA = Camera(0.0, 0.5, _HALF)
 CAMERAS = (FRONT_CAMERA, Camera(SIDE_YAW, _SIDE, _SIDE), Camera(-SIDE_YAW, 1 - _SIDE, _SIDE))
 
 
+def in_picture(ground: Tensor, z: float, config: TransfuserConfig) -> tuple[Tensor, Tensor, Tensor]:
+    """Column and row [...] where places [..., 2] m appear, z m above the ground, by the first of
+    the cameras that sees them, and whether [...] any does.
+    """
+    first, *others = CAMERAS
+    (column, row), seen = first.pixels(ground, z, config), first.sees(ground, z, config)
+    for camera in others:
+        sees = camera.sees(ground, z, config) & ~seen
+        its_column, its_row = camera.pixels(ground, z, config)
+        column, row = its_column.where(sees, column), its_row.where(sees, row)
+        seen = seen | sees
+    return column, row, seen
+
+
 def span(share: tuple[float, float], size: int) -> tuple[int, int]:
     """First and end of a share of so many pixels."""
     return round(share[0] * size), round(share[1] * size)

@@ -8,7 +8,7 @@ from torch.nn import functional as F
 
 from anchorflow_models.layers.lookup import lookup
 from anchorflow_models.layers.pixels import PIXEL_MEAN, PIXEL_SPREAD
-from anchorflow_models.transfuser.camera_places import CAMERAS, span, within
+from anchorflow_models.transfuser.camera_places import in_picture, span, within
 from anchorflow_models.transfuser.config import TransfuserConfig
 from anchorflow_models.transfuser.status import STATUS
 
@@ -87,14 +87,8 @@ class GroundSight(nn.Module):
         ground, columns = torch.stack([x, y], -1), (0, config.image_width)
         places, seen = [], []
         for z in LOOKED_AT:
-            column, row = CAMERAS[0].pixels(ground, z, config)
-            any_sees = CAMERAS[0].sees(ground, z, config)
-            for camera in CAMERAS[1:]:
-                sees = camera.sees(ground, z, config) & ~any_sees
-                other_column, other_row = camera.pixels(ground, z, config)
-                column, row = other_column.where(sees, column), other_row.where(sees, row)
-                any_sees = any_sees | sees
+            column, row, sees = in_picture(ground, z, config)
             places.append(torch.stack([within(column, columns), within(row, self.rows)], -1))
-            seen.append(any_sees.float())
+            seen.append(sees.float())
         where = torch.stack([x - config.ground_ahead, y]) / config.lidar_range
         return torch.stack(places).flatten(0, 2)[None].clamp(-2, 2), torch.stack(seen), where
