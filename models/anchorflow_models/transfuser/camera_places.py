@@ -32,10 +32,8 @@ class Camera:
 
     def pixels(self, ground: Tensor, z: float, config: TransfuserConfig) -> tuple[Tensor, Tensor]:
         """Column and row [...] where places [..., 2] m appear, z m above the ground."""
-        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
-        ahead, left = ground[..., 0] - AHEAD, ground[..., 1]
-        away = (cos * ahead + sin * left).clamp(min=NEAREST)
-        aside = cos * left - sin * ahead
+        away, aside = self._from(ground)
+        away = away.clamp(min=NEAREST)
         column = config.image_width * (self.middle - FOCAL * aside / away)
         # The picture is as wide as four of its heights, or is drawn as if it were.
         row = config.image_height * (0.5 + 4 * FOCAL * (HEIGHT - z) / away)
@@ -45,11 +43,14 @@ class Camera:
         """[...]: whether places [..., 2] m, z m above the ground, lie in its part."""
         column, row = self.pixels(ground, z, config)
         across = (column / config.image_width - self.middle).abs() <= self.half
-        return across & (row >= 0) & (row <= config.image_height) & self._before(ground)
+        away, _ = self._from(ground)
+        return across & (row >= 0) & (row <= config.image_height) & (away > NEAREST)
 
-    def _before(self, ground: Tensor) -> Tensor:
-        ahead = ground[..., 0] - AHEAD
-        return math.cos(self.yaw) * ahead + math.sin(self.yaw) * ground[..., 1] > NEAREST
+    def _from(self, ground: Tensor) -> tuple[Tensor, Tensor]:
+        """m [...] that places lie before the camera, and to its left."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        ahead, left = ground[..., 0] - AHEAD, ground[..., 1]
+        return cos * ahead + sin * left, cos * left - sin * ahead
 
 
 _SIDE, _HALF = 544 / WIDTH, 960 / WIDTH

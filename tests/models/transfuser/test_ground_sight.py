@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from anchorflow_driving.sensors import cameras as simulated
 from anchorflow_models.transfuser import GROUND_WIDTH, GroundSight, small_transfuser
-from anchorflow_models.transfuser.camera_places import CAMERAS
+from anchorflow_models.transfuser.camera_places import AHEAD, CAMERAS, FOCAL, HEIGHT
 
 CONFIG = small_transfuser()
 SIZE = CONFIG.upscaled_size
@@ -72,6 +73,13 @@ def test_each_camera_sees_its_own_part() -> None:
     assert seen[FRONT] == [True, False, False, False, False]  # the last below its picture
     assert seen[LEFT] == [False, True, False, False, False]
     assert seen[RIGHT] == [False, False, True, False, False]
+
+
+def test_the_simulated_cameras_are_mounted_so() -> None:
+    assert (AHEAD, HEIGHT) == (simulated.AHEAD, simulated.HEIGHT)
+    assert [c.yaw for c in CAMERAS] == pytest.approx([0.0, simulated.SIDE_YAW, -simulated.SIDE_YAW])
+    in_pixels = 1024 * FOCAL  # of a stitched picture that wide
+    assert in_pixels == pytest.approx(simulated.FOCAL)
 
 
 @torch.inference_mode()
