@@ -29,7 +29,7 @@ WALLS: dict[str, set[str]] = {
         "fastapi",
         "starlette",  # what fastapi's requests and responses are made of
         "uvicorn",
-        "h11",  # the HTTP under uvicorn
+        "httptools",  # the HTTP under uvicorn
         "prometheus_client",
         "pydantic",
         "orjson",

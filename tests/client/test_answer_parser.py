@@ -72,6 +72,13 @@ def test_names_are_in_lower_case() -> None:
     assert parser.answer == (429, {"retry-after": "7", "content-length": "0"}, b"")
 
 
+def test_a_header_may_go_on_and_come_twice() -> None:
+    parser = AnswerParser()
+    parser.feed(b"HTTP/1.1 200\r\nX-A: b\r\n\tc\r\nx-a: d\r\nContent-Length: 0\r\n\r\n")
+
+    assert parser.answer == (200, {"x-a": "b c, d", "content-length": "0"}, b"")
+
+
 @pytest.mark.parametrize("end", [1, 20, 45, len(CHUNKED) - 1])
 def test_an_answer_that_breaks_off_is_incomplete(end: int) -> None:
     parser = AnswerParser()
@@ -108,11 +115,30 @@ def test_a_connection_with_more_than_the_answer_is_not_kept(extra: str) -> None:
         b"HTTP/2.0 200 OK\r\n\r\n",
         b"x" * (MAX_LINE + 1),
         b"HTTP/1.1 200 OK\r\n" + b"A: b\r\n" * (MAX_HEAD_LINES + 1),
+        b"HTTP/1.1 200 OK\r\nContent-Length: -1\r\n\r\n",
+        b"HTTP/1.1 200 OK\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n",
+        b"HTTP/1.1 200 OK\r\nno colon\r\n\r\n",
+        b"HTTP/1.1 200 OK\r\n: no name\r\n\r\n",
+        b"HTTP/1.1 200 OK\r\nContent-Length : 1\r\n\r\n",
         CHUNKED.replace(b"3;why", b"-3;why"),
         CHUNKED.replace(b"3;why", b"0_3;why"),
         CHUNKED.replace(b"3;why", b"zz;why"),
     ],
-    ids=["ssh", "no status", "version", "long line", "long head", "minus", "underscore", "letters"],
+    ids=[
+        "ssh",
+        "no status",
+        "version",
+        "long line",
+        "long head",
+        "length",
+        "two lengths",
+        "no colon",
+        "no name",
+        "space",
+        "minus",
+        "underscore",
+        "letters",
+    ],
 )
 def test_what_is_not_http_is_refused_at_once(data: bytes) -> None:
     with pytest.raises(http.client.HTTPException):

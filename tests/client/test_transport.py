@@ -5,13 +5,13 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from http.client import HTTPConnection
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
 
 from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut
+from anchorflow_client.http.answer_parser import AnswerParser
 from anchorflow_client.http.async_socket_transport import AsyncSocketTransport
 from anchorflow_client.http.socket_transport import JOINED_BYTES, SocketTransport
 
@@ -117,14 +117,12 @@ def test_a_connection_that_closes_as_it_is_asked_is_opened_again(serve: Serve) -
 def test_a_head_and_a_body_of_ordinary_length_are_sent_at_once(
     size: int, calls: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sent: list[bytes] = []
-    monkeypatch.setattr(HTTPConnection, "send", lambda _, data: sent.append(bytes(data)))
-    monkeypatch.setattr(HTTPConnection, "getresponse", Mock(side_effect=KeyboardInterrupt))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        url = f"http://127.0.0.1:{listener.getsockname()[1]}"
-        with pytest.raises(KeyboardInterrupt):
-            SocketTransport(url, connect_timeout_s=5).send("POST", "/x", {}, bytes(size), 10)
+    connection = Mock(recv=Mock(return_value=OK))
+    monkeypatch.setattr(socket, "create_connection", Mock(return_value=connection))
 
+    SocketTransport("http://test", connect_timeout_s=5).send("POST", "/x", {}, bytes(size), 10)
+
+    sent = [bytes(call.args[0]) for call in connection.sendall.call_args_list]
     head, _, body = b"".join(sent).partition(b"\r\n\r\n")
     assert len(sent) == calls
     assert head.startswith(b"POST /x HTTP/1.1\r\n")
@@ -138,7 +136,7 @@ def test_a_signal_leaves_no_connection_half_used(monkeypatch: pytest.MonkeyPatch
             f"http://127.0.0.1:{listener.getsockname()[1]}", connect_timeout_s=5
         )
         with monkeypatch.context() as signalled:
-            signalled.setattr(HTTPConnection, "getresponse", Mock(side_effect=KeyboardInterrupt))
+            signalled.setattr(AnswerParser, "__init__", Mock(side_effect=KeyboardInterrupt))
             with pytest.raises(KeyboardInterrupt):
                 get(transport)
         with listener.accept()[0] as left:

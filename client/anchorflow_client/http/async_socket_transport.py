@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import http.client
 import ssl
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
 
 from anchorflow_client.http.answer_parser import AnswerParser
-from anchorflow_client.http.transport import HttpAnswer, address_of, translated, unreachable
+from anchorflow_client.http.transport import Address, HttpAnswer, translated, unreachable
 
 
 class AsyncSocketTransport:
@@ -29,16 +28,12 @@ class AsyncSocketTransport:
             max_connections: requests on their way at the same time; others wait for a place.
 
         Raises:
-            ValueError: `url` is not http://host[:port] or https://host[:port], or there is no
-                place for any request.
+            ValueError: `url` is no address of a service, or there is no place for any request.
         """
-        parts = address_of(url)
+        self._address = Address.of(url)
         if max_connections < 1:
             raise ValueError(f"max_connections: expected at least 1, got {max_connections}")
         self._url = url
-        self._is_secure = parts.scheme == "https"
-        self._host = parts.hostname or ""
-        self._port = parts.port or (443 if self._is_secure else 80)
         self._connect_timeout_s = connect_timeout_s
         self._places = asyncio.Semaphore(max_connections)
         self._idle: list[_Connection] = []
@@ -53,11 +48,10 @@ class AsyncSocketTransport:
         timeout_s: float,
     ) -> HttpAnswer:
         """Send and wait; `timeout_s` bounds each wait for the service's next bytes."""
-        request = _Writer(self._host, self._port, is_secure=self._is_secure)
-        request.request(method, path, body, dict(headers))
+        request = [self._address.head(method, path, headers, body), body or b""]
         try:
             async with self._places:
-                return await self._exchange(request.parts, timeout_s)
+                return await self._exchange(request, timeout_s)
         except (OSError, http.client.HTTPException) as error:
             raise translated(error, self._url, timeout_s=timeout_s) from error
 
@@ -69,7 +63,7 @@ class AsyncSocketTransport:
         for connection in connections:
             await connection.closed
 
-    async def _exchange(self, request: list[bytes], timeout_s: float) -> HttpAnswer:
+    async def _exchange(self, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
         if idle := self._take_idle():
             try:
                 return await self._ask(idle, request, timeout_s)
@@ -78,7 +72,7 @@ class AsyncSocketTransport:
         return await self._ask(await self._connect(), request, timeout_s)
 
     async def _ask(
-        self, connection: _Connection, request: list[bytes], timeout_s: float
+        self, connection: _Connection, request: Sequence[bytes], timeout_s: float
     ) -> HttpAnswer:
         try:
             answer = await connection.ask(request, timeout_s)
@@ -102,7 +96,7 @@ class AsyncSocketTransport:
         connection = _Connection()
         connecting = asyncio.ensure_future(
             asyncio.get_running_loop().create_connection(
-                lambda: connection, self._host, self._port, ssl=self._tls
+                lambda: connection, self._address.host, self._address.port, ssl=self._tls
             )
         )
         try:
@@ -123,25 +117,7 @@ class AsyncSocketTransport:
 
     @cached_property
     def _tls(self) -> ssl.SSLContext | None:
-        """As `http.client` makes it."""
-        if not self._is_secure:
-            return None
-        context = ssl.create_default_context()
-        context.set_alpn_protocols(["http/1.1"])
-        return context
-
-
-class _Writer(http.client.HTTPConnection):
-    """Writes a request as the blocking client does, into a list."""
-
-    def __init__(self, host: str, port: int, *, is_secure: bool) -> None:
-        super().__init__(host, port)
-        if is_secure:
-            self.default_port = http.client.HTTPS_PORT
-        self.parts: list[bytes] = []
-
-    def send(self, data: Any) -> None:
-        self.parts.append(data)
+        return self._address.tls()
 
 
 class _Connection(asyncio.Protocol):
@@ -167,7 +143,7 @@ class _Connection(asyncio.Protocol):
             and self._parser.keeps_alive
         )
 
-    async def ask(self, request: list[bytes], timeout_s: float) -> HttpAnswer:
+    async def ask(self, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
         """The answer.
 
         Raises:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import http.client
+import socket
+import ssl
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Any
+from functools import cached_property
 
-from anchorflow_client.http.transport import HttpAnswer, address_of, translated, unreachable
+from anchorflow_client.http.answer_parser import AnswerParser
+from anchorflow_client.http.transport import Address, HttpAnswer, translated, unreachable
 
 JOINED_BYTES = 512 * 2**10
-"""Of a body: to copy so many behind the head takes less than to send them by a second call."""
+"""Of a body: to copy so many behind the head takes less than to send them by a second call, and the
+service is woken once."""
+HEARD_BYTES = 256 * 2**10
+"""At most, at a time."""
 
 
 class SocketTransport:
@@ -24,14 +30,13 @@ class SocketTransport:
         """Opens nothing yet.
 
         Raises:
-            ValueError: `url` is not http://host[:port] or https://host[:port].
+            ValueError: `url` is no address of a service.
         """
-        parts = address_of(url)
-        assert parts.hostname is not None
         self._url = url
+        self._address = Address.of(url)
+        self._connect_timeout_s = connect_timeout_s
         self._lock = threading.Lock()
-        connection = _CONNECTIONS[parts.scheme]
-        self._connection = connection(parts.hostname, parts.port, timeout=connect_timeout_s)
+        self._socket: socket.socket | None = None
 
     def send(
         self,
@@ -42,83 +47,72 @@ class SocketTransport:
         timeout_s: float,
     ) -> HttpAnswer:
         """Send and wait; `timeout_s` bounds each wait for the service's next bytes."""
+        head = self._address.head(method, path, headers, body)
         with self._lock, self._translated_errors(timeout_s):
-            if self._connection.sock is not None:
+            if self._socket is not None:
                 try:
-                    return self._exchange(method, path, headers, body, timeout_s)
+                    return self._exchange(self._socket, head, body, timeout_s)
                 except ConnectionError:  # The service closed it while it was idle.
-                    self._connection.close()
-            return self._exchange(method, path, headers, body, timeout_s)
+                    self._disconnect()
+            return self._exchange(self._connect(), head, body, timeout_s)
 
     def close(self) -> None:
         """Close the connection; a later `send` opens it again."""
         with self._lock:
-            self._connection.close()
+            self._disconnect()
 
     def _exchange(
-        self,
-        method: str,
-        path: str,
-        headers: Mapping[str, str],
-        body: bytes | None,
-        timeout_s: float,
+        self, connection: socket.socket, head: bytes, body: bytes | None, timeout_s: float
     ) -> HttpAnswer:
-        connection = self._connection
-        if connection.sock is None:
-            connection.connect()
-        assert connection.sock is not None
-        connection.sock.settimeout(timeout_s)
+        connection.settimeout(timeout_s)
         # A service that refuses a large body stops reading it: its answer may be here already.
         with suppress(BrokenPipeError, ConnectionResetError):
-            connection.send_at_once(method, path, body, headers)
-        answer = connection.getresponse()
-        names = {name.lower(): value for name, value in answer.getheaders()}
-        return answer.status, names, answer.read()
+            if body is None or len(body) <= JOINED_BYTES:
+                connection.sendall(head + (body or b""))
+            else:
+                connection.sendall(head)
+                connection.sendall(body)
+        parser = AnswerParser()
+        while parser.answer is None:
+            if heard := connection.recv(HEARD_BYTES):
+                parser.feed(heard)
+            else:
+                parser.end()
+        if not parser.keeps_alive:
+            self._disconnect()
+        return parser.answer
+
+    def _connect(self) -> socket.socket:
+        address = self._address
+        try:
+            connection = socket.create_connection(
+                (address.host, address.port), self._connect_timeout_s
+            )
+            self._socket = connection  # closed where the rest fails
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self._tls is not None:
+                connection = self._tls.wrap_socket(connection, server_hostname=address.host)
+        except TimeoutError as error:
+            raise unreachable(self._url, timeout_s=self._connect_timeout_s) from error
+        self._socket = connection
+        return connection
+
+    @cached_property
+    def _tls(self) -> ssl.SSLContext | None:
+        return self._address.tls()
+
+    def _disconnect(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
 
     @contextmanager
     def _translated_errors(self, timeout_s: float) -> Iterator[None]:
         try:
             yield
         except (OSError, http.client.HTTPException) as error:
-            connection = self._connection
-            if isinstance(error, TimeoutError) and connection.sock is None:
-                assert connection.timeout is not None
-                raise unreachable(self._url, timeout_s=connection.timeout) from error
-            connection.close()
+            self._disconnect()
             raise translated(error, self._url, timeout_s=timeout_s) from error
         except BaseException:  # a signal handler's too
-            self._connection.close()
+            self._disconnect()
             raise
-
-
-class _AtOnce(http.client.HTTPConnection):
-    """Sends a head together with its body, so that the service is woken once."""
-
-    _parts: list[bytes] | None = None
-
-    def send_at_once(
-        self, method: str, path: str, body: bytes | None, headers: Mapping[str, str]
-    ) -> None:
-        """As `request`, on a connection that is open."""
-        if body is None or len(body) > JOINED_BYTES:
-            self.request(method, path, body, dict(headers))
-            return
-        self._parts = parts = []
-        try:
-            self.request(method, path, body, dict(headers))
-        finally:
-            self._parts = None
-        self.send(b"".join(parts))
-
-    def send(self, data: Any) -> None:
-        if self._parts is None:
-            super().send(data)
-        else:
-            self._parts.append(data)
-
-
-class _SecureAtOnce(_AtOnce, http.client.HTTPSConnection):
-    """The same through TLS."""
-
-
-_CONNECTIONS = {"http": _AtOnce, "https": _SecureAtOnce}

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import http.client
+import ssl
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Protocol
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import urlsplit
 
 from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut, TransportError
 
 HttpAnswer = tuple[int, Mapping[str, str], bytes]
 """Status, headers with their names in lower case, body."""
 
-SCHEMES = ("http", "https")
+PORTS = {"http": http.client.HTTP_PORT, "https": http.client.HTTPS_PORT}
+"""By the schemes of URLs that are known."""
 
 
 class Transport(Protocol):
@@ -53,16 +56,58 @@ class AsyncTransport(Protocol):
         ...
 
 
-def address_of(url: str) -> SplitResult:
-    """The parts of a service's URL.
+@dataclass(frozen=True)
+class Address:
+    """Where a service listens."""
 
-    Raises:
-        ValueError: `url` is not http://host[:port] or https://host[:port].
-    """
-    parts = urlsplit(url)
-    if parts.scheme not in SCHEMES or not parts.hostname:
-        raise ValueError(f"expected http://host[:port] or https://host[:port], got {url!r}")
-    return parts
+    host: str
+    port: int
+    authority: str
+    """Host and port as a request names them."""
+    is_secure: bool
+
+    @classmethod
+    def of(cls, url: str) -> Address:
+        """The address in a service's URL.
+
+        Raises:
+            ValueError: `url` is not http://host[:port] or https://host[:port], or a path follows
+                that no request could carry.
+        """
+        parts = urlsplit(url)
+        if parts.scheme not in PORTS or not parts.hostname:
+            raise ValueError(f"expected http://host[:port] or https://host[:port], got {url!r}")
+        if not (parts.path.isascii() and parts.path.isprintable()) or " " in parts.path:
+            raise ValueError(f"expected a path of printable ASCII without spaces, got {url!r}")
+        authority = parts.netloc.rpartition("@")[2]
+        named = authority if authority.isascii() else authority.encode("idna").decode()
+        port = parts.port or PORTS[parts.scheme]
+        return cls(parts.hostname, port, named, parts.scheme == "https")
+
+    def tls(self) -> ssl.SSLContext | None:
+        """What a connection is secured with, if it is: the system's authorities, HTTP/1.1."""
+        if not self.is_secure:
+            return None
+        context = ssl.create_default_context()
+        context.set_alpn_protocols(["http/1.1"])
+        return context
+
+    def head(self, method: str, path: str, headers: Mapping[str, str], body: bytes | None) -> bytes:
+        """The head of a request.
+
+        Raises:
+            ValueError: a header is not printable ASCII; what it is, which may be a token, is not
+                repeated.
+        """
+        told = {"Host": self.authority, "Accept-Encoding": "identity", **headers}
+        if body is not None:
+            told["Content-Length"] = str(len(body))
+        lines = [f"{method} {path} HTTP/1.1"]
+        for name, value in told.items():
+            if not (value.isascii() and value.isprintable()):
+                raise ValueError(f"{name}: expected printable ASCII, got other characters too")
+            lines.append(f"{name}: {value}")
+        return "\r\n".join([*lines, "", ""]).encode()
 
 
 def translated(error: Exception, url: str, *, timeout_s: float) -> TransportError:

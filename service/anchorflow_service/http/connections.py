@@ -9,13 +9,13 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import re
 from dataclasses import dataclass
+from enum import Enum, auto
+from typing import cast
 
-import h11
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from anchorflow_client.errors import InvalidRequest, Overloaded
 from anchorflow_service.http.body import discard_body
@@ -27,8 +27,8 @@ RESERVE = 64
 """Connections beyond the limit that are still heard, so that a probe gets through a crowd."""
 SHARE = 0.75
 """Of the connections, for one address."""
-BLANK_LINE = re.compile(rb"\n\r?\n")
-"""It ends a head."""
+INTERIM = b"HTTP/1.1 1"
+"""How an answer begins that another one follows, such as 100 Continue."""
 
 
 @dataclass(frozen=True)
@@ -59,49 +59,34 @@ class ConnectionLimits:
         )
 
 
-class LimitedHead(h11.Connection):
-    """Refuses too long a head also where it comes in one piece, which h11 itself lets pass.
+class Stage(Enum):
+    """What of the latest request has come."""
 
-    The head of an answer leaves together with what follows it: one call of the system less here,
-    and a client is woken once.
-    """
-
-    def __init__(self, max_head_bytes: int) -> None:
-        super().__init__(h11.SERVER, max_head_bytes)
-        self._max_head_bytes = max_head_bytes
-        self._answer_head: list[bytes] = []
-
-    def send_with_data_passthrough(self, event: h11.Event) -> list[bytes] | None:
-        """What `send` joins and gives to be written; nothing yet for the head of an answer."""
-        parts = super().send_with_data_passthrough(event)
-        if isinstance(event, h11.Response):
-            self._answer_head = parts or []
-            return []
-        head, self._answer_head = self._answer_head, []
-        return None if parts is None else [*head, *parts]
-
-    def next_event(self) -> h11.Event | type[h11.NEED_DATA] | type[h11.PAUSED]:
-        """Raises `h11.RemoteProtocolError` for what is no HTTP and for too long a head."""
-        if self.their_state is h11.IDLE:
-            came, _ = self.trailing_data
-            most = self._max_head_bytes
-            if len(came) > most and not BLANK_LINE.search(came, 0, most):
-                raise h11.RemoteProtocolError("head too long", error_status_hint=431)
-        return super().next_event()
+    HEAD = auto()
+    """Less than its head; of a new connection nothing at all."""
+    BODY = auto()
+    """Its head, and not all of its body."""
+    WHOLE = auto()
 
 
-class LimitedConnection(H11Protocol):
+class LimitedConnection(HttpToolsProtocol):
     """One connection of a server; `limited` makes the class, with the limits and the places."""
 
     limits: ConnectionLimits
     places: ConnectionPlaces[LimitedConnection]
+    _stage = Stage.HEAD
+    _num_heads = 0
+    """That began, the one on its way included."""
+    _head_bytes = 0
+    """Of the one on its way, in names and values."""
+    _head_came = 0
+    """Of the one on its way, in all that came of it."""
     _receiving: asyncio.TimerHandle | None = None
     _receives_body = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Serve it, or hear it and refuse, by how many there are."""
         super().connection_made(transport)
-        self.conn = LimitedHead(self.limits.max_head_bytes)
         source = None if self.client is None else source_of(self.client[0])
         has_place, evicted = self.places.enter(self, source)
         if evicted is not None:
@@ -112,13 +97,48 @@ class LimitedConnection(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Take what came, and wait for the rest no longer than the limit."""
+        before, heads = self._stage, self._num_heads
         super().data_received(data)
+        if self._stage is Stage.HEAD:
+            self._note_half_a_head(data, before, heads)
         self._watch()
+
+    def on_message_begin(self) -> None:
+        """A head begins."""
+        super().on_message_begin()
+        self._stage, self._head_bytes = Stage.HEAD, 0
+        self._num_heads += 1
+
+    def on_url(self, url: bytes) -> None:
+        """Part of the target."""
+        self._note_head(len(url))
+        super().on_url(url)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """A header, or after a body in chunks a trailer."""
+        self._note_head(len(name) + len(value))
+        super().on_header(name, value)
+
+    def on_headers_complete(self) -> None:
+        """Begin the request."""
+        hosts = sum(name == b"host" for name, _ in self.headers)
+        assert self.parser is not None
+        if hosts > 1 or (not hosts and self.parser.get_http_version() == "1.1"):
+            raise ValueError(f"expected one Host, got {hosts}")
+        self._stage = Stage.BODY
+        super().on_headers_complete()
+        self.cycle.transport = cast("asyncio.Transport", JoinedHead(self.transport))
+
+    def on_message_complete(self) -> None:
+        """All of a request is there."""
+        self._stage = Stage.WHOLE
+        super().on_message_complete()
 
     def on_response_complete(self) -> None:
         """Wait for the next request, or take it up where it has come already."""
+        cast("JoinedHead", self.cycle.transport).flush()
         super().on_response_complete()
-        if self.conn.their_state is h11.IDLE:
+        if self._stage is Stage.WHOLE:
             self._stop_watching()  # uvicorn limits the wait for the first byte
         else:
             self._watch()
@@ -132,34 +152,50 @@ class LimitedConnection(H11Protocol):
 
     def send_400_response(self, msg: str) -> None:
         """The refusal of what is no HTTP, or too long a head, as the contract writes it."""
+        cycle = self.cycle
+        if cycle is not None and not cycle.response_complete:
+            if self._stage is not Stage.BODY:
+                cycle.keep_alive = False  # what came before it is answered, and no more
+                return
+            if cycle.response_started:
+                self.transport.abort()
+                return
         most = self.limits.max_head_bytes
         error = InvalidRequest(f"{msg} Expected HTTP/1.1 with a head of at most {most} bytes")
         body = json.dumps(error.to_dict()).encode()
-        headers = [
-            ("content-type", "application/json"),
-            ("content-length", str(len(body))),
-            ("connection", "close"),
-        ]
-        if self.conn.our_state not in (h11.IDLE, h11.SEND_RESPONSE):
-            self.transport.abort()  # an answer has begun: nothing can be said any more
-            return
-        for event in (
-            h11.Response(status_code=400, headers=headers, reason="Bad Request"),
-            h11.Data(data=body),
-            h11.EndOfMessage(),
-        ):
-            self.transport.write(self.conn.send(event) or b"")
+        head = b"content-type: application/json\r\ncontent-length: %d\r\nconnection: close\r\n\r\n"
+        self.transport.write(STATUS_LINE[400] + head % len(body) + body)
         self.transport.close()
 
     def has_sent_all(self) -> bool:
         """Whether the client has what was written for it, as far as can be told from here."""
         return self.transport.get_write_buffer_size() == 0
 
+    def _unsupported_upgrade_warning(self) -> None:
+        """The answer is HTTP/1.1, after which this parser reads no more of the connection."""
+        self.cycle.keep_alive = False
+
+    def _note_head(self, size: int) -> None:
+        self._head_bytes += size
+        if self._head_bytes > self.limits.max_head_bytes:
+            raise ValueError("head too long")  # it is refused as what is no HTTP
+
+    def _note_half_a_head(self, data: bytes, before: Stage, heads: int) -> None:
+        """A header is counted once it is there; one that goes on and on is refused before."""
+        if self._num_heads == heads:
+            self._head_came += len(data)
+        else:  # unless something else came with it, all of this is its beginning
+            is_alone = self._num_heads == heads + 1 and (before is Stage.WHOLE or not heads)
+            self._head_came = len(data) if is_alone else 0
+        if self._head_came > self.limits.max_head_bytes and not self.transport.is_closing():
+            self.send_400_response("Invalid HTTP request received.")
+
     def _watch(self) -> None:
         """Limit the time while a head or a body is still coming in."""
         self._note_place()
-        receives_body = self.conn.their_state is h11.SEND_BODY
-        if not receives_body and self.conn.their_state is not h11.IDLE:
+        receives_body = self._stage is Stage.BODY
+        is_answering = self.cycle is not None and not self.cycle.response_complete
+        if self._stage is Stage.WHOLE or (is_answering and not receives_body):
             self._stop_watching()
             return
         if self._receiving is not None and receives_body == self._receives_body:
@@ -180,6 +216,40 @@ class LimitedConnection(H11Protocol):
             self.places.begin_waiting(self)
         else:
             self.places.begin_request(self)
+
+
+class JoinedHead:
+    """A transport for one answer, whose head leaves together with what follows it.
+
+    One call of the system less, and a client is woken once.
+    """
+
+    def __init__(self, transport: asyncio.Transport) -> None:
+        self._transport = transport
+        self._head: bytes | None = None
+        self._has_begun = False
+
+    def write(self, data: bytes) -> None:
+        """Send it, the head before it; keep it, where it is the head."""
+        if data.startswith(INTERIM) or self._has_begun:
+            head, self._head = self._head, None
+            self._transport.write(data if head is None else head + data)
+        else:
+            self._head, self._has_begun = data, True
+
+    def flush(self) -> None:
+        """The answer is complete: send the head where nothing followed it."""
+        if self._head is not None:
+            self.write(b"")
+
+    def close(self) -> None:
+        """Once all is sent."""
+        self.flush()
+        self._transport.close()
+
+    def is_closing(self) -> bool:
+        """Whether it takes no more."""
+        return self._transport.is_closing()
 
 
 def limited(limits: ConnectionLimits) -> type[LimitedConnection]:

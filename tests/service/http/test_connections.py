@@ -8,13 +8,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import Any
+from unittest.mock import Mock, call
 
-import h11
 import pytest
 from fastapi import FastAPI
 
 from anchorflow_client import AnchorClient, Overloaded
-from anchorflow_service.http.connections import RESERVE, ConnectionLimits, LimitedHead
+from anchorflow_service.http.connections import RESERVE, ConnectionLimits, JoinedHead
 from anchorflow_service.http.lifecycle import AnchorServer
 from anchorflow_service.planning import PlanningService
 
@@ -274,34 +274,77 @@ def test_planning_may_take_longer_than_receiving(
         assert client.plan(**fields).seed == 1  # and again over the same connection
 
 
-def answering(method: str) -> LimitedHead:
-    """A server that has been asked something without a body."""
-    connection = LimitedHead(1024)
-    connection.receive_data(f"{method} / HTTP/1.1\r\nHost: test\r\n\r\n".encode())
-    assert isinstance(connection.next_event(), h11.Request)
-    return connection
-
-
 def test_a_head_leaves_with_what_follows_it() -> None:
-    connection = answering("GET")
+    transport = Mock()
+    joined = JoinedHead(transport)
 
-    head = connection.send(h11.Response(status_code=200, headers=[("Content-Length", "4")]))
-    both = connection.send(h11.Data(data=b"bo"))
-    rest = connection.send(h11.Data(data=b"dy"))
-    end = connection.send(h11.EndOfMessage())
+    joined.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+    joined.write(b"HTTP/1.1 200 OK\r\n\r\n")
+    for part in (b"bo", b"dy"):
+        joined.write(part)
+    joined.flush()
 
-    assert (head, rest, end) == (b"", b"dy", b"")
-    assert both is not None
-    assert both.startswith(b"HTTP/1.1 200")
-    assert both.endswith(b"\r\n\r\nbo")
+    assert [call.args[0] for call in transport.write.call_args_list] == [
+        b"HTTP/1.1 100 Continue\r\n\r\n",
+        b"HTTP/1.1 200 OK\r\n\r\nbo",
+        b"dy",
+    ]
 
 
-def test_a_head_without_a_body_leaves_with_the_end() -> None:
-    connection = answering("HEAD")
+def test_a_head_without_a_body_leaves_before_the_connection_closes() -> None:
+    transport = Mock()
+    joined = JoinedHead(transport)
 
-    head = connection.send(h11.Response(status_code=200, headers=[("Content-Length", "4")]))
-    end = connection.send(h11.EndOfMessage())
+    joined.write(b"HTTP/1.1 204 No Content\r\n\r\n")
+    transport.write.assert_not_called()
+    joined.close()
 
-    assert head == b""
-    assert end is not None
-    assert end.startswith(b"HTTP/1.1 200")
+    assert transport.mock_calls == [call.write(b"HTTP/1.1 204 No Content\r\n\r\n"), call.close()]
+
+
+def test_what_came_before_nonsense_is_answered(within: Within) -> None:
+    port = within(ConnectionLimits())
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n\r\nnonsense\r\n\r\n")
+        answer = everything(connection)
+
+    assert answer.startswith(b"HTTP/1.1 200 ")
+    assert answer.endswith(b'{"live":true}')
+
+
+def test_a_body_that_breaks_off_into_nonsense_is_refused(within: Within) -> None:
+    port = within(ConnectionLimits())
+    head = b"POST /anchors HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(head + b"nonsense\r\n")
+        answer = everything(connection)
+
+    assert answer.startswith(b"HTTP/1.1 400 ")
+    assert error_of(answer)["code"] == "invalid_request"
+
+
+def test_requests_that_come_at_once_are_answered_in_their_order(within: Within) -> None:
+    port = within(ConnectionLimits(max_head_bytes=100))
+    asked = b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n\r\n"
+    last = b"GET /v2/health/ready HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(asked * 5 + last)
+        answer = everything(connection)
+
+    assert answer.count(b"HTTP/1.1 200 ") == 6
+    assert answer.count(b'{"live":true}') == 5
+    assert answer.endswith(b'{"ready":true}')
+
+
+def test_one_who_would_speak_another_protocol_is_answered_in_this_one(within: Within) -> None:
+    """And asks again over another connection, as the parser reads no more of this one."""
+    port = within(ConnectionLimits())
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(
+            b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n"
+            b"Connection: Upgrade\r\nUpgrade: h2c\r\n\r\n"
+        )
+        answer = everything(connection)
+
+    assert answer.startswith(b"HTTP/1.1 200 ")
+    assert b"connection: close" in answer
