@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -38,6 +38,9 @@ class Call:
     budget_ms: float | None = None
     """Said beside the bytes, and newer than the one inside them."""
     transport: str = "http"
+    deliver: Callable[[Payload], object] | None = None
+    """Takes the answer on the thread that planned it, where a transport can send from any thread:
+    so nobody waits for the event loop, which hears of it too."""
     model_id: ModelId | None = field(default=None, init=False)
     """Of the model that was chosen for it."""
     timing_ms: Mapping[str, float] = field(default_factory=dict, init=False)

@@ -39,6 +39,7 @@ class Job(Generic[Result]):
         arrival: when the caller asked.
         budget_ms: from then on; None: the caller waits as long as it takes.
         key: jobs of the same key may make up a batch; None: this one is alone.
+        deliver: takes the result first, on the lane's thread; not called once the job has ended.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Job(Generic[Result]):
         *,
         budget_ms: float | None = None,
         key: Hashable = None,
+        deliver: Callable[[Result], object] | None = None,
     ) -> None:
         self.arrival = arrival
         self.budget_ms = budget_ms
@@ -56,7 +58,7 @@ class Job(Generic[Result]):
         self.has_ended = False
         """Whether there is a result, or an error in its place."""
         self.submitted = 0.0  # s, by the queue's clock
-        self._work = work
+        self._work, self._deliver = work, deliver
         self._lock = threading.Lock()
         self._stage = "in the queue"
         # Else whoever stops waiting for the future would end it before `cancel` can.
@@ -97,8 +99,17 @@ class Job(Generic[Result]):
             self._end(partial(self.result.set_exception, error))
             return False
         freed(True)
-        self._end(partial(self.result.set_result, result))
+        self._end(partial(self._hand_over, result))
         return True
+
+    def _hand_over(self, result: Result) -> None:
+        try:
+            if self._deliver is not None:
+                self._deliver(result)
+        except BaseException as error:  # noqa: BLE001 - raised again by whoever asks for the result
+            self.result.set_exception(error)
+        else:
+            self.result.set_result(result)
 
     def _end(self, settle: Callable[[], None]) -> None:
         with self._lock:

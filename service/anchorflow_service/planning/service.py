@@ -103,6 +103,7 @@ class PlanningService:
                 call.arrival,
                 budget_ms=request.budget_ms,
                 key=_batch_key(engine, request),
+                deliver=call.deliver,
             )
             robot_id = request.robot_id
             older = self._latest.standing(robot_id, job)

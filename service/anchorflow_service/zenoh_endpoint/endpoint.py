@@ -102,7 +102,9 @@ class ZenohEndpoint:
                 self._models |= keys
                 served |= keys.keys()
             for key in served - self._queryables.keys():
-                self._declare(key, partial(self._receive, loop, key))
+                receive = partial(self._receive, loop, key)
+                # On the thread that reads from the network: another one would have to wake first.
+                self._declare(key, zenoh.handlers.Callback(receive, indirect=False))
             for key in self._queryables.keys() - served:
                 self._queryables.pop(key).undeclare()
 
@@ -115,7 +117,7 @@ class ZenohEndpoint:
         self._queryables[key] = self._session.declare_queryable(key, answer, complete=True)
 
     def _receive(self, loop: asyncio.AbstractEventLoop, key: str, query: zenoh.Query) -> None:
-        """On zenoh's own thread: note the time and hand the query over."""
+        """On zenoh's own thread, which must not wait: note the time and hand the query over."""
         arrival = self._service.arrival()
 
         def start() -> None:
@@ -131,11 +133,8 @@ class ZenohEndpoint:
         with query:
             try:
                 call = self._call(query, key, arrival, request_id)
-                answer = await self._service.answer(call)
-                attachment = AnswerAttachment(
-                    answer.header_length, call.request_id, self.replica, self._load()
-                )
-                reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
+                call.deliver = partial(self._reply, query, key, call)
+                await self._service.answer(call)
                 logger.debug("request %s answered in %.1f ms", call.request_id, arrival.elapsed_ms)
             except RequestError as error:
                 refuse(query, error)
@@ -143,6 +142,12 @@ class ZenohEndpoint:
                 failed = request_id if call is None else call.request_id
                 logger.exception("request %s failed", failed, extra={"request_id": failed})
                 refuse(query, internal_error(failed))
+
+    def _reply(self, query: zenoh.Query, key: str, call: Call, answer: Payload) -> None:
+        attachment = AnswerAttachment(
+            answer.header_length, call.request_id, self.replica, self._load()
+        )
+        reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
 
     def _call(self, query: zenoh.Query, key: str, arrival: Arrival, request_id: str) -> Call:
         """What a query asks. Raises `RequestError`."""
