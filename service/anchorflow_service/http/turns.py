@@ -19,11 +19,25 @@ class Turns:
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
-        self._turn = asyncio.Lock()
+        self._line = asyncio.Lock()
+        self._is_taken = False
+        """Whether a request has begun in this pass."""
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass the request on when its turn has come, the first that came first."""
         if scope["type"] == "http" and not scope["path"].startswith(HEALTH):
-            async with self._turn:
-                await asyncio.sleep(0)
+            if self._is_taken or self._line.locked():
+                async with self._line:
+                    while self._is_taken:
+                        await asyncio.sleep(0)
+                    self._take()
+            else:
+                self._take()
         await self._app(scope, receive, send)
+
+    def _take(self) -> None:
+        self._is_taken = True
+        asyncio.get_running_loop().call_soon(self._end_pass)
+
+    def _end_pass(self) -> None:
+        self._is_taken = False

@@ -266,7 +266,7 @@ class PlanningQueue:
         threads = idle_lanes * self._num_threads // (self.num_lanes * len(jobs))
         self._batch.extend(_Assignment(job, max(1, threads)) for job in jobs)
         # One for each job that this lane leaves, and one for what still waits.
-        self._changed.notify(len(jobs))
+        self._changed.notify(len(jobs) - 1 + (self._line.first is not None))
         return None
 
     def _count_waiting(self, *, but: AnyJob | None = None) -> int:

@@ -53,7 +53,7 @@ def test_of_a_crowd_one_begins_a_pass_in_the_order_in_which_they_came() -> None:
 
 def test_health_begins_at_once() -> None:
     first, *_ = begun_by_pass(["/anchors"] * 8 + [HEALTH])
-    assert first == [HEALTH]
+    assert first == ["/anchors", HEALTH]
 
 
 def test_one_that_hangs_up_while_it_waits_keeps_nobody_from_theirs() -> None:
