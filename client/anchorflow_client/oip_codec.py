@@ -183,7 +183,7 @@ def _request_tensors(leaves: dict[str, Any]) -> dict[str, NDArray[Any]]:
     if "cost_map" in tensors:
         geometry = np.array([*leaves.pop("cost_map.origin"), leaves.pop("cost_map.resolution")])
         batch = tensors["cost_map"].shape[:-3]
-        tensors[GEOMETRY] = np.broadcast_to(geometry, (*batch, 3))
+        tensors[GEOMETRY] = np.broadcast_to(geometry, (*batch, 3)) if batch else geometry
     for path in [path for path in leaves if path.startswith(INPUTS)]:
         name, value = path.removeprefix(INPUTS), leaves.pop(path)
         if isinstance(value, EncodedImage):
@@ -210,7 +210,7 @@ def _geometry_leaves(geometry: NDArray[Any]) -> Mapping[str, Any]:
     rows = geometry.reshape(-1, 3)
     if not np.isfinite(rows).all():
         raise InvalidRequest("expected finite numbers, got others", GEOMETRY)
-    if (rows != rows[0]).any():
+    if len(rows) > 1 and (rows != rows[0]).any():
         raise InvalidRequest("expected the same row for every scene, got several", GEOMETRY)
     *origin, resolution = rows[0].tolist()
     return {"cost_map.origin": origin, "cost_map.resolution": resolution}

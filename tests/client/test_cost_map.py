@@ -20,9 +20,11 @@ def test_a_map_without_an_origin_is_centred() -> None:
 
 
 def test_the_row_grows_with_y_and_the_column_with_x() -> None:
-    cells = cost_map(origin=(0.0, 0.0)).cells_of(np.array([[0.1, 0.1], [0.1, 7.9], [9.9, 0.1]]))
+    grid = cost_map(origin=(0.0, 0.0))
 
-    np.testing.assert_array_equal(cells, [[0, 0], [15, 0], [0, 19]])
+    assert grid.cell_of(0.1, 0.1) == (0, 0)
+    assert grid.cell_of(0.1, 7.9) == (15, 0)
+    assert grid.cell_of(9.9, 0.1) == (0, 19)
 
 
 @given(
@@ -37,8 +39,8 @@ def test_the_centre_of_a_cell_lies_in_it(
     grid = cost_map(resolution, origin)
     centre = grid.origin + resolution * np.array([column + 0.5, row + 0.5])
 
-    assert grid.cells_of(centre).tolist() == [row, column]
-    assert grid.contains(centre)
+    assert grid.cell_of(*centre) == (row, column)
+    assert grid.contains(*centre)
 
 
 def test_channel_0_is_the_occupancy() -> None:
@@ -52,4 +54,4 @@ def test_channel_0_is_the_occupancy() -> None:
 def test_a_point_far_away_is_in_the_nearest_cell_however_fine_the_map() -> None:
     grid = cost_map(resolution=1e-6)
 
-    assert grid.cells_of(np.array([1e7, -1e7])).tolist() == [0, 19]
+    assert grid.cell_of(1e7, -1e7) == (0, 19)

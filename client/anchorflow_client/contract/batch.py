@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass
@@ -143,9 +144,12 @@ class AnchorBatch:
     @property
     def is_finite(self) -> bool:
         """Whether every number is finite, as all that is sent must be."""
-        scalars = (self.first_s, *self.timing_ms.values())
-        numbers = (*self.arrays.values(), self.dt, scalars)
-        return all(np.isfinite(values).all() for values in numbers)
+        if not all(map(math.isfinite, (self.first_s, *self.timing_ms.values()))):
+            return False
+        numbers = (*self.arrays.values(), np.asarray(self.dt))
+        return all(
+            np.isfinite(values).all() for values in numbers if values.dtype.kind not in "biu"
+        )
 
     def told(self, *, timing_ms: Mapping[str, float], request_id: str | None) -> AnchorBatch:
         """The same anchors, with other times and another request; nothing is checked again."""

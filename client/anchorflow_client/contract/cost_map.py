@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -59,33 +60,33 @@ class CostMap:
         """[B,H,W] (or [H,W]), channel 0."""
         return self.data[..., 0, :, :]
 
-    @property
+    @cached_property
     def extent(self) -> NDArray[np.float64]:
         """[2,2] m: the lower and the upper corner (x, y) of the map."""
         height, width = self.data.shape[-2:]
         return np.array([self.origin, self.origin + self.resolution * np.array([width, height])])
 
-    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether points [...,2] in m lie on the map, its border included."""
-        low, high = self.extent
-        return ((points >= low) & (points <= high)).all(axis=-1)
+    def contains(self, x: float, y: float) -> bool:
+        """Whether a point in m lies on the map, its border included."""
+        (x_low, y_low), (x_high, y_high) = self.extent.tolist()
+        return x_low <= x <= x_high and y_low <= y <= y_high
 
-    def cells_of(self, points: NDArray[np.float64]) -> NDArray[np.intp]:
-        """(row, column) [...,2] of the cells that hold points [...,2] in m; the nearest outside."""
-        low, high = self.extent
-        from_corner = np.minimum(np.maximum(points, low), high) - self.origin
-        column_row = np.floor(from_corner / self.resolution).astype(np.intp)
-        last = np.array(self.data.shape[-2:]) - 1
-        return np.minimum(np.maximum(column_row[..., ::-1], 0), last)
+    def cell_of(self, x: float, y: float) -> tuple[int, int]:
+        """(row, column) of the cell that holds a point in m; the nearest to one outside."""
+        (x_low, y_low), (x_high, y_high) = self.extent.tolist()
+        height, width = self.data.shape[-2:]
+        column = (min(max(x, x_low), x_high) - x_low) / self.resolution
+        row = (min(max(y, y_low), y_high) - y_low) / self.resolution
+        return min(int(row), height - 1), min(int(column), width - 1)
 
 
 def _grid(data: Any) -> NDArray[np.float32]:
     field = "cost_map.data"
     if isinstance(data, np.ndarray) and data.dtype == np.bool_:
         data = data.astype(np.float32)
-    # A decoder's view of the bytes that came is kept: nobody can write to it.
-    if isinstance(data, np.ndarray) and data.dtype == np.float32 and not data.flags.writeable:
-        grid = within(data, field, ranges.UNIT)
+    if isinstance(data, np.ndarray) and data.dtype == np.float32:
+        # A decoder's view of the bytes that came is kept: nobody can write to it.
+        grid = within(data.copy() if data.flags.writeable else data, field, ranges.UNIT)
     else:
         grid = numbers(data, field, ranges.UNIT, MAP_SHAPE).astype(np.float32)
     if grid.ndim not in (3, 4):

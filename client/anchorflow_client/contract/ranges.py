@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+FEW = 16
+"""Numbers that Python has compared by the time that numpy has begun."""
+
 
 @dataclass(frozen=True)
 class Interval:
@@ -35,8 +38,10 @@ class Interval:
 
     def holds_all(self, values: NDArray[Any]) -> bool:
         """Whether every number lies inside: told by the least and the greatest, without a mask."""
+        if values.size <= FEW:
+            return all(map(self.holds, values.ravel().tolist()))
         # A NaN is the least and the greatest of all that it is among.
-        return not values.size or (self.holds(values.min()) and self.holds(values.max()))
+        return self.holds(values.min()) and self.holds(values.max())
 
     def __str__(self) -> str:
         left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"

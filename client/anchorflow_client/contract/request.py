@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -180,7 +180,7 @@ class AnchorRequest:
 
     def field_values(self) -> dict[str, Any]:
         """All fields by name, not copied."""
-        return {part.name: getattr(self, part.name) for part in fields(self)}
+        return dict(vars(self))
 
 
 def _dim_of(x_curr: NDArray[np.float64]) -> int:
@@ -245,30 +245,31 @@ def _style(value: Any) -> NDArray[np.float64]:
         value = STYLES[value]
     weights = vectors(value, "w_style", ranges.STYLE_WEIGHT, ranges.NUM_STYLE)
     total = weights.sum(axis=-1, keepdims=True)
+    off = np.abs(total - 1)
+    if off.max(initial=0.0) < 1e-12:
+        # They sum to 1 already and stay as they are: client and service agree to the bit.
+        return weights
     if not (total > 0).all():
         raise InvalidRequest("expected a weight above 0, got only zeros", "w_style")
-    # Weights that sum to 1 already stay as they are, so that client and service agree to the bit.
-    return np.where(np.abs(total - 1) < 1e-12, weights, weights / total)
+    return np.where(off < 1e-12, weights, weights / total)
 
 
 def _check_on_free_cells(cost_map: CostMap, fields: Mapping[str, NDArray[np.float64]]) -> None:
     """Refuse points [B,2] of a field off the map or in an occupied cell of their own scene."""
-    points = np.concatenate([*fields.values()])  # looked up together: one scene is the rule
-    num_scenes = len(points) // len(fields)
-    rows, columns = cost_map.cells_of(points).T
-    occupancy = cost_map.occupancy[np.arange(len(points)) % num_scenes, rows, columns]
-    inside = cost_map.contains(points)
-    refused = ~inside | (occupancy >= ranges.OCCUPIED)
-    if not refused.any():
-        return
-    first = int(refused.argmax())
-    place, scene = divmod(first, num_scenes)
-    field, position = [*fields][place], _position(points[first], scene)
-    if not inside[first]:
-        raise InvalidRequest(f"{_on_map(cost_map)}, got {position}", field)
-    cell = f"cell [row {rows[first]}, column {columns[first]}]"
-    came = f"{position} in {cell} of occupancy {occupancy[first]:.2g}"
-    raise InvalidRequest(f"expected a cell of occupancy below {ranges.OCCUPIED}, got {came}", field)
+    occupancy = cost_map.occupancy
+    # One by one: two points are the rule, 128 the most.
+    for name, points in fields.items():
+        for scene, (x, y) in enumerate(points.tolist()):
+            if not cost_map.contains(x, y):
+                raise InvalidRequest(f"{_on_map(cost_map)}, got {_position(x, y, scene)}", name)
+            row, column = cost_map.cell_of(x, y)
+            if (came := occupancy[scene, row, column]) >= ranges.OCCUPIED:
+                raise InvalidRequest(
+                    f"expected a cell of occupancy below {ranges.OCCUPIED}, "
+                    f"got {_position(x, y, scene)} in cell [row {row}, column {column}] "
+                    f"of occupancy {came:.2g}",
+                    name,
+                )
 
 
 def _on_map(cost_map: CostMap) -> str:
@@ -277,8 +278,8 @@ def _on_map(cost_map: CostMap) -> str:
     return f"expected a position on the map ({extent})"
 
 
-def _position(point: NDArray[np.float64], scene: int) -> str:
-    return f"({point[0]:g}, {point[1]:g}) m of scene {scene}"
+def _position(x: float, y: float, scene: int) -> str:
+    return f"({x:g}, {y:g}) m of scene {scene}"
 
 
 def _alone(inputs: Inputs) -> Inputs:

@@ -30,7 +30,9 @@ _LENGTH = struct.Struct("<I")
 
 def name_of(dtype: np.dtype) -> str:
     """The protocol's name of a type; arrays of objects are arrays of `str`."""
-    return BYTES if dtype.kind == "O" else _NAME_OF[dtype.newbyteorder("=")]
+    if dtype.kind == "O":
+        return BYTES
+    return _NAME_OF.get(dtype) or _NAME_OF[dtype.newbyteorder("=")]
 
 
 def datatype_of(dtype: str) -> str:

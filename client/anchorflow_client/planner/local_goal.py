@@ -62,7 +62,7 @@ def local_goal(
             "cost_map.data",
         )
     passable = free if passage_m is None else _free_cells(cost_map, passage_m)
-    reached = free & _connected(passable, cost_map.cells_of(position))
+    reached = free & _connected(passable, cost_map.cell_of(*position.tolist()))
     goal[:PLANE] = _nearest(cost_map, reached if reached.any() else free, aim)
     if share < 1.0:
         way = target - goal[:PLANE]
@@ -82,7 +82,7 @@ def _share_on_map(cost_map: CostMap, position: Array, target: Array, margin: flo
 
 
 def _nearest(cost_map: CostMap, cells: BoolArray, aim: Array) -> Array:
-    row, column = cost_map.cells_of(aim)
+    row, column = cost_map.cell_of(*aim.tolist())
     if cells[row, column]:
         return aim
     rows, columns = np.nonzero(cells)
@@ -90,7 +90,7 @@ def _nearest(cost_map: CostMap, cells: BoolArray, aim: Array) -> Array:
     return centres[((centres - aim) ** 2).sum(axis=1).argmin()]
 
 
-def _connected(passable: BoolArray, start: NDArray[np.intp]) -> BoolArray:
+def _connected(passable: BoolArray, start: tuple[int, int]) -> BoolArray:
     """[H, W], the passable cells that hang together with the one nearest to the start's."""
     cells = np.argwhere(passable)
     if not len(cells):
