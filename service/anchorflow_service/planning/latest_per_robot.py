@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,13 +12,11 @@ from anchorflow_service.planning.job import Job
 
 
 class LatestPerRobot:
-    """The newest job of each robot, as long as it waits or is worked on.
-
-    Used on the event loop alone.
-    """
+    """The newest job of each robot, as long as it waits or is worked on; threads may share it."""
 
     def __init__(self) -> None:
         self._newest: dict[str, Job[Any]] = {}
+        self._lock = threading.Lock()
 
     def __len__(self) -> int:
         """Robots that wait for an answer."""
@@ -46,14 +45,17 @@ class LatestPerRobot:
         if robot_id is None:
             yield
             return
-        if (standing := self.standing(robot_id, job)) is not None:
+        with self._lock:
+            standing = self.standing(robot_id, job)
+            self._newest[robot_id] = job
+        if standing is not None:
             standing.cancel(_superseded(robot_id))
-        self._newest[robot_id] = job
         try:
             yield
         finally:
-            if self._newest.get(robot_id) is job:
-                del self._newest[robot_id]
+            with self._lock:
+                if self._newest.get(robot_id) is job:
+                    del self._newest[robot_id]
 
 
 def _superseded(robot_id: str) -> Superseded:
