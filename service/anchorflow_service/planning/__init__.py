@@ -21,7 +21,7 @@ from anchorflow_service.planning.job import JobContext
 from anchorflow_service.planning.limits import ServiceLimits
 from anchorflow_service.planning.observer import ANSWERED, CANCELLED, Observer
 from anchorflow_service.planning.queue import PlanningQueue
-from anchorflow_service.planning.service import PlanningService, is_quickly_read
+from anchorflow_service.planning.service import PlanningService
 
 __all__ = [
     "ANSWERED",
@@ -36,5 +36,4 @@ __all__ = [
     "PlanningService",
     "ServiceLimits",
     "internal_error",
-    "is_quickly_read",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,11 +11,13 @@ from anchorflow_service.planning.job import Job
 
 
 class LatestPerRobot:
-    """The newest job of each robot, as long as it waits or is worked on; threads may share it."""
+    """The newest job of each robot, as long as it waits or is worked on.
+
+    Used on the event loop alone.
+    """
 
     def __init__(self) -> None:
         self._newest: dict[str, Job[Any]] = {}
-        self._lock = threading.Lock()
 
     def __len__(self) -> int:
         """Robots that wait for an answer."""
@@ -45,17 +46,14 @@ class LatestPerRobot:
         if robot_id is None:
             yield
             return
-        with self._lock:
-            standing = self.standing(robot_id, job)
-            self._newest[robot_id] = job
-        if standing is not None:
+        if (standing := self.standing(robot_id, job)) is not None:
             standing.cancel(_superseded(robot_id))
+        self._newest[robot_id] = job
         try:
             yield
         finally:
-            with self._lock:
-                if self._newest.get(robot_id) is job:
-                    del self._newest[robot_id]
+            if self._newest.get(robot_id) is job:
+                del self._newest[robot_id]
 
 
 def _superseded(robot_id: str) -> Superseded:

@@ -6,11 +6,10 @@ import asyncio
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from types import TracebackType
-from typing import NamedTuple
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import (
@@ -30,14 +29,6 @@ from anchorflow_service.planning.queue import PlanningQueue
 
 QUICK_BYTES = 256 * 2**10
 """Of a binary request: to read so many takes less than to hand them to a thread and back."""
-
-
-class Begun(NamedTuple):
-    """A request in the queue."""
-
-    job: Job[Payload]
-    held: ExitStack
-    """Its places, to be given back."""
 
 
 class PlanningService:
@@ -97,29 +88,31 @@ class PlanningService:
         Raises:
             RequestError: the request is refused, or its budget is spent.
         """
-        if is_quickly_read(call.payload):
-            return await self.ended(self.begin(call))
-        loop = asyncio.get_running_loop()
-        with self._entered(call) as held:
-            read = await loop.run_in_executor(self._reader, self._read, call)
-            begun = self._admitted(call, *read, held)
-        return await self.ended(begun)
-
-    def begin(self, call: Call) -> Begun:
-        """Read a request that `is_quickly_read` and put it in the queue, on any thread.
-
-        What has begun must be handed to `ended`, which gives its place back.
-
-        Raises:
-            RequestError: the request is refused.
-        """
-        with self._entered(call) as held:
-            return self._admitted(call, *self._read(call), held)
-
-    async def ended(self, begun: Begun) -> Payload:
-        """As `answer`, of what has begun."""
-        with begun.held:
-            return await self.queue.result_of(begun.job)
+        # A place first: whom the service has no room for costs it no reading. Unless robots are
+        # named: one of them may be inside already, and its older request makes room for this one.
+        beyond = self.limits.max_waiting if self._latest else 0
+        with self._observed(call), self.queue.place(beyond=beyond):
+            if _is_quickly_read(call.payload):
+                engine, request = self._read(call)
+            else:
+                loop = asyncio.get_running_loop()
+                engine, request = await loop.run_in_executor(self._reader, self._read, call)
+            call.arrival.check(request.budget_ms, "before planning")
+            job = Job(
+                partial(_plan, engine, request, call),
+                call.arrival,
+                budget_ms=request.budget_ms,
+                key=_batch_key(engine, request),
+                deliver=call.deliver,
+            )
+            robot_id = request.robot_id
+            older = self._latest.standing(robot_id, job)
+            # Admitted first: what is refused supersedes nobody.
+            with (
+                self.queue.admitted(job, in_place_of=older),
+                self._latest.registered(robot_id, job),
+            ):
+                return await self.queue.result_of(job)
 
     def __enter__(self) -> PlanningService:
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="reading")
@@ -135,35 +128,6 @@ class PlanningService:
         self.queue.__exit__(kind, error, traceback)
         if self._reader is not None:
             self._reader.shutdown()
-
-    @contextmanager
-    def _entered(self, call: Call) -> Iterator[ExitStack]:
-        """Holds what a call holds as long as it lasts; what is left in it ends with the block."""
-        with ExitStack() as held:
-            held.enter_context(self._observed(call))
-            # A place first: whom the service has no room for costs it no reading. Unless robots are
-            # named: one of them may be inside already, and its older request makes room for this
-            # one.
-            beyond = self.limits.max_waiting if self._latest else 0
-            held.enter_context(self.queue.place(beyond=beyond))
-            yield held
-
-    def _admitted(
-        self, call: Call, engine: PlanningEngine, request: ResolvedRequest, held: ExitStack
-    ) -> Begun:
-        call.arrival.check(request.budget_ms, "before planning")
-        job = Job(
-            partial(_plan, engine, request, call),
-            call.arrival,
-            budget_ms=request.budget_ms,
-            key=_batch_key(engine, request),
-            deliver=call.deliver,
-        )
-        older = self._latest.standing(request.robot_id, job)
-        # Admitted first: what is refused supersedes nobody.
-        held.enter_context(self.queue.admitted(job, in_place_of=older))
-        held.enter_context(self._latest.registered(request.robot_id, job))
-        return Begun(job, held.pop_all())
 
     @contextmanager
     def _observed(self, call: Call) -> Iterator[None]:
@@ -196,8 +160,7 @@ class PlanningService:
         return engine, _with_call(resolve_for_card(asked, engine.card), call)
 
 
-def is_quickly_read(payload: Payload) -> bool:
-    """Whether it takes so little time that whoever has it may read it."""
+def _is_quickly_read(payload: Payload) -> bool:
     return payload.header_length is not None and len(payload.body) <= QUICK_BYTES
 
 

@@ -6,11 +6,10 @@ import asyncio
 import logging
 import threading
 import uuid
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from types import TracebackType
-from typing import Any, NoReturn
 
 import zenoh
 
@@ -24,13 +23,7 @@ from anchorflow_client.zenoh_messages import (
     ReplicaInfo,
     RequestAttachment,
 )
-from anchorflow_service.planning import (
-    Arrival,
-    Call,
-    PlanningService,
-    internal_error,
-    is_quickly_read,
-)
+from anchorflow_service.planning import Arrival, Call, PlanningService, internal_error
 from anchorflow_service.zenoh_endpoint.replies import refuse, reply
 
 logger = logging.getLogger(__name__)
@@ -124,51 +117,31 @@ class ZenohEndpoint:
         self._queryables[key] = self._session.declare_queryable(key, answer, complete=True)
 
     def _receive(self, loop: asyncio.AbstractEventLoop, key: str, query: zenoh.Query) -> None:
-        """On zenoh's own thread, which must not wait: begin, and let the event loop see it through.
-
-        A lane so has the request without a pass of the event loop between.
-        """
-        arrival, own_id = self._service.arrival(), uuid.uuid4().hex
-        call: Call | None = None
-        try:
-            call = self._call(query, key, arrival, own_id)
-            work = self._begun(call)
-        except Exception as error:  # noqa: BLE001 - raised again where it is told
-            work = _raised(error)
+        """On zenoh's own thread, which must not wait: note the time and hand the query over."""
+        arrival = self._service.arrival()
 
         def start() -> None:
-            task = loop.create_task(self._respond(query, work, call, own_id))
+            task = loop.create_task(self._respond(query, key, arrival))
             self._answering.add(task)
             task.add_done_callback(self._answering.discard)
 
         loop.call_soon_threadsafe(start)
 
-    def _begun(self, call: Call) -> Coroutine[Any, Any, Payload]:
-        """What is left to wait for. Raises `RequestError`."""
-        if is_quickly_read(call.payload):
-            return self._service.ended(self._service.begin(call))
-        return self._service.answer(call)
-
-    async def _respond(
-        self,
-        query: zenoh.Query,
-        work: Coroutine[Any, Any, Payload],
-        call: Call | None,
-        own_id: str,
-    ) -> None:
+    async def _respond(self, query: zenoh.Query, key: str, arrival: Arrival) -> None:
+        request_id = uuid.uuid4().hex
+        call: Call | None = None
         with query:
             try:
-                await work
+                call = self._call(query, key, arrival, request_id)
+                call.deliver = partial(self._reply, query, key, call)
+                await self._service.answer(call)
+                logger.debug("request %s answered in %.1f ms", call.request_id, arrival.elapsed_ms)
             except RequestError as error:
                 refuse(query, error)
             except Exception:
-                failed = own_id if call is None else call.request_id
+                failed = request_id if call is None else call.request_id
                 logger.exception("request %s failed", failed, extra={"request_id": failed})
                 refuse(query, internal_error(failed))
-            else:
-                assert call is not None
-                took_ms = call.arrival.elapsed_ms
-                logger.debug("request %s answered in %.1f ms", call.request_id, took_ms)
 
     def _reply(self, query: zenoh.Query, key: str, call: Call, answer: Payload) -> None:
         attachment = AnswerAttachment(
@@ -176,7 +149,7 @@ class ZenohEndpoint:
         )
         reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
 
-    def _call(self, query: zenoh.Query, key: str, arrival: Arrival, own_id: str) -> Call:
+    def _call(self, query: zenoh.Query, key: str, arrival: Arrival, request_id: str) -> Call:
         """What a query asks. Raises `RequestError`."""
         attached = None if query.attachment is None else query.attachment.to_bytes()
         said = RequestAttachment.from_bytes(attached)
@@ -184,17 +157,15 @@ class ZenohEndpoint:
         if size > most:
             raise TooLarge(f"expected a body of at most {most} bytes, got {size}", "body")
         body = b"" if query.payload is None else query.payload.to_bytes()
-        call = Call(
+        return Call(
             payload=Payload(body, said.header_length),
             codec=self._codec,
             arrival=arrival,
-            request_id=said.request_id or own_id,
+            request_id=said.request_id or request_id,
             model=self._models[key],
             budget_ms=said.budget_ms,
             transport="zenoh",
         )
-        call.deliver = partial(self._reply, query, key, call)
-        return call
 
     def _tell(self, query: zenoh.Query) -> None:
         """Cards and load, from zenoh's own thread: nothing here waits."""
@@ -211,7 +182,3 @@ class ZenohEndpoint:
     def _load(self) -> Load:
         queue = self._service.queue
         return Load(queue.in_flight, queue.num_lanes, queue.mean_service_s * 1e3)
-
-
-async def _raised(error: Exception) -> NoReturn:
-    raise error
