@@ -5,11 +5,13 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from random import Random
 from time import perf_counter, sleep
 
 import numpy as np
 
 LEAST = 3  # timed calls of each contender, however slow it is
+SEED = 0  # of the orders
 
 
 def take_turns(
@@ -17,14 +19,18 @@ def take_turns(
 ) -> dict[str, list[float]]:
     """Times [ms] of each call by its name, after one that is not counted.
 
-    A call that has used up `budget_s` leaves the round, but not before its third turn. Before each
-    the machine rests for `rest_s`, so that nobody is timed beside the idle threads of another.
+    Each round has an order of its own: whoever always came after the same one would find the caches
+    as that one leaves them. A call that has used up `budget_s` leaves the round, but not before its
+    third turn. Before each the machine rests for `rest_s`, so that nobody is timed beside the idle
+    threads of another.
     """
     times: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
         call()
+    order, shuffled = list(calls.items()), Random(SEED)
     for _ in range(rounds):
-        for name, call in calls.items():
+        shuffled.shuffle(order)
+        for name, call in order:
             spent = times[name]
             if len(spent) >= LEAST and sum(spent) > budget_s * 1e3:
                 continue

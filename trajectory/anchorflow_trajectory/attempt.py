@@ -90,8 +90,8 @@ class Attempt:
     def _timing(self, cost: TrajectoryCost, ends: Ends) -> Timing:
         """What an end brings along does not become less with time: no stretch is asked for it."""
         limits, is_timed = cost.limits, cost.limits.horizon_s is None
-        given = ends.in_own_time(np.ones(1))[:, 0, :2]
-        start_speed, start_acceleration, goal_speed = np.linalg.norm(given[[1, 2, 4]], axis=-1)
+        given = ends.derivatives[[1, 2, 4], :2]
+        start_speed, start_acceleration, goal_speed = np.sqrt((given * given).sum(-1))
         return Timing(
             np.array(self.shares if is_timed else (), np.float64),
             is_timed and self.slowed_before,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,11 @@ class GridField:
     values: FloatArray
     resolution: float
     origin: FloatArray
+
+    @cached_property
+    def made(self) -> dict[Any, Any]:
+        """What was made of it to be read by compiled loops, by the type of its numbers."""
+        return {}
 
     @cached_property
     def _coefficients(self) -> FloatArray:

@@ -137,8 +137,9 @@ class TrajectoryCost:
 
     def leaning(self, count: int, dtype: DTypeLike) -> FloatArray:
         """u of each of M trajectories: [3, M]."""
-        leaning = self.weights.leaning(self.style).reshape(3, -1)
-        return np.array(np.broadcast_to(leaning, (3, count)), dtype)
+        leaning = np.empty((3, count), dtype)
+        leaning[:] = self.weights.leaning(self.style).reshape(3, -1)
+        return leaning
 
     def problem(self, dtype: DTypeLike) -> Problem:
         """The same as compiled loops read it, in numbers of that type."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -61,15 +62,26 @@ class Grid(NamedTuple):
 
     @staticmethod
     def of(field: GridField | None, dtype: DTypeLike) -> Grid:
-        """Of a field, if there is one."""
+        """Of a field, if there is one; made once for each type."""
         if field is None:
-            return Grid(np.zeros((0, 0), np.float32), *np.zeros(8, dtype))
+            return _nowhere(np.dtype(dtype))
+        if (made := field.made.get(dtype)) is None:
+            made = field.made[dtype] = Grid._of(field, dtype)
+        return made
+
+    @staticmethod
+    def _of(field: GridField, dtype: DTypeLike) -> Grid:
         height, width = field.values.shape
         x, y = np.asarray(field.origin) / field.resolution + 0.5
         # What places cells is rounded to float32 for every type: all see the same map.
         numbers = np.array([1.0 / field.resolution, field.resolution, x, y], np.float32)
         bounds = np.array([0.0, width - 1.0, 0.0, height - 1.0], dtype)
         return Grid(np.ascontiguousarray(field.values, np.float32), *numbers.astype(dtype), *bounds)
+
+
+@cache
+def _nowhere(dtype: np.dtype) -> Grid:
+    return Grid(np.zeros((0, 0), np.float32), *np.zeros(8, dtype))
 
 
 @compiled

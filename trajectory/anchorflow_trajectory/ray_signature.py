@@ -9,6 +9,7 @@ planning", Autonomous Robots 33, 2012).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,10 +52,7 @@ class ObstacleRays:
         A key is the sum, modulo 2^64, of a number drawn for each obstacle times its crossings: one
         integer that stands for the whole signature while many are compared.
         """
-        keys = np.random.default_rng(KEYS_SEED).integers(
-            0, 2**64 - 1, len(self.rows), np.uint64, endpoint=True
-        )
-        return _crossed(keys, self.columns, self.rows, *self.shape)
+        return _crossed(_keys(len(self.rows)), self.columns, self.rows, *self.shape)
 
     def signatures(
         self, paths: FloatArray, *, resolution: float, origin: FloatArray
@@ -63,6 +61,11 @@ class ObstacleRays:
         cells = in_cells(paths, resolution, origin)
         summed = _summed_crossings(cells, self.columns, self.rows)
         return [tuple(row) for row in summed.tolist()]
+
+
+@lru_cache(maxsize=64)
+def _keys(count: int) -> NDArray[np.uint64]:
+    return np.random.default_rng(KEYS_SEED).integers(0, 2**64 - 1, count, np.uint64, endpoint=True)
 
 
 def in_cells(points: FloatArray, resolution: float, origin: FloatArray) -> NDArray[np.float64]:

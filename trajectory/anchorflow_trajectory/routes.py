@@ -92,7 +92,8 @@ def find_routes(
 
 def polyline_length(points: FloatArray) -> float:
     """m, through points [K, 2]."""
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    legs = points[1:] - points[:-1]
+    return float(np.sqrt((legs * legs).sum(1)).sum())
 
 
 def free_cells(clearance: FloatArray, ends: Sequence[int], *, slack: float) -> BoolArray:

@@ -69,7 +69,7 @@ class Ends:
         dim = len(self.x_goal) // 2
         return not (self.x_curr[dim:].any() or self.x_goal[dim:].any())
 
-    @property
+    @cached_property
     def derivatives(self) -> NDArray[np.float64]:
         """[5, D]: p, v, a at the start and p, v at the goal."""
         ends = (self.x_curr.reshape(3, -1), self.x_goal.reshape(2, -1))
@@ -179,7 +179,10 @@ class SplineBasis:
     def _add_fit(self, states: FloatArray, control: FloatArray) -> None:
         """Make the free points of [D, M, K], which are zero, those nearest to p, p', p''."""
         dtype = control.dtype
-        states, matrix = np.ascontiguousarray(states, dtype), self.fit_matrix.astype(dtype)
+        states, matrix = (
+            np.ascontiguousarray(states, dtype),
+            self.fit_matrix.astype(dtype, copy=False),
+        )
         fit_free_points(states, control, matrix, self.band(dtype), self.free.start)
 
     def fit_positions(self, positions: FloatArray, ends: Ends, duration: FloatArray) -> Splines:

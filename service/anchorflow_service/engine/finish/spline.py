@@ -6,8 +6,6 @@ from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 
-import numpy as np
-
 from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
@@ -46,7 +44,7 @@ class SplineFinish:
 
         def spread(work: Callable[[int, int], None], count: int) -> None:
             parts = max(1, min(threads, count // MIN_PART))
-            bounds = np.linspace(0, count, parts + 1).astype(int).tolist()
+            bounds = [count * part // parts for part in range(parts + 1)]
             self._helpers.side_by_side([partial(work, *ends) for ends in pairwise(bounds)])
 
         refiner = refiner_of(self._manifest, scene, spread=spread)

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -286,9 +287,16 @@ class OdeSampler:
 
 def _cut(begun: Beginning, parts: int) -> list[Beginning]:
     """The anchors in parts of about the same size."""
-    means = [None] * parts if begun.mean is None else np.array_split(begun.mean, parts)
-    xs, routes = np.array_split(begun.x, parts), np.array_split(begun.route, parts)
-    return [Beginning(*part) for part in zip(xs, routes, means, strict=True)]
+    count = len(begun.x)
+    bounds = [count * part // parts for part in range(parts + 1)]
+    return [
+        Beginning(
+            begun.x[begin:end],
+            begun.route[begin:end],
+            None if begun.mean is None else begun.mean[begin:end],
+        )
+        for begin, end in pairwise(bounds)
+    ]
 
 
 def _evaluated(field: FlowField, begun: Beginning) -> Array:
