@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import cast
 
+import httptools
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
@@ -27,6 +28,9 @@ RESERVE = 64
 """Connections beyond the limit that are still heard, so that a probe gets through a crowd."""
 SHARE = 0.75
 """Of the connections, for one address."""
+NO_REQUEST = "Invalid HTTP request received."
+FRAMING = (b"content-length", b"transfer-encoding")
+"""Headers that say how long a body is."""
 INTERIM = b"HTTP/1.1 1"
 """How an answer begins that another one follows, such as 100 Continue."""
 
@@ -98,7 +102,8 @@ class LimitedConnection(HttpToolsProtocol):
     def data_received(self, data: bytes) -> None:
         """Take what came, and wait for the rest no longer than the limit."""
         before, heads = self._stage, self._num_heads
-        super().data_received(data)
+        self._unset_keepalive_if_required()
+        self._feed(data)
         if self._stage is Stage.HEAD:
             self._note_half_a_head(data, before, heads)
         self._watch()
@@ -171,9 +176,28 @@ class LimitedConnection(HttpToolsProtocol):
         """Whether the client has what was written for it, as far as can be told from here."""
         return self.transport.get_write_buffer_size() == 0
 
-    def _unsupported_upgrade_warning(self) -> None:
-        """The answer is HTTP/1.1, after which this parser reads no more of the connection."""
-        self.cycle.keep_alive = False
+    def _feed(self, data: bytes) -> None:
+        assert self.parser is not None
+        try:
+            self.parser.feed_data(data)
+        except httptools.HttpParserUpgrade as upgrade:
+            self._go_on(data[upgrade.args[0] :])
+        except httptools.HttpParserError:
+            self.send_400_response(NO_REQUEST)
+
+    def _go_on(self, data: bytes) -> None:
+        """With a request that would rather be of another protocol, and is answered in this one.
+
+        The parser has left its body and all that follows to that protocol.
+        """
+        framing = [each for each in self.headers if each[0] in FRAMING]
+        if framing:
+            self._stage, self.cycle.more_body = Stage.BODY, True
+            self.cycle.message_event.clear()
+            head = b"".join(b"%b: %b\r\n" % each for each in framing)
+            data = b"POST / HTTP/1.1\r\n%b\r\n%b" % (head, data)
+        self.parser = httptools.HttpRequestParser(SecondHalf(self) if framing else self)
+        self._feed(data)
 
     def _note_head(self, size: int) -> None:
         self._head_bytes += size
@@ -188,7 +212,7 @@ class LimitedConnection(HttpToolsProtocol):
             is_alone = self._num_heads == heads + 1 and (before is Stage.WHOLE or not heads)
             self._head_came = len(data) if is_alone else 0
         if self._head_came > self.limits.max_head_bytes and not self.transport.is_closing():
-            self.send_400_response("Invalid HTTP request received.")
+            self.send_400_response(NO_REQUEST)
 
     def _watch(self) -> None:
         """Limit the time while a head or a body is still coming in."""
@@ -216,6 +240,44 @@ class LimitedConnection(HttpToolsProtocol):
             self.places.begin_waiting(self)
         else:
             self.places.begin_request(self)
+
+
+class SecondHalf:
+    """What a parser tells of a body whose head was told by another, and of all that follows it."""
+
+    def __init__(self, connection: LimitedConnection) -> None:
+        self._connection = connection
+        self._is_known = True
+        """The head."""
+
+    def on_message_begin(self) -> None:
+        """Of the next request."""
+        if not self._is_known:
+            self._connection.on_message_begin()
+
+    def on_url(self, url: bytes) -> None:
+        """Of the next request."""
+        if not self._is_known:
+            self._connection.on_url(url)
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Of the next request, or a trailer."""
+        if not self._is_known:
+            self._connection.on_header(name, value)
+
+    def on_headers_complete(self) -> None:
+        """Of the next request."""
+        if not self._is_known:
+            self._connection.on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        """Of any request."""
+        self._connection.on_body(body)
+
+    def on_message_complete(self) -> None:
+        """Of any request."""
+        self._is_known = False
+        self._connection.on_message_complete()
 
 
 class JoinedHead:

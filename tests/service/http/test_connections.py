@@ -336,15 +336,29 @@ def test_requests_that_come_at_once_are_answered_in_their_order(within: Within) 
     assert answer.endswith(b'{"ready":true}')
 
 
-def test_one_who_would_speak_another_protocol_is_answered_in_this_one(within: Within) -> None:
-    """And asks again over another connection, as the parser reads no more of this one."""
-    port = within(ConnectionLimits())
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.sendall(
-            b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n"
-            b"Connection: Upgrade\r\nUpgrade: h2c\r\n\r\n"
-        )
+UPGRADE = b"Connection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\nHTTP2-Settings: AAM\r\n"
+"""As Java's client and `curl --http2` ask first."""
+
+
+@pytest.mark.parametrize("size", [1, 7, 10_000])
+@pytest.mark.parametrize("is_chunked", [False, True])
+def test_one_who_would_speak_another_protocol_is_answered_in_this_one(
+    within: Within, fields: dict[str, Any], size: int, is_chunked: bool
+) -> None:
+    """Body and all, and again over the same connection."""
+    body = json.dumps(fields).encode()
+    framed, framing = body, b"Content-Length: %d\r\n" % len(body)
+    if is_chunked:
+        framing = b"Transfer-Encoding: chunked\r\n"
+        framed = b"%x\r\n%b\r\n0\r\nX-Trailer: t\r\n\r\n" % (len(body), body)
+    post = b"POST /anchors HTTP/1.1\r\nHost: a\r\n" + UPGRADE + framing + b"\r\n" + framed
+    get = b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n" + UPGRADE
+    sent = post + get + b"\r\n" + post + get + b"Connection: close\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", within(ConnectionLimits()))) as connection:
+        for begin in range(0, len(sent), size):
+            connection.sendall(sent[begin : begin + size])
         answer = everything(connection)
 
-    assert answer.startswith(b"HTTP/1.1 200 ")
-    assert b"connection: close" in answer
+    assert answer.count(b"HTTP/1.1 200 ") == 4
+    assert answer.count(b'"trajectories"') == 2
+    assert answer.endswith(b'{"live":true}')
