@@ -31,7 +31,17 @@ REQUESTS = [
     ("GET", "/v2", b""),
     ("GET", "/v2/models", b""),
 ]
-LIBRARIES = ("fastapi", "starlette", "uvicorn", "h11", "orjson", "pydantic", "onnxruntime", "numpy")
+LIBRARIES = (
+    "fastapi",
+    "starlette",
+    "uvicorn",
+    "httptools",
+    "h11",
+    "orjson",
+    "pydantic",
+    "onnxruntime",
+    "numpy",
+)
 
 
 @pytest.mark.parametrize(("method", "path", "body"), REQUESTS)
