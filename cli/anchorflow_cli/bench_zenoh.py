@@ -57,7 +57,8 @@ def zenoh(
     with ExitStack() as stack:
         ways = _ways(opened, bundle, stack)
         table = transport_table(ways, requests, rounds=rounds, budget_s=budget_s)
-    about = {"scenes": scenes, "anchors a request": str(num), "sampler": sampler}
+    about = {"model": f"{opened.card.name} {opened.card.version}", "scenes": scenes}
+    about |= {"anchors a request": str(num), "sampler": sampler}
     report("Zenoh", about, [table], out)
 
 
