@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -60,24 +59,29 @@ class CostMap:
         """[B,H,W] (or [H,W]), channel 0."""
         return self.data[..., 0, :, :]
 
-    @cached_property
+    @property
     def extent(self) -> NDArray[np.float64]:
         """[2,2] m: the lower and the upper corner (x, y) of the map."""
-        height, width = self.data.shape[-2:]
-        return np.array([self.origin, self.origin + self.resolution * np.array([width, height])])
+        return np.array(self._bounds).reshape(2, 2)
 
     def contains(self, x: float, y: float) -> bool:
         """Whether a point in m lies on the map, its border included."""
-        (x_low, y_low), (x_high, y_high) = self.extent.tolist()
+        x_low, y_low, x_high, y_high = self._bounds
         return x_low <= x <= x_high and y_low <= y <= y_high
 
     def cell_of(self, x: float, y: float) -> tuple[int, int]:
         """(row, column) of the cell that holds a point in m; the nearest to one outside."""
-        (x_low, y_low), (x_high, y_high) = self.extent.tolist()
+        x_low, y_low, x_high, y_high = self._bounds
         height, width = self.data.shape[-2:]
         column = (min(max(x, x_low), x_high) - x_low) / self.resolution
         row = (min(max(y, y_low), y_high) - y_low) / self.resolution
         return min(int(row), height - 1), min(int(column), width - 1)
+
+    @property
+    def _bounds(self) -> tuple[float, float, float, float]:
+        """x and y [m] of the lower corner, then of the upper one."""
+        (x, y), (height, width) = self.origin.tolist(), self.data.shape[-2:]
+        return x, y, x + self.resolution * width, y + self.resolution * height
 
 
 def _grid(data: Any) -> NDArray[np.float32]:

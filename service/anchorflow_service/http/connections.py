@@ -28,6 +28,8 @@ RESERVE = 64
 """Connections beyond the limit that are still heard, so that a probe gets through a crowd."""
 SHARE = 0.75
 """Of the connections, for one address."""
+MOST_AHEAD = 32
+"""Requests that one connection may send before the first is answered."""
 NO_REQUEST = "Invalid HTTP request received."
 FRAMING = (b"content-length", b"transfer-encoding")
 """Headers that say how long a body is."""
@@ -120,9 +122,10 @@ class LimitedConnection(HttpToolsProtocol):
         super().on_url(url)
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """A header, or after a body in chunks a trailer."""
+        """A header; what comes after a body in chunks, as a trailer, is none."""
         self._note_head(len(name) + len(value))
-        super().on_header(name, value)
+        if self._stage is Stage.HEAD:
+            super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
         """Begin the request."""
@@ -130,6 +133,8 @@ class LimitedConnection(HttpToolsProtocol):
         assert self.parser is not None
         if hosts > 1 or (not hosts and self.parser.get_http_version() == "1.1"):
             raise ValueError(f"expected one Host, got {hosts}")
+        if len(self.pipeline) >= MOST_AHEAD:
+            raise ValueError(f"expected at most {MOST_AHEAD} requests before an answer")
         self._stage = Stage.BODY
         super().on_headers_complete()
         self.cycle.transport = cast("asyncio.Transport", JoinedHead(self.transport))

@@ -14,7 +14,12 @@ import pytest
 from fastapi import FastAPI
 
 from anchorflow_client import AnchorClient, Overloaded
-from anchorflow_service.http.connections import RESERVE, ConnectionLimits, JoinedHead
+from anchorflow_service.http.connections import (
+    MOST_AHEAD,
+    RESERVE,
+    ConnectionLimits,
+    JoinedHead,
+)
 from anchorflow_service.http.lifecycle import AnchorServer
 from anchorflow_service.planning import PlanningService
 
@@ -334,6 +339,30 @@ def test_requests_that_come_at_once_are_answered_in_their_order(within: Within) 
     assert answer.count(b"HTTP/1.1 200 ") == 6
     assert answer.count(b'{"live":true}') == 5
     assert answer.endswith(b'{"ready":true}')
+
+
+def test_of_a_flood_of_requests_the_first_are_answered(within: Within) -> None:
+    """And the rest asked again, over another connection: each that waits costs memory."""
+    asked = b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", within(ConnectionLimits()))) as connection:
+        connection.sendall(asked * 1000)
+        answer = everything(connection)
+
+    assert answer.count(b"HTTP/1.1 200 ") == 1 + MOST_AHEAD
+    assert b"HTTP/1.1 400 " not in answer
+
+
+def test_a_trailer_is_no_header(within: Within) -> None:
+    head = (
+        b"POST /anchors HTTP/1.1\r\nHost: a\r\nConnection: close\r\nTransfer-Encoding: chunked\r\n"
+    )
+    body = b"\r\n2\r\n{}\r\n0\r\nX-Request-Id: smuggled\r\n\r\n"
+    with socket.create_connection(("127.0.0.1", within(ConnectionLimits()))) as connection:
+        connection.sendall(head + body)
+        answer = everything(connection)
+
+    assert answer.startswith(b"HTTP/1.1 422 ")
+    assert b"smuggled" not in answer
 
 
 UPGRADE = b"Connection: Upgrade, HTTP2-Settings\r\nUpgrade: h2c\r\nHTTP2-Settings: AAM\r\n"

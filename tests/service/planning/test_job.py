@@ -61,6 +61,41 @@ def test_the_first_end_stands() -> None:
     assert job.result.result(0) == "done"
 
 
+def test_a_result_is_delivered_before_anybody_else_has_it() -> None:
+    delivered: list[tuple[str, bool]] = []
+    job: Job[str] = Job(
+        lambda _: "done",
+        Arrival(),
+        deliver=lambda result: delivered.append((result, job.result.done())),
+    )
+
+    assert job.run(queue_ms=0.0, threads=1)
+    assert delivered == [("done", False)]
+    assert job.result.result(0) == "done"
+
+
+def test_what_nobody_waits_for_is_not_delivered() -> None:
+    delivered: list[str] = []
+
+    def work(_: JobContext) -> str:
+        job.cancel(NotReady("the service is stopping"))
+        return "done"
+
+    job: Job[str] = Job(work, Arrival(), deliver=delivered.append)
+
+    job.run(queue_ms=0.0, threads=1)
+    assert delivered == []
+    assert isinstance(job.result.exception(0), NotReady)
+
+
+def test_what_fails_on_delivery_is_the_jobs_result() -> None:
+    job: Job[float] = Job(lambda _: 0.0, Arrival(), deliver=lambda result: 1 / result)
+
+    job.run(queue_ms=0.0, threads=1)
+    with pytest.raises(ZeroDivisionError):
+        job.result.result(0)
+
+
 def test_a_budget_that_runs_out_at_work_ends_it_at_the_next_check() -> None:
     now = [7.0]
 
