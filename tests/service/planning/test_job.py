@@ -89,7 +89,10 @@ def test_what_nobody_waits_for_is_not_delivered() -> None:
 
 
 def test_what_fails_on_delivery_is_the_jobs_result() -> None:
-    job: Job[float] = Job(lambda _: 0.0, Arrival(), deliver=lambda result: 1 / result)
+    def fail(_: float) -> None:
+        raise ZeroDivisionError
+
+    job: Job[float] = Job(lambda _: 0.0, Arrival(), deliver=fail)
 
     job.run(queue_ms=0.0, threads=1)
     with pytest.raises(ZeroDivisionError):

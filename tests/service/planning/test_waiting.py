@@ -10,8 +10,8 @@ from anchorflow_service.planning.job import Job, JobCancelled
 from anchorflow_service.planning.waiting import WaitingLine
 
 
-def job(key: Hashable = None, **more: float) -> Job[None]:
-    return Job(lambda _: None, Arrival(clock=lambda: 7.0), key=key, **more)
+def job(key: Hashable = None, *, budget_ms: float | None = None) -> Job[None]:
+    return Job(lambda _: None, Arrival(clock=lambda: 7.0), key=key, budget_ms=budget_ms)
 
 
 def line_of(*jobs: Job[None]) -> WaitingLine:
