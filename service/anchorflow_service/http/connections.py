@@ -11,6 +11,7 @@ import json
 import math
 from dataclasses import dataclass
 from enum import Enum, auto
+from functools import partial
 from typing import cast
 
 import httptools
@@ -87,6 +88,8 @@ class LimitedConnection(HttpToolsProtocol):
     """Of the one on its way, in names and values."""
     _head_came = 0
     """Of the one on its way, in all that came of it."""
+    _is_refused = False
+    """Nothing that comes from now on is read."""
     _receiving: asyncio.TimerHandle | None = None
     _receives_body = False
 
@@ -103,6 +106,8 @@ class LimitedConnection(HttpToolsProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Take what came, and wait for the rest no longer than the limit."""
+        if self._is_refused:
+            return
         before, heads = self._stage, self._num_heads
         self._unset_keepalive_if_required()
         self._feed(data)
@@ -137,7 +142,9 @@ class LimitedConnection(HttpToolsProtocol):
             raise ValueError(f"expected at most {MOST_AHEAD} requests before an answer")
         self._stage = Stage.BODY
         super().on_headers_complete()
-        self.cycle.transport = cast("asyncio.Transport", JoinedHead(self.transport))
+        joined = JoinedHead(self.transport)
+        self.cycle.transport = cast("asyncio.Transport", joined)
+        self.cycle.on_response = partial(self._end_response, joined)
 
     def on_message_complete(self) -> None:
         """All of a request is there."""
@@ -146,7 +153,6 @@ class LimitedConnection(HttpToolsProtocol):
 
     def on_response_complete(self) -> None:
         """Wait for the next request, or take it up where it has come already."""
-        cast("JoinedHead", self.cycle.transport).flush()
         super().on_response_complete()
         if self._stage is Stage.WHOLE:
             self._stop_watching()  # uvicorn limits the wait for the first byte
@@ -162,12 +168,12 @@ class LimitedConnection(HttpToolsProtocol):
 
     def send_400_response(self, msg: str) -> None:
         """The refusal of what is no HTTP, or too long a head, as the contract writes it."""
-        cycle = self.cycle
+        self._is_refused, cycle = True, self.cycle
         if cycle is not None and not cycle.response_complete:
             if self._stage is not Stage.BODY:
                 cycle.keep_alive = False  # what came before it is answered, and no more
                 return
-            if cycle.response_started:
+            if cycle.response_started or self.pipeline:  # no other answer may come between
                 self.transport.abort()
                 return
         most = self.limits.max_head_bytes
@@ -204,6 +210,10 @@ class LimitedConnection(HttpToolsProtocol):
         self.parser = httptools.HttpRequestParser(SecondHalf(self) if framing else self)
         self._feed(data)
 
+    def _end_response(self, joined: JoinedHead) -> None:
+        joined.flush()
+        self.on_response_complete()
+
     def _note_head(self, size: int) -> None:
         self._head_bytes += size
         if self._head_bytes > self.limits.max_head_bytes:
@@ -216,7 +226,7 @@ class LimitedConnection(HttpToolsProtocol):
         else:  # unless something else came with it, all of this is its beginning
             is_alone = self._num_heads == heads + 1 and (before is Stage.WHOLE or not heads)
             self._head_came = len(data) if is_alone else 0
-        if self._head_came > self.limits.max_head_bytes and not self.transport.is_closing():
+        if self._head_came > self.limits.max_head_bytes and not self._is_refused:
             self.send_400_response(NO_REQUEST)
 
     def _watch(self) -> None:

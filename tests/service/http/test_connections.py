@@ -317,6 +317,40 @@ def test_what_came_before_nonsense_is_answered(within: Within) -> None:
     assert answer.endswith(b'{"live":true}')
 
 
+@pytest.mark.parametrize(
+    "more",
+    [
+        b"nonsense\r\n\r\n",
+        b"GET /v2 HTTP/1.1\r\nHost: a\r\nX: " + b"x" * 2**20,
+        b"POST /anchors HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\nnonsense\r\n",
+    ],
+    ids=["no request", "endless head", "no chunk"],
+)
+def test_a_refusal_does_not_come_before_the_answer_to_what_came_first(
+    within: Within, fields: dict[str, Any], gate: Any, more: bytes
+) -> None:
+    body = json.dumps(fields).encode()
+    head = b"POST /anchors HTTP/1.1\r\nHost: a\r\nContent-Length: %d\r\n\r\n" % len(body)
+    with socket.create_connection(("127.0.0.1", within(ConnectionLimits()))) as connection:
+        connection.sendall(head + body)
+        assert gate.reached.wait(PATIENCE_S)
+        connection.sendall(more)
+        gate.opened.set()
+        answer = everything(connection)
+
+    assert b"HTTP/1.1 400 " not in answer
+    assert answer.startswith(b"HTTP/1.1 200 ") or (b"chunked" in more and not answer)
+
+
+def test_answers_without_a_body_leave_in_their_order_too(within: Within) -> None:
+    asked = b"HEAD /v2/health/live HTTP/1.1\r\nHost: a\r\n"
+    with socket.create_connection(("127.0.0.1", within(ConnectionLimits()))) as connection:
+        connection.sendall((asked + b"\r\n") * 3 + asked + b"Connection: close\r\n\r\n")
+        answer = everything(connection)
+
+    assert answer.count(b"HTTP/1.1 405 ") == 4
+
+
 def test_a_body_that_breaks_off_into_nonsense_is_refused(within: Within) -> None:
     port = within(ConnectionLimits())
     head = b"POST /anchors HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n"
