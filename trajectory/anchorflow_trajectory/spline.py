@@ -13,11 +13,12 @@ Arrays are component first: control points are [D, M, K], samples [D, M, T] for 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from anchorflow_trajectory.lock_free import cached_property
 from anchorflow_trajectory.spline_kernels import (
     Band,
     EndPoints,
