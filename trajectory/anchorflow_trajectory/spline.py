@@ -180,10 +180,8 @@ class SplineBasis:
     def _add_fit(self, states: FloatArray, control: FloatArray) -> None:
         """Make the free points of [D, M, K], which are zero, those nearest to p, p', p''."""
         dtype = control.dtype
-        states, matrix = (
-            np.ascontiguousarray(states, dtype),
-            self.fit_matrix.astype(dtype, copy=False),
-        )
+        states = np.ascontiguousarray(states, dtype)
+        matrix = self.fit_matrix.astype(dtype, copy=False)
         fit_free_points(states, control, matrix, self.band(dtype), self.free.start)
 
     def fit_positions(self, positions: FloatArray, ends: Ends, duration: FloatArray) -> Splines:

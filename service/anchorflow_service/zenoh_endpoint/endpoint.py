@@ -144,9 +144,8 @@ class ZenohEndpoint:
                 refuse(query, internal_error(failed))
 
     def _reply(self, query: zenoh.Query, key: str, call: Call, answer: Payload) -> None:
-        attachment = AnswerAttachment(
-            answer.header_length, call.request_id, self.replica, self._load()
-        )
+        load = self._load(answered=1)
+        attachment = AnswerAttachment(answer.header_length, call.request_id, self.replica, load)
         reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
 
     def _call(self, query: zenoh.Query, key: str, arrival: Arrival, request_id: str) -> Call:
@@ -179,6 +178,7 @@ class ZenohEndpoint:
         with query:
             reply(query, info_key(self.replica), info.to_bytes(), None, "application/json")
 
-    def _load(self) -> Load:
+    def _load(self, *, answered: int = 0) -> Load:
+        """answered: requests that still hold a place, and whose answer leaves now"""
         queue = self._service.queue
-        return Load(queue.in_flight, queue.num_lanes, queue.mean_service_s * 1e3)
+        return Load(queue.in_flight - answered, queue.num_lanes, queue.mean_service_s * 1e3)

@@ -86,6 +86,7 @@ def test_a_query_is_answered_on_both_keys(
     assert (batch.model.name, batch.seed, batch.request_id) == ("lines", 1, "r1")
     assert (said["request_id"], said["replica"]) == ("r1", "a")
     assert set(said["load"]) == {"in_flight", "workers", "mean_service_ms"}
+    assert said["load"]["in_flight"] == 0  # itself not counted: it is answered
 
 
 def test_a_key_with_a_wildcard_reaches_every_model(
