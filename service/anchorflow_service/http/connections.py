@@ -23,7 +23,9 @@ from anchorflow_client.errors import InvalidRequest, Overloaded
 from anchorflow_service.http.body import discard_body
 from anchorflow_service.http.errors import error_answer
 from anchorflow_service.http.guard import HEALTH
+from anchorflow_service.http.joined_head import JoinedHead
 from anchorflow_service.http.places import ConnectionPlaces, source_of
+from anchorflow_service.http.second_half import SecondHalf
 
 RESERVE = 64
 """Connections beyond the limit that are still heard, so that a probe gets through a crowd."""
@@ -34,8 +36,6 @@ MOST_AHEAD = 32
 NO_REQUEST = "Invalid HTTP request received."
 FRAMING = (b"content-length", b"transfer-encoding")
 """Headers that say how long a body is."""
-INTERIM = b"HTTP/1.1 1"
-"""How an answer begins that another one follows, such as 100 Continue."""
 
 
 @dataclass(frozen=True)
@@ -255,78 +255,6 @@ class LimitedConnection(HttpToolsProtocol):
             self.places.begin_waiting(self)
         else:
             self.places.begin_request(self)
-
-
-class SecondHalf:
-    """What a parser tells of a body whose head was told by another, and of all that follows it."""
-
-    def __init__(self, connection: LimitedConnection) -> None:
-        self._connection = connection
-        self._is_known = True
-        """The head."""
-
-    def on_message_begin(self) -> None:
-        """Of the next request."""
-        if not self._is_known:
-            self._connection.on_message_begin()
-
-    def on_url(self, url: bytes) -> None:
-        """Of the next request."""
-        if not self._is_known:
-            self._connection.on_url(url)
-
-    def on_header(self, name: bytes, value: bytes) -> None:
-        """Of the next request, or a trailer."""
-        if not self._is_known:
-            self._connection.on_header(name, value)
-
-    def on_headers_complete(self) -> None:
-        """Of the next request."""
-        if not self._is_known:
-            self._connection.on_headers_complete()
-
-    def on_body(self, body: bytes) -> None:
-        """Of any request."""
-        self._connection.on_body(body)
-
-    def on_message_complete(self) -> None:
-        """Of any request."""
-        self._is_known = False
-        self._connection.on_message_complete()
-
-
-class JoinedHead:
-    """A transport for one answer, whose head leaves together with what follows it.
-
-    One call of the system less, and a client is woken once.
-    """
-
-    def __init__(self, transport: asyncio.Transport) -> None:
-        self._transport = transport
-        self._head: bytes | None = None
-        self._has_begun = False
-
-    def write(self, data: bytes) -> None:
-        """Send it, the head before it; keep it, where it is the head."""
-        if data.startswith(INTERIM) or self._has_begun:
-            head, self._head = self._head, None
-            self._transport.write(data if head is None else head + data)
-        else:
-            self._head, self._has_begun = data, True
-
-    def flush(self) -> None:
-        """The answer is complete: send the head where nothing followed it."""
-        if self._head is not None:
-            self.write(b"")
-
-    def close(self) -> None:
-        """Once all is sent."""
-        self.flush()
-        self._transport.close()
-
-    def is_closing(self) -> bool:
-        """Whether it takes no more."""
-        return self._transport.is_closing()
 
 
 def limited(limits: ConnectionLimits) -> type[LimitedConnection]:

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import Any
-from unittest.mock import Mock, call
 
 import pytest
 from fastapi import FastAPI
@@ -18,7 +17,6 @@ from anchorflow_service.http.connections import (
     MOST_AHEAD,
     RESERVE,
     ConnectionLimits,
-    JoinedHead,
 )
 from anchorflow_service.http.lifecycle import AnchorServer
 from anchorflow_service.planning import PlanningService
@@ -277,34 +275,6 @@ def test_planning_may_take_longer_than_receiving(
 
         assert asked.result(PATIENCE_S).seed == 1
         assert client.plan(**fields).seed == 1  # and again over the same connection
-
-
-def test_a_head_leaves_with_what_follows_it() -> None:
-    transport = Mock()
-    joined = JoinedHead(transport)
-
-    joined.write(b"HTTP/1.1 100 Continue\r\n\r\n")
-    joined.write(b"HTTP/1.1 200 OK\r\n\r\n")
-    for part in (b"bo", b"dy"):
-        joined.write(part)
-    joined.flush()
-
-    assert [call.args[0] for call in transport.write.call_args_list] == [
-        b"HTTP/1.1 100 Continue\r\n\r\n",
-        b"HTTP/1.1 200 OK\r\n\r\nbo",
-        b"dy",
-    ]
-
-
-def test_a_head_without_a_body_leaves_before_the_connection_closes() -> None:
-    transport = Mock()
-    joined = JoinedHead(transport)
-
-    joined.write(b"HTTP/1.1 204 No Content\r\n\r\n")
-    transport.write.assert_not_called()
-    joined.close()
-
-    assert transport.mock_calls == [call.write(b"HTTP/1.1 204 No Content\r\n\r\n"), call.close()]
 
 
 def test_what_came_before_nonsense_is_answered(within: Within) -> None:
