@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 from unittest.mock import Mock
 
@@ -13,9 +13,12 @@ import pytest
 from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut
 from anchorflow_client.http.answer_parser import AnswerParser
 from anchorflow_client.http.async_socket_transport import AsyncSocketTransport
-from anchorflow_client.http.socket_transport import JOINED_BYTES, SocketTransport
+from anchorflow_client.http.socket_transport import SocketTransport
 
 OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nX-Kind: test\r\n\r\nok"
+HEAD = len(
+    b"POST /x HTTP/1.1\r\nHost: test\r\nAccept-Encoding: identity\r\nContent-Length: 99\r\n\r\n"
+)
 Script = Callable[[socket.socket], None]
 Reach = Callable[[int], Any]
 Serve = Callable[..., Any]
@@ -113,20 +116,58 @@ def test_a_connection_that_closes_as_it_is_asked_is_opened_again(serve: Serve) -
     assert [get(transport), get(transport)] == [b"ok", b"ok"]
 
 
-@pytest.mark.parametrize(("size", "calls"), [(4, 1), (JOINED_BYTES, 1), (JOINED_BYTES + 1, 2)])
-def test_a_head_and_a_body_of_ordinary_length_are_sent_at_once(
-    size: int, calls: int, monkeypatch: pytest.MonkeyPatch
+class Scripted:
+    """A socket that takes so many bytes of the first call, all later ones, and has an answer."""
+
+    def __init__(self, takes: int) -> None:
+        self.sent: list[bytes] = []
+        self._takes = takes
+
+    def sendmsg(self, parts: Sequence[bytes]) -> int:
+        self.sent.append(b"".join(parts)[: self._takes])
+        return len(self.sent[-1])
+
+    def sendall(self, data: bytes) -> None:
+        self.sent.append(bytes(data))
+
+    def recv_into(self, buffer: memoryview) -> int:
+        buffer[: len(OK)] = OK
+        return len(OK)
+
+    def settimeout(self, timeout_s: float) -> None:
+        pass
+
+    def setsockopt(self, *option: int) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("takes", "calls"), [(10**6, 1), (0, 3), (10, 3), (HEAD, 2), (HEAD + 9, 2)]
+)
+def test_a_head_and_its_body_are_sent_at_once_as_far_as_they_are_taken(
+    takes: int, calls: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    connection = Mock(recv=Mock(return_value=OK))
+    connection = Scripted(takes)
     monkeypatch.setattr(socket, "create_connection", Mock(return_value=connection))
 
-    SocketTransport("http://test", connect_timeout_s=5).send("POST", "/x", {}, bytes(size), 10)
+    SocketTransport("http://test", connect_timeout_s=5).send("POST", "/x", {}, bytes(99), 10)
 
-    sent = [bytes(call.args[0]) for call in connection.sendall.call_args_list]
-    head, _, body = b"".join(sent).partition(b"\r\n\r\n")
-    assert len(sent) == calls
+    head, _, body = b"".join(connection.sent).partition(b"\r\n\r\n")
+    assert len(connection.sent) == calls
     assert head.startswith(b"POST /x HTTP/1.1\r\n")
-    assert body == bytes(size)
+    assert len(head) + 4 == HEAD
+    assert body == bytes(99)
+
+
+def test_a_socket_that_takes_one_part_at_a_time_gets_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on Windows, and under TLS."""
+    connection = Scripted(0)
+    monkeypatch.delattr(Scripted, "sendmsg")
+    monkeypatch.setattr(socket, "create_connection", Mock(return_value=connection))
+
+    SocketTransport("http://test", connect_timeout_s=5).send("POST", "/x", {}, bytes(99), 10)
+
+    assert len(b"".join(connection.sent)) == HEAD + 99
 
 
 def test_a_signal_leaves_no_connection_half_used(monkeypatch: pytest.MonkeyPatch) -> None:

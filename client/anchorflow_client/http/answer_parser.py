@@ -54,7 +54,7 @@ class AnswerParser:
         self._parsing = self._parse()
         next(self._parsing)
 
-    def feed(self, data: bytes) -> None:
+    def feed(self, data: bytes | memoryview) -> None:
         """The next bytes.
 
         Raises:
@@ -137,7 +137,8 @@ class AnswerParser:
             raise http.client.RemoteDisconnected("the connection was closed without an answer")
 
     def _take(self, size: int) -> bytes:
-        taken = bytes(self._buffer[:size])
+        with memoryview(self._buffer) as buffer:  # a slice of the buffer itself is a copy more
+            taken = bytes(buffer[:size])
         del self._buffer[:size]
         return taken
 

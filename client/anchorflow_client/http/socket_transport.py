@@ -13,9 +13,6 @@ from functools import cached_property
 from anchorflow_client.http.answer_parser import AnswerParser
 from anchorflow_client.http.transport import Address, HttpAnswer, translated, unreachable
 
-JOINED_BYTES = 512 * 2**10
-"""Of a body: to copy so many behind the head takes less than to send them by a second call, and the
-service is woken once."""
 HEARD_BYTES = 256 * 2**10
 """At most, at a time."""
 
@@ -37,6 +34,8 @@ class SocketTransport:
         self._connect_timeout_s = connect_timeout_s
         self._lock = threading.Lock()
         self._socket: socket.socket | None = None
+        # Kept: new memory of that size is taken from the system and given back each time.
+        self._heard = memoryview(bytearray(HEARD_BYTES))
 
     def send(
         self,
@@ -67,15 +66,11 @@ class SocketTransport:
         connection.settimeout(timeout_s)
         # A service that refuses a large body stops reading it: its answer may be here already.
         with suppress(BrokenPipeError, ConnectionResetError):
-            if body is None or len(body) <= JOINED_BYTES:
-                connection.sendall(head + (body or b""))
-            else:
-                connection.sendall(head)
-                connection.sendall(body)
+            _send_all(connection, head, body or b"")
         parser = AnswerParser()
         while parser.answer is None:
-            if heard := connection.recv(HEARD_BYTES):
-                parser.feed(heard)
+            if size := connection.recv_into(self._heard):
+                parser.feed(self._heard[:size])
             else:
                 parser.end()
         if not parser.keeps_alive:
@@ -116,3 +111,15 @@ class SocketTransport:
         except BaseException:  # a signal handler's too
             self._disconnect()
             raise
+
+
+def _send_all(connection: socket.socket, head: bytes, body: bytes) -> None:
+    """By one call where it can be, so that the service is woken once, and without a copy."""
+    if isinstance(connection, ssl.SSLSocket) or not hasattr(connection, "sendmsg"):
+        connection.sendall(head + body)
+        return
+    sent = connection.sendmsg([head, body])
+    for part in (head, body):
+        if rest := memoryview(part)[sent:]:
+            connection.sendall(rest)
+        sent = max(0, sent - len(part))
