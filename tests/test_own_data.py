@@ -19,7 +19,7 @@ from anchorflow_service.planning import PlanningService
 
 SHORT = ("--steps", 3, "--scenes", 4, "--samples", 4, "--no-tensorboard")
 SMALL = ("--model.map-size", 16, "--model.map-scales", 1, "--model.layers", 1)
-N, CELLS = 6, 32
+N, CELLS, RADIUS = 6, 32, 0.4
 
 
 def anchorflow(*words: object) -> None:
@@ -32,7 +32,8 @@ def anchorflow(*words: object) -> None:
 def bundle_of(poses: Path, folder: Path, *cut: object) -> Engine:
     """From recorded poses to an engine by the commands of docs/training-data.md."""
     anchorflow("data", "from-poses", poses, folder / "my.npz", *cut)
-    anchorflow("data", "import", folder / "my.npz", folder / "data", "--cells", CELLS)
+    robot = ("--robot-radius", RADIUS)
+    anchorflow("data", "import", folder / "my.npz", folder / "data", "--cells", CELLS, *robot)
     anchorflow("train", folder / "data", "--out", folder / "run", *SHORT, *SMALL)
     checkpoint = folder / "run" / "checkpoint.pt"
     anchorflow("export", checkpoint, "--out", folder / "bundle", "--refine-steps", 2)
@@ -84,8 +85,9 @@ def post(engine: Engine, body: dict[str, Any]) -> httpx.Response:
 
 
 def assert_served(engine: Engine, folder: Path, *, T: int, D: int) -> None:
-    """The bundle has the data's T and D, its anchors meet both ends, another D is refused."""
+    """Its T, D and robot are the data's, its anchors meet both ends, another D is refused."""
     assert (engine.card.T, engine.card.D) == (T, D)
+    assert engine.card.cost_map.limits.robot_radius == RADIUS
     assert engine.card.time.dt == pytest.approx(0.1)
     shapes = {spec.name: spec.shape for spec in engine.card.inputs}
     assert (shapes["x_curr"], shapes["x_goal"]) == (("B", 3 * D), ("B", 2 * D))

@@ -12,7 +12,7 @@ from anchorflow_client.contract import SamplerChoice
 from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
-from anchorflow_export.planners import adapter_of
+from anchorflow_export.planners import adapter_of, check_used
 from anchorflow_export.quantization import quantize_bundle
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint
 from anchorflow_training.distillation.student import student_schedule
@@ -47,16 +47,28 @@ def export(
         ),
     ] = None,
     noise_scale: Annotated[
-        float, typer.Option(min=0.1, max=3.0, help="Spread of the noise; 1: as in training.")
-    ] = 1.0,
-    robot_radius: Annotated[float, typer.Option(min=0.0, help="Default of the card [m].")] = 0.25,
+        float | None,
+        typer.Option(
+            min=0.1, max=3.0, help="Spread of the noise; 1: as in training.", show_default="1"
+        ),
+    ] = None,
+    robot_radius: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, help="Default of the card [m].", show_default="that of the data; 0.25"
+        ),
+    ] = None,
     safety_margin: Annotated[
-        float, typer.Option(min=0.0, help="Clearance that the descent asks for [m].")
-    ] = 0.1,
-    refine_steps: Annotated[int, typer.Option(min=1, help="Descents on each anchor.")] = 20,
+        float | None,
+        typer.Option(min=0.0, help="Clearance that the descent asks for [m].", show_default="0.1"),
+    ] = None,
+    refine_steps: Annotated[
+        int | None, typer.Option(min=1, help="Descents on each anchor.", show_default="20")
+    ] = None,
     refine_rate: Annotated[
-        float, typer.Option(min=0.001, help="Of the first descent [m].")
-    ] = DESCENT_RATE,
+        float | None,
+        typer.Option(min=0.001, help="Of the first descent [m].", show_default=f"{DESCENT_RATE}"),
+    ] = None,
     int8: Annotated[
         bool, typer.Option("--int8", help="Field and encoder in eight bits: faster, rounded.")
     ] = False,
@@ -64,20 +76,23 @@ def export(
     """Trace a trained planner to ONNX, prove that both agree, and write the bundle."""
     saved = load_checkpoint(checkpoint)
     model = restore_model(saved)
-    choices = ExportChoices(
-        sampler=_sampler(method, schedule, student_schedule(saved)),
-        noise_scale=noise_scale,
-        **_limits(saved),
-        robot_radius=robot_radius,
-        safety_margin=safety_margin,
-        refine_steps=refine_steps,
-        refine_rate=refine_rate,
-    )
+    asked = {
+        "sampler": method or schedule,
+        "noise_scale": noise_scale,
+        "robot_radius": robot_radius,
+        "safety_margin": safety_margin,
+        "refine_steps": refine_steps,
+        "refine_rate": refine_rate,
+    }
+    asked = {name: value for name, value in asked.items() if value is not None}
+    check_used(saved.planner, asked)
+    asked["sampler"] = _sampler(method, schedule, student_schedule(saved))
+    choices = ExportChoices(**{**_limits(saved), **asked})
     description = BundleDescription(
         name=name or _name(saved),
         version=version,
         planner=saved.planner,
-        training={**provenance(saved), "noise_scale": noise_scale},
+        training={**provenance(saved), "noise_scale": choices.noise_scale},
     )
     adapter = adapter_of(saved.planner, model, choices)
     for difference in export_bundle(adapter, description, out=out):
@@ -94,12 +109,14 @@ def _name(checkpoint: Checkpoint) -> str:
 
 
 def _limits(checkpoint: Checkpoint) -> dict[str, Any]:
-    """What the card says of limits, where the data of the planner tell of any."""
-    limits, ranges = checkpoint.data.get("limits"), checkpoint.data.get("ranges") or {}
-    if not limits:
-        return {}
-    told = {name: tuple(ranges[name]) for name in LIMIT_INTERVALS if name in ranges}
-    return {"limits": MotionLimits(**limits), "ranges": told}
+    """What the card says of limits and of the robot, where the data of the planner tell of any."""
+    data = checkpoint.data
+    told = {name: data[name] for name in ("robot_radius",) if name in data}
+    if data.get("limits"):
+        ranges = data.get("ranges") or {}
+        told["limits"] = MotionLimits(**data["limits"])
+        told["ranges"] = {n: tuple(ranges[n]) for n in LIMIT_INTERVALS if n in ranges}
+    return told
 
 
 def _sampler(

@@ -191,6 +191,13 @@ class DrivingLog:
         self._check_range("window_command", len(COMMANDS) - 1)
         last = self.frames - 1 - FUTURE_FRAMES
         self._check_range("window_frame", last, least=HISTORY_FRAMES)
+        limit = self.window_speed_limit[~np.isnan(self.window_speed_limit)]
+        if not ((limit > 0) & np.isfinite(limit)).all():
+            raise self.refuse(
+                "window_speed_limit",
+                "m/s above 0, or NaN where unknown",
+                f"{limit.min()} to {limit.max()}",
+            )
         for window, route in enumerate(self.polylines("route")):
             if not np.ptp(route, axis=0).any():
                 raise self.refuse(

@@ -34,7 +34,7 @@ USUAL_RANGES = {"horizon_s": (1.0, 120.0)}
 
 @dataclass(frozen=True, kw_only=True)
 class ExportChoices:
-    """What may be chosen at export; a planner that has no use for one of them leaves it.
+    """What may be chosen at export; `planners.USES` says which planner has a use for what.
 
     sampler: over the planner's own default
     noise_scale: spread of the noise; 1: as in training

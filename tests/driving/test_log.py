@@ -77,6 +77,8 @@ def with_entry(index: Any, value: float) -> Callable[[np.ndarray], np.ndarray]:
         ("lane_offsets", with_entry(1, 8), "expected at least two points each, found 0"),
         ("lane_intersection", lambda a: a[:1], "with K = 1, F = 80, L = 2, found [1]"),
         ("lane_points", with_entry((0, 0), np.nan), "expected finite numbers"),
+        ("window_speed_limit", with_entry(0, 0.0), "expected m/s above 0, or NaN"),
+        ("window_speed_limit", with_entry(0, np.inf), "found inf to inf"),
         ("lane_edges", lambda _: np.array([[0, 2]], np.int32), "expected 0 to 1, found 2"),
         ("window_ego", with_entry(0, 1), "expected 0 to 0, found 1"),
         ("window_frame", with_entry(0, 19), "expected 20 to 34, found 19"),

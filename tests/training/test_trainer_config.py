@@ -17,7 +17,7 @@ from anchorflow_training.config import TrainerConfig
 from anchorflow_training.config_file import config_text, layers, read_config
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.held_out import shapes
-from anchorflow_training.planners import TRAININGS
+from anchorflow_training.planners import TRAININGS, Training
 from anchorflow_training.settings import ConfigError, build, setting, settings
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "training.md"
@@ -37,6 +37,11 @@ class Outer:
     rate: float = setting(0.5, "", above=0, below=1)
     on: bool = False
     inner: Inner = field(default_factory=Inner)
+
+
+@dataclass(frozen=True)
+class Others(Outer):
+    count: int = 5
 
 
 @pytest.mark.parametrize(
@@ -71,11 +76,26 @@ def test_values_are_converted_to_the_fields_types(values: dict[str, Any], expect
         ({"inner": {"kind": "c"}}, "inner.kind: expected one of a, b, got 'c'"),
         ({"inner": {"pair": [1]}}, "inner.pair: expected 2 values, got [1]"),
         ({"inner": 3}, "inner: expected keys and values, got 3"),
+        ({"rate": 10**400}, "rate: expected a number, got 1000"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_file(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(f"file.yaml: {message}")):
         build(Outer, values, source="file.yaml")
+
+
+def test_another_default_keeps_what_was_said_of_a_setting() -> None:
+    assert build(Others, {}, source="file.yaml").count == 5
+    with pytest.raises(ConfigError, match="count: expected at least 1, got 0"):
+        build(Others, {"count": 0}, source="file.yaml")
+
+
+@pytest.mark.parametrize("training", TRAININGS.values(), ids=[*TRAININGS])
+def test_every_planner_bounds_and_explains_the_common_settings(training: Training) -> None:
+    for name, wrong in {"steps": 0, "learning_rate": -1.0, "warmup": -3}.items():
+        with pytest.raises(ConfigError, match=f"{name}: expected "):
+            build(training.config, {name: wrong}, source="file.yaml")
+    assert all(entry.about for entry in settings(training.config) if "." not in entry.path)
 
 
 def layered(

@@ -28,7 +28,10 @@ def read_config(path: Path, kind: type[RunConfig] = TrainerConfig) -> dict[str, 
 
 def planner_in(path: Path) -> str | None:
     """The planner that a YAML file names, if it does; raises `ConfigError`."""
-    return _read(path).get(PLANNER)
+    planner = _read(path).get(PLANNER)
+    if not isinstance(planner, str | None):
+        raise ConfigError(f"{path}: {PLANNER}: expected a planner's name, got {planner!r}")
+    return planner
 
 
 def _read(path: Path) -> dict[str, Any]:

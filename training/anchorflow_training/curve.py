@@ -37,7 +37,8 @@ class RunningMean:
     def __init__(self, state: Mapping[str, Any] | None = None) -> None:
         state = state or {"count": 0, "sums": {}}
         self.count: int = state["count"]
-        self.sums: dict[str, Tensor] = {n: torch.tensor(v) for n, v in state["sums"].items()}
+        sums = state["sums"].items()
+        self.sums: dict[str, Tensor] = {n: torch.tensor(v, dtype=torch.float64) for n, v in sums}
 
     def add(self, terms: Mapping[str, Tensor]) -> None:
         """Tensors stay on their device, so that a GPU is not waited for."""

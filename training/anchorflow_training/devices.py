@@ -34,7 +34,11 @@ def make_fabric(config: RunConfig) -> Fabric:
         "float16": "16-mixed",
     }
     plugin = MixedProducts(names[precision], accelerator) if precision in names else None
-    return Fabric(accelerator=accelerator, devices=config.devices, plugins=plugin)
+    # A loss need not ask all weights: a stage learns some of them, a scene has no roadside.
+    strategy = "ddp_find_unused_parameters_true" if config.devices > 1 else "auto"
+    return Fabric(
+        accelerator=accelerator, devices=config.devices, strategy=strategy, plugins=plugin
+    )
 
 
 def _accelerator(config: RunConfig) -> Literal["cpu", "cuda"]:

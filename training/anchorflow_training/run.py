@@ -304,7 +304,8 @@ class TrainingRun(ABC):
         self.average = {k: v.to(self.fabric.device) for k, v in saved.average.items()}
         self.pending = RunningMean(saved.pending)
         self._optimiser.load_state_dict(saved.optimiser)
-        self.fabric.strategy.precision.load_state_dict(saved.scaler)
+        if saved.scaler:  # a run may go on in another precision
+            self.fabric.strategy.precision.load_state_dict(saved.scaler)
 
     def _open_record(self) -> RunRecord:
         return RunRecord(

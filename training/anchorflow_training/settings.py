@@ -27,7 +27,10 @@ class ConfigError(AnchorFlowError):
 
 
 def setting(default: Any, about: str, **bounds: float) -> Any:
-    """A dataclass field that explains itself; bounds are `least`, `most`, `above` and `below`."""
+    """A dataclass field that explains itself; bounds are `least`, `most`, `above` and `below`.
+
+    A subclass that gives it another default alone keeps them.
+    """
     return field(default=default, metadata={"about": about, **bounds})
 
 
@@ -49,7 +52,7 @@ def settings(kind: type, prefix: str = "") -> Iterator[Setting]:
         if is_dataclass(hint):
             yield from settings(hint, f"{path}.")  # type: ignore[arg-type]
         else:
-            yield Setting(path, hint, part.default, part.metadata.get("about", ""))
+            yield Setting(path, hint, part.default, _metadata(kind, part.name).get("about", ""))
 
 
 def nested(path: str, value: Any) -> dict[str, Any]:
@@ -86,7 +89,7 @@ def checked(kind: type, values: Mapping[str, Any], *, source: str, prefix: str =
             continue
         try:
             result[name] = _converted(value, hint)
-            _check_bounds(result[name], parts[name].metadata)
+            _check_bounds(result[name], _metadata(kind, name))
         except ValueError as error:
             raise ConfigError(f"{source}: {path}: {error}, got {value!r}") from error
     return result
@@ -164,7 +167,7 @@ def _scalar(value: Any, kind: type) -> Any:
     elif kind in (int, float) and isinstance(value, str | int):
         try:
             value = kind(value)
-        except ValueError:
+        except (ValueError, OverflowError):
             raise ValueError(f"expected {_named(kind)}") from None
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError("expected a finite number")
@@ -176,6 +179,12 @@ def _scalar(value: Any, kind: type) -> Any:
 def _named(kind: type) -> str:
     names = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
     return names.get(kind, kind.__name__)
+
+
+def _metadata(kind: type, name: str) -> Mapping[str, Any]:
+    """What is said of a field; of one that only has another default, what its base says."""
+    own = (getattr(base, "__dataclass_fields__", {}).get(name) for base in kind.__mro__)
+    return next((part.metadata for part in own if part is not None and part.metadata), {})
 
 
 def _check_bounds(value: Any, metadata: Mapping[str, Any]) -> None:

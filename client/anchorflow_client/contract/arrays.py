@@ -41,16 +41,16 @@ def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[n
     return within(array, field, interval)
 
 
-def within(array: Array, field: str, interval: Interval, *, part: slice = slice(None)) -> Array:
+def within(array: Array, field: str, interval: Interval, *, part: slice | None = None) -> Array:
     """The array itself. Raises `InvalidRequest` for the first number outside the interval.
 
-    part: the columns that are held against it
+    part: the columns that are held against it; None: all numbers
     """
-    held = array[..., part]
+    held = array if part is None else array[..., part]
     if interval.holds_all(held):
         return array
     outside = np.zeros(array.shape, np.bool_)
-    outside[..., part] = ~interval.contains(held)
+    outside[... if part is None else (..., part)] = ~interval.contains(held)
     is_finite = np.isfinite(array[outside][0])
     what = f"numbers {interval}" if is_finite else "finite numbers"
     raise first_refused(array, outside, field, what)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter
@@ -21,6 +21,24 @@ ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
     "v2x_vlm": v2x_vlm_adapter,
 }
 """By the name in the registry of planners: from a network to its adapter."""
+
+USES: Mapping[str, tuple[str, ...]] = {
+    "flowmp": tuple(ExportChoices.__dataclass_fields__),
+    "goalflow": ("sampler", "noise_scale"),
+    "diffusiondrive": ("noise_scale",),
+}
+"""Which of the `ExportChoices` a planner has a use for; one that is not listed has for none."""
+
+
+def check_used(planner: str, names: Iterable[str]) -> None:
+    """Raise `ExportError` where a planner has no use for one of these `ExportChoices`."""
+    used = USES.get(planner, ())
+    for name in names:
+        if name not in used:
+            known = ", ".join(used) or "none"
+            raise ExportError(
+                f"expected choices that a {planner} has a use for ({known}), got {name}"
+            )
 
 
 def adapter_of(planner: str, model: Any, choices: ExportChoices) -> PlannerAdapter:

@@ -86,7 +86,7 @@ class GeneratorConfig:
         check("schedule", named, known, repr(self.schedule))
         try:
             times = check_schedule(self.flow_times)
-        except ValueError as error:
+        except (TypeError, ValueError) as error:
             raise ValueError(f"schedule: {error}") from error
         # A later start is a warm start's to ask for: x_0 is a state of t = 0.
         check("schedule", times[0] == 0.0, "a first flow time of 0", times[0])

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 BACKBONES = ("mlp", "transformer")
+MULTIPLES = {"channels": 8, "width": 4}
+"""Groups of the scene encoder's normalisation, and heads of the transformer."""
 LEAST = {"goals": 8, "picked": 1, "feature_channels": 1, "width": 16, "layers": 1, "channels": 8}
 
 
@@ -87,6 +89,10 @@ class GoalFlowConfig:
         for name, least in LEAST.items():
             if getattr(self, name) < least:
                 raise ValueError(f"{name}: expected at least {least}, got {getattr(self, name)}")
+        for name, factor in MULTIPLES.items():
+            if getattr(self, name) % factor:
+                got = getattr(self, name)
+                raise ValueError(f"{name}: expected a multiple of {factor}, got {got}")
         if self.picked >= self.goals:
             raise ValueError(f"picked: expected below goals, {self.goals}, got {self.picked}")
         for name in ("dt", "sigma"):

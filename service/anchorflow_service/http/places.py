@@ -10,21 +10,12 @@ from __future__ import annotations
 import ipaddress
 from collections import Counter
 from collections.abc import Callable, Hashable
-from typing import Generic, NamedTuple, TypeVar
+from typing import Generic, TypeVar
 
 Holder = TypeVar("Holder", bound=Hashable)
 
 IPV6_NETWORK_BITS = 64
 """A machine may call from any address of such a network, so all of them count as one."""
-
-
-class Admission(NamedTuple, Generic[Holder]):
-    """What a new connection is given."""
-
-    has_place: bool
-    """Otherwise it stands in the reserve."""
-    evicted: Holder | None
-    """The one to be closed in its favour; it holds nothing any more."""
 
 
 class ConnectionPlaces(Generic[Holder]):
@@ -54,21 +45,24 @@ class ConnectionPlaces(Generic[Holder]):
         self._held: Counter[str | None] = Counter()
         """Places by source."""
 
-    def enter(self, holder: Holder, source: str | None) -> Admission[Holder]:
+    def enter(self, holder: Holder, source: str | None) -> tuple[bool, Holder | None]:
         """A connection begins, and waits.
 
         source: what its address counts as (`source_of`); None: it has none, and no share
+
+        Returns whether it has a place, otherwise it stands in the reserve; and the one to be closed
+        in its favour, if any, which holds nothing any more.
         """
-        admission = self._admission(source)
-        if admission.evicted is not None:
-            self.leave(admission.evicted)
-        if admission.has_place:
+        has_place, evicted = self._admission(source)
+        if evicted is not None:
+            self.leave(evicted)
+        if has_place:
             self._sources[holder] = source
             self._held[source] += 1
         else:
             self._reserve[holder] = None
         self._waiting[holder] = None
-        return admission
+        return has_place, evicted
 
     def begin_request(self, holder: Holder) -> None:
         """The head of a request has come."""
@@ -89,19 +83,19 @@ class ConnectionPlaces(Generic[Holder]):
             if not self._held[source]:
                 del self._held[source]  # or it would remember every address that ever called
 
-    def _admission(self, source: str | None) -> Admission[Holder]:
+    def _admission(self, source: str | None) -> tuple[bool, Holder | None]:
         if source is not None and self._held[source] >= self._per_source:
             evicted = self._longest_waiting(lambda each: self._sources.get(each) == source)
         elif len(self._sources) >= self._places:
             evicted = self._longest_waiting(lambda each: each in self._sources)
         else:
-            return Admission(True, None)
+            return True, None
         if evicted is not None:
-            return Admission(True, evicted)
+            return True, evicted
         if len(self._reserve) < self._most_in_reserve:
-            return Admission(False, None)
+            return False, None
         evicted = self._longest_waiting(lambda each: each in self._reserve)
-        return Admission(False, next(iter(self._reserve)) if evicted is None else evicted)
+        return False, next(iter(self._reserve)) if evicted is None else evicted
 
     def _longest_waiting(self, among: Callable[[Holder], bool]) -> Holder | None:
         return next((each for each in self._waiting if among(each) and self._may_close(each)), None)

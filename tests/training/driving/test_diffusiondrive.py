@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,7 @@ from anchorflow_driving.window import Scenes, Window
 from anchorflow_training.batches import MirroredBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.config import HeldOutConfig
+from anchorflow_training.config_file import config_text
 from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.diffusiondrive_objective import (
     DiffusionDriveObjective,
@@ -32,7 +35,7 @@ from anchorflow_training.driving.diffusiondrive_run import (
 from anchorflow_training.driving.kept_logs import open_logs
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
-from anchorflow_training.driving.sensor_windows import Drawn, SensorSizes
+from anchorflow_training.driving.sensor_windows import Drawn, SensorSizes, open_sensor_windows
 from anchorflow_training.restore import restore_model
 from anchorflow_training.settings import ConfigError
 
@@ -468,6 +471,23 @@ def test_a_run_begins_with_the_weights_of_the_one_before(logs: list[Path], tmp_p
     said = rf"before: .*first/checkpoint.pt: expected model.hidden {MODEL.hidden * 2}, got"
     with pytest.raises(ConfigError, match=said):
         DiffusionDriveRun(wide, logs, tmp_path / "wide")
+
+
+def test_two_processes_learn_a_stage_that_does_not_ask_all_weights(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    open_sensor_windows(logs, SensorSizes.of(MODEL.backbone))
+    (tmp_path / "train.yaml").write_text(config_text(replace(CONFIG, devices=2, threads=1)))
+    # The launcher starts the program that it runs in once more, so it has to be a file.
+    program = tmp_path / "program.py"
+    program.write_text("from anchorflow_cli.main import main\n\nmain()\n")
+    words = ["train", logs[0].parent, "--out", tmp_path, "--config", tmp_path / "train.yaml"]
+    answer = subprocess.run(
+        [sys.executable, program, *words], check=False, capture_output=True, text=True, timeout=300
+    )
+
+    assert answer.returncode == 0, answer.stderr
+    assert load_checkpoint(tmp_path / "checkpoint.pt").step == CONFIG.steps
 
 
 def _stop_after_the_checkpoint(at: int, _row: object) -> None:

@@ -121,6 +121,24 @@ def test_what_is_kept_is_not_drawn_again(logs: list[Path]) -> None:
     assert other.batch(np.array([0]))["camera"].shape == (1, 3, 8, 32)
 
 
+def test_what_is_kept_is_read_once_and_closed(
+    logs: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    open_sensor_windows(logs, SIZES)
+    reads: list[str] = []
+    read = np.lib.npyio.NpzFile.__getitem__
+
+    def noted(file: np.lib.npyio.NpzFile, name: str) -> NDArray:
+        reads.append(name)
+        return read(file, name)
+
+    monkeypatch.setattr(np.lib.npyio.NpzFile, "__getitem__", noted)
+    before = len([*Path("/proc/self/fd").iterdir()])
+    windows = open_sensor_windows(logs, SIZES)
+    assert len(windows) > len(logs) == reads.count("pictures")
+    assert len([*Path("/proc/self/fd").iterdir()]) == before
+
+
 def test_an_earlier_sweep_is_kept_beside_and_now_and_then_lost(
     logs: list[Path], tmp_path: Path
 ) -> None:
@@ -295,6 +313,7 @@ def test_a_backbone_goes_over_the_weights_of_the_run_before(
 
 def test_a_frozen_backbone_stays_as_it_is(logs: list[Path], tmp_path: Path) -> None:
     run = WoteRun(replace(CONFIG, frozen_backbone=True), logs, tmp_path)
+    assert not any(weight.requires_grad for weight in run.model.backbone.parameters())
     before = {name: value.clone() for name, value in run.model.state_dict().items()}
     run.fit()
     changed = {

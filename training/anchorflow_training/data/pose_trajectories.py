@@ -40,7 +40,7 @@ class CutTrajectories:
 
     positions, velocities, accelerations: [N, T, D]; dt: s
     sequence: [N] index into sequence_names; start_s: [N] s, when each begins in its drive
-    bad_poses: poses that were not finite, which nothing was cut across
+    bad_poses: poses that were not finite; LONGEST_GAP_S and less of them were interpolated
     """
 
     positions: FloatArray

@@ -36,11 +36,13 @@ class SyntheticTrajectoryDataset(TrajectoryDataset):
         horizon_s: float = 8.0,
         seed: int = 0,
     ) -> None:
-        """dim: 2, or 3 to add the heading of the curve; raises `DatasetError` on another kind."""
+        """dim: 2, or 3 to add the heading of the curve; raises `DatasetError` on others."""
         if kind not in KINDS:
             raise DatasetError(f"kind: expected one of {', '.join(KINDS)}, got {kind!r}")
         if not 1 <= count <= MOST_COUNT:
             raise DatasetError(f"count: expected 1..{MOST_COUNT}, got {count}")
+        if dim not in (2, 3):
+            raise DatasetError(f"dim: expected 2 or 3, got {dim}")
         s = np.linspace(0.0, 1.0, num_steps)
         orders = KINDS[kind](np.random.default_rng(seed), count, s)
         if dim == 3:

@@ -39,9 +39,9 @@ class DistillConfig(CostMapRunConfig):
         "direct", "What the student learns; docs/distillation.md."
     )
     schedule: tuple[float, ...] = setting((0.0, 1.0), "Flow times of its Euler steps, from 0 to 1.")
-    steps: int = setting(4000, "Optimiser steps in all.", least=1)
-    learning_rate: float = setting(5e-4, "Peak learning rate.", above=0)
-    warmup: int = setting(200, "Steps over which the rate climbs.", least=0)
+    steps: int = 4000
+    learning_rate: float = 5e-4
+    warmup: int = 200
     at_schedule: float = setting(
         0.5, "reflow: share of samples at the schedule's own times.", least=0, most=1
     )

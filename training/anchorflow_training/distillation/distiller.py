@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from torch import nn
+from torch import Tensor, nn
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_training.batches import Batch, batches, prefetched
@@ -65,6 +65,11 @@ class Distiller(CostMapRun):
 
     def begin(self, model: L2SafetyCFM) -> None:
         begin_as(model, self.teacher.model)
+
+    def begin_after(self, model: L2SafetyCFM, weights: Mapping[str, Tensor]) -> None:
+        """Those weights, and the teacher's noise."""
+        super().begin_after(model, weights)
+        model.prior.load_state_dict(self.teacher.model.prior.state_dict())
 
     def new_objective(self, model: L2SafetyCFM) -> nn.Module:
         config = self.config

@@ -32,6 +32,8 @@ FloatArray = NDArray[np.float32]
 BLOCK = 64  # scenes a file
 FORMAT = 1
 DESCRIPTION = "pairs.json"
+ASKED = ("cost_map", "map_geometry", "x_curr", "x_goal", "w_style", "limits", "route_states")
+"""Arrays of a dataset that decide what a teacher makes of a scene."""
 
 
 @dataclass(frozen=True)
@@ -126,9 +128,11 @@ def open_pairs(
 
 
 def _fingerprint(dataset: SceneDataset, scenes: int) -> str:
-    """Of the scenes' maps' places, starts and goals."""
-    arrays = (dataset.arrays[name][:scenes] for name in ("map_geometry", "x_curr", "x_goal"))
-    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()
+    """Of what a teacher is asked on the scenes."""
+    digest = hashlib.sha256()
+    for name in ASKED:
+        digest.update(np.ascontiguousarray(dataset.arrays[name][:scenes]))
+    return digest.hexdigest()
 
 
 def _check_same(file: Path, wanted: Mapping[str, Any]) -> None:

@@ -19,23 +19,26 @@ class Teacher:
 
     sha256: of its checkpoint's file; step: at which that was written
     optimal_transport: whether noise and data were paired in its training
+    noise_scale: how wide the noise is drawn that it is asked with; 1: as in its training
     """
 
     model: L2SafetyCFM
     sha256: str
     step: int
     optimal_transport: bool = True
+    noise_scale: float = 1.0
 
     @property
     def description(self) -> dict[str, Any]:
         """What a student's checkpoint says of it."""
-        return {"sha256": self.sha256, "step": self.step}
+        wider = {} if self.noise_scale == 1.0 else {"noise_scale": self.noise_scale}
+        return {"sha256": self.sha256, "step": self.step, **wider}
 
     def widened(self, scale: float) -> Teacher:
         """The same teacher, which draws noise `scale` times as wide."""
         model = deepcopy(self.model)
         model.prior.widen(scale)
-        return replace(self, model=model)
+        return replace(self, model=model, noise_scale=scale * self.noise_scale)
 
 
 def load_teacher(path: Path) -> Teacher:

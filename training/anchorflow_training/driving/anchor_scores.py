@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,8 +67,7 @@ def anchor_scores(
     """
     missing = [log for log in logs if not is_fresh(_kept(log, anchors), log)]
     each_log(partial(keep_scores, anchors=anchors), missing, of=len(logs), progress=progress)
-    parts: list[Any] = [np.load(_kept(log, anchors), allow_pickle=False) for log in logs]
-    return np.concatenate([part["scores"].astype(np.float32) for part in parts])
+    return np.concatenate([_read(_kept(log, anchors)) for log in logs])
 
 
 def keep_scores(log: Path, *, anchors: Floats) -> None:
@@ -83,6 +81,11 @@ def keep_scores(log: Path, *, anchors: Floats) -> None:
 def pdms(scores: NDArray[np.floating]) -> NDArray[np.floating]:
     """PDMS [...] of sub-scores [..., 5]."""
     return PdmScores(*np.moveaxis(scores, -1, 0)).pdms
+
+
+def _read(path: Path) -> Floats:
+    with np.load(path, allow_pickle=False) as part:
+        return part["scores"].astype(np.float32)
 
 
 def _kept(log: Path, anchors: Floats) -> Path:

@@ -31,7 +31,9 @@ class AugmentationConfig:
     """How far a start is moved: normal, with these spreads."""
 
     mirror: float = setting(0.5, "Share of windows that are reflected.", least=0, most=1)
-    moved: float = setting(0.5, "Share of windows whose start is moved and turned.", least=0)
+    moved: float = setting(
+        0.5, "Share of windows whose start is moved and turned.", least=0, most=1
+    )
     shift: float = setting(0.35, "m to the side.", least=0)
     rotation: float = setting(0.04, "rad.", least=0)
     speed: float = setting(0.06, "Of the speed.", least=0)

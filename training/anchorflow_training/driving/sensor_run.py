@@ -72,9 +72,13 @@ class SensorRun(TrainingRun):
             batch=config.batch,
         )
         super().__init__(config, out)
-        if config.frozen_backbone:
+
+    def _new_model(self) -> Any:
+        model = super()._new_model()
+        if self.config.frozen_backbone:
             # Its normalisation neither.
-            backbone_of(self.model).requires_grad_(False).eval()
+            backbone_of(model).requires_grad_(False).eval()
+        return model
 
     def begin_after(self, model: Any, weights: Mapping[str, torch.Tensor]) -> None:
         """Those weights, and over them another planner's backbone, where one is named."""

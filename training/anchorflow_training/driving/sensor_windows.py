@@ -186,18 +186,21 @@ def open_sensor_windows(
     missing = [log for log in logs if not _is_kept(log, sizes)]
     keep = partial(keep_sensors, sizes=sizes, draw=draw or simulated)
     each_log(keep, missing, of=len(logs), progress=progress)
-    parts = [np.load(log.with_suffix(KEPT), allow_pickle=False) for log in logs]
-    counts = [len(part["sizes"]) for part in parts]
-    if not any(counts):
+    streams: list[bytes] = []
+    rows: dict[str, list[NDArray[Any]]] = {name: [] for name in NUMBERS}
+    counts = []
+    for log in logs:
+        with np.load(log.with_suffix(KEPT), allow_pickle=False) as part:
+            ends = part["sizes"].cumsum()
+            pictures = np.split(part["pictures"], ends[:-1]) if len(ends) else []
+            streams += (picture.tobytes() for picture in pictures)
+            counts.append(len(ends))
+            if len(ends):  # a log without windows has no rows, not even of a shape
+                for name in NUMBERS:
+                    rows[name].append(part[name])
+    if not streams:
         raise no_windows(logs[0].parent)
-    streams = [
-        part["pictures"][end - size : end].tobytes()
-        for part in parts
-        for end, size in zip(part["sizes"].cumsum(), part["sizes"], strict=True)
-    ]
-    # A log without windows has no rows, not even of a shape.
-    there = [part for part, count in zip(parts, counts, strict=True) if count]
-    numbers = {name: np.concatenate([part[name] for part in there]) for name in NUMBERS}
+    numbers = {name: np.concatenate(rows[name]) for name in NUMBERS}
     return SensorWindows(streams, numbers, np.repeat(np.arange(len(logs)), counts), logs, sizes)
 
 
