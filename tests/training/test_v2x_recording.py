@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from anchorflow_cli.main import main
-from anchorflow_driving.cooperative.crossings import FRAMES, draw_crossing
-from anchorflow_driving.cooperative.layout import CooperativeFrame, write_recording
-from anchorflow_driving.geometry import boxes_overlap
+from anchorflow_driving.cooperative.crossings import CAR, FRAMES, LANE, STOP, draw_crossing
+from anchorflow_driving.cooperative.layout import GROUP, CooperativeFrame, write_recording
+from anchorflow_driving.geometry import boxes_overlap, into_frame
+from anchorflow_driving.window import Vehicle
 from anchorflow_training.dataset import DatasetError
-from anchorflow_training.v2x.boxes import read_boxes
+from anchorflow_training.v2x.boxes import read_boxes, without_own
 from anchorflow_training.v2x.dataset import make_pairs, open_pairs
 from anchorflow_training.v2x.evaluation import baselines, constant_velocity, judge
 from anchorflow_training.v2x.recording import read_recording
@@ -99,6 +100,12 @@ def test_boxes_come_of_their_eight_points_in_any_order(tmp_path: Path) -> None:
     (got,) = read_boxes(file)
     np.testing.assert_allclose(got[[0, 1, 3, 4]], box[[0, 1, 3, 4]], atol=1e-9)
     assert np.sin(got[2] - 0.6) == pytest.approx(0.0, abs=1e-9)  # a box has no front
+
+
+def test_the_vehicle_s_own_box_lies_ahead_of_its_rear_axle() -> None:
+    pose = np.array([10.0, 20.0, np.pi / 2])
+    own, other = np.array([10.0, 21.7, 1.6, 4.6, 1.9]), np.array([10.0, 26.0, 1.6, 4.0, 1.8])
+    np.testing.assert_array_equal(without_own(np.stack([own, other]), pose), [other])
 
 
 def test_a_whole_recording_has_no_fault(recording: Path) -> None:
@@ -217,9 +224,20 @@ def test_pairs_are_split_by_sequence(recording: Path, tmp_path: Path) -> None:
         open_pairs(tmp_path / "pairs")
 
 
+def test_sequences_of_one_log_alone_cannot_be_split(tmp_path: Path) -> None:
+    drives = [(f"log{GROUP}{ego}", circle(47, slice(1, 2))) for ego in range(3)]
+    write_recording(tmp_path / "one", drives)
+    with pytest.raises(DatasetError, match="two sequences or more, of different logs, found 3 in"):
+        make_pairs(tmp_path / "one", tmp_path / "pairs", image_size=32)
+
+    write_recording(tmp_path / "two", [*drives, (f"other{GROUP}0", circle(47, slice(1, 2)))])
+    dataset = make_pairs(tmp_path / "two", tmp_path / "pairs", image_size=32)
+    assert {len(dataset.indices(held_out=held)) for held in (True, False)} == {1, 3}
+
+
 def test_plans_are_judged_by_who_was_there(tmp_path: Path) -> None:
-    """Straight on at 5 m/s; a box stands 15 m ahead, and it goes away after 3 s."""
-    for name, gone_after in (("stays", 99), ("goes", 20)):
+    """Straight on at 5 m/s; a box stands 16.5 m ahead of the rear axle, or goes away in time."""
+    for name, gone_after in (("stays", 99), ("goes too late", 24), ("goes", 23)):
         frames = []
         for number in range(60):
             pose = np.array([0.5 * number, 0.0, 0.0])
@@ -235,8 +253,8 @@ def test_plans_are_judged_by_who_was_there(tmp_path: Path) -> None:
 
         row = judge(dataset, indices, plans)
 
-        # 16.5 m away at first, 4.3 m of which the two boxes fill: at 24.4 frames.
-        touched = [gone_after > 26] * 3
+        # 15.2 m between the middles at first, 4.3 m of which the two boxes fill: after 21.8 frames.
+        touched = [gone_after > 23] * 3
         assert [row[f"collision_{each}s"] for each in (2.5, 3.5, 4.5)] == touched
         assert row["l2_mean"] == pytest.approx(0.0, abs=1e-5)
         away = plans + np.array([0.0, 3.0])
@@ -246,6 +264,21 @@ def test_plans_are_judged_by_who_was_there(tmp_path: Path) -> None:
         assert judge(dataset, indices, baselines(dataset, indices)["driven"])["success"] == 1.0
 
 
+def test_who_lets_others_pass_waits_with_the_rear_axle_behind_the_line() -> None:
+    waited = []
+    for seed in range(40):
+        crossing = draw_crossing(seed, size=SIZE, every=1000)
+        poses = np.stack([frame.pose for frame in crossing.frames])
+        steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
+        if steps.min() > 1e-3:
+            continue
+        frame = crossing.frames[int(steps.argmin())]
+        ((across, _, heading),) = into_frame(frame.boxes[:, :3], frame.pose)
+        waited.append(across - np.sign(np.sin(heading)) * LANE / 2)
+    assert len(waited) > 3
+    np.testing.assert_allclose(waited, STOP + Vehicle(*CAR).rear_axle, atol=0.3)
+
+
 def test_nobody_who_lets_others_pass_is_hit() -> None:
     conflicts = 0
     for seed in range(40):
@@ -253,8 +286,9 @@ def test_nobody_who_lets_others_pass_is_hit() -> None:
         conflicts += crossing.conflict
         for frame in crossing.frames:
             if len(frame.boxes):
-                own = np.array([4.6, 1.9])
-                touching = boxes_overlap(frame.pose, own, frame.boxes[:, :3], frame.boxes[:, 3:])
+                own, others = Vehicle(*CAR), frame.boxes
+                middle = own.middles(frame.pose)
+                touching = boxes_overlap(middle, own.size, others[:, :3], others[:, 3:])
                 assert not touching.any(), (seed, frame.time_s)
     assert 5 < conflicts < 35
 

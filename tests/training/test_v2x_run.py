@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +23,7 @@ from anchorflow_training.restore import restore_model
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.v2x.config import LossConfig, V2XRunConfig
 from anchorflow_training.v2x.dataset import PairDataset, make_pairs
+from anchorflow_training.v2x.evaluation import judge
 from anchorflow_training.v2x.pretrained import load_pretrained
 from anchorflow_training.v2x.run import V2XRun
 
@@ -37,6 +40,15 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> PairDataset:
     drives = ((str(n), draw_crossing(n, size=(48, 32)).frames) for n in range(4))
     write_recording(folder / "recording", drives)
     return make_pairs(folder / "recording", folder / "pairs", image_size=32)
+
+
+@pytest.fixture
+def other_words(pairs: PairDataset) -> PairDataset:
+    """The same pairs; their tokenizer is as large, and gives two letters each other's tokens."""
+    tokenizer = json.loads(pairs.tokenizer)
+    words = tokenizer["model"]["vocab"]
+    words["e"], words["r"] = words["r"], words["e"]
+    return replace(pairs, tokenizer=json.dumps(tokenizer).encode())
 
 
 @pytest.fixture
@@ -77,6 +89,33 @@ def test_a_run_that_stops_goes_on_as_if_it_had_not(
     assert model.tokenizer == pairs.tokenizer
     driven = np.asarray(pairs.arrays["waypoints"][whole.trained_on])
     np.testing.assert_allclose(model.mean.numpy(), driven.mean(0), rtol=1e-5)
+
+
+def test_weights_that_know_another_tokenizer_are_refused(
+    pairs: PairDataset, other_words: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    assert other_words.vocabulary == pairs.vocabulary
+    config = replace(config, steps=1)
+    V2XRun(config, pairs, tmp_path / "one").fit()
+    path = tmp_path / "one" / "checkpoint.pt"
+    words = rf"{path}: expected the tokenizer of the pairs in .*, got another"
+    with pytest.raises(CheckpointError, match=words):
+        V2XRun(config, other_words, tmp_path / "one")
+    for option in ("before", "teacher"):
+        with pytest.raises(CheckpointError, match=words):
+            V2XRun(replace(config, **{option: str(path)}), other_words, tmp_path / option)
+        V2XRun(replace(config, **{option: str(path)}), pairs, tmp_path / option)
+
+
+def test_held_out_pairs_are_judged_evenly_spread(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    held = pairs.indices(held_out=True)
+    for scenes, judged in ((2, held[[0, -1]]), (100, held)):
+        evaluation = JudgeConfig(scenes=scenes)
+        run = V2XRun(replace(config, evaluation=evaluation), pairs, tmp_path)
+        row, _ = run.evaluate(run.model)
+        assert row == judge(pairs, judged, run.plans(run.model, judged))
 
 
 def test_it_learns_what_it_is_shown(
@@ -161,9 +200,13 @@ def test_a_student_learns_from_its_teacher(
     assert student.curve[0]["distillation"] > 0
     after = student._teacher.state_dict()  # type: ignore[union-attr]
     assert all(torch.equal(before[name], after[name]) for name in before)
-    assert load_checkpoint(student.checkpoint_path).teacher == {"checkpoint": teacher}
+    digest = hashlib.sha256(Path(teacher).read_bytes()).hexdigest()
+    assert load_checkpoint(student.checkpoint_path).teacher == {"sha256": digest, "step": 1}
     with pytest.raises(CheckpointError, match="expected the teacher"):
         V2XRun(replace(config, loss=loss), pairs, tmp_path / "student")
+    V2XRun(replace(config, steps=2), pairs, tmp_path / "teacher").fit()
+    with pytest.raises(CheckpointError, match=f"expected the teacher .*{digest}"):
+        V2XRun(student.config, pairs, tmp_path / "student")
 
 
 def test_a_frozen_tower_stays_as_it_is(

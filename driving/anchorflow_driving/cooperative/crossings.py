@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from anchorflow_driving.cooperative.layout import CooperativeFrame
 from anchorflow_driving.cooperative.painter import Block, Camera, hidden, paint
 from anchorflow_driving.geometry import out_of_frame
+from anchorflow_driving.window import Vehicle
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ STEP_S = 0.1
 FRAMES = 66
 CAR = (4.6, 1.9)
 STOP = 7.0
-"""m before the junction's middle, where the ego waits."""
+"""m before the junction's middle, where the middle of the ego's box waits."""
 BRAKE, PULL = 2.5, 2.0  # m/s²
 LANE = 3.5
 HOUSE_COLOURS = ((150, 110, 90), (130, 130, 140), (170, 150, 120))
@@ -93,7 +94,8 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
             own = Block(np.array([ego[number], -LANE / 2, 0.0, *CAR]), 1.5, (60, 160, 90))
             vehicle = paint(car, _roads(), blocks)
             infrastructure = paint(pole, _roads(), [*blocks, own])
-        pose = out_of_frame(np.array([ego[number], -LANE / 2, 0.0]), world)
+        axle = ego[number] - Vehicle(*CAR).rear_axle
+        pose = out_of_frame(np.array([axle, -LANE / 2, 0.0]), world)
         placed = out_of_frame(others[:, :3], world)
         boxes = np.concatenate([placed, others[:, 3:]], 1)
         frames.append(CooperativeFrame(time, pose, vehicle, infrastructure, boxes))
@@ -135,7 +137,7 @@ def _conflicts(setting: Setting) -> bool:
 
 
 def _ego_path(setting: Setting) -> Array:
-    """[F] m along x, 0 at the junction's middle."""
+    """[F] m along x of the middle of its box, 0 at the junction's middle."""
     position, speed = -setting.begin, setting.speed
     path = []
     for number in range(FRAMES):

@@ -1,7 +1,7 @@
 """Cooperative recordings of driving logs: simulated pictures of the car and of a roadside camera.
 
-A sequence is one ego of one log. Every frame at which it is there has its pose, that of the rear
-axle, and the others' boxes; the frames of the log's windows have pictures.
+A sequence is one ego of one log. Every frame at which it is there has its pose and the others'
+boxes; the frames of the log's windows have pictures.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.cooperative.layout import CooperativeFrame
+from anchorflow_driving.cooperative.layout import GROUP, CooperativeFrame
 from anchorflow_driving.geometry import ahead_of
 from anchorflow_driving.log import FRAME_S, STATIC, DrivingLog
 from anchorflow_driving.sensors.cameras import camera_images, simulated_roadside
@@ -20,8 +20,6 @@ from anchorflow_driving.window import Scenes, Vehicle, Window
 
 Array = NDArray[np.float64]
 
-GROUP = ":"
-"""Between a log and its ego in a sequence's name; sequences of one log are held out together."""
 OTHERS_WITHIN = 80.0
 """m from the ego, within which boxes are told."""
 

@@ -17,6 +17,8 @@ from anchorflow_driving.geometry import box_corners
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
+GROUP = ":"
+"""Between a log and its ego in a sequence's name; sequences of one log are held out together."""
 HEIGHT = 1.5
 """m, of the boxes that are written."""
 QUALITY = 85  # of JPEG files
@@ -27,7 +29,7 @@ MICROSECONDS = 1e6
 class CooperativeFrame:
     """A moment of a drive, in the world: metres, radians, heading counter-clockwise from x.
 
-    time_s: from the drive's begin; pose: [3] x, y, heading of the vehicle
+    time_s: from the drive's begin; pose: [3] x, y, heading of the vehicle's rear axle
     vehicle_image, infrastructure_image: [3,H,W]; both, or neither where only the pose is known
     boxes: [n,5] x, y, heading, length, width of the others
     """

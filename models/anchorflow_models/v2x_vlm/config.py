@@ -6,8 +6,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from anchorflow_models.generation.checks import check
+
 STRIDE = 32
 """Pixels along a side of one cell of the vision tower's last stage."""
+MOST_CELLS = 25
+"""Along a side of one picture."""
+LEAST = {
+    "vocabulary": 3,  # Florence-2's own tokens
+    "max_tokens": 1,
+    "positions": 1,
+    "waypoints": 1,
+    "head": 1,
+    "projection": 1,
+}
 
 
 @dataclass(frozen=True)
@@ -68,7 +80,7 @@ class V2XConfig:
     projection: width of the space in which pictures and prompts are aligned
 
     Raises:
-        ValueError: the pictures do not fall into whole cells, or there are too few positions.
+        ValueError: naming the field, what was expected and what came.
     """
 
     variant: Literal["tiny", "base", "large"] = "tiny"
@@ -83,17 +95,21 @@ class V2XConfig:
     projection: int = 128
 
     def __post_init__(self) -> None:
-        if self.image_size % STRIDE or not 1 <= self.image_size // STRIDE <= 25:
-            raise ValueError(
-                f"image_size: expected a multiple of {STRIDE} from {STRIDE} to {25 * STRIDE}, "
-                f"got {self.image_size}"
-            )
+        check("variant", self.variant in [*SIZES], f"one of {', '.join(SIZES)}", repr(self.variant))
+        for name, least in LEAST.items():
+            value = getattr(self, name)
+            whole = isinstance(value, int) and value >= least
+            check(name, whole, f"a whole number of {least} or more", value)
+        size, dt, dropout = self.image_size, self.dt, self.dropout
+        cells = isinstance(size, int) and size % STRIDE == 0 and 1 <= self.cells <= MOST_CELLS
+        sizes = f"a multiple of {STRIDE} from {STRIDE} to {MOST_CELLS * STRIDE}"
+        check("image_size", cells, sizes, size)
         needed = 2 * self.cells**2 + 1 + self.max_tokens
-        if self.positions < needed:
-            raise ValueError(
-                f"positions: expected at least {needed}, for two pictures of {self.image_size} "
-                f"pixels and {self.max_tokens} tokens, got {self.positions}"
-            )
+        room = f"at least {needed}, for two pictures of {size} pixels and {self.max_tokens} tokens"
+        check("positions", self.positions >= needed, room, self.positions)
+        check("dt", isinstance(dt, int | float) and 0 < dt < float("inf"), "a number above 0", dt)
+        share = isinstance(dropout, int | float) and 0 <= dropout < 1
+        check("dropout", share, "a number from 0 to below 1", dropout)
 
     @property
     def cells(self) -> int:

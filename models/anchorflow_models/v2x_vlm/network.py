@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -154,10 +155,10 @@ class V2XVLM(nn.Module):
 
     def get_extra_state(self) -> Tensor:
         """The tokenizer's bytes, among the weights."""
-        return torch.frombuffer(bytearray(self.tokenizer or b" "), dtype=torch.uint8).clone()
+        return torch.from_numpy(np.frombuffer(self.tokenizer, np.uint8).copy())
 
     def set_extra_state(self, state: Tensor) -> None:
-        self.tokenizer = state.cpu().numpy().tobytes().strip()
+        self.tokenizer = state.cpu().numpy().tobytes()
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -4,7 +4,6 @@ prompts      what the model is told
 tokenizer    a small one of our own, or Florence-2's
 dataset      pictures, prompts and waypoints, made of a recording once
 objective    the loss
-teacher      what a student learns from beside the data
 pretrained   Florence-2's published weights, from a folder
 evaluation   L2 and collisions on sequences that were held out
 run          all of it, as `anchorflow train` does it

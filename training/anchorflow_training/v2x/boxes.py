@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.window import Vehicle
 from anchorflow_training.data.pose_files import read_json
 from anchorflow_training.dataset import DatasetError
 
 Array = NDArray[np.float64]
 
+EGO = Vehicle(4.6, 1.9)
+"""The ego's box, m, which a recording does not tell."""
 OWN = 1.5
-"""m between a box's middle and the vehicle, within which the box is the vehicle's own."""
+"""m between a box's middle and the ego's, within which the box is the ego's own."""
 
 
 def read_boxes(file: Path) -> Array:
@@ -36,8 +39,8 @@ def read_boxes(file: Path) -> Array:
 
 
 def without_own(boxes: Array, pose: Array) -> Array:
-    """The boxes but for the vehicle's own, which the roadside sees as well."""
-    away = np.linalg.norm(boxes[:, :2] - pose[:2], axis=1)
+    """The boxes but for that of the vehicle at a pose [3], which the roadside sees as well."""
+    away = np.linalg.norm(boxes[:, :2] - EGO.middles(pose)[:2], axis=1)
     return boxes[away > OWN]
 
 

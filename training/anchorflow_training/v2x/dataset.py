@@ -4,14 +4,13 @@ N pairs that can be asked about, of sequences with F frames in all; S pixels alo
 
     vehicle_image         uint8   [N, 3, S, S]
     infrastructure_image  uint8   [N, 3, S, S]
-    waypoints             float32 [N, 45, 2]   m ahead and to the left
+    waypoints             float32 [N, 45, 2]   m ahead and to the left, of the rear axle
     speed                 float32 [N]          m/s, of the frame before to this one
     sequence              int32   [N]          a number in `names`
     frame                 int32   [N]          a row of `poses`
-    poses                 float64 [F, 3]       in the world
+    poses                 float64 [F, 3]       of the rear axle in the world
     boxes                 float64 [M, 5]       x, y, heading, length, width in the world
     box_offsets           int64   [F + 1]      those of the k-th frame
-    labelled              bool    [F]          whether the boxes of a frame are known
     dataset.json          names, held_out, prompts, image_size, format
     tokenizer.json
 """
@@ -28,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.images import resized
+from anchorflow_driving.cooperative.layout import GROUP
 from anchorflow_driving.geometry import into_frame
 from anchorflow_training.dataset import DatasetError
 from anchorflow_training.v2x.boxes import read_boxes, without_own
@@ -50,10 +50,7 @@ ARRAYS: Mapping[str, str] = {
     "poses": "float64",
     "boxes": "float64",
     "box_offsets": "int64",
-    "labelled": "bool",
 }
-GROUP = ":"
-"""Between a simulated log and its ego in a sequence's name."""
 IN_SIGHT = 60.0
 """m, within which the pictures may show another."""
 HELD_OUT = 0.2
@@ -131,9 +128,9 @@ def make_pairs(
         raise DatasetError(f"{out}: expected a new or an empty folder, found files")
     sequences = read_recording(recording)
     asked = [(number, frame) for number, each in enumerate(sequences) for frame in each.askable()]
-    present = sorted({number for number, _ in asked})
-    if len(present) < 2:
-        what = f"pairs with {FUTURE} frames after them in two sequences or more"
+    present = [sequences[number].name for number in sorted({number for number, _ in asked})]
+    if len({_group(name) for name in present}) < 2:
+        what = f"pairs with {FUTURE} frames after them in two sequences or more, of different logs"
         raise DatasetError(f"{recording}: expected {what}, found {len(asked)} in fewer")
     out.mkdir(parents=True, exist_ok=True)
     shape = (len(asked), 3, image_size, image_size)
@@ -150,12 +147,11 @@ def make_pairs(
         progress(index + 1, len(asked))
     for name, values in _driven(sequences, asked).items():
         np.save(out / f"{name}.npy", np.asarray(values, ARRAYS[name]))
-    names = [sequence.name for sequence in sequences]
     meta = {
         "format": FORMAT,
         "image_size": image_size,
-        "names": names,
-        "held_out": _held_out([names[number] for number in present], seed),
+        "names": [sequence.name for sequence in sequences],
+        "held_out": _held_out(present, seed),
         "prompts": prompts,
     }
     (out / FILE_NAME).write_bytes(tokenizer or train_tokenizer([*prompts, UNTOLD]))
@@ -194,10 +190,15 @@ def _array(file: Path, dtype: str) -> Array:
 
 def _held_out(names: list[str], seed: int) -> list[str]:
     """A fifth of the sequences, at least one; those of one simulated log stay together."""
-    groups = sorted({name.partition(GROUP)[0] for name in names})
+    groups = sorted({_group(name) for name in names})
     order = np.random.default_rng([seed, 2]).permutation(len(groups))
     kept = {groups[number] for number in order[: max(1, round(HELD_OUT * len(groups)))]}
-    return [name for name in names if name.partition(GROUP)[0] in kept]
+    return [name for name in names if _group(name) in kept]
+
+
+def _group(name: str) -> str:
+    """The simulated log of a sequence; of any other the sequence itself."""
+    return name.partition(GROUP)[0]
 
 
 def _prompt(sequence: Sequence, frame: int, *, describe: bool) -> str:
@@ -222,17 +223,12 @@ def _driven(sequences: list[Sequence], asked: list[tuple[int, int]]) -> dict[str
 
 
 def _boxes(sequences: list[Sequence]) -> dict[str, Array]:
-    """Boxes, offsets and which frames are labelled; the vehicle's own box is left out."""
-    boxes, counts, labelled = [np.zeros((0, 5))], [0], []
+    """Boxes and offsets; the vehicle's own box is left out."""
+    boxes, counts = [np.zeros((0, 5))], [0]
     for sequence in sequences:
         for frame, pose in enumerate(sequence.poses):
             file = sequence.label_of(frame)
             own = np.zeros((0, 5)) if file is None else without_own(read_boxes(file), pose)
             boxes.append(own)
             counts.append(len(own))
-            labelled.append(file is not None)
-    return {
-        "boxes": np.concatenate(boxes),
-        "box_offsets": np.cumsum(counts),
-        "labelled": np.array(labelled, bool),
-    }
+    return {"boxes": np.concatenate(boxes), "box_offsets": np.cumsum(counts)}

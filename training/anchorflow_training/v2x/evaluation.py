@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import boxes_overlap, into_frame
 from anchorflow_driving.waypoints import waypoint_headings
+from anchorflow_training.v2x.boxes import EGO
 from anchorflow_training.v2x.dataset import PairDataset
 from anchorflow_training.v2x.recording import FUTURE, STEP_S
 
 Array = NDArray[np.float64]
 
 HORIZONS_S = (2.5, 3.5, 4.5)
-EGO_SIZE = np.array([4.6, 1.9])
-"""m, length and width of the ego's box, which a recording does not tell."""
 NEAR = 2.0
 """m at 4.5 s, within which a plan counts as a success."""
 
@@ -65,12 +64,12 @@ def _first_hit(dataset: PairDataset, index: int, waypoints: Array) -> int:
     """The first frame after now in which the ego touches another, from 1 on; or FUTURE + 1."""
     row = int(dataset.arrays["frame"][index])
     pose = np.asarray(dataset.arrays["poses"][row])
-    own = np.concatenate([waypoints, waypoint_headings(waypoints)[:, None]], -1)
+    own = EGO.middles(np.concatenate([waypoints, waypoint_headings(waypoints)[:, None]], -1))
     for step in range(1, FUTURE + 1):
         boxes = dataset.boxes_of(row + step)
         if not len(boxes):
             continue
         others = into_frame(boxes[:, :3], pose)
-        if boxes_overlap(own[step - 1], EGO_SIZE, others, boxes[:, 3:]).any():
+        if boxes_overlap(own[step - 1], EGO.size, others, boxes[:, 3:]).any():
             return step
     return FUTURE + 1

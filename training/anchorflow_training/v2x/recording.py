@@ -67,8 +67,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class Sequence:
-    """One drive: times [F] s, rising; poses [F,3] x, y [m], heading [rad] in the world.
+    """One drive.
 
+    times: [F] s, rising
+    poses: [F,3] x, y [m], heading [rad] of the rear axle in the world
     pairs: by the number of the frame, where there is one
     labels: [F] a file of boxes, or None
     """

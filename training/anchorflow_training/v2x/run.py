@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Generator, Iterable, Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 
 from anchorflow_models.v2x_vlm import V2XVLM
 from anchorflow_training.batches import Batch, batch_scenes, prefetched
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from anchorflow_training.curve import Row
 from anchorflow_training.restore import restore_model
 from anchorflow_training.run import TrainingRun
@@ -38,6 +38,8 @@ class V2XRun(TrainingRun):
     Raises:
         ConfigError: the model is not of the dataset's shape, or there are fewer pairs than a batch
             has.
+        CheckpointError: what it begins with, goes on with or learns from has another tokenizer
+            than the dataset.
     """
 
     def __init__(self, config: V2XRunConfig, dataset: PairDataset, out: Path) -> None:
@@ -48,6 +50,7 @@ class V2XRun(TrainingRun):
             most = f"at most {len(self.trained_on)}, the pairs that there are"
             raise ConfigError(f"batch.scenes: expected {most}, got {config.batch.scenes}")
         self._tokenizer = opened(dataset.tokenizer)
+        self._teacher, self._learnt_from = self._load_teacher()
         super().__init__(config, out)
 
     @staticmethod
@@ -60,18 +63,24 @@ class V2XRun(TrainingRun):
             "dt": STEP_S,
         }
 
-    @cached_property
-    def _teacher(self) -> V2XVLM | None:
+    def _load_teacher(self) -> tuple[V2XVLM | None, dict[str, Any]]:
+        """The teacher, if there is one, and what the checkpoint says of it."""
         if self.config.teacher is None:
-            return None
+            return None, {}
         path = Path(self.config.teacher)
         saved = load_checkpoint(path)
         if saved.planner != self.config.planner:
             raise CheckpointError(f"{path}: expected a v2x_vlm, got one of {saved.planner}")
         teacher = restore_model(saved)
-        if teacher.tokenizer != self.dataset.tokenizer:
-            raise CheckpointError(f"{path}: expected a teacher with the tokenizer of the pairs")
-        return teacher
+        self._check_tokenizer(teacher, source=str(path))
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        return teacher, {"sha256": digest, "step": saved.step}
+
+    def _check_tokenizer(self, model: V2XVLM, *, source: str) -> None:
+        if model.tokenizer != self.dataset.tokenizer:
+            raise CheckpointError(
+                f"{source}: expected the tokenizer of the pairs in {self.dataset.path}, got another"
+            )
 
     def begin(self, model: V2XVLM) -> None:
         model.tokenizer = self.dataset.tokenizer
@@ -81,6 +90,10 @@ class V2XRun(TrainingRun):
         model.mean.copy_(waypoints.mean(0))
         model.scale.copy_(waypoints.std(0).clamp_min(SMALLEST_SPREAD))
 
+    def begin_after(self, model: V2XVLM, weights: Mapping[str, Tensor]) -> None:
+        super().begin_after(model, weights)
+        self._check_tokenizer(model, source=f"before: {self.config.before}")
+
     def new_objective(self, model: V2XVLM) -> nn.Module:
         return V2XObjective(model, self.config, self._teacher)
 
@@ -89,7 +102,7 @@ class V2XRun(TrainingRun):
 
     @property
     def learnt_from(self) -> dict[str, Any]:
-        return {} if self.config.teacher is None else {"checkpoint": self.config.teacher}
+        return self._learnt_from
 
     @property
     def data(self) -> dict[str, Any]:
@@ -101,7 +114,9 @@ class V2XRun(TrainingRun):
         return True
 
     def evaluate(self, model: V2XVLM) -> tuple[Row, None]:
-        indices = self.dataset.indices(held_out=True)[: self.config.evaluation.scenes]
+        held = self.dataset.indices(held_out=True)
+        count = min(self.config.evaluation.scenes, len(held))
+        indices = held[np.linspace(0, len(held) - 1, count).astype(int)]
         see = self.config.roadside_dropout < 1
         return judge(self.dataset, indices, self.plans(model, indices, roadside=see)), None
 
@@ -120,6 +135,10 @@ class V2XRun(TrainingRun):
             fused = model.fuse(vehicle, infrastructure, there, inputs["tokens"], inputs["mask"])
             plans.append(model.drive(fused).double().cpu().numpy())
         return np.concatenate(plans)
+
+    def _resume(self, saved: Checkpoint) -> None:
+        self._check_tokenizer(self.model, source=str(self.checkpoint_path))
+        super()._resume(saved)
 
     def _batch(self, index: int) -> Batch:
         rows = batch_scenes(len(self.trained_on), self.config.batch, index)
