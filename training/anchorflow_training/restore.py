@@ -65,6 +65,8 @@ def weights_before(path: str, config: RunConfig) -> dict[str, Tensor]:
         )
     before = restore_model(saved)
     for name, (old, new) in other_weights(saved_model_config(saved), config.model).items():
+        if new and not old and _may_come_later(config.model, name):
+            continue
         raise ConfigError(f"before: {path}: expected model.{name} {new!r}, got {old!r}")
     return before.state_dict()
 
@@ -74,6 +76,12 @@ def other_weights(then: Any, now: Any) -> dict[str, tuple[Any, Any]]:
     names = [part.name for part in fields(now) if not part.metadata.get("free")]
     both = {name: (getattr(then, name), getattr(now, name)) for name in names}
     return {name: (old, new) for name, (old, new) in both.items() if old != new}
+
+
+def _may_come_later(config: Any, name: str) -> bool:
+    """Whether a part of the network may begin anew where the run before had none."""
+    (part,) = (part for part in fields(config) if part.name == name)
+    return part.metadata.get("may_come_later", False)
 
 
 def _check_same(path: Path, name: str, old: Any, new: Any) -> None:

@@ -60,6 +60,8 @@ class GoalFlowConfig:
     goals: K of the vocabulary; picked: how many of them trajectories are drawn to, a shadow beside
     spacing: m that picked goals keep from each other
     sigma: spread of the noise, in units of what trajectories stray from the way to their goal
+    outcomes: whether trajectories are scored by what is learnt to become of them; otherwise by the
+        rules of `trajectory_score`
     backbone: "mlp" or "transformer", the network that is the vector field
     width, layers: of the backbone; channels: of the scene encoder's first level
     feature_channels: that poses look up at their places
@@ -74,6 +76,7 @@ class GoalFlowConfig:
     picked: int = 31
     spacing: float = 2.0
     sigma: float = 0.1
+    outcomes: bool = field(default=False, metadata={"may_come_later": True})
     backbone: str = "mlp"
     width: int = 192
     layers: int = 2
@@ -86,19 +89,14 @@ class GoalFlowConfig:
         if self.backbone not in BACKBONES:
             known = ", ".join(BACKBONES)
             raise ValueError(f"backbone: expected one of {known}, got {self.backbone!r}")
-        for name, least in LEAST.items():
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}: expected at least {least}, got {getattr(self, name)}")
-        for name, factor in MULTIPLES.items():
-            if getattr(self, name) % factor:
-                got = getattr(self, name)
-                raise ValueError(f"{name}: expected a multiple of {factor}, got {got}")
-        if self.picked >= self.goals:
-            raise ValueError(f"picked: expected below goals, {self.goals}, got {self.picked}")
-        for name in ("dt", "sigma"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name}: expected above 0, got {getattr(self, name)}")
-        for name in ("rows", "columns"):
-            if getattr(self.bev, name) % 16:
-                got = getattr(self.bev, name)
-                raise ValueError(f"bev.{name}: expected a multiple of 16, got {got}")
+        own = vars(self)
+        sides = {f"bev.{name}": getattr(self.bev, name) for name in ("rows", "columns")}
+        for name, got, fits, what in (
+            *((n, own[n], own[n] >= least, f"at least {least}") for n, least in LEAST.items()),
+            *((n, own[n], own[n] % f == 0, f"a multiple of {f}") for n, f in MULTIPLES.items()),
+            ("picked", self.picked, self.picked < self.goals, f"below goals, {self.goals}"),
+            *((n, own[n], own[n] > 0, "above 0") for n in ("dt", "sigma")),
+            *((n, side, side % 16 == 0, "a multiple of 16") for n, side in sides.items()),
+        ):
+            if not fits:
+                raise ValueError(f"{name}: expected {what}, got {got}")

@@ -18,9 +18,18 @@ from anchorflow_models.goalflow.config import GoalFlowConfig
 from anchorflow_models.goalflow.field import BACKBONES
 from anchorflow_models.goalflow.goals import WayScorer, WayScores, in_units, pick
 from anchorflow_models.goalflow.kinematics import BRAKING, PULLING, SHARPEST, arc_to, roll_out
+from anchorflow_models.goalflow.outcome_scorer import OutcomeScorer, outcome_scores
 from anchorflow_models.goalflow.raster import at_places
 from anchorflow_models.goalflow.scene_encoder import VELOCITY, SceneEncoder
-from anchorflow_models.goalflow.trajectory_score import Surroundings, trajectory_scores
+from anchorflow_models.goalflow.trajectory_score import (
+    Motion,
+    Rules,
+    Surroundings,
+    met,
+    motion_of,
+    rules_of,
+    trajectory_scores,
+)
 
 Context = dict[str, Tensor]
 
@@ -28,6 +37,8 @@ POSE = 3
 STATE = 6  # x, y, heading; has a goal, acceleration, curvature of the way it began on
 CONTEXT = 96  # numbers that tell of a scene as a whole
 SCORER = 96  # width
+OUTCOMES = 192  # width
+UNITS = (10.0, 3.0, 1.0)  # m/s, m/s², rad/s, in which a motion is heard of
 TIME_LEFT = 0.02  # least, that a slope is divided by
 FULL = 255.0
 BEND = 10.0  # m, in which networks hear of curvatures
@@ -60,6 +71,11 @@ class GoalFlow(nn.Module):
         # A pose's own numbers, those of the way, what lies there; has a goal, controls of the way.
         token = POSE + 4 + features + 3
         self.flow = BACKBONES[config.backbone](config, token=token, context=CONTEXT)
+        self.outcomes = (
+            OutcomeScorer(steps=steps, features=features, context=CONTEXT, width=OUTCOMES)
+            if config.outcomes
+            else None
+        )
         self.noise_scale = 1.0
         self.register_buffer("vocabulary", _fan(config.goals))
         stray = torch.linspace(*STRAYS, steps)[:, None] * torch.tensor([1.0, 1.0, 0.05])
@@ -194,13 +210,35 @@ class GoalFlow(nn.Module):
     def score(self, x_1: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
         """Scores [B, N] of trajectories and of the ways that they began on, [B, N, T, S]."""
         poses, way = x_1[..., :POSE], prior_mean[..., :POSE]
+        motion, rules = self.judged(poses, context)
+        if self.outcomes is not None:
+            return outcome_scores(self.outcome(poses, motion, rules, context), rules)
         missed = (poses[..., -1, :2] - way[..., -1, :2]).square().sum(-1).sqrt()
-        around = Surroundings(
-            *(context[name] for name in ("drivable", "occupied", "speed", "size"))
-        )
-        return trajectory_scores(
-            poses, missed * prior_mean[..., 0, POSE], self.rate(poses, context), around, self.config
-        )
+        missed = missed * prior_mean[..., 0, POSE]
+        return trajectory_scores(rules, missed, self.rate(poses, context), self.config)
+
+    def judged(self, poses: Tensor, context: Context) -> tuple[Motion, Rules]:
+        """How trajectories [B, N, T, 3] move, and what the rules say of them."""
+        around = _surroundings(context)
+        motion = motion_of(poses, around, self.config)
+        return motion, rules_of(poses, motion, around, self.config)
+
+    def outcome(self, poses: Tensor, motion: Motion, rules: Rules, context: Context) -> Tensor:
+        """Logits [B, N, 4] of what becomes of trajectories [B, N, T, 3]."""
+        assert self.outcomes is not None
+        return self.outcomes(self.told(poses, motion, rules, context), context["context"])
+
+    def told(self, poses: Tensor, motion: Motion, rules: Rules, context: Context) -> Tensor:
+        """[B, N, F] that outcomes are learnt from."""
+        seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
+        moves = [values / unit for values, unit in zip(motion, UNITS, strict=True)]
+        others = met(poses, motion, _surroundings(context), self.config)
+        own = [seen.flatten(2), in_units(poses).flatten(2), *moves, others]
+        return torch.cat([*own, torch.stack(rules, -1)], -1)
+
+
+def _surroundings(context: Context) -> Surroundings:
+    return Surroundings(*(context[name] for name in ("drivable", "occupied", "speed", "size")))
 
 
 def _fan(count: int) -> Tensor:

@@ -8,7 +8,8 @@ Each term lies between 0 and 1, and no trajectory's depends on the others. The w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,6 +24,9 @@ FRONT, REAR = 0.7823, -0.2177
 ROWS, FILES = (FRONT, 0.53, 0.28), (-1.0, 0.0, 1.0)
 AHEAD_S = (0.5, 0.9)
 """That the time to collision looks ahead."""
+LOOKS_S = (0.0, 0.5, 1.0, -0.5)
+WIDER = (2.0, 1.2)  # m, in length and width
+LOOKS = len(LOOKS_S) + 1
 PULL = 1.5  # m/s², of a car that nothing holds up
 HALF, SHARP = 0.5, 0.1  # of a cell's share: what counts as covered, and how sharply
 MOVING = 0.3  # m/s; who stands hits nobody
@@ -50,28 +54,90 @@ class Surroundings:
     size: Tensor
 
 
+class Motion(NamedTuple):
+    """[B, N, T] each: m/s, m/s² since the pose before, rad/s since then."""
+
+    speed: Tensor
+    acceleration: Tensor
+    yaw_rate: Tensor
+
+
+class Rules(NamedTuple):
+    """[B, N] each, from 0 to 1: what can be said of a trajectory without having learnt it."""
+
+    on_road: Tensor
+    clear: Tensor
+    ahead: Tensor
+    comfort: Tensor
+    progress: Tensor
+
+
+RULES = Rules._fields
+
+
+def motion_of(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Motion:
+    """Of trajectories [B, N, T, 3]."""
+    speed = _speeds(poses, dt=config.dt)
+    now = around.speed[:, None, None].expand_as(speed[..., :1])
+    heading = torch.cat([torch.zeros_like(poses[..., :1, 2]), poses[..., 2]], -1)
+    return Motion(
+        speed,
+        torch.cat([now, speed], -1).diff(dim=-1) / config.dt,
+        heading.diff(dim=-1) / config.dt,
+    )
+
+
+def rules_of(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFlowConfig) -> Rules:
+    """Of trajectories [B, N, T, 3]."""
+    return Rules(
+        on_road=_on_road(poses, around, config),
+        clear=_clear(poses, motion.speed, around, config),
+        ahead=_time_to_collision(poses, motion.speed, around, config),
+        comfort=_comfort(motion, dt=config.dt),
+        progress=_progress(poses, around.speed, config),
+    )
+
+
+def met(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFlowConfig) -> Tensor:
+    """[B, N, LOOKS · T]: how much of a cell under the ego's front is taken at each pose; so much
+    later at the same speed, or before it; and under a front that is wider.
+    """
+    layer = torch.arange(poses.shape[-2], device=poses.device) + 1
+    last = around.occupied.shape[1] - 1
+    looks = [
+        _hits(
+            _moved(poses, motion.speed * seconds),
+            (layer + round(max(seconds, 0.0) / config.dt)).clamp(max=last),
+            around,
+            config,
+        )
+        for seconds in LOOKS_S
+    ]
+    wide = replace(around, size=around.size + torch.tensor(WIDER, device=poses.device))
+    return torch.cat([*looks, _hits(poses, layer, wide, config)], -1)
+
+
 def trajectory_scores(
-    poses: Tensor, missed: Tensor, ways: WayScores, around: Surroundings, config: GoalFlowConfig
+    rules: Rules, missed: Tensor, ways: WayScores, config: GoalFlowConfig
 ) -> Tensor:
-    """Scores [B, N] of trajectories [B, N, T, 3].
+    """Scores [B, N] of trajectories.
 
     missed: [B, N] m between a trajectory's end and its goal; 0 where it has none
     ways: logits of the trajectories
     """
     weights = config.score
-    speed = _speeds(poses, dt=config.dt)
     parts = {
         "route": ways.route.sigmoid() ** weights.route,
         "goal": ways.distance.sigmoid() ** weights.goal,
         "drivable": ways.drivable.sigmoid() ** weights.drivable,
         "reach": torch.exp(-0.5 * (missed / weights.reach).square()),
-        "DAC": _on_road(poses, around, config),
-        "NC": _clear(poses, speed, around, config),
+        "DAC": rules.on_road,
+        "NC": rules.clear,
     }
     means = (
-        (weights.progress, _progress(poses, around.speed, config)),
-        (weights.time_to_collision, _time_to_collision(poses, speed, around, config)),
-        (weights.comfort, _comfort(poses, speed, around, dt=config.dt)),
+        (weights.progress, rules.progress),
+        (weights.time_to_collision, rules.ahead),
+        (weights.comfort, rules.comfort),
     )
     total = sum(weight for weight, _ in means)
     worth = torch.stack([weight / total * part for weight, part in means]).sum(0)
@@ -113,13 +179,10 @@ def _time_to_collision(
     return 1 - _covered((hits * going).amax(-1))
 
 
-def _comfort(poses: Tensor, speed: Tensor, around: Surroundings, *, dt: float) -> Tensor:
+def _comfort(motion: Motion, *, dt: float) -> Tensor:
     """[B, N]: whether what passengers feel keeps its bounds."""
-    now = around.speed[:, None, None].expand_as(speed[..., :1])
-    acceleration = torch.cat([now, speed], -1).diff(dim=-1) / dt
+    speed, acceleration, yaw_rate = motion
     jerk = acceleration.diff(dim=-1) / dt
-    heading = torch.cat([torch.zeros_like(poses[..., :1, 2]), poses[..., 2]], -1)
-    yaw_rate = heading.diff(dim=-1) / dt
     felt = {
         "pulling": acceleration,
         "braking": -acceleration,

@@ -18,6 +18,8 @@ from anchorflow_models.goalflow.trajectory_score import (
     SHARP,
     Surroundings,
     _speeds,
+    motion_of,
+    rules_of,
     trajectory_scores,
 )
 
@@ -54,13 +56,10 @@ def score(
         size=torch.tensor([[4.6, 1.9]]),
     )
     certain = torch.full((1, 1), 100.0)
-    worth = trajectory_scores(
-        poses,
-        torch.tensor([[missed]]),
-        WayScores(certain, certain, certain),
-        around,
-        GoalFlowConfig(score=replace(weights, **{part: 1.0})),
-    )
+    config = GoalFlowConfig(score=replace(weights, **{part: 1.0}))
+    rules = rules_of(poses, motion_of(poses, around, config), around, config)
+    ways = WayScores(certain, certain, certain)
+    worth = trajectory_scores(rules, torch.tensor([[missed]]), ways, config)
     return float(worth) / SURE**2  # on the road, and nobody touched
 
 

@@ -34,7 +34,9 @@ from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 MODEL, K, N = "goalflow", 16, 12
-CONFIG = GoalFlowConfig(goals=K, picked=5, width=16, channels=8, feature_channels=4, layers=1)
+CONFIG = GoalFlowConfig(
+    goals=K, picked=5, width=16, channels=8, feature_channels=4, layers=1, outcomes=True
+)
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,14 @@ CLEAR = 0.5  # share of a cell that is drivable where its middle is
 
 @dataclass(frozen=True)
 class GoalFlowObjectiveConfig:
-    """The losses, their weights, and what they aim at."""
+    """The stage; the losses of the first, their weights, and what they aim at."""
 
+    stage: Literal["flow", "outcomes"] = setting(
+        "flow", "What is learnt: goals and the flow; then what becomes of trajectories."
+    )
+    forgotten: float = setting(
+        0.2, "Share of what outcomes are learnt from that a step leaves out.", least=0, below=1
+    )
     goal_weight: float = setting(1.0, "Of the goals' scores.", least=0)
     flow_weight: float = setting(10.0, "Of the flow.", least=0)
     flow_time: Literal["uniform", "middle"] = setting(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor, nn
 
 from anchorflow_driving.sensors.bev import BEV
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
@@ -22,9 +23,11 @@ from anchorflow_training.batches import (
 )
 from anchorflow_training.config import HeldOutConfig, RunConfig
 from anchorflow_training.curve import Row
+from anchorflow_training.driving.anchor_scores import pdms
 from anchorflow_training.driving.augmentation import (
     AugmentationConfig,
     draw,
+    mirror,
     poses_on,
     retimed,
 )
@@ -32,12 +35,15 @@ from anchorflow_training.driving.goalflow_objective import (
     GoalFlowObjective,
     GoalFlowObjectiveConfig,
 )
-from anchorflow_training.driving.kept_logs import PLAN_SETTINGS
+from anchorflow_training.driving.kept_logs import PLAN_SETTINGS, open_logs
+from anchorflow_training.driving.outcome_objective import OutcomeObjective
+from anchorflow_training.driving.proposals import proposals
 from anchorflow_training.driving.vocabulary import clustered, read_vocabulary
 from anchorflow_training.driving.windows import DrivingWindows
 from anchorflow_training.held_out import left_to_learn
+from anchorflow_training.reflection import reflection
 from anchorflow_training.run import TrainingRun
-from anchorflow_training.settings import check_fixed, setting
+from anchorflow_training.settings import ConfigError, check_fixed, setting
 
 RETIMED_SHARE = 1  # ends of re-timed targets to one of the record, in the vocabulary
 TOP, NEAR_M, MOVING_M = 5, 3.0, 2.0
@@ -75,7 +81,19 @@ class GoalFlowRun(TrainingRun):
         )
         self.windows, self.held_out = windows.part(slice(first)), windows.part(slice(first, None))
         check_fixed(config.model, self.model_settings(windows), by="the windows")
+        self.learns_outcomes = config.objective.stage == "outcomes"
+        if self.learns_outcomes != config.model.outcomes:
+            raise ConfigError(
+                f"model.outcomes: expected {str(self.learns_outcomes).lower()} in the stage "
+                f"{config.objective.stage}, got {str(config.model.outcomes).lower()}"
+            )
+        if self.learns_outcomes and config.before is None:
+            raise ConfigError("before: expected a checkpoint to begin outcomes with, got none")
         super().__init__(config, out)
+        if self.learns_outcomes:
+            asked = self._created()
+            asked.load_state_dict(self.model.state_dict())
+            self.proposals = proposals(open_logs(windows.path), asked.eval())
 
     @staticmethod
     def model_settings(data: DrivingWindows) -> Mapping[str, Any]:  # noqa: ARG004
@@ -117,7 +135,19 @@ class GoalFlowRun(TrainingRun):
         strays = torch.cat([strays, strays * torch.tensor([1.0, -1.0, -1.0])])
         model.stray.copy_(strays.std(0).clamp(min=1e-3).maximum(model.stray / 10))
 
-    def new_objective(self, model: GoalFlow) -> GoalFlowObjective:
+    def begin_after(self, model: GoalFlow, weights: Mapping[str, Tensor]) -> None:
+        """Those weights; a scorer of outcomes begins anew where the run before had none."""
+        model.load_state_dict({**model.state_dict(), **weights})
+
+    def _new_model(self) -> GoalFlow:
+        model = super()._new_model()
+        if self.learns_outcomes:
+            model.requires_grad_(False).outcomes.requires_grad_(True)
+        return model
+
+    def new_objective(self, model: GoalFlow) -> nn.Module:
+        if self.learns_outcomes:
+            return OutcomeObjective(model, forgotten=self.config.objective.forgotten)
         return GoalFlowObjective(model, self.config.objective)
 
     def stream(self, indices: Iterable[int]) -> Generator[Batch]:
@@ -128,10 +158,28 @@ class GoalFlowRun(TrainingRun):
         config = self.config
         chosen = batch_scenes(len(self.windows), config.batch, index)
         rng = batch_rng(config.batch, index)
+        if self.learns_outcomes:
+            return self._proposed(chosen, rng)
         drawn = draw(
             self.windows, chosen, config.augmentation, samples=config.batch.samples, rng=rng
         )
         return vars(drawn)
+
+    def _proposed(self, chosen: NDArray[np.int64], rng: np.random.Generator) -> Batch:
+        """Windows and what was proposed in them, some left for right."""
+        windows, asked = self.windows, self.proposals
+        bev, status = windows.rasters(chosen), windows.status[chosen].astype(float)
+        course, trajectories = windows.course[chosen], asked.trajectories[chosen]
+        for i in np.flatnonzero(rng.random(len(chosen)) < self.config.augmentation.mirror):
+            mirror(bev[i], status[i], course[i])
+            trajectories[i] *= reflection(3)
+        return {
+            "bev": bev,
+            "status": status.astype(np.float32),
+            "size": windows.size[chosen],
+            "trajectories": trajectories,
+            "scores": asked.scores[chosen],
+        }
 
     @property
     def data(self) -> dict[str, Any]:
@@ -142,17 +190,19 @@ class GoalFlowRun(TrainingRun):
         return len(self.held_out) > 0
 
     def evaluate(self, model: GoalFlow) -> tuple[Row, None]:
-        """Goals and one-step trajectories on the windows that are held out."""
+        """Goals and one-step trajectories on the windows that are held out; of outcomes the PDM
+        score of the proposals with the best scores.
+        """
         chosen = np.linspace(0, len(self.held_out) - 1, self.config.evaluation.scenes).astype(int)
-        rows = [self._judged(model, window) for window in np.unique(chosen)]
+        judge = self._chosen if self.learns_outcomes else self._judged
+        rows = [judge(model, window) for window in np.unique(chosen)]
         means = {name: float(np.nanmean([row[name] for row in rows])) for name in rows[0]}
         return means, None
 
     @torch.no_grad()
     def _judged(self, model: GoalFlow, window: int) -> dict[str, float]:
         held, device = self.held_out, model.vocabulary.device
-        told = (held.rasters([window]), held.status[[window]], held.size[[window]])
-        context = model.encode(*(torch.from_numpy(each).to(device) for each in told))
+        context = model.encode(*self._told(window, device))
         mean = context["prior_mean"]
         modulation = model.modulate(torch.zeros(1, device=device), context)[:, 0]
         x_1 = mean + model.field(mean, mean, modulation, context)
@@ -167,6 +217,21 @@ class GoalFlowRun(TrainingRun):
             "best_ade_m": float(apart.min()),
             "chosen_ade_m": float(apart[int(scores.argmax())]),
         }
+
+    @torch.no_grad()
+    def _chosen(self, model: GoalFlow, window: int) -> dict[str, float]:
+        own, device = len(self.windows) + window, model.vocabulary.device
+        context = model.look(*self._told(window, device))
+        plans = torch.from_numpy(self.proposals.trajectories[own])[None].to(device)
+        scores = model.score(plans, plans, context)[0]
+        worth = pdms(self.proposals.scores[own])
+        return {"success": float(worth[int(scores.argmax())]), "best_pdms": float(worth.max())}
+
+    def _told(self, window: int, device: torch.device) -> Sequence[Tensor]:
+        """What the network is told of a window that is held out."""
+        held = self.held_out
+        told = (held.rasters([window]), held.status[[window]], held.size[[window]])
+        return [torch.from_numpy(each).to(device) for each in told]
 
 
 def _apart(points: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:

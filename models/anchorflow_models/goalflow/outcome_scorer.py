@@ -1,0 +1,42 @@
+"""What becomes of a trajectory, as learnt: sub-scores of the PDM score."""
+
+from __future__ import annotations
+
+from torch import Tensor, nn
+
+from anchorflow_models.goalflow.trajectory_score import LOOKS, RULES, Rules
+
+LEARNT = ("nc", "dac", "ep", "ttc")
+"""Sub-scores that are learnt; comfort is a trajectory's own, and its rule says it."""
+POSE = 4 + 3  # x, y, direction; speed, acceleration, yaw rate
+NC_POWER = 2
+"""A collision forfeits all else, and a mean over what may come takes it for half a loss."""
+
+
+class OutcomeScorer(nn.Module):
+    """Logits [B, N, 4] of trajectories, by what lies at their poses, who is met there, and what the
+    rules say, which know others' present velocities and no turn.
+    """
+
+    def __init__(self, *, steps: int, features: int, context: int, width: int) -> None:
+        super().__init__()
+        told = steps * (features + POSE + LOOKS) + len(RULES)
+        self.of_way = nn.Linear(told, width)
+        self.of_scene = nn.Linear(context, width)
+        self.rest = nn.Sequential(
+            nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU()
+        )
+        self.out = nn.Linear(width, len(LEARNT))
+
+    def forward(self, told: Tensor, context: Tensor) -> Tensor:
+        """told [B, N, F], as `GoalFlow.told` has it; context [B, E]."""
+        return self.out(self.rest(self.of_way(told) + self.of_scene(context)[:, None]))
+
+
+def outcome_scores(logits: Tensor, rules: Rules) -> Tensor:
+    """The PDM score [B, N] of what is expected: learnt logits [B, N, 4] and the rules agree on who
+    is hit and what is road, the rule says what is comfortable, and the rest is learnt.
+    """
+    nc, dac, ep, ttc = logits.sigmoid().unbind(-1)
+    kept = rules.clear * nc**NC_POWER * rules.on_road * dac
+    return kept * (5 * ep + 5 * ttc + 2 * rules.comfort) / 12

@@ -1,0 +1,96 @@
+"""What a GoalFlow proposes in the windows of logs, and what becomes of each by the PDM score."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from anchorflow_driving.log import read_log
+from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
+from anchorflow_driving.sensors.bev import draw_bev
+from anchorflow_driving.sensors.status import status_of
+from anchorflow_driving.window import Scenes, Window
+from anchorflow_models.goalflow import GoalFlow
+from anchorflow_models.goalflow.goalflow import POSE
+from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
+
+PER_WAY = 2
+"""Trajectories that are drawn to each goal, and to none."""
+DIGITS = 12  # of the weights' digest, in a file's name
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Of W windows: trajectories [W, N, T, 3], m and rad; scores [W, N, 5] in the order of
+    SUB_SCORES.
+    """
+
+    trajectories: NDArray[np.float32]
+    scores: NDArray[np.float32]
+
+
+def proposals(
+    logs: Sequence[Path], model: GoalFlow, *, progress: Progress = lambda *_: None
+) -> Proposals:
+    """Those of a model in all windows of logs.
+
+    Those of each log are made once, on every core, and kept beside it under the digest of the
+    weights that they hang on. Raises `LogError` where a log cannot be read or there is no place to
+    write beside it.
+    """
+    kept = {log: log.with_suffix(f".proposals-{_digest(model)}") for log in logs}
+    missing = [log for log in logs if not is_fresh(kept[log], log)]
+    keep = partial(keep_proposals, suffix=next(iter(kept.values())).suffix, model=model)
+    each_log(keep, missing, of=len(logs), progress=progress)
+    trajectories, scores = [], []
+    for path in kept.values():
+        with np.load(path, allow_pickle=False) as part:
+            trajectories.append(part["trajectories"])
+            scores.append(part["scores"].astype(np.float32))
+    return Proposals(np.concatenate(trajectories), np.concatenate(scores))
+
+
+def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
+    """Draw trajectories in every window of a log, score them, and keep that beside the log."""
+    torch.set_num_threads(1)
+    generator = torch.Generator().manual_seed(
+        int(hashlib.sha256(log.name.encode()).hexdigest()[:8], 16)
+    )
+    count, steps = PER_WAY * (model.config.picked + 1), model.config.num_steps
+    trajectories = np.empty((0, count, steps, POSE), np.float32)
+    scores = np.empty((0, count, len(SUB_SCORES)), np.float16)
+    for window in Scenes(read_log(log)):
+        plans = drawn(model, window, generator)
+        told = PdmScorer(window).score(plans.astype(np.float64)).sub_scores
+        trajectories = np.concatenate([trajectories, plans[None]])
+        scores = np.concatenate([scores, told[None].astype(np.float16)])
+    write_beside(log.with_suffix(suffix), trajectories=trajectories, scores=scores)
+
+
+@torch.no_grad()
+def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArray[np.float32]:
+    """Trajectories [N, T, 3] of one step of the flow, PER_WAY to each goal and to none."""
+    view = window.view
+    told = (draw_bev(view), status_of(view), view.vehicle.size.astype(np.float32))
+    context = model.encode(*(torch.from_numpy(each)[None] for each in told))
+    mean = context["prior_mean"].repeat(1, PER_WAY, 1, 1)
+    noise = torch.randn(*mean.shape[:2], POSE * model.config.num_steps, generator=generator)
+    x_0 = mean + (noise @ model.basis()[0]).unflatten(-1, mean.shape[2:])
+    x_1 = x_0 + model.field(x_0, mean, model.modulate(torch.zeros(1), context)[:, 0], context)
+    return x_1[0, ..., :POSE].numpy()
+
+
+def _digest(model: GoalFlow) -> str:
+    """Of the weights that trajectories hang on."""
+    digest = hashlib.sha256()
+    for name, weight in model.state_dict().items():
+        if not name.startswith("outcomes."):
+            digest.update(weight.cpu().contiguous().numpy())
+    return digest.hexdigest()[:DIGITS]
