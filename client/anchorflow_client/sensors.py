@@ -15,6 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anchorflow_client.contract.checks import as_array
 from anchorflow_client.errors import InvalidRequest
 
 Bytes = NDArray[np.uint8]
@@ -101,10 +102,10 @@ def lidar_histogram(points: ArrayLike, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> 
     Raises:
         InvalidRequest: names `lidar` or `pose`.
     """
-    frame = np.asarray(pose, np.float64)
+    frame = as_array(pose, "pose", np.float64)
     if frame.shape != (3,) or not np.isfinite(frame).all():
         raise InvalidRequest(f"expected x, y, heading, all finite, got {frame.tolist()}", "pose")
-    cloud = np.asarray(points, np.float32)
+    cloud = as_array(points, "lidar", np.float32)
     if cloud.ndim != 2 or cloud.shape[1] < 3:
         raise InvalidRequest(f"expected shape [P, 3], got {list(cloud.shape)}", "lidar")
     if not np.isfinite(cloud[:, :3]).all():
@@ -135,7 +136,7 @@ def ego_status(*, command: str, velocity: ArrayLike, acceleration: ArrayLike) ->
     if command not in COMMANDS:
         raise InvalidRequest(f"expected one of {', '.join(COMMANDS)}, got {command!r}", "command")
     vectors = {"velocity": velocity, "acceleration": acceleration}
-    numbers = {name: np.asarray(value, np.float32) for name, value in vectors.items()}
+    numbers = {name: as_array(value, name, np.float32) for name, value in vectors.items()}
     for name, value in numbers.items():
         if value.shape != (2,):
             raise InvalidRequest(f"expected shape [2], got {list(value.shape)}", name)
@@ -146,7 +147,7 @@ def ego_status(*, command: str, velocity: ArrayLike, acceleration: ArrayLike) ->
 
 
 def _image(image: ArrayLike, field: str) -> Bytes:
-    pixels = np.asarray(image)
+    pixels = as_array(image, field)
     if pixels.dtype != np.uint8:
         raise InvalidRequest(f"expected uint8, got {pixels.dtype}", field)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:

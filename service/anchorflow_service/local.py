@@ -6,6 +6,7 @@ from pathlib import Path
 
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard, resolve_for_card
+from anchorflow_client.errors import InternalError
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 
@@ -27,7 +28,10 @@ class LocalClient(BaseClient):
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
         """Anchors for a request that was built before."""
-        return self.engine.plan(resolve_for_card(request, self.engine.card))
+        batch = self.engine.plan(resolve_for_card(request, self.engine.card))
+        if not batch.is_finite:
+            raise InternalError("the answer holds numbers that are not finite")
+        return batch
 
     def models(self) -> tuple[ModelCard, ...]:
         """The bundle's card."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
 
 import pytest
 
-from anchorflow_client import TimedOut
-from anchorflow_client.http.async_socket_transport import AsyncSocketTransport
+from anchorflow_client import ConnectionFailed, TimedOut
+from anchorflow_client.http.async_socket_transport import AsyncSocketTransport, _Connection
+from anchorflow_client.http.transport import HttpAnswer
 
 OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok"
 
@@ -133,6 +134,64 @@ def test_a_head_is_that_of_the_blocking_client() -> None:
             told = dict(line.split(": ", 1) for line in rest)
             assert told.pop("Host").startswith("127.0.0.1:")
             assert told == {"Accept-Encoding": "identity", "Content-Length": "0", "X-Kind": "test"}
+
+    run(test)
+
+
+def test_nothing_empty_is_handed_to_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`writelines` of CPython 3.12 is never done with it: a loop that waits would turn for ever."""
+    ask, requests = _Connection.ask, list[Sequence[bytes]]()
+
+    async def asked(self: _Connection, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
+        requests.append(request)
+        return await ask(self, request, timeout_s)
+
+    async def test() -> None:
+        async with serving() as (server, transport):
+            server.may_answer.set()
+            await get(transport)
+            await transport.send("POST", "/", {}, b"", 20)
+
+    monkeypatch.setattr(_Connection, "ask", asked)
+    run(test)
+    assert len(requests) == 2
+    assert all(part for request in requests for part in request)
+
+
+@pytest.mark.parametrize("turns", range(1, 12))
+def test_what_is_on_its_way_fails_when_all_is_closed(turns: int) -> None:
+    """At whatever turn of the loop: before a connection, while it is opened, or after that."""
+
+    async def test() -> None:
+        async with serving(max_connections=1) as (server, transport):
+            asked = [asyncio.ensure_future(get(transport)) for _ in range(2)]
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            await transport.aclose()
+            assert not transport._open
+            server.may_answer.set()
+            for each in asked:
+                with pytest.raises(ConnectionFailed, match="closed"):
+                    await each
+            assert await get(transport) == b"ok"
+
+    run(test)
+
+
+def test_a_request_over_a_kept_connection_fails_when_all_is_closed() -> None:
+    async def test() -> None:
+        async with serving() as (server, transport):
+            server.may_answer.set()
+            await get(transport)
+            server.may_answer.clear()
+            asked = asyncio.ensure_future(get(transport))
+            for _ in range(2):
+                await server.asked.acquire()
+            await transport.aclose()
+            server.may_answer.set()
+            with pytest.raises(ConnectionFailed, match="closed"):
+                await asked
+            assert server.connections == 1
 
     run(test)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import pytest
 
@@ -24,7 +25,13 @@ def test_a_card_without_ranges_lets_nothing_change(card: ModelCard) -> None:
 
 
 def test_a_later_services_keys_are_left_out(card: ModelCard) -> None:
-    assert ModelCard.from_dict(card.to_dict() | {"ready": True}) == card
+    fields: dict[str, Any] = card.to_dict() | {"ready": True}
+    conditioning = fields["conditioning"]
+    parts = [conditioning, conditioning["limits"], *(fields[name] for name in ("time", "answer"))]
+    for part in (*parts, fields["sampler"], fields["finish"], fields["inputs"][0]):
+        part["later"] = 1
+
+    assert ModelCard.from_dict(fields) == card
 
 
 def test_a_missing_key_is_named(card: ModelCard) -> None:

@@ -50,6 +50,23 @@ def test_overloaded_says_when_to_come_back() -> None:
     assert came.retry_after_s == 3.0
 
 
+def test_overloaded_says_so_itself_where_there_is_no_header() -> None:
+    came = RequestError.from_dict(Overloaded("full", retry_after_s=3).to_dict())
+
+    assert isinstance(came, Overloaded)
+    assert came.retry_after_s == 3
+
+
+@pytest.mark.parametrize("told", [None, "3", True, -1, float("nan"), float("inf"), 10**400])
+def test_a_time_to_come_back_that_is_none_is_not_believed(told: Any) -> None:
+    error = {"code": "overloaded", "message": "full", "field": None, "retry_after_s": told}
+
+    came = RequestError.from_dict({"error": error})
+
+    assert isinstance(came, Overloaded)
+    assert came.retry_after_s is None
+
+
 def test_a_later_services_code_is_kept() -> None:
     answer = {"error": {"code": "too_cold", "message": "warm up", "field": None}}
 

@@ -28,6 +28,8 @@ from anchorflow_client.http.transport import HttpAnswer
 
 Client = Callable[..., Any]
 
+TOO_DEEP = b"[" * 100_000
+
 ANSWER = {
     "trajectories": [[[0.0, 0.0], [1.0, 0.0]]],
     "velocities": [[[0.0, 0.0], [0.0, 0.0]]],
@@ -163,7 +165,7 @@ def test_a_refusal_is_raised_with_its_field(client: Client, fields: dict[str, An
     assert caught.value.retry_after_s == 7
 
 
-@pytest.mark.parametrize("body", [b"<html>Not found</html>", b"[]", b""])
+@pytest.mark.parametrize("body", [b"<html>Not found</html>", b"[]", b"", TOO_DEEP])
 @pytest.mark.parametrize("status", [404, 501])
 def test_an_error_of_another_program_is_an_invalid_answer(
     client: Client, fields: dict[str, Any], status: int, body: bytes
@@ -173,7 +175,7 @@ def test_an_error_of_another_program_is_an_invalid_answer(
 
 
 @pytest.mark.parametrize(
-    "body", [b"<html>Bad gateway</html>", b"Internal Server Error", b"[]", b""]
+    "body", [b"<html>Bad gateway</html>", b"Internal Server Error", b"[]", b"", TOO_DEEP]
 )
 @pytest.mark.parametrize("status", [500, 502, 503, 504])
 def test_what_a_proxy_says_is_a_failed_connection(
@@ -196,10 +198,15 @@ def test_cards_are_read(client: Client, card: ModelCard) -> None:
     assert transport.sent[0][:2] == ("GET", "/base/v2/models")
 
 
-@pytest.mark.parametrize("value", [{}, [], {"models": [{}]}, {"models": 3}, b"no"])
+@pytest.mark.parametrize("value", [{}, [], {"models": [{}]}, {"models": 3}, b"no", TOO_DEEP])
 def test_what_is_no_list_of_cards_is_an_invalid_answer(client: Client, value: Any) -> None:
     with pytest.raises(InvalidAnswer):
         client(Canned(value)).models()
+
+
+def test_a_card_of_another_make_is_an_invalid_answer(client: Client, card: ModelCard) -> None:
+    with pytest.raises(InvalidAnswer, match="not a list of model cards"):
+        client(Canned({"models": [card.to_dict() | {"inputs": [[]]}]})).models()
 
 
 def test_health_is_a_yes_or_a_no(client: Client) -> None:
@@ -226,11 +233,28 @@ def test_leaving_the_block_closes_the_transport(client: Client) -> None:
     assert transport.closed
 
 
-@pytest.mark.parametrize("url", ["robot:8000", "ftp://robot", "http://", "http://robot:port"])
+STRANGE_URLS = [
+    "robot:8000",
+    "ftp://robot",
+    "http://",
+    "http://robot:port",
+    "http://robot:0",
+    "http://robot..de",
+    f"http://{'robot' * 13}.de",
+]
+
+
+@pytest.mark.parametrize("url", STRANGE_URLS)
 @pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])
 def test_a_strange_url_is_refused(kind: Callable[[str], object], url: str) -> None:
     with pytest.raises(ValueError, match=r"http://|[Pp]ort"):
         kind(url)
+
+
+@pytest.mark.parametrize("url", ["http://robot.de.", "http://[::1]:8000", "http://räuber.de"])
+@pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])
+def test_an_unusual_host_is_taken(kind: Callable[[str], object], url: str) -> None:
+    kind(url)
 
 
 @pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])

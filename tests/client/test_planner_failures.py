@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from staged_planner import Stage, batch_for
@@ -92,6 +95,52 @@ def test_a_refused_view_is_followed_by_the_next_one(stage: Stage) -> None:
     assert isinstance(plan.last_error, InvalidRequest)
     assert stage.requests == []
     assert len(stage.waiting) == 1
+
+
+@pytest.mark.parametrize(
+    ("view", "field"),
+    [
+        ({"x_curr": [np.nan, 0, 0, 0, 0, 0]}, "x_curr"),
+        ({"x_curr": np.zeros((2, 6))}, "x_curr"),
+        ({"x_curr": [0.0]}, "x_curr"),
+        ({"x_curr": []}, "x_curr"),
+        ({"x_curr": "abc"}, "x_curr"),
+        ({"x_curr": None}, "x_curr"),
+        ({"x_goal": [np.nan, 0, 0, 0]}, "x_goal"),
+        ({"x_goal": [np.inf, 0, 0, 0]}, "x_goal"),
+        ({"x_goal": [1.0]}, "x_goal"),
+        ({"x_goal": np.zeros((2, 4))}, "x_goal"),
+        ({"cost_map": np.zeros((2, 1, 16, 16))}, "cost_map.data"),
+        ({"cost_map": [[0.0, 0.0], [0.0]]}, "cost_map.data"),
+        ({"cost_map": np.full((16, 16), np.nan)}, "cost_map.data"),
+        ({"cost_map": None}, "cost_map"),
+        ({"seed": "a"}, "seed"),
+    ],
+)
+def test_nothing_that_the_loop_sees_is_raised_out_of_it(
+    stage: Stage, view: dict[str, Any], field: str
+) -> None:
+    stage.cycle()
+    stage.update(**view)
+    while stage.waiting:
+        stage.answer()
+    plan = stage.planner.wait(0.0)
+
+    assert isinstance(plan.last_error, InvalidRequest)
+    assert plan.last_error.field == field
+    assert plan.state is PlanState.HELD
+    stage.now += 0.1
+    assert stage.cycle().last_error is None
+
+
+def test_a_state_that_is_none_does_not_set_a_stuck_robot_free() -> None:
+    stage = Stage(PlannerConfig(stuck_s=0.45, stuck_m=0.3))
+    for _ in range(4):
+        stage.cycle()
+    stage.update(x_curr=[np.nan] * 6)
+    stage.now += 0.1
+
+    assert stage.update().stuck
 
 
 def test_a_hanging_request_is_given_up_and_its_late_answer_dropped(stage: Stage) -> None:

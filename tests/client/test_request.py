@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client import AnchorRequest, CostMap, InvalidRequest
-from anchorflow_client.contract import DEFAULT_STYLE, STYLES
+from anchorflow_client import AnchorRequest, Codec, CostMap, InvalidRequest, JsonCodec, OipCodec
+from anchorflow_client.contract import DEFAULT_STYLE, STYLES, TensorSpec
+from anchorflow_client.contract.inputs import bind
 
 NAN, INF = float("nan"), float("inf")
 
@@ -314,6 +315,16 @@ def test_an_unknown_field_is_named_with_the_nearest_known(
 
     assert error.field == path
     assert f"did you mean {near!r}?" in error.message
+
+
+@pytest.mark.parametrize("number", [2**53 + 1, -(2**63), 2**63 - 1])
+@pytest.mark.parametrize("codec", [JsonCodec(), OipCodec()])
+def test_whole_numbers_of_an_input_are_not_rounded(codec: Codec, number: int) -> None:
+    request = AnchorRequest.build(inputs={"stamps": [[number, 1], [0.0, 2.0]]})
+    came = codec.decode_request(codec.encode_request(request))
+    bound, *_ = bind(came.inputs, [TensorSpec("stamps", "int64", ("B", 2))])
+
+    assert np.asarray(bound["stamps"]).tolist() == [[number, 1], [0, 2]]
 
 
 def test_an_unknown_option_is_refused_in_python_too(fields: dict[str, Any]) -> None:

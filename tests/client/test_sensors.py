@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -132,5 +134,21 @@ def test_a_wrong_status_is_named(changed: dict, field: str) -> None:
     right = {"command": "unknown", "velocity": (0.0, 0.0), "acceleration": (0.0, 0.0)}
     with pytest.raises(InvalidRequest) as told:
         ego_status(**{**right, **changed})
+
+    assert told.value.field == field
+
+
+@pytest.mark.parametrize("strange", ["abc", [[1.0, 2.0, 3.0], [1.0]], None, [1e300, 0.0], [{}, {}]])
+@pytest.mark.parametrize("field", ["lidar", "pose", "velocity", "acceleration", "image"])
+def test_what_is_no_array_is_named(field: str, strange: object) -> None:
+    status = {"command": "left", "velocity": (0.0, 0.0), "acceleration": (0.0, 0.0)}
+    makers: dict[str, Callable[..., object]] = {
+        "lidar": lidar_histogram,
+        "pose": lambda value: lidar_histogram(np.zeros((1, 3)), pose=value),
+        "image": lambda value: resize_image(value, rows=1, columns=1),
+    }
+    maker = makers.get(field, lambda value: ego_status(**status | {field: value}))
+    with pytest.raises(InvalidRequest) as told:
+        maker(strange)
 
     assert told.value.field == field

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from anchorflow_client.contract.kinds import (
@@ -17,6 +17,7 @@ from anchorflow_client.contract.kinds import (
     SamplerSpec,
     TensorSpec,
     TimeSpec,
+    known_fields,
     part_of,
 )
 from anchorflow_client.contract.sampling import OdeSpec
@@ -99,17 +100,17 @@ class ModelCard:
         """Read `to_dict` back; keys and kinds that this version does not know are passed over.
 
         Raises:
-            KeyError, TypeError: a key is missing, or holds something else than the card's.
+            KeyError, TypeError, ValueError, AttributeError: a key is missing, or holds something
+                else than the card's.
         """
-        known = {item.name: value[item.name] for item in fields(cls) if item.name in value}
         return cls(
-            **known
+            **known_fields(cls, value)
             | {
                 "inputs": tuple(map(TensorSpec.from_dict, value["inputs"])),
                 "conditioning": part_of(value["conditioning"], CONDITIONINGS),
                 "sampler": part_of(value["sampler"], SAMPLERS),
                 "finish": part_of(value["finish"], FINISHES),
-                "time": TimeSpec(**value["time"]),
+                "time": TimeSpec(**known_fields(TimeSpec, value["time"])),
                 "answer": AnswerSpec.from_dict(value["answer"]),
             }
         )

@@ -11,6 +11,7 @@ from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike, NDArray
 
 from anchorflow_client.contract.ranges import MAX_TEXT_LENGTH, Interval
 from anchorflow_client.errors import InvalidRequest
@@ -54,6 +55,15 @@ def is_number(value: Any) -> bool:
 def is_number_type(kind: type) -> bool:
     """The same of a type."""
     return issubclass(kind, int | float | np.integer | np.floating) and not issubclass(kind, bool)
+
+
+def as_array(value: Any, field: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
+    """What numpy makes of what a Python caller holds; numbers beyond `dtype` become infinite."""
+    try:
+        with np.errstate(over="ignore"):
+            return np.asarray(value, dtype)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidRequest(f"expected an array of numbers, got none: {error}", field) from error
 
 
 def number(value: Any, field: str, interval: Interval) -> float:

@@ -30,6 +30,8 @@ DTYPES = {
 """The types that a tensor may have on the wire, little-endian; beside them there is text."""
 IMAGE_FORMATS = ("png", "jpeg")
 INT64 = Interval(-(2**63), 2**63 - 1)
+EXACT = 2.0**53
+"""From which on float64 does not hold every whole number."""
 MAX_AXES = 8
 
 
@@ -86,6 +88,23 @@ def texts(values: Sequence[str], field: str, shape: Sequence[int]) -> NDArray[An
     return read_only(array.reshape(shape))
 
 
+def exact_numbers(value: Any, field: str, shape: str) -> NDArray[Any]:
+    """Nested lists as float64; as int64 where all are whole and float64 would round one.
+
+    shape: for the message
+
+    Raises:
+        InvalidRequest: as `numbers`.
+    """
+    array = numbers(value, field, ranges.EVERY_NUMBER, shape)
+    if np.abs(array).max(initial=0.0) < EXACT:
+        return array
+    leaves = np.array(value, dtype=object).ravel().tolist()
+    if not all(INT64.low <= leaf <= INT64.high and leaf == int(leaf) for leaf in leaves):
+        return array
+    return np.array([int(leaf) for leaf in leaves], np.int64).reshape(array.shape)
+
+
 def bind(inputs: Inputs, specs: Sequence[TensorSpec]) -> tuple[Inputs, int, bool]:
     """Inputs held against a card: each [B,…] of its card's dtype, B, and whether one was batched.
 
@@ -132,7 +151,7 @@ def _read(name: str, value: Any) -> Input:
         case int():
             return read_only(np.asarray(integer(value, field, INT64)))
         case _:
-            return read_only(numbers(value, field, ranges.EVERY_NUMBER, "numbers"))
+            return read_only(exact_numbers(value, field, "numbers"))
 
 
 def _own_array(array: NDArray[Any], field: str) -> NDArray[Any]:

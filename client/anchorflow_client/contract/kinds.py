@@ -119,7 +119,7 @@ class CostMapSpec:
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> CostMapSpec:
         """Read `asdict` back."""
-        limits = LimitsSpec(**value["limits"])
+        limits = LimitsSpec(**known_fields(LimitsSpec, value["limits"]))
         ranges = {name: (low, high) for name, (low, high) in value.get("ranges", {}).items()}
         return cls(value["channels"], value["H"], value["W"], limits, ranges)
 
@@ -224,10 +224,15 @@ FINISHES: Mapping[str, type] = {"spline": RefineSpec, "none": NoFinish}
 
 
 def part_of(value: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
-    """The part that a card's JSON holds; fields that this version does not know are left out."""
+    """The part that a card's JSON holds."""
     part = kinds.get(value["kind"])
     if part is None:
         return UnknownPart(value["kind"])
     if hasattr(part, "from_dict"):
         return part.from_dict(value)
-    return part(**{item.name: value[item.name] for item in fields(part) if item.name in value})
+    return part(**known_fields(part, value))
+
+
+def known_fields(kind: type, value: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a dataclass that a card's JSON holds; a later version may write more."""
+    return {item.name: value[item.name] for item in fields(kind) if item.name in value}

@@ -78,6 +78,8 @@ MAX_INPUT_TEXT_LENGTH = 64 * 1024
 """Characters of an input that is a text, such as a prompt."""
 MAX_PIXELS = 16 * 2**20
 """Of one picture; a file of a few kB may unpack to gigabytes."""
+MAX_REQUEST_PIXELS = 2 * MAX_PIXELS
+"""Of all pictures of one request, such as the two that V2X-VLM looks at."""
 
 UNIT = Interval(0.0, 1.0)
 INSIDE_UNIT = Interval(0.0, 1.0, open_low=True, open_high=True)

@@ -191,11 +191,11 @@ def _dim_of(x_curr: NDArray[np.float64]) -> int:
 def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapScenes, bool]:
     """The scenes, and whether any of the arrays was batched."""
     cost_map = CostMap.from_fields(cost_map)
-    x_curr = _states(x_curr, "x_curr", ranges.STATE_FIELDS, *ranges.DIMENSIONS)
+    x_curr = read_states(x_curr, "x_curr", ranges.STATE_FIELDS, *ranges.DIMENSIONS)
     arrays = {
         "cost_map.data": cost_map.data,
         "x_curr": x_curr,
-        "x_goal": _states(x_goal, "x_goal", ranges.GOAL_FIELDS, _dim_of(x_curr)),
+        "x_goal": read_states(x_goal, "x_goal", ranges.GOAL_FIELDS, _dim_of(x_curr)),
         "w_style": _style(w_style),
     }
     batches = {name: len(array) for name, array in arrays.items() if array.ndim in (2, 4)}
@@ -216,7 +216,7 @@ def _over_scenes(array: NDArray[Any], num_scenes: int) -> NDArray[Any]:
     return alone if num_scenes == 1 else np.broadcast_to(alone, (num_scenes, *array.shape))
 
 
-def _states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.float64]:
+def read_states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.float64]:
     """One or a batch of position, velocity and so on to `parts` D-vectors, each in its range."""
     states = vectors(value, field, ranges.EVERY_NUMBER, *(parts * dim for dim in dims))
     dim = states.shape[-1] // parts

@@ -7,6 +7,7 @@ import http.client
 import ssl
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 from anchorflow_client.http.answer_parser import AnswerParser
 from anchorflow_client.http.transport import Address, HttpAnswer, translated, unreachable
@@ -38,6 +39,8 @@ class AsyncSocketTransport:
         self._places = asyncio.Semaphore(max_connections)
         self._idle: list[_Connection] = []
         self._open: set[_Connection] = set()
+        self._connecting: set[asyncio.Future[Any]] = set()
+        self._times_closed = 0
 
     async def send(
         self,
@@ -48,27 +51,38 @@ class AsyncSocketTransport:
         timeout_s: float,
     ) -> HttpAnswer:
         """Send and wait; `timeout_s` bounds each wait for the service's next bytes."""
-        request = [self._address.head(method, path, headers, body), body or b""]
+        head = self._address.head(method, path, headers, body)
+        # CPython 3.12's `writelines` is never done with an empty part.
+        request = [head, body] if body else [head]
+        times_closed = self._times_closed
         try:
             async with self._places:
-                return await self._exchange(request, timeout_s)
+                return await self._exchange(request, timeout_s, times_closed)
         except (OSError, http.client.HTTPException) as error:
             raise translated(error, self._url, timeout_s=timeout_s) from error
 
     async def aclose(self) -> None:
         """Close all connections; requests on their way fail, and a later `send` opens a new one."""
-        connections = list(self._open)
+        self._times_closed += 1
+        connections, connecting = list(self._open), list(self._connecting)
+        for attempt in connecting:
+            attempt.cancel()
         for connection in connections:
             connection.abort()
+        await asyncio.gather(*connecting, return_exceptions=True)
         for connection in connections:
             await connection.closed
 
-    async def _exchange(self, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
+    async def _exchange(
+        self, request: Sequence[bytes], timeout_s: float, times_closed: int
+    ) -> HttpAnswer:
         if idle := self._take_idle():
             try:
                 return await self._ask(idle, request, timeout_s)
             except ConnectionError:  # The service closed it while it was idle.
                 pass
+        if times_closed != self._times_closed:
+            raise _closed()
         return await self._ask(await self._connect(), request, timeout_s)
 
     async def _ask(
@@ -93,16 +107,19 @@ class AsyncSocketTransport:
         return None
 
     async def _connect(self) -> _Connection:
-        connection = _Connection()
+        connection = _Connection(self._open)
         connecting = asyncio.ensure_future(
             asyncio.get_running_loop().create_connection(
                 lambda: connection, self._address.host, self._address.port, ssl=self._tls
             )
         )
+        self._connecting.add(connecting)
         try:
             await asyncio.wait({connecting}, timeout=self._connect_timeout_s)
             if not connecting.done():
                 raise TimeoutError
+            if connecting.cancelled():  # by `aclose`
+                raise _closed()
             connecting.result()
         except TimeoutError as error:  # ours, or the kernel's
             raise unreachable(self._url, timeout_s=self._connect_timeout_s) from error
@@ -111,8 +128,7 @@ class AsyncSocketTransport:
             raise
         finally:
             connecting.cancel()
-        self._open.add(connection)
-        connection.closed.add_done_callback(lambda _: self._open.discard(connection))
+            self._connecting.discard(connecting)
         return connection
 
     @cached_property
@@ -121,9 +137,10 @@ class AsyncSocketTransport:
 
 
 class _Connection(asyncio.Protocol):
-    """One connection, which carries one request at a time."""
+    """One connection, which carries one request at a time; it is in `opened` while it is open."""
 
-    def __init__(self) -> None:
+    def __init__(self, opened: set[_Connection]) -> None:
+        self._opened = opened
         self._loop = asyncio.get_running_loop()
         self.closed: asyncio.Future[None] = self._loop.create_future()
         self._transport: asyncio.Transport | None = None
@@ -151,7 +168,7 @@ class _Connection(asyncio.Protocol):
             HTTPException: what came is not HTTP's.
         """
         if self._transport is None or self._transport.is_closing():
-            raise ConnectionResetError("the connection was closed")
+            raise _closed()
         self._parser, self._timeout_s = AnswerParser(), timeout_s
         self._answer = self._loop.create_future()
         try:
@@ -173,6 +190,7 @@ class _Connection(asyncio.Protocol):
         assert isinstance(transport, asyncio.Transport)
         transport.set_write_buffer_limits(high=0)  # so that `resume_writing` says: all is sent
         self._transport = transport
+        self._opened.add(self)
 
     def resume_writing(self) -> None:
         self._wait_on()
@@ -199,7 +217,8 @@ class _Connection(asyncio.Protocol):
             self._settle()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self._settle(exc or ConnectionResetError("the connection was closed"))
+        self._opened.discard(self)
+        self._settle(exc or _closed())
         self.closed.set_result(None)
 
     def _settle(self, error: Exception | None = None) -> None:
@@ -221,3 +240,7 @@ class _Connection(asyncio.Protocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+
+
+def _closed() -> ConnectionResetError:
+    return ConnectionResetError("the connection was closed")

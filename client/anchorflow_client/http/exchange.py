@@ -18,6 +18,7 @@ from anchorflow_client.errors import (
     TimedOut,
 )
 from anchorflow_client.http.transport import HttpAnswer
+from anchorflow_client.wire_fields import UNREADABLE
 
 Result = TypeVar("Result")
 
@@ -96,7 +97,7 @@ class Exchanges:
 def _cards(answer: Payload) -> tuple[ModelCard, ...]:
     try:
         return tuple(map(ModelCard.from_dict, json.loads(answer.body)["models"]))
-    except (ValueError, TypeError, KeyError) as error:
+    except UNREADABLE as error:
         raise InvalidAnswer(f"not a list of model cards: {error!r}") from error
 
 
@@ -113,7 +114,7 @@ def _refusal(status: int, headers: Mapping[str, str], body: bytes) -> RequestErr
             http_status=status,
             retry_after_s=_whole_number(headers.get("retry-after")),
         )
-    except (ValueError, InvalidAnswer) as error:
+    except (ValueError, RecursionError, InvalidAnswer) as error:
         if status in PROXY_STATUSES:
             proxy = f"status {status}, not in the service's own words: a proxy before it answers"
             raise ConnectionFailed(proxy) from error

@@ -71,14 +71,22 @@ class Address:
         """The address in a service's URL.
 
         Raises:
-            ValueError: `url` is not http://host[:port] or https://host[:port], or a path follows
-                that no request could carry.
+            ValueError: `url` is not http://host[:port] or https://host[:port], its host is no name
+                of one, its port is 0, or a path follows that no request could carry.
         """
         parts = urlsplit(url)
         if parts.scheme not in PORTS or not parts.hostname:
             raise ValueError(f"expected http://host[:port] or https://host[:port], got {url!r}")
         if not (parts.path.isascii() and parts.path.isprintable()) or " " in parts.path:
             raise ValueError(f"expected a path of printable ASCII without spaces, got {url!r}")
+        try:
+            parts.hostname.encode("idna")
+        except UnicodeError as error:
+            raise ValueError(
+                f"expected a host in http://host[:port], got {url!r}: {error}"
+            ) from error
+        if parts.port == 0:
+            raise ValueError(f"expected a port from 1 to 65535, got {url!r}")
         authority = parts.netloc.rpartition("@")[2]
         named = authority if authority.isascii() else authority.encode("idna").decode()
         port = parts.port or PORTS[parts.scheme]

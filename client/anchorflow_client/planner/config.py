@@ -2,9 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from anchorflow_client.contract.ranges import DEFAULT_TAU
+from anchorflow_client.contract import ranges
+from anchorflow_client.contract.checks import is_number
+from anchorflow_client.contract.ranges import Interval
+
+PERIOD = Interval(0.0, math.inf, "ms", open_low=True, open_high=True)
+INTERVALS = {
+    "max_age_ms": ranges.BUDGET,
+    "period_ms": PERIOD,
+    "first_retry_ms": PERIOD,
+    "longest_retry_ms": PERIOD,
+    "margin_m": ranges.CERTIFIED_MARGIN,
+    "switch_gain": Interval(0.0, math.inf),
+    "stuck_s": Interval(0.0, math.inf, "s", open_low=True),
+    "stuck_m": Interval(0.0, math.inf, "m"),
+    "goal_clearance_m": Interval(0.0, math.inf, "m", open_high=True),
+    "through_speed": Interval(0.0, ranges.VELOCITY.high, "m/s"),
+    "warm_tau": ranges.INSIDE_UNIT,
+}
+"""What each number of a `PlannerConfig` may be."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,21 +50,16 @@ class PlannerConfig:
     the margin, where a request says the radius."""
     through_speed: float = 1.0
     """m/s at a local goal that stands in for one beyond the map."""
-    warm_tau: float = DEFAULT_TAU
+    warm_tau: float = ranges.DEFAULT_TAU
     """Flow time at which a warm start enters, in (0, 1)."""
     cold_every: int = 3
     """Every so manieth request starts from noise, to find other ways; 1: all of them."""
 
     def __post_init__(self) -> None:
         """Raises `ValueError` where a setting is out of range."""
-        positive = ("max_age_ms", "period_ms", "first_retry_ms", "longest_retry_ms", "stuck_s")
-        for name in positive:
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name}: expected a number above 0, got {getattr(self, name)}")
-        for name in ("goal_clearance_m", "through_speed", "margin_m", "switch_gain", "stuck_m"):
-            if not getattr(self, name) >= 0.0:
-                raise ValueError(f"{name}: expected a number from 0, got {getattr(self, name)}")
-        if not 0.0 < self.warm_tau < 1.0:
-            raise ValueError(f"warm_tau: expected a number in (0, 1), got {self.warm_tau}")
-        if self.cold_every < 1:
-            raise ValueError(f"cold_every: expected at least 1, got {self.cold_every}")
+        for name, interval in INTERVALS.items():
+            value = getattr(self, name)
+            if not is_number(value) or not interval.holds(value):
+                raise ValueError(f"{name}: expected a number {interval}, got {value!r}")
+        if not isinstance(self.cold_every, int) or self.cold_every < 1:
+            raise ValueError(f"cold_every: expected an integer from 1, got {self.cold_every!r}")

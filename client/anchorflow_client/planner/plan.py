@@ -38,7 +38,7 @@ class Plan:
     request_id: str | None = None
     """Of the request that the newest good answer belongs to, expired or not."""
     last_error: AnchorFlowError | None = None
-    """Why the last request failed; None where it was answered."""
+    """Why the last request failed, or none could be made; None where it was answered."""
     best: int | None = None
     """The anchor to follow: the best on the route in use, unless another route is better by far."""
     on_route: NDArray[np.bool_] | None = None

@@ -18,7 +18,6 @@ from concurrent import futures
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from anchorflow_client.contract import (
@@ -28,7 +27,9 @@ from anchorflow_client.contract import (
     SamplerChoice,
     WarmStart,
 )
-from anchorflow_client.errors import AnchorFlowError, InvalidAnswer, TimedOut
+from anchorflow_client.contract.checks import integer
+from anchorflow_client.contract.ranges import SEED
+from anchorflow_client.errors import AnchorFlowError, InvalidAnswer, InvalidRequest, TimedOut
 from anchorflow_client.plan_keywords import map_fields
 from anchorflow_client.planner.commitment import Commitment
 from anchorflow_client.planner.config import PlannerConfig
@@ -36,7 +37,13 @@ from anchorflow_client.planner.in_flight import AnchorSource, Answer, RequestInF
 from anchorflow_client.planner.pacing import Pacing
 from anchorflow_client.planner.plan import Plan, PlanState, why_unsafe
 from anchorflow_client.planner.progress import Progress
-from anchorflow_client.planner.request import AnchorInUse, Observation, build_request
+from anchorflow_client.planner.request import (
+    AnchorInUse,
+    Array,
+    Observation,
+    build_request,
+    states_seen,
+)
 from anchorflow_client.planner.routes import Routes
 
 MAX_IN_FLIGHT = 2  # a request that hangs may be given up once before there is an answer again
@@ -117,38 +124,37 @@ class Planner:
             warm_start: to start from in place of the anchor in use.
             budget_ms: of the request, in place of `max_age_ms`.
 
-        Raises:
-            InvalidRequest: an argument is no single vector. What else is wrong with a request is
-                the plan's `last_error`.
+        Nothing that is wrong with what is seen or with a request is raised: it is the plan's
+        `last_error`.
         """
         now = self._clock()
         self._collect(now)
-        stuck = self._is_stuck(now, x_curr, x_goal)
-        if self._is_due(now):
-            options = {
-                "w_style": w_style,
-                "num_samples": num_samples,
-                "robot_radius": robot_radius,
-                "v_max": v_max,
-                "a_max": a_max,
-                "horizon_s": horizon_s,
-                "model": model,
-                "seed": None if seed is None else seed + self.counts["stuck"],
-                "sampler": sampler,
-                "refine": refine,
-                "warm_start": warm_start,
-                "budget_ms": budget_ms,
-                "robot_id": robot_id,
-                "outputs": outputs,
-            }
-            seen = Observation.copied(
-                now,
-                map_fields(cost_map, resolution, origin),
-                x_curr=x_curr,
-                x_goal=x_goal,
-                options=options,
-            )
-            self._ask(seen)
+        stuck = False
+        try:
+            start, goal = states_seen(x_curr, x_goal)
+            stuck = self._is_stuck(now, start[:2], goal[:2])
+            if self._is_due(now):
+                options = {
+                    "w_style": w_style,
+                    "num_samples": num_samples,
+                    "robot_radius": robot_radius,
+                    "v_max": v_max,
+                    "a_max": a_max,
+                    "horizon_s": horizon_s,
+                    "model": model,
+                    "seed": None if seed is None else self._seed(seed),
+                    "sampler": sampler,
+                    "refine": refine,
+                    "warm_start": warm_start,
+                    "budget_ms": budget_ms,
+                    "robot_id": robot_id,
+                    "outputs": outputs,
+                }
+                view = map_fields(cost_map, resolution, origin)
+                seen = Observation.copied(now, view, x_curr=start, x_goal=goal, options=options)
+                self._ask(seen)
+        except InvalidRequest as error:
+            self._last_error = error  # the next view of the world may be better
         return self._plan(now, stuck=stuck)
 
     def follow(self, index: int) -> None:
@@ -214,9 +220,12 @@ class Planner:
         batch = self._client.plan_request(request)
         return batch, Routes.among(batch, CostMap.from_fields(seen.cost_map))
 
-    def _is_stuck(self, now: float, x_curr: ArrayLike, x_goal: ArrayLike) -> bool:
+    def _seed(self, seed: int) -> int:
+        """The next one each time that the robot was stuck."""
+        return integer(seed, "seed", SEED) + self.counts["stuck"]
+
+    def _is_stuck(self, now: float, place: Array, goal: Array) -> bool:
         """Whether the robot gets nowhere; its route is given up then."""
-        place, goal = (np.array(state, np.float64).ravel()[:2] for state in (x_curr, x_goal))
         driving = self._answer is not None and not self._expired(self._answer, now)
         if not self._progress.is_stuck(now, place, goal, driving=driving):
             return False

@@ -16,8 +16,16 @@ from anchorflow_client.contract import (
     RefineChoice,
     WarmStart,
 )
-from anchorflow_client.contract.checks import number
-from anchorflow_client.contract.ranges import HORIZON, ROBOT_RADIUS
+from anchorflow_client.contract.arrays import wrong_shape
+from anchorflow_client.contract.checks import as_array, number
+from anchorflow_client.contract.ranges import (
+    DIMENSIONS,
+    GOAL_FIELDS,
+    HORIZON,
+    ROBOT_RADIUS,
+    STATE_FIELDS,
+)
+from anchorflow_client.contract.request import read_states
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.planner.config import PlannerConfig
 from anchorflow_client.planner.local_goal import local_goal
@@ -46,25 +54,22 @@ class Observation:
         seen_at: float,
         cost_map: CostMap | Mapping[str, Any] | None,
         *,
-        x_curr: ArrayLike,
-        x_goal: ArrayLike,
+        x_curr: Array,
+        x_goal: Array,
         options: Mapping[str, Any],
     ) -> Observation:
-        """A copy of the loop's own arrays; options that are None are left out.
+        """With a copy of the loop's own map; options that are None are left out.
 
         Raises:
-            InvalidRequest: there is no map, or a state is no single vector.
+            InvalidRequest: there is no map, or it is no array.
         """
         if cost_map is None:
             raise InvalidRequest("expected a map to plan on, got none", "cost_map")
         if not isinstance(cost_map, CostMap):
-            cost_map = {**cost_map, "data": np.array(cost_map.get("data"))}
-        start, goal = np.array(x_curr, np.float64), np.array(x_goal, np.float64)
-        for name, vector in (("x_curr", start), ("x_goal", goal)):
-            if vector.ndim != 1:
-                raise InvalidRequest(f"expected one vector, got shape {list(vector.shape)}", name)
+            data = as_array(cost_map.get("data"), "cost_map.data")
+            cost_map = {**cost_map, "data": data.copy()}
         given = {name: value for name, value in options.items() if value is not None}
-        return cls(seen_at, cost_map, start, goal, given)
+        return cls(seen_at, cost_map, x_curr, x_goal, given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +116,12 @@ class AnchorInUse:
         return WarmStart.from_fields(fields, dim=left.shape[-1] // 3)
 
 
+def states_seen(x_curr: ArrayLike, x_goal: ArrayLike) -> tuple[Array, Array]:
+    """[3D] and [2D], copies. Raises `InvalidRequest` where they are not those of one robot."""
+    start = _state(x_curr, "x_curr", STATE_FIELDS, *DIMENSIONS)
+    return start, _state(x_goal, "x_goal", GOAL_FIELDS, len(start) // STATE_FIELDS)
+
+
 def build_request(
     seen: Observation,
     config: PlannerConfig,
@@ -127,6 +138,8 @@ def build_request(
         InvalidRequest: what was seen breaks the contract, or the map has no room for a goal.
     """
     cost_map = CostMap.from_fields(seen.cost_map)
+    if cost_map.data.ndim != 3:
+        raise wrong_shape("cost_map.data", "[C,H,W]", cost_map.data)
     radius = seen.options.get("robot_radius")
     passage_m = None if radius is None else number(radius, "robot_radius", ROBOT_RADIUS)
     if passage_m is not None:
@@ -150,3 +163,10 @@ def build_request(
     return AnchorRequest.build(
         cost_map=cost_map, x_curr=seen.x_curr, x_goal=goal, **added, request_id=request_id
     )
+
+
+def _state(value: ArrayLike, field: str, parts: int, *dims: int) -> Array:
+    state = read_states(as_array(value, field, np.float64), field, parts, *dims)
+    if state.ndim != 1:
+        raise InvalidRequest(f"expected one vector, got shape {list(state.shape)}", field)
+    return state

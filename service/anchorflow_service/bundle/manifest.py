@@ -198,6 +198,9 @@ class Manifest(Entry):
         for spec in self.request.inputs:
             if spec.shape[:1] != ("B",):
                 yield f"request.inputs: {spec.name} has shape {[*spec.shape]}, expected B first"
+            if "." in spec.name:
+                path = "which the binary form takes for a path"
+                yield f"request.inputs: {spec.name} has a dot, {path}"
             if spec.name in RESERVED and not isinstance(self.conditioning, CostMapEntry):
                 yield f"request.inputs: {spec.name} is a name that requests with a cost map have"
 

@@ -16,7 +16,8 @@ from anchorflow_service.http.orjson_codec import OrjsonCodec
 from anchorflow_service.http.plain_route import PlainRoute
 from anchorflow_service.planning import Call, PlanningService
 
-CODECS: dict[str, Codec] = {codec.content_type: codec for codec in (OrjsonCodec(), OipCodec())}
+BINARY = OipCodec()
+CODECS: dict[str, Codec] = {codec.content_type: codec for codec in (OrjsonCodec(), BINARY)}
 JSON = OrjsonCodec.content_type
 MAX_DIGITS = 18
 """Of a length in a header, which fits 64 bits."""
@@ -31,8 +32,9 @@ def anchors_router(service: PlanningService) -> APIRouter:
         """Anchors over a cost map, or for the inputs that a model's card lists: N a scene."""
         arrival = service.arrival()
         body = await read_body(request, service.limits.max_body_bytes)
-        payload = Payload(body, header_length(request))
-        call = Call(payload, _codec_of(request), arrival, request.state.request_id)
+        length, codec = header_length(request), _codec_of(request)
+        payload = Payload(body, length if codec is BINARY else None)
+        call = Call(payload, codec, arrival, request.state.request_id)
         return await answer_to(call, request, service)
 
     return router

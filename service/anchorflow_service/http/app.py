@@ -12,6 +12,7 @@ from anchorflow_service.http.anchors import anchors_router
 from anchorflow_service.http.errors import install_error_handlers
 from anchorflow_service.http.guard import Guard
 from anchorflow_service.http.guard_documentation import document_guard
+from anchorflow_service.http.leave_to_send import LeaveToSend
 from anchorflow_service.http.metrics import metrics_router
 from anchorflow_service.http.oip_models import models_router
 from anchorflow_service.http.openapi import document
@@ -67,6 +68,7 @@ def create_app(
         redoc_url=None,
         # From the outside in.
         middleware=[
+            Middleware(LeaveToSend),
             Middleware(Turns),
             Middleware(RequestIds),
             *middleware,

@@ -11,33 +11,37 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from anchorflow_client.contract import AnchorRequest, EncodedImage
-from anchorflow_client.contract.ranges import MAX_PIXELS
+from anchorflow_client.contract.ranges import MAX_PIXELS, MAX_REQUEST_PIXELS
 from anchorflow_client.errors import InvalidRequest
 
 
 def with_pixels(request: AnchorRequest) -> AnchorRequest:
     """The request with its pictures decoded. Raises `InvalidRequest`, which names the input."""
-    pictures = {
-        name: decoded(value, f"inputs.{name}.{value.format}")
-        for name, value in request.inputs.items()
-        if isinstance(value, EncodedImage)
-    }
+    pictures: dict[str, NDArray[np.uint8]] = {}
+    num_pixels = 0
+    for name, value in request.inputs.items():
+        if isinstance(value, EncodedImage):
+            field = f"inputs.{name}.{value.format}"
+            pictures[name] = decoded(value, field, num_before=num_pixels)
+            num_pixels += pictures[name][0].size
     return replace(request, inputs={**request.inputs, **pictures}) if pictures else request
 
 
-def decoded(image: EncodedImage, field: str) -> NDArray[np.uint8]:
+def decoded(image: EncodedImage, field: str, *, num_before: int = 0) -> NDArray[np.uint8]:
     """Pixels [3,H,W], RGB.
+
+    num_before: pixels of the request's other pictures so far
 
     Raises:
         InvalidRequest: it is no file of the format that it claims, it is broken, a number of it
-            has more than 8 bits, or it has more than MAX_PIXELS, which is looked at before
-            anything is decoded.
+            has more than 8 bits, it has more than MAX_PIXELS, or together with the others more
+            than MAX_REQUEST_PIXELS, which is looked at before anything is decoded.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit is our own
             with Image.open(io.BytesIO(image.data), formats=[image.format]) as picture:
-                _check(picture, field)
+                _check(picture, field, num_before)
                 pixels = np.asarray(picture.convert("RGB"))
     except InvalidRequest:
         raise
@@ -47,11 +51,15 @@ def decoded(image: EncodedImage, field: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
 
 
-def _check(picture: Image.Image, field: str) -> None:
+def _check(picture: Image.Image, field: str, num_before: int) -> None:
     """Before it is decoded. Raises `InvalidRequest`."""
     width, height = picture.size
     if width * height > MAX_PIXELS:
         most = f"a picture of at most {MAX_PIXELS} pixels"
         raise InvalidRequest(f"expected {most}, got {width} x {height}", field)
+    if num_before + width * height > MAX_REQUEST_PIXELS:
+        most = f"pictures of at most {MAX_REQUEST_PIXELS} pixels together"
+        came = f"{width} x {height} beside {num_before} pixels"
+        raise InvalidRequest(f"expected {most}, got {came}", field)
     if picture.mode.startswith(("I", "F")):  # which `convert` would clip at 255
         raise InvalidRequest(f"expected 8 bits a channel, got mode {picture.mode}", field)

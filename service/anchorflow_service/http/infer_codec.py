@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
-from anchorflow_client.contract.arrays import numbers
+from anchorflow_client.contract.arrays import first_refused
 from anchorflow_client.contract.checks import (
     boolean,
     choice,
@@ -24,8 +24,8 @@ from anchorflow_client.contract.checks import (
     number,
     text,
 )
-from anchorflow_client.contract.inputs import texts
-from anchorflow_client.contract.ranges import BUDGET, EVERY_NUMBER, Interval
+from anchorflow_client.contract.inputs import exact_numbers, texts
+from anchorflow_client.contract.ranges import BUDGET, Interval
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.oip.datatypes import BYTES, DATATYPES, DTYPE_OF, name_of, to_wire
 from anchorflow_client.oip.message import (
@@ -144,19 +144,23 @@ def _json_tensor(value: Any, field: str) -> tuple[str, NDArray[Any]]:
     if datatype == BYTES:
         tensor = _texts(entry["data"], name)
     else:
-        tensor = _exactly(numbers(entry["data"], name, EVERY_NUMBER, str(shape)), datatype, name)
+        tensor = _numbers(entry["data"], datatype, name, shape)
     if tensor.size != math.prod(shape):
         raise InvalidRequest(f"expected shape {shape}, got {tensor.size} elements", name)
     return name, tensor.reshape(shape)
 
 
-def _exactly(values: NDArray[np.float64], datatype: str, name: str) -> NDArray[Any]:
+def _numbers(data: Any, datatype: str, name: str, shape: list[int]) -> NDArray[Any]:
     """Numbers in the type that their sender names; only a float's digits may be lost."""
     dtype = DTYPE_OF[datatype]
-    with np.errstate(invalid="ignore"):
+    if dtype == np.bool_ and set(map(type, (leaves := np.array(data, object)).flat)) == {bool}:
+        return leaves.astype(np.bool_)
+    values = exact_numbers(data, name, str(shape))
+    with np.errstate(all="ignore"):
         tensor = values.astype(dtype)
-    if dtype.kind != "f" and not np.array_equal(tensor, values):
-        raise InvalidRequest(f"expected numbers that {datatype} holds, got others", name)
+    lost = ~np.isfinite(tensor) if dtype.kind == "f" else tensor != values
+    if lost.any():
+        raise first_refused(values, lost, name, f"numbers that {datatype} holds")
     return tensor
 
 

@@ -48,7 +48,9 @@ class InferInputBody(_Body):
     name: Text = Field(description="Of the model's metadata.")
     datatype: Datatype
     shape: list[Annotated[int, Field(ge=1)]] = Field(max_length=8)
-    data: Numbers | list[str] = Field(description="In row-major order; numbers flat or nested.")
+    data: Numbers | list[bool] | list[str] = Field(
+        description="In row-major order; numbers, or for BOOL booleans, flat or nested."
+    )
 
 
 class OutputParametersBody(_Body):

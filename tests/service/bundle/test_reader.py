@@ -125,6 +125,11 @@ def test_a_truncated_manifest(tiny_bundle: Path) -> None:
         (("finish", "kind"), "clothoid", "finish: Input tag 'clothoid' found using 'kind'"),
         (("answer", "arrays"), ["speeds"], "answer.arrays: 'speeds' is none of velocities"),
         (("request", "inputs", 1, "shape"), [6], r"x_curr has shape \[6\], expected B first"),
+        (
+            ("request", "inputs", 1, "name"),
+            "x.curr",
+            r"request\.inputs: x\.curr has a dot, which the binary form takes for a path",
+        ),
         (("surprise",), 1, "surprise: Extra inputs are not permitted"),
         (("graphs", "field", "file"), "../field.onnx", r"graphs\.field\.file"),
         (("sampler", "method"), "rk45", "unknown method 'rk45'"),

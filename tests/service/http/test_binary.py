@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,11 @@ from anchorflow_client import (
     AnchorRequest,
     CostMap,
     InvalidRequest,
+    JsonCodec,
     OipCodec,
     Payload,
 )
+from anchorflow_client.contract import resolve_for_card
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 
 CODEC = OipCodec()
@@ -73,6 +76,25 @@ def test_a_length_that_is_no_number_is_refused(
     error = post(service, payload, length).json()["error"]
 
     assert (error["code"], error["field"]) == ("invalid_request", LENGTH)
+
+
+def test_a_length_beside_json_is_none_of_json(
+    service: Any, fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """JSON is read off the event loop, whatever is said of a header that it does not have."""
+    threads: list[str] = []
+
+    def resolve(*given: Any) -> Any:
+        threads.append(threading.current_thread().name.partition("_")[0])
+        return resolve_for_card(*given)
+
+    monkeypatch.setattr("anchorflow_service.planning.service.resolve_for_card", resolve)
+    payload = JsonCodec().encode_request(AnchorRequest.from_fields(fields))
+    headers = {"Content-Type": "application/json", LENGTH: "1"}
+    answer = service.request("POST", "/anchors", headers=headers, content=payload.body)
+
+    assert answer.status_code == 200
+    assert threads == ["reading"]
 
 
 def test_a_body_without_its_length_is_refused(service: Any, fields: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import socket
 import urllib.error
 import urllib.request
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -107,6 +108,42 @@ def test_over_a_socket_the_refusal_arrives(
 
     assert_too_large(answer.status, answer.read())
     connection.close()
+
+
+WAITS = b"Host: a\r\nExpect: 100-continue\r\n"
+LIVE = b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "length", "status"), [("/anchors", 20 * MEBIBYTE, 413), ("/nowhere", 3, 404)]
+)
+def test_a_connection_ends_with_the_refusal_of_a_body_that_waits_for_leave(
+    app: FastAPI, listen: Callable[[FastAPI], str], line: str, length: int, status: int
+) -> None:
+    """The body may come or not: what comes next on the connection could be either."""
+    address = urlsplit(listen(app))
+    with socket.create_connection((address.hostname, address.port or 0), timeout=20) as connection:
+        head = b"POST %b HTTP/1.1\r\n%bContent-Length: %d\r\n\r\n"
+        connection.sendall(head % (line.encode(), WAITS, length))
+        answer = connection.makefile("rb").read()
+
+    assert answer.startswith(b"HTTP/1.1 %d " % status)
+    assert b"\r\nconnection: close\r\n" in answer
+
+
+def test_a_connection_goes_on_after_a_body_that_had_leave(
+    app: FastAPI, listen: Callable[[FastAPI], str]
+) -> None:
+    address = urlsplit(listen(app))
+    with socket.create_connection((address.hostname, address.port or 0), timeout=20) as connection:
+        connection.sendall(b"POST /anchors HTTP/1.1\r\n%bContent-Length: 2\r\n\r\n" % WAITS)
+        answers = connection.makefile("rb")
+        assert answers.readline() == b"HTTP/1.1 100 Continue\r\n"
+        connection.sendall(b"{}" + LIVE)
+        rest = answers.read()
+
+    assert b"HTTP/1.1 422 " in rest
+    assert b"HTTP/1.1 200 " in rest
 
 
 def test_urllib_hears_the_refusal_too(app: FastAPI, listen: Callable[[FastAPI], str]) -> None:

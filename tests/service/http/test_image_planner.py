@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import io
+import json
 import re
 import socket
 import zlib
@@ -25,7 +26,7 @@ from PIL import Image
 
 from anchorflow_client import AnchorBatch, AnchorClient, AnchorRequest, JsonCodec, OipCodec
 from anchorflow_client.contract import EncodedImage
-from anchorflow_client.contract.ranges import MAX_PIXELS
+from anchorflow_client.contract.ranges import MAX_PIXELS, MAX_REQUEST_PIXELS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
@@ -288,6 +289,18 @@ def test_a_broken_picture_is_refused_by_name(service: Any, case: str) -> None:
     error = answer.json()["error"]
     assert re.match(words, error["message"])
     assert error["field"] == words.partition(":")[0]
+
+
+@pytest.mark.parametrize("path", ["/anchors", "/page/flow"])
+def test_the_pictures_of_a_request_are_bounded_together(service: Any, path: str) -> None:
+    """Each is small enough by itself, and none is the card's: a file of 2 kB unpacks to 48 MB."""
+    largest = {"png": base64_of(written(Image.new("1", (4096, 4096))))}
+    inputs = {f"camera_{index}": largest for index in range(3)}
+
+    error = service.request("POST", path, content=json.dumps({"inputs": inputs})).json()["error"]
+
+    assert error["field"] == "inputs.camera_2.png"
+    assert f"pictures of at most {MAX_REQUEST_PIXELS} pixels together" in error["message"]
 
 
 def test_nested_lists_are_numbers_of_the_cards_type(service: Any) -> None:
