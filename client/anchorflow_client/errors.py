@@ -25,6 +25,7 @@ it, and the client raises what `from_dict` reads.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -51,7 +52,7 @@ class RequestError(AnchorFlowError):
             self.http_status = http_status
         super().__init__(self.message)
 
-    def to_dict(self) -> dict[str, dict[str, str | None]]:
+    def to_dict(self) -> dict[str, dict[str, Any]]:
         """The contract's error JSON."""
         return {"error": {"code": self.code, "message": self.message, "field": self.field}}
 
@@ -81,7 +82,8 @@ class RequestError(AnchorFlowError):
         )
         refusal.code = code
         if isinstance(refusal, Overloaded):
-            refusal.retry_after_s = retry_after_s
+            told_s = error.get("retry_after_s") if retry_after_s is None else retry_after_s
+            refusal.retry_after_s = told_s if _is_time(told_s) else None
         return refusal
 
 
@@ -130,6 +132,13 @@ class Overloaded(RequestError):
         super().__init__(message, field, http_status=http_status)
         self.retry_after_s = retry_after_s
 
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """The contract's error JSON, with `retry_after_s` where it is known."""
+        said = super().to_dict()
+        if self.retry_after_s is not None:
+            said["error"]["retry_after_s"] = self.retry_after_s
+        return said
+
 
 class Superseded(RequestError):
     """A newer request of the same caller took this one's place."""
@@ -176,6 +185,11 @@ class Cancelled(TransportError):
 
 class InvalidAnswer(TransportError):
     """What came is not the contract's: another program answers there, or another version."""
+
+
+def _is_time(value: Any) -> bool:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and 0 <= value <= sys.float_info.max
 
 
 def _names(message: str, field: str | None) -> bool:

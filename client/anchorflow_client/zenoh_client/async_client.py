@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TypeVar
 
 from anchorflow_client.base_client import BaseAsyncClient
@@ -51,14 +52,7 @@ class AsyncZenohAnchorClient(BaseAsyncClient):
 
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
         """Anchors for a request that was built before."""
-        cancellation = Cancellation()
-        try:
-            return await self._on_a_thread(
-                lambda: self._client.plan_request(request, cancellation=cancellation)
-            )
-        except asyncio.CancelledError:
-            cancellation.cancel()
-            raise
+        return await self._on_a_thread(partial(self._client.plan_request, request))
 
     async def models(self) -> tuple[ModelCard, ...]:
         """The cards of all bundles that are served, the default first."""
@@ -77,5 +71,12 @@ class AsyncZenohAnchorClient(BaseAsyncClient):
         await asyncio.to_thread(self._client.close)  # there is always a place on the loop's own
         self._threads.shutdown(wait=False)
 
-    async def _on_a_thread(self, call: Callable[[], Result]) -> Result:
-        return await asyncio.get_running_loop().run_in_executor(self._threads, call)
+    async def _on_a_thread(self, call: Callable[..., Result]) -> Result:
+        loop, cancellation = asyncio.get_running_loop(), Cancellation()
+        try:
+            return await loop.run_in_executor(
+                self._threads, partial(call, cancellation=cancellation)
+            )
+        except asyncio.CancelledError:
+            cancellation.cancel()
+            raise

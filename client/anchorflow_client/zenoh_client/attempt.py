@@ -14,6 +14,7 @@ from anchorflow_client.contract.ranges import BUDGET
 from anchorflow_client.errors import InvalidAnswer, RequestError
 from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.network import translated
+from anchorflow_client.zenoh_client.replicas import Replica
 from anchorflow_client.zenoh_messages import AnswerAttachment, Load, RequestAttachment
 
 SETTLE_S = 0.3
@@ -37,7 +38,7 @@ class Question:
 class Attempt:
     """A query on its way."""
 
-    replica: str
+    replica: Replica
     model: str
     key: str
     patience_s: float
@@ -62,7 +63,7 @@ class Attempt:
             hand_over: gets the reply, and None at the query's end, on zenoh's own thread.
 
         Raises:
-            ConnectionFailed: the session was closed.
+            Cancelled: the request was taken back, or the session was closed.
         """
         left_s = question.deadline.left_s
         attachment = RequestAttachment(
@@ -72,7 +73,7 @@ class Attempt:
             budget_ms=min(left_s * 1e3, BUDGET.high),
         )
         handler = zenoh.handlers.Callback(hand_over, lambda: hand_over(None), indirect=False)
-        with translated():
+        with translated(question.deadline):
             session.get(
                 self.key,
                 handler,

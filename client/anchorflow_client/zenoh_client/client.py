@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Sequence
-from contextlib import ExitStack
 
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.cancellation import Cancellation
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
-from anchorflow_client.errors import ConnectionFailed, TimedOut
+from anchorflow_client.errors import Cancelled, ConnectionFailed, TimedOut
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.patience import LONGEST_S, check_times
 from anchorflow_client.zenoh_client.attempt import Question
@@ -36,7 +35,7 @@ class ZenohAnchorClient(BaseClient):
         ConnectionFailed: nobody is there: no router, no service, or TLS fails.
         Unauthorized: the user or password is wrong, or access control denies the key.
         TimedOut: no answer came within `budget_ms`, or `timeout_s` without one.
-        Cancelled: the request was taken back.
+        Cancelled: the request was taken back, or the client was closed meanwhile.
         RequestError: the service refuses, in the same words as over HTTP.
     """
 
@@ -71,8 +70,7 @@ class ZenohAnchorClient(BaseClient):
             request: its `budget_ms` bounds the whole call, connecting and failover included.
             cancellation: takes the request back, from any thread.
         """
-        budget_ms = request.budget_ms
-        deadline = Deadline(self._timeout_s if budget_ms is None else budget_ms / 1e3)
+        deadline = self._deadline(cancellation, request.budget_ms)
         question = Question(
             payload=self._codec.encode_request(request),
             content_type=self._codec.content_type,
@@ -80,34 +78,29 @@ class ZenohAnchorClient(BaseClient):
             model=request.model,
             deadline=deadline,
         )
-        failover = Failover(self._settled(deadline), question)
-        cancellations = [self._closing, *([] if cancellation is None else [cancellation])]
-        with ExitStack() as stack:
-            for each in cancellations:
-                stack.enter_context(each.watched_by(failover.cancel))
-            return self._codec.decode_answer(failover.run())
+        return self._codec.decode_answer(Failover(self._settled(deadline), question).run())
 
-    def models(self) -> tuple[ModelCard, ...]:
+    def models(self, *, cancellation: Cancellation | None = None) -> tuple[ModelCard, ...]:
         """The cards of all bundles that are served, the default first."""
         cards: dict[str, ModelCard] = {}
-        for info in self._infos():
+        for info in self._infos(cancellation):
             for card in info.models:
                 cards.setdefault(card.name, card)
         return tuple(cards.values())
 
-    def live(self) -> bool:
+    def live(self, *, cancellation: Cancellation | None = None) -> bool:
         """Whether a service is there; False where there is none, or no way to it."""
         try:
-            network = self._settled(Deadline(self._timeout_s))
-        except (ConnectionFailed, TimedOut):
+            network = self._settled(self._deadline(cancellation))
+        except (ConnectionFailed, TimedOut, Cancelled):
             return False
         return bool(network.replicas.alive())
 
-    def ready(self) -> bool:
+    def ready(self, *, cancellation: Cancellation | None = None) -> bool:
         """Whether a replica takes requests now; False while all start or stop, or none is there."""
         try:
-            return any(info.ready for info in self._infos())
-        except (ConnectionFailed, TimedOut):
+            return any(info.ready for info in self._infos(cancellation))
+        except (ConnectionFailed, TimedOut, Cancelled):
             return False
 
     def close(self) -> None:
@@ -115,14 +108,21 @@ class ZenohAnchorClient(BaseClient):
         self._closing.cancel()
         self._connection.close()
 
+    def _deadline(
+        self, cancellation: Cancellation | None, budget_ms: float | None = None
+    ) -> Deadline:
+        timeout_s = self._timeout_s if budget_ms is None else budget_ms / 1e3
+        own = () if cancellation is None else (cancellation,)
+        return Deadline(timeout_s, self._closing, *own)
+
     def _settled(self, deadline: Deadline) -> Network:
-        network = self._connection.network(deadline.left_s)
+        network = self._connection.network(deadline)
         network.settle(deadline)
         return network
 
-    def _infos(self) -> list[ReplicaInfo]:
-        deadline = Deadline(self._timeout_s)
-        return self._connection.network(deadline.left_s).infos(deadline)
+    def _infos(self, cancellation: Cancellation | None) -> list[ReplicaInfo]:
+        deadline = self._deadline(cancellation)
+        return self._connection.network(deadline).infos(deadline)
 
 
 def _settings(where: str | Sequence[str] | ZenohSettings) -> ZenohSettings:

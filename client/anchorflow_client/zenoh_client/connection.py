@@ -6,6 +6,7 @@ import threading
 
 from anchorflow_client.errors import ConnectionFailed
 from anchorflow_client.zenoh_client.background import Background
+from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.network import Network
 from anchorflow_client.zenoh_client.session import config_of, open_session, why_alone
 from anchorflow_client.zenoh_client.settings import ZenohSettings
@@ -22,16 +23,16 @@ class Connection:
         self._joining = Background(self._join, name="connecting")
         self._explaining = Background(lambda: why_alone(config_of(settings)), name="diagnosis")
 
-    def network(self, timeout_s: float) -> Network:
+    def network(self, deadline: Deadline) -> Network:
         """The network.
 
         Raises:
-            TimedOut: it is not joined by then; joining goes on.
+            TimedOut, Cancelled: it is not joined by then; joining goes on.
             ConnectionFailed, Unauthorized, ZenohConfigError: why it cannot be joined.
         """
         if self._is_closed:
             raise ConnectionFailed("the client is closed")
-        return self._network or self._joining.result(timeout_s)
+        return self._network or self._joining.result(deadline)
 
     def close(self) -> None:
         """Leave the network, at once or as soon as it is joined."""
@@ -41,6 +42,8 @@ class Connection:
             network.close()
 
     def _join(self) -> Network:
+        if self._network is not None:  # joined since the caller looked
+            return self._network
         network = Network(open_session(self._settings), self._explaining)
         with self._lock:
             self._network = network

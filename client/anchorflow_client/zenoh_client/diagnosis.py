@@ -52,7 +52,7 @@ def _fault(endpoint: str, approach: Approach) -> Exception | None:
     """Why nothing can be said to an endpoint; None where it listens."""
     try:
         _knock(endpoint, approach)
-    except (OSError, _Untrusted) as error:
+    except (OSError, ValueError, _Untrusted) as error:
         return error
     return None
 
@@ -64,7 +64,13 @@ def _of_user(user: str | None) -> str:
 
 
 def _knock(endpoint: str, approach: Approach) -> None:
-    """Connect and hang up. Raises `OSError` where nobody is, `_Untrusted` where TLS fails."""
+    """Connect and hang up.
+
+    Raises:
+        OSError: nobody is there.
+        ValueError: the host cannot be a name.
+        _Untrusted: TLS fails.
+    """
     protocol, _, rest = endpoint.partition("/")
     host, _, port = re.split(r"[?#]", rest)[0].rpartition(":")
     if protocol not in ("tcp", "tls") or not port.isdecimal():

@@ -11,7 +11,6 @@ import zenoh
 from anchorflow_client.codec import Payload
 from anchorflow_client.errors import (
     AnchorFlowError,
-    Cancelled,
     ConnectionFailed,
     NotReady,
     Overloaded,
@@ -40,7 +39,7 @@ logger = logging.getLogger(__name__)
 
 
 _Outcome = tuple[str, zenoh.Reply | None] | None
-"""A replica, and its reply or None at its query's end; None alone: the caller gives up."""
+"""A replica, and its reply or None at its query's end; None alone: it was taken back."""
 
 
 class Failover:
@@ -56,10 +55,6 @@ class Failover:
         self._empty: dict[str, Attempt] = {}
         self._refusal: RequestError | None = None
 
-    def cancel(self) -> None:
-        """Take the request back, from any thread."""
-        self._outcomes.put(None)
-
     def run(self) -> Payload:
         """The answer's bytes.
 
@@ -73,10 +68,11 @@ class Failover:
             InvalidAnswer: what came is not the contract's.
         """
         try:
-            self._ask_another()
-            while (answer := self._step()) is None:
-                pass
-            return answer
+            with self._question.deadline.watched_by(lambda: self._outcomes.put(None)):
+                self._ask_another()
+                while (answer := self._step()) is None:
+                    pass
+                return answer
         finally:
             for attempt in list(self._open.values()):
                 attempt.cancel()
@@ -93,8 +89,8 @@ class Failover:
         except queue.Empty:
             self._hedge()
             return None
-        if outcome is None:
-            raise Cancelled("the request was taken back")
+        if outcome is None:  # to look at the deadline again
+            return None
         name, reply = outcome
         attempt = self._open.get(name)
         if attempt is None:  # its reply was read already, and this is the end of the query
@@ -102,26 +98,25 @@ class Failover:
         if reply is not None and reply.ok is not None:
             return self._read(attempt, reply.ok)
         self._read_refusal(attempt, None if reply is None else reply.err)
-        if not self._open:
+        if all(each.is_late for each in self._open.values()):
             self._ask_another()
         return None
 
     def _ask_another(self) -> None:
         """Asks the next replica, if there is one. Raises where nothing is left to wait for."""
-        left_s = self._question.deadline.left_s
-        if not left_s:
+        if not self._question.deadline.left_s:
             raise self._timed_out()
-        choice = self._choose()
-        if choice is None:
+        while (choice := self._choose()) is None:
             if self._open:
                 return
-            raise self._verdict()
-        patience_s = max(left_s * HEDGE_SHARE, 2e-3 * choice.expected_ms)
+            if not self._replicas.wait_for_word(self._tried, self._question.deadline):
+                raise self._verdict()
+        share_s = self._question.deadline.left_s * HEDGE_SHARE
+        patience_s = max(share_s, 2e-3 * choice.expected_ms)
         name, key = choice.replica, replica_anchors_key(choice.replica, choice.model)
-        attempt = Attempt(name, choice.model, key, patience_s)
+        attempt = Attempt(self._replicas.begin(name), choice.model, key, patience_s)
         self._tried.append(name)
         self._open[name] = attempt
-        self._replicas.begin(name)
         logger.debug("request %s: asking %s", self._question.request_id, name)
         attempt.send(
             self._network.session, self._question, lambda reply: self._outcomes.put((name, reply))
@@ -156,7 +151,7 @@ class Failover:
         return bool(dropped)
 
     def _hear_anew(self) -> None:
-        self._network.hear_anew(min(SETTLE_S, self._question.deadline.left_s))
+        self._network.hear_anew(self._question.deadline.at_most(SETTLE_S))
 
     def _patience_s(self) -> float:
         """Time until the latest attempt is no longer waited for alone."""
@@ -184,14 +179,14 @@ class Failover:
         logger.debug(
             "request %s: %s answered in %.1f ms",
             self._question.request_id,
-            attempt.replica,
+            attempt.replica.name,
             (time.monotonic() - attempt.sent) * 1e3,
         )
         return payload
 
     def _read_refusal(self, attempt: Attempt, error: zenoh.ReplyError | None) -> None:
         """Notes why this replica does not answer. Raises what no other would answer better."""
-        request_id, name = self._question.request_id, attempt.replica
+        request_id, name = self._question.request_id, attempt.replica.name
         data = None if error is None else error.payload.to_bytes()
         if data is None or data == TIMEOUT:
             self._close(attempt, None, failed=True)
@@ -208,16 +203,16 @@ class Failover:
         self._refusal = refusal
 
     def _close(self, attempt: Attempt, load: Load | None, *, failed: bool = False) -> None:
-        del self._open[attempt.replica]
+        del self._open[attempt.replica.name]
         self._replicas.end(attempt.replica, load, failed=failed)
 
     def _verdict(self) -> AnchorFlowError:
         """Why nobody is left to ask."""
         if self._refusal is not None:
             return self._refusal
-        wait_s = min(SETTLE_S, self._question.deadline.left_s)
-        denied = self._replicas.wait_until_gone(self._empty, wait_s)
-        if denied and wait_s < SETTLE_S:  # too early to know whether they died
+        settled = self._question.deadline.at_most(SETTLE_S)
+        denied = self._replicas.wait_until_gone(self._empty, settled)
+        if denied and settled.timeout_s < SETTLE_S:  # too early to know whether they died
             return self._timed_out()
         if denied:
             keys = ", ".join(self._empty[name].key for name in denied)

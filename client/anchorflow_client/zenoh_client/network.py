@@ -50,12 +50,12 @@ class Network:
         """Returns when a replica is known that can be asked, or none is to be expected."""
         self._refresh()
         early_s = max(0.0, self._seen_by - time.monotonic())
-        self.replicas.wait_until_known(deadline.left_s, somebody_s=early_s)
+        self.replicas.wait_until_known(deadline, somebody_s=early_s)
 
-    def hear_anew(self, timeout_s: float) -> None:
+    def hear_anew(self, deadline: Deadline) -> None:
         """Has every replica tell of itself now: models come and go."""
         self._refresh(fresh_s=0.0)
-        self.replicas.wait_until_told(timeout_s)
+        self.replicas.wait_until_told(deadline)
 
     def infos(self, deadline: Deadline) -> list[ReplicaInfo]:
         """What the replicas tell of themselves now; those that say nothing are left out.
@@ -63,12 +63,20 @@ class Network:
         Raises:
             ConnectionFailed: nobody is there.
             Unauthorized: replicas are alive, and none may be asked.
+            Cancelled: the caller gives up.
         """
         self.settle(deadline)
         timeout_s = min(INFO_S, max(deadline.left_s, 1e-3))
-        with translated():
-            replies = self.session.get(ALL_INFO, target=zenoh.QueryTarget.ALL, timeout=timeout_s)
+        token = zenoh.CancellationToken()
+        with translated(deadline), deadline.watched_by(token.cancel):
+            replies = self.session.get(
+                ALL_INFO,
+                target=zenoh.QueryTarget.ALL,
+                timeout=timeout_s,
+                cancellation_token=token,
+            )
             told = [info for reply in replies if (info := _info(reply)) is not None]
+        deadline.check()
         if not told:
             raise self.why_nobody(deadline)
         return told
@@ -78,15 +86,15 @@ class Network:
         if silent := self.replicas.silent():
             heard = f"{', '.join(silent)} is alive, and nothing comes from its info key"
             return Unauthorized(f"{heard}: access control denies it to this node")
-        if alive := self.replicas.alive():
-            return TimedOut(f"{', '.join(alive)} is alive and has not told yet what it serves")
+        if quiet := self.replicas.unheard() or self.replicas.alive():
+            return TimedOut(f"{', '.join(quiet)} is alive and has not told yet what it serves")
         info = self.session.info
         if info.transports():
             nodes = ", ".join(map(str, (*info.routers_zid(), *info.peers_zid())))
             seen = "no service is alive there that this node may see"
             return ConnectionFailed(f"connected to {nodes}: {seen}")
         try:
-            reason = self._explaining.result(deadline.left_s)
+            reason = self._explaining.result(deadline)
         except TimedOut:
             return ConnectionFailed("not connected to any zenoh node")
         if self._was_let_in and isinstance(reason, Unauthorized):
@@ -123,11 +131,12 @@ class Network:
 
 
 @contextmanager
-def translated() -> Iterator[None]:
+def translated(deadline: Deadline) -> Iterator[None]:
     """Zenoh's own errors, which a session that was closed raises, as the contract's."""
     try:
         yield
     except zenoh.ZError as error:
+        deadline.check()
         raise ConnectionFailed(f"the connection is closed: {error}") from error
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from anchorflow_client.contract import ModelCard
 from anchorflow_client.errors import UnknownModel
+from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_messages import Load, ReplicaInfo
 
 SHUNNED_S = 2.0
@@ -19,7 +20,7 @@ FRESH_S = 1.0
 
 
 @dataclass
-class _Replica:
+class Replica:
     """A replica that is alive."""
 
     name: str
@@ -57,12 +58,12 @@ class Replicas:
     def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._changed = threading.Condition()
-        self._alive: dict[str, _Replica] = {}
+        self._alive: dict[str, Replica] = {}
 
     def appear(self, name: str) -> None:
         """Its liveliness token is there."""
         with self._changed:
-            self._alive.setdefault(name, _Replica(name))
+            self._alive.setdefault(name, Replica(name))
             self._changed.notify_all()
 
     def vanish(self, name: str) -> None:
@@ -102,21 +103,21 @@ class Replicas:
                 replica.is_being_asked = True
             return [replica.name for replica in stale]
 
-    def begin(self, name: str) -> None:
-        """A request is on its way to it."""
+    def begin(self, name: str) -> Replica:
+        """A request is on its way to it. Who comes back under that name is another replica."""
         with self._changed:
-            if replica := self._alive.get(name):
-                replica.outstanding += 1
+            replica = self._alive.get(name) or Replica(name)
+            replica.outstanding += 1
+            return replica
 
-    def end(self, name: str, load: Load | None, *, failed: bool = False) -> None:
+    def end(self, replica: Replica, load: Load | None, *, failed: bool = False) -> None:
         """That request is over: answered, with the load that came along, or not at all."""
         with self._changed:
-            if replica := self._alive.get(name):
-                replica.outstanding -= 1
-                if load is not None:
-                    replica.load = load
-                if failed:
-                    replica.shunned_until = self._clock() + SHUNNED_S
+            replica.outstanding -= 1
+            if load is not None:
+                replica.load = load
+            if failed:
+                replica.shunned_until = self._clock() + SHUNNED_S
 
     def choose(self, model: str | None, tried: Collection[str] = ()) -> Choice | None:
         """The replica that likely answers first, of those not tried; None where there is none.
@@ -152,45 +153,56 @@ class Replicas:
         with self._changed:
             return tuple(self._alive)
 
+    def unheard(self, tried: Collection[str] = ()) -> tuple[str, ...]:
+        """The names of those not tried that have not told of themselves yet, and still may."""
+        with self._changed:
+            return tuple(
+                name
+                for name, replica in self._alive.items()
+                if not replica.is_known and name not in tried
+            )
+
     def silent(self) -> tuple[str, ...]:
         """The names of those that were asked to tell of themselves, and from which nothing came."""
         with self._changed:
             return tuple(name for name, replica in self._alive.items() if replica.is_silent)
 
-    def wait_until_known(self, timeout_s: float, *, somebody_s: float) -> None:
-        """Until one has told of itself.
+    def wait_until_known(self, deadline: Deadline, *, somebody_s: float) -> None:
+        """Until one has told of itself. Raises `Cancelled`.
 
         Args:
-            timeout_s: longest wait, as long as somebody is alive who has not told yet.
+            deadline: longest wait, as long as somebody is alive who has not told yet.
             somebody_s: longest wait for somebody to be alive at all.
         """
-        start = self._clock()
-        with self._changed:
-            while (left := timeout_s - (self._clock() - start)) > 0:
-                early = somebody_s - (self._clock() - start)
-                replicas = self._alive.values()
-                if any(replica.models for replica in replicas):
-                    return
-                if early <= 0 and all(replica.is_known for replica in replicas):
-                    return
-                self._changed.wait(min(left, early) if early > 0 else left)
 
-    def wait_until_told(self, timeout_s: float) -> None:
-        """Until nobody is being asked to tell of himself any more."""
-        with self._changed:
-            self._changed.wait_for(
-                lambda: not any(replica.is_being_asked for replica in self._alive.values()),
-                timeout_s,
-            )
+        def one_has_told() -> bool:
+            return any(replica.models for replica in self._alive.values())
 
-    def wait_until_gone(self, names: Iterable[str], timeout_s: float) -> list[str]:
-        """Waits for the names to vanish; gives those that are still alive then."""
+        if not deadline.at_most(somebody_s).wait_for(self._changed, one_has_told):
+            deadline.wait_for(self._changed, lambda: one_has_told() or not self.unheard())
+
+    def wait_until_told(self, deadline: Deadline) -> None:
+        """Until nobody is being asked to tell of himself any more. Raises `Cancelled`."""
+        deadline.wait_for(
+            self._changed,
+            lambda: not any(replica.is_being_asked for replica in self._alive.values()),
+        )
+
+    def wait_for_word(self, tried: Collection[str], deadline: Deadline) -> bool:
+        """Whether more becomes known of those unheard by then. Raises `Cancelled`."""
+        unheard = self.unheard(tried)
+        return bool(unheard) and deadline.wait_for(
+            self._changed, lambda: self.unheard(tried) != unheard
+        )
+
+    def wait_until_gone(self, names: Iterable[str], deadline: Deadline) -> list[str]:
+        """Waits for the names to vanish; gives those still alive then. Raises `Cancelled`."""
         wanted = set(names)
+        deadline.wait_for(self._changed, lambda: not wanted & self._alive.keys())
         with self._changed:
-            self._changed.wait_for(lambda: not wanted & self._alive.keys(), timeout_s)
             return sorted(wanted & self._alive.keys())
 
-    def _rank(self, replica: _Replica, unknown_ms: float) -> tuple[int, float, float]:
+    def _rank(self, replica: Replica, unknown_ms: float) -> tuple[int, float, float]:
         doubts = (
             replica.shunned_until > self._clock(),
             replica.is_silent,
@@ -213,7 +225,7 @@ class Replicas:
         raise UnknownModel(wrong, "model")
 
 
-def _served_as(replica: _Replica, model: str | None) -> str | None:
+def _served_as(replica: Replica, model: str | None) -> str | None:
     """The model's name where the replica serves it, or may; its default for None."""
     if replica.models is None:
         return model

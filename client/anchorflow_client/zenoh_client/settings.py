@@ -13,6 +13,11 @@ MODES = ("peer", "client", "router")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a peer or a router listens that is told nothing else: this machine's own, zenoh's port."""
 
+OPEN_MS = 5000
+"""Longest wait for an endpoint that says nothing; zenoh's own is 10 s. A program cannot end while
+its client connects.
+"""
+
 RETRY = {"period_init_ms": 250, "period_max_ms": 1000, "period_increase_factor": 2}
 """When a connection that broke is tried again. Zenoh's own tries come up to 4 s apart: a robot
 would stand that long before a service that is back.
@@ -59,6 +64,10 @@ class ZenohSettings:
         """Raises `ZenohConfigError`."""
         if self.mode is not None and self.mode not in MODES:
             raise ZenohConfigError(f"mode: expected {', '.join(MODES)}, got {self.mode!r}")
+        for name in ("connect", "listen"):
+            if isinstance(endpoints := getattr(self, name), str):
+                wrong = f"expected a tuple of endpoints, got {endpoints!r}"
+                raise ZenohConfigError(f"{name}: {wrong}")
         if (self.user is None) != (self.password is None):
             raise ZenohConfigError("user and password: expected both or none, got one")
         if (self.tls_certificate is None) != (self.tls_private_key is None):
@@ -103,6 +112,7 @@ class ZenohSettings:
             "listen/endpoints": [DEFAULT_ENDPOINT] if listens else [],
             "scouting/multicast/enabled": False,
             "connect/retry": RETRY,
+            "transport/unicast/open_timeout": OPEN_MS,
         }
 
     def _security(self) -> dict[str, Any]:

@@ -306,6 +306,9 @@ class ErrorDetail(BaseModel):
     ]
     message: str = Field(description="What was expected and what came.")
     field: str | None = Field(description="JSON path of the culprit.")
+    retry_after_s: float | None = Field(
+        default=None, ge=0, description="s; of overloaded, where it is known: when to ask again."
+    )
 
 
 class ErrorBody(BaseModel):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from anchorflow_client import ModelCard, UnknownModel
+from anchorflow_client import Cancellation, Cancelled, ModelCard, UnknownModel
+from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.replicas import Replicas
 from anchorflow_client.zenoh_messages import Load, ReplicaInfo
 
@@ -60,16 +62,14 @@ def test_the_idle_one_is_asked(replicas: Replicas, card: ModelCard) -> None:
 
 
 def test_ones_own_requests_count_at_once(replicas: Replicas) -> None:
-    first = chosen(replicas) or ""
-    replicas.begin(first)
-    assert chosen(replicas) != first
+    first = replicas.begin(chosen(replicas) or "")
+    assert chosen(replicas) != first.name
     replicas.end(first, Load(0, 1, 10.0))
-    assert chosen(replicas) == first
+    assert chosen(replicas) == first.name
 
 
 def test_an_answer_tells_the_load(replicas: Replicas) -> None:
-    replicas.begin("a")
-    replicas.end("a", Load(4, 1, 10.0))
+    replicas.end(replicas.begin("a"), Load(4, 1, 10.0))
 
     assert chosen(replicas) == "b"
 
@@ -95,10 +95,8 @@ def test_who_was_tried_is_not_asked_again(replicas: Replicas) -> None:
 
 
 def test_who_failed_comes_last_for_a_while(replicas: Replicas, clock: Clock) -> None:
-    replicas.begin("a")
-    replicas.end("a", None, failed=True)
-    replicas.begin("b")
-    replicas.end("b", Load(9, 1, 10.0))
+    replicas.end(replicas.begin("a"), None, failed=True)
+    replicas.end(replicas.begin("b"), Load(9, 1, 10.0))
     assert chosen(replicas) == "b"
     assert chosen(replicas, None, "b") == "a"
     clock.now += 3
@@ -107,11 +105,26 @@ def test_who_failed_comes_last_for_a_while(replicas: Replicas, clock: Clock) -> 
 
 def test_who_vanished_is_not_asked(replicas: Replicas) -> None:
     replicas.vanish("a")
-    replicas.begin("a")
-    replicas.end("a", None, failed=True)
+    replicas.end(replicas.begin("a"), None, failed=True)
 
     assert replicas.alive() == ("b",)
     assert chosen(replicas) == "b"
+
+
+def test_who_comes_back_is_not_counted_the_requests_that_it_lost(
+    replicas: Replicas, card: ModelCard
+) -> None:
+    lost = [replicas.begin("a") for _ in range(2)]
+    replicas.vanish("a")
+    replicas.appear("a")
+    replicas.learn(info("a", card))
+    replicas.begin("a")
+    for each in lost:
+        replicas.end(each, None)
+
+    choice = replicas.choose(None, "b")
+    assert choice is not None
+    assert choice.expected_ms == 20.0  # behind the one that is outstanding
 
 
 def test_only_who_serves_the_model_is_asked(replicas: Replicas, card: ModelCard) -> None:
@@ -194,12 +207,12 @@ def test_who_told_long_ago_is_asked_to_tell_again(
 def test_it_is_waited_for_those_who_are_being_asked(
     replicas: Replicas, clock: Clock, card: ModelCard
 ) -> None:
-    replicas.wait_until_told(0.0)
+    replicas.wait_until_told(Deadline(0.0))
     clock.now += 1.5
     assert replicas.to_be_asked() == ["a", "b"]
     replicas.hear_nothing("a")
     threading.Timer(0.05, replicas.learn, [info("b", replace(card, name="bows"))]).start()
-    replicas.wait_until_told(20.0)
+    replicas.wait_until_told(Deadline(20.0))
 
     assert chosen(replicas, "bows") == "b"
 
@@ -207,7 +220,7 @@ def test_it_is_waited_for_those_who_are_being_asked(
 def test_nobody_is_waited_for_no_longer_than_told() -> None:
     start = time.monotonic()
 
-    Replicas().wait_until_known(10.0, somebody_s=0.05)
+    Replicas().wait_until_known(Deadline(10.0), somebody_s=0.05)
 
     assert 0.05 <= time.monotonic() - start < 5
 
@@ -217,7 +230,7 @@ def test_somebody_who_has_not_told_is_waited_for(card: ModelCard) -> None:
     replicas.appear("a")
     threading.Timer(0.05, replicas.learn, [info("a", card)]).start()
 
-    replicas.wait_until_known(20.0, somebody_s=0.0)
+    replicas.wait_until_known(Deadline(20.0), somebody_s=0.0)
 
     assert chosen(replicas) == "a"
 
@@ -226,12 +239,31 @@ def test_the_wait_has_an_end(replicas: Replicas) -> None:
     alone = Replicas()
     alone.appear("a")
     start = time.monotonic()
-    alone.wait_until_known(0.05, somebody_s=10.0)
+    alone.wait_until_known(Deadline(0.05), somebody_s=10.0)
     assert time.monotonic() - start < 5
 
-    assert replicas.wait_until_gone(["a", "z"], 0.01) == ["a"]
+    assert replicas.wait_until_gone(["a", "z"], Deadline(0.01)) == ["a"]
     threading.Timer(0.05, replicas.vanish, ["a"]).start()
-    assert replicas.wait_until_gone(["a", "z"], 20.0) == []
+    assert replicas.wait_until_gone(["a", "z"], Deadline(20.0)) == []
+
+
+WAITS: dict[str, Callable[[Replicas, Deadline], object]] = {
+    "known": lambda replicas, deadline: replicas.wait_until_known(deadline, somebody_s=0.0),
+    "told": Replicas.wait_until_told,
+    "word": lambda replicas, deadline: replicas.wait_for_word((), deadline),
+    "gone": lambda replicas, deadline: replicas.wait_until_gone("a", deadline),
+}
+
+
+@pytest.mark.parametrize("wait", WAITS)
+def test_who_takes_his_request_back_waits_no_longer(wait: str) -> None:
+    replicas, cancellation = Replicas(), Cancellation()
+    replicas.appear("a")
+    assert replicas.to_be_asked() == ["a"]
+    threading.Timer(0.05, cancellation.cancel).start()
+
+    with pytest.raises(Cancelled):
+        WAITS[wait](replicas, Deadline(20.0, cancellation))
 
 
 def test_threads_see_one_state(replicas: Replicas) -> None:
@@ -239,8 +271,7 @@ def test_threads_see_one_state(replicas: Replicas) -> None:
         for _ in range(500):
             choice = replicas.choose(None)
             assert choice is not None
-            replicas.begin(choice.replica)
-            replicas.end(choice.replica, None)
+            replicas.end(replicas.begin(choice.replica), None)
 
     threads = [threading.Thread(target=ask) for _ in range(4)]
     for thread in threads:

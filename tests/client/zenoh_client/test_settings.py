@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from anchorflow_client import ConnectionFailed
 from anchorflow_client.zenoh_client import (
     AsyncZenohAnchorClient,
     ZenohAnchorClient,
@@ -37,6 +38,7 @@ def test_without_a_file_nothing_is_open_beyond_this_machine(
     assert (values["mode"], values["listen/endpoints"]) == (mode, listen)
     assert values["scouting/multicast/enabled"] is False
     assert values["connect/retry"]["period_max_ms"] == 1000
+    assert values["transport/unicast/open_timeout"] == 5000
 
 
 def test_a_file_is_changed_only_where_told(tmp_path: Path) -> None:
@@ -75,6 +77,8 @@ def test_access_control_is_taken_from_its_own_file(tmp_path: Path) -> None:
         ({"tls_ca": Path("no.pem")}, "tls_ca: no.pem is not a file"),
         ({"config_file": Path("no.json5")}, "config_file: no.json5 is not a file"),
         ({"tls_certificate": Path("a.pem")}, "tls_certificate and tls_private_key"),
+        ({"connect": ENDPOINT}, f"connect: expected a tuple of endpoints, got '{ENDPOINT}'"),
+        ({"listen": ENDPOINT}, f"listen: expected a tuple of endpoints, got '{ENDPOINT}'"),
     ],
 )
 def test_settings_that_do_not_go_together_are_refused(given: dict[str, Any], words: str) -> None:
@@ -94,6 +98,12 @@ def test_a_file_that_zenoh_cannot_read_is_named(tmp_path: Path, text: str) -> No
 def test_an_endpoint_that_is_none_is_refused() -> None:
     with pytest.raises(ZenohConfigError, match="connect/endpoints: "):
         config_of(ZenohSettings(connect=("127.0.0.1:7447",)))
+
+
+@pytest.mark.parametrize("host", ["a..b", "a" * 64])
+def test_a_host_that_cannot_be_a_name_is_named(host: str) -> None:
+    with pytest.raises(ConnectionFailed, match=f"nobody listens at tcp/{host}:7447: .*label"):
+        open_session(ZenohSettings(connect=(f"tcp/{host}:7447",)))
 
 
 def test_an_address_of_another_machine_cannot_be_listened_on() -> None:

@@ -121,7 +121,7 @@ def test_a_budget_bounds_the_wait(
 
 
 def test_a_request_can_be_taken_back(
-    client: ZenohAnchorClient, gate: Any, fields: dict[str, Any]
+    client: ZenohAnchorClient, engine: Any, gate: Any, fields: dict[str, Any]
 ) -> None:
     cancellation = Cancellation()
     request = AnchorRequest.from_fields(fields)
@@ -136,6 +136,7 @@ def test_a_request_can_be_taken_back(
     with pytest.raises(Cancelled):
         client.plan_request(request, cancellation=cancellation)
     assert client.plan(**fields).seed == 1
+    assert len(engine.seen) == 2  # what was taken back before was never sent
 
 
 def test_what_nobody_waits_for_is_dropped_by_the_services_own_clock(
@@ -248,7 +249,8 @@ def test_the_queue_is_the_services(
     with ThreadPoolExecutor(1) as executor, ZenohAnchorClient(endpoint) as client:
         occupied = executor.submit(lambda: client.plan(**fields))
         assert gate.reached.wait(PATIENCE_S)
-        with pytest.raises(Overloaded, match="try again in 1 s"):
+        with pytest.raises(Overloaded, match="try again in 1 s") as caught:
             client.plan(**fields)
+        assert caught.value.retry_after_s == 1
         gate.opened.set()
         assert occupied.result(PATIENCE_S).seed == 1

@@ -131,7 +131,7 @@ def _fingerprint(dataset: SceneDataset, scenes: int) -> str:
     """Of what a teacher is asked on the scenes."""
     digest = hashlib.sha256()
     for name in ASKED:
-        digest.update(np.ascontiguousarray(dataset.arrays[name][:scenes]))
+        digest.update(np.ascontiguousarray(dataset.arrays[name][:scenes]).data)
     return digest.hexdigest()
 
 

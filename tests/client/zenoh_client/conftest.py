@@ -1,0 +1,103 @@
+"""A zenoh network on this machine, with replicas that say what a test has them say."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable, Iterator
+
+import pytest
+import zenoh
+
+from anchorflow_client import ConnectionFailed, Overloaded
+from anchorflow_client.keys import info_key, replica_anchors_key, replica_key
+from anchorflow_client.zenoh_client import ZenohSettings
+from anchorflow_client.zenoh_client.background import Background
+from anchorflow_client.zenoh_client.network import Network
+from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_client.zenoh_messages import AnswerAttachment, Load, ReplicaInfo
+
+Reply = Callable[[zenoh.Query], object]
+
+
+class Peer:
+    """A peer on which replicas are played, each of which serves its default."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self.asked: list[str] = []
+        """Who got a request, in turn."""
+        self.held: list[zenoh.Query] = []
+        self._tokens: list[zenoh.LivelinessToken] = []
+
+    def play(self, info: ReplicaInfo, answer: Reply, *, tell: Reply | None = None) -> None:
+        """Puts a replica on the network.
+
+        Args:
+            info: what it tells of itself.
+            answer: gets every request.
+            tell: gets every question for `info`, if told.
+        """
+
+        def note(query: zenoh.Query) -> None:
+            self.asked.append(info.replica)
+            answer(query)
+
+        def tell_all(query: zenoh.Query) -> None:
+            with query:
+                query.reply(query.key_expr, info.to_bytes())
+
+        key = replica_anchors_key(info.replica, info.default)
+        self._session.declare_queryable(info_key(info.replica), tell or tell_all, complete=True)
+        self._session.declare_queryable(key, note, complete=True)
+        token = self._session.liveliness().declare_token(replica_key(info.replica))
+        self._tokens.append(token)
+
+    def hold(self, query: zenoh.Query) -> None:
+        """Say nothing, and do not hang up."""
+        self.held.append(query)
+
+    @staticmethod
+    def answer(query: zenoh.Query) -> None:
+        """Give the replica's key as the answer."""
+        payload = str(query.key_expr).encode()
+        said = AnswerAttachment(len(payload), "r1", "any", Load()).to_bytes()
+        with query:
+            query.reply(query.key_expr, payload, attachment=said)
+
+    @staticmethod
+    def refuse(query: zenoh.Query) -> None:
+        """Be full."""
+        with query:
+            query.reply_err(json.dumps(Overloaded("full").to_dict()).encode())
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """Where nobody listens yet."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+
+
+@pytest.fixture
+def silent() -> Iterator[str]:
+    """An endpoint that lets everybody connect and says nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        yield f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+
+
+@pytest.fixture
+def peer(endpoint: str) -> Iterator[Peer]:
+    """Listens at `endpoint`."""
+    with open_session(ZenohSettings(listen=(endpoint,))) as session:
+        yield Peer(session)
+
+
+@pytest.fixture
+def network(peer: Peer, endpoint: str) -> Iterator[Network]:
+    """What a client sees of that peer."""
+    assert peer.asked == []
+    session = open_session(ZenohSettings(connect=(endpoint,)))
+    network = Network(session, Background(lambda: ConnectionFailed("alone"), name="diagnosis"))
+    yield network
+    network.close()

@@ -1,0 +1,82 @@
+"""Whom one request is asked of, by replicas that are played."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import zenoh
+
+from anchorflow_client import Cancellation, Cancelled, ModelCard, Payload, TimedOut
+from anchorflow_client.zenoh_client.attempt import Question
+from anchorflow_client.zenoh_client.deadline import Deadline
+from anchorflow_client.zenoh_client.failover import Failover
+from anchorflow_client.zenoh_client.network import Network
+from anchorflow_client.zenoh_messages import Load, ReplicaInfo
+
+PATIENCE_S = 20.0
+
+
+def info(name: str, *cards: ModelCard, mean_service_ms: float = 10.0) -> ReplicaInfo:
+    load = Load(0, 1, mean_service_ms)
+    return ReplicaInfo(name, ready=True, load=load, models=cards, default="lines")
+
+
+def ask(network: Network, deadline: Deadline) -> bytes:
+    """Anchors of the default model."""
+    question = Question(Payload(b"", 0), "application/octet-stream", "r1", None, deadline)
+    return Failover(network, question).run().body
+
+
+@pytest.mark.parametrize("refusal", ["refuse", "hang up"])
+def test_who_refuses_in_the_place_of_a_silent_one_is_followed_by_another(
+    peer: Any, network: Network, card: ModelCard, until: Any, refusal: str
+) -> None:
+    refuse = peer.refuse if refusal == "refuse" else zenoh.Query.drop
+    for milliseconds, (name, answer) in enumerate(
+        {"a": peer.hold, "b": refuse, "c": peer.answer}.items(), start=1
+    ):
+        peer.play(info(name, card, mean_service_ms=milliseconds), answer)
+    until(lambda: len(network.replicas.alive()) == 3 and not network.replicas.unheard())
+
+    assert ask(network, Deadline(2.0)) == b"anchorflow/v1/replica/c/anchors/lines"
+    assert peer.asked == ["a", "b", "c"]
+
+
+def test_who_has_not_told_yet_is_waited_for_before_the_default_is_given_up(
+    peer: Any, network: Network, card: ModelCard, until: Any
+) -> None:
+    opened = threading.Event()
+    told = info("b", card)
+
+    def tell_late(query: zenoh.Query) -> None:
+        with query:
+            assert opened.wait(PATIENCE_S)
+            query.reply(query.key_expr, told.to_bytes())
+
+    peer.play(info("a", replace(card, name="bows")), peer.refuse)
+    peer.play(told, peer.answer, tell=tell_late)
+    until(lambda: len(network.replicas.alive()) == 2 and network.replicas.unheard() == ("b",))
+    with pytest.raises(TimedOut, match=r"^b is alive and has not told yet what it serves"):
+        ask(network, Deadline(0.2))
+    with ThreadPoolExecutor(1) as executor:
+        asked = executor.submit(ask, network, Deadline(PATIENCE_S))
+        opened.set()
+        assert asked.result() == b"anchorflow/v1/replica/b/anchors/lines"
+
+
+def test_what_was_taken_back_before_is_not_asked(
+    peer: Any, network: Network, card: ModelCard, until: Any
+) -> None:
+    peer.play(info("a", card), peer.answer)
+    until(lambda: network.replicas.alive() and not network.replicas.unheard())
+    cancellation = Cancellation()
+    cancellation.cancel()
+
+    with pytest.raises(Cancelled):
+        ask(network, Deadline(PATIENCE_S, cancellation))
+    assert ask(network, Deadline(PATIENCE_S)) == b"anchorflow/v1/replica/a/anchors/lines"
+    assert peer.asked == ["a"]
