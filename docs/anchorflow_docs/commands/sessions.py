@@ -252,7 +252,10 @@ NOT_HERE = {
     "anchorflow train data/drive --planner goalflow --out runs/goalflow --steps 1700"
     " --batch.scenes 16 --batch.samples 6 --objective.scored 40 --augmentation.moved 0.35"
     " --model.channels 16": TRAINS,
-    "anchorflow export runs/goalflow/checkpoint.pt --out bundles/goalflow": (
+    "anchorflow train data/drive --planner goalflow --out runs/outcomes"
+    " --before runs/goalflow/checkpoint.pt --objective.stage outcomes --model.outcomes"
+    " --model.channels 16 --steps 1000 --batch.scenes 16": TRAINS,
+    "anchorflow export runs/outcomes/checkpoint.pt --out bundles/goalflow": (
         "exports the run that the line above it trains; tests/service/http exports a smaller one"
     ),
     "anchorflow serve --bundle bundles/goalflow": (

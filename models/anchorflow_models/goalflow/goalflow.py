@@ -211,11 +211,12 @@ class GoalFlow(nn.Module):
         """Scores [B, N] of trajectories and of the ways that they began on, [B, N, T, S]."""
         poses, way = x_1[..., :POSE], prior_mean[..., :POSE]
         motion, rules = self.judged(poses, context)
-        if self.outcomes is not None:
-            return outcome_scores(self.outcome(poses, motion, rules, context), rules)
         missed = (poses[..., -1, :2] - way[..., -1, :2]).square().sum(-1).sqrt()
         missed = missed * prior_mean[..., 0, POSE]
-        return trajectory_scores(rules, missed, self.rate(poses, context), self.config)
+        by_rules = trajectory_scores(rules, missed, self.rate(poses, context), self.config)
+        if self.outcomes is None:
+            return by_rules
+        return outcome_scores(self.outcome(poses, motion, rules, context), rules, by_rules)
 
     def judged(self, poses: Tensor, context: Context) -> tuple[Motion, Rules]:
         """How trajectories [B, N, T, 3] move, and what the rules say of them."""

@@ -33,10 +33,11 @@ class OutcomeScorer(nn.Module):
         return self.out(self.rest(self.of_way(told) + self.of_scene(context)[:, None]))
 
 
-def outcome_scores(logits: Tensor, rules: Rules) -> Tensor:
+def outcome_scores(logits: Tensor, rules: Rules, by_rules: Tensor) -> Tensor:
     """The PDM score [B, N] of what is expected: learnt logits [B, N, 4] and the rules agree on who
-    is hit and what is road, the rule says what is comfortable, and the rest is learnt.
+    is hit and what is road, the rule says what is comfortable, and the rest is learnt; times the
+    root of the score by the rules [B, N], which believe in no traffic that was learnt.
     """
     nc, dac, ep, ttc = logits.sigmoid().unbind(-1)
     kept = rules.clear * nc**NC_POWER * rules.on_road * dac
-    return kept * (5 * ep + 5 * ttc + 2 * rules.comfort) / 12
+    return kept * (5 * ep + 5 * ttc + 2 * rules.comfort) / 12 * by_rules.sqrt()

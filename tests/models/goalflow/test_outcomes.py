@@ -28,11 +28,14 @@ T = CONFIG.num_steps
 SURE = 100.0
 
 
-def score(*, logits: dict[str, float] | None = None, **rules: float) -> float:
+def score(
+    *, logits: dict[str, float] | None = None, by_rules: float = 1.0, **rules: float
+) -> float:
     said = dict.fromkeys(RULES, 1.0) | rules
     learnt = dict.fromkeys(LEARNT, SURE) | (logits or {})
     each = torch.tensor([[*learnt.values()]])[None]
-    return float(outcome_scores(each, Rules(*(torch.tensor([[said[name]]]) for name in RULES))))
+    said_by_all = Rules(*(torch.tensor([[said[name]]]) for name in RULES))
+    return float(outcome_scores(each, said_by_all, torch.tensor([[by_rules]])))
 
 
 def test_what_becomes_well_is_worth_one() -> None:
@@ -51,6 +54,7 @@ def test_what_becomes_well_is_worth_one() -> None:
         ({}, {"comfort": 0.0}, 10 / 12),
         ({}, {"ahead": 0.0, "progress": 0.0}, 1.0),  # which the scorer hears of and outweighs
         ({"nc": 0.0}, {}, 0.25),
+        ({}, {"by_rules": 0.25}, 0.5),
     ],
 )
 def test_sub_scores_count_as_in_the_pdm_score(

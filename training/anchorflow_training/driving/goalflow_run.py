@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from anchorflow_driving.sensors.bev import BEV
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow.goalflow import POSE
 from anchorflow_training.batches import (
     Batch,
     SampledBatchConfig,
@@ -223,7 +224,8 @@ class GoalFlowRun(TrainingRun):
         own, device = len(self.windows) + window, model.vocabulary.device
         context = model.look(*self._told(window, device))
         plans = torch.from_numpy(self.proposals.trajectories[own])[None].to(device)
-        scores = model.score(plans, plans, context)[0]
+        states = nn.functional.pad(plans, (0, POSE))  # to no goal: none is missed
+        scores = model.score(states, states, context)[0]
         worth = pdms(self.proposals.scores[own])
         return {"success": float(worth[int(scores.argmax())]), "best_pdms": float(worth.max())}
 
