@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from time import perf_counter
@@ -33,6 +33,7 @@ from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hide_ticks
 from anchorflow_trajectory.scene import Scene
 
+BATCH_SCENES = 8
 DRAWN = GeneratorConfig(num_samples=24, project=False)
 FINISHED = GeneratorConfig(num_samples=24)
 
@@ -40,10 +41,14 @@ FINISHED = GeneratorConfig(num_samples=24)
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("runs/quickstart"))
-    parser.add_argument("--scenes", type=int, default=160, help="to train on")
-    parser.add_argument("--steps", type=int, default=400, help="of the optimiser")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--scenes", type=whole(BATCH_SCENES), default=160, help="to train on")
+    parser.add_argument("--steps", type=whole(1), default=400, help="of the optimiser")
+    parser.add_argument("--seed", type=whole(0), default=0)
     options = parser.parse_args(arguments)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        parser.error(f"argument --out: expected a folder to write, got {options.out} ({error})")
 
     with timed(f"{options.scenes} scenes, each solved by the expert many ways"):
         data = make_data(options.out / "data", options.scenes, options.seed)
@@ -64,6 +69,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{trainer.checkpoint_path}, {picture}")
 
 
+def whole(least: int) -> Callable[[str], int]:
+    """Reads a whole number that is not below another."""
+
+    def read(text: str) -> int:
+        if not text.isdecimal() or int(text) < least:
+            raise argparse.ArgumentTypeError(
+                f"expected a whole number of at least {least}, got {text!r}"
+            )
+        return int(text)
+
+    return read
+
+
 def make_data(path: Path, scenes: int, seed: int) -> SceneDataset:
     """Random scenes with the expert's trajectories; `anchorflow data make` does the same."""
     make_dataset(path, DataConfig(scenes=scenes, seed=seed), workers=os.cpu_count() or 1)
@@ -78,7 +96,7 @@ def training(steps: int, seed: int) -> TrainerConfig:
         ema_decay=0.98,
         report_every=max(1, steps // 8),
         tensorboard=False,
-        batch=FlowBatchConfig(scenes=8, samples=16, seed=seed),
+        batch=FlowBatchConfig(scenes=BATCH_SCENES, samples=16, seed=seed),
         model=L2Config(variant="small"),
     )
 

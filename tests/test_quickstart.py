@@ -34,3 +34,24 @@ def test_it_trains_generates_and_draws(
         assert f"{row}: " in printed
     with Image.open(tmp_path / "quickstart.png") as image:
         assert image.size == (1200, 930)
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "wanted"),
+    [
+        ("--scenes", "0", "expected a whole number of at least 8, got '0'"),
+        ("--scenes", "2", "expected a whole number of at least 8, got '2'"),
+        ("--seed", "-1", "expected a whole number of at least 0, got '-1'"),
+        ("--out", __file__, f"expected a folder to write, got {__file__}"),
+    ],
+)
+def test_an_option_out_of_its_range_is_one_line(
+    quickstart: ModuleType,
+    option: str,
+    given: str,
+    wanted: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        quickstart.main([f"{option}={given}"])
+    assert f"argument {option}: {wanted}" in capsys.readouterr().err

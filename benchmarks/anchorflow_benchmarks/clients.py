@@ -195,4 +195,6 @@ def check_loopback(url: str) -> None:
     with suppress(ValueError):
         if host == "localhost" or ip_address(host).is_loopback:
             return
-    raise BenchmarkError(f"expected a URL of this machine, such as 127.0.0.1, got {url}")
+    raise BenchmarkError(
+        f"expected a URL of this machine, such as http://127.0.0.1:8000, got {url}"
+    )

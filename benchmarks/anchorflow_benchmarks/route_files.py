@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from anchorflow_benchmarks.array_files import read_arrays
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.scene_files import spread_evenly
 from anchorflow_trajectory.ray_signature import Signature
@@ -21,13 +21,9 @@ def read_routes(path: Path) -> list[list[Signature]]:
     Raises:
         BenchmarkError: the file cannot be read or lacks a key.
     """
-    try:
-        with np.load(path) as file:
-            count, size, flat = (file[name] for name in ("count", "size", "signature"))
-        if count.sum() != len(size) or size.sum() != len(flat):
-            raise ValueError("its counts do not add up")
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise BenchmarkError(f"{path}: not a file of routes ({error})") from error
+    count, size, flat = read_arrays(path, ("count", "size", "signature"), what="routes").values()
+    if count.sum() != len(size) or size.sum() != len(flat):
+        raise BenchmarkError(f"{path}: not a file of routes (its counts do not add up)")
     parts = np.split(flat, np.cumsum(size)[:-1])
     routes = [tuple(part.tolist()) for part in parts]
     ends = np.cumsum(count).tolist()

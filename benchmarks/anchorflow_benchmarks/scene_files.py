@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -14,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_benchmarks.array_files import read_arrays
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_client.contract import DEFAULT_STYLE
 from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
@@ -73,9 +73,9 @@ def read_scenes(path: Path, *, limits: MotionLimits) -> list[FamilyScene]:
     Raises:
         BenchmarkError: the file cannot be read or lacks a key.
     """
+    keys = ("occupancy", "resolution", "x_curr", "x_goal", "robot_radius", "family")
+    arrays = read_arrays(path, keys, what="scenes")
     try:
-        with np.load(path) as file:
-            arrays = {name: file[name] for name in file.files}
         occupied = np.unpackbits(arrays["occupancy"], axis=-1).astype(bool)
         resolution, radius = float(arrays["resolution"]), float(arrays["robot_radius"])
         rows = zip(arrays["family"], arrays["x_curr"], arrays["x_goal"], occupied, strict=True)
@@ -83,7 +83,7 @@ def read_scenes(path: Path, *, limits: MotionLimits) -> list[FamilyScene]:
             _scene(str(family).partition("/")[0], cells, resolution, radius, x_curr, x_goal, limits)
             for family, x_curr, x_goal, cells in rows
         ]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (ValueError, TypeError) as error:
         raise BenchmarkError(f"{path}: not a file of scenes ({error})") from error
 
 

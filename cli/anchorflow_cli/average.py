@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from anchorflow_cli.options import command_app
+from anchorflow_cli.options import command_app, file_option
 from anchorflow_training.average import mean_checkpoint
 from anchorflow_training.checkpoint import save_checkpoint
 
@@ -20,7 +20,7 @@ def average(
         list[Path], typer.Argument(help="checkpoint.pt or best.pt of runs of one network.")
     ],
     *,
-    out: Annotated[Path, typer.Option(help="File of the mean, a checkpoint itself.")],
+    out: Annotated[Path, file_option("File of the mean, a checkpoint itself.")],
 ) -> None:
     """Average the weights of checkpoints; all else in the mean is the last one's.
 

@@ -18,11 +18,12 @@ from anchorflow_cli.bench_options import (
     OutOption,
     SamplerOption,
     ThreadsOption,
+    first_card,
     whole_numbers,
 )
 from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
-from anchorflow_cli.options import StyleOption, style_text
+from anchorflow_cli.options import StyleOption, file_option, style_text, url_option
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def closed_loop(
     sampler: SamplerOption = "midpoint:uniform2",
     bundle: BundleOption = DEFAULT_BUNDLE,
     url: Annotated[
-        str | None, typer.Option(help="A service that answers in place of the bundle's engine.")
+        str | None, url_option("A service that answers in place of the bundle's engine.")
     ] = None,
     style: StyleOption = None,
     latency_ms: Annotated[
@@ -60,7 +61,7 @@ def closed_loop(
     workers: Annotated[int, typer.Option(min=1, help="Processes, one run each at a time.")] = 1,
     threads: ThreadsOption = None,
     log: Annotated[
-        Path | None, typer.Option(help="A file that takes down each run, to go on from.")
+        Path | None, file_option("A file that takes down each run, to go on from.")
     ] = None,
     out: OutOption = RESULTS,
 ) -> None:
@@ -79,6 +80,8 @@ def closed_loop(
     if robot not in ROBOTS:
         raise BenchmarkError(f"--robot: expected {' or '.join(ROBOTS)}, got {robot!r}")
     opened = open_bundle(bundle)
+    if url is not None:
+        first_card(url)  # Else refusals would be timed as answers.
     spec = parse_sampler(sampler, opened.card)
     contenders = contenders_of(whole_numbers(motions, "--motions"), anchors=num)
     config = ContestConfig(

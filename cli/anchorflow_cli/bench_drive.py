@@ -26,6 +26,7 @@ from anchorflow_cli.bench_options import (
     ThreadsOption,
 )
 from anchorflow_cli.bench_output import progress, report, say
+from anchorflow_cli.options import folder_option
 from anchorflow_driving.log import read_logs
 
 
@@ -48,7 +49,7 @@ def drive(
     threads: ThreadsOption = None,
     plans: Annotated[
         Path | None,
-        typer.Option(help="Folder that plans_*.npz are written to.", show_default="that of --out"),
+        folder_option("Folder that plans_*.npz are written to.", show_default="that of --out"),
     ] = None,
     out: OutOption = RESULTS,
 ) -> None:

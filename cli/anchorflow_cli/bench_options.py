@@ -11,7 +11,9 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.planners import limits_of, request_of
 from anchorflow_benchmarks.samplers import parse_sampler
 from anchorflow_benchmarks.scene_files import load_scenes
-from anchorflow_client.contract import AnchorRequest
+from anchorflow_cli.options import folder_option
+from anchorflow_client.contract import AnchorRequest, ModelCard
+from anchorflow_client.http import AnchorClient
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 
 RESULTS = Path("benchmarks/results")
@@ -35,7 +37,7 @@ ClientsOption = Annotated[int, typer.Option(min=1, help="Closed-loop clients.")]
 ThreadsOption = Annotated[
     int | None, typer.Option(min=1, help="Threads of a request.", show_default="the cores")
 ]
-OutOption = Annotated[Path, typer.Option(help="Folder that the results are written to.")]
+OutOption = Annotated[Path, folder_option("Folder that the results are written to.")]
 
 
 def requests_on(bundle: Bundle, scenes: str, *, num: int, sampler: str) -> list[AnchorRequest]:
@@ -43,6 +45,19 @@ def requests_on(bundle: Bundle, scenes: str, *, num: int, sampler: str) -> list[
     spec = parse_sampler(sampler, bundle.card)
     found = load_scenes(scenes, limits=limits_of(bundle))
     return [request_of(scene, num=num, seed=1, sampler=spec) for scene in found]
+
+
+def first_card(url: str) -> ModelCard:
+    """The card of a service's default model.
+
+    Raises:
+        TransportError: nobody answers there.
+        BenchmarkError: it serves no model.
+    """
+    with AnchorClient(url) as client:
+        for card in client.models():
+            return card
+    raise BenchmarkError(f"{url}: expected a service of a model, found none")
 
 
 def whole_numbers(text: str, option: str) -> list[int]:

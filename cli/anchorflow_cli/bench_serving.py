@@ -10,7 +10,8 @@ from typing import Annotated
 
 import typer
 
-from anchorflow_benchmarks.clients import over_http
+from anchorflow_benchmarks.clients import check_loopback, over_http
+from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.judged_bundles import open_bundle
 from anchorflow_benchmarks.load import LoadConfig, in_process, load_table
 from anchorflow_benchmarks.programs import served
@@ -30,10 +31,14 @@ from anchorflow_cli.bench_options import (
     OutOption,
     SamplerOption,
     ScenesOption,
+    first_card,
     requests_on,
     whole_numbers,
 )
 from anchorflow_cli.bench_output import report, say
+from anchorflow_cli.options import url_option
+from anchorflow_client.contract.checks import number
+from anchorflow_client.contract.ranges import BUDGET
 from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
@@ -44,7 +49,7 @@ from anchorflow_service.http.orjson_codec import OrjsonCodec
 def load(
     *,
     url: Annotated[
-        str | None, typer.Option(help="A server on this machine.", show_default="one is started")
+        str | None, url_option("A server on this machine.", show_default="one is started")
     ] = None,
     bundle: BundleOption = DEFAULT_BUNDLE,
     clients: Annotated[str, typer.Option(metavar="N,N", help="Clients.")] = "1,4,16,64",
@@ -59,7 +64,7 @@ def load(
     opened = open_bundle(bundle)
     config = LoadConfig(whole_numbers(clients, "--clients"), seconds, requests)
     asked = requests_on(opened, scenes, num=num, sampler=sampler)
-    with _server(bundle, url) as address:
+    with _server(opened, url) as address:
         ways = {
             "in-process": in_process(Engine(opened)),
             "HTTP JSON": over_http(address, OrjsonCodec()),
@@ -72,12 +77,19 @@ def load(
 
 
 @contextmanager
-def _server(bundle: Path, url: str | None) -> Iterator[str]:
+def _server(bundle: Bundle, url: str | None) -> Iterator[str]:
     """The URL given, or that of a server of the bundle in a process of its own."""
     if url is not None:
+        check_loopback(url)
+        served_model, own = first_card(url).id, bundle.card.id
+        if served_model != own:
+            raise BenchmarkError(
+                f"{url}: expected a server of {own.name} {own.version}, the bundle that is asked "
+                f"in this process, got {served_model.name} {served_model.version}"
+            )
         yield url
         return
-    with served("--bundle", str(bundle)) as server:
+    with served("--bundle", str(bundle.path)) as server:
         yield server.url
 
 
@@ -98,7 +110,8 @@ def serving(
 ) -> None:
     """Throughput, latency and health of a server with micro-batches and without, by turns."""
     opened = open_bundle(bundle)
-    configs = [CrowdConfig(clients, seconds, budget) for budget in budgets or [None]]
+    asked = [number(budget, "--budget-ms", BUDGET) for budget in budgets or []]
+    configs = [CrowdConfig(clients, seconds, budget) for budget in asked or [None]]
     requests = requests_on(opened, scenes, num=num, sampler=sampler)
     table = batching_table(bundle, requests, configs, rounds=rounds, progress=say)
     report("Serving", _about(opened, num, sampler) | {"scenes": scenes}, [table], out)

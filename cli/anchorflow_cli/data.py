@@ -19,7 +19,7 @@ from anchorflow_cli.data_frames import frames
 from anchorflow_cli.data_import_log import import_log
 from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
-from anchorflow_cli.options import command_app, picture_option
+from anchorflow_cli.options import command_app, new_file, new_folder, picture_option
 from anchorflow_training.data import TrajectoryDataset
 from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.inspection import (
@@ -34,6 +34,7 @@ from anchorflow_training.data.scene_import import ImportConfig, import_scenes
 from anchorflow_training.data.time_step import TimeStepUnknown
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.make_data import DataConfig, make_dataset
+from anchorflow_training.v2x.dataset import refuse_pairs
 from anchorflow_trajectory.cost import MotionLimits
 
 app = command_app()
@@ -64,7 +65,7 @@ def data() -> None:
 
 @app.command()
 def make(
-    out: Annotated[Path, typer.Argument(help="Folder to write.")],
+    out: Annotated[Path, typer.Argument(parser=new_folder, help="Folder to write.")],
     *,
     scenes: Annotated[int, typer.Option(min=1, help="How many scenes.")] = 20_000,
     trajectories: Annotated[
@@ -99,7 +100,9 @@ app.command()(pairs)
 @app.command("import")
 def import_file(
     file: TrajectoryFile,
-    out: Annotated[Path, typer.Argument(help="Folder to write, for `anchorflow train`.")],
+    out: Annotated[
+        Path, typer.Argument(parser=new_folder, help="Folder to write, for `anchorflow train`.")
+    ],
     *,
     dt: DtOption = None,
     horizon_s: HorizonOption = None,
@@ -166,6 +169,7 @@ def inspect(
 ) -> None:
     """Print shapes, ranges and class counts; draw a sheet of scenes with --out."""
     if path.is_dir():
+        refuse_pairs(path)
         dataset = open_dataset(path)
         summary = inspect_scenes(dataset, scenes=scenes)
     else:
@@ -189,7 +193,7 @@ def from_poses(
     poses: Annotated[
         Path, typer.Argument(metavar="DIR", help="KITTI *.txt or DAIR-V2X novatel_to_world JSON.")
     ],
-    out: Annotated[Path, typer.Argument(help="File to write, .npz.")],
+    out: Annotated[Path, typer.Argument(parser=new_file, help="File to write, .npz.")],
     *,
     steps: Annotated[int, typer.Option(min=3, help="T.")] = CutConfig.steps,
     rate_hz: Annotated[

@@ -11,6 +11,7 @@ import typer
 from rich.progress import Progress
 
 from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.options import file_option
 from anchorflow_training.config_file import layers
 from anchorflow_training.driving.anchor_scores import anchor_scores, driven, trajectory_anchors
 from anchorflow_training.driving.kept_logs import open_logs
@@ -25,7 +26,7 @@ LogsArgument = Annotated[Path, typer.Argument(metavar="LOGS", help="Folder of dr
 def anchors(
     logs: LogsArgument,
     *,
-    out: Annotated[Path, typer.Option(help="File to write (.npy), [K, 8, 3].")],
+    out: Annotated[Path, file_option("File to write (.npy), [K, 8, 3].")],
     count: Annotated[int, typer.Option(min=1, help="K.")] = 256,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
 ) -> None:
@@ -37,7 +38,8 @@ def anchors(
     futures = driven(paths)
     centres = trajectory_anchors(futures, count=count, seed=seed)
     out.parent.mkdir(parents=True, exist_ok=True)
-    np.save(out, centres)
+    with out.open("wb") as file:
+        np.save(file, centres)
     table = with_bar("logs scored", lambda tell: anchor_scores(paths, centres, progress=tell))
     apart = np.linalg.norm(futures[:, None, :, :2] - centres[None, ..., :2], axis=-1).mean(-1)
     typer.echo(

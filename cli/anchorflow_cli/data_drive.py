@@ -10,6 +10,7 @@ import typer
 from rich.progress import Progress
 
 from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.options import folder_option
 from anchorflow_driving.simulation.config import LogConfig
 
 COOPERATIVE = "cooperative-vehicle-infrastructure"
@@ -17,7 +18,7 @@ COOPERATIVE = "cooperative-vehicle-infrastructure"
 
 def drive(
     *,
-    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    out: Annotated[Path, folder_option("Folder to write.")],
     logs: Annotated[int, typer.Option(min=1, help="How many.")] = 500,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = LogConfig.seed,
     seconds: Annotated[

@@ -10,6 +10,7 @@ import typer
 from rich.progress import track as with_bar
 
 from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.options import file_option
 from anchorflow_driving.drive_file import drive_file, windows_on_the_way
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log
@@ -19,7 +20,7 @@ def frames(
     log: Annotated[Path, typer.Argument(help="A driving log, .npz.")],
     *,
     bundle: Annotated[Path, typer.Option(help="Folder of the bundle that is to be asked.")],
-    out: Annotated[Path, typer.Option(help="File to write, .json.")],
+    out: Annotated[Path, file_option("File to write, .json.")],
     track: Annotated[
         int | None,
         typer.Option(min=0, help="The vehicle to follow.", show_default="drives farthest"),

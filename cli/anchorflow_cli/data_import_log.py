@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.options import file_option
 from anchorflow_driving.importers.commonroad import import_commonroad
 from anchorflow_driving.importers.layouts import Layout, layout_of
 from anchorflow_driving.importers.navsim import import_navsim
@@ -27,7 +28,7 @@ def import_log(
         ),
     ],
     *,
-    out: Annotated[Path, typer.Option(help="Log to write, .npz.")],
+    out: Annotated[Path, file_option("Log to write, .npz.")],
     layout: Annotated[
         Layout | None, typer.Option("--format", help="Where the name does not tell it.")
     ] = None,

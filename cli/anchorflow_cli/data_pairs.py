@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
+from anchorflow_cli.options import new_folder
 from anchorflow_training.v2x.dataset import make_pairs
 from anchorflow_training.v2x.tokenizer import read_tokenizer
 from anchorflow_training.v2x.verify import verify_recording
@@ -20,7 +21,7 @@ RecordingArgument = Annotated[
 
 
 def crossings(
-    out: Annotated[Path, typer.Argument(help="Folder to write.")],
+    out: Annotated[Path, typer.Argument(parser=new_folder, help="Folder to write.")],
     *,
     scenes: Annotated[int, typer.Option(min=1, help="How many.")] = 300,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
@@ -47,7 +48,9 @@ def verify(recording: RecordingArgument) -> None:
 
 def pairs(
     recording: RecordingArgument,
-    out: Annotated[Path, typer.Argument(help="Folder to write, for `anchorflow train`.")],
+    out: Annotated[
+        Path, typer.Argument(parser=new_folder, help="Folder to write, for `anchorflow train`.")
+    ],
     *,
     image_size: Annotated[
         int, typer.Option(min=32, help="Pixels along a side; Florence-2's own are 768.")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from anchorflow_cli.config_options import with_options
-from anchorflow_cli.options import command_app
+from anchorflow_cli.options import command_app, folder_option
 from anchorflow_cli.training_command import (
     SHORT as SHARED_SHORT,
 )
@@ -45,7 +45,7 @@ def distill(
     *,
     out: OutOption = None,
     pairs: Annotated[
-        Path | None, typer.Option(help="Folder of the teacher's pairs.", show_default="OUT/pairs")
+        Path | None, folder_option("Folder of the teacher's pairs.", show_default="OUT/pairs")
     ] = None,
     config: ConfigOption = None,
     print_config: PrintConfigOption = False,

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from anchorflow_cli.options import command_app
+from anchorflow_cli.options import command_app, folder_option
 from anchorflow_client.contract import SamplerChoice
 from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_export.adapter import ExportChoices
@@ -29,7 +29,7 @@ app = command_app()
 def export(
     checkpoint: Annotated[Path, typer.Argument(help="checkpoint.pt of a training run.")],
     *,
-    out: Annotated[Path, typer.Option(help="Folder of the bundle.")],
+    out: Annotated[Path, folder_option("Folder of the bundle.")],
     name: Annotated[
         str | None, typer.Option(help="Name of the bundle.", show_default="flowmp-small, …")
     ] = None,
@@ -89,7 +89,7 @@ def export(
     asked["sampler"] = _sampler(method, schedule, student_schedule(saved))
     choices = ExportChoices(**{**_limits(saved), **asked})
     description = BundleDescription(
-        name=name or _name(saved),
+        name=_name(saved) if name is None else name,
         version=version,
         planner=saved.planner,
         training={**provenance(saved), "noise_scale": choices.noise_scale},

@@ -29,6 +29,7 @@ from anchorflow_cli.options import (
     Vector,
     command_app,
     end_states,
+    file_option,
     picture_option,
 )
 from anchorflow_cli.plan import table
@@ -100,7 +101,7 @@ def generate(
     barrier_rate: Annotated[
         float | None, typer.Option(help="Steer clear while drawing, at this rate; about 5.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Arrays to write, .npz.")] = None,
+    out: Annotated[Path | None, file_option("Arrays to write, .npz.")] = None,
     plot: Annotated[Path | None, picture_option("Picture to draw")] = None,
 ) -> None:
     """Draw anchors between two points; print a table, write them, draw them."""
@@ -172,7 +173,7 @@ def _seen(
     if map_file is None:
         return empty_map(start, goal, size_m=size_m)
     ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
-    return map_window(ros_map, start, goal, size_m=size_m)
+    return map_window(ros_map, start, goal, size_m=size_m, option="--size")
 
 
 def _schedule(text: str) -> str | tuple[float, ...]:

@@ -18,6 +18,8 @@ def listen(host: str, port: int) -> socket.socket:
     Made here and not by uvicorn, so that the address that is printed answers, and a port in use
     is one line, before a bundle is loaded for nothing.
     """
+    if not host:  # which sockets take for every address of this machine
+        raise AddressError("--host: expected an address, such as 127.0.0.1, got ''")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         listener = socket.create_server((host, port), family=family)

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from anchorflow_cli.options import finite
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.planning import PlanningEngine
 from anchorflow_service.repository import BundleFolders
@@ -33,9 +32,7 @@ BatchOption = Annotated[
 ]
 BatchWaitOption = Annotated[
     float,
-    typer.Option(
-        min=0, callback=finite, help="How long [ms] a micro-batch waits for others to join it."
-    ),
+    typer.Option(min=0, help="How long [ms] a micro-batch waits for others to join it."),
 ]
 WaitingOption = Annotated[
     int, typer.Option(min=0, help="Requests that may wait; more are refused.")

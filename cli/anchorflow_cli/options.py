@@ -3,34 +3,101 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from typer.core import TyperCommand
 
 from anchorflow_client.contract.ranges import NUM_STYLE
 from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.http.transport import Address
 
 Vector = NDArray[np.float64]
 
 BundleOption = Annotated[
-    Path, typer.Option(help="Folder of the bundle.", show_default="the one that ships")
+    Path | None, typer.Option(help="Folder of the bundle.", show_default="the one that ships")
 ]
 
 
-def command_app() -> typer.Typer:
+class FiniteCommand(TyperCommand):
+    """A command whose numbers must all have an end: nan passes the bounds of an option."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        rest = super().parse_args(ctx, args)
+        for option in self.params:
+            given = ctx.params.get(option.name)
+            for value in given if isinstance(given, list) else [given]:
+                if isinstance(value, float) and not math.isfinite(value):
+                    said = f"expected a finite number, got {value}"
+                    raise typer.BadParameter(said, ctx=ctx, param_hint=f"'{option.opts[0]}'")
+        return rest
+
+
+class CommandApp(typer.Typer):
+    """A typer app of such commands."""
+
+    def command(self, name: str | None = None, **settings: Any) -> Any:
+        return super().command(name, cls=FiniteCommand, **settings)
+
+
+def command_app() -> CommandApp:
     """A typer app as every command has it; errors are `main`'s to print."""
     # Markup would take the units in help texts, `[m]`, for tags.
-    return typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    return CommandApp(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
-def finite(value: float) -> float:
-    """Of an option whose number must have an end. Raises `typer.BadParameter`."""
-    if not math.isfinite(value):
-        raise typer.BadParameter(f"expected a finite number, got {value}")
-    return value
+def new_folder(text: str | Path) -> Path:
+    """A folder that can be made or is there. Raises `typer.BadParameter` before any work."""
+    return _place(text, "a folder", is_wrong=lambda path: path.exists() and not path.is_dir())
+
+
+def new_file(text: str | Path) -> Path:
+    """A file that can be written, its folder too. Raises `typer.BadParameter` before any work."""
+    return _place(text, "a file", is_wrong=Path.is_dir)
+
+
+def _place(text: str | Path, what: str, *, is_wrong: Callable[[Path], bool]) -> Path:
+    path = Path(text)
+    if text == "":
+        raise typer.BadParameter(f"expected {what} to write, got ''")
+    if is_wrong(path):
+        found = "a folder" if path.is_dir() else "a file"
+        raise typer.BadParameter(f"expected {what} to write, got {path}, which is {found}")
+    nearest = next(each for each in path.absolute().parents if each.exists())
+    if not nearest.is_dir():
+        raise typer.BadParameter(f"expected {what} to write, got {path}: {nearest} is a file")
+    if not path.exists() and not os.access(nearest, os.W_OK):
+        raise typer.BadParameter(f"expected {what} to write, got {path}: {nearest} is read-only")
+    return path
+
+
+def folder_option(help_text: str, **settings: Any) -> Any:
+    """An option of a folder to write, checked before any work is done."""
+    return typer.Option(parser=new_folder, metavar="PATH", help=help_text, **settings)
+
+
+def file_option(help_text: str, **settings: Any) -> Any:
+    """An option of a file to write, likewise."""
+    return typer.Option(parser=new_file, metavar="PATH", help=help_text, **settings)
+
+
+def service_url(text: str) -> str:
+    """http://host[:port] of a service. Raises `typer.BadParameter`."""
+    try:
+        Address.of(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    return text
+
+
+def url_option(help_text: str, **settings: Any) -> Any:
+    """An option of a service's URL."""
+    return typer.Option(parser=service_url, metavar="URL", help=help_text, **settings)
 
 
 PICTURE_SUFFIXES = (".png", ".svg")

@@ -30,6 +30,7 @@ from anchorflow_cli.options import (
     command_app,
     end_states,
     picture_option,
+    url_option,
 )
 from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
@@ -61,11 +62,13 @@ def plan(
     unknown_is_free: UnknownIsFreeOption = False,
     out: Annotated[Path | None, picture_option("Picture to draw")] = None,
     url: Annotated[
-        str | None, typer.Option(help="Ask this server instead of the engine in-process.")
+        str | None, url_option("Ask this server instead of the engine in-process.")
     ] = None,
-    bundle: BundleOption = DEFAULT_BUNDLE,
+    bundle: BundleOption = None,
 ) -> None:
     """Plan on a ROS map; print a table of the anchors and, with --out, draw them."""
+    if url is not None and bundle is not None:
+        raise typer.BadParameter("expected --url or --bundle, got both")
     ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
     seen = map_window(ros_map, start[:2], goal[:2], size_m=window)
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
@@ -81,7 +84,7 @@ def plan(
         robot_radius=radius,
         horizon_s=horizon,
     )
-    anchors = ask_server(url, request) if url else ask_engine(bundle, request)
+    anchors = ask_server(url, request) if url else ask_engine(bundle or DEFAULT_BUNDLE, request)
     Console().print(table(anchors))
     if out is not None:
         draw(anchors, seen, start=start[:2], goal=goal[:2], path=out)

@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 
 import typer
 
-from anchorflow_cli.options import finite
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.http.tls import tls_context
 
@@ -55,13 +54,12 @@ NoticeOption = Annotated[
     float,
     typer.Option(
         min=0,
-        callback=finite,
         help="Time [s] from readiness turning false to the closing of the port.",
     ),
 ]
 DrainOption = Annotated[
     float,
-    typer.Option(min=0, callback=finite, help="Longest wait [s] for running requests on SIGTERM."),
+    typer.Option(min=0, help="Longest wait [s] for running requests on SIGTERM."),
 ]
 LogFormatOption = Annotated[LogFormat, typer.Option(help="Form of the log on stderr.")]
 LogLevelOption = Annotated[LogLevel, typer.Option(help="From `info` on every request is a line.")]

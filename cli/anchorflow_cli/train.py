@@ -22,7 +22,9 @@ from anchorflow_cli.training_command import (
     run_folder,
 )
 from anchorflow_training.config_file import config_text, layers
+from anchorflow_training.dataset import open_dataset
 from anchorflow_training.planners import TRAININGS, training_of
+from anchorflow_training.v2x.dataset import refuse_pairs
 
 app = command_app()
 
@@ -46,6 +48,8 @@ def train(
 ) -> None:
     """Train a planner; stop it any time and start it again with the same words."""
     training = training_of(planner, config)
+    if training.open_data is open_dataset:
+        refuse_pairs(dataset)
     data = training.open_data(dataset)
     base = {"model": training.run.model_settings(data)}
     settings = layers(training.config, base, config, given_settings(given, bfloat16=bfloat16))

@@ -7,13 +7,14 @@ from typing import Annotated, Any
 
 import typer
 
+from anchorflow_cli.options import folder_option
 from anchorflow_cli.run_report import reported
 from anchorflow_training.config_file import config_text
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import ConfigError
 
 OutOption = Annotated[
-    Path | None, typer.Option(help="Folder of the run; one that is there is resumed.")
+    Path | None, folder_option("Folder of the run; one that is there is resumed.")
 ]
 ConfigOption = Annotated[
     Path | None, typer.Option(help="YAML file of settings; options go over it.")

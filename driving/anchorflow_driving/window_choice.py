@@ -179,11 +179,11 @@ def _drawn(
     *,
     most: int,
 ) -> list[_Candidate]:
-    turning = _good(log, by_kind["turning"], rng, counts, most=round(most / 3))
+    turning = _good(log, by_kind["turning"], rng, counts, most=max(1, round(most / 3)))
     few = round(most * STANDING_SHARE)
     standing = _good(log, by_kind["standing"], rng, counts, most=min(few, 2 * len(turning)))
     # Where few turn, fewer drive straight on: a third of all logs' windows shall turn.
-    rest = 2 * len(turning) - len(standing)
+    rest = min(2 * len(turning), most - len(turning)) - len(standing)
     chosen = [*turning, *standing, *_good(log, by_kind["moving"], rng, counts, most=rest)]
     return sorted(chosen, key=lambda each: (each.driven.track, each.frame))
 

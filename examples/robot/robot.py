@@ -10,9 +10,10 @@ this program joins it to a client in real time.
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,10 +121,35 @@ def connect(options: argparse.Namespace) -> BaseClient:
     """A client over zenoh where it is asked for, else over HTTP."""
     timeout_s = 1e-3 * options.max_age
     if options.zenoh is None:
-        return AnchorClient(options.url, timeout_s=timeout_s)
+        try:
+            return AnchorClient(options.url, timeout_s=timeout_s)
+        except ValueError as error:
+            raise SystemExit(f"--url: {error}") from error
     from anchorflow_client.zenoh_client import ZenohAnchorClient  # an extra: anchorflow[zenoh]
 
     return ZenohAnchorClient(options.zenoh, timeout_s=timeout_s)
+
+
+def positive(text: str) -> float:
+    with suppress(ValueError):
+        if 0.0 < (value := float(text)) < math.inf:
+            return value
+    raise argparse.ArgumentTypeError(f"expected a finite number above 0, got {text!r}")
+
+
+def seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 0, got {text!r}")
+    return int(text)
+
+
+def gif_path(text: str) -> Path:
+    path = Path(text)
+    if path.suffix.lower() != ".gif" or not path.parent.is_dir() or path.is_dir():
+        raise argparse.ArgumentTypeError(
+            f"expected a file .gif in a folder that is there, got {text!r}"
+        )
+    return path
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -136,15 +162,17 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         "--worlds", metavar="FILE|drawn:N:SEED|forests:N:SEED", default="drawn:10:0"
     )
     parser.add_argument("--world", type=int, default=0, help="which of them")
-    parser.add_argument("--seed", type=int, default=0, help="of lidar noise and MPPI's samples")
+    parser.add_argument("--seed", type=seed, default=0, help="of lidar noise and MPPI's samples")
     parser.add_argument("--num", type=int, default=64, help="anchors a request")
     parser.add_argument("--style", choices=sorted(STYLES), default="balanced")
     parser.add_argument("--method", default="midpoint", help="of the sampler")
     parser.add_argument("--steps", type=int, default=2, help="of the sampler")
-    parser.add_argument("--max-age", type=float, default=1000.0, help="ms, of a plan")
-    parser.add_argument("--limit-s", type=float, default=50.0, help="time of the run")
+    parser.add_argument("--max-age", type=positive, default=1000.0, help="ms, of a plan")
+    parser.add_argument("--limit-s", type=positive, default=50.0, help="time of the run")
     parser.add_argument("--view", action="store_true", help="a live picture")
-    parser.add_argument("--record", type=Path, metavar="FILE.gif", help="an animation of the run")
+    parser.add_argument(
+        "--record", type=gif_path, metavar="FILE.gif", help="an animation of the run"
+    )
     return parser.parse_args(arguments)
 
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.keys import anchors_key
 from anchorflow_export.adapter import PlannerAdapter, PlannerParts, TracedGraph
 from anchorflow_export.errors import ExportError
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
@@ -101,6 +103,10 @@ def _write_file(path: Path, data: bytes) -> FileEntry:
 
 def _manifest(parts: PlannerParts, description: BundleDescription) -> Manifest:
     """As it is before there are graphs and files."""
+    try:
+        anchors_key(description.name)  # Under which the bundle is asked over zenoh.
+    except InvalidRequest as error:
+        raise ExportError(f"name: {error}") from error
     try:
         return Manifest(
             format=FORMAT,

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from anchorflow_benchmarks.programs import served
+from anchorflow_cli.bench_options import STUDENT
 from anchorflow_cli.main import main
 
 
@@ -69,7 +71,8 @@ def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("load", "--url", "http://192.0.2.1"), "expected a URL of this machine"),
+        (("load", "--url", "http://192.0.2.1"), "such as http://127.0.0.1:8000, got"),
+        (("load", "--url", "http://127.0.0.1:1"), "http://127.0.0.1:1: [Errno 111]"),
         (("load", "--clients", "0,x"), "--clients: expected whole numbers"),
         (("quality", "--baselines", "luck"), "'luck'"),
         (("quality", "--samplers", "rk4"), "'rk4'"),
@@ -90,3 +93,9 @@ def test_what_cannot_be_measured_is_one_line(
     assert line.startswith("anchorflow bench: ")
     assert message in line
     assert "\n" not in line
+
+
+def test_a_server_of_another_model_is_not_compared() -> None:
+    with served() as server, pytest.raises(SystemExit) as caught:
+        main(["bench", "load", "--url", server.url, "--bundle", str(STUDENT)])
+    assert "expected a server of flowmp-small-student" in str(caught.value.code)

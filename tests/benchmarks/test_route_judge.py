@@ -122,9 +122,12 @@ def test_a_file_of_routes_is_read_scene_by_scene(tmp_path: Path) -> None:
     assert load_routes(path, scenes=2, limit=2) == [[(0, 1), (-1, 0)], [(2,)]]
     with pytest.raises(BenchmarkError, match="expected the routes of 4 scenes, got 3"):
         load_routes(path, scenes=4)
-    for broken in (arrays | {"size": arrays["size"][:2]}, {"count": arrays["count"]}):
+    for broken, said in (
+        (arrays | {"size": arrays["size"][:2]}, "its counts do not add up"),
+        ({"count": arrays["count"]}, "expected the key 'size', found count"),
+    ):
         np.savez(path, allow_pickle=False, **broken)
-        with pytest.raises(BenchmarkError, match=r"routes\.npz: not a file of routes"):
+        with pytest.raises(BenchmarkError, match=rf"routes\.npz: not a file of routes \({said}"):
             read_routes(path)
 
 

@@ -176,3 +176,11 @@ def test_from_poses(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
         np.testing.assert_allclose(saved["velocities"][..., 0], 5.0, atol=1e-4)
     assert data("import", out, tmp_path / "d") == 0
     assert "T 16, D 3" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", [["data", "inspect"], ["train"]])
+def test_pairs_of_pictures_are_no_scenes(command: list[str], tmp_path: Path) -> None:
+    (tmp_path / "dataset.json").write_text('{"format": "v2x pairs 1"}')
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*command, str(tmp_path)])
+    assert "found pairs of pictures, of which --planner v2x_vlm learns" in str(ended.value.code)

@@ -14,7 +14,7 @@ from anchorflow_training.driving.sensor_windows import SensorSizes, SensorWindow
 
 
 def test_anchors_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    logs, out = write_bends(tmp_path, count=1), tmp_path / "made" / "anchors.npy"
+    logs, out = write_bends(tmp_path, count=1), tmp_path / "made" / "anchors.txt"
     with pytest.raises(SystemExit) as ended:
         main(["data", "anchors", str(logs), "--out", str(out), "--count", "3"])
     assert ended.value.code in (0, None)

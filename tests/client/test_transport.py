@@ -14,6 +14,7 @@ from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut
 from anchorflow_client.http.answer_parser import AnswerParser
 from anchorflow_client.http.async_socket_transport import AsyncSocketTransport
 from anchorflow_client.http.socket_transport import SocketTransport
+from anchorflow_client.http.transport import Address
 
 OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nX-Kind: test\r\n\r\nok"
 HEAD = len(
@@ -252,3 +253,12 @@ def test_a_refusal_is_heard_while_the_body_is_still_on_its_way(serve: Serve) -> 
     transport.close()
 
     assert (status, body) == (413, b"no")
+
+
+@pytest.mark.parametrize(
+    "url", ["nonsense", "http://127.0.0.1:abc", "http://127.0.0.1:70000", "http://[::1"]
+)
+def test_a_url_of_no_service_is_named(url: str) -> None:
+    with pytest.raises(ValueError, match="expected http://host") as caught:
+        Address.of(url)
+    assert f"got {url!r}" in str(caught.value)

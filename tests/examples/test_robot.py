@@ -53,3 +53,32 @@ def test_without_a_service_it_says_so_and_stands(
 def test_a_file_of_something_else_is_one_line(robot: Callable[[list[str]], None]) -> None:
     with pytest.raises(SystemExit, match=r"nowhere\.npz: not a file of worlds"):
         robot(["--alone", "--worlds", "nowhere.npz"])
+
+
+@pytest.mark.parametrize(
+    ("option", "given", "wanted"),
+    [
+        ("--max-age", "0", "expected a finite number above 0"),
+        ("--max-age", "nan", "expected a finite number above 0"),
+        ("--limit-s", "nan", "expected a finite number above 0"),
+        ("--limit-s", "-1", "expected a finite number above 0"),
+        ("--seed", "-1", "expected a whole number of at least 0"),
+        ("--record", "x.foo", "expected a file .gif in a folder that is there"),
+        ("--record", "nodir/x.gif", "expected a file .gif in a folder that is there"),
+    ],
+)
+def test_an_option_out_of_its_range_is_one_line(
+    robot: Callable[[list[str]], None],
+    option: str,
+    given: str,
+    wanted: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        robot(["--alone", f"{option}={given}"])
+    assert f"argument {option}: {wanted}, got {given!r}" in capsys.readouterr().err
+
+
+def test_a_url_of_no_service_is_one_line(robot: Callable[[list[str]], None]) -> None:
+    with pytest.raises(SystemExit, match=r"^--url: expected http://host.* got 'nonsense'$"):
+        robot(["--url", "nonsense"])

@@ -187,3 +187,13 @@ def test_an_open_horizon_needs_its_range(
     with pytest.raises(ExportError, match=r"ranges\.horizon_s"):
         export_bundle(adapter, description, out=tmp_path / "bundle")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a b/c", "flow*", "größe", ""])
+def test_a_name_that_no_key_can_hold_is_refused(
+    name: str, tmp_path: Path, small_flow: Any, description: Any, adapted: Any
+) -> None:
+    out = tmp_path / "bundle"
+    with pytest.raises(ExportError, match=r"name: .*expected a name without spaces"):
+        export_bundle(adapted(small_flow()), replace(description, name=name), out=out)
+    assert not out.exists()

@@ -94,3 +94,16 @@ def test_a_mean_of_what_does_not_fit_is_refused(
     with pytest.raises(SystemExit):
         main(["average", str(first), "--out", str(tmp_path / "mean.pt")])
     assert "expected two or more" in capsys.readouterr().err
+
+
+def test_a_file_of_something_else_is_no_checkpoint(first: Path, tmp_path: Path) -> None:
+    (tmp_path / "text.pt").write_text("weights")
+    (tmp_path / "cut.pt").write_bytes(first.read_bytes()[:1000])
+    for name in ("text.pt", "cut.pt"):
+        with pytest.raises(CheckpointError) as caught:
+            load_checkpoint(tmp_path / name)
+        assert str(caught.value) == (
+            f"{tmp_path / name}: not a checkpoint, or one that is cut short"
+        )
+    with pytest.raises(CheckpointError, match="Is a directory"):
+        load_checkpoint(tmp_path)

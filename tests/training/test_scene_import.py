@@ -272,3 +272,11 @@ def test_a_synthetic_dataset_can_be_trained_on(tmp_path: Path) -> None:
     meta = import_scenes(SyntheticTrajectoryDataset("bezier", 4), tmp_path / "out")
     assert meta["source"] == {"file": "synthetic-bezier"}
     assert len(open_dataset(tmp_path / "out")) == 4
+
+
+def test_samples_that_all_stand_still_are_refused(tmp_path: Path) -> None:
+    still = np.ones((2, STEPS, 2))
+    np.savez(tmp_path / "still.npz", positions=still, dt=0.1)
+    with pytest.raises(DatasetError, match=r"still\.npz: positions: expected a sample that moves"):
+        imported(tmp_path / "still.npz", tmp_path / "out")
+    assert not (tmp_path / "out").exists()

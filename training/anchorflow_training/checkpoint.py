@@ -56,11 +56,14 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 def load_checkpoint(path: Path) -> Checkpoint:
     """Read a checkpoint without running code from it; raises `CheckpointError`."""
     try:
-        return Checkpoint(**torch.load(path, map_location="cpu", weights_only=True))
+        saved = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
         raise CheckpointError(f"{path}: expected a checkpoint, found no file") from error
-    except Exception as error:
-        said = str(error).split("\n", 1)[0]
-        raise CheckpointError(
-            f"{path}: not a checkpoint of this version ({type(error).__name__}: {said})"
-        ) from error
+    except OSError as error:
+        raise CheckpointError(f"{path}: {error.strerror}") from error
+    except Exception as error:  # whatever torch raises of other bytes, with advice to run them
+        raise CheckpointError(f"{path}: not a checkpoint, or one that is cut short") from error
+    try:
+        return Checkpoint(**saved)
+    except TypeError as error:
+        raise CheckpointError(f"{path}: not a checkpoint of this version ({error})") from error

@@ -5,7 +5,6 @@ BARN: Perille, Truong, Xiao and Stone, "Benchmarking Metric CostFields Navigatio
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_benchmarks.array_files import read_arrays
 from anchorflow_benchmarks.closed_loop.widest_way import widest_way
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.grid_path import shortest_grid_path
@@ -67,9 +67,10 @@ def read_worlds(path: Path) -> list[World]:
     Raises:
         BenchmarkError: the file cannot be read or lacks a key.
     """
+    keys = ("cylinders", "offsets", "radius", "start", "goal", "path_length", "world")
+    read = read_arrays(path, keys, what="worlds")
     try:
-        with np.load(path) as file:
-            arrays = {name: file[name].astype(np.float64) for name in file.files}
+        arrays = {name: array.astype(np.float64) for name, array in read.items()}
         posts = np.split(arrays["cylinders"], arrays["offsets"].astype(int)[1:-1])
         radius, start, goal = float(arrays["radius"]), arrays["start"], arrays["goal"]
         rows = zip(arrays["world"], posts, arrays["path_length"], strict=True)
@@ -77,7 +78,7 @@ def read_worlds(path: Path) -> list[World]:
             World(f"BARN {int(number)}", centres, radius, start, goal, float(length))
             for number, centres, length in rows
         ]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (ValueError, TypeError) as error:
         raise BenchmarkError(f"{path}: not a file of worlds ({error})") from error
 
 

@@ -74,7 +74,13 @@ class Address:
             ValueError: `url` is not http://host[:port] or https://host[:port], its host is no name
                 of one, its port is 0, or a path follows that no request could carry.
         """
-        parts = urlsplit(url)
+        try:
+            parts = urlsplit(url)
+            port = parts.port
+        except ValueError as error:
+            raise ValueError(
+                f"expected http://host[:port] or https://host[:port], got {url!r}: {error}"
+            ) from error
         if parts.scheme not in PORTS or not parts.hostname:
             raise ValueError(f"expected http://host[:port] or https://host[:port], got {url!r}")
         if not (parts.path.isascii() and parts.path.isprintable()) or " " in parts.path:
@@ -85,12 +91,11 @@ class Address:
             raise ValueError(
                 f"expected a host in http://host[:port], got {url!r}: {error}"
             ) from error
-        if parts.port == 0:
+        if port == 0:
             raise ValueError(f"expected a port from 1 to 65535, got {url!r}")
         authority = parts.netloc.rpartition("@")[2]
         named = authority if authority.isascii() else authority.encode("idna").decode()
-        port = parts.port or PORTS[parts.scheme]
-        return cls(parts.hostname, port, named, parts.scheme == "https")
+        return cls(parts.hostname, port or PORTS[parts.scheme], named, parts.scheme == "https")
 
     def tls(self) -> ssl.SSLContext | None:
         """What a connection is secured with, if it is: the system's authorities, HTTP/1.1."""

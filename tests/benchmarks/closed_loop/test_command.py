@@ -47,6 +47,7 @@ def test_it_drives_and_writes_its_tables(
         (("drawn:1:0", "--motions", "65"), "expected at least 66, for 64 anchors"),
         (("nowhere.npz",), "nowhere.npz: not a file of worlds"),
         (("drawn:1:0", "--sampler", "luck"), "'luck'"),
+        (("drawn:1:0", "--url", "http://127.0.0.1:1"), "http://127.0.0.1:1: [Errno 111]"),
     ],
 )
 def test_what_cannot_be_driven_is_one_line(

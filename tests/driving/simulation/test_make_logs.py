@@ -19,12 +19,12 @@ from anchorflow_driving.window import Scenes
 CONFIG = LogConfig(seed=3, seconds=12.0, windows=12)
 
 
-def made(folder: Path, *, logs: int) -> Path:
+def made(folder: Path, *, logs: int, config: LogConfig = CONFIG) -> Path:
     for module in ("sumo", "libsumo"):
         pytest.importorskip(module, reason=f"{module} is not installed")
     from anchorflow_driving.simulation.make_logs import make_logs
 
-    make_logs(folder, CONFIG, logs=logs, workers=logs)
+    make_logs(folder, config, logs=logs, workers=logs)
     return folder
 
 
@@ -98,3 +98,10 @@ def test_the_route_leads_along_what_was_driven(logs: list[DrivingLog]) -> None:
             driven = window.recorded(np.arange(0, 46) / 10)
             _, aside = window.view.route.project(driven[:, :2])
             assert np.abs(aside).max() < 2.5
+
+
+def test_a_log_has_no_more_windows_than_are_asked_for(tmp_path: Path) -> None:
+    for most in (1, 2, 5):
+        folder = made(tmp_path / str(most), logs=1, config=replace(CONFIG, windows=most))
+        (log,) = read_logs(folder)
+        assert log.windows == most

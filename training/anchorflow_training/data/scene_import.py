@@ -103,6 +103,11 @@ def import_scenes(
     """
     config = config or ImportConfig()
     limits = limits_of(dataset, config)
+    if not dataset.peak_speed.any():
+        raise DatasetError(
+            f"{dataset.path}: positions: expected a sample that moves, found {len(dataset)} that "
+            "stand still"
+        )
     left_out: Counter[str] = Counter(not_finite=len(dataset.left_out))
     left_out.update(off_map=0, collision=0, low_quality=0)
     arrays, written = None, 0

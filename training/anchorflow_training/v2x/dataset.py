@@ -159,6 +159,19 @@ def make_pairs(
     return open_pairs(out)
 
 
+def refuse_pairs(path: Path) -> None:
+    """Raises `DatasetError` of a folder of pairs, where scenes are expected."""
+    try:
+        meta = json.loads((path / META).read_text())
+    except (OSError, ValueError):
+        return  # whoever opens it says what it lacks
+    if isinstance(meta, dict) and meta.get("format") == FORMAT:
+        raise DatasetError(
+            f"{path}: expected a dataset of scenes, found pairs of pictures, of which "
+            "--planner v2x_vlm learns"
+        )
+
+
 def open_pairs(path: Path) -> PairDataset:
     """The pairs of a folder. Raises `DatasetError` naming the file that is wrong."""
     file = path / META

@@ -1,0 +1,121 @@
+"""Options that cannot be followed: refused before any work, in words that name them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from anchorflow_cli.main import main
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """What a command says, on one line, when it ends without having done its work."""
+    with pytest.raises(SystemExit) as caught:
+        main(arguments)
+    assert caught.value.code not in (0, None)
+    said = capsys.readouterr().err if caught.value.code == 2 else str(caught.value.code)
+    return " ".join(said.split())
+
+
+FILE_WANTED, FOLDER_WANTED = "expected a file to write, got", "expected a folder to write, got"
+
+
+@pytest.mark.parametrize(
+    ("command", "wanted"),
+    [
+        ("data make FILE", FOLDER_WANTED),
+        ("data import x.npz FILE", FOLDER_WANTED),
+        ("data drive --out FILE", FOLDER_WANTED),
+        ("data drive --out FILE/x", FOLDER_WANTED),
+        ("data crossings FILE", FOLDER_WANTED),
+        ("data pairs DIR FILE", FOLDER_WANTED),
+        ("data anchors DIR --out FILE/x.npy", FILE_WANTED),
+        ("data anchors DIR --out DIR", FILE_WANTED),
+        ("data frames log.npz --bundle DIR --out DIR", FILE_WANTED),
+        ("data import-log a.xml --out DIR", FILE_WANTED),
+        ("train DIR --out FILE", FOLDER_WANTED),
+        ("export a.pt --out FILE/x", FOLDER_WANTED),
+        ("average a.pt b.pt --out DIR", FILE_WANTED),
+        ("average a.pt b.pt --out EMPTY", FILE_WANTED),
+        ("distill a.pt DIR --out DIR --pairs FILE", FOLDER_WANTED),
+        ("generate --checkpoint a.pt --start 0,0 --goal 1,1 --out DIR", FILE_WANTED),
+        ("bench closed-loop drawn:1:0 --log DIR", FILE_WANTED),
+        ("bench quality --out FILE", FOLDER_WANTED),
+        ("bench drive --logs DIR --plans FILE", FOLDER_WANTED),
+    ],
+)
+def test_a_place_that_cannot_be_written(
+    command: str, wanted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    places = {"FILE": str(tmp_path / "file"), "DIR": str(tmp_path), "EMPTY": ""}
+    words = [
+        str(Path(places[word.split("/")[0]], *word.split("/")[1:]))
+        if "/" in word
+        else places.get(word, word)
+        for word in command.split()
+    ]
+    assert f"{wanted} {words[-1] or repr('')}" in refused(capsys, *words)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "data drive --out x --seconds inf",
+        "data frames log.npz --bundle x --out x.json --every nan",
+        "data frames log.npz --bundle x --out x.json --every inf",
+        "bench serving --budget-ms nan",
+        "bench drive-closed-loop --seconds inf",
+        "serve --drain-s inf",
+    ],
+)
+def test_a_number_without_an_end(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    *words, option, number = command.split()
+    said = refused(capsys, *words, option, number)
+    assert f"'{option}': expected a finite number, got {number}" in said
+
+
+def test_a_budget_below_0(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--budget-ms: expected a number" in refused(
+        capsys, "bench", "serving", "--budget-ms", "-5"
+    )
+
+
+@pytest.mark.parametrize("url", ["nonsense", "127.0.0.1", "http://127.0.0.1:abc", ""])
+@pytest.mark.parametrize(
+    "command",
+    [
+        "plan --map no.yaml --start 0,0 --goal 1,1",
+        "bench load",
+        "bench closed-loop drawn:1:0",
+    ],
+)
+def test_a_url_of_no_service(command: str, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+    said = refused(capsys, *command.split(), "--url", url)
+    assert f"'--url': expected http://host[:port] or https://host[:port], got {url!r}" in said
+
+
+def test_a_server_and_a_bundle(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "plan --map no.yaml --start 0,0 --goal 1,1 --bundle x --url http://127.0.0.1"
+    assert "expected --url or --bundle, got both" in refused(capsys, *words.split())
+
+
+def test_no_host(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--host: expected an address, such as 127.0.0.1, got ''" in refused(
+        capsys, "serve", "--host", "", "--port", "0"
+    )
+
+
+def test_a_square_too_small(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from PIL import Image
+
+    Image.fromarray(np.full((100, 100), 254, np.uint8)).save(tmp_path / "map.pgm")
+    (tmp_path / "map.yaml").write_text(
+        "image: map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    words = f"generate --checkpoint a.pt --start 1,1 --goal 9,9 --map {tmp_path}/map.yaml --size 3"
+    assert "--size: expected more than 8 m" in refused(capsys, *words.split())
