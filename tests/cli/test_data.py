@@ -94,7 +94,7 @@ def test_inspect_a_file(file: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_errors_are_one_line(file: Path, tmp_path: Path) -> None:
     assert "my.npz: dt: expected" in str(data("import", file, tmp_path / "d"))
     assert "dataset.json" in str(data("inspect", tmp_path))
-    (tmp_path / "a.pkl").write_bytes(pickle.dumps(np.zeros((2, 9, 2))))
+    (tmp_path / "a.pkl").write_bytes(pickle.dumps(np.ones((2, 9, 2)).cumsum(1)))
     assert "--allow-pickle" in str(data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1))
     assert data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1, "--allow-pickle") == 0
     sheet = tmp_path / "absent" / "sheet.svg"
@@ -104,15 +104,13 @@ def test_errors_are_one_line(file: Path, tmp_path: Path) -> None:
 
 
 def test_wrong_words_are_one_line(file: Path, tmp_path: Path) -> None:
-    torch.save({"trajectories": torch.zeros(2, 9, 2), "horizon": 1.0}, tmp_path / "a.pt")
+    torch.save({"trajectories": torch.ones(2, 9, 2).cumsum(1), "horizon": 9.0}, tmp_path / "a.pt")
     assert data("import", tmp_path / "a.pt", tmp_path / "d") == 0
     assert "no such file" in str(data("inspect", tmp_path / "none"))
     ends = ("--horizon-s", 8)
     for words, said in (
-        (("import", file, file, *ends), "expected a folder to write to"),
         (("import", file, tmp_path / "e", *ends, "--v-max", -1), "v_max: expected a finite number"),
         (("import", file, tmp_path / "e", *ends, "--least-quality", 1), "quality: expected"),
-        (("make", file, "--scenes", 1, "--workers", 1), "expected a folder to write to"),
     ):
         answer = str(data(*words))
         assert said in answer
