@@ -60,17 +60,16 @@ def proposals(
 def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
     """Draw trajectories in every window of a log, score them, and keep that beside the log."""
     torch.set_num_threads(1)
-    generator = torch.Generator().manual_seed(
-        int(hashlib.sha256(log.name.encode()).hexdigest()[:8], 16)
-    )
+    seed = int.from_bytes(hashlib.sha256(log.name.encode()).digest()[:4], "big")
+    generator = torch.Generator().manual_seed(seed)
+    windows = Scenes(read_log(log))
+    plans = [drawn(model, window, generator) for window in windows]
+    scored = zip(windows, plans, strict=True)
+    told = [PdmScorer(window).score(each.astype(np.float64)).sub_scores for window, each in scored]
+    # A log without windows has no rows, not even of a shape.
     count, steps = PER_WAY * (model.config.picked + 1), model.config.num_steps
-    trajectories = np.empty((0, count, steps, POSE), np.float32)
-    scores = np.empty((0, count, len(SUB_SCORES)), np.float16)
-    for window in Scenes(read_log(log)):
-        plans = drawn(model, window, generator)
-        told = PdmScorer(window).score(plans.astype(np.float64)).sub_scores
-        trajectories = np.concatenate([trajectories, plans[None]])
-        scores = np.concatenate([scores, told[None].astype(np.float16)])
+    trajectories = np.array(plans, np.float32).reshape(-1, count, steps, POSE)
+    scores = np.array(told, np.float16).reshape(-1, count, len(SUB_SCORES))
     write_beside(log.with_suffix(suffix), trajectories=trajectories, scores=scores)
 
 
