@@ -60,8 +60,8 @@ class GoalFlowConfig:
     goals: K of the vocabulary; picked: how many of them trajectories are drawn to, a shadow beside
     spacing: m that picked goals keep from each other
     sigma: spread of the noise, in units of what trajectories stray from the way to their goal
-    outcomes: whether trajectories are scored by what is learnt to become of them; otherwise by the
-        rules of `trajectory_score`
+    outcomes: whether trajectories are scored by what is learnt to become of them, too, and not by
+        the rules of `trajectory_score` alone
     backbone: "mlp" or "transformer", the network that is the vector field
     width, layers: of the backbone; channels: of the scene encoder's first level
     feature_channels: that poses look up at their places

@@ -25,7 +25,8 @@ ROWS, FILES = (FRONT, 0.53, 0.28), (-1.0, 0.0, 1.0)
 AHEAD_S = (0.5, 0.9)
 """That the time to collision looks ahead."""
 LOOKS_S = (0.0, 0.5, 1.0, -0.5)
-WIDER = (2.0, 1.2)  # m, in length and width
+"""How far ahead of its plan the ego is taken to be, each time that it is asked whom it meets."""
+WIDER = (2.0, 1.2)  # m more in length and width, of the ego that is asked once more
 LOOKS = len(LOOKS_S) + 1
 PULL = 1.5  # m/s², of a car that nothing holds up
 HALF, SHARP = 0.5, 0.1  # of a cell's share: what counts as covered, and how sharply
@@ -63,7 +64,10 @@ class Motion(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """[B, N] each, from 0 to 1: what can be said of a trajectory without having learnt it."""
+    """[B, N] each, from 0 to 1: what can be said of a trajectory without having learnt it.
+
+    on_road: DAC; clear: NC; ahead: TTC; comfort: C; progress: of the way that a clear road allows
+    """
 
     on_road: Tensor
     clear: Tensor
@@ -99,8 +103,8 @@ def rules_of(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFl
 
 
 def met(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFlowConfig) -> Tensor:
-    """[B, N, LOOKS · T]: how much of a cell under the ego's front is taken at each pose; so much
-    later at the same speed, or before it; and under a front that is wider.
+    """[B, N, LOOKS · T]: how much of a cell under the ego's front is taken at each pose, for each of
+    LOOKS_S; and then for an ego that is WIDER.
     """
     layer = torch.arange(poses.shape[-2], device=poses.device) + 1
     last = around.occupied.shape[1] - 1
