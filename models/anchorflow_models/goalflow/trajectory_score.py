@@ -103,8 +103,8 @@ def rules_of(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFl
 
 
 def met(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFlowConfig) -> Tensor:
-    """[B, N, LOOKS · T]: how much of a cell under the ego's front is taken at each pose, for each of
-    LOOKS_S; and then for an ego that is WIDER.
+    """[B, N, LOOKS · T]: how much of a cell under the ego's front is taken at each pose, for each
+    of LOOKS_S; and then for an ego that is WIDER.
     """
     layer = torch.arange(poses.shape[-2], device=poses.device) + 1
     last = around.occupied.shape[1] - 1
