@@ -5,7 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from anchorflow_models.generation.checks import check
-from anchorflow_models.transfuser import CAR, Places, TransfuserConfig, small_transfuser
+from anchorflow_models.transfuser import (
+    CAR,
+    Places,
+    TransfuserConfig,
+    foretold_times,
+    small_transfuser,
+)
 from anchorflow_trajectory.ddim import NoiseLevels
 
 POSES = 8
@@ -13,12 +19,7 @@ FIRST_S = STEP_S = 0.5  # s
 POSE_TIMES = tuple(FIRST_S + STEP_S * pose for pose in range(POSES))
 """s; a trajectory's poses are at 0.5 … 4.0 s."""
 
-FORETOLD_S = 0.25  # s, from one map to the next
-LOOKAHEAD = (0, 1, 2, 3, 4)
-"""Steps of FORETOLD_S after each pose at which both scorers ask who is there."""
-POSE_MAPS = tuple(round(time / FORETOLD_S) - 1 for time in POSE_TIMES)
-"""The map of each pose among those of FORETOLD_TIMES."""
-FORETOLD_TIMES = tuple(FORETOLD_S * (step + 1) for step in range(POSE_MAPS[-1] + LOOKAHEAD[-1] + 1))
+FORETOLD_TIMES = foretold_times(POSES, STEP_S)
 """s, for which is foretold where others will be."""
 
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}

@@ -42,6 +42,7 @@ from anchorflow_models.transfuser import (
     SemanticHead,
     SweepMotion,
     TransfuserBackbone,
+    moved_ahead,
     with_far,
 )
 
@@ -149,14 +150,9 @@ class Perception(nn.Module):
         spread = F.interpolate(coarse, size=size, mode="bilinear", align_corners=False)
         parts = [spread, upscaled]
         if self.ground is not None:
-            parts = [_before(part, self.ground_rows) for part in parts]
+            parts = [moved_ahead(part, self.ground_rows) for part in parts]
             parts.append(self.ground(camera, parts[1], status / self.status_units))
         return self.joined(torch.cat(parts, 1).permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
-
-
-def _before(bev: Tensor, rows: int) -> Tensor:
-    """A BEV of a square so many rows farther ahead, where nothing is known of those."""
-    return F.pad(bev[:, :, : bev.shape[2] - rows], (0, 0, rows, 0))
 
 
 class DiffusionDriveV2(nn.Module):

@@ -7,17 +7,9 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from anchorflow_models.diffusiondrive.bev_attention import BevAttention
-from anchorflow_models.diffusiondrive.config import (
-    FORETOLD_S,
-    LOOKAHEAD,
-    POSE_MAPS,
-    POSES,
-    STEP_S,
-    DiffusionDriveConfig,
-)
+from anchorflow_models.diffusiondrive.config import POSES, STEP_S, DiffusionDriveConfig
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.trajectories import (
     HEADING_FEATURES,
@@ -28,15 +20,12 @@ from anchorflow_models.diffusiondrive.trajectories import (
     with_halfway,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
-from anchorflow_models.layers.lookup import lookup
 from anchorflow_models.layers.scalar_head import scalar_head
-from anchorflow_models.layers.zero import zero_linear
-from anchorflow_models.transfuser import BevValues, Footprint, bev_places, placed
+from anchorflow_models.transfuser import BevValues, Encounters, Footprint
 
 SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
 DIRECTION = "DDC"
 """Driving direction compliance, which stands behind SUB_SCORES where it is foretold too."""
-LEAST_SHARE = 1e-3
 
 
 def pdm_score(sub_scores: Tensor) -> Tensor:
@@ -193,55 +182,29 @@ class SeenUnder(nn.Module):
         return x + self.footprint(self.values(bev), with_halfway(candidates))
 
 
-class Encounters(nn.Module):
-    """Adds to candidates who will be where they lead: in each pose, and within a second of it at
-    its speed and heading, as the PDM score's collisions and time to collision ask; without
-    `encounters`, nothing.
-    """
+def encounters(config: DiffusionDriveConfig) -> Encounters | None:
+    """Those of a scorer, where it has some."""
+    if not config.encounters:
+        return None
+    width = config.scorer_width
+    return Encounters(
+        width,
+        hidden=width // 3,
+        steps=POSES,
+        step_s=STEP_S,
+        places=config.encounters,
+        backbone=config.backbone,
+    )
 
-    places: Tensor
-    maps: Tensor
-    ahead: Tensor
 
-    def __init__(self, config: DiffusionDriveConfig) -> None:
-        super().__init__()
-        backbone, self.told = config.backbone, bool(config.encounters)
-        self.reach, self.beyond = backbone.lidar_range, backbone.far_range
-        if not self.told:
-            return
-        count, width = len(config.encounters) * len(LOOKAHEAD), config.scorer_width // 3
-        self.register_buffer("places", torch.tensor(config.encounters), persistent=False)
-        at = [POSE_MAPS[pose] + step for pose in range(POSES) for step in LOOKAHEAD]
-        self.register_buffer("maps", torch.tensor(at), persistent=False)
-        self.register_buffer("ahead", FORETOLD_S * torch.tensor(LOOKAHEAD), persistent=False)
-        self.pose = nn.Linear(count, width)
-        self.times = nn.Parameter(0.02 * torch.randn(POSES, width))
-        self.whole = zero_linear(POSES * width + len(LOOKAHEAD), config.scorer_width)
-
-    def forward(self, x: Tensor, candidates: Tensor, foretold: Tensor | None) -> Tensor:
-        """x: [B, M, F]; candidates: [B, M, T, 3]; foretold: [B, FORETOLD_TIMES, H', H]"""
-        if not self.told:
-            return x
-        assert foretold is not None  # as `Perception` tells it
-        share = (foretold + LEAST_SHARE).log() / 3 + 1  # shares of thousandths tell something too
-        points = placed(self._moved_on(candidates), self.places)
-        points = bev_places(points, self.reach, beyond=self.beyond)
-        # [B, M, T, L, P, 2]: each in the map of its time.
-        points = points.permute(0, 2, 3, 1, 4, 5).flatten(1, 2).flatten(0, 1)
-        values = share[:, self.maps].flatten(0, 1)[..., None]
-        found = lookup(values, points.flatten(1, 2)).unflatten(1, (-1, len(self.places)))
-        found = found[..., 0].unflatten(0, (-1, POSES, len(LOOKAHEAD))).permute(0, 3, 1, 2, 4)
-        pose = F.relu(self.pose(found.flatten(3)) + self.times).flatten(2)
-        return x + self.whole(torch.cat([pose, found.amax((2, 4))], -1))
-
-    def _moved_on(self, candidates: Tensor) -> Tensor:
-        """[B, M, T, L, 3]: the poses, and where their speed and heading lead from them."""
-        way = candidates[..., :2]
-        way = way - torch.cat([torch.zeros_like(way[:, :, :1]), way[:, :, :-1]], 2)
-        on = way.norm(dim=-1, keepdim=True) / STEP_S * self.ahead
-        heading = candidates[..., 2:]
-        moved = torch.stack([on * heading.cos(), on * heading.sin(), torch.zeros_like(on)], -1)
-        return candidates[..., None, :] + moved
+def met(
+    encounters: Encounters | None, x: Tensor, candidates: Tensor, foretold: Tensor | None
+) -> Tensor:
+    """x [B, M, F], and whom candidates [B, M, T, 3] meet where that is foretold."""
+    if encounters is None:
+        return x
+    assert foretold is not None  # as `Perception` tells it
+    return encounters(x, candidates, foretold)
 
 
 class CoarseScorer(nn.Module):
@@ -256,13 +219,13 @@ class CoarseScorer(nn.Module):
             nn.Linear(width, width),
         )
         self.motion, self.under = ToldMotion(config), SeenUnder(config)
-        self.met = Encounters(config)
+        self.met = encounters(config)
         self.layer = ScorerLayer(config)
 
     def forward(self, candidates: Tensor, scene: SceneFeatures) -> Scored:
         """candidates: [B, M, T, 3]"""
         x = self.motion(self.embed(embedded_poses(candidates)), candidates, scene.motion)
-        x = self.met(self.under(x, candidates, scene.bev), candidates, scene.foretold)
+        x = met(self.met, self.under(x, candidates, scene.bev), candidates, scene.foretold)
         return self.layer(x, candidates[..., :2], scene)
 
 
@@ -272,7 +235,7 @@ class FineScorer(nn.Module):
     def __init__(self, config: DiffusionDriveConfig) -> None:
         super().__init__()
         self.motion, self.under = ToldMotion(config), SeenUnder(config)
-        self.met = Encounters(config)
+        self.met = encounters(config)
         self.layers = nn.ModuleList(ScorerLayer(config) for _ in range(config.fine_layers))
 
     def forward(self, candidates: Tensor, features: Tensor, scene: SceneFeatures) -> list[Scored]:
@@ -280,7 +243,7 @@ class FineScorer(nn.Module):
         made = []
         features = self.motion(features, candidates, scene.motion)
         features = self.under(features, candidates, scene.bev)
-        features = self.met(features, candidates, scene.foretold)
+        features = met(self.met, features, candidates, scene.foretold)
         for layer in self.layers:
             scored = layer(features, candidates[..., :2], scene)
             features = scored.features

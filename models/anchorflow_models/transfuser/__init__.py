@@ -8,9 +8,10 @@ from anchorflow_models.transfuser.config import (
     TransfuserConfig,
     small_transfuser,
 )
+from anchorflow_models.transfuser.encounters import FORETOLD_S, Encounters, foretold_times
 from anchorflow_models.transfuser.far_sight import FarSight, with_far
 from anchorflow_models.transfuser.footprint import CAR, Footprint, Places, placed
-from anchorflow_models.transfuser.ground_sight import GROUND_WIDTH, GroundSight
+from anchorflow_models.transfuser.ground_sight import GROUND_WIDTH, GroundSight, moved_ahead
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
     AGENT_STATE,
@@ -26,6 +27,7 @@ __all__ = [
     "AGENT_QUERIES",
     "AGENT_STATE",
     "CAR",
+    "FORETOLD_S",
     "GROUND_WIDTH",
     "LIDAR_BEFORE",
     "MOTION",
@@ -35,6 +37,7 @@ __all__ = [
     "AgentHead",
     "BevFeatures",
     "BevValues",
+    "Encounters",
     "FarSight",
     "FeaturePyramid",
     "Footprint",
@@ -48,6 +51,8 @@ __all__ = [
     "TransfuserBackbone",
     "TransfuserConfig",
     "bev_places",
+    "foretold_times",
+    "moved_ahead",
     "placed",
     "small_transfuser",
     "with_far",

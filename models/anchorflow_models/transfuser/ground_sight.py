@@ -92,3 +92,8 @@ class GroundSight(nn.Module):
             seen.append(sees.float())
         where = torch.stack([x - config.ground_ahead, y]) / config.lidar_range
         return torch.stack(places).flatten(0, 2)[None].clamp(-2, 2), torch.stack(seen), where
+
+
+def moved_ahead(bev: Tensor, rows: int) -> Tensor:
+    """A BEV [B, C, h, h] of a square so many rows farther ahead; of those nothing is known."""
+    return F.pad(bev[:, :, : bev.shape[2] - rows], (0, 0, rows, 0))

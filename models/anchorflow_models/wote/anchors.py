@@ -25,11 +25,12 @@ def arcs(count: int, *, steps: int, dt: float) -> Tensor:
     return torch.stack([chord * (heading / 2).cos(), chord * (heading / 2).sin(), heading], -1)
 
 
-def cells(places: Tensor, *, size: int, reach: float) -> Tensor:
+def cells(places: Tensor, *, size: int, reach: float, ahead: float = 0.0) -> Tensor:
     """Which cell of a BEV a place lies in: [..., 2] m -> one-hot [..., size²].
 
-    The grid covers ±reach; row 0 lies farthest ahead, column 0 farthest left. A place beyond the
-    edge counts to the cell at the edge.
+    The grid covers ±reach about a place that lies `ahead` of the ego; row 0 lies farthest ahead,
+    column 0 farthest left. A place beyond the edge counts to the cell at the edge.
     """
-    index = ((reach - places) / (2 * reach) * size).floor().clamp(0, size - 1).long()
+    middle = torch.tensor([ahead, 0.0]).to(places)
+    index = ((reach + middle - places) / (2 * reach) * size).floor().clamp(0, size - 1).long()
     return F.one_hot(index[..., 0] * size + index[..., 1], size * size).to(places.dtype)

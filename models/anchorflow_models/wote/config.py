@@ -8,8 +8,10 @@ from anchorflow_models.generation.checks import check
 from anchorflow_models.transfuser import (
     AGENT_QUERIES,
     CAR,
+    FORETOLD_S,
     Places,
     TransfuserConfig,
+    foretold_times,
     small_transfuser,
 )
 
@@ -65,6 +67,12 @@ class WoteConfig:
     rewards: what each counts
     footprint: m ahead and to the left of a pose, places at which the rewards look up the fine BEV
         in all poses of an anchor; published is none
+    encounters: likewise, places at which the rewards look up who will be there when the pose is
+        reached and within a second of it, if all go on as two sweeps of the LiDAR show, and as the
+        front camera does beyond them; published is none
+    ground_sight: whether the cameras' picture is also looked up on the ground, and all that look at
+        the BEV look at a square as large as the LiDAR's that lies three eighths of its side farther
+        ahead; published is not
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.
@@ -87,6 +95,8 @@ class WoteConfig:
     semantic_classes: int = 8
     rewards: RewardWeights = field(default_factory=RewardWeights, metadata={"free": True})
     footprint: Places = ()
+    encounters: Places = ()
+    ground_sight: bool = False
     backbone: TransfuserConfig = field(default_factory=TransfuserConfig)
 
     def __post_init__(self) -> None:
@@ -99,11 +109,34 @@ class WoteConfig:
         check("kept", 0 <= self.kept <= self.anchors, f"from 0 to {self.anchors}", self.kept)
         ranked = self.offsets or self.kept in (0, self.anchors)
         check("kept", ranked, "0 without offsets, whose scores choose", self.kept)
+        if self.encounters:
+            check("encounters", self.backbone.lidar_before, "none without lidar_before", "some")
+            apart = self.dt / FORETOLD_S
+            check("dt", apart == int(apart), f"a multiple of {FORETOLD_S} for encounters", self.dt)
+        if self.ground_sight:
+            check("ground_sight", bool(self.footprint), "false without a footprint", True)
+            size = self.backbone.bev_size
+            check("backbone", size % 8 == 0, "a BEV of 8 n cells a side for ground_sight", size)
 
     @property
     def judged(self) -> int:
         """Anchors that the world model looks at, and that are answered."""
         return self.kept or self.anchors
+
+    @property
+    def bev_ahead(self) -> float:
+        """m by which the BEV that anchors are judged on lies before the LiDAR's square."""
+        return self.backbone.ground_ahead if self.ground_sight else 0.0
+
+    @property
+    def bev_rows(self) -> int:
+        """The same in rows of its tokens."""
+        return 3 * self.backbone.bev_size // 8 if self.ground_sight else 0
+
+    @property
+    def foretold_times(self) -> tuple[float, ...]:
+        """s, for which is foretold where others will be, with `encounters`."""
+        return foretold_times(self.num_steps, self.dt)
 
 
 def small_wote() -> WoteConfig:
@@ -117,5 +150,7 @@ def small_wote() -> WoteConfig:
         world_layers=1,
         agent_layers=1,
         footprint=CAR,
+        encounters=(*CAR, (5.0, 0.0)),
+        ground_sight=True,
         backbone=small_transfuser(),
     )

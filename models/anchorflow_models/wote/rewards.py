@@ -35,7 +35,8 @@ class RewardHead(nn.Module):
     def forward(
         self, ego: Tensor, bev: Tensor, future: Tensor, under: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """ego: [B, K, W]; bev: [B, M, W]; future: [B, K, M, W]; under: [B, K, W] of the footprint.
+        """ego: [B, K, W]; bev: [B, M, W]; future: [B, K, M, W]; under: [B, K, W] of footprint
+        and encounters.
 
         Returns logits of imitation [B, K] and of simulation [B, K, 5].
         """

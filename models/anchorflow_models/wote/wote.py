@@ -1,7 +1,7 @@
 """WoTE: anchors judged by what a latent world model imagines of each (Li et al., 2025).
 
-encode     camera, LiDAR, ego status   -> BEV tokens, ego, fine BEV; agents and semantics
-score      BEV tokens, ego, fine BEV   -> anchors moved by their offsets, rewards, scores
+encode     camera, LiDAR, ego status -> BEV tokens, ego, fine BEV, others; agents and semantics
+score      BEV tokens, ego, fine BEV, others -> anchors moved by their offsets, rewards, scores
 """
 
 from __future__ import annotations
@@ -13,15 +13,24 @@ from torch import Tensor, nn
 
 from anchorflow_models.layers.attention import Decoder, EncoderLayer
 from anchorflow_models.transfuser import (
+    GROUND_WIDTH,
     STATUS,
     STATUS_UNITS,
     AgentHead,
     BevValues,
+    Encounters,
+    FarSight,
     FeaturePyramid,
     Footprint,
+    GroundSemanticHead,
+    GroundSight,
+    Moving,
     OccupancyHead,
     SemanticHead,
+    SweepMotion,
     TransfuserBackbone,
+    moved_ahead,
+    with_far,
 )
 from anchorflow_models.wote.anchors import arcs, cells
 from anchorflow_models.wote.config import WoteConfig
@@ -42,7 +51,10 @@ class Seen:
     agents: [B, Q, 5] x, y, heading, length, width; agent_logits: [B, Q]
     semantic_logits: [B, classes, H/2, H] of the half before the ego
     occupancy_logits: [B, T, H/4, H/4] of where others will be when the poses are reached
+    upscaled: [B, C', H/4, H/4] the backbone's BEV
     fine: [B, h, h, C] what footprints look up, where there are any
+    foretold: [B, L, H', H] the share of each cell that others take at `foretold_times`, with
+        encounters; moving: where they are and how fast they move; far: beyond the LiDAR
     """
 
     bev: Tensor
@@ -51,7 +63,11 @@ class Seen:
     agent_logits: Tensor
     semantic_logits: Tensor
     occupancy_logits: Tensor
+    upscaled: Tensor
     fine: Tensor | None
+    foretold: Tensor | None
+    moving: Moving | None
+    far: Moving | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +131,19 @@ class WoTE(nn.Module):
         self.queries = nn.Parameter(torch.randn(1, config.agents, width))
         self.agent_decoder = Decoder(width, heads, hidden=hidden, layers=config.agent_layers)
         self.agent_head = AgentHead(width, hidden, reach=backbone.lidar_range)
-        self.semantics = SemanticHead(backbone, config.semantic_classes)
+        classes, channels = config.semantic_classes, backbone.bev_channels
+        self.ground: GroundSight | None = None
+        self.semantics: SemanticHead | GroundSemanticHead
+        self.future_semantics: SemanticHead | GroundSemanticHead
+        if config.ground_sight:
+            self.ground, pooled = GroundSight(backbone), backbone.upscaled_size // backbone.bev_size
+            self.ground_tokens = nn.Conv2d(GROUND_WIDTH, width, pooled, pooled)
+            self.semantics = GroundSemanticHead(backbone, GROUND_WIDTH, classes)
+            self.future_semantics = GroundSemanticHead(backbone, channels, classes)
+        else:
+            self.semantics = SemanticHead(backbone, classes)
+            self.future_semantics = SemanticHead(backbone, classes)
         self.future_pyramid = FeaturePyramid(width, backbone)
-        self.future_semantics = SemanticHead(backbone, config.semantic_classes)
 
         self.to_anchor = _mlp(poses, width, width)
         self.anchor_encoder = nn.Sequential(
@@ -137,20 +163,36 @@ class WoTE(nn.Module):
         )
         self.rewards = RewardHead(width, backbone.bev_size)
         if config.footprint:
-            self.fine_values = BevValues(backbone.bev_channels, backbone.bev_channels, kernel=1)
+            seen = channels + (GROUND_WIDTH if config.ground_sight else 0)
+            self.fine_values = BevValues(seen, channels, kernel=1)
             self.footprint = Footprint(
-                backbone.bev_channels,
+                channels,
                 width,
                 steps=config.num_steps,
                 places=config.footprint,
                 reach=backbone.lidar_range,
+                ahead=config.bev_ahead,
             )
-        self.occupancy = OccupancyHead(backbone.bev_channels, config.num_steps)
+        self.occupancy = OccupancyHead(channels, config.num_steps)
+        self.sweeps: SweepMotion | None = None
+        self.far: FarSight | None = None
+        if config.encounters:
+            self.sweeps, self.far = SweepMotion(backbone), FarSight(backbone)
+            self.met = Encounters(
+                width,
+                hidden=width // 2,
+                steps=config.num_steps,
+                step_s=config.dt,
+                places=config.encounters,
+                backbone=backbone,
+            )
 
     @property
     def context_for_score(self) -> tuple[str, ...]:
         """What `score` takes of what `encode` gives, in its order."""
-        return ("bev_tokens", "ego", *(["bev_fine"] if self.config.footprint else []))
+        fine = ("bev_fine",) if self.config.footprint else ()
+        foretold = ("foretold",) if self.config.encounters else ()
+        return ("bev_tokens", "ego", *fine, *foretold)
 
     def set_anchors(self, anchors: Tensor) -> None:
         """Take other anchors [K, T, 3]. Raises ValueError where their shape is another."""
@@ -170,14 +212,15 @@ class WoTE(nn.Module):
         lidar_before: as lidar, for a backbone that reads it.
 
         Returns by name: bev_tokens [B, M, W], ego [B, W], bev_fine [B, h, h, C] where there are
-        footprints; agents [B, Q, 5], agent_scores [B, Q] and bev_semantics [B, classes, H'/2, H'],
-        both in [0, 1].
+        footprints, foretold [B, L, H', H] where there are encounters; agents [B, Q, 5],
+        agent_scores [B, Q] and bev_semantics [B, classes, H/2, H], both in [0, 1].
         """
         seen = self.look(camera, lidar, ego_status, lidar_before)
         return {
             "bev_tokens": seen.bev,
             "ego": seen.ego,
             **({} if seen.fine is None else {"bev_fine": seen.fine}),
+            **({} if seen.foretold is None else {"foretold": seen.foretold}),
             "agents": seen.agents,
             "agent_scores": seen.agent_logits.sigmoid(),
             "bev_semantics": seen.semantic_logits.softmax(1),
@@ -188,10 +231,12 @@ class WoTE(nn.Module):
         bev_tokens: Tensor,
         ego: Tensor,
         bev_fine: Tensor | None = None,
+        foretold: Tensor | None = None,
         *,
         anchors: Tensor | None = None,
     ) -> Context:
-        """bev_tokens, ego, bev_fine as of `encode`; anchors: [K, W] where they are encoded already.
+        """bev_tokens, ego, bev_fine, foretold as of `encode`; anchors: [K, W] where they are
+        encoded already.
 
         Returns by name: trajectories [B, K', T, 3] m, m, rad; scores [B, K']; offsets [B, K', T, 3]
         from the anchors; im_rewards [B, K'], which sum to 1; sim_rewards [B, K', 5] in [0, 1]. K'
@@ -201,7 +246,7 @@ class WoTE(nn.Module):
         if self.config.judged < self.config.anchors:
             moved = moved.taken(moved.logits.topk(self.config.judged).indices)
         trajectories = self.anchors[moved.index] + moved.offsets
-        judged = self.judge(bev_tokens, moved, fine=bev_fine, poses=trajectories)
+        judged = self.judge(bev_tokens, moved, fine=bev_fine, foretold=foretold, poses=trajectories)
         return {
             "trajectories": trajectories,
             "scores": final_scores(judged.imitation, judged.simulation, self.config.rewards),
@@ -219,17 +264,34 @@ class WoTE(nn.Module):
     ) -> Seen:
         """What the sensors tell; shapes as of `encode`."""
         features = self.backbone(camera, lidar, lidar_before)
-        bev = self.to_bev(features.features).flatten(2).transpose(1, 2) + self.keys
+        status = ego_status / self.status_units
+        tokens, fine = self.to_bev(features.features), features.upscaled
+        looked_up = fine
+        if self.ground is not None:
+            fine = moved_ahead(fine, self.config.backbone.ground_rows)
+            ground = self.ground(camera, fine, status)
+            tokens = moved_ahead(tokens, self.config.bev_rows) + self.ground_tokens(ground)
+            fine, looked_up = torch.cat([fine, ground], 1), ground
+        bev = tokens.flatten(2).transpose(1, 2) + self.keys
+        moving = far = foretold = None
+        if self.sweeps is not None and self.far is not None:
+            before = torch.zeros_like(lidar) if lidar_before is None else lidar_before
+            moving, far = self.sweeps(lidar, before, features.upscaled), self.far(camera)
+            foretold = self.sweeps.foretold(with_far(moving, far), self.config.foretold_times)
         queries = self.agent_decoder(self.queries.expand(bev.shape[0], -1, -1), bev)
         agents, agent_logits = self.agent_head(queries)
         return Seen(
             bev,
-            self.to_ego(ego_status / self.status_units),
+            self.to_ego(status),
             agents,
             agent_logits,
-            self.semantics(features.upscaled),
+            self.semantics(looked_up),
             self.occupancy(features.upscaled),
-            self.fine_values(features.upscaled) if self.config.footprint else None,
+            features.upscaled,
+            self.fine_values(fine) if self.config.footprint else None,
+            foretold,
+            moving,
+            far,
         )
 
     def encoded_anchors(self) -> Tensor:
@@ -256,22 +318,32 @@ class WoTE(nn.Module):
         return Moved(index, each, offsets, self.to_offset_score(decoded).squeeze(-1))
 
     def judge(
-        self, bev: Tensor, moved: Moved, *, fine: Tensor | None, poses: Tensor | None = None
+        self,
+        bev: Tensor,
+        moved: Moved,
+        *,
+        fine: Tensor | None,
+        foretold: Tensor | None = None,
+        poses: Tensor | None = None,
     ) -> Judged:
         """Imagine what follows from each anchor and rate it.
 
-        bev: [B, M, W]; fine: [B, h, h, C], which footprints look up; poses: [B, K', T, 3] where
-            they look, as a rule the anchors' own
+        bev: [B, M, W]; fine: [B, h, h, C], which footprints look up; foretold: [B, L, H', H], which
+            encounters do; poses: [B, K', T, 3] where they look, as a rule the anchors' own
 
         Raises:
-            ValueError: footprints have nothing to look up.
+            ValueError: footprints or encounters have nothing to look up.
         """
         if fine is None and self.config.footprint:
             raise ValueError("fine: expected [B, h, h, C] for footprints, got None")
+        if foretold is None and self.config.encounters:
+            raise ValueError("foretold: expected [B, L, H', H] for encounters, got None")
         here, there = self._cells()
         ego, future = self.world_model(moved.ego, bev, here=here, there=there[moved.index])
         poses = self.anchors[moved.index] if poses is None else poses
         under = None if fine is None else self.footprint(fine, poses)
+        if foretold is not None:
+            under = self.met(torch.zeros_like(ego) if under is None else under, poses, foretold)
         imitation, simulation = self.rewards(ego, bev, future, under)
         return Judged(future, imitation, simulation)
 
@@ -286,9 +358,9 @@ class WoTE(nn.Module):
         backbone, steps = self.config.backbone, self.config.future_steps
         last = torch.arange(1, steps + 1) * self.config.num_steps // steps - 1
         places = self.anchors[:, last.clamp(min=0), :2]
-        size, reach = backbone.bev_size, backbone.lidar_range
-        here = cells(places.new_zeros(2), size=size, reach=reach)
-        return here, cells(places, size=size, reach=reach)
+        size, reach, ahead = backbone.bev_size, backbone.lidar_range, self.config.bev_ahead
+        here = cells(places.new_zeros(2), size=size, reach=reach, ahead=ahead)
+        return here, cells(places, size=size, reach=reach, ahead=ahead)
 
 
 def create_wote(config: WoteConfig) -> WoTE:

@@ -17,7 +17,7 @@ from anchorflow_models.diffusiondrive import (
     small_diffusiondrive,
 )
 from anchorflow_models.diffusiondrive.config import FORETOLD_TIMES
-from anchorflow_models.diffusiondrive.scorers import Encounters, Scored, SeenUnder, pdm_score
+from anchorflow_models.diffusiondrive.scorers import Scored, SeenUnder, encounters, pdm_score
 
 SMALL = small_diffusiondrive()
 OF_SCENE = ("agent_queries", "ego_query")
@@ -272,7 +272,8 @@ def met_by(candidates: Tensor, *, at_s: float, ahead: int = 6) -> Tensor:
     more, at that time alone.
     """
     torch.manual_seed(0)
-    met = Encounters(SMALL)
+    met = encounters(SMALL)
+    assert met is not None
     met.whole.weight.normal_()
     far = SMALL.backbone.far_size[0]
     free = torch.zeros(1, len(FORETOLD_TIMES), far + 64, 64)

@@ -24,21 +24,39 @@ from anchorflow_training.driving.wote_objective import (
     likely,
 )
 
+TOLD = replace(
+    TINY,
+    encounters=((0.0, 0.0),),
+    backbone=replace(TINY.backbone, lidar_before=True, lidar_size=64),
+)
+
 
 def batch(config: WoteConfig = TINY, B: int = 2) -> dict[str, Tensor]:
     generator = torch.Generator().manual_seed(3)
     rows, columns = config.backbone.semantic_size
     classes = torch.randint(0, config.semantic_classes, (2, B, rows, columns), generator=generator)
     driven = tiny_wote(config).anchors[[3, 7]]
+    cells, size = config.backbone.upscaled_size, config.backbone.lidar_size
+    others = {
+        "lidar_randomised": torch.rand(B, 1, size, size, generator=generator),
+        "agent_velocity": torch.ones(B, config.agents, 2),
+        "randomised_velocity": -torch.ones(B, config.agents, 2),
+        "far_others": torch.tensor([40.0, 0.0, 0.0, 9.0, 9.0]).expand(B, 1, -1),
+        "far_velocity": torch.ones(B, 1, 2),
+        "far_count": torch.ones(B),
+    }
     return {
         **sensors(config, B),
+        **(others if config.encounters else {}),
         "future": driven + torch.tensor([0.2, 0.1, 0.0]),
         "pdm": torch.rand(B, config.anchors, 5, generator=generator),
         "agents": 10 * torch.rand(B, config.agents, 5, generator=generator),
         "agent_count": torch.tensor([3, 0]),
         "semantics": classes[0],
         "future_semantics": classes[1],
-        "occupancy": (torch.rand(B, config.num_steps, 8, 8, generator=generator) < 0.2).byte(),
+        "occupancy": (
+            torch.rand(B, config.num_steps, cells, cells, generator=generator) < 0.2
+        ).byte(),
     }
 
 
@@ -60,10 +78,12 @@ def test_the_loss_is_the_weighted_sum_of_its_terms() -> None:
     torch.testing.assert_close(loss, torch.as_tensor(wanted))
 
 
-def test_every_weight_is_reached() -> None:
-    model = tiny_wote().train()
+@pytest.mark.parametrize("config", [TINY, TOLD], ids=["published", "told of others"])
+def test_every_weight_is_reached(config: WoteConfig) -> None:
+    model = tiny_wote(config).train()
     objective = WoteObjective(model, WoteObjectiveConfig())
-    loss, _ = objective(batch(), *objective.draw(2, 1, torch.Generator().manual_seed(0)))
+    loss, terms = objective(batch(config), *objective.draw(2, 1, torch.Generator().manual_seed(0)))
+    assert ({"motion", "far"} <= set(terms)) is bool(config.encounters)
     loss.backward()
     missed = [name for name, weight in model.named_parameters() if weight.grad is None]
     assert missed == []

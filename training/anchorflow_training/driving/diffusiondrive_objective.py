@@ -24,7 +24,6 @@ from anchorflow_models.diffusiondrive.config import SCHEDULES, TRAINED_LEVELS
 from anchorflow_models.diffusiondrive.denoiser import Denoised
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import Scored, pdm_score
-from anchorflow_models.transfuser import LIDAR_BEFORE
 from anchorflow_training.driving.diffusiondrive_losses import (
     FAILED,
     advantages,
@@ -36,10 +35,10 @@ from anchorflow_training.driving.likeness import distances, likeness_loss
 from anchorflow_training.driving.perception_losses import (
     agent_loss,
     focal_loss,
-    motion_loss,
     occupancy_loss,
+    sweep_losses,
 )
-from anchorflow_training.driving.sensor_windows import LIDAR_RANDOMISED, sensors_of
+from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import ddim_step, noised
 
@@ -226,26 +225,14 @@ class DiffusionDriveObjective(nn.Module):
         }
 
     def _motion(self, seen: Perceived, batch: Mapping[str, Tensor]) -> Terms:
-        """The terms `motion` and `far`, where there are encounters: of others that move as they did
-        and as chance has it, by the sweeps, and of those beyond, by the camera."""
+        """The terms `motion` and `far`, where there are encounters."""
         sweeps = self.model.perception.sweeps
         if sweeps is None:
             return {}
-        chance = sweeps(batch["lidar"], batch[LIDAR_RANDOMISED], seen.upscaled)
-        learnt = [(chance, batch["randomised_velocity"])]
-        if LIDAR_BEFORE in batch:
-            assert seen.moving is not None
-            learnt.append((seen.moving, batch["agent_velocity"]))
-        backbone = self.model.config.backbone
-        cell, reach = backbone.upscaled_cell, backbone.lidar_range
-        boxes, count = batch["agents"], batch["agent_count"]
-        losses = [
-            motion_loss(each, boxes, true, count, cell=cell, ahead=reach) for each, true in learnt
-        ]
+        assert seen.moving is not None
         assert seen.far is not None
-        far = (batch["far_others"], batch["far_velocity"], batch["far_count"])
-        beyond = motion_loss(seen.far, *far, cell=cell, ahead=reach + backbone.far_range)
-        return {"motion": torch.stack(losses).mean(), "far": beyond}
+        backbone = self.model.config.backbone
+        return sweep_losses(sweeps, seen.upscaled, seen.moving, seen.far, batch, backbone)
 
     def nearest(self, future: Tensor) -> Tensor:
         """[B]: the anchor whose points lie nearest to those of the record."""

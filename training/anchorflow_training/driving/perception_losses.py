@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 from torch.nn import functional as F
 
-from anchorflow_models.transfuser import Moving
+from anchorflow_models.transfuser import LIDAR_BEFORE, Moving, SweepMotion, TransfuserConfig
+from anchorflow_training.driving.sensor_windows import LIDAR_RANDOMISED
 
 HEADING = 2  # of x, y, heading, length, width
 MOVES = 0.5  # m/s
@@ -51,6 +54,35 @@ def motion_loss(
     apart = F.smooth_l1_loss(moving.velocity, true, reduction="none", beta=CLOSE).sum(1)
     weight = taken * (1 + (MOVING - 1) * (true.norm(dim=1) > MOVES))
     return (weight * apart).sum() / weight.sum().clamp(min=1.0) + THERE * told
+
+
+def sweep_losses(
+    sweeps: SweepMotion,
+    upscaled: Tensor,
+    moving: Moving,
+    far: Moving,
+    batch: Mapping[str, Tensor],
+    backbone: TransfuserConfig,
+) -> dict[str, Tensor]:
+    """The terms `motion` and `far`: of others that move as they did and as chance has it, by the
+    sweeps, and of those beyond, by the camera.
+
+    upscaled, moving, far: as they were seen in the batch, which holds lidar, lidar_randomised,
+        agents, agent_velocity, randomised_velocity, agent_count and far_others, far_velocity,
+        far_count; where it lacks lidar_before, `moving` teaches nothing
+    """
+    cell, reach = backbone.upscaled_cell, backbone.lidar_range
+    chance = sweeps(batch["lidar"], batch[LIDAR_RANDOMISED], upscaled)
+    learnt = [(chance, batch["randomised_velocity"])]
+    if LIDAR_BEFORE in batch:
+        learnt.append((moving, batch["agent_velocity"]))
+    boxes, count = batch["agents"], batch["agent_count"]
+    losses = [
+        motion_loss(each, boxes, true, count, cell=cell, ahead=reach) for each, true in learnt
+    ]
+    others = (batch["far_others"], batch["far_velocity"], batch["far_count"])
+    beyond = motion_loss(far, *others, cell=cell, ahead=reach + backbone.far_range)
+    return {"motion": torch.stack(losses).mean(), "far": beyond}
 
 
 def _inside(boxes: Tensor, count: Tensor, x: Tensor, y: Tensor) -> Tensor:

@@ -11,7 +11,12 @@ from torch.nn import functional as F
 
 from anchorflow_models.wote import WoTE
 from anchorflow_training.driving.likeness import distances, likeness_loss
-from anchorflow_training.driving.perception_losses import agent_loss, focal_loss, occupancy_loss
+from anchorflow_training.driving.perception_losses import (
+    agent_loss,
+    focal_loss,
+    occupancy_loss,
+    sweep_losses,
+)
 from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.settings import setting
 
@@ -36,6 +41,12 @@ class WoteObjectiveConfig:
     semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
     future_semantics: float = setting(0.1, "Of the semantic BEV that is imagined.", least=0)
     occupancy: float = setting(0.0, "Of where others will be; published has none.", least=0)
+    motion: float = setting(
+        0.5, "Of how fast others move, where the model compares two sweeps.", least=0
+    )
+    far: float = setting(
+        0.5, "Of who is beyond the LiDAR's square, where the model looks there.", least=0
+    )
     likeness: float = setting(1.0, "m, over which an anchor's soft label falls by e.", above=0)
     judged: int = setting(0, "Anchors that the world model looks at in a step; 0: all.", least=0)
     likely: int = setting(0, "Of them, how many are drawn by their offset scores.", least=0)
@@ -58,14 +69,15 @@ class WoteObjective(nn.Module):
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """batch: camera, lidar, ego_status, lidar_before as of `WoTE.encode`; future [B, T, 3] m,
         rad; pdm [B, K, 5] of the anchors in [0, 1]; agents [B, Q, 5] and agent_count [B];
-        semantics, future_semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1."""
+        semantics, future_semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1;
+        with encounters also what `sweep_losses` takes."""
         model, config = self.model, self.config
         seen = model.look(**sensors_of(batch))
         moved = model.move(seen.bev, seen.ego)
         distance = distances(model.anchors[None], batch["future"])
         nearest = distance.argmin(-1)
         chosen = self._chosen(order, nearest, likely(moved.logits.detach(), luck))
-        judged = model.judge(seen.bev, moved.taken(chosen), fine=seen.fine)
+        judged = model.judge(seen.bev, moved.taken(chosen), fine=seen.fine, foretold=seen.foretold)
         winner = nearest[:, None, None, None].expand(-1, 1, *moved.offsets.shape[2:])
         refined = model.anchors[nearest] + moved.offsets.gather(1, winner)[:, 0]
         pdm = batch["pdm"].gather(1, chosen[..., None].expand(-1, -1, batch["pdm"].shape[-1]))
@@ -84,6 +96,13 @@ class WoteObjective(nn.Module):
                 model.future_semantic_logits(judged.future[:, 0]), batch["future_semantics"]
             ),
         }
+        if model.sweeps is not None:
+            assert seen.moving is not None
+            assert seen.far is not None
+            backbone = model.config.backbone
+            terms |= sweep_losses(
+                model.sweeps, seen.upscaled, seen.moving, seen.far, batch, backbone
+            )
         if not model.config.offsets:
             terms = {name: term for name, term in terms.items() if not name.startswith("offset")}
         total = torch.stack([getattr(config, name) * term for name, term in terms.items()]).sum()

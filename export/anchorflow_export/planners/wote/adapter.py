@@ -89,10 +89,9 @@ class Score(nn.Module):
         with torch.no_grad():
             self.register_buffer("anchors", model.encoded_anchors(), persistent=False)
 
-    def forward(
-        self, bev_tokens: Tensor, ego: Tensor, bev_fine: Tensor | None = None
-    ) -> tuple[Tensor, ...]:
-        scored = self.model.score(bev_tokens, ego, bev_fine, anchors=self.anchors)
+    def forward(self, *context: Tensor) -> tuple[Tensor, ...]:
+        given = dict(zip(self.model.context_for_score, context, strict=True))
+        scored = self.model.score(**given, anchors=self.anchors)
         return tuple(scored[name] for name in SCORED)
 
 
@@ -145,7 +144,7 @@ class WoteAdapter:
         (scene,) = TensorConditioning(bundle.manifest).scenes(resolved)
         drawn = sampler.sample(scene, sampler.encode(scene, threads=1), threads=1, check=_go_on)
         context = self.model.encode(**inputs)
-        given = self.model.score(*(context[name] for name in self.model.context_for_score))
+        given = self.model.score(**{name: context[name] for name in self.model.context_for_score})
         states, scores = given["trajectories"][0].numpy(), given["scores"][0].numpy()
         # Scores that are nearly equal may stand in either order, so each is found by its place.
         apart = np.abs(drawn.states[:, None] - states).max((-2, -1))
