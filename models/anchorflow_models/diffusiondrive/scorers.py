@@ -21,21 +21,11 @@ from anchorflow_models.diffusiondrive.trajectories import (
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.layers.scalar_head import scalar_head
+from anchorflow_models.sub_scores import SUB_SCORES, pdm_score
 from anchorflow_models.transfuser import BevValues, Encounters, Footprint
 
-SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
 DIRECTION = "DDC"
 """Driving direction compliance, which stands behind SUB_SCORES where it is foretold too."""
-
-
-def pdm_score(sub_scores: Tensor) -> Tensor:
-    """[..., 5] in the order of SUB_SCORES -> [...]: NC DAC (5 EP + 5 TTC + 2 C) / 12.
-
-    Of [..., 6] also times the last, DDC, as the extended PDM score of NAVSIM v2 has it.
-    """
-    nc, dac, ep, ttc, comfort, *direction = sub_scores.unbind(-1)
-    score = nc * dac * (5 * ep + 5 * ttc + 2 * comfort) / 12
-    return score * direction[0] if direction else score
 
 
 @dataclass(frozen=True, eq=False)

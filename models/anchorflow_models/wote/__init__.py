@@ -1,11 +1,10 @@
 """WoTE: camera and LiDAR in, anchors judged by a latent world model."""
 
 from anchorflow_models.wote.config import RewardWeights, WoteConfig, small_wote
-from anchorflow_models.wote.rewards import SIMULATED, final_scores
+from anchorflow_models.wote.rewards import final_scores
 from anchorflow_models.wote.wote import Judged, Moved, Seen, WoTE, create_wote
 
 __all__ = [
-    "SIMULATED",
     "Judged",
     "Moved",
     "RewardWeights",

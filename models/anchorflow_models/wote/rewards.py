@@ -7,11 +7,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.layers.scalar_head import scalar_head
+from anchorflow_models.sub_scores import SUB_SCORES
 from anchorflow_models.wote.config import RewardWeights
 
-SIMULATED = ("NC", "DAC", "EP", "TTC", "C")
-"""The heads of the simulation reward, in this order wherever they appear."""
-_NC, _DAC, _EP, _TTC, _C = range(len(SIMULATED))
+_NC, _DAC, _EP, _TTC, _C = range(len(SUB_SCORES))
 TINY = 1e-6
 
 
@@ -30,7 +29,7 @@ class RewardHead(nn.Module):
         self.both = nn.Conv2d(width, width, 3, padding=1)
         self.with_ego = nn.Linear(2 * width, width)
         self.imitation = scalar_head(width)
-        self.simulation = nn.ModuleList(scalar_head(width) for _ in SIMULATED)
+        self.simulation = nn.ModuleList(scalar_head(width) for _ in SUB_SCORES)
 
     def forward(
         self, ego: Tensor, bev: Tensor, future: Tensor, under: Tensor | None = None

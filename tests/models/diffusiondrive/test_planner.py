@@ -17,7 +17,8 @@ from anchorflow_models.diffusiondrive import (
     small_diffusiondrive,
 )
 from anchorflow_models.diffusiondrive.config import FORETOLD_TIMES
-from anchorflow_models.diffusiondrive.scorers import Scored, SeenUnder, encounters, pdm_score
+from anchorflow_models.diffusiondrive.scorers import Scored, SeenUnder, encounters
+from anchorflow_models.sub_scores import pdm_score
 
 SMALL = small_diffusiondrive()
 OF_SCENE = ("agent_queries", "ego_query")

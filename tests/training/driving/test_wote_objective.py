@@ -133,6 +133,25 @@ def test_without_offsets_they_are_not_learnt() -> None:
     assert "offset_imitation" not in terms
 
 
+def test_rewards_may_be_learnt_as_they_count() -> None:
+    """EP, TTC and C of what passes alone, and the order of anchors beside."""
+    config = WoteObjectiveConfig(conditional=True, rank=2.0)
+    objective, given = WoteObjective(tiny_wote(), config), batch()
+    drawn = objective.draw(2, 1, torch.Generator())
+    given["pdm"] = given["pdm"].round()
+    loss, terms = objective(given, *drawn)
+    wanted = sum(getattr(config, name) * term for name, term in terms.items())
+    torch.testing.assert_close(loss, torch.as_tensor(wanted))
+    assert terms["rank"] > 0.1
+    failed = given["pdm"][..., :2].prod(-1) == 0
+    assert failed.any()
+    given["pdm"][..., 2:] = torch.where(failed[..., None], 0.5, given["pdm"][..., 2:])
+    changed = objective(given, *drawn)[1]
+    torch.testing.assert_close(changed["simulation"], terms["simulation"])
+    plain = WoteObjective(objective.model, WoteObjectiveConfig())
+    assert "rank" not in plain(given, *drawn)[1]
+
+
 def test_distances_and_labels() -> None:
     anchors = torch.zeros(2, 3, 3)
     anchors[1, :, 0] = 3.0

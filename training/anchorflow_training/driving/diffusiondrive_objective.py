@@ -23,13 +23,12 @@ from anchorflow_models.diffusiondrive import DiffusionDriveV2, Perceived
 from anchorflow_models.diffusiondrive.config import SCHEDULES, TRAINED_LEVELS
 from anchorflow_models.diffusiondrive.denoiser import Denoised
 from anchorflow_models.diffusiondrive.scene import SceneFeatures
-from anchorflow_models.diffusiondrive.scorers import Scored, pdm_score
+from anchorflow_models.diffusiondrive.scorers import Scored
+from anchorflow_models.sub_scores import pdm_score
 from anchorflow_training.driving.diffusiondrive_losses import (
     FAILED,
     advantages,
     pose_distance,
-    sub_score_loss,
-    wrong_order,
 )
 from anchorflow_training.driving.likeness import distances, likeness_loss
 from anchorflow_training.driving.perception_losses import (
@@ -39,6 +38,7 @@ from anchorflow_training.driving.perception_losses import (
     sweep_losses,
 )
 from anchorflow_training.driving.sensor_windows import sensors_of
+from anchorflow_training.driving.sub_score_losses import sub_score_loss, wrong_order
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import ddim_step, noised
 

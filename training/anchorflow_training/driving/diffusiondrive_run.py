@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from anchorflow_models.diffusiondrive import DiffusionDriveConfig, DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import POSES
-from anchorflow_models.diffusiondrive.scorers import pdm_score
+from anchorflow_models.sub_scores import pdm_score
 from anchorflow_training.batches import Batch
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.diffusiondrive_objective import (

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from anchorflow_models.sub_scores import pdm_score
 from anchorflow_models.wote import WoTE
 from anchorflow_training.driving.likeness import distances, likeness_loss
 from anchorflow_training.driving.perception_losses import (
@@ -18,6 +19,7 @@ from anchorflow_training.driving.perception_losses import (
     sweep_losses,
 )
 from anchorflow_training.driving.sensor_windows import sensors_of
+from anchorflow_training.driving.sub_score_losses import sub_score_loss, wrong_order
 from anchorflow_training.settings import setting
 
 TINY = 1e-9
@@ -37,6 +39,10 @@ class WoteObjectiveConfig:
     offset_imitation: float = setting(0.1, "Of the offset scores.", least=0)
     imitation: float = setting(1.0, "Of the imitation reward.", least=0)
     simulation: float = setting(1.0, "Of the five simulation rewards.", least=0)
+    conditional: bool = setting(
+        False, "Whether EP, TTC and C are learnt of anchors that pass NC and DAC alone."
+    )
+    rank: float = setting(0.0, "Of pairs of anchors in the wrong order.", least=0)
     agents: float = setting(1.0, "Of the boxes.", least=0)
     semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
     future_semantics: float = setting(0.1, "Of the semantic BEV that is imagined.", least=0)
@@ -85,7 +91,9 @@ class WoteObjective(nn.Module):
             "offset": F.l1_loss(refined, batch["future"]),
             "offset_imitation": self._likeness(moved.logits, distance),
             "imitation": self._likeness(judged.imitation, distance.gather(1, chosen)),
-            "simulation": F.binary_cross_entropy_with_logits(judged.simulation, pdm),
+            "simulation": sub_score_loss(judged.simulation, pdm)
+            if config.conditional
+            else F.binary_cross_entropy_with_logits(judged.simulation, pdm),
             "agents": agent_loss(
                 seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
             ),
@@ -96,6 +104,9 @@ class WoteObjective(nn.Module):
                 model.future_semantic_logits(judged.future[:, 0]), batch["future_semantics"]
             ),
         }
+        if config.rank:
+            scores = pdm_score(judged.simulation.sigmoid())
+            terms["rank"] = wrong_order(scores, pdm_score(pdm))
         if model.sweeps is not None:
             assert seen.moving is not None
             assert seen.far is not None

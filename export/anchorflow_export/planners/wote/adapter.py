@@ -19,8 +19,9 @@ from anchorflow_export.adapter import (
 )
 from anchorflow_export.planners.sensors import sensor_inputs
 from anchorflow_export.tracing import random_tensor, trace
+from anchorflow_models.sub_scores import SUB_SCORES
 from anchorflow_models.transfuser import AGENT_STATE, STATUS
-from anchorflow_models.wote import SIMULATED, WoTE, WoteConfig
+from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_models.wote.wote import POSE
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
@@ -46,7 +47,7 @@ def answer_extras(config: WoteConfig) -> tuple[TensorSpec, ...]:
     return (
         TensorSpec("offsets", F32, ("B", "N", config.num_steps, POSE), "m, m, rad"),
         TensorSpec("im_rewards", F32, ("B", "N"), range=(0.0, 1.0)),
-        TensorSpec("sim_rewards", F32, ("B", "N", len(SIMULATED)), range=(0.0, 1.0)),
+        TensorSpec("sim_rewards", F32, ("B", "N", len(SUB_SCORES)), range=(0.0, 1.0)),
         TensorSpec("agents", F32, ("B", config.agents, AGENT_STATE), "m, m, rad, m, m"),
         TensorSpec("agent_scores", F32, ("B", config.agents), range=(0.0, 1.0)),
         TensorSpec(
