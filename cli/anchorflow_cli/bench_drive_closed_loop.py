@@ -26,6 +26,10 @@ def drive_closed_loop(
         list[Path] | None,
         typer.Option("--bundle", help="Folder of a bundle that drives too; repeatable."),
     ] = None,
+    along_route: Annotated[
+        bool,
+        typer.Option("--along-route", help="Each bundle drives twice: then chosen by the route."),
+    ] = False,
     num: NumOption = 64,
     threads: ThreadsOption = None,
     routes: Annotated[int, typer.Option(min=1, help="How many, each on a net of its own.")] = 20,
@@ -50,7 +54,8 @@ def drive_closed_loop(
     chosen = baselines(names)
     for folder in bundle or []:
         driver = BundleDriver(folder, num=num, threads=threads)
-        chosen[driver.name] = driver
+        for each in (driver, driver.along_route()) if along_route else (driver,):
+            chosen[each.name] = each
     config = ClosedLoopConfig(seed=seed, length_m=length, seconds=seconds)
     with progress("driving", routes * len(chosen)) as advance:
         driven = drive_routes(chosen, config, routes=routes, progress=advance)

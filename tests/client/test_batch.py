@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client import AnchorBatch, ModelId
+from anchorflow_client import AnchorBatch, InvalidRequest, ModelId
 from anchorflow_client.contract.batch import ARRAY_DTYPES, NEAR
 
 MODEL = ModelId("lines", "1", "ab")
@@ -144,3 +144,55 @@ def test_told_anew_its_anchors_are_the_same() -> None:
     assert (first.request_id, second.request_id) == ("first", "second")
     assert (second.timing_ms, second.arrays) == ({"total": 2.0}, first.arrays)
     assert first.timing_ms != second.timing_ms
+
+
+def ways() -> AnchorBatch:
+    """Straight on, to the left, and twice to the right, the second worth more."""
+    ahead = np.linspace(0.0, 20.0, 4)
+    paths = np.stack([np.stack([ahead, slope * ahead], -1) for slope in (0.0, 0.5, -0.5, -0.45)])
+    scores, safe = np.array([0.9, 0.8, 0.3, 0.4]), np.ones(4, bool)
+    fields = dict.fromkeys(("velocities", "accelerations"), paths)
+    return batch(trajectories=paths, scores=scores, safe=safe, clearance=scores, **fields)
+
+
+def test_along_a_route_the_best_is_the_best_that_keeps_to_it() -> None:
+    right = [[0.0, 0.0], [10.0, -5.0], [10.0, -5.0], [40.0, -20.0]]
+    assert ways().best == 0
+    assert ways().best_along(right) == 3
+    assert ways().best_along(right, within=0.5) == 2  # the other strays by 0.9 m
+    assert ways().best_along([[0.0, 0.0], [40.0, 0.0]]) == 0
+    assert ways().best_along([[0.0, 0.0], [40.0, 0.0]], within=11.0) == 0
+
+
+def test_where_none_keeps_to_the_route_the_one_that_strays_least_is_taken() -> None:
+    assert ways().best_along([[0.0, 8.0], [40.0, 8.0]]) == 0
+    assert ways().best_along([[0.0, 3.0], [40.0, 23.0]], within=1.0) == 1
+
+
+def test_along_a_route_what_is_safe_comes_first() -> None:
+    given = ways()
+    arrays = {**given.arrays, "safe": np.array([True, True, True, False])}
+    told = AnchorBatch(arrays=arrays, dt=0.1, seed=7, model=MODEL, timing_ms={})
+    assert told.best_along([[0.0, 0.0], [40.0, -20.0]]) == 2
+
+
+@pytest.mark.parametrize(
+    ("route", "message"),
+    [
+        ([[0.0, 0.0]], r"route: expected two or more finite points \[V, 2\], got shape \[1, 2\]"),
+        ([0.0, 1.0], r"got shape \[2\]"),
+        ([[0.0, 0.0], [np.nan, 1.0]], "got some that are not"),
+        ("north", "route: expected an array of numbers"),
+    ],
+)
+def test_a_route_that_is_none_is_refused(route: Any, message: str) -> None:
+    with pytest.raises(InvalidRequest, match=message):
+        batch().best_along(route)
+
+
+def test_of_several_scenes_there_is_no_one_route() -> None:
+    given = batch()
+    arrays = {name: array[None] for name, array in given.arrays.items()}
+    several = AnchorBatch(arrays=arrays, dt=0.1, seed=7, model=MODEL, timing_ms={})
+    with pytest.raises(ValueError, match="best_along: expected the answer of one scene"):
+        several.best_along([[0.0, 0.0], [1.0, 0.0]])

@@ -28,6 +28,8 @@ from anchorflow_service.local import LocalClient
 
 Array = NDArray[np.float64]
 
+ALONG_MARK = "_along_route"
+"""At the end of the name of a driver that chooses by its route."""
 SEED_MARK = "_seed"
 """Before its number, at the end of the name of a driver whose noise is of another seed than 0."""
 
@@ -96,6 +98,7 @@ class BundleDriver:
         self._told = [name for name in told if name in extras]
         self._inputs = card.inputs
         self.name = card.name if sampler == CARD else f"{card.name}_{sampler.replace(':', '_')}"
+        self._by_route = False
         self._draws_noise = not isinstance(card.sampler, VocabularySpec)
         self._client = LocalClient(Engine(bundle, threads=threads))
 
@@ -108,10 +111,19 @@ class BundleDriver:
         other.name = f"{self.name}{SEED_MARK}{seed}"
         return other
 
+    def along_route(self) -> BundleDriver:
+        """The same engine, which is told no route, and whoever asks it chooses by the route."""
+        other = copy(self)
+        other._by_route = True
+        other.name = f"{self.name}{ALONG_MARK}"
+        return other
+
     def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array:
         """Its best proposal [T, 3]; NaN at times (s) that are none of PLAN_TIMES."""
-        proposals = self.propose(window)
-        poses = proposals.trajectories[proposals.best]
+        answer, _ = self._asked(window)
+        route = window.view.route.points
+        best = answer.best_along(route) if self._by_route else answer.best
+        poses = answer.trajectories[best].astype(np.float64)
         plan = np.full((len(times), 3), np.nan)
         for time, pose in zip(PLAN_TIMES, poses, strict=True):
             plan[np.isclose(times, time)] = pose
@@ -119,10 +131,7 @@ class BundleDriver:
 
     def propose(self, window: Window) -> Proposals:
         """What it answers on a window's view."""
-        started = perf_counter()
-        inputs = draw_inputs(window.view, self._inputs)
-        drawing_ms = 1e3 * (perf_counter() - started)
-        answer = self._client.plan(inputs=inputs, outputs=self._told, **self._options)
+        answer, drawing_ms = self._asked(window)
         arrays = answer.arrays
         return Proposals(
             trajectories=np.asarray(arrays["trajectories"], np.float64),
@@ -135,6 +144,14 @@ class BundleDriver:
             drawing_ms=drawing_ms,
             flow_ms=answer.timing_ms["sample"],
         )
+
+    def _asked(self, window: Window) -> tuple[AnchorBatch, float]:
+        """All that it tells of a window's view, and ms spent on its inputs."""
+        started = perf_counter()
+        inputs = draw_inputs(window.view, self._inputs)
+        drawing_ms = 1e3 * (perf_counter() - started)
+        answer = self._client.plan(inputs=inputs, outputs=self._told, **self._options)
+        return answer, drawing_ms
 
 
 def _doubles(answer: AnchorBatch, name: str) -> Array | None:

@@ -10,10 +10,11 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract.arrays import read_only
 from anchorflow_client.contract.card import ModelId
+from anchorflow_client.contract.route import beside_route
 
 ARRAY_DTYPES: dict[str, type[np.generic]] = {
     "trajectories": np.float32,
@@ -135,11 +136,29 @@ class AnchorBatch:
 
         Without `safe` all count, and without `scores` the first is the best.
         """
-        shape = self.trajectories.shape[:-2]
-        scores = self.arrays.get("scores", np.zeros(shape))
-        safe = self.arrays.get("safe", np.ones(shape, np.bool_))
-        eligible = safe | ~safe.any(axis=-1, keepdims=True)
-        return np.where(eligible, scores, -np.inf).argmax(axis=-1)
+        return _best(self.arrays, self.trajectories.shape[:-2])
+
+    def best_along(self, route: ArrayLike, *, within: float = 2.0) -> int:
+        """Index of the best anchor of those that keep to a route; of one scene.
+
+        Planners are told a goal or a command; whoever asks often knows the whole way. Of anchors
+        whose every step lies within some metres of it, the best as of `best`; where there is none,
+        the one that strays least.
+
+        route: [V, 2] m, a polyline in the request's frame; within: m
+
+        Raises:
+            InvalidRequest: the route is none of two or more finite points; names `route`.
+            ValueError: the answer is of several scenes.
+        """
+        if self.batched:
+            raise ValueError("best_along: expected the answer of one scene, got a B axis")
+        strays = beside_route(self.trajectories[..., :2], route).max(-1)
+        kept = np.flatnonzero(strays <= within)
+        if not len(kept):
+            return int(strays.argmin())
+        names = [name for name in ("scores", "safe") if name in self.arrays]
+        return int(kept[_best({name: self.arrays[name][kept] for name in names}, kept.shape)])
 
     @property
     def is_finite(self) -> bool:
@@ -157,6 +176,14 @@ class AnchorBatch:
         object.__setattr__(same, "timing_ms", timing_ms)
         object.__setattr__(same, "request_id", request_id)
         return same
+
+
+def _best(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.intp] | np.intp:
+    """What `AnchorBatch.best` says, of anchors of a shape [N] or [B, N]."""
+    scores = arrays.get("scores", np.zeros(shape))
+    safe = arrays.get("safe", np.ones(shape, np.bool_))
+    eligible = safe | ~safe.any(axis=-1, keepdims=True)
+    return np.where(eligible, scores, -np.inf).argmax(axis=-1)
 
 
 def _time_step(dt: Any) -> float | NDArray[np.float64]:

@@ -26,6 +26,7 @@ from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import CoarseScorer, FineScorer, Scored, least_of
 from anchorflow_models.diffusiondrive.trajectories import Variants
 from anchorflow_models.layers.attention import Decoder
+from anchorflow_models.layers.standstill import standing_still
 from anchorflow_models.transfuser import (
     AGENT_QUERIES,
     GROUND_WIDTH,
@@ -235,8 +236,9 @@ class DiffusionDriveV2(nn.Module):
         }
 
     def candidates(self, trajectories: Tensor, diversity: Tensor) -> Tensor:
-        """[B, M, T, 3]: the variants of trajectories [B, N, T, 3], and the vocabulary."""
-        made = self.variants(trajectories, diversity)
+        """[B, M, T, 3]: the variants of trajectories [B, N, T, 3], and the vocabulary; those that
+        hardly move stand."""
+        made = standing_still(self.variants(trajectories, diversity))
         if not len(self.vocabulary):
             return made
         return torch.cat([made, self.vocabulary.expand(made.shape[0], -1, -1, -1)], 1)

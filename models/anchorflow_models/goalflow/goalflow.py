@@ -30,6 +30,7 @@ from anchorflow_models.goalflow.trajectory_score import (
     rules_of,
     trajectory_scores,
 )
+from anchorflow_models.layers.standstill import standing_still
 
 Context = dict[str, Tensor]
 
@@ -192,7 +193,8 @@ class GoalFlow(nn.Module):
     def expected(
         self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: Context
     ) -> Tensor:
-        """Poses [B, N, T, 3] that x_t [B, N, T, S] is expected to come to at t = 1.
+        """Poses [B, N, T, 3] that x_t [B, N, T, S] is expected to come to at t = 1; those that
+        hardly move stand, but in training.
 
         modulation: [B, 1 or N, M]
         """
@@ -205,7 +207,8 @@ class GoalFlow(nn.Module):
         acceleration = (acceleration + GAINS[0] * change[..., 0]).clamp(-BRAKING, PULLING)
         curvature = (curvature + GAINS[1] * change[..., 1]).clamp(-SHARPEST, SHARPEST)
         speed = context["speed"][:, None].expand(acceleration.shape[:2])
-        return roll_out(speed, acceleration, curvature, dt=self.config.dt)
+        expected = roll_out(speed, acceleration, curvature, dt=self.config.dt)
+        return expected if self.training else standing_still(expected)
 
     def score(self, x_1: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
         """Scores [B, N] of trajectories and of the ways that they began on, [B, N, T, S]."""

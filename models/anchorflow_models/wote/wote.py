@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_models.layers.attention import Decoder, EncoderLayer
+from anchorflow_models.layers.standstill import standing_still
 from anchorflow_models.transfuser import (
     GROUND_WIDTH,
     STATUS,
@@ -245,12 +246,13 @@ class WoTE(nn.Module):
         moved = self.move(bev_tokens, ego, anchors)
         if self.config.judged < self.config.anchors:
             moved = moved.taken(moved.logits.topk(self.config.judged).indices)
-        trajectories = self.anchors[moved.index] + moved.offsets
+        chosen = self.anchors[moved.index]
+        trajectories = standing_still(chosen + moved.offsets)
         judged = self.judge(bev_tokens, moved, fine=bev_fine, foretold=foretold, poses=trajectories)
         return {
             "trajectories": trajectories,
             "scores": final_scores(judged.imitation, judged.simulation, self.config.rewards),
-            "offsets": moved.offsets,
+            "offsets": trajectories - chosen,
             "im_rewards": judged.imitation.softmax(-1),
             "sim_rewards": judged.simulation.sigmoid(),
         }

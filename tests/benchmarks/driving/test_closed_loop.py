@@ -47,14 +47,15 @@ def test_the_table_counts_how_routes_ended() -> None:
 
 def test_the_command_writes_it(tmp_path: Path) -> None:
     options = ["--drivers", "stop", "--routes", "1", "--seconds", "5", "--out", str(tmp_path)]
-    options += ["--bundle", str(DEFAULT_BUNDLE.parent / "goalflow")]
+    options += ["--bundle", str(DEFAULT_BUNDLE.parent / "goalflow"), "--along-route"]
 
     with pytest.raises(SystemExit) as ended:
         main(["bench", "drive-closed-loop", *options])
 
     assert not ended.value.code
     (table,) = json.loads((tmp_path / "drive_closed_loop.json").read_text())["tables"]
-    assert [row["driver"] for row in table["rows"]] == ["stop", "goalflow"]
+    names = [row["driver"] for row in table["rows"]]
+    assert names == ["stop", "goalflow", "goalflow_along_route"]
     assert table["rows"][0]["completed"] == 0
     assert table["rows"][1]["km"] > table["rows"][0]["km"]
 
