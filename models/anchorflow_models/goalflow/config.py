@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 BACKBONES = ("mlp", "transformer")
 MULTIPLES = {"channels": 8, "width": 4}
 """Groups of the scene encoder's normalisation, and heads of the transformer."""
+HALTINGS = (1.5, 3.0, 5.0)
+"""m/s² by which the halts brake: ways to no goal, which are driven as they are."""
 LEAST = {"goals": 8, "picked": 1, "feature_channels": 1, "width": 16, "layers": 1, "channels": 8}
 
 
@@ -57,7 +59,8 @@ class GoalFlowConfig:
     """Everything that fixes the network's shape and its units.
 
     num_steps: T; dt: s between two poses, the first dt from now
-    goals: K of the vocabulary; picked: how many of them trajectories are drawn to, a shadow beside
+    goals: K of the vocabulary; picked: how many of them trajectories are drawn to, beside a shadow
+        and halts
     spacing: m that picked goals keep from each other
     sigma: spread of the noise, in units of what trajectories stray from the way to their goal
     outcomes: whether trajectories are scored by what is learnt to become of them, too, and not by
@@ -100,3 +103,8 @@ class GoalFlowConfig:
         ):
             if not fits:
                 raise ValueError(f"{name}: expected {what}, got {got}")
+
+    @property
+    def ways(self) -> int:
+        """That trajectories begin on: to each picked goal, the shadow and the halts."""
+        return self.picked + 1 + len(HALTINGS)

@@ -5,8 +5,8 @@
     field      x_t on the way to a goal    -> dx/dt
     score      trajectories                -> scores
 
-A state is a pose (x, y, heading) and three numbers that no flow moves: whether it has a goal, and
-the acceleration and curvature of the way that it began on.
+A state is a pose (x, y, heading) and three numbers that no flow moves: whether it has a goal (1, 0
+or HALTS), and the acceleration and curvature of the way that it began on.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models.goalflow.config import GoalFlowConfig
+from anchorflow_models.goalflow.config import HALTINGS, GoalFlowConfig
 from anchorflow_models.goalflow.field import BACKBONES
 from anchorflow_models.goalflow.goals import WayScorer, WayScores, in_units, pick
 from anchorflow_models.goalflow.kinematics import BRAKING, PULLING, SHARPEST, arc_to, roll_out
@@ -45,6 +45,7 @@ FULL = 255.0
 BEND = 10.0  # m, in which networks hear of curvatures
 STRAYS = (0.4, 4.0)  # m, before the data are known, at the first pose and at the last
 SLOWEST_TURN = 1.0  # m/s; below it a curvature is noise
+HALTS = -1.0  # in place of whether it has a goal: the way itself is the trajectory
 GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
 
 
@@ -86,8 +87,8 @@ class GoalFlow(nn.Module):
         """bev: uint8 [B, C, H, W]; ego_status: [B, 8]; vehicle_size: [B, 2] length, width (m).
 
         Returns by name: goals [B, K, 2] and goal_scores [B, K], those that are picked first, then
-        by score; prior_mean [B, 1 + picked, T, S], the shadow last; prior_basis [B, 3T, T·S]; and
-        what the other graphs ask for.
+        by score; prior_mean [B, ways, T, S], the shadow and the halts last; prior_basis
+        [B, 3T, T·S]; and what the other graphs ask for.
         """
         context = self.look(bev, ego_status, vehicle_size)
         ways = self.ways_to(self.vocabulary.expand(bev.shape[0], -1, -1), context["speed"])
@@ -108,7 +109,7 @@ class GoalFlow(nn.Module):
         taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
         shadow = self.shadow(ego_status, ego_status[:, VELOCITY])
         return {
-            "prior_mean": torch.cat([taken, shadow], 1),
+            "prior_mean": torch.cat([taken, shadow, self.halts(ego_status)], 1),
             "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
             "goals": self.vocabulary[order],
             "goal_scores": scores.gather(1, order),
@@ -143,6 +144,17 @@ class GoalFlow(nn.Module):
         # What accelerates now does not for 4 s.
         acceleration = (0.5 * forward).clamp(-BRAKING, PULLING)
         return self._way(speed, acceleration, bend.clamp(-SHARPEST, SHARPEST), aimed=0.0)
+
+    def halts(self, ego_status: Tensor) -> Tensor:
+        """Ways [B, HALTINGS, T, S] that brake until they stand, along the bend of now.
+
+        No flow moves them: what is drawn to goals comes of people who had no need to stop.
+        """
+        shadow = self.shadow(ego_status, ego_status[:, VELOCITY])
+        bend = shadow[:, :, 0, POSE + 2].expand(-1, len(HALTINGS))
+        braking = -torch.tensor(HALTINGS).to(bend).expand_as(bend)
+        speed = ego_status[:, None, VELOCITY].expand_as(bend)
+        return self._way(speed, braking, bend, aimed=HALTS)
 
     def _way(
         self, speed: Tensor, acceleration: Tensor, curvature: Tensor, *, aimed: float
@@ -201,21 +213,22 @@ class GoalFlow(nn.Module):
         poses, way = x_t[..., :POSE], prior_mean[..., :POSE]
         seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
         aimed, acceleration, curvature = prior_mean[..., POSE:].unbind(-1)
-        told = torch.stack([aimed, acceleration / GAINS[0], curvature * BEND], -1)
+        halts = (aimed < 0)[..., None]
+        told = torch.stack([aimed.clamp(min=0), acceleration / GAINS[0], curvature * BEND], -1)
         tokens = torch.cat([(poses - way) / self.stray, in_units(way), seen, told], -1)
         change = self.flow(tokens, modulation).tanh()
         acceleration = (acceleration + GAINS[0] * change[..., 0]).clamp(-BRAKING, PULLING)
         curvature = (curvature + GAINS[1] * change[..., 1]).clamp(-SHARPEST, SHARPEST)
         speed = context["speed"][:, None].expand(acceleration.shape[:2])
         expected = roll_out(speed, acceleration, curvature, dt=self.config.dt)
-        return expected if self.training else standing_still(expected)
+        return expected if self.training else standing_still(torch.where(halts, way, expected))
 
     def score(self, x_1: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
         """Scores [B, N] of trajectories and of the ways that they began on, [B, N, T, S]."""
         poses, way = x_1[..., :POSE], prior_mean[..., :POSE]
         motion, rules = self.judged(poses, context)
         missed = (poses[..., -1, :2] - way[..., -1, :2]).square().sum(-1).sqrt()
-        missed = missed * prior_mean[..., 0, POSE]
+        missed = missed * prior_mean[..., 0, POSE].clamp(min=0)
         by_rules = trajectory_scores(rules, missed, self.rate(poses, context), self.config)
         if self.outcomes is None:
             return by_rules

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
-from anchorflow_models.goalflow.goalflow import POSE, Context
+from anchorflow_models.goalflow.config import HALTINGS
+from anchorflow_models.goalflow.goalflow import HALTS, POSE, Context
 
 
 def road(batch: int = 1) -> Tensor:
@@ -55,7 +56,7 @@ def shaken(model: GoalFlow) -> GoalFlow:
 @torch.no_grad()
 def test_the_untrained_field_leads_from_noise_to_the_way(model: GoalFlow) -> None:
     context = model.encode(road(), statuses(8.0), SIZE)
-    noise = torch.randn(8, 24)
+    noise = torch.randn(model.config.ways, 24)
     for steps in (1, 4):
         x_1 = sampled(model, context, noise, steps=steps)
         torch.testing.assert_close(x_1, context["prior_mean"], atol=1e-4, rtol=0)
@@ -70,7 +71,24 @@ def test_goals_come_with_those_first_that_are_drawn_to(model: GoalFlow) -> None:
     assert (scores[7:].diff() <= 0).all()
     ways = model.ways_to(goals[None, :7], torch.tensor([8.0]))
     torch.testing.assert_close(context["prior_mean"][:, :7], ways)
-    assert context["prior_mean"][0, :, 0, POSE].tolist() == [1.0] * 7 + [0.0]  # the shadow
+    shadow, halts = [0.0], [HALTS] * len(HALTINGS)
+    assert context["prior_mean"][0, :, 0, POSE].tolist() == [1.0] * 7 + shadow + halts
+
+
+@torch.no_grad()
+def test_halts_brake_until_they_stand_whatever_the_flow_says(model: GoalFlow) -> None:
+    context = shaken(model).encode(road(), statuses(6.0), SIZE)
+    drawn = sampled(model, context, torch.randn(model.config.ways, 24), steps=2)
+    halts = drawn[0, -len(HALTINGS) :, :, :POSE]
+    expected = torch.tensor([6.0**2 / (2 * braking) for braking in HALTINGS])
+    # Steps of an eighth of a second; the gentlest stands after four of them.
+    torch.testing.assert_close(halts[:, -1, 0], expected, atol=0.1, rtol=0)
+    assert (halts[:, -1] - halts[:, -2]).abs().amax() < 0.3
+    assert halts[..., 1:].abs().amax() < 1e-6
+    flowed = (
+        drawn[0, : -len(HALTINGS), :, :POSE] - context["prior_mean"][0, : -len(HALTINGS), :, :POSE]
+    )
+    assert (flowed.abs().amax((1, 2)) > 0.01).all()
 
 
 @torch.no_grad()
@@ -80,7 +98,7 @@ def test_scenes_and_anchors_hear_no_others(model: GoalFlow) -> None:
     status, size, noise = statuses(8.0, 3.0, 12.0), SIZE.expand(3, -1), torch.randn(9, 24)
     context = model.encode(bev, status, size)
     together = sampled(model, context, noise, steps=2)
-    mean = context["prior_mean"][:, torch.arange(9) % 8]
+    mean = context["prior_mean"][:, torch.arange(9) % model.config.ways]
     scores = model.score(together, mean, context)
     for scene in range(3):
         own = slice(scene, scene + 1)

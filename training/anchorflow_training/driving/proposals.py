@@ -18,6 +18,7 @@ from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.goalflow import GoalFlow
+from anchorflow_models.goalflow.config import HALTINGS
 from anchorflow_models.goalflow.goalflow import POSE
 from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
 
@@ -67,7 +68,7 @@ def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
     scored = zip(windows, plans, strict=True)
     told = [PdmScorer(window).score(each.astype(np.float64)).sub_scores for window, each in scored]
     # A log without windows has no rows, not even of a shape.
-    count, steps = PER_WAY * (model.config.picked + 1), model.config.num_steps
+    count, steps = PER_WAY * model.config.ways, model.config.num_steps
     trajectories = np.array(plans, np.float32).reshape(-1, count, steps, POSE)
     scores = np.array(told, np.float16).reshape(-1, count, len(SUB_SCORES))
     write_beside(log.with_suffix(suffix), trajectories=trajectories, scores=scores)
@@ -87,8 +88,8 @@ def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArra
 
 
 def _digest(model: GoalFlow) -> str:
-    """Of the weights that trajectories hang on."""
-    digest = hashlib.sha256()
+    """Of the weights that trajectories hang on, and of the halts beside."""
+    digest = hashlib.sha256(repr(HALTINGS).encode())
     for name, weight in model.state_dict().items():
         if not name.startswith("outcomes."):
             digest.update(weight.cpu().contiguous().numpy())
