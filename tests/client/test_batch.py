@@ -155,18 +155,28 @@ def ways() -> AnchorBatch:
     return batch(trajectories=paths, scores=scores, safe=safe, clearance=scores, **fields)
 
 
-def test_along_a_route_the_best_is_the_best_that_keeps_to_it() -> None:
+def test_along_a_route_the_best_is_the_best_that_ends_there() -> None:
     right = [[0.0, 0.0], [10.0, -5.0], [10.0, -5.0], [40.0, -20.0]]
     assert ways().best == 0
     assert ways().best_along(right) == 3
-    assert ways().best_along(right, within=0.5) == 2  # the other strays by 0.9 m
+    assert ways().best_along(right, within=0.5) == 2  # the other ends 0.9 m beside it
     assert ways().best_along([[0.0, 0.0], [40.0, 0.0]]) == 0
     assert ways().best_along([[0.0, 0.0], [40.0, 0.0]], within=11.0) == 0
 
 
-def test_where_none_keeps_to_the_route_the_one_that_strays_least_is_taken() -> None:
-    assert ways().best_along([[0.0, 8.0], [40.0, 8.0]]) == 0
-    assert ways().best_along([[0.0, 3.0], [40.0, 23.0]], within=1.0) == 1
+def test_who_comes_back_to_the_route_follows_it() -> None:
+    """Beside the route by 3 m, it is the ones that come back which are meant, not who stands."""
+    ahead = np.linspace(0.0, 15.0, 4)
+    paths = np.stack([np.stack([ahead, 3.0 - ahead / 5], -1), np.stack([0 * ahead, 0 * ahead], -1)])
+    given = dict.fromkeys(("trajectories", "velocities", "accelerations"), paths)
+    scores, safe = np.array([0.5, 0.4]), np.ones(2, bool)
+    beside = batch(**given, scores=scores, safe=safe, clearance=scores)
+    assert beside.best_along([[0.0, 0.0], [40.0, 0.0]]) == 0
+
+
+def test_where_none_follows_the_route_the_one_that_ends_nearest_is_taken() -> None:
+    assert ways().best_along([[0.0, 4.0], [40.0, 4.0]], within=1.0) == 0
+    assert ways().best_along([[0.0, 6.5], [40.0, 6.5]], within=1.0) == 1
 
 
 def test_along_a_route_what_is_safe_comes_first() -> None:

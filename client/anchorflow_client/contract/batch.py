@@ -139,11 +139,11 @@ class AnchorBatch:
         return _best(self.arrays, self.trajectories.shape[:-2])
 
     def best_along(self, route: ArrayLike, *, within: float = 2.0) -> int:
-        """Index of the best anchor of those that keep to a route; of one scene.
+        """Index of the best anchor of those that follow a route; of one scene.
 
         Planners are told a goal or a command; whoever asks often knows the whole way. Of anchors
-        whose every step lies within some metres of it, the best as of `best`; where there is none,
-        the one that strays least.
+        that end within some metres of it, the best as of `best`; where there is none, the one that
+        ends nearest. Those that come back to the route are among them.
 
         route: [V, 2] m, a polyline in the request's frame; within: m
 
@@ -153,7 +153,7 @@ class AnchorBatch:
         """
         if self.batched:
             raise ValueError("best_along: expected the answer of one scene, got a B axis")
-        strays = beside_route(self.trajectories[..., :2], route).max(-1)
+        strays = beside_route(self.trajectories[:, -1, :2], route)
         kept = np.flatnonzero(strays <= within)
         if not len(kept):
             return int(strays.argmin())

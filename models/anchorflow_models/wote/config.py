@@ -142,6 +142,7 @@ class WoteConfig:
 def small_wote() -> WoteConfig:
     """Narrow, and shallow: for training on two cores."""
     return WoteConfig(
+        kept=64,
         width=64,
         heads=4,
         hidden=128,
