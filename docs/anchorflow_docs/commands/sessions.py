@@ -240,7 +240,7 @@ NOT_HERE = {
     "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
     "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
-    f"anchorflow bench drive-closed-loop --bundle {SHIPPED}/goalflow": MEASURES,
+    f"anchorflow bench drive-closed-loop --bundle {SHIPPED}/goalflow --along-route": MEASURES,
     "anchorflow data import-log USA_US101-1_1_T-1.xml --out us101.npz": OTHERS_LOGS,
     "anchorflow data import-log nuscenes --scene scene-0061 --out 0061.npz": OTHERS_LOGS,
     "anchorflow data import-log scenario_0a0a.parquet --out av2.npz": OTHERS_LOGS,

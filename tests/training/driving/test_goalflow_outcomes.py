@@ -67,7 +67,7 @@ def test_proposals_are_judged_by_the_scorer_and_kept(
 ) -> None:
     logs, model = open_logs(windows.path), restore_model(load_checkpoint(before))
     made = proposals(logs, model)
-    assert made.trajectories.shape == (len(windows), 6 * PER_WAY, 8, 3)
+    assert made.trajectories.shape == (len(windows), PER_WAY * model.config.ways, 8, 3)
     window = Scenes(read_log(logs[0]))[0]
     wanted = PdmScorer(window).score(made.trajectories[0].astype(float)).sub_scores
     np.testing.assert_allclose(made.scores[0], wanted, atol=1e-3)
