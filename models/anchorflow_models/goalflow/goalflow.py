@@ -107,9 +107,10 @@ class GoalFlow(nn.Module):
         picked = order[:, : self.config.picked, None, None]
         # Plain gathers: the exporter takes the scenes of take_along_dim for a constant.
         taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
-        shadow = self.shadow(ego_status, ego_status[:, VELOCITY])
+        speed = ego_status[:, VELOCITY]
+        shadow = self.shadow(ego_status, speed)
         return {
-            "prior_mean": torch.cat([taken, shadow, self.halts(ego_status)], 1),
+            "prior_mean": torch.cat([taken, shadow, self.halts(shadow, speed)], 1),
             "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
             "goals": self.vocabulary[order],
             "goal_scores": scores.gather(1, order),
@@ -145,16 +146,15 @@ class GoalFlow(nn.Module):
         acceleration = (0.5 * forward).clamp(-BRAKING, PULLING)
         return self._way(speed, acceleration, bend.clamp(-SHARPEST, SHARPEST), aimed=0.0)
 
-    def halts(self, ego_status: Tensor) -> Tensor:
-        """Ways [B, HALTINGS, T, S] that brake until they stand, along the bend of now.
+    def halts(self, shadow: Tensor, speed: Tensor) -> Tensor:
+        """Ways [B, HALTINGS, T, S] that brake from speeds [B] until they stand, along the bend of a
+        shadow [B, 1, T, S].
 
         No flow moves them: what is drawn to goals comes of people who had no need to stop.
         """
-        shadow = self.shadow(ego_status, ego_status[:, VELOCITY])
         bend = shadow[:, :, 0, POSE + 2].expand(-1, len(HALTINGS))
         braking = -torch.tensor(HALTINGS).to(bend).expand_as(bend)
-        speed = ego_status[:, None, VELOCITY].expand_as(bend)
-        return self._way(speed, braking, bend, aimed=HALTS)
+        return self._way(speed[:, None].expand_as(bend), braking, bend, aimed=HALTS)
 
     def _way(
         self, speed: Tensor, acceleration: Tensor, curvature: Tensor, *, aimed: float

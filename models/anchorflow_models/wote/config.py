@@ -110,7 +110,8 @@ class WoteConfig:
         ranked = self.offsets or self.kept in (0, self.anchors)
         check("kept", ranked, "0 without offsets, whose scores choose", self.kept)
         if self.encounters:
-            check("encounters", self.backbone.lidar_before, "none without lidar_before", "some")
+            seen = self.backbone.lidar_before
+            check("encounters", seen, "none without lidar_before of the backbone", self.encounters)
             apart = self.dt / FORETOLD_S
             check("dt", apart == int(apart), f"a multiple of {FORETOLD_S} for encounters", self.dt)
         if self.ground_sight:

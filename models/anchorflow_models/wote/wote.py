@@ -163,6 +163,11 @@ class WoTE(nn.Module):
             steps=config.future_steps,
         )
         self.rewards = RewardHead(width, backbone.bev_size)
+        self._add_lookups(config)
+
+    def _add_lookups(self, config: WoteConfig) -> None:
+        """What rewards look up in the fine BEV, and what foretells others."""
+        width, backbone, channels = config.width, config.backbone, config.backbone.bev_channels
         if config.footprint:
             seen = channels + (GROUND_WIDTH if config.ground_sight else 0)
             self.fine_values = BevValues(seen, channels, kernel=1)

@@ -10,20 +10,10 @@ import torch
 from tiny_wote import TINY, sensors, tiny_wote
 from torch import Tensor
 
-from anchorflow_models.transfuser import TransfuserConfig
 from anchorflow_models.wote import WoTE, WoteConfig, small_wote
 
-BACKBONE = TransfuserConfig(
-    image_height=32,
-    image_width=128,
-    lidar_size=128,
-    stem_width=4,
-    widths=(4, 8),
-    depths=(1, 1),
-    fusion_layers=1,
-    fusion_heads=2,
-    bev_channels=4,
-    lidar_before=True,
+BACKBONE = replace(
+    TINY.backbone, image_height=32, image_width=128, lidar_size=128, lidar_before=True
 )
 AHEAD = replace(TINY, ground_sight=True, encounters=((0.0, 0.0), (5.0, 0.0)), backbone=BACKBONE)
 
