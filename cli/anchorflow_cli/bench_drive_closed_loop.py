@@ -36,6 +36,10 @@ def drive_closed_loop(
     length: Annotated[float, typer.Option(min=50.0, help="Of a route [m].")] = 300.0,
     seconds: Annotated[float, typer.Option(min=5.0, help="Until a route is given up.")] = 90.0,
     seed: Annotated[int, typer.Option(min=0, help="Of nets and traffic.")] = 2000,
+    keep: Annotated[
+        Path | None,
+        typer.Option(help="Folder where every drive is kept as a log, to learn from."),
+    ] = None,
     out: OutOption = RESULTS,
 ) -> None:
     """Let drivers and bundles drive in SUMO's traffic; a table of what happened."""
@@ -56,8 +60,10 @@ def drive_closed_loop(
         driver = BundleDriver(folder, num=num, threads=threads)
         for each in (driver, driver.along_route()) if along_route else (driver,):
             chosen[each.name] = each
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
     config = ClosedLoopConfig(seed=seed, length_m=length, seconds=seconds)
     with progress("driving", routes * len(chosen)) as advance:
-        driven = drive_routes(chosen, config, routes=routes, progress=advance)
+        driven = drive_routes(chosen, config, routes=routes, keep=keep, progress=advance)
     about = {"traffic": f"SUMO, seed {seed}, right-hand, no traffic lights"}
     report("Drive closed loop", about, [routes_table(driven, config)], out)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from statistics import fmean, median
 
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_driving.drivers import DRIVERS, Driver
+from anchorflow_driving.log import DrivingLog, write_log
 from anchorflow_driving.simulation.closed_loop import (
     ClosedLoopConfig,
     RouteResult,
@@ -35,15 +38,24 @@ def drive_routes(
     config: ClosedLoopConfig,
     *,
     routes: int,
+    keep: Path | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> dict[str, list[RouteResult]]:
-    """Every driver on routes 0, 1, …; `progress` hears of each."""
+    """Every driver on routes 0, 1, …; `progress` hears of each.
+
+    keep: folder where every drive is kept as a log
+    """
     driven: dict[str, list[RouteResult]] = {name: [] for name in drivers}
     for index in range(routes):
         for name, driver in drivers.items():
-            driven[name].append(drive_route(driver, config, index))
+            keeping = None if keep is None else partial(_keep, keep, name)
+            driven[name].append(drive_route(driver, config, index, keep=keeping))
             progress(1)
     return driven
+
+
+def _keep(folder: Path, driver: str, log: DrivingLog) -> None:
+    write_log(log, folder / f"{driver}-{log.name}.npz")
 
 
 def routes_table(

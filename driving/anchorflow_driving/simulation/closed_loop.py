@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
 from anchorflow_driving.lines import ROUTE_SIGMA, SPACING, smooth_line
-from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog
+from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, VEHICLE, DrivingLog
 from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
 from anchorflow_driving.pdm.score import tracked
 from anchorflow_driving.pdm.tracker import Motion
@@ -20,6 +22,7 @@ from anchorflow_driving.pdm.traffic import Others, Traffic
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
 from anchorflow_driving.simulation.demand import make_demand
+from anchorflow_driving.simulation.driven_log import DrivenLog
 from anchorflow_driving.simulation.driven_motion import (
     comfortable_share,
     first_steps,
@@ -100,25 +103,40 @@ class LiveWindow(Window):
         raise SimulationError(f"nothing is recorded of the next {max(times):g} s: they are driven")
 
 
-def drive_route(driver: Driver, config: ClosedLoopConfig, index: int) -> RouteResult:
+def drive_route(
+    driver: Driver,
+    config: ClosedLoopConfig,
+    index: int,
+    *,
+    keep: Callable[[DrivingLog], None] | None = None,
+) -> RouteResult:
     """One route; its net, its traffic and its start depend on the seed and the index alone.
 
     Junctions have no traffic lights, since planners are not told of them.
 
+    keep: takes the drive as a log, in which every plan is a window. The driver then drives on past
+        the route's end, until the last plan's window has its future.
+
     Raises:
         SimulationError: SUMO fails, or no vehicle is found that can drive so far.
     """
+    name = f"driven-{config.seed}-{index:05d}"
+    kept = None if keep is None else lambda noted: keep(noted.log(name))
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([config.seed, index, attempt])
-        with tempfile.TemporaryDirectory() as name:
-            result = _drive(driver, config, rng, Path(name))
+        with tempfile.TemporaryDirectory() as folder:
+            result = _drive(driver, config, rng, Path(folder), kept)
         if result is not None:
             return result
     raise SimulationError(f"route {index}: no vehicle can drive {config.length_m:g} m")
 
 
 def _drive(
-    driver: Driver, config: ClosedLoopConfig, rng: np.random.Generator, folder: Path
+    driver: Driver,
+    config: ClosedLoopConfig,
+    rng: np.random.Generator,
+    folder: Path,
+    keep: Callable[[DrivenLog], None] | None,
 ) -> RouteResult | None:
     path = make_net(rng, folder, lights=False)
     net = RoadNet(path)
@@ -126,7 +144,8 @@ def _drive(
     demand = make_demand(
         net, rng, folder, warm_up_s=warm_up_s, seconds=config.seconds, densest=DENSEST
     )
-    scenes = Scenes(_bare_log(map_fields(net, level=0.2, mirror=1.0)))
+    fields = map_fields(net, level=0.2, mirror=1.0)
+    scenes = Scenes(_bare_log(fields))
     standing = all_that_stands(net, rng)
     with LiveTraffic(path, demand, seed=int(rng.integers(2**31)), standing=standing) as traffic:
         for _ in range(round(warm_up_s / FRAME_S)):
@@ -134,7 +153,12 @@ def _drive(
         for name in rng.permutation(traffic.vehicles):
             line = _line_of(net, traffic, str(name), length=config.length_m)
             if line is not None:
-                return _Drive(driver, config, traffic, scenes, str(name), line, net).go()
+                noted = DrivenLog(traffic, str(name), fields)
+                drive = _Drive(driver, config, traffic, scenes, str(name), line, net, noted)
+                result = drive.go(on_s=0.0 if keep is None else FUTURE_FRAMES * FRAME_S)
+                if keep is not None:
+                    keep(noted)
+                return result
     return None
 
 
@@ -167,9 +191,10 @@ class _Drive:
         ego: str,
         line: Array,
         net: RoadNet,
+        noted: DrivenLog,
     ) -> None:
         self._driver, self._config, self._traffic, self._ego = driver, config, traffic, ego
-        self._scenes, self._line, self._net = scenes, line, net
+        self._scenes, self._line, self._net, self._noted = scenes, line, net, noted
         self._vehicle = Vehicle(*traffic.size_of(ego))
         self._touched: set[str] = set()
         self._place = self._begin = round(BEHIND / SPACING)
@@ -178,7 +203,8 @@ class _Drive:
         self._limit = 13.9
         traffic.take_over(ego)
 
-    def go(self) -> RouteResult:
+    def go(self, *, on_s: float) -> RouteResult:
+        """on_s: driven on after the end, of which nothing is told"""
         state: EgoState | None = None
         outcome, stride = "time", round(self._config.replan_s / FRAME_S)
         for _ in range(round(self._config.seconds / self._config.replan_s)):
@@ -192,13 +218,18 @@ class _Drive:
             if self._driven() >= self._config.length_m:
                 outcome = "completed"
                 break
-        return RouteResult(
+        result = RouteResult(
             outcome=outcome,
             driven_m=self._driven(),
             seconds=sum(m.speed.shape[1] - 1 for m in self._motions) * FRAME_S,
             comfortable=comfortable_share(self._motions),
-            plan_ms=self._plan_ms,
+            plan_ms=list(self._plan_ms),
         )
+        for _ in range(math.ceil(on_s / self._config.replan_s)):
+            motion = self._planned(self._window(state))
+            self._execute(motion, stride)
+            state = state_after(motion, stride)
+        return result
 
     def _driven(self) -> float:
         return (self._place - self._begin) * SPACING
@@ -213,13 +244,16 @@ class _Drive:
         self._advance(middle[:2])
         now, speed = self._place * SPACING, float(np.hypot(*middle[3:]))
         begin, end = (round((now + away) / SPACING) for away in (-BEHIND, AHEAD))
+        route = self._line[max(begin, 0) : end]
+        asked = command(self._line, now, now + COMMAND_S * speed)
+        self._noted.note_window(route, asked, self._limit)
         view = planner_view(
             seen.states,
             ego=ego,
             track_type=seen.kind,
             track_size=seen.size,
-            route=self._line[max(begin, 0) : end],
-            command=command(self._line, now, now + COMMAND_S * speed),
+            route=route,
+            command=asked,
             speed_limit=self._limit,
             scenes=self._scenes,
         )
@@ -237,6 +271,7 @@ class _Drive:
         for step in range(1, stride + 1):
             middle = self._vehicle.middles(motion.poses[0, step])
             self._traffic.step(self._ego, middle, float(motion.speed[0, step]))
+            self._noted.note_frame()
         driven = first_steps(motion, stride)
         self._motions.append(driven)
         seen = self._traffic.seen()

@@ -64,6 +64,16 @@ class LiveTraffic:
     def vehicles(self) -> list[str]:
         return sorted(name for name in self._past[-1] if self._kind[name] != PEDESTRIAN)
 
+    @property
+    def past(self) -> list[dict[str, Array]]:
+        """Who was where in the last frames, [5] each; the last one is now."""
+        return list(self._past)
+
+    @property
+    def standing(self) -> list[Standing]:
+        """What stands beside the road."""
+        return self._standing
+
     def size_of(self, name: str) -> tuple[float, float]:
         return self._size[name]
 

@@ -9,6 +9,9 @@ MULTIPLES = {"channels": 8, "width": 4}
 """Groups of the scene encoder's normalisation, and heads of the transformer."""
 HALTINGS = (1.5, 3.0, 5.0)
 """m/s² by which the halts brake: ways to no goal, which are driven as they are."""
+TURNS = ((0.1, 5.0), (0.2, 5.0), (0.2, 2.5))
+"""1/m that the turns bend at most, to either side, and m/s that they come to; as halts, they are
+driven as they are."""
 LEAST = {"goals": 8, "picked": 1, "feature_channels": 1, "width": 16, "layers": 1, "channels": 8}
 
 
@@ -59,8 +62,8 @@ class GoalFlowConfig:
     """Everything that fixes the network's shape and its units.
 
     num_steps: T; dt: s between two poses, the first dt from now
-    goals: K of the vocabulary; picked: how many of them trajectories are drawn to, beside a shadow
-        and halts
+    goals: K of the vocabulary; picked: how many of them trajectories are drawn to, beside a shadow,
+        turns and halts
     spacing: m that picked goals keep from each other
     sigma: spread of the noise, in units of what trajectories stray from the way to their goal
     outcomes: whether trajectories are scored by what is learnt to become of them, too, and not by
@@ -106,5 +109,5 @@ class GoalFlowConfig:
 
     @property
     def ways(self) -> int:
-        """That trajectories begin on: to each picked goal, the shadow and the halts."""
-        return self.picked + 1 + len(HALTINGS)
+        """That trajectories begin on: to each picked goal, the shadow, the turns and the halts."""
+        return self.picked + 1 + 2 * len(TURNS) + len(HALTINGS)

@@ -6,7 +6,7 @@
     score      trajectories                -> scores
 
 A state is a pose (x, y, heading) and three numbers that no flow moves: whether it has a goal (1, 0
-or HALTS), and the acceleration and curvature of the way that it began on.
+or SETTLED), and the acceleration and curvature of the way that it began on.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models.goalflow.config import HALTINGS, GoalFlowConfig
+from anchorflow_models.goalflow.config import HALTINGS, TURNS, GoalFlowConfig
 from anchorflow_models.goalflow.field import BACKBONES
 from anchorflow_models.goalflow.goals import WayScorer, WayScores, in_units, pick
 from anchorflow_models.goalflow.kinematics import BRAKING, PULLING, SHARPEST, arc_to, roll_out
@@ -45,7 +45,9 @@ FULL = 255.0
 BEND = 10.0  # m, in which networks hear of curvatures
 STRAYS = (0.4, 4.0)  # m, before the data are known, at the first pose and at the last
 SLOWEST_TURN = 1.0  # m/s; below it a curvature is noise
-HALTS = -1.0  # in place of whether it has a goal: the way itself is the trajectory
+SETTLED = -1.0  # in place of whether it has a goal: the way itself is the trajectory
+LEANING = 2.5  # m/s² to the side, at most, of turns
+SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most, of turns
 GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
 
 
@@ -87,8 +89,8 @@ class GoalFlow(nn.Module):
         """bev: uint8 [B, C, H, W]; ego_status: [B, 8]; vehicle_size: [B, 2] length, width (m).
 
         Returns by name: goals [B, K, 2] and goal_scores [B, K], those that are picked first, then
-        by score; prior_mean [B, ways, T, S], the shadow and the halts last; prior_basis
-        [B, 3T, T·S]; and what the other graphs ask for.
+        by score; prior_mean [B, ways, T, S], the shadow, the turns and the halts last;
+        prior_basis [B, 3T, T·S]; and what the other graphs ask for.
         """
         context = self.look(bev, ego_status, vehicle_size)
         ways = self.ways_to(self.vocabulary.expand(bev.shape[0], -1, -1), context["speed"])
@@ -109,8 +111,9 @@ class GoalFlow(nn.Module):
         taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
         speed = ego_status[:, VELOCITY]
         shadow = self.shadow(ego_status, speed)
+        settled = self.turns(speed), self.halts(shadow, speed)
         return {
-            "prior_mean": torch.cat([taken, shadow, self.halts(shadow, speed)], 1),
+            "prior_mean": torch.cat([taken, shadow, *settled], 1),
             "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
             "goals": self.vocabulary[order],
             "goal_scores": scores.gather(1, order),
@@ -135,33 +138,53 @@ class GoalFlow(nn.Module):
         """Arcs [B, P, T, S] that end at goals [B, P, 2] in time, of cars at speeds [B]."""
         steps, dt = self.config.num_steps, self.config.dt
         speed = speed[:, None].expand(goals.shape[:2])
-        return self._way(speed, *arc_to(goals, speed, duration=steps * dt), aimed=1.0)
+        acceleration, curvature = arc_to(goals, speed, duration=steps * dt)
+        return self._way(speed, acceleration[..., None], curvature[..., None], aimed=1.0)
 
     def shadow(self, ego_status: Tensor, speed: Tensor) -> Tensor:
         """The way [B, 1, T, S] that goes on as the ego moves now, to no goal."""
         forward, left = ego_status[:, None, VELOCITY + 2 :].unbind(-1)
         speed = speed[:, None]
-        bend = left / speed.clamp(min=SLOWEST_TURN).square()
+        bend = (left / speed.clamp(min=SLOWEST_TURN).square()).clamp(-SHARPEST, SHARPEST)
         # What accelerates now does not for 4 s.
         acceleration = (0.5 * forward).clamp(-BRAKING, PULLING)
-        return self._way(speed, acceleration, bend.clamp(-SHARPEST, SHARPEST), aimed=0.0)
+        return self._way(speed, acceleration[..., None], bend[..., None], aimed=0.0)
+
+    def turns(self, speed: Tensor) -> Tensor:
+        """Ways [B, 2 TURNS, T, S] that bend to the left and to the right, as far as LEANING lets
+        them, of cars that come to a turn's speed from speeds [B].
+
+        No flow moves them: a slow car that has come to stand askew before a corner is nowhere in
+        what is drawn to goals, for people take corners in one go.
+        """
+        steps, dt = self.config.num_steps, self.config.dt
+        turns = [(side * bend, to) for bend, to in TURNS for side in (1.0, -1.0)]
+        bend, to = torch.tensor(turns).to(speed).unbind(-1)
+        acceleration = (to - speed[:, None]) / (steps * dt)
+        acceleration = acceleration.clamp(-SLOWING, SETTING_OFF)[..., None]
+        later = dt * torch.arange(1, steps + 1).to(speed)
+        fast = (speed[:, None, None] + acceleration * later).clamp(min=SLOWEST_TURN)
+        sharpest = LEANING / fast.square()
+        curvature = torch.minimum(torch.maximum(bend[None, :, None], -sharpest), sharpest)
+        speed = speed[:, None].expand(curvature.shape[:2])
+        return self._way(speed, acceleration, curvature, aimed=SETTLED)
 
     def halts(self, shadow: Tensor, speed: Tensor) -> Tensor:
         """Ways [B, HALTINGS, T, S] that brake from speeds [B] until they stand, along the bend of a
         shadow [B, 1, T, S].
 
-        No flow moves them: what is drawn to goals comes of people who had no need to stop.
+        No flow moves them either: what is drawn to goals comes of people who had no need to stop.
         """
-        bend = shadow[:, :, 0, POSE + 2].expand(-1, len(HALTINGS))
-        braking = -torch.tensor(HALTINGS).to(bend).expand_as(bend)
-        return self._way(speed[:, None].expand_as(bend), braking, bend, aimed=HALTS)
+        bend = shadow[:, :, :1, POSE + 2].expand(-1, len(HALTINGS), -1)
+        braking = -torch.tensor(HALTINGS).to(bend)[:, None]
+        return self._way(speed[:, None].expand(bend.shape[:2]), braking, bend, aimed=SETTLED)
 
     def _way(
         self, speed: Tensor, acceleration: Tensor, curvature: Tensor, *, aimed: float
     ) -> Tensor:
-        steps = self.config.num_steps
-        controls = torch.stack([acceleration, curvature], -1)[..., None, :]
-        controls = controls.expand(*speed.shape, steps, 2)
+        """Ways [..., T, S] from speeds [...] by controls [..., 1 or T]."""
+        shape = *speed.shape, self.config.num_steps
+        controls = torch.stack([acceleration.expand(shape), curvature.expand(shape)], -1)
         poses = roll_out(speed, *controls.unbind(-1), dt=self.config.dt)
         return torch.cat([poses, torch.full_like(poses[..., :1], aimed), controls], -1)
 
@@ -213,7 +236,7 @@ class GoalFlow(nn.Module):
         poses, way = x_t[..., :POSE], prior_mean[..., :POSE]
         seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
         aimed, acceleration, curvature = prior_mean[..., POSE:].unbind(-1)
-        halts = (aimed < 0)[..., None]
+        settled = (aimed < 0)[..., None]
         told = torch.stack([aimed.clamp(min=0), acceleration / GAINS[0], curvature * BEND], -1)
         tokens = torch.cat([(poses - way) / self.stray, in_units(way), seen, told], -1)
         change = self.flow(tokens, modulation).tanh()
@@ -221,7 +244,7 @@ class GoalFlow(nn.Module):
         curvature = (curvature + GAINS[1] * change[..., 1]).clamp(-SHARPEST, SHARPEST)
         speed = context["speed"][:, None].expand(acceleration.shape[:2])
         expected = roll_out(speed, acceleration, curvature, dt=self.config.dt)
-        return expected if self.training else standing_still(torch.where(halts, way, expected))
+        return expected if self.training else standing_still(torch.where(settled, way, expected))
 
     def score(self, x_1: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
         """Scores [B, N] of trajectories and of the ways that they began on, [B, N, T, S]."""

@@ -9,7 +9,7 @@ from anchorflow_models.goalflow.trajectory_score import LOOKS, RULES, Rules
 LEARNT = ("nc", "dac", "ep", "ttc")
 """Sub-scores that are learnt; comfort is a trajectory's own, and its rule says it."""
 POSE = 4 + 3  # x, y, direction; speed, acceleration, yaw rate
-NC_POWER = 2
+NC_POWER = 3
 """A collision forfeits all else, and a mean over what may come takes it for half a loss."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 
 from anchorflow_driving.drivers import PLAN_TIMES, constant_velocity, idm, stop
 from anchorflow_driving.geometry import ahead_of
-from anchorflow_driving.window import Window
+from anchorflow_driving.log import DrivingLog, read_log, write_log
+from anchorflow_driving.window import Scenes, Window
 
 for _module in ("sumo", "libsumo"):
     pytest.importorskip(_module, reason=f"{_module} is not installed")
@@ -76,3 +78,42 @@ def test_a_driver_sees_itself_where_it_drove_and_no_future(loop: Any) -> None:
         _, aside = view.route.project(np.zeros(2))
         assert abs(aside) < 3.0
     assert views[-1].state.speed < views[0].state.speed - 2.0
+
+
+def test_a_drive_is_kept_as_a_log_of_what_was_seen_and_driven(loop: Any, tmp_path: Path) -> None:
+    config = loop.ClosedLoopConfig(seed=5, seconds=4.0)
+    views, kept = [], []
+
+    def watching(window: Window, times: np.ndarray = PLAN_TIMES) -> np.ndarray:
+        views.append(window.view)
+        return idm(window, times)
+
+    result = loop.drive_route(watching, config, 1, keep=kept.append)
+    write_log(kept[0], tmp_path / "log.npz")
+    log = read_log(tmp_path / "log.npz")
+
+    alone = loop.drive_route(idm, config, 1)
+    assert (result.outcome, result.driven_m) == (alone.outcome, alone.driven_m)
+    assert (log.name, log.windows) == ("driven-5-00001", 5)
+    # Of plans twice a second every other one.
+    for window, (view, later) in zip(Scenes(log), pairwise(views[::2]), strict=False):
+        assert window.command == view.command
+        np.testing.assert_allclose(window.state.pose, view.state.pose, atol=0.2)
+        assert window.state.speed == pytest.approx(view.state.speed, abs=0.3)
+        present = [np.isfinite(each.tracks[:, -1, 0]).sum() for each in (window.view, view)]
+        assert present[0] == present[1]
+        way = np.linalg.norm(later.state.pose[:2] - view.state.pose[:2])
+        assert np.linalg.norm(window.recorded(np.array([1.0]))[0, :2]) == pytest.approx(
+            way, abs=0.3
+        )
+
+
+def test_who_stands_is_asked_about_less_often(loop: Any) -> None:
+    kept: list[DrivingLog] = []
+
+    loop.drive_route(stop, loop.ClosedLoopConfig(seed=5, seconds=20.0), 1, keep=kept.append)
+
+    frames, states = kept[0].window_frame, kept[0].track_state[kept[0].window_ego[0]]
+    stands = np.hypot(*states[frames, 3:].T) < 0.3
+    assert set(np.diff(frames)[~stands[1:]]) == {10}
+    assert set(np.diff(frames)[stands[1:]]) == {40}

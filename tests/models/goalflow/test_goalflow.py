@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
-from anchorflow_models.goalflow.config import HALTINGS
-from anchorflow_models.goalflow.goalflow import HALTS, POSE, Context
+from anchorflow_models.goalflow.config import HALTINGS, TURNS
+from anchorflow_models.goalflow.goalflow import LEANING, POSE, SETTLED, Context
 
 
 def road(batch: int = 1) -> Tensor:
@@ -71,8 +71,28 @@ def test_goals_come_with_those_first_that_are_drawn_to(model: GoalFlow) -> None:
     assert (scores[7:].diff() <= 0).all()
     ways = model.ways_to(goals[None, :7], torch.tensor([8.0]))
     torch.testing.assert_close(context["prior_mean"][:, :7], ways)
-    shadow, halts = [0.0], [HALTS] * len(HALTINGS)
-    assert context["prior_mean"][0, :, 0, POSE].tolist() == [1.0] * 7 + shadow + halts
+    aimed = [1.0] * 7 + [0.0] + [SETTLED] * (2 * len(TURNS) + len(HALTINGS))
+    assert context["prior_mean"][0, :, 0, POSE].tolist() == aimed
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("speed", [0.0, 2.0, 14.0])
+def test_turns_bend_to_both_sides_as_far_as_a_car_leans(model: GoalFlow, speed: float) -> None:
+    ways = model.turns(torch.tensor([speed]))[0]
+    acceleration, curvature = ways[..., POSE + 1 :].unbind(-1)
+    times = 0.5 * torch.arange(1, 9)
+    fast = speed + acceleration * times
+
+    assert ways.shape[0] == 2 * len(TURNS)
+    torch.testing.assert_close(ways[0::2, :, 1:3], -ways[1::2, :, 1:3])
+    assert (ways[0::2, -1, 1] > 0).all()
+    assert (curvature.abs() <= torch.tensor([b for b, _ in TURNS for _ in range(2)])[:, None]).all()
+    assert (fast.square() * curvature.abs()).amax() <= LEANING + 1e-3
+    if speed < 3:  # from a walk the sharpest turns come round within four seconds
+        for number, (bend, to) in enumerate(TURNS):
+            assert fast[2 * number, -1] == pytest.approx(to, abs=1e-4)
+            if bend * to >= 1:
+                assert ways[2 * number, -1, 2] > 1.0
 
 
 @torch.no_grad()
@@ -85,10 +105,10 @@ def test_halts_brake_until_they_stand_whatever_the_flow_says(model: GoalFlow) ->
     torch.testing.assert_close(halts[:, -1, 0], expected, atol=0.1, rtol=0)
     assert (halts[:, -1] - halts[:, -2]).abs().amax() < 0.3
     assert halts[..., 1:].abs().amax() < 1e-6
-    flowed = (
-        drawn[0, : -len(HALTINGS), :, :POSE] - context["prior_mean"][0, : -len(HALTINGS), :, :POSE]
-    )
-    assert (flowed.abs().amax((1, 2)) > 0.01).all()
+    moved = (drawn - context["prior_mean"])[0, ..., :POSE].abs().amax((1, 2))
+    settled = 2 * len(TURNS) + len(HALTINGS)
+    assert (moved[:-settled] > 0.01).all()
+    assert (moved[-settled:] < 1e-4).all()
 
 
 @torch.no_grad()

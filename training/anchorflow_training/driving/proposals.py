@@ -18,7 +18,7 @@ from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.goalflow import GoalFlow
-from anchorflow_models.goalflow.config import HALTINGS
+from anchorflow_models.goalflow.config import HALTINGS, TURNS
 from anchorflow_models.goalflow.goalflow import POSE
 from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
 
@@ -88,8 +88,8 @@ def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArra
 
 
 def _digest(model: GoalFlow) -> str:
-    """Of the weights that trajectories hang on, and of the halts beside."""
-    digest = hashlib.sha256(repr(HALTINGS).encode())
+    """Of what trajectories hang on: the weights, turns and halts."""
+    digest = hashlib.sha256(repr((TURNS, HALTINGS)).encode())
     for name, weight in model.state_dict().items():
         if not name.startswith("outcomes."):
             digest.update(weight.cpu().contiguous().numpy())
