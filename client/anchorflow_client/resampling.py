@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anchorflow_client.contract.checks import is_number
+
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9
@@ -52,7 +54,7 @@ def resample(
     """
     p, v, a = _motion(positions, velocities, accelerations)
     for name, value in (("dt", dt), ("period_s", period_s)):
-        if not 0.0 < value < np.inf:
+        if not is_number(value) or not 0.0 < value < np.inf:
             raise ValueError(f"{name}: expected s above 0, got {value}")
     times = _times(dt * (len(p) - 1), period_s)
     low = np.minimum((times / dt).astype(int), len(p) - 2)

@@ -137,10 +137,17 @@ def positive(text: str) -> float:
     raise argparse.ArgumentTypeError(f"expected a finite number above 0, got {text!r}")
 
 
-def seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"expected a whole number of at least 0, got {text!r}")
-    return int(text)
+def whole(least: int) -> Callable[[str], int]:
+    """Reads a whole number that is no less."""
+
+    def read(text: str) -> int:
+        if text.isdecimal() and (value := int(text)) >= least:
+            return value
+        raise argparse.ArgumentTypeError(
+            f"expected a whole number of at least {least}, got {text!r}"
+        )
+
+    return read
 
 
 def gif_path(text: str) -> Path:
@@ -161,12 +168,14 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--worlds", metavar="FILE|drawn:N:SEED|forests:N:SEED", default="drawn:10:0"
     )
-    parser.add_argument("--world", type=int, default=0, help="which of them")
-    parser.add_argument("--seed", type=seed, default=0, help="of lidar noise and MPPI's samples")
-    parser.add_argument("--num", type=int, default=64, help="anchors a request")
+    parser.add_argument("--world", type=whole(0), default=0, help="which of them")
+    parser.add_argument(
+        "--seed", type=whole(0), default=0, help="of lidar noise and MPPI's samples"
+    )
+    parser.add_argument("--num", type=whole(1), default=64, help="anchors a request")
     parser.add_argument("--style", choices=sorted(STYLES), default="balanced")
     parser.add_argument("--method", default="midpoint", help="of the sampler")
-    parser.add_argument("--steps", type=int, default=2, help="of the sampler")
+    parser.add_argument("--steps", type=whole(1), default=2, help="of the sampler")
     parser.add_argument("--max-age", type=positive, default=1000.0, help="ms, of a plan")
     parser.add_argument("--limit-s", type=positive, default=50.0, help="time of the run")
     parser.add_argument("--view", action="store_true", help="a live picture")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager, suppress
+from typing import Any
 
 import pytest
 
@@ -234,6 +236,8 @@ def test_a_connection_whose_body_is_still_on_its_way_is_not_kept() -> None:
     run(test)
 
 
-def test_at_least_one_place_is_needed() -> None:
-    with pytest.raises(ValueError, match="max_connections: expected at least 1, got 0"):
-        AsyncSocketTransport("http://robot", connect_timeout_s=5, max_connections=0)
+@pytest.mark.parametrize("count", [0, 1.5, "8", True])
+def test_at_least_one_place_is_needed(count: Any) -> None:
+    expected = f"max_connections: expected a whole number of at least 1, got {count!r}"
+    with pytest.raises(ValueError, match=re.escape(expected)):
+        AsyncSocketTransport("http://robot", connect_timeout_s=5, max_connections=count)

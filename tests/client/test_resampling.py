@@ -96,6 +96,7 @@ def _minus_sin(times: np.ndarray) -> np.ndarray:
         ({"velocities": np.zeros((4, 3))}, r"velocities: expected shape \[4, 2\], got \[4, 3\]"),
         ({"accelerations": np.zeros((3, 2))}, r"accelerations: expected shape \[4, 2\]"),
         ({"dt": 0.0}, "dt: expected s above 0, got 0"),
+        ({"dt": "x"}, "dt: expected s above 0, got x"),
         ({"period_s": np.nan}, "period_s: expected s above 0, got nan"),
     ],
 )

@@ -32,8 +32,10 @@ class AsyncSocketTransport:
             ValueError: `url` is no address of a service, or there is no place for any request.
         """
         self._address = Address.of(url)
-        if max_connections < 1:
-            raise ValueError(f"max_connections: expected at least 1, got {max_connections}")
+        if type(max_connections) is not int or max_connections < 1:
+            raise ValueError(
+                f"max_connections: expected a whole number of at least 1, got {max_connections!r}"
+            )
         self._url = url
         self._connect_timeout_s = connect_timeout_s
         self._places = asyncio.Semaphore(max_connections)
