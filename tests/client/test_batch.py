@@ -174,9 +174,18 @@ def test_who_comes_back_to_the_route_follows_it() -> None:
     assert beside.best_along([[0.0, 0.0], [40.0, 0.0]]) == 0
 
 
-def test_where_none_follows_the_route_the_one_that_ends_nearest_is_taken() -> None:
-    assert ways().best_along([[0.0, 4.0], [40.0, 4.0]], within=1.0) == 0
-    assert ways().best_along([[0.0, 6.5], [40.0, 6.5]], within=1.0) == 1
+@pytest.mark.parametrize(("standing", "chosen"), [(0.4, 0), (0.6, 1)])
+def test_where_none_follows_the_route_the_best_of_all_is_taken(
+    standing: float, chosen: int
+) -> None:
+    """Who stands follows no route, however near to it: it is taken where it is the best."""
+    ahead = np.linspace(0.0, 15.0, 4)
+    paths = np.stack([np.stack([ahead, ahead], -1), np.stack([0.05 * ahead, 0 * ahead], -1)])
+    given = dict.fromkeys(("trajectories", "velocities", "accelerations"), paths)
+    scores, safe = np.array([0.5, standing]), np.ones(2, bool)
+    lost = batch(**given, scores=scores, safe=safe, clearance=scores)
+    assert lost.best_along([[0.0, -1.0], [40.0, -1.0]]) == chosen
+    assert ways().best_along([[0.0, 90.0], [40.0, 90.0]]) == ways().best
 
 
 def test_along_a_route_what_is_safe_comes_first() -> None:

@@ -27,6 +27,8 @@ ARRAY_DTYPES: dict[str, type[np.generic]] = {
 """The arrays that any planner may give; `trajectories` alone is always there."""
 MOTIONS = ("trajectories", "velocities", "accelerations")
 """Those of shape [N,T,D]; the others are [N]."""
+STANDS = 1.0
+"""m; an anchor that gets no farther than this from its beginning stands."""
 NEAR = 128.0
 """m; trajectories that reach further from zero are float64, where float32 would round them by more
 than 8 µm."""
@@ -142,8 +144,9 @@ class AnchorBatch:
         """Index of the best anchor of those that follow a route; of one scene.
 
         Planners are told a goal or a command; whoever asks often knows the whole way. Of anchors
-        that end within some metres of it, the best as of `best`; where there is none, the one that
-        ends nearest. Those that come back to the route are among them.
+        that end within some metres of it, the best as of `best`; those that come back to the route
+        are among them. Where none of these gets away from its beginning by a metre, the best of
+        all: to stand beside a route is not to follow it, and who did so would stand for ever.
 
         route: [V, 2] m, a polyline in the request's frame; within: m
 
@@ -154,9 +157,10 @@ class AnchorBatch:
         if self.batched:
             raise ValueError("best_along: expected the answer of one scene, got a B axis")
         strays = beside_route(self.trajectories[:, -1, :2], route)
-        kept = np.flatnonzero(strays <= within)
-        if not len(kept):
-            return int(strays.argmin())
+        ways = self.trajectories[..., :2]
+        moves = np.linalg.norm(ways - ways[:, :1], axis=-1).max(-1) > STANDS
+        follows = strays <= within
+        kept = np.flatnonzero(follows if (follows & moves).any() else np.ones_like(follows))
         names = [name for name in ("scores", "safe") if name in self.arrays]
         return int(kept[_best({name: self.arrays[name][kept] for name in names}, kept.shape)])
 
