@@ -255,6 +255,12 @@ NOT_HERE = {
     "anchorflow train data/drive --planner goalflow --out runs/outcomes"
     " --before runs/goalflow/checkpoint.pt --objective.stage outcomes --model.outcomes"
     " --model.channels 16 --steps 1000 --batch.scenes 16": TRAINS,
+    "anchorflow bench drive-closed-loop --drivers none --bundle bundles/goalflow --along-route"
+    " --seed 9000 --keep data/outcomes --out runs/drives": MEASURES,
+    "cp data/drive/*.npz data/outcomes": "copies to where the line above it has driven",
+    "anchorflow train data/outcomes --planner goalflow --out runs/again"
+    " --before runs/outcomes/checkpoint.pt --objective.stage outcomes --model.outcomes"
+    " --model.channels 16 --steps 1000 --batch.scenes 16 --learning-rate 0.001": TRAINS,
     "anchorflow export runs/outcomes/checkpoint.pt --out bundles/goalflow": (
         "exports the run that the line above it trains; tests/service/http exports a smaller one"
     ),
