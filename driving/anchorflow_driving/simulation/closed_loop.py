@@ -114,8 +114,8 @@ def drive_route(
 
     Junctions have no traffic lights, since planners are not told of them.
 
-    keep: takes the drive as a log, in which every plan is a window. The driver then drives on past
-        the route's end, until the last plan's window has its future.
+    keep: takes the drive as a log, as `DrivenLog` makes it. The driver then drives on past the
+        route's end, so that the last window has its future.
 
     Raises:
         SimulationError: SUMO fails, or no vehicle is found that can drive so far.

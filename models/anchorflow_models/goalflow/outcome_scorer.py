@@ -10,7 +10,8 @@ LEARNT = ("nc", "dac", "ep", "ttc")
 """Sub-scores that are learnt; comfort is a trajectory's own, and its rule says it."""
 POSE = 4 + 3  # x, y, direction; speed, acceleration, yaw rate
 NC_POWER = 3
-"""A collision forfeits all else, and a mean over what may come takes it for half a loss."""
+"""A collision forfeits all else, and a mean over what may come takes it for half a loss; set on
+simulated windows (docs/decisions/0032-cars-that-turn.md)."""
 
 
 class OutcomeScorer(nn.Module):
