@@ -45,7 +45,7 @@ def test_random_scenes_have_scores_that_differ(outcomes: bool) -> None:
         context = adapter.model.encode(**adapter.random_inputs(1, seed=seed))
         mean, x = adapter._beginning(context, torch.randn(8, context["prior_basis"].shape[1]))
         scores = adapter.model.score(x, mean, context)
-        assert scores.max() > 0.01
+        assert scores.max() > 0.005  # of a chance of a half to hit somebody an eighth is left
         assert scores.max() > 1.1 * scores.min()
 
 

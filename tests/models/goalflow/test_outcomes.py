@@ -53,7 +53,7 @@ def test_what_becomes_well_is_worth_one() -> None:
         ({"ttc": -SURE}, {}, 7 / 12),
         ({}, {"comfort": 0.0}, 10 / 12),
         ({}, {"ahead": 0.0, "progress": 0.0}, 1.0),  # which the scorer hears of and outweighs
-        ({"nc": 0.0}, {}, 0.25),
+        ({"nc": 0.0}, {}, 0.125),
         ({}, {"by_rules": 0.25}, 0.5),
     ],
 )
