@@ -12,6 +12,7 @@ from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_cli.bench_options import RESULTS, NumOption, OutOption, ThreadsOption
 from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
+from anchorflow_cli.options import folder_option
 
 
 def drive_closed_loop(
@@ -38,7 +39,7 @@ def drive_closed_loop(
     seed: Annotated[int, typer.Option(min=0, help="Of nets and traffic.")] = 2000,
     keep: Annotated[
         Path | None,
-        typer.Option(help="Folder where every drive is kept as a log, to learn from."),
+        folder_option("Folder where every drive is kept as a log, to learn from."),
     ] = None,
     out: OutOption = RESULTS,
 ) -> None:

@@ -42,9 +42,9 @@ class DrivenLog:
 
     def log(self, name: str) -> DrivingLog:
         """Windows are those with the ego for long enough before and after, no two too near."""
-        names = sorted({each for frame in self._frames for each in frame})
-        tracks, ego = self._tracks(names), names.index(self._ego)
-        kept = self._kept(tracks["track_state"][ego])
+        seen = self._traffic.seen(self._frames)
+        ego, states = seen.names.index(self._ego), seen.states.astype(np.float32)
+        kept = self._kept(states[ego])
         frame, route, command, limit = zip(*kept, strict=True) if kept else ((), (), (), ())
         return DrivingLog(
             name=name,
@@ -57,8 +57,10 @@ class DrivenLog:
             window_command=np.array(command, np.uint8),
             window_speed_limit=np.array(limit, np.float32),
             **line_fields("route", list(route)),
+            track_type=seen.kind,
+            track_size=seen.size.astype(np.float32),
+            track_state=states,
             **self._map_fields,
-            **tracks,
         )
 
     def _kept(self, states: NDArray[np.float32]) -> list[tuple[int, Array, int, float]]:
@@ -74,19 +76,3 @@ class DrivenLog:
             if np.isfinite(states[first : last + 1]).all():
                 kept.append(window)
         return kept
-
-    def _tracks(self, names: list[str]) -> dict[str, Any]:
-        """Fields of those with names, and of what stands."""
-        absent, traffic = np.full(5, np.nan), self._traffic
-        states = np.array([[frame.get(name, absent) for frame in self._frames] for name in names])
-        # Headings unwrapped, where there are some.
-        turn = np.nan_to_num(states[..., 2])
-        states[..., 2] += np.unwrap(turn, axis=1) - turn
-        beside = [np.repeat(each.state[None], len(self._frames), 0) for each in traffic.standing]
-        size = [traffic.size_of(name) for name in names] + [each.size for each in traffic.standing]
-        kind = [traffic.kind_of(name) for name in names] + [each.kind for each in traffic.standing]
-        return {
-            "track_type": np.array(kind, np.uint8),
-            "track_size": np.array(size, np.float32),
-            "track_state": np.array([*states, *beside], np.float32),
-        }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,10 +27,10 @@ UNCHECKED = 0
 
 @dataclass(frozen=True)
 class Seen:
-    """Everybody in the last frames; K tracks."""
+    """Everybody in F frames; K tracks, of which those without a name stand beside the road."""
 
     names: list[str]
-    states: Array  # [K, HISTORY_FRAMES + 1, 5], NaN where absent; the last frame is now
+    states: Array  # [K, F, 5], NaN where absent; the last frame is now
     size: Array  # [K, 2]
     kind: NDArray[np.uint8]  # [K]
 
@@ -69,11 +70,6 @@ class LiveTraffic:
         """Who was where in the last frames, [5] each; the last one is now."""
         return list(self._past)
 
-    @property
-    def standing(self) -> list[Standing]:
-        """What stands beside the road."""
-        return self._standing
-
     def size_of(self, name: str) -> tuple[float, float]:
         return self._size[name]
 
@@ -112,11 +108,13 @@ class LiveTraffic:
             now[ego] = np.concatenate([pose, velocity])
         self._past.append(now)
 
-    def seen(self) -> Seen:
-        names = sorted({name for frame in self._past for name in frame})
+    def seen(self, frames: Sequence[dict[str, Array]] | None = None) -> Seen:
+        """Everybody in these frames, all of which passed here; in the last ones, unless told."""
+        frames = self._past if frames is None else frames
+        names = sorted({name for frame in frames for name in frame})
         absent = np.full(5, np.nan)
-        moving = [[frame.get(name, absent) for frame in self._past] for name in names]
-        standing = [[each.state] * len(self._past) for each in self._standing]
+        moving = [[frame.get(name, absent) for frame in frames] for name in names]
+        standing = [[each.state] * len(frames) for each in self._standing]
         size = [self._size[name] for name in names] + [each.size for each in self._standing]
         kind = [self._kind[name] for name in names] + [each.kind for each in self._standing]
         states = np.array(moving + standing)

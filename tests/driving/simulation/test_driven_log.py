@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections import deque
 
 import numpy as np
 import pytest
@@ -11,8 +11,9 @@ for _module in ("sumo", "libsumo"):
     pytest.importorskip(_module, reason=f"{_module} is not installed")
 
 from anchorflow_driving.line_fields import line_fields  # noqa: E402
-from anchorflow_driving.log import VEHICLE  # noqa: E402
+from anchorflow_driving.log import HISTORY_FRAMES, VEHICLE  # noqa: E402
 from anchorflow_driving.simulation.driven_log import DrivenLog  # noqa: E402
+from anchorflow_driving.simulation.live_traffic import LiveTraffic  # noqa: E402
 
 SQUARE = np.array([[-9.0, -9.0], [999.0, -9.0], [999.0, 9.0], [-9.0, 9.0]])
 MAP = {
@@ -27,41 +28,33 @@ MAP = {
 }
 
 
-class MadeUp:
-    """The ego at 5 m/s from some frame on, and one that stands and is gone after another."""
-
-    standing: tuple[Any, ...] = ()
+class MadeUp(LiveTraffic):
+    """Without SUMO: the ego at 5 m/s from some frame on, and one that stands until another."""
 
     def __init__(self, *, appears: int, leaves: int) -> None:
-        self.appears, self.leaves, self.now = appears, leaves, 0
+        self.appears, self.leaves = appears, leaves
+        self._standing, self._past = [], deque(maxlen=HISTORY_FRAMES + 1)
+        self._size = {"ego": (4.0, 1.8), "another": (8.0, 2.5)}
+        self._kind = dict.fromkeys(self._size, VEHICLE)
+        for frame in range(HISTORY_FRAMES + 1):
+            self.pass_(frame)
 
-    @property
-    def past(self) -> list[dict[str, np.ndarray]]:
-        return [self._frame(each) for each in range(max(0, self.now - 20), self.now + 1)]
-
-    def _frame(self, frame: int) -> dict[str, np.ndarray]:
+    def pass_(self, frame: int) -> None:
         there: dict[str, np.ndarray] = {}
         if frame >= self.appears:
             there["ego"] = np.array([0.5 * frame, 0.0, 0.0, 5.0, 0.0])
         if frame < self.leaves:
             there["another"] = np.array([50.0, 0.0, 3.0, 0.0, 0.0])
-        return there
-
-    def size_of(self, name: str) -> tuple[float, float]:
-        return (4.0, 1.8) if name == "ego" else (8.0, 2.5)
-
-    def kind_of(self, name: str) -> int:  # noqa: ARG002
-        return VEHICLE
+        self._past.append(there)
 
 
 def test_windows_are_those_with_the_ego_for_long_enough() -> None:
-    traffic: Any = MadeUp(appears=7, leaves=60)
-    traffic.now = 20
+    traffic = MadeUp(appears=7, leaves=60)
     noted = DrivenLog(traffic, "ego", MAP)
     for frame in range(20, 101):
         if frame % 5 == 0:
             noted.note_window(np.array([[0.0, 0.0], [200.0, 0.0]]), 1, 13.9)
-        traffic.now += 1
+        traffic.pass_(frame + 1)
         noted.note_frame()
 
     log = noted.log("made up")
