@@ -20,6 +20,7 @@ from anchorflow_benchmarks.driving.score_time import score_time_table
 from anchorflow_benchmarks.samplers import CARD
 from anchorflow_cli.bench_options import (
     RESULTS,
+    AlongRouteOption,
     NumOption,
     OutOption,
     SamplersOption,
@@ -40,6 +41,7 @@ def drive(
         list[Path] | None,
         typer.Option("--bundle", help="Folder of a bundle that drives too; repeatable."),
     ] = None,
+    along_route: AlongRouteOption = False,
     num: NumOption = 64,
     samplers: SamplersOption = CARD,
     seeds: Annotated[
@@ -59,7 +61,8 @@ def drive(
     for folder in bundle or []:
         for sampler in samplers.split(","):
             driver = BundleDriver(folder, num=num, sampler=sampler, threads=threads)
-            seeded = map(driver.seeded, seeds or [0])
+            ways = (driver, driver.along_route()) if along_route else (driver,)
+            seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
             chosen |= {each.name: Entry(each) for each in seeded}
     windows = sum(log.windows for log in found)
     with progress("driving", windows) as advance:

@@ -9,7 +9,13 @@ import typer
 
 from anchorflow_benchmarks.driving.bundle_driver import BundleDriver
 from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_cli.bench_options import RESULTS, NumOption, OutOption, ThreadsOption
+from anchorflow_cli.bench_options import (
+    RESULTS,
+    AlongRouteOption,
+    NumOption,
+    OutOption,
+    ThreadsOption,
+)
 from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import folder_option
@@ -27,10 +33,7 @@ def drive_closed_loop(
         list[Path] | None,
         typer.Option("--bundle", help="Folder of a bundle that drives too; repeatable."),
     ] = None,
-    along_route: Annotated[
-        bool,
-        typer.Option("--along-route", help="Each bundle drives twice: then chosen by the route."),
-    ] = False,
+    along_route: AlongRouteOption = False,
     num: NumOption = 64,
     threads: ThreadsOption = None,
     routes: Annotated[int, typer.Option(min=1, help="How many, each on a net of its own.")] = 20,

@@ -37,6 +37,10 @@ ClientsOption = Annotated[int, typer.Option(min=1, help="Closed-loop clients.")]
 ThreadsOption = Annotated[
     int | None, typer.Option(min=1, help="Threads of a request.", show_default="the cores")
 ]
+AlongRouteOption = Annotated[
+    bool,
+    typer.Option("--along-route", help="Each bundle drives twice: then by its route."),
+]
 OutOption = Annotated[Path, folder_option("Folder that the results are written to.")]
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract.checks import as_array
+from anchorflow_client.contract.route import polyline
 from anchorflow_client.errors import InvalidRequest
 
 Bytes = NDArray[np.uint8]
@@ -35,6 +36,9 @@ LIDAR_LEAST_HEIGHT_M = 0.2
 LIDAR_MOST_POINTS = 5
 LIDAR_BEFORE_S = 0.5
 """Between the two sweeps that a planner may look at: as far apart as NAVSIM's samples."""
+
+ROUTE_POINTS, ROUTE_SPACING_M = 40, 2.0
+SAME_POINT = 1e-6  # m
 
 
 def stitch_cameras(
@@ -144,6 +148,33 @@ def ego_status(*, command: str, velocity: ArrayLike, acceleration: ArrayLike) ->
             raise InvalidRequest(f"expected finite numbers, got {value.tolist()}", name)
     one_hot = np.array([name == command for name in COMMANDS], np.float32)
     return np.concatenate([one_hot, *numbers.values()])
+
+
+def route_ahead(points: ArrayLike) -> Floats:
+    """A route as planners are told it: [40, 2] m, 2 m apart, the first beside the car.
+
+    It goes on straight where the polyline ends.
+
+    Args:
+        points: [V, 2] m, a polyline in the frame of the rear axle, two points or more.
+
+    Raises:
+        InvalidRequest: names `route`.
+    """
+    line = polyline(points)
+    gaps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    line = line[np.concatenate([[True], gaps > SAME_POINT])]
+    if len(line) < 2:
+        raise InvalidRequest("expected two or more points apart from each other, got one", "route")
+    along = np.diff(line, axis=0)
+    length = np.linalg.norm(along, axis=1)
+    share = np.clip(-(line[:-1] * along).sum(-1) / length**2, 0.0, 1.0)
+    nearest = np.linalg.norm(line[:-1] + share[:, None] * along, axis=1).argmin()
+    arc = np.concatenate([[0.0], length.cumsum()])
+    at = arc[nearest] + share[nearest] * length[nearest] + ROUTE_SPACING_M * np.arange(ROUTE_POINTS)
+    beyond = np.maximum(at - arc[-1], 0.0)[:, None] * along[-1] / length[-1]
+    places = np.stack([np.interp(at, arc, axis) for axis in line.T], -1)
+    return (places + beyond).astype(np.float32)
 
 
 def _image(image: ArrayLike, field: str) -> Bytes:

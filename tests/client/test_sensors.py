@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.sensors import ego_status, lidar_histogram, resize_image, stitch_cameras
+from anchorflow_client.sensors import (
+    ROUTE_POINTS,
+    ROUTE_SPACING_M,
+    ego_status,
+    lidar_histogram,
+    resize_image,
+    route_ahead,
+    stitch_cameras,
+)
 
 
 def image(red: int, rows: int = 1080, columns: int = 1920) -> np.ndarray:
@@ -152,3 +161,30 @@ def test_what_is_no_array_is_named(field: str, strange: object) -> None:
         maker(strange)
 
     assert told.value.field == field
+
+
+def test_a_route_begins_beside_the_car_and_goes_on_straight() -> None:
+    line = [[-30.0, 3.0], [10.0, 3.0], [10.0, 3.0], [10.0, 13.0]]  # one place twice
+    route = route_ahead(line)
+    assert route.shape == (ROUTE_POINTS, 2)
+    assert route.dtype == np.float32
+    np.testing.assert_allclose(route[0], [0.0, 3.0], atol=1e-6)
+    np.testing.assert_allclose(route[5:8], [[10.0, 3.0], [10.0, 5.0], [10.0, 7.0]], atol=1e-5)
+    np.testing.assert_allclose(route[-1], [10.0, 3.0 + ROUTE_SPACING_M * (ROUTE_POINTS - 6)])
+
+
+def test_a_route_that_lies_ahead_begins_with_its_first_place() -> None:
+    np.testing.assert_allclose(route_ahead([[5.0, 0.0], [9.0, 0.0]])[:2], [[5.0, 0.0], [7.0, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([[0.0, 0.0]], "route: expected two or more finite points [V, 2], got shape [1, 2]"),
+        ([[0.0, 0.0], [0.0, np.nan]], "route: expected two or more finite points [V, 2], got some"),
+        ([[1.0, 0.0], [1.0, 0.0]], "route: expected two or more points apart from each other"),
+    ],
+)
+def test_what_is_no_route_is_refused(points: object, message: str) -> None:
+    with pytest.raises(InvalidRequest, match=re.escape(message)):
+        route_ahead(points)  # type: ignore[arg-type]

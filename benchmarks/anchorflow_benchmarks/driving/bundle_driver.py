@@ -28,8 +28,10 @@ from anchorflow_service.local import LocalClient
 
 Array = NDArray[np.float64]
 
+ROUTE = "route"
+"""The input by which a bundle is told its route, where it takes one."""
 ALONG_MARK = "_along_route"
-"""At the end of the name of a driver that chooses by its route."""
+"""At the end of the name of a driver that drives by its route."""
 SEED_MARK = "_seed"
 """Before its number, at the end of the name of a driver whose noise is of another seed than 0."""
 
@@ -43,7 +45,7 @@ CHOICES = ("im_rewards", "coarse_scores")
 class Proposals:
     """What a bundle proposes for a window.
 
-    trajectories: [N, 8, 3]; scores: [N], or None where the bundle gives none
+    trajectories: [N, 8, 3]; scores: [N], or None where the bundle gives none; best: which is driven
     foretold: [N, 5] sub-scores; choices: [N] each, by name; offsets: [N, 8, 3] from its anchors;
         of bundles that tell them
     goals: [K, 2] and goal_scores: [K], the best first, of bundles that have them
@@ -57,17 +59,14 @@ class Proposals:
     offsets: Array | None
     goals: Array | None
     goal_scores: Array | None
+    best: int
     drawing_ms: float
     flow_ms: float
 
-    @property
-    def best(self) -> int:
-        """The one with the highest score; the first where there are none."""
-        return 0 if self.scores is None else int(self.scores.argmax())
-
 
 class BundleDriver:
-    """Drives by the proposal with the highest score, of `num` or as many as there are.
+    """Drives by the proposal with the highest score, of `num` or as many as there are; is told no
+    route.
 
     Raises:
         BundleError: the bundle is broken.
@@ -96,7 +95,8 @@ class BundleDriver:
         extras = {spec.name for spec in card.answer.extras}
         told = ("goals", "goal_scores", "offsets", *FORETOLD, *CHOICES)
         self._told = [name for name in told if name in extras]
-        self._inputs = card.inputs
+        self._inputs = [spec for spec in card.inputs if spec.name != ROUTE]
+        self._route = [spec for spec in card.inputs if spec.name == ROUTE]
         self.name = card.name if sampler == CARD else f"{card.name}_{sampler.replace(':', '_')}"
         self._by_route = False
         self._draws_noise = not isinstance(card.sampler, VocabularySpec)
@@ -112,7 +112,8 @@ class BundleDriver:
         return other
 
     def along_route(self) -> BundleDriver:
-        """The same engine, which is told no route, and whoever asks it chooses by the route."""
+        """The same engine, which is told its route where it takes one; elsewhere whoever asks it
+        chooses by the route."""
         other = copy(self)
         other._by_route = True
         other.name = f"{self.name}{ALONG_MARK}"
@@ -121,9 +122,7 @@ class BundleDriver:
     def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array:
         """Its best proposal [T, 3]; NaN at times (s) that are none of PLAN_TIMES."""
         answer, _ = self._asked(window)
-        route = window.view.route.points
-        best = answer.best_along(route) if self._by_route else answer.best
-        poses = answer.trajectories[best].astype(np.float64)
+        poses = answer.trajectories[self._best(answer, window)].astype(np.float64)
         plan = np.full((len(times), 3), np.nan)
         for time, pose in zip(PLAN_TIMES, poses, strict=True):
             plan[np.isclose(times, time)] = pose
@@ -141,6 +140,7 @@ class BundleDriver:
             offsets=_doubles(answer, "offsets"),
             goals=_doubles(answer, "goals"),
             goal_scores=_doubles(answer, "goal_scores"),
+            best=self._best(answer, window),
             drawing_ms=drawing_ms,
             flow_ms=answer.timing_ms["sample"],
         )
@@ -148,10 +148,16 @@ class BundleDriver:
     def _asked(self, window: Window) -> tuple[AnchorBatch, float]:
         """All that it tells of a window's view, and ms spent on its inputs."""
         started = perf_counter()
-        inputs = draw_inputs(window.view, self._inputs)
+        told = [*self._inputs, *self._route] if self._by_route else self._inputs
+        inputs = draw_inputs(window.view, told)
         drawing_ms = 1e3 * (perf_counter() - started)
         answer = self._client.plan(inputs=inputs, outputs=self._told, **self._options)
         return answer, drawing_ms
+
+    def _best(self, answer: AnchorBatch, window: Window) -> int:
+        if self._by_route and not self._route:
+            return answer.best_along(window.view.route.points)
+        return int(answer.best)
 
 
 def _doubles(answer: AnchorBatch, name: str) -> Array | None:

@@ -24,8 +24,9 @@ NOTE = (
     "A route ends with the first of: its length; a collision at fault, as the PDM score has it; a"
     " corner off the road; its time. comfort: share of the 4 s stretches within the PDM score's"
     " bounds; s: median of the completed routes; ms: median time of a plan. Every driver starts"
-    " from the same traffic. along_route: of what the same bundle proposes, told a command and no"
-    " route, the best that ends within 2 m of the route, or of all where none that moves does."
+    " from the same traffic. along_route: the same bundle, told its route where its card takes"
+    " one; of what others propose, the best that ends within 2 m of the route, or of all where none"
+    " that moves does."
 )
 
 

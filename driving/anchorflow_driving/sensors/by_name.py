@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import TensorSpec
-from anchorflow_client.sensors import resize_image
+from anchorflow_client.sensors import resize_image, route_ahead
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.sensors.lidar import simulated_lidar, simulated_lidar_before
 from anchorflow_driving.sensors.status import status_of
@@ -53,6 +53,7 @@ SENSORS: Mapping[str, Sensor] = {
     "ego_status": lambda view, _: status_of(view),
     "lidar": lambda view, _: simulated_lidar(view),
     "lidar_before": lambda view, _: simulated_lidar_before(view),
+    "route": lambda view, _: route_ahead(view.route.points),
     "vehicle_size": lambda view, _: view.vehicle.size.astype(np.float32),
 }
 """What a bundle may ask for, by the name of its input; camera and LiDAR are simulated."""

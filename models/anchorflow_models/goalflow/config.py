@@ -12,6 +12,10 @@ HALTINGS = (1.5, 3.0, 5.0)
 TURNS = ((0.1, 5.0), (0.2, 5.0), (0.2, 2.5))
 """1/m that the turns bend at most, to either side, and m/s that they come to; as halts, they are
 driven as they are."""
+PACES = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
+"""m/s that ways along a route come to; beside them, some halt on it as HALTINGS say."""
+ASIDE = (0.0, 1.0, -1.0)
+"""m to the left of the route that ways along it keep; first the route itself."""
 LEAST = {"goals": 8, "picked": 1, "feature_channels": 1, "width": 16, "layers": 1, "channels": 8}
 
 
@@ -109,5 +113,7 @@ class GoalFlowConfig:
 
     @property
     def ways(self) -> int:
-        """That trajectories begin on: to each picked goal, the shadow, the turns and the halts."""
-        return self.picked + 1 + 2 * len(TURNS) + len(HALTINGS)
+        """That trajectories begin on: to each picked goal, the shadow, the turns, the halts, and
+        those along a route."""
+        along = len(HALTINGS) + len(PACES) * len(ASIDE)
+        return self.picked + 1 + 2 * len(TURNS) + len(HALTINGS) + along

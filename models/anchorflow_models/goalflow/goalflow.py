@@ -14,17 +14,27 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from anchorflow_client.sensors import ROUTE_POINTS
 from anchorflow_models.goalflow.config import HALTINGS, TURNS, GoalFlowConfig
 from anchorflow_models.goalflow.field import BACKBONES
 from anchorflow_models.goalflow.goals import WayScorer, WayScores, in_units, pick
 from anchorflow_models.goalflow.kinematics import BRAKING, PULLING, SHARPEST, arc_to, roll_out
 from anchorflow_models.goalflow.outcome_scorer import OutcomeScorer, outcome_scores
 from anchorflow_models.goalflow.raster import at_places
+from anchorflow_models.goalflow.route import (
+    Beside,
+    beside,
+    follows,
+    heard,
+    is_told,
+    ways_along,
+)
 from anchorflow_models.goalflow.scene_encoder import VELOCITY, SceneEncoder
 from anchorflow_models.goalflow.trajectory_score import (
     Motion,
     Rules,
     Surroundings,
+    allowed_way,
     met,
     motion_of,
     rules_of,
@@ -48,6 +58,7 @@ SLOWEST_TURN = 1.0  # m/s; below it a curvature is noise
 SETTLED = -1.0  # in place of whether it has a goal: the way itself is the trajectory
 LEANING = 2.5  # m/s² to the side, at most, of turns
 SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most, of turns
+CERTAIN = 20.0  # a logit, of what is known
 GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
 
 
@@ -62,7 +73,7 @@ class GoalFlow(nn.Module):
 
     context_for_modulate = ("context",)
     context_for_field = ("features", "speed")
-    context_for_score = ("features", "context", "speed", "drivable", "occupied", "size")
+    context_for_score = ("features", "context", "speed", "drivable", "occupied", "size", "course")
 
     def __init__(self, config: GoalFlowConfig) -> None:
         super().__init__()
@@ -85,17 +96,23 @@ class GoalFlow(nn.Module):
         stray = torch.linspace(*STRAYS, steps)[:, None] * torch.tensor([1.0, 1.0, 0.05])
         self.register_buffer("stray", stray)
 
-    def encode(self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor) -> Context:
-        """bev: uint8 [B, C, H, W]; ego_status: [B, 8]; vehicle_size: [B, 2] length, width (m).
+    def encode(
+        self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor, route: Tensor | None = None
+    ) -> Context:
+        """bev: uint8 [B, C, H, W]; ego_status: [B, 8]; vehicle_size: [B, 2] length, width (m);
+        route: [B, P, 2] m, as `anchorflow_client.sensors.route_ahead`; zeros, or None: not told.
 
         Returns by name: goals [B, K, 2] and goal_scores [B, K], those that are picked first, then
-        by score; prior_mean [B, ways, T, S], the shadow, the turns and the halts last;
-        prior_basis [B, 3T, T·S]; and what the other graphs ask for.
+        by score; prior_mean [B, ways, T, S], after the goals' the shadow, the turns and the halts,
+        and by turns with them those along the route; prior_basis [B, 3T, T·S]; and what the other
+        graphs ask for.
         """
-        context = self.look(bev, ego_status, vehicle_size)
+        context = self.look(bev, ego_status, vehicle_size, route)
         ways = self.ways_to(self.vocabulary.expand(bev.shape[0], -1, -1), context["speed"])
         scores = self.goal_scores(self.rate(ways[..., :POSE], context))
-        return context | self.arranged(ways, scores, self.order(scores), ego_status)
+        return context | self.arranged(
+            ways, scores, self.order(scores), ego_status, context["course"]
+        )
 
     def order(self, scores: Tensor) -> Tensor:
         """Goals [B, K] by their scores [B, K]: those that are picked, and then the others."""
@@ -104,23 +121,32 @@ class GoalFlow(nn.Module):
         first = 2.0 - torch.arange(count, device=scores.device) / count
         return scores.scatter(1, picked, first.expand_as(picked)).argsort(-1, descending=True)
 
-    def arranged(self, ways: Tensor, scores: Tensor, order: Tensor, ego_status: Tensor) -> Context:
-        """Goals and the ways to them [B, K, T, S], in an order [B, K]: encode's own outputs."""
+    def arranged(
+        self, ways: Tensor, scores: Tensor, order: Tensor, ego_status: Tensor, route: Tensor
+    ) -> Context:
+        """Goals and the ways to them [B, K, T, S], in an order [B, K]: encode's own outputs.
+
+        route: [B, P, 2]
+        """
         picked = order[:, : self.config.picked, None, None]
         # Plain gathers: the exporter takes the scenes of take_along_dim for a constant.
         taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
         speed = ego_status[:, VELOCITY]
         shadow = self.shadow(ego_status, speed)
         settled = self.turns(speed), self.halts(shadow, speed)
+        ways = torch.cat([taken, shadow, *settled], 1)
         return {
-            "prior_mean": torch.cat([taken, shadow, *settled], 1),
+            "prior_mean": self.with_route(ways, route, speed),
             "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
             "goals": self.vocabulary[order],
             "goal_scores": scores.gather(1, order),
         }
 
-    def look(self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor) -> Context:
-        """What the networks see of a scene."""
+    def look(
+        self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor, route: Tensor | None = None
+    ) -> Context:
+        """What the networks see of a scene, and the route."""
+        untold = torch.zeros(bev.shape[0], ROUTE_POINTS, 2, device=bev.device)
         layout, cells = self.config.bev, bev.float() / FULL
         features, context = self.scene(cells, ego_status, vehicle_size)
         now = cells[:, layout.boxes : layout.boxes + 3].amax(1, keepdim=True)
@@ -132,6 +158,7 @@ class GoalFlow(nn.Module):
             "size": vehicle_size,
             "drivable": cells[:, layout.drivable, :, :, None],
             "occupied": torch.cat([now, foretold], 1),
+            "course": untold if route is None else route.clone(),  # a graph passes none on
         }
 
     def ways_to(self, goals: Tensor, speed: Tensor) -> Tensor:
@@ -178,6 +205,23 @@ class GoalFlow(nn.Module):
         bend = shadow[:, :, :1, POSE + 2].expand(-1, len(HALTINGS), -1)
         braking = -torch.tensor(HALTINGS).to(bend)[:, None]
         return self._way(speed[:, None].expand(bend.shape[:2]), braking, bend, aimed=SETTLED)
+
+    def with_route(self, ways: Tensor, route: Tensor, speed: Tensor) -> Tensor:
+        """Ways [B, V, T, S] and those along routes [B, P, 2], by turns, so that of both there are
+        some where few anchors are asked for; where no route is told, the first come again.
+        """
+        along = self.along(route, speed)
+        both = min(ways.shape[1], along.shape[1])
+        by_turns = torch.stack([ways[:, :both], along[:, :both]], 2).flatten(1, 2)
+        told = torch.cat([by_turns, ways[:, both:], along[:, both:]], 1)
+        again = ways[:, torch.arange(along.shape[1]) % ways.shape[1]]
+        untold = torch.cat([ways, again], 1)
+        return torch.where(is_told(route)[:, None, None, None], told, untold)
+
+    def along(self, route: Tensor, speed: Tensor) -> Tensor:
+        """Ways [B, W, T, S] along routes [B, P, 2]; no flow moves them either."""
+        poses, controls = ways_along(route, speed, steps=self.config.num_steps, dt=self.config.dt)
+        return torch.cat([poses, torch.full_like(poses[..., :1], SETTLED), controls], -1)
 
     def _way(
         self, speed: Tensor, acceleration: Tensor, curvature: Tensor, *, aimed: float
@@ -252,10 +296,14 @@ class GoalFlow(nn.Module):
         motion, rules = self.judged(poses, context)
         missed = (poses[..., -1, :2] - way[..., -1, :2]).square().sum(-1).sqrt()
         missed = missed * prior_mean[..., 0, POSE].clamp(min=0)
-        by_rules = trajectory_scores(rules, missed, self.rate(poses, context), self.config)
-        if self.outcomes is None:
-            return by_rules
-        return outcome_scores(self.outcome(poses, motion, rules, context), rules, by_rules)
+        route, ways = context["course"], self.rate(poses, context)
+        ways = ways._replace(route=torch.where(is_told(route)[:, None], CERTAIN, ways.route))
+        scores = trajectory_scores(rules, missed, ways, self.config)
+        where = beside(poses[..., :2], route)
+        if self.outcomes is not None:
+            logits = self.outcome(poses, motion, rules, where, context)
+            scores = outcome_scores(logits, rules, scores)
+        return scores * follows(where.strays[..., -1], route)
 
     def judged(self, poses: Tensor, context: Context) -> tuple[Motion, Rules]:
         """How trajectories [B, N, T, 3] move, and what the rules say of them."""
@@ -263,18 +311,24 @@ class GoalFlow(nn.Module):
         motion = motion_of(poses, around, self.config)
         return motion, rules_of(poses, motion, around, self.config)
 
-    def outcome(self, poses: Tensor, motion: Motion, rules: Rules, context: Context) -> Tensor:
+    def outcome(
+        self, poses: Tensor, motion: Motion, rules: Rules, where: Beside, context: Context
+    ) -> Tensor:
         """Logits [B, N, 4] of what becomes of trajectories [B, N, T, 3]."""
         assert self.outcomes is not None
-        return self.outcomes(self.told(poses, motion, rules, context), context["context"])
+        told = self.told(poses, motion, rules, where, context)
+        return self.outcomes(told, context["context"])
 
-    def told(self, poses: Tensor, motion: Motion, rules: Rules, context: Context) -> Tensor:
+    def told(
+        self, poses: Tensor, motion: Motion, rules: Rules, where: Beside, context: Context
+    ) -> Tensor:
         """[B, N, F] that outcomes are learnt from."""
         seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
         moves = [values / unit for values, unit in zip(motion, UNITS, strict=True)]
         others = met(poses, motion, _surroundings(context), self.config)
         own = [seen.flatten(2), in_units(poses).flatten(2), *moves, others]
-        return torch.cat([*own, torch.stack(rules, -1)], -1)
+        route = heard(where, allowed_way(context["speed"], self.config), context["course"])
+        return torch.cat([*own, torch.stack(rules, -1), route], -1)
 
 
 def _surroundings(context: Context) -> Surroundings:

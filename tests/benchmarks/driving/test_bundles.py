@@ -105,13 +105,13 @@ def test_figures_of_known_proposals() -> None:
         offsets=None,
         goals=np.stack([*[end + 50.0] * 5, end]),
         goal_scores=np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.9]),
+        best=1,
         drawing_ms=1.0,
         flow_ms=1.0,
     )
     pdms = PdmScorer(window).score(proposals.trajectories).pdms
     figures = proposal_figures(window, proposals, pdms=pdms)
 
-    assert proposals.best == 1
     assert figures["minADE"] == pytest.approx(0.0)
     assert figures["oracle"] == pytest.approx(1.0, abs=0.1)
     assert figures["rank"] == pytest.approx(1.0)
@@ -131,6 +131,7 @@ def test_what_else_it_could_have_chosen_by() -> None:
         offsets=np.stack([off_road - driven, driven - off_road]),
         goals=None,
         goal_scores=None,
+        best=1,
         drawing_ms=1.0,
         flow_ms=1.0,
     )

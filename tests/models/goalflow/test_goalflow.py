@@ -23,6 +23,9 @@ def statuses(*speeds: float) -> Tensor:
 
 
 SIZE = torch.tensor([[4.6, 1.9]])
+SETTLED_WAYS = 2 * len(TURNS) + len(HALTINGS)
+ONCE = 7 + 1 + SETTLED_WAYS
+"""Ways of a model that is told no route, before they come again."""
 
 
 @pytest.fixture(params=["mlp", "transformer"])
@@ -71,8 +74,8 @@ def test_goals_come_with_those_first_that_are_drawn_to(model: GoalFlow) -> None:
     assert (scores[7:].diff() <= 0).all()
     ways = model.ways_to(goals[None, :7], torch.tensor([8.0]))
     torch.testing.assert_close(context["prior_mean"][:, :7], ways)
-    aimed = [1.0] * 7 + [0.0] + [SETTLED] * (2 * len(TURNS) + len(HALTINGS))
-    assert context["prior_mean"][0, :, 0, POSE].tolist() == aimed
+    aimed = [1.0] * 7 + [0.0] + [SETTLED] * SETTLED_WAYS
+    assert context["prior_mean"][0, :ONCE, 0, POSE].tolist() == aimed
 
 
 @torch.no_grad()
@@ -99,16 +102,15 @@ def test_turns_bend_to_both_sides_as_far_as_a_car_leans(model: GoalFlow, speed: 
 def test_halts_brake_until_they_stand_whatever_the_flow_says(model: GoalFlow) -> None:
     context = shaken(model).encode(road(), statuses(6.0), SIZE)
     drawn = sampled(model, context, torch.randn(model.config.ways, 24), steps=2)
-    halts = drawn[0, -len(HALTINGS) :, :, :POSE]
+    halts = drawn[0, ONCE - len(HALTINGS) : ONCE, :, :POSE]
     expected = torch.tensor([6.0**2 / (2 * braking) for braking in HALTINGS])
     # Steps of an eighth of a second; the gentlest stands after four of them.
     torch.testing.assert_close(halts[:, -1, 0], expected, atol=0.1, rtol=0)
     assert (halts[:, -1] - halts[:, -2]).abs().amax() < 0.3
     assert halts[..., 1:].abs().amax() < 1e-6
-    moved = (drawn - context["prior_mean"])[0, ..., :POSE].abs().amax((1, 2))
-    settled = 2 * len(TURNS) + len(HALTINGS)
-    assert (moved[:-settled] > 0.01).all()
-    assert (moved[-settled:] < 1e-4).all()
+    moved = (drawn - context["prior_mean"])[0, :ONCE, :, :POSE].abs().amax((1, 2))
+    assert (moved[:-SETTLED_WAYS] > 0.01).all()
+    assert (moved[-SETTLED_WAYS:] < 1e-4).all()
 
 
 @torch.no_grad()

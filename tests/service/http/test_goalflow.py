@@ -93,7 +93,8 @@ def assert_same(got: AnchorBatch, expected: AnchorBatch) -> None:
 def test_the_card_says_how_to_ask(local: LocalClient) -> None:
     (card,) = local.models()
 
-    assert [spec.name for spec in card.inputs] == ["bev", "ego_status", "vehicle_size"]
+    assert [spec.name for spec in card.inputs] == ["bev", "ego_status", "vehicle_size", "route"]
+    assert [spec.name for spec in card.inputs if spec.optional] == ["route"]
     assert card.inputs[0].shape == ("B", 20, 192, 128)
     assert card.inputs[0].extent == (-16.0, 80.0, -32.0, 32.0)
     assert (card.conditioning.kind, card.sampler.kind, card.finish.kind) == (

@@ -10,10 +10,13 @@ import pytest
 import torch
 from driven_bend import write_bends
 
+from anchorflow_client.contract.route import beside_route
+from anchorflow_client.sensors import route_ahead
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow.config import PACES
 from anchorflow_training.batches import SampledBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.config import HeldOutConfig
@@ -67,8 +70,13 @@ def test_proposals_are_judged_by_the_scorer_and_kept(
 ) -> None:
     logs, model = open_logs(windows.path), restore_model(load_checkpoint(before))
     made = proposals(logs, model)
-    assert made.trajectories.shape == (len(windows), PER_WAY * model.config.ways, 8, 3)
+    count = model.config.ways + (PER_WAY - 1) * (model.config.picked + 1)
+    assert made.trajectories.shape == (len(windows), count, 8, 3)
     window = Scenes(read_log(logs[0]))[0]
+    route = route_ahead(window.view.route.points)
+    np.testing.assert_array_equal(made.routes[0], route)
+    strays = beside_route(made.trajectories[0, :, -1, :2], route)
+    assert (strays < 0.5).sum() >= len(PACES)  # some were drawn along it
     wanted = PdmScorer(window).score(made.trajectories[0].astype(float)).sub_scores
     np.testing.assert_allclose(made.scores[0], wanted, atol=1e-3)
     assert np.ptp(made.trajectories[0], axis=0).max() > 1  # they differ

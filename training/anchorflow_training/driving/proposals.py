@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 
@@ -12,29 +12,32 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from anchorflow_client.sensors import ROUTE_POINTS, route_ahead
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
 from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.goalflow import GoalFlow
-from anchorflow_models.goalflow.config import HALTINGS, TURNS
-from anchorflow_models.goalflow.goalflow import POSE
+from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES, TURNS
+from anchorflow_models.goalflow.goalflow import POSE, SETTLED
 from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
 
 PER_WAY = 2
-"""Trajectories that are drawn to each goal, and to none."""
+"""Trajectories that are drawn to each goal, and to none; ways that no flow moves stand for
+themselves."""
 DIGITS = 12  # of the weights' digest, in a file's name
 
 
 @dataclass(frozen=True)
 class Proposals:
     """Of W windows: trajectories [W, N, T, 3], m and rad; scores [W, N, 5] in the order of
-    SUB_SCORES.
+    SUB_SCORES; routes [W, P, 2] that some of them follow, m.
     """
 
     trajectories: NDArray[np.float32]
     scores: NDArray[np.float32]
+    routes: NDArray[np.float32]
 
 
 def proposals(
@@ -50,12 +53,13 @@ def proposals(
     missing = [log for log in logs if not is_fresh(kept[log], log)]
     keep = partial(keep_proposals, suffix=next(iter(kept.values())).suffix, model=model)
     each_log(keep, missing, of=len(logs), progress=progress)
-    trajectories, scores = [], []
+    names = [each.name for each in fields(Proposals)]
+    parts: dict[str, list[NDArray[np.float32]]] = {name: [] for name in names}
     for path in kept.values():
         with np.load(path, allow_pickle=False) as part:
-            trajectories.append(part["trajectories"])
-            scores.append(part["scores"].astype(np.float32))
-    return Proposals(np.concatenate(trajectories), np.concatenate(scores))
+            for name in names:
+                parts[name].append(part[name].astype(np.float32))
+    return Proposals(**{name: np.concatenate(arrays) for name, arrays in parts.items()})
 
 
 def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
@@ -64,23 +68,31 @@ def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
     seed = int.from_bytes(hashlib.sha256(log.name.encode()).digest()[:4], "big")
     generator = torch.Generator().manual_seed(seed)
     windows = Scenes(read_log(log))
-    plans = [drawn(model, window, generator) for window in windows]
+    routes = [route_ahead(window.view.route.points) for window in windows]
+    asked = zip(windows, routes, strict=True)
+    plans = [drawn(model, window, route, generator) for window, route in asked]
     scored = zip(windows, plans, strict=True)
-    told = [PdmScorer(window).score(each.astype(np.float64)).sub_scores for window, each in scored]
+    judged = [PdmScorer(w).score(each.astype(np.float64)).sub_scores for w, each in scored]
     # A log without windows has no rows, not even of a shape.
-    count, steps = PER_WAY * model.config.ways, model.config.num_steps
+    flowing, steps = model.config.picked + 1, model.config.num_steps
+    count = model.config.ways + (PER_WAY - 1) * flowing
     trajectories = np.array(plans, np.float32).reshape(-1, count, steps, POSE)
-    scores = np.array(told, np.float16).reshape(-1, count, len(SUB_SCORES))
-    write_beside(log.with_suffix(suffix), trajectories=trajectories, scores=scores)
+    scores = np.array(judged, np.float16).reshape(-1, count, len(SUB_SCORES))
+    told = np.array(routes, np.float32).reshape(-1, ROUTE_POINTS, 2)
+    write_beside(log.with_suffix(suffix), trajectories=trajectories, scores=scores, routes=told)
 
 
 @torch.no_grad()
-def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArray[np.float32]:
-    """Trajectories [N, T, 3] of one step of the flow, PER_WAY to each goal and to none."""
+def drawn(
+    model: GoalFlow, window: Window, route: NDArray[np.float32], generator: torch.Generator
+) -> NDArray[np.float32]:
+    """Trajectories [N, T, 3] of one step of the flow, and ways that it does not move."""
     view = window.view
-    told = (draw_bev(view), status_of(view), view.vehicle.size.astype(np.float32))
+    told = (draw_bev(view), status_of(view), view.vehicle.size.astype(np.float32), route)
     context = model.encode(*(torch.from_numpy(each)[None] for each in told))
-    mean = context["prior_mean"].repeat(1, PER_WAY, 1, 1)
+    ways = context["prior_mean"]
+    flowing = ways[:, ways[0, :, 0, POSE] != SETTLED]
+    mean = torch.cat([ways, flowing.repeat(1, PER_WAY - 1, 1, 1)], 1)
     noise = torch.randn(*mean.shape[:2], POSE * model.config.num_steps, generator=generator)
     x_0 = mean + (noise @ model.basis()[0]).unflatten(-1, mean.shape[2:])
     x_1 = x_0 + model.field(x_0, mean, model.modulate(torch.zeros(1), context)[:, 0], context)
@@ -88,8 +100,8 @@ def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArra
 
 
 def _digest(model: GoalFlow) -> str:
-    """Of what trajectories hang on: the weights, turns and halts."""
-    digest = hashlib.sha256(repr((TURNS, HALTINGS)).encode())
+    """Of what trajectories hang on: the weights, and the ways that no flow moves."""
+    digest = hashlib.sha256(repr((TURNS, HALTINGS, PACES, ASIDE)).encode())
     for name, weight in model.state_dict().items():
         if not name.startswith("outcomes."):
             digest.update(weight.cpu().contiguous().numpy())

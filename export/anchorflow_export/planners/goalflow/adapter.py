@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from anchorflow_client.contract import AnchorRequest, OdeSpec, TensorSpec, resolve_for_card
+from anchorflow_client.sensors import ROUTE_POINTS, ROUTE_SPACING_M
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
 from anchorflow_export.planners.goalflow.graphs import (
     ENCODE_OUTPUTS,
@@ -41,13 +42,15 @@ SAMPLED = 9  # anchors, enough for two slices
 SEED = 11
 # m/s and m/s² of random cars.
 FASTEST, SHARPEST_STATUS = 16.0, 2.0
-ROAD, TAKEN = 0.97, 0.005  # shares of a random raster
-BLOCK = 8  # cells a side of what is drawn in a random raster
+WIDTHS = (6.0, 16.0)  # m, of random streets
+BLOCK, TAKEN = 8, 0.05  # cells a side of what stands beside a random street; its share
+TURNING = 0.01  # rad more from point to point of random routes, times a normal number
 
 STATUS = TensorSpec(
     "ego_status", F32, ("B", 8), "command one-hot; m/s, m/s; m/s^2, m/s^2", (-60.0, 60.0)
 )
 SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
+ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", optional=True)
 TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
 
 
@@ -67,7 +70,7 @@ class GoalFlowAdapter:
     @property
     def inputs(self) -> tuple[TensorSpec, ...]:
         """Of a request, and of encode."""
-        return bev_spec(self.model.config.bev), STATUS, SIZE
+        return bev_spec(self.model.config.bev), STATUS, SIZE, ROUTE
 
     @property
     def parts(self) -> PlannerParts:
@@ -182,7 +185,7 @@ class GoalFlowAdapter:
         context, status = model.look(**inputs), inputs["ego_status"]
         ways = model.ways_to(model.vocabulary.expand(len(order), -1, -1), context["speed"])
         scores = model.goal_scores(model.rate(ways[..., :POSE], context))
-        return context | model.arranged(ways, scores, order, status)
+        return context | model.arranged(ways, scores, order, status, context["course"])
 
     def _order_trial(self, what: str, context: Context) -> SampleTrial:
         """By how much a goal's score is above one that stands before it; nought in order."""
@@ -204,23 +207,39 @@ class GoalFlowAdapter:
         return mean, mean + (noise @ context["prior_basis"]).unflatten(-1, mean.shape[2:])
 
     def random_inputs(self, B: int, *, seed: int) -> dict[str, Tensor]:
-        """Scenes of blocks, of cars at some speed; mostly road, and few in the way: who leaves the
-        road or hits somebody scores nought, whatever a graph makes of the rest.
+        """Scenes of streets without traffic, of cars at some speed; who leaves the road or hits
+        somebody scores nought, and so does all that a trained scorer has never seen the like of,
+        whatever a graph makes of the rest.
         """
         generator = torch.Generator().manual_seed(seed)
-        layout = self.model.config.bev
-        blocks = (B, layout.channels, layout.rows // BLOCK, layout.columns // BLOCK)
-        share = torch.full((layout.channels, 1, 1), 0.5)
-        share[layout.drivable] = ROAD
-        share[layout.boxes : layout.boxes + 3] = TAKEN
-        share[layout.occupied : layout.occupied + layout.foretold] = TAKEN
-        bev = 255 * (torch.rand(blocks, generator=generator) < share).to(torch.uint8)
-        bev = bev.repeat_interleave(BLOCK, -1).repeat_interleave(BLOCK, -2)
         command = torch.eye(4)[torch.randint(0, 4, (B,), generator=generator)]
         speed = FASTEST * torch.rand(B, 1, generator=generator)
         pulls = SHARPEST_STATUS * (2 * torch.rand(B, 2, generator=generator) - 1)
         return {
-            "bev": bev,
+            "bev": self._random_streets(B, generator),
             "ego_status": torch.cat([command, speed, torch.zeros(B, 1), pulls], -1),
             "vehicle_size": 2 + 3 * torch.rand(B, 2, generator=generator),
+            "route": self._random_routes(B, generator),
         }
+
+    def _random_streets(self, B: int, generator: torch.Generator) -> Tensor:
+        """Straight ones of any width, with blocks beside them."""
+        layout = self.model.config.bev
+        right, left = layout.extent[2:]
+        middles = left - (left - right) * (torch.arange(layout.columns) + 0.5) / layout.columns
+        width = torch.empty(B, 1).uniform_(*WIDTHS, generator=generator)
+        street = (middles.abs() < width / 2)[:, None, None]
+        blocks = (B, layout.channels, layout.rows // BLOCK, layout.columns // BLOCK)
+        taken = torch.rand(blocks, generator=generator) < TAKEN
+        taken = taken.repeat_interleave(BLOCK, -1).repeat_interleave(BLOCK, -2)
+        bev = 255 * (taken & ~street).to(torch.uint8)
+        bev[:, layout.drivable] = 255 * street[:, 0].to(torch.uint8)
+        return bev
+
+    def _random_routes(self, B: int, generator: torch.Generator) -> Tensor:
+        """Bends to either side; the last of several scenes is told no route."""
+        turn = TURNING * torch.randn(B, 1, generator=generator) * torch.linspace(0, 1, ROUTE_POINTS)
+        heading = turn.cumsum(-1)
+        places = ROUTE_SPACING_M * torch.stack([heading.cos(), heading.sin()], -1).cumsum(1)
+        told = torch.arange(B) < max(1, B - 1)
+        return told[:, None, None] * places

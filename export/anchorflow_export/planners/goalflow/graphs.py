@@ -17,6 +17,7 @@ ENCODE_OUTPUTS = (
     "size",
     "drivable",
     "occupied",
+    "course",
 )
 
 
@@ -27,8 +28,10 @@ class Encode(nn.Module):
         super().__init__()
         self.model = model
 
-    def forward(self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor) -> tuple[Tensor, ...]:
-        context = self.model.encode(bev, ego_status, vehicle_size)
+    def forward(
+        self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor, route: Tensor
+    ) -> tuple[Tensor, ...]:
+        context = self.model.encode(bev, ego_status, vehicle_size, route)
         return tuple(context[name] for name in ENCODE_OUTPUTS)
 
 

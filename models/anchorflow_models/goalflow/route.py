@@ -1,0 +1,142 @@
+"""A route that a car is told, and ways along it, by pure pursuit (Coulter, CMU-RI-TR-92-01).
+
+A route is P = ROUTE_POINTS places, ROUTE_SPACING_M apart, as `anchorflow_client.sensors` makes it.
+"""
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from anchorflow_client.sensors import ROUTE_POINTS, ROUTE_SPACING_M
+from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES
+
+SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most
+LEANING = 1.6  # m/s² to the side, at most, in a route's bends
+EASING = 1.0  # m/s², by which it slows down before a bend
+SHARPEST = 0.3  # 1/m, of ways along a route, whose corners are those of the map
+LOOKS_S, NEAREST = 0.9, 3.5  # s and m, at least, ahead of the car: where it steers for
+STRETCHES = 2  # of constant controls, between two poses
+FOLLOWS = 2.0  # m from a route, at which half as much is left of a score
+FAR = 5.0  # m from a route; who is farther is as far for networks
+HEARD = 2  # numbers beside those of each pose that tell of a route
+_LEAST = 1e-3
+
+
+def is_told(route: Tensor) -> Tensor:
+    """[B], whether there is a route [B, P, 2]: of one that is not, all numbers are 0."""
+    return route.abs().amax((1, 2)) > 0
+
+
+def ways_along(route: Tensor, speed: Tensor, *, steps: int, dt: float) -> tuple[Tensor, Tensor]:
+    """Poses [B, W, T, 3] of ways along routes [B, P, 2], of cars at speeds [B], and their controls
+    [B, W, T, 2]: acceleration and curvature.
+
+    A car steers for a point ahead on the route, so that it comes back to it from wherever it is,
+    and slows down before bends. First come those that go on, on the route itself, then those that
+    halt on it, then those beside it.
+    """
+    heading = _headings(route)
+    normal = torch.stack([-heading.sin(), heading.cos()], -1)
+    allowed = _allowed(heading)
+    halts = [(0.0, braking, 0.0) for braking in HALTINGS]
+    on_it, *beside_it = ([(pace, SLOWING, aside) for pace in PACES] for aside in ASIDE)
+    asked = [*on_it, *halts, *chain(*beside_it)]
+    pace, slowing, aside = torch.tensor(asked).to(speed).unbind(-1)
+    now = speed[:, None].expand(-1, len(asked))
+    x = y = turned = torch.zeros_like(now)
+    step = dt / STRETCHES
+    poses, controls = [], []
+    for _ in range(steps * STRETCHES):
+        away = (route[:, None] - torch.stack([x, y], -1)[:, :, None]).square().sum(-1)
+        nearest = away.argmin(-1)
+        ahead = (LOOKS_S * now).clamp(min=NEAREST) / ROUTE_SPACING_M
+        aim = _at(route, nearest, ahead) + aside[:, None] * _at(normal, nearest, ahead)
+        dx, dy = aim[..., 0] - x, aim[..., 1] - y
+        left = dy * turned.cos() - dx * turned.sin()
+        bend = (2 * left / (dx.square() + dy.square()).clamp(min=1.0)).clamp(-SHARPEST, SHARPEST)
+        most = torch.minimum(allowed.gather(1, nearest), LEANING / bend.abs().clamp(min=_LEAST))
+        wanted = torch.minimum(pace, most.sqrt())
+        pull = torch.maximum((wanted - now) / step, -slowing).clamp(max=SETTING_OFF)
+        after = (now + step * pull).clamp(min=0.0)
+        way = step * 0.5 * (now + after)
+        turn = way * bend
+        x = x + way * (turned + 0.5 * turn).cos()
+        y = y + way * (turned + 0.5 * turn).sin()
+        controls.append(torch.stack([(after - now) / step, bend], -1))
+        now, turned = after, turned + turn
+        poses.append(torch.stack([x, y, turned], -1))
+    driven = torch.stack(poses[STRETCHES - 1 :: STRETCHES], -2)
+    return driven, torch.stack(controls, -2).unflatten(-2, (steps, STRETCHES)).mean(-2)
+
+
+class Beside(NamedTuple):
+    """Of places [B, N, T, 2] beside a route, [B, N, T] each: m from it, and m along it."""
+
+    strays: Tensor
+    along: Tensor
+
+
+def beside(places: Tensor, route: Tensor) -> Beside:
+    """Where places [B, N, T, 2] lie by routes [B, P, 2], which go on straight at both ends."""
+    begin, step = route[:, :-1], route.diff(dim=1)
+    offset = places.flatten(1, 2)[:, :, None] - begin[:, None]
+    share = (offset * step[:, None]).sum(-1) / step.square().sum(-1).clamp(min=_LEAST)[:, None]
+    number = torch.arange(ROUTE_POINTS - 1, device=route.device)
+    share = torch.where(number > 0, share.clamp(min=0.0), share)
+    share = torch.where(number < ROUTE_POINTS - 2, share.clamp(max=1.0), share)
+    away = (offset - share[..., None] * step[:, None]).square().sum(-1)
+    nearest = away.argmin(-1, keepdim=True)
+    strays = away.gather(-1, nearest).clamp(min=1e-8).sqrt()
+    along = ROUTE_SPACING_M * (nearest + share.gather(-1, nearest))
+    return Beside(*(each.view(places.shape[:-1]) for each in (strays, along)))
+
+
+def follows(strays: Tensor, route: Tensor) -> Tensor:
+    """[B, N] from 0 to 1: how well what ends so far [B, N] m from routes [B, P, 2] follows
+    them; 1 where none is told.
+    """
+    kept = 1 / (1 + (strays / FOLLOWS).square())
+    return torch.where(is_told(route)[:, None], kept, 1.0)
+
+
+def heard(where: Beside, allowed: Tensor, route: Tensor) -> Tensor:
+    """[B, N, T + HEARD] of trajectories, as a network hears of the route; zeros where none is told.
+
+    allowed: [B] m that a clear road allows
+    """
+    told = is_told(route)[:, None, None].to(route.dtype)
+    strays = (where.strays / FAR).clamp(max=1.0)
+    gone = (where.along[..., -1:] / allowed[:, None, None]).clamp(-1.0, 1.0)
+    return told * torch.cat([strays, gone, torch.ones_like(gone)], -1)
+
+
+def _headings(route: Tensor) -> Tensor:
+    """[B, P] rad, across the points to either side."""
+    padded = torch.cat([route[:, :1], route, route[:, -1:]], 1)
+    dx, dy = (padded[:, 2:] - padded[:, :-2]).unbind(-1)
+    return torch.atan2(dy, dx)
+
+
+def _allowed(heading: Tensor) -> Tensor:
+    """[B, P] m²/s²: the square of the speed at points, so that no bend ahead is too fast."""
+    turn = heading.diff(dim=1)
+    turn = torch.atan2(turn.sin(), turn.cos()).abs()
+    bend = torch.nn.functional.pad(turn, (0, 1)) / ROUTE_SPACING_M
+    here = LEANING / bend.clamp(min=_LEAST)
+    place = ROUTE_SPACING_M * torch.arange(ROUTE_POINTS, device=heading.device)
+    later = place - place[:, None]
+    slower = here[:, None] + 2 * EASING * later.clamp(min=0.0)
+    return torch.where(later >= 0, slower, torch.inf).amin(-1)
+
+
+def _at(values: Tensor, first: Tensor, ahead: Tensor) -> Tensor:
+    """Values [B, P, 2] so many points [B, W] ahead of the first [B, W]: [B, W, 2]."""
+    place = (first + ahead).clamp(max=ROUTE_POINTS - 1 - _LEAST)
+    low = place.floor()
+    share = (place - low)[..., None]
+    at = low.long()[..., None].expand(-1, -1, values.shape[-1])
+    return (1 - share) * values.gather(1, at) + share * values.gather(1, at + 1)

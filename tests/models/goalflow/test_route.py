@@ -1,0 +1,150 @@
+"""Ways along a route that is told, and what a route does to scores."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from anchorflow_client.sensors import ROUTE_POINTS, ROUTE_SPACING_M
+from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES
+from anchorflow_models.goalflow.goalflow import POSE, SETTLED
+from anchorflow_models.goalflow.route import (
+    FOLLOWS,
+    LEANING,
+    SHARPEST,
+    beside,
+    follows,
+    ways_along,
+)
+
+STEPS, DT = 8, 0.5
+ALONG = len(HALTINGS) + len(PACES) * len(ASIDE)
+AHEAD = ROUTE_SPACING_M * torch.arange(ROUTE_POINTS)
+STRAIGHT = torch.stack([AHEAD, torch.zeros_like(AHEAD)], -1)
+
+
+def corner(before_m: float, radius_m: float) -> Tensor:
+    """[ROUTE_POINTS, 2]: straight on, and round a corner of 90 degrees to the left."""
+    place = 0.1 * torch.arange(round(ROUTE_SPACING_M * ROUTE_POINTS / 0.1))
+    heading = ((place - before_m) / radius_m).clamp(0.0, 0.5 * torch.pi)
+    fine = 0.1 * torch.stack([heading.cos(), heading.sin()], -1).cumsum(0)
+    return fine[:: round(ROUTE_SPACING_M / 0.1)]
+
+
+def moved(route: Tensor, left: float, turned: float) -> Tensor:
+    """A route in the frame of a car that stands so far to its left, turned to the left."""
+    places = route - torch.tensor([0.0, left])
+    cos, sin = torch.tensor(turned).cos(), torch.tensor(turned).sin()
+    return places @ torch.tensor([[cos, -sin], [sin, cos]])
+
+
+def along(route: Tensor, speed: float) -> tuple[Tensor, Tensor]:
+    """Of one car: poses [W, T, 3], and controls [W, T, 2]."""
+    poses, controls = ways_along(route[None], torch.tensor([speed]), steps=STEPS, dt=DT)
+    return poses[0], controls[0]
+
+
+def places_of(poses: Tensor, route: Tensor) -> tuple[Tensor, Tensor]:
+    where = beside(poses[None, ..., :2], route[None])
+    return where.strays[0], where.along[0]
+
+
+def test_ways_go_on_at_each_pace_and_each_distance_from_the_route() -> None:
+    poses, controls = along(STRAIGHT, 7.5)
+    on_it, halts, beside_it = poses.split((len(PACES), len(HALTINGS), 2 * len(PACES)))
+    going = torch.cat([on_it, beside_it])
+    assert torch.allclose(halts[..., 1], torch.zeros(()), atol=1e-3)
+    for halt, braking in zip(halts, HALTINGS, strict=True):
+        assert halt[-1, 0] == pytest.approx(min(7.5**2 / 2 / braking, 18.0), abs=1.0)
+    ends = going.unflatten(0, (len(ASIDE), len(PACES)))[..., -1, :]
+    assert torch.allclose(ends[..., 1], torch.tensor(ASIDE)[:, None], atol=0.3)
+    assert (ends[..., 0].diff(dim=1) >= 0).all()  # the faster the farther
+    assert controls[..., 0].amax() <= 1.5 + 1e-4
+
+
+@pytest.mark.parametrize(("left", "turned"), [(2.0, 0.0), (-3.0, 0.3), (0.5, -0.8)])
+def test_who_stands_askew_comes_back_to_the_route(left: float, turned: float) -> None:
+    route = moved(STRAIGHT, left, turned)
+    poses, controls = along(route, 1.0)
+    middle = poses[PACES.index(7.5)]
+    strays, _ = places_of(middle[None], route)
+    assert strays[0, -1] < 0.4
+    assert controls[..., 1].abs().amax() <= SHARPEST
+
+
+def test_a_corner_is_slowed_down_for() -> None:
+    route = corner(15.0, 6.0)
+    poses, controls = along(route, 10.0)
+    fastest = poses[len(PACES) - 1]  # on the route itself
+    strays, gone = places_of(fastest[None], route)
+    assert gone[0, -1] > 18.0  # in the corner
+    assert strays.amax() < 1.0
+    speed = torch.cat([torch.zeros(1, 2), fastest[:, :2]]).diff(dim=0).norm(dim=-1) / DT
+    leaning = speed.square() * controls[len(PACES) - 1, :, 1].abs()
+    assert leaning.amax() < 2 * LEANING
+
+
+def test_places_beside_a_route_and_beyond_its_ends() -> None:
+    places = torch.tensor([[5.0, 2.0], [-4.0, -1.0], [90.0, 3.0]])
+    strays, gone = places_of(places[None], STRAIGHT)
+    assert torch.allclose(strays[0], torch.tensor([2.0, 1.0, 3.0]))
+    assert torch.allclose(gone[0], torch.tensor([5.0, -4.0, 90.0]))
+
+
+def test_what_ends_on_the_route_follows_it() -> None:
+    strays = torch.tensor([[0.0, FOLLOWS, 50.0]])
+    told = follows(strays, STRAIGHT[None])[0]
+    assert told.tolist() == pytest.approx([1.0, 0.5, 0.0], abs=2e-3)
+    assert follows(strays, torch.zeros(1, ROUTE_POINTS, 2)).eq(1.0).all()
+
+
+def asked(batch: int) -> tuple[Tensor, Tensor, Tensor]:
+    """A square that may be driven on everywhere, at 8 m/s."""
+    bev = torch.zeros(batch, 20, 192, 128, dtype=torch.uint8)
+    bev[:, 0] = 255
+    status = torch.tensor([[0.0, 1, 0, 0, 8, 0, 0, 0]]).expand(batch, -1)
+    return bev, status, torch.tensor([[4.6, 1.9]]).expand(batch, -1)
+
+
+@pytest.fixture(params=[False, True], ids=["rules", "outcomes"])
+def model(request: pytest.FixtureRequest) -> GoalFlow:
+    torch.manual_seed(0)
+    config = GoalFlowConfig(
+        goals=64, picked=31, width=16, channels=8, feature_channels=4, outcomes=request.param
+    )
+    return GoalFlow(config).eval()
+
+
+@torch.no_grad()
+def test_of_two_scenes_one_may_be_told_a_route(model: GoalFlow) -> None:
+    route = torch.stack([corner(10.0, 8.0), torch.zeros(ROUTE_POINTS, 2)])
+    context = model.encode(*asked(2), route)
+    told, untold = context["prior_mean"]
+    assert torch.equal(untold, model.encode(*asked(1))["prior_mean"][0])
+    assert torch.equal(untold[-ALONG:], untold[:ALONG])
+    # By turns, so that of nine anchors four go along the route.
+    by_turns = told[: 2 * ALONG]
+    assert torch.equal(torch.cat([by_turns[::2], told[2 * ALONG :]]), untold[:-ALONG])
+    driven = by_turns[1::2]
+    assert driven[..., POSE].eq(SETTLED).all()
+    poses, controls = along(route[0], 8.0)
+    assert torch.allclose(driven[..., :POSE], poses, atol=1e-5)
+    assert torch.allclose(driven[..., POSE + 1 :], controls, atol=1e-5)
+
+
+@torch.no_grad()
+def test_who_knows_the_route_chooses_what_follows_it(model: GoalFlow) -> None:
+    """Everything may be driven on, and nobody is there: the route alone tells left from right."""
+    left = corner(10.0, 8.0)
+    for route in (left, left * torch.tensor([1.0, -1.0])):
+        context = model.encode(*asked(1), route[None])
+        mean = context["prior_mean"]
+        scores = model.score(mean, mean, context)[0]
+        best = mean[0, scores.argmax(), :, :POSE]
+        strays, _ = places_of(best[None], route)
+        assert strays[0, -1] < FOLLOWS
+        lost = (mean[0, :, -1, 1] * route[-1, 1].sign() < -5.0).nonzero()
+        assert lost.numel()
+        assert scores[lost].amax() < 0.1 * scores.amax()
