@@ -13,6 +13,8 @@ from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners.goalflow import goalflow_adapter
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goals import pick
+from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.local import LocalClient
 
 CONFIG = GoalFlowConfig(goals=16, picked=5, width=16, channels=8, feature_channels=4, layers=1)
 
@@ -57,3 +59,13 @@ def test_scores_by_the_rules_are_proved(tmp_path: Path) -> None:
     proved = [each for each in differences if "score" in each.what]
     assert proved
     assert max(each.error for each in proved) < 1e-4
+
+
+def test_the_scorer_that_ships_tells_random_scenes_apart() -> None:
+    """What it has never seen the like of it takes for nought, and that would prove nothing."""
+    adapter = goalflow_adapter(GoalFlow(GoalFlowConfig()), ExportChoices())
+    inputs = {name: tensor[0].numpy() for name, tensor in adapter.random_inputs(1, seed=0).items()}
+    with LocalClient.of(DEFAULT_BUNDLE.parent / "goalflow", threads=1) as client:
+        scores = client.plan(inputs=inputs, num_samples=9, seed=0).scores
+    assert scores.max() > 0.01
+    assert scores.max() > 2 * scores.min()

@@ -21,20 +21,12 @@ from anchorflow_models.goalflow.goals import WayScorer, WayScores, in_units, pic
 from anchorflow_models.goalflow.kinematics import BRAKING, PULLING, SHARPEST, arc_to, roll_out
 from anchorflow_models.goalflow.outcome_scorer import OutcomeScorer, outcome_scores
 from anchorflow_models.goalflow.raster import at_places
-from anchorflow_models.goalflow.route import (
-    Beside,
-    beside,
-    follows,
-    heard,
-    is_told,
-    ways_along,
-)
+from anchorflow_models.goalflow.route import follows, is_told, ways_along
 from anchorflow_models.goalflow.scene_encoder import VELOCITY, SceneEncoder
 from anchorflow_models.goalflow.trajectory_score import (
     Motion,
     Rules,
     Surroundings,
-    allowed_way,
     met,
     motion_of,
     rules_of,
@@ -299,11 +291,9 @@ class GoalFlow(nn.Module):
         route, ways = context["course"], self.rate(poses, context)
         ways = ways._replace(route=torch.where(is_told(route)[:, None], CERTAIN, ways.route))
         scores = trajectory_scores(rules, missed, ways, self.config)
-        where = beside(poses[..., :2], route)
         if self.outcomes is not None:
-            logits = self.outcome(poses, motion, rules, where, context)
-            scores = outcome_scores(logits, rules, scores)
-        return scores * follows(where.strays[..., -1], route)
+            scores = outcome_scores(self.outcome(poses, motion, rules, context), rules, scores)
+        return scores * follows(poses[..., -1, :2], route)
 
     def judged(self, poses: Tensor, context: Context) -> tuple[Motion, Rules]:
         """How trajectories [B, N, T, 3] move, and what the rules say of them."""
@@ -311,24 +301,18 @@ class GoalFlow(nn.Module):
         motion = motion_of(poses, around, self.config)
         return motion, rules_of(poses, motion, around, self.config)
 
-    def outcome(
-        self, poses: Tensor, motion: Motion, rules: Rules, where: Beside, context: Context
-    ) -> Tensor:
+    def outcome(self, poses: Tensor, motion: Motion, rules: Rules, context: Context) -> Tensor:
         """Logits [B, N, 4] of what becomes of trajectories [B, N, T, 3]."""
         assert self.outcomes is not None
-        told = self.told(poses, motion, rules, where, context)
-        return self.outcomes(told, context["context"])
+        return self.outcomes(self.told(poses, motion, rules, context), context["context"])
 
-    def told(
-        self, poses: Tensor, motion: Motion, rules: Rules, where: Beside, context: Context
-    ) -> Tensor:
+    def told(self, poses: Tensor, motion: Motion, rules: Rules, context: Context) -> Tensor:
         """[B, N, F] that outcomes are learnt from."""
         seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
         moves = [values / unit for values, unit in zip(motion, UNITS, strict=True)]
         others = met(poses, motion, _surroundings(context), self.config)
         own = [seen.flatten(2), in_units(poses).flatten(2), *moves, others]
-        route = heard(where, allowed_way(context["speed"], self.config), context["course"])
-        return torch.cat([*own, torch.stack(rules, -1), route], -1)
+        return torch.cat([*own, torch.stack(rules, -1)], -1)
 
 
 def _surroundings(context: Context) -> Surroundings:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
-from anchorflow_models.goalflow.route import HEARD
 from anchorflow_models.goalflow.trajectory_score import LOOKS, RULES, Rules
 
 LEARNT = ("nc", "dac", "ep", "ttc")
@@ -22,7 +21,7 @@ class OutcomeScorer(nn.Module):
 
     def __init__(self, *, steps: int, features: int, context: int, width: int) -> None:
         super().__init__()
-        told = steps * (features + POSE + LOOKS) + len(RULES) + steps + HEARD
+        told = steps * (features + POSE + LOOKS) + len(RULES)
         self.of_way = nn.Linear(told, width)
         self.of_scene = nn.Linear(context, width)
         self.rest = nn.Sequential(

@@ -6,7 +6,6 @@ A route is P = ROUTE_POINTS places, ROUTE_SPACING_M apart, as `anchorflow_client
 from __future__ import annotations
 
 from itertools import chain
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,11 +17,9 @@ SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most
 LEANING = 1.6  # m/s² to the side, at most, in a route's bends
 EASING = 1.0  # m/s², by which it slows down before a bend
 SHARPEST = 0.3  # 1/m, of ways along a route, whose corners are those of the map
-LOOKS_S, NEAREST = 0.9, 3.5  # s and m, at least, ahead of the car: where it steers for
+LOOKS_S, NEAREST = 0.6, 2.5  # s and m, at least, ahead of the car: where it steers for
 STRETCHES = 2  # of constant controls, between two poses
 FOLLOWS = 2.0  # m from a route, at which half as much is left of a score
-FAR = 5.0  # m from a route; who is farther is as far for networks
-HEARD = 2  # numbers beside those of each pose that tell of a route
 _LEAST = 1e-3
 
 
@@ -73,45 +70,23 @@ def ways_along(route: Tensor, speed: Tensor, *, steps: int, dt: float) -> tuple[
     return driven, torch.stack(controls, -2).unflatten(-2, (steps, STRETCHES)).mean(-2)
 
 
-class Beside(NamedTuple):
-    """Of places [B, N, T, 2] beside a route, [B, N, T] each: m from it, and m along it."""
-
-    strays: Tensor
-    along: Tensor
-
-
-def beside(places: Tensor, route: Tensor) -> Beside:
-    """Where places [B, N, T, 2] lie by routes [B, P, 2], which go on straight at both ends."""
-    begin, step = route[:, :-1], route.diff(dim=1)
-    offset = places.flatten(1, 2)[:, :, None] - begin[:, None]
-    share = (offset * step[:, None]).sum(-1) / step.square().sum(-1).clamp(min=_LEAST)[:, None]
+def strays_from(places: Tensor, route: Tensor) -> Tensor:
+    """[B, N] m from places [B, N, 2] to routes [B, P, 2], which go on straight at both ends."""
+    begin, step = route[:, None, :-1], route.diff(dim=1)[:, None]
+    offset = places[:, :, None] - begin
+    share = (offset * step).sum(-1) / step.square().sum(-1).clamp(min=_LEAST)
     number = torch.arange(ROUTE_POINTS - 1, device=route.device)
     share = torch.where(number > 0, share.clamp(min=0.0), share)
     share = torch.where(number < ROUTE_POINTS - 2, share.clamp(max=1.0), share)
-    away = (offset - share[..., None] * step[:, None]).square().sum(-1)
-    nearest = away.argmin(-1, keepdim=True)
-    strays = away.gather(-1, nearest).clamp(min=1e-8).sqrt()
-    along = ROUTE_SPACING_M * (nearest + share.gather(-1, nearest))
-    return Beside(*(each.view(places.shape[:-1]) for each in (strays, along)))
+    return (offset - share[..., None] * step).square().sum(-1).amin(-1).clamp(min=1e-8).sqrt()
 
 
-def follows(strays: Tensor, route: Tensor) -> Tensor:
-    """[B, N] from 0 to 1: how well what ends so far [B, N] m from routes [B, P, 2] follows
-    them; 1 where none is told.
+def follows(places: Tensor, route: Tensor) -> Tensor:
+    """[B, N] from 0 to 1: how well what ends at places [B, N, 2] follows routes [B, P, 2]; 1 where
+    none is told.
     """
-    kept = 1 / (1 + (strays / FOLLOWS).square())
+    kept = 1 / (1 + (strays_from(places, route) / FOLLOWS).square())
     return torch.where(is_told(route)[:, None], kept, 1.0)
-
-
-def heard(where: Beside, allowed: Tensor, route: Tensor) -> Tensor:
-    """[B, N, T + HEARD] of trajectories, as a network hears of the route; zeros where none is told.
-
-    allowed: [B] m that a clear road allows
-    """
-    told = is_told(route)[:, None, None].to(route.dtype)
-    strays = (where.strays / FAR).clamp(max=1.0)
-    gone = (where.along[..., -1:] / allowed[:, None, None]).clamp(-1.0, 1.0)
-    return told * torch.cat([strays, gone, torch.ones_like(gone)], -1)
 
 
 def _headings(route: Tensor) -> Tensor:

@@ -203,16 +203,12 @@ def _comfort(motion: Motion, *, dt: float) -> Tensor:
 
 def _progress(poses: Tensor, speed: Tensor, config: GoalFlowConfig) -> Tensor:
     """[B, N]: of the way that a clear road allows."""
-    return (_steps(poses).sum(-1) / allowed_way(speed, config)[:, None]).clamp(max=1.0)
-
-
-def allowed_way(speed: Tensor, config: GoalFlowConfig) -> Tensor:
-    """[B] m that a clear road allows cars at speeds [B]."""
+    way = _steps(poses).sum(-1)
     fast = torch.full_like(speed, config.score.clear_speed)
-    duration = config.num_steps * config.dt
+    duration = poses.shape[-2] * config.dt
     pulling = ((fast - speed) / PULL).clamp(0.0, duration)
     allowed = speed * duration + PULL * pulling * (duration - 0.5 * pulling)
-    return allowed.clamp(min=5.0)
+    return (way / allowed.clamp(min=5.0)[:, None]).clamp(max=1.0)
 
 
 def _hits(poses: Tensor, layer: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:

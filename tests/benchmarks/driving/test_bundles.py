@@ -70,6 +70,22 @@ def test_other_seeds_make_other_proposals_and_a_table_of_their_spread() -> None:
     assert row["PDMS"] == pytest.approx(np.mean(of_each))
 
 
+def test_who_takes_a_route_is_told_it_and_others_are_chosen_by_it() -> None:
+    window = Scenes(bend(0))[0]
+    driver = BundleDriver(GOALFLOW, num=N, threads=1)
+    told = driver.along_route()
+    assert told.name == "goalflow_along_route"
+    alone, along = driver.propose(window), told.propose(window)
+    assert alone.scores is not None
+    assert along.scores is not None
+    assert (alone.best, along.best) == (alone.scores.argmax(), along.scores.argmax())
+    _, strays = window.view.route.project(along.trajectories[:, -1, :2])
+    assert (np.abs(strays) < 0.5).sum() > (
+        np.abs(window.view.route.project(alone.trajectories[:, -1, :2])[1]) < 0.5
+    ).sum()
+    np.testing.assert_array_equal(told(window), along.trajectories[along.best])
+
+
 def test_who_draws_no_noise_has_one_name_for_all_seeds() -> None:
     driver = BundleDriver(GOALFLOW.parent / "wote", num=N, threads=1)
     assert driver.seeded(1) is driver

@@ -14,8 +14,8 @@ from anchorflow_models.goalflow.route import (
     FOLLOWS,
     LEANING,
     SHARPEST,
-    beside,
     follows,
+    strays_from,
     ways_along,
 )
 
@@ -46,9 +46,9 @@ def along(route: Tensor, speed: float) -> tuple[Tensor, Tensor]:
     return poses[0], controls[0]
 
 
-def places_of(poses: Tensor, route: Tensor) -> tuple[Tensor, Tensor]:
-    where = beside(poses[None, ..., :2], route[None])
-    return where.strays[0], where.along[0]
+def strays_of(poses: Tensor, route: Tensor) -> Tensor:
+    """[T] m of one trajectory [T, 3]."""
+    return strays_from(poses[None, :, :2], route[None])[0]
 
 
 def test_ways_go_on_at_each_pace_and_each_distance_from_the_route() -> None:
@@ -69,8 +69,7 @@ def test_who_stands_askew_comes_back_to_the_route(left: float, turned: float) ->
     route = moved(STRAIGHT, left, turned)
     poses, controls = along(route, 1.0)
     middle = poses[PACES.index(7.5)]
-    strays, _ = places_of(middle[None], route)
-    assert strays[0, -1] < 0.4
+    assert strays_of(middle, route)[-1] < 0.4
     assert controls[..., 1].abs().amax() <= SHARPEST
 
 
@@ -78,9 +77,8 @@ def test_a_corner_is_slowed_down_for() -> None:
     route = corner(15.0, 6.0)
     poses, controls = along(route, 10.0)
     fastest = poses[len(PACES) - 1]  # on the route itself
-    strays, gone = places_of(fastest[None], route)
-    assert gone[0, -1] > 18.0  # in the corner
-    assert strays.amax() < 1.0
+    assert fastest[-1, 2] > 0.3  # it is in the corner
+    assert strays_of(fastest, route).amax() < 1.0
     speed = torch.cat([torch.zeros(1, 2), fastest[:, :2]]).diff(dim=0).norm(dim=-1) / DT
     leaning = speed.square() * controls[len(PACES) - 1, :, 1].abs()
     assert leaning.amax() < 2 * LEANING
@@ -88,16 +86,14 @@ def test_a_corner_is_slowed_down_for() -> None:
 
 def test_places_beside_a_route_and_beyond_its_ends() -> None:
     places = torch.tensor([[5.0, 2.0], [-4.0, -1.0], [90.0, 3.0]])
-    strays, gone = places_of(places[None], STRAIGHT)
-    assert torch.allclose(strays[0], torch.tensor([2.0, 1.0, 3.0]))
-    assert torch.allclose(gone[0], torch.tensor([5.0, -4.0, 90.0]))
+    assert torch.allclose(strays_of(places, STRAIGHT), torch.tensor([2.0, 1.0, 3.0]))
 
 
 def test_what_ends_on_the_route_follows_it() -> None:
-    strays = torch.tensor([[0.0, FOLLOWS, 50.0]])
-    told = follows(strays, STRAIGHT[None])[0]
+    ends = torch.tensor([[[9.0, 0.0], [9.0, FOLLOWS], [9.0, -50.0]]])
+    told = follows(ends, STRAIGHT[None])[0]
     assert told.tolist() == pytest.approx([1.0, 0.5, 0.0], abs=2e-3)
-    assert follows(strays, torch.zeros(1, ROUTE_POINTS, 2)).eq(1.0).all()
+    assert follows(ends, torch.zeros(1, ROUTE_POINTS, 2)).eq(1.0).all()
 
 
 def asked(batch: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -143,8 +139,7 @@ def test_who_knows_the_route_chooses_what_follows_it(model: GoalFlow) -> None:
         mean = context["prior_mean"]
         scores = model.score(mean, mean, context)[0]
         best = mean[0, scores.argmax(), :, :POSE]
-        strays, _ = places_of(best[None], route)
-        assert strays[0, -1] < FOLLOWS
+        assert strays_of(best, route)[-1] < FOLLOWS
         lost = (mean[0, :, -1, 1] * route[-1, 1].sign() < -5.0).nonzero()
         assert lost.numel()
         assert scores[lost].amax() < 0.1 * scores.amax()

@@ -74,7 +74,6 @@ def test_proposals_are_judged_by_the_scorer_and_kept(
     assert made.trajectories.shape == (len(windows), count, 8, 3)
     window = Scenes(read_log(logs[0]))[0]
     route = route_ahead(window.view.route.points)
-    np.testing.assert_array_equal(made.routes[0], route)
     strays = beside_route(made.trajectories[0, :, -1, :2], route)
     assert (strays < 0.5).sum() >= len(PACES)  # some were drawn along it
     wanted = PdmScorer(window).score(made.trajectories[0].astype(float)).sub_scores

@@ -30,9 +30,6 @@ class GoalFlowObjectiveConfig:
     forgotten: float = setting(
         0.2, "Share of what outcomes are learnt from that a step leaves out.", least=0, below=1
     )
-    told: float = setting(
-        0.5, "Share of windows whose route is told where outcomes are learnt.", least=0, most=1
-    )
     goal_weight: float = setting(1.0, "Of the goals' scores.", least=0)
     flow_weight: float = setting(10.0, "Of the flow.", least=0)
     flow_time: Literal["uniform", "middle"] = setting(

@@ -170,16 +170,14 @@ class GoalFlowRun(TrainingRun):
         """Windows and what was proposed in them, some left for right."""
         windows, asked = self.windows, self.proposals
         bev, status = windows.rasters(chosen), windows.status[chosen].astype(float)
-        routes, trajectories = asked.routes[chosen], asked.trajectories[chosen]
+        course, trajectories = windows.course[chosen], asked.trajectories[chosen]
         for i in np.flatnonzero(rng.random(len(chosen)) < self.config.augmentation.mirror):
-            mirror(bev[i], status[i], routes[i])
+            mirror(bev[i], status[i], course[i])
             trajectories[i] *= reflection(3)
-        routes *= rng.random((len(chosen), 1, 1)) < self.config.objective.told
         return {
             "bev": bev,
             "status": status.astype(np.float32),
             "size": windows.size[chosen],
-            "route": routes,
             "trajectories": trajectories,
             "scores": asked.scores[chosen],
         }

@@ -11,7 +11,6 @@ from torch.nn import functional as F
 from anchorflow_driving.pdm import SUB_SCORES
 from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.outcome_scorer import LEARNT
-from anchorflow_models.goalflow.route import beside
 
 
 class OutcomeObjective(nn.Module):
@@ -33,9 +32,8 @@ class OutcomeObjective(nn.Module):
         model, poses = self.model, batch["trajectories"]
         assert model.outcomes is not None
         with torch.no_grad():
-            context = model.look(*(batch[name] for name in ("bev", "status", "size", "route")))
-            where = beside(poses[..., :2], context["course"])
-            told = model.told(poses, *model.judged(poses, context), where, context)
+            context = model.look(batch["bev"], batch["status"], batch["size"])
+            told = model.told(poses, *model.judged(poses, context), context)
         kept = torch.rand(told.shape[-1], device=told.device) >= self.forgotten
         logits = model.outcomes(told * kept / (1 - self.forgotten), context["context"])
         losses = F.binary_cross_entropy_with_logits(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from anchorflow_client.sensors import ROUTE_POINTS, route_ahead
+from anchorflow_client.sensors import route_ahead
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
 from anchorflow_driving.sensors.bev import draw_bev
@@ -32,12 +32,11 @@ DIGITS = 12  # of the weights' digest, in a file's name
 @dataclass(frozen=True)
 class Proposals:
     """Of W windows: trajectories [W, N, T, 3], m and rad; scores [W, N, 5] in the order of
-    SUB_SCORES; routes [W, P, 2] that some of them follow, m.
+    SUB_SCORES.
     """
 
     trajectories: NDArray[np.float32]
     scores: NDArray[np.float32]
-    routes: NDArray[np.float32]
 
 
 def proposals(
@@ -53,13 +52,12 @@ def proposals(
     missing = [log for log in logs if not is_fresh(kept[log], log)]
     keep = partial(keep_proposals, suffix=next(iter(kept.values())).suffix, model=model)
     each_log(keep, missing, of=len(logs), progress=progress)
-    names = [each.name for each in fields(Proposals)]
-    parts: dict[str, list[NDArray[np.float32]]] = {name: [] for name in names}
+    trajectories, scores = [], []
     for path in kept.values():
         with np.load(path, allow_pickle=False) as part:
-            for name in names:
-                parts[name].append(part[name].astype(np.float32))
-    return Proposals(**{name: np.concatenate(arrays) for name, arrays in parts.items()})
+            trajectories.append(part["trajectories"])
+            scores.append(part["scores"].astype(np.float32))
+    return Proposals(np.concatenate(trajectories), np.concatenate(scores))
 
 
 def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
@@ -68,27 +66,23 @@ def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
     seed = int.from_bytes(hashlib.sha256(log.name.encode()).digest()[:4], "big")
     generator = torch.Generator().manual_seed(seed)
     windows = Scenes(read_log(log))
-    routes = [route_ahead(window.view.route.points) for window in windows]
-    asked = zip(windows, routes, strict=True)
-    plans = [drawn(model, window, route, generator) for window, route in asked]
+    plans = [drawn(model, window, generator) for window in windows]
     scored = zip(windows, plans, strict=True)
-    judged = [PdmScorer(w).score(each.astype(np.float64)).sub_scores for w, each in scored]
+    told = [PdmScorer(window).score(each.astype(np.float64)).sub_scores for window, each in scored]
     # A log without windows has no rows, not even of a shape.
     flowing, steps = model.config.picked + 1, model.config.num_steps
     count = model.config.ways + (PER_WAY - 1) * flowing
     trajectories = np.array(plans, np.float32).reshape(-1, count, steps, POSE)
-    scores = np.array(judged, np.float16).reshape(-1, count, len(SUB_SCORES))
-    told = np.array(routes, np.float32).reshape(-1, ROUTE_POINTS, 2)
-    write_beside(log.with_suffix(suffix), trajectories=trajectories, scores=scores, routes=told)
+    scores = np.array(told, np.float16).reshape(-1, count, len(SUB_SCORES))
+    write_beside(log.with_suffix(suffix), trajectories=trajectories, scores=scores)
 
 
 @torch.no_grad()
-def drawn(
-    model: GoalFlow, window: Window, route: NDArray[np.float32], generator: torch.Generator
-) -> NDArray[np.float32]:
-    """Trajectories [N, T, 3] of one step of the flow, and ways that it does not move."""
+def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArray[np.float32]:
+    """Trajectories [N, T, 3] of one step of the flow, told the route, and ways that it leaves."""
     view = window.view
-    told = (draw_bev(view), status_of(view), view.vehicle.size.astype(np.float32), route)
+    route, size = route_ahead(view.route.points), view.vehicle.size.astype(np.float32)
+    told = (draw_bev(view), status_of(view), size, route)
     context = model.encode(*(torch.from_numpy(each)[None] for each in told))
     ways = context["prior_mean"]
     flowing = ways[:, ways[0, :, 0, POSE] != SETTLED]
