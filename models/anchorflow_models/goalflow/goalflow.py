@@ -200,14 +200,16 @@ class GoalFlow(nn.Module):
 
     def with_route(self, ways: Tensor, route: Tensor, speed: Tensor) -> Tensor:
         """Ways [B, V, T, S] and those along routes [B, P, 2], by turns, so that of both there are
-        some where few anchors are asked for; where no route is told, the first come again.
+        some where few anchors are asked for: [B, c V, T, S], c rounds of the former or, where a
+        route is told, both once and the first again.
         """
         along = self.along(route, speed)
         both = min(ways.shape[1], along.shape[1])
         by_turns = torch.stack([ways[:, :both], along[:, :both]], 2).flatten(1, 2)
         told = torch.cat([by_turns, ways[:, both:], along[:, both:]], 1)
-        again = ways[:, torch.arange(along.shape[1]) % ways.shape[1]]
-        untold = torch.cat([ways, again], 1)
+        rounds = -(-told.shape[1] // ways.shape[1])
+        untold = ways.repeat(1, rounds, 1, 1)
+        told = told[:, torch.arange(untold.shape[1]) % told.shape[1]]
         return torch.where(is_told(route)[:, None, None, None], told, untold)
 
     def along(self, route: Tensor, speed: Tensor) -> Tensor:

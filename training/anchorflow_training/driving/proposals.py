@@ -84,7 +84,7 @@ def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArra
     route, size = route_ahead(view.route.points), view.vehicle.size.astype(np.float32)
     told = (draw_bev(view), status_of(view), size, route)
     context = model.encode(*(torch.from_numpy(each)[None] for each in told))
-    ways = context["prior_mean"]
+    ways = context["prior_mean"][:, : model.config.ways]
     flowing = ways[:, ways[0, :, 0, POSE] != SETTLED]
     mean = torch.cat([ways, flowing.repeat(1, PER_WAY - 1, 1, 1)], 1)
     noise = torch.randn(*mean.shape[:2], POSE * model.config.num_steps, generator=generator)
