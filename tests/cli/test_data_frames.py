@@ -15,6 +15,7 @@ from driven_bend import SIZE, bend
 from image_planner import write_image_bundle
 
 from anchorflow_cli.main import main
+from anchorflow_client.sensors import route_ahead
 from anchorflow_driving.drive_file import windows_on_the_way
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.geometry import into_frame, out_of_frame
@@ -54,7 +55,8 @@ def test_every_frame_holds_what_the_card_asks_for(
         1,
         "goalflow",
     )
-    assert [each["name"] for each in drive["inputs"]] == ["bev", "ego_status", "vehicle_size"]
+    names = [each["name"] for each in drive["inputs"]]
+    assert names == ["bev", "ego_status", "vehicle_size", "route"]
     windows = [*Scenes(windows_on_the_way(bend(0), every_s=0.4))]
     assert len(windows) == len(drive["frames"]) == 7
     for window, frame in zip(windows, drive["frames"], strict=True):
@@ -65,6 +67,8 @@ def test_every_frame_holds_what_the_card_asks_for(
         np.testing.assert_array_equal(
             np.float32(inputs["vehicle_size"]), np.array(SIZE, np.float32)
         )
+        route = route_ahead(window.view.route.points)
+        np.testing.assert_allclose(unpacked(inputs["route"]), route, rtol=1e-5, atol=1e-3)
         np.testing.assert_allclose(frame["recorded"], window.recorded(PLAN_TIMES), atol=1e-3)
 
 
