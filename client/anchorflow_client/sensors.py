@@ -38,7 +38,8 @@ LIDAR_BEFORE_S = 0.5
 """Between the two sweeps that a planner may look at: as far apart as NAVSIM's samples."""
 
 ROUTE_POINTS, ROUTE_SPACING_M = 40, 2.0
-SAME_POINT = 1e-6  # m
+"""Of a route that a planner is told: how many, and m from each to the next."""
+SAME_POINT = 1e-6  # m; nearer points of a polyline are one
 
 
 def stitch_cameras(

@@ -115,5 +115,9 @@ class GoalFlowConfig:
     def ways(self) -> int:
         """That trajectories begin on: to each picked goal, the shadow, the turns, the halts, and
         those along a route."""
-        along = len(HALTINGS) + len(PACES) * len(ASIDE)
-        return self.picked + 1 + 2 * len(TURNS) + len(HALTINGS) + along
+        return self.picked + 1 + 2 * len(TURNS) + len(HALTINGS) + self.along
+
+    @property
+    def along(self) -> int:
+        """Ways along a route that is told; where none is, the others come again."""
+        return len(HALTINGS) + len(PACES) * len(ASIDE)

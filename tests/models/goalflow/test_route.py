@@ -20,7 +20,7 @@ from anchorflow_models.goalflow.route import (
 )
 
 STEPS, DT = 8, 0.5
-ALONG = len(HALTINGS) + len(PACES) * len(ASIDE)
+ALONG = GoalFlowConfig().along
 AHEAD = ROUTE_SPACING_M * torch.arange(ROUTE_POINTS)
 STRAIGHT = torch.stack([AHEAD, torch.zeros_like(AHEAD)], -1)
 

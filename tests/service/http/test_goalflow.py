@@ -26,7 +26,6 @@ from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners import adapter_of
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
-from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.http import create_app
@@ -159,8 +158,8 @@ def test_threads_do_not_change_an_answer(bundle: Path, local: LocalClient) -> No
 
 def test_noise_makes_draws_to_one_goal_differ(local: LocalClient) -> None:
     # Ways are dealt out in turn, those to goals first; turns and halts, which no noise moves, last.
-    again, along = CONFIG.picked, len(HALTINGS) + len(PACES) * len(ASIDE)
-    asked: dict[str, Any] = {"inputs": inputs_of(0), "num_samples": CONFIG.ways - along + again}
+    again, once = CONFIG.picked, CONFIG.ways - CONFIG.along
+    asked: dict[str, Any] = {"inputs": inputs_of(0), "num_samples": once + again}
     first, second = (local.plan(**asked, seed=seed).trajectories for seed in (1, 2))
 
     apart = np.abs(first[:again] - first[-again:]).max((1, 2))

@@ -50,7 +50,7 @@ STATUS = TensorSpec(
     "ego_status", F32, ("B", 8), "command one-hot; m/s, m/s; m/s^2, m/s^2", (-60.0, 60.0)
 )
 SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
-ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", optional=True)
+ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
 TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
 
 
