@@ -11,6 +11,8 @@ or SETTLED), and the acceleration and curvature of the way that it began on.
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import torch
 from torch import Tensor, nn
 
@@ -54,6 +56,10 @@ CERTAIN = 20.0  # a logit, of what is known
 GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
 
 
+SURROUNDINGS = tuple(each.name for each in fields(Surroundings))
+"""Names of what a score looks at."""
+
+
 class GoalFlow(nn.Module):
     """vocabulary: [K, 2] m, the goals; stray: [T, 3] how far poses lie from the way to their goal
 
@@ -65,7 +71,7 @@ class GoalFlow(nn.Module):
 
     context_for_modulate = ("context",)
     context_for_field = ("features", "speed")
-    context_for_score = ("features", "context", "speed", "drivable", "occupied", "size", "course")
+    context_for_score = ("features", "context", "course", *SURROUNDINGS)
 
     def __init__(self, config: GoalFlowConfig) -> None:
         super().__init__()
@@ -128,7 +134,7 @@ class GoalFlow(nn.Module):
         settled = self.turns(speed), self.halts(shadow, speed)
         ways = torch.cat([taken, shadow, *settled], 1)
         return {
-            "prior_mean": self.with_route(ways, route, speed),
+            "prior_mean": self.with_route(ways, route, speed, _curvature(ego_status)),
             "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
             "goals": self.vocabulary[order],
             "goal_scores": scores.gather(1, order),
@@ -147,6 +153,8 @@ class GoalFlow(nn.Module):
             "features": features,
             "context": context,
             "speed": ego_status[:, VELOCITY],
+            "acceleration": ego_status[:, VELOCITY + 2],
+            "curvature": _curvature(ego_status),
             "size": vehicle_size,
             "drivable": cells[:, layout.drivable, :, :, None],
             "occupied": torch.cat([now, foretold], 1),
@@ -162,12 +170,10 @@ class GoalFlow(nn.Module):
 
     def shadow(self, ego_status: Tensor, speed: Tensor) -> Tensor:
         """The way [B, 1, T, S] that goes on as the ego moves now, to no goal."""
-        forward, left = ego_status[:, None, VELOCITY + 2 :].unbind(-1)
-        speed = speed[:, None]
-        bend = (left / speed.clamp(min=SLOWEST_TURN).square()).clamp(-SHARPEST, SHARPEST)
+        bend = _curvature(ego_status)[:, None].clamp(-SHARPEST, SHARPEST)
         # What accelerates now does not for 4 s.
-        acceleration = (0.5 * forward).clamp(-BRAKING, PULLING)
-        return self._way(speed, acceleration[..., None], bend[..., None], aimed=0.0)
+        acceleration = (0.5 * ego_status[:, None, VELOCITY + 2]).clamp(-BRAKING, PULLING)
+        return self._way(speed[:, None], acceleration[..., None], bend[..., None], aimed=0.0)
 
     def turns(self, speed: Tensor) -> Tensor:
         """Ways [B, 2 TURNS, T, S] that bend to the left and to the right, as far as LEANING lets
@@ -198,12 +204,12 @@ class GoalFlow(nn.Module):
         braking = -torch.tensor(HALTINGS).to(bend)[:, None]
         return self._way(speed[:, None].expand(bend.shape[:2]), braking, bend, aimed=SETTLED)
 
-    def with_route(self, ways: Tensor, route: Tensor, speed: Tensor) -> Tensor:
+    def with_route(self, ways: Tensor, route: Tensor, speed: Tensor, curvature: Tensor) -> Tensor:
         """Ways [B, V, T, S] and those along routes [B, P, 2], by turns, so that of both there are
         some where few anchors are asked for: [B, c V, T, S], c rounds of the former or, where a
         route is told, both once and the first again.
         """
-        along = self.along(route, speed)
+        along = self.along(route, speed, curvature)
         both = min(ways.shape[1], along.shape[1])
         by_turns = torch.stack([ways[:, :both], along[:, :both]], 2).flatten(1, 2)
         told = torch.cat([by_turns, ways[:, both:], along[:, both:]], 1)
@@ -212,9 +218,10 @@ class GoalFlow(nn.Module):
         told = told[:, torch.arange(untold.shape[1]) % told.shape[1]]
         return torch.where(is_told(route)[:, None, None, None], told, untold)
 
-    def along(self, route: Tensor, speed: Tensor) -> Tensor:
+    def along(self, route: Tensor, speed: Tensor, curvature: Tensor) -> Tensor:
         """Ways [B, W, T, S] along routes [B, P, 2]; no flow moves them either."""
-        poses, controls = ways_along(route, speed, steps=self.config.num_steps, dt=self.config.dt)
+        steps, dt = self.config.num_steps, self.config.dt
+        poses, controls = ways_along(route, speed, curvature, steps=steps, dt=dt)
         return torch.cat([poses, torch.full_like(poses[..., :1], SETTLED), controls], -1)
 
     def _way(
@@ -318,7 +325,13 @@ class GoalFlow(nn.Module):
 
 
 def _surroundings(context: Context) -> Surroundings:
-    return Surroundings(*(context[name] for name in ("drivable", "occupied", "speed", "size")))
+    return Surroundings(**{name: context[name] for name in SURROUNDINGS})
+
+
+def _curvature(ego_status: Tensor) -> Tensor:
+    """[B] 1/m to the left, of where the ego drives now."""
+    left, speed = ego_status[:, VELOCITY + 3], ego_status[:, VELOCITY]
+    return left / speed.clamp(min=SLOWEST_TURN).square()
 
 
 def _fan(count: int) -> Tensor:

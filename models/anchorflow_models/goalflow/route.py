@@ -17,6 +17,7 @@ SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most
 LEANING = 1.6  # m/s² to the side, at most, in a route's bends
 EASING = 1.0  # m/s², by which it slows down before a bend
 SHARPEST = 0.3  # 1/m, of ways along a route, whose corners are those of the map
+STEERS_S = 0.4  # s, by which a car steers later than it is told to
 LOOKS_S, NEAREST = 0.6, 2.5  # s and m, at least, ahead of the car: where it steers for
 STRETCHES = 2  # of constant controls, between two poses
 FOLLOWS = 2.0  # m from a route, at which half as much is left of a score
@@ -28,13 +29,15 @@ def is_told(route: Tensor) -> Tensor:
     return route.abs().amax((1, 2)) > 0
 
 
-def ways_along(route: Tensor, speed: Tensor, *, steps: int, dt: float) -> tuple[Tensor, Tensor]:
-    """Poses [B, W, T, 3] of ways along routes [B, P, 2], of cars at speeds [B], and their controls
-    [B, W, T, 2]: acceleration and curvature.
+def ways_along(
+    route: Tensor, speed: Tensor, curvature: Tensor, *, steps: int, dt: float
+) -> tuple[Tensor, Tensor]:
+    """Poses [B, W, T, 3] of ways along routes [B, P, 2], of cars at speeds [B] in bends of
+    curvatures [B], and their controls [B, W, T, 2]: acceleration and curvature.
 
-    A car steers for a point ahead on the route, so that it comes back to it from wherever it is,
-    and slows down before bends. First come those that go on, on the route itself, then those that
-    halt on it, then those beside it.
+    A car steers for a point ahead on the route, as fast as it can, so that it comes back to it from
+    wherever it is, and slows down before bends. First come those that go on, on the route itself,
+    then those that halt on it, then those beside it.
     """
     heading = _headings(route)
     normal = torch.stack([-heading.sin(), heading.cos()], -1)
@@ -44,6 +47,7 @@ def ways_along(route: Tensor, speed: Tensor, *, steps: int, dt: float) -> tuple[
     asked = [*on_it, *halts, *chain(*beside_it)]
     pace, slowing, aside = torch.tensor(asked).to(speed).unbind(-1)
     now = speed[:, None].expand(-1, len(asked))
+    bend = curvature[:, None].expand_as(now).clamp(-SHARPEST, SHARPEST)
     x = y = turned = torch.zeros_like(now)
     step = dt / STRETCHES
     poses, controls = [], []
@@ -54,8 +58,11 @@ def ways_along(route: Tensor, speed: Tensor, *, steps: int, dt: float) -> tuple[
         aim = _at(route, nearest, ahead) + aside[:, None] * _at(normal, nearest, ahead)
         dx, dy = aim[..., 0] - x, aim[..., 1] - y
         left = dy * turned.cos() - dx * turned.sin()
-        bend = (2 * left / (dx.square() + dy.square()).clamp(min=1.0)).clamp(-SHARPEST, SHARPEST)
-        most = torch.minimum(allowed.gather(1, nearest), LEANING / bend.abs().clamp(min=_LEAST))
+        steered = 2 * left / (dx.square() + dy.square()).clamp(min=1.0)
+        steered = steered.clamp(-SHARPEST, SHARPEST)
+        bend = bend + step / (step + STEERS_S) * (steered - bend)
+        sharper = torch.maximum(bend.abs(), steered.abs()).clamp(min=_LEAST)
+        most = torch.minimum(allowed.gather(1, nearest), LEANING / sharper)
         wanted = torch.minimum(pace, most.sqrt())
         pull = torch.maximum((wanted - now) / step, -slowing).clamp(max=SETTING_OFF)
         after = (now + step * pull).clamp(min=0.0)

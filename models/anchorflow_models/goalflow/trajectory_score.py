@@ -1,5 +1,7 @@
 """What a trajectory is worth: a soft PDM score among boxes at constant velocity.
 
+Who is hit and what is left of the road is asked of what a car drives that follows it (`tracking`).
+
     score = route^a · goal^b · drivable^d · reach · DAC · NC · (e EP + t TTC + c C) / (e + t + c)
 
 Each term lies between 0 and 1, and no trajectory's depends on the others. The weights are
@@ -17,11 +19,14 @@ from torch import Tensor
 from anchorflow_models.goalflow.config import GoalFlowConfig
 from anchorflow_models.goalflow.goals import WayScores
 from anchorflow_models.goalflow.raster import at_places, at_times
+from anchorflow_models.goalflow.tracking import WHEELBASE, Start, driven, halved
 
 FRONT, REAR = 0.7823, -0.2177
 """Of the bumpers before the rear axle, in lengths (`anchorflow_driving.window.REAR_AXLE`)."""
 # Who is hit with what lies behind these was not hit by the ego's fault.
 ROWS, FILES = (FRONT, 0.53, 0.28), (-1.0, 0.0, 1.0)
+GAP = 0.2
+"""Of a length, that is kept free ahead."""
 AHEAD_S = (0.5, 0.9)
 """That the time to collision looks ahead."""
 LOOKS_S = (0.0, 0.5, 1.0, -0.5)
@@ -46,13 +51,22 @@ class Surroundings:
     """What a score looks at.
 
     drivable: [B, H, W, 1]; occupied: [B, 1 + K, H, W] now and foretold, all from 0 to 1
-    speed: [B] now, m/s; size: [B, 2] of the ego, m
+    speed, acceleration, curvature: [B] now, m/s, m/s² and 1/m to the left
+    size: [B, 2] of the ego, m
     """
 
     drivable: Tensor
     occupied: Tensor
     speed: Tensor
+    acceleration: Tensor
+    curvature: Tensor
     size: Tensor
+
+    @property
+    def start(self) -> Start:
+        """Where a controller begins."""
+        wheelbase = WHEELBASE * self.size[:, 0]
+        return Start(self.speed, self.acceleration, self.curvature, wheelbase)
 
 
 class Motion(NamedTuple):
@@ -92,11 +106,12 @@ def motion_of(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Mo
 
 
 def rules_of(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFlowConfig) -> Rules:
-    """Of trajectories [B, N, T, 3]."""
+    """Of trajectories [B, N, T, 3], and of what is driven by who follows them."""
+    followed, speed = driven(poses, around.start, dt=config.dt)
     return Rules(
-        on_road=_on_road(poses, around, config),
-        clear=_clear(poses, motion.speed, around, config),
-        ahead=_time_to_collision(poses, motion.speed, around, config),
+        on_road=_on_road(followed, around, config),
+        clear=_clear(followed, speed, around, config),
+        ahead=_time_to_collision(followed, speed, around, config),
         comfort=_comfort(motion, dt=config.dt),
         progress=_progress(poses, around.speed, config),
     )
@@ -152,19 +167,20 @@ def trajectory_scores(
 
 def _on_road(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:
     """[B, N]: whether all corners stay on what may be driven on."""
-    corners = body_places(_halved(poses), around.size, rows=(FRONT, REAR), files=(-1.0, 1.0))
+    corners = body_places(halved(poses), around.size, rows=(FRONT, REAR), files=(-1.0, 1.0))
     share = at_places(around.drivable, corners, config.bev.extent)[..., 0]
     return _covered(share.flatten(2).amin(-1))
 
 
 def _clear(poses: Tensor, speed: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:
-    """[B, N]: whether the front of a moving ego touches nobody."""
+    """[B, N]: whether the front of a moving ego touches nobody, nor comes closer than the gap."""
     moving = (speed / MOVING).clamp(0.0, 1.0)
     layer = torch.arange(poses.shape[-2], device=poses.device)
-    middles = _halved(poses)[..., ::2, :]
+    middles = halved(poses)[..., ::2, :]
     # Halfway between two layers a box may still be where it was, or be where it will be.
     asked = torch.cat([poses, middles, middles], -2)
-    hits = _hits(asked, torch.cat([layer + 1, layer, layer + 1]), around, config)
+    layers = torch.cat([layer + 1, layer, layer + 1])
+    hits = _hits(asked, layers, around, config, gap=GAP)
     return 1 - _covered((hits.unflatten(-1, (3, -1)).amax(-2) * moving).amax(-1))
 
 
@@ -211,9 +227,15 @@ def _progress(poses: Tensor, speed: Tensor, config: GoalFlowConfig) -> Tensor:
     return (way / allowed.clamp(min=5.0)[:, None]).clamp(max=1.0)
 
 
-def _hits(poses: Tensor, layer: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:
-    """[B, N, P]: how much of a cell under the ego's front is taken, of poses [B, N, P, 3]."""
-    body = body_places(poses, around.size, rows=ROWS, files=FILES)
+def _hits(
+    poses: Tensor, layer: Tensor, around: Surroundings, config: GoalFlowConfig, *, gap: float = 0.0
+) -> Tensor:
+    """[B, N, P]: how much of a cell under the ego's front is taken, of poses [B, N, P, 3].
+
+    gap: lengths by which the front is farther ahead
+    """
+    front, *behind = ROWS
+    body = body_places(poses, around.size, rows=(front + gap, *behind), files=FILES)
     count = body.shape[-2]
     asked = layer.repeat_interleave(count)
     share = at_times(around.occupied, body.flatten(2, 3), asked, config.bev.extent)
@@ -234,12 +256,6 @@ def body_places(
     x = poses[..., 0, None] + cos * ahead - sin * left
     y = poses[..., 1, None] + sin * ahead + cos * left
     return torch.stack([x, y], -1)
-
-
-def _halved(poses: Tensor) -> Tensor:
-    """Poses [..., 2T, 3] with one in the middle of every two, the first being that of now."""
-    before = torch.cat([torch.zeros_like(poses[..., :1, :]), poses[..., :-1, :]], -2)
-    return torch.stack([0.5 * (before + poses), poses], -2).flatten(-3, -2)
 
 
 def _moved(poses: Tensor, way: Tensor) -> Tensor:

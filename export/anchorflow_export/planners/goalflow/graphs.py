@@ -5,6 +5,7 @@ from __future__ import annotations
 from torch import Tensor, nn
 
 from anchorflow_models.goalflow import GoalFlow
+from anchorflow_models.goalflow.goalflow import SURROUNDINGS
 
 ENCODE_OUTPUTS = (
     "prior_mean",
@@ -13,11 +14,8 @@ ENCODE_OUTPUTS = (
     "goal_scores",
     "features",
     "context",
-    "speed",
-    "size",
-    "drivable",
-    "occupied",
     "course",
+    *SURROUNDINGS,
 )
 
 

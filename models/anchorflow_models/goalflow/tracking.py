@@ -1,0 +1,90 @@
+"""What a car drives that is told to follow a trajectory: it brakes and steers later.
+
+The controller is the one of the PDM score, an LQR on a kinematic bicycle as nuPlan's simulation has
+it (`anchorflow_driving.pdm.tracker`), in steps of a quarter of a second in place of a tenth.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+LOOKS = 4
+"""Steps that the controller looks ahead, holding one command: 1 s."""
+SPEEDING = 10 / 11  # m/s² for each m/s that the speed differs from what is wanted then
+PULL_LAG_S = 0.2
+HEADING, LATERAL = 10.0, 1.0  # what errors cost; a steering rate costs 1
+# What a curvature brings about in 1 s at 1 m/s, and a curvature that grows from nought:
+# radians (the first of each), and metres to the side.
+TURN, SHIFT = 1.0, 0.45
+TURN_OF_RATE, SHIFT_OF_RATE = 0.45, 0.12
+PASSED_ON = 0.7  # of a steering rate, by a lag of 0.05 s
+SHARPEST = 0.5  # 1/m
+WHEELBASE = 0.5968  # in lengths (`anchorflow_driving.window.WHEELBASE`)
+_LEAST = 0.3  # m, of a way by which a turn is divided
+
+
+class Start(NamedTuple):
+    """[B] each: m/s, m/s² along the heading, 1/m to the left, m between the axles."""
+
+    speed: Tensor
+    acceleration: Tensor
+    curvature: Tensor
+    wheelbase: Tensor
+
+
+def driven(poses: Tensor, start: Start, *, dt: float) -> tuple[Tensor, Tensor]:
+    """Poses [B, N, T, 3], T of 2 s or more, and speeds [B, N, T] of who follows poses [B, N, T, 3].
+
+    dt: s, from pose to pose
+    """
+    wanted = torch.cat([torch.zeros_like(poses[..., :1, :]), halved(poses)], -2)
+    x_to, y_to, heading_to = wanted.unbind(-1)
+    cos_to, sin_to = heading_to.cos(), heading_to.sin()
+    ways = wanted[..., ::2, :2].diff(dim=-2).square().sum(-1).clamp(min=1e-8).sqrt()
+    speeds = ways / dt
+    between = 0.5 * (speeds[..., :-1] + speeds[..., 1:])
+    # At steps 1, 2, … of the quarters: halfway between two poses, at a pose, and so on.
+    speed_to = torch.cat(
+        [torch.stack([speeds[..., :-1], between], -1).flatten(-2), speeds[..., -1:]], -1
+    )
+    arc = torch.cat(
+        [torch.zeros_like(ways[..., :1]), (0.5 * ways).repeat_interleave(2, -1).cumsum(-1)], -1
+    )
+    bend_to = (heading_to[..., LOOKS:] - heading_to[..., :-LOOKS]) / (
+        arc[..., LOOKS:] - arc[..., :-LOOKS]
+    ).clamp(min=_LEAST)
+    speed, pull, bend, wheelbase = (each[:, None].expand_as(speeds[..., 0]) for each in start)
+    x = y = heading = torch.zeros_like(speed)
+    step, last = 0.5 * dt, speed_to.shape[-1] - 1
+    track = []
+    for now in range(2 * poses.shape[-2]):
+        aside = (y - y_to[..., now]) * cos_to[..., now] - (x - x_to[..., now]) * sin_to[..., now]
+        askew = heading - heading_to[..., now]
+        too_sharp = bend - bend_to[..., min(now, bend_to.shape[-1] - 1)]
+        askew_then = askew + TURN * speed * too_sharp
+        aside_then = aside + speed * askew + SHIFT * speed.square() * too_sharp
+        turn = TURN_OF_RATE * speed / wheelbase
+        shift = SHIFT_OF_RATE * speed.square() / wheelbase
+        cost = LATERAL * shift.square() + HEADING * turn.square() + 1
+        rate = -(LATERAL * shift * aside_then + HEADING * turn * askew_then) / cost
+        later = (bend + PASSED_ON * step * rate / wheelbase).clamp(-SHARPEST, SHARPEST)
+        command = SPEEDING * (speed_to[..., min(now + LOOKS - 1, last)] - speed)
+        pull = pull + step / (step + PULL_LAG_S) * (command - pull)
+        after = (speed + step * pull).clamp(min=0.0)
+        way = step * 0.5 * (speed + after)
+        turned = way * 0.5 * (bend + later)
+        x = x + way * (heading + 0.5 * turned).cos()
+        y = y + way * (heading + 0.5 * turned).sin()
+        heading, speed, bend = heading + turned, after, later
+        track.append(torch.stack([x, y, heading, speed], -1))
+    poses_driven, speeds_driven = torch.stack(track[1::2], -2).split([3, 1], -1)
+    return poses_driven, speeds_driven[..., 0]
+
+
+def halved(poses: Tensor) -> Tensor:
+    """Poses [..., 2T, 3] with one in the middle of every two, the first being that of now."""
+    before = torch.cat([torch.zeros_like(poses[..., :1, :]), poses[..., :-1, :]], -2)
+    return torch.stack([0.5 * (before + poses), poses], -2).flatten(-3, -2)
