@@ -16,11 +16,10 @@ LOOKS = 4
 SPEEDING = 10 / 11  # m/s² for each m/s that the speed differs from what is wanted then
 PULL_LAG_S = 0.2
 HEADING, LATERAL = 10.0, 1.0  # what errors cost; a steering rate costs 1
-# What a curvature brings about in 1 s at 1 m/s, and a curvature that grows from nought:
-# radians (the first of each), and metres to the side.
-TURN, SHIFT = 1.0, 0.45
-TURN_OF_RATE, SHIFT_OF_RATE = 0.45, 0.12
-PASSED_ON = 0.7  # of a steering rate, by a lag of 0.05 s
+# What comes of 1 s at 1 m/s: metres to the side, of a curvature and of one that grows from nought,
+# and radians, of the latter.
+SHIFT, SHIFT_OF_RATE, TURN_OF_RATE = 0.45, 0.12, 0.45
+PASSED_ON = 0.6  # of a steering rate, by a lag of 0.05 s
 SHARPEST = 0.5  # 1/m
 WHEELBASE = 0.5968  # in lengths (`anchorflow_driving.window.WHEELBASE`)
 _LEAST = 0.3  # m, of a way by which a turn is divided
@@ -47,15 +46,14 @@ def driven(poses: Tensor, start: Start, *, dt: float) -> tuple[Tensor, Tensor]:
     speeds = ways / dt
     between = 0.5 * (speeds[..., :-1] + speeds[..., 1:])
     # At steps 1, 2, … of the quarters: halfway between two poses, at a pose, and so on.
-    speed_to = torch.cat(
-        [torch.stack([speeds[..., :-1], between], -1).flatten(-2), speeds[..., -1:]], -1
-    )
-    arc = torch.cat(
-        [torch.zeros_like(ways[..., :1]), (0.5 * ways).repeat_interleave(2, -1).cumsum(-1)], -1
-    )
-    bend_to = (heading_to[..., LOOKS:] - heading_to[..., :-LOOKS]) / (
-        arc[..., LOOKS:] - arc[..., :-LOOKS]
-    ).clamp(min=_LEAST)
+    speed_to = torch.stack([speeds[..., :-1], between], -1).flatten(-2)
+    speed_to = torch.cat([speed_to, speeds[..., -1:]], -1)
+    # How it bends in the second that follows: radians a metre, and metres aside a square metre.
+    arc = torch.nn.functional.pad((0.5 * ways).repeat_interleave(2, -1).cumsum(-1), (1, 0))
+    way_then = (arc[..., LOOKS:] - arc[..., :-LOOKS]).clamp(min=_LEAST)
+    dx, dy, turn_then = (wanted[..., LOOKS:, :] - wanted[..., :-LOOKS, :]).unbind(-1)
+    shift_then = dy * cos_to[..., :-LOOKS] - dx * sin_to[..., :-LOOKS]
+    bend_to, shift_to = turn_then / way_then, 2 * SHIFT * shift_then / way_then.square()
     speed, pull, bend, wheelbase = (each[:, None].expand_as(speeds[..., 0]) for each in start)
     x = y = heading = torch.zeros_like(speed)
     step, last = 0.5 * dt, speed_to.shape[-1] - 1
@@ -63,9 +61,10 @@ def driven(poses: Tensor, start: Start, *, dt: float) -> tuple[Tensor, Tensor]:
     for now in range(2 * poses.shape[-2]):
         aside = (y - y_to[..., now]) * cos_to[..., now] - (x - x_to[..., now]) * sin_to[..., now]
         askew = heading - heading_to[..., now]
-        too_sharp = bend - bend_to[..., min(now, bend_to.shape[-1] - 1)]
-        askew_then = askew + TURN * speed * too_sharp
-        aside_then = aside + speed * askew + SHIFT * speed.square() * too_sharp
+        then = min(now, bend_to.shape[-1] - 1)
+        askew_then = askew + speed * (bend - bend_to[..., then])
+        shifted = speed.square() * (SHIFT * bend - shift_to[..., then])
+        aside_then = aside + speed * askew + shifted
         turn = TURN_OF_RATE * speed / wheelbase
         shift = SHIFT_OF_RATE * speed.square() / wheelbase
         cost = LATERAL * shift.square() + HEADING * turn.square() + 1

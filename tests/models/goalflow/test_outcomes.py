@@ -73,6 +73,8 @@ def along(speed: float) -> tuple[Tensor, Surroundings]:
         drivable=torch.ones(1, bev.rows, bev.columns, 1),
         occupied=torch.zeros(1, 1 + bev.foretold, bev.rows, bev.columns),
         speed=torch.tensor([speed]),
+        acceleration=torch.zeros(1),
+        curvature=torch.zeros(1),
         size=torch.tensor([[4.6, 1.9]]),
     )
     return poses, around

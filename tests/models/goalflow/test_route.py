@@ -40,9 +40,10 @@ def moved(route: Tensor, left: float, turned: float) -> Tensor:
     return places @ torch.tensor([[cos, -sin], [sin, cos]])
 
 
-def along(route: Tensor, speed: float) -> tuple[Tensor, Tensor]:
+def along(route: Tensor, speed: float, curvature: float = 0.0) -> tuple[Tensor, Tensor]:
     """Of one car: poses [W, T, 3], and controls [W, T, 2]."""
-    poses, controls = ways_along(route[None], torch.tensor([speed]), steps=STEPS, dt=DT)
+    now = torch.tensor([speed]), torch.tensor([curvature])
+    poses, controls = ways_along(route[None], *now, steps=STEPS, dt=DT)
     return poses[0], controls[0]
 
 
@@ -71,6 +72,14 @@ def test_who_stands_askew_comes_back_to_the_route(left: float, turned: float) ->
     middle = poses[PACES.index(7.5)]
     assert strays_of(middle, route)[-1] < 0.4
     assert controls[..., 1].abs().amax() <= SHARPEST
+
+
+def test_who_comes_out_of_a_corner_steers_back_no_faster_than_cars_do() -> None:
+    poses, controls = along(STRAIGHT, 5.0, curvature=-0.2)
+    bend = controls[PACES.index(5.0), :, 1]
+    assert -0.2 < bend[0] < -0.05
+    assert strays_of(poses[PACES.index(5.0)], STRAIGHT).amax() > 0.2
+    assert strays_of(poses[PACES.index(5.0)], STRAIGHT)[-1] < 0.3
 
 
 def test_a_corner_is_slowed_down_for() -> None:

@@ -53,6 +53,8 @@ def score(
         drivable=torch.ones(1, 192, 128, 1),
         occupied=nobody() if occupied is None else occupied,
         speed=torch.tensor([speed]),
+        acceleration=torch.zeros(1),
+        curvature=torch.zeros(1),
         size=torch.tensor([[4.6, 1.9]]),
     )
     certain = torch.full((1, 1), 100.0)
@@ -116,6 +118,38 @@ def test_time_to_collision_is_lost_to_who_is_close_ahead_then(
     assert told == pytest.approx(SURE if free else 1 - SURE, rel=1e-3)
     # Nobody is touched at the poses themselves.
     assert score("comfort", driven(10.0), 10.0, occupied=occupied) > 0.9
+
+
+@pytest.mark.parametrize(("metres", "free"), [(11.0, False), (16.0, True)])
+def test_who_brakes_comes_to_a_halt_farther_on_than_planned(metres: float, free: bool) -> None:
+    """From 8 m/s it plans to stand after 6.4 m, with its front at 10 m."""
+    occupied, row = nobody(), int((80 - metres) / 0.5)
+    occupied[:, :, row - 6 : row, 60:68] = 1.0
+    worth = score("comfort", driven(8.0, pull=-5.0), 8.0, occupied=occupied)
+    unhurried = score("comfort", driven(8.0, pull=-5.0), 8.0)
+    assert worth == pytest.approx(unhurried if free else 0.0, abs=0.02 * unhurried)
+
+
+def on_road(poses: Tensor, curvature: float) -> float:
+    """At 5 m/s, in a bend of that curvature now; 3 m to the right the road ends."""
+    drivable = torch.ones(1, 192, 128, 1)
+    drivable[:, :, 70:] = 0.0
+    around = Surroundings(
+        drivable=drivable,
+        occupied=nobody(),
+        speed=torch.tensor([5.0]),
+        acceleration=torch.zeros(1),
+        curvature=torch.tensor([curvature]),
+        size=torch.tensor([[4.6, 1.9]]),
+    )
+    config = GoalFlowConfig()
+    return float(rules_of(poses, motion_of(poses, around, config), around, config).on_road)
+
+
+def test_who_is_steering_to_the_right_goes_on_doing_so() -> None:
+    assert on_road(driven(5.0), 0.0) > 0.9
+    assert on_road(driven(5.0), 0.2) > 0.9
+    assert on_road(driven(5.0), -0.2) < 0.1
 
 
 @pytest.mark.parametrize(
