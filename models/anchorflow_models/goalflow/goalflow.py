@@ -26,12 +26,10 @@ from anchorflow_models.goalflow.raster import at_places
 from anchorflow_models.goalflow.route import follows, is_told, ways_along
 from anchorflow_models.goalflow.scene_encoder import VELOCITY, SceneEncoder
 from anchorflow_models.goalflow.trajectory_score import (
-    Motion,
-    Rules,
+    Judged,
     Surroundings,
+    judge,
     met,
-    motion_of,
-    rules_of,
     trajectory_scores,
 )
 from anchorflow_models.layers.standstill import standing_still
@@ -294,34 +292,33 @@ class GoalFlow(nn.Module):
     def score(self, x_1: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
         """Scores [B, N] of trajectories and of the ways that they began on, [B, N, T, S]."""
         poses, way = x_1[..., :POSE], prior_mean[..., :POSE]
-        motion, rules = self.judged(poses, context)
+        judged = self.judged(poses, context)
         missed = (poses[..., -1, :2] - way[..., -1, :2]).square().sum(-1).sqrt()
         missed = missed * prior_mean[..., 0, POSE].clamp(min=0)
         route, ways = context["course"], self.rate(poses, context)
         ways = ways._replace(route=torch.where(is_told(route)[:, None], CERTAIN, ways.route))
-        scores = trajectory_scores(rules, missed, ways, self.config)
+        scores = trajectory_scores(judged.rules, missed, ways, self.config)
         if self.outcomes is not None:
-            scores = outcome_scores(self.outcome(poses, motion, rules, context), rules, scores)
+            scores = outcome_scores(self.outcome(judged, context), judged.rules, scores)
         return scores * follows(poses[..., -1, :2], route)
 
-    def judged(self, poses: Tensor, context: Context) -> tuple[Motion, Rules]:
-        """How trajectories [B, N, T, 3] move, and what the rules say of them."""
-        around = _surroundings(context)
-        motion = motion_of(poses, around, self.config)
-        return motion, rules_of(poses, motion, around, self.config)
+    def judged(self, poses: Tensor, context: Context) -> Judged:
+        """Trajectories [B, N, T, 3] by the rules."""
+        return judge(poses, _surroundings(context), self.config)
 
-    def outcome(self, poses: Tensor, motion: Motion, rules: Rules, context: Context) -> Tensor:
-        """Logits [B, N, 4] of what becomes of trajectories [B, N, T, 3]."""
+    def outcome(self, judged: Judged, context: Context) -> Tensor:
+        """Logits [B, N, 4] of what becomes of trajectories."""
         assert self.outcomes is not None
-        return self.outcomes(self.told(poses, motion, rules, context), context["context"])
+        return self.outcomes(self.told(judged, context), context["context"])
 
-    def told(self, poses: Tensor, motion: Motion, rules: Rules, context: Context) -> Tensor:
+    def told(self, judged: Judged, context: Context) -> Tensor:
         """[B, N, F] that outcomes are learnt from."""
+        poses = judged.driven.poses
         seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
-        moves = [values / unit for values, unit in zip(motion, UNITS, strict=True)]
-        others = met(poses, motion, _surroundings(context), self.config)
+        moves = [values / unit for values, unit in zip(judged.motion, UNITS, strict=True)]
+        others = met(judged.driven, _surroundings(context), self.config)
         own = [seen.flatten(2), in_units(poses).flatten(2), *moves, others]
-        return torch.cat([*own, torch.stack(rules, -1)], -1)
+        return torch.cat([*own, torch.stack(judged.rules, -1)], -1)
 
 
 def _surroundings(context: Context) -> Surroundings:

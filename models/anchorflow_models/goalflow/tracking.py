@@ -34,8 +34,15 @@ class Start(NamedTuple):
     wheelbase: Tensor
 
 
-def driven(poses: Tensor, start: Start, *, dt: float) -> tuple[Tensor, Tensor]:
-    """Poses [B, N, T, 3], T of 2 s or more, and speeds [B, N, T] of who follows poses [B, N, T, 3].
+class Driven(NamedTuple):
+    """Poses [B, N, T, 3], and m/s at them, [B, N, T]."""
+
+    poses: Tensor
+    speed: Tensor
+
+
+def driven(poses: Tensor, start: Start, *, dt: float) -> Driven:
+    """What is driven by who follows poses [B, N, T, 3] over more than the second it looks ahead.
 
     dt: s, from pose to pose
     """
@@ -79,8 +86,8 @@ def driven(poses: Tensor, start: Start, *, dt: float) -> tuple[Tensor, Tensor]:
         y = y + way * (heading + 0.5 * turned).sin()
         heading, speed, bend = heading + turned, after, later
         track.append(torch.stack([x, y, heading, speed], -1))
-    poses_driven, speeds_driven = torch.stack(track[1::2], -2).split([3, 1], -1)
-    return poses_driven, speeds_driven[..., 0]
+    own, fast = torch.stack(track[1::2], -2).split([3, 1], -1)
+    return Driven(own, fast[..., 0])
 
 
 def halved(poses: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from torch import Tensor
 from anchorflow_models.goalflow.config import GoalFlowConfig
 from anchorflow_models.goalflow.goals import WayScores
 from anchorflow_models.goalflow.raster import at_places, at_times
-from anchorflow_models.goalflow.tracking import WHEELBASE, Start, driven, halved
+from anchorflow_models.goalflow.tracking import WHEELBASE, Driven, Start, driven, halved
 
 FRONT, REAR = 0.7823, -0.2177
 """Of the bumpers before the rear axle, in lengths (`anchorflow_driving.window.REAR_AXLE`)."""
@@ -93,6 +93,16 @@ class Rules(NamedTuple):
 RULES = Rules._fields
 
 
+class Judged(NamedTuple):
+    """Trajectories [B, N, T, 3]: how they move, what is driven by who follows them, and what the
+    rules say.
+    """
+
+    motion: Motion
+    driven: Driven
+    rules: Rules
+
+
 def motion_of(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Motion:
     """Of trajectories [B, N, T, 3]."""
     speed = _speeds(poses, dt=config.dt)
@@ -105,27 +115,30 @@ def motion_of(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Mo
     )
 
 
-def rules_of(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFlowConfig) -> Rules:
-    """Of trajectories [B, N, T, 3], and of what is driven by who follows them."""
-    followed, speed = driven(poses, around.start, dt=config.dt)
-    return Rules(
-        on_road=_on_road(followed, around, config),
-        clear=_clear(followed, speed, around, config),
-        ahead=_time_to_collision(followed, speed, around, config),
+def judge(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Judged:
+    """Trajectories [B, N, T, 3]; where they lead is asked of what is driven."""
+    motion = motion_of(poses, around, config)
+    own = driven(poses, around.start, dt=config.dt)
+    rules = Rules(
+        on_road=_on_road(own.poses, around, config),
+        clear=_clear(*own, around, config),
+        ahead=_time_to_collision(*own, around, config),
         comfort=_comfort(motion, dt=config.dt),
         progress=_progress(poses, around.speed, config),
     )
+    return Judged(motion, own, rules)
 
 
-def met(poses: Tensor, motion: Motion, around: Surroundings, config: GoalFlowConfig) -> Tensor:
+def met(own: Driven, around: Surroundings, config: GoalFlowConfig) -> Tensor:
     """[B, N, LOOKS · T]: how much of a cell under the ego's front is taken at each pose, for each
     of LOOKS_S; and then for an ego that is WIDER.
     """
+    poses, speed = own
     layer = torch.arange(poses.shape[-2], device=poses.device) + 1
     last = around.occupied.shape[1] - 1
     looks = [
         _hits(
-            _moved(poses, motion.speed * seconds),
+            _moved(poses, speed * seconds),
             (layer + round(max(seconds, 0.0) / config.dt)).clamp(max=last),
             around,
             config,

@@ -17,9 +17,8 @@ from anchorflow_models.goalflow.trajectory_score import (
     RULES,
     Rules,
     Surroundings,
+    judge,
     met,
-    motion_of,
-    rules_of,
 )
 
 CONFIG = GoalFlowConfig(
@@ -82,7 +81,7 @@ def along(speed: float) -> tuple[Tensor, Surroundings]:
 
 def looks(poses: Tensor, around: Surroundings) -> Tensor:
     """[LOOKS, T]"""
-    told = met(poses, motion_of(poses, around, CONFIG), around, CONFIG)
+    told = met(judge(poses, around, CONFIG).driven, around, CONFIG)
     return told.unflatten(-1, (LOOKS, T))[0, 0]
 
 
@@ -114,14 +113,13 @@ def test_the_scorer_hears_of_everything() -> None:
     torch.manual_seed(0)
     model = GoalFlow(CONFIG).eval()
     poses, around = along(8.0)
-    motion = motion_of(poses, around, CONFIG)
-    rules = rules_of(poses, motion, around, CONFIG)
+    judged = judge(poses, around, CONFIG)
     features = torch.rand(1, 48, 32, CONFIG.feature_channels)
     context = {**vars(around), "features": features, "context": torch.zeros(1, 96)}
-    told = model.told(poses, motion, rules, context)
+    told = model.told(judged, context)
     assert told.shape == (1, 1, model.outcomes.of_way.in_features)  # pyright: ignore[reportOptionalMemberAccess]
     other = dict(context, features=features + 1)
-    assert (model.told(poses, motion, rules, other) != told).sum() == T * CONFIG.feature_channels
+    assert (model.told(judged, other) != told).sum() == T * CONFIG.feature_channels
     context["course"] = torch.zeros(1, ROUTE_POINTS, 2)  # no route is told
     assert model.score(poses_as_states(poses), poses_as_states(poses), context).shape == (1, 1)
 

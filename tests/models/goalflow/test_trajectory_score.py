@@ -18,8 +18,7 @@ from anchorflow_models.goalflow.trajectory_score import (
     SHARP,
     Surroundings,
     _speeds,
-    motion_of,
-    rules_of,
+    judge,
     trajectory_scores,
 )
 
@@ -59,7 +58,7 @@ def score(
     )
     certain = torch.full((1, 1), 100.0)
     config = GoalFlowConfig(score=replace(weights, **{part: 1.0}))
-    rules = rules_of(poses, motion_of(poses, around, config), around, config)
+    rules = judge(poses, around, config).rules
     ways = WayScores(certain, certain, certain)
     worth = trajectory_scores(rules, torch.tensor([[missed]]), ways, config)
     return float(worth) / SURE**2  # on the road, and nobody touched
@@ -143,7 +142,7 @@ def on_road(poses: Tensor, curvature: float) -> float:
         size=torch.tensor([[4.6, 1.9]]),
     )
     config = GoalFlowConfig()
-    return float(rules_of(poses, motion_of(poses, around, config), around, config).on_road)
+    return float(judge(poses, around, config).rules.on_road)
 
 
 def test_who_is_steering_to_the_right_goes_on_doing_so() -> None:

@@ -33,7 +33,7 @@ class OutcomeObjective(nn.Module):
         assert model.outcomes is not None
         with torch.no_grad():
             context = model.look(batch["bev"], batch["status"], batch["size"])
-            told = model.told(poses, *model.judged(poses, context), context)
+            told = model.told(model.judged(poses, context), context)
         kept = torch.rand(told.shape[-1], device=told.device) >= self.forgotten
         logits = model.outcomes(told * kept / (1 - self.forgotten), context["context"])
         losses = F.binary_cross_entropy_with_logits(
