@@ -11,8 +11,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-LOOKS = 4
-"""Steps that the controller looks ahead, holding one command: 1 s."""
+LOOKS_S = 1.0
+"""That the controller looks ahead, holding one command."""
 SPEEDING = 10 / 11  # m/s² for each m/s that the speed differs from what is wanted then
 PULL_LAG_S = 0.2
 HEADING, LATERAL = 10.0, 1.0  # what errors cost; a steering rate costs 1
@@ -42,10 +42,12 @@ class Driven(NamedTuple):
 
 
 def driven(poses: Tensor, start: Start, *, dt: float) -> Driven:
-    """What is driven by who follows poses [B, N, T, 3] over more than the second it looks ahead.
+    """What is driven by who follows poses [B, N, T, 3].
 
     dt: s, from pose to pose
     """
+    count, step = 2 * poses.shape[-2], 0.5 * dt
+    looks = min(max(round(LOOKS_S / step), 1), count)
     wanted = torch.cat([torch.zeros_like(poses[..., :1, :]), halved(poses)], -2)
     x_to, y_to, heading_to = wanted.unbind(-1)
     cos_to, sin_to = heading_to.cos(), heading_to.sin()
@@ -57,15 +59,15 @@ def driven(poses: Tensor, start: Start, *, dt: float) -> Driven:
     speed_to = torch.cat([speed_to, speeds[..., -1:]], -1)
     # How it bends in the second that follows: radians a metre, and metres aside a square metre.
     arc = torch.nn.functional.pad((0.5 * ways).repeat_interleave(2, -1).cumsum(-1), (1, 0))
-    way_then = (arc[..., LOOKS:] - arc[..., :-LOOKS]).clamp(min=_LEAST)
-    dx, dy, turn_then = (wanted[..., LOOKS:, :] - wanted[..., :-LOOKS, :]).unbind(-1)
-    shift_then = dy * cos_to[..., :-LOOKS] - dx * sin_to[..., :-LOOKS]
+    way_then = (arc[..., looks:] - arc[..., :-looks]).clamp(min=_LEAST)
+    dx, dy, turn_then = (wanted[..., looks:, :] - wanted[..., :-looks, :]).unbind(-1)
+    shift_then = dy * cos_to[..., :-looks] - dx * sin_to[..., :-looks]
     bend_to, shift_to = turn_then / way_then, 2 * SHIFT * shift_then / way_then.square()
     speed, pull, bend, wheelbase = (each[:, None].expand_as(speeds[..., 0]) for each in start)
     x = y = heading = torch.zeros_like(speed)
-    step, last = 0.5 * dt, speed_to.shape[-1] - 1
+    last = speed_to.shape[-1] - 1
     track = []
-    for now in range(2 * poses.shape[-2]):
+    for now in range(count):
         aside = (y - y_to[..., now]) * cos_to[..., now] - (x - x_to[..., now]) * sin_to[..., now]
         askew = heading - heading_to[..., now]
         then = min(now, bend_to.shape[-1] - 1)
@@ -77,7 +79,7 @@ def driven(poses: Tensor, start: Start, *, dt: float) -> Driven:
         cost = LATERAL * shift.square() + HEADING * turn.square() + 1
         rate = -(LATERAL * shift * aside_then + HEADING * turn * askew_then) / cost
         later = (bend + PASSED_ON * step * rate / wheelbase).clamp(-SHARPEST, SHARPEST)
-        command = SPEEDING * (speed_to[..., min(now + LOOKS - 1, last)] - speed)
+        command = SPEEDING * (speed_to[..., min(now + looks - 1, last)] - speed)
         pull = pull + step / (step + PULL_LAG_S) * (command - pull)
         after = (speed + step * pull).clamp(min=0.0)
         way = step * 0.5 * (speed + after)

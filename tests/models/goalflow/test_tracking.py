@@ -78,6 +78,16 @@ def test_every_trajectory_is_followed_by_itself() -> None:
             torch.testing.assert_close(all_of_them[scene, anchor], mine[0, 0])
 
 
+@pytest.mark.parametrize(("count", "dt"), [(1, 0.5), (3, 1.0), (40, 0.1)])
+def test_a_plan_of_any_length_is_followed(count: int, dt: float) -> None:
+    still = torch.zeros(1, 2, count, 3)
+    start = Start(*(torch.tensor([each]) for each in (1.0, 0.0, 0.0, AXLES)))
+    followed, speed = driven(still, start, dt=dt)
+    assert followed.shape == still.shape
+    assert (speed[..., -1] < 1.0).all()
+    assert (followed[..., -1, 0] > 0.1 * dt).all()
+
+
 def test_a_pose_stands_in_the_middle_of_every_two() -> None:
     poses = torch.tensor([[2.0, 0.0, 0.2], [4.0, 1.0, 0.4]])
     middles = torch.tensor([[1.0, 0.0, 0.1], [3.0, 0.5, 0.3]])
