@@ -94,6 +94,27 @@ def test_the_slider_asks_about_its_time_and_draws_the_answer(
     driving.page.screenshot(path=artefacts / "drive.png")
 
 
+def test_a_route_is_drawn_on_the_street_and_is_no_picture(
+    driving: Any, drive: dict[str, Any], tmp_path: Path
+) -> None:
+    opened(driving, drive, tmp_path)
+    expect(driving.locate("#drive-route")).to_be_visible()
+    expect(driving.locate("#sensed figcaption")).to_have_text(["bev"])
+
+
+def test_a_route_runs_through_its_places(call: Callable[..., Any]) -> None:
+    paint = """(m) => {
+        const context = new OffscreenCanvas(100, 100).getContext("2d");
+        const drive = { ego: [], map: { drivable: [], crosswalk: [], line: [], centre: [] } };
+        const toScreen = (x, y) => [50 - 10 * y, 90 - 10 * x];
+        const eye = { context, colours: { start: "black" }, toScreen };
+        new m.Street(drive).paintRoutes(eye, [[0, 0, 4, 0, 4, -4]]);
+        const opaque = (x, y) => context.getImageData(...toScreen(x, y), 1, 1).data[3] > 0;
+        return [opaque(2, 0), opaque(4, -2), opaque(2, -2), context.globalAlpha === 1];
+    }"""
+    assert call("tensors/street", paint) == [True, True, False, True]
+
+
 def test_keys_and_the_play_button_go_through_the_drive(
     driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:

@@ -18,9 +18,9 @@ const HEADING_PX = 11;
 export class BirdsEye extends Surface {
   /**
    * What is drawn, as `lines.js` takes it; `raster` lies below where its extent is known, and of
-   * the drive that is open its `street` as it is in a `frame`.
+   * the drive that is open its `street` as it is in a `frame`, and the `routes` that it tells.
    */
-  show = { anchors: null, raster: null, street: null, frame: null, colourBy: "score", focus: null, step: null, stale: false, replayed: null, robot: null };
+  show = { anchors: null, raster: null, street: null, frame: null, routes: [], colourBy: "score", focus: null, step: null, stale: false, replayed: null, robot: null };
   /** px of an anchor. */
   lineWidth = 2;
   #middle = [0, 0];
@@ -45,8 +45,10 @@ export class BirdsEye extends Surface {
     if (show.street) show.street.paintRoad(this, show.frame);
     if (show.raster?.extent) this.#paintRaster(show.raster);
     this.#paintGrid();
-    if (show.street) show.street.paintOthers(this, show.frame);
-    else this.#paintEgo();
+    if (show.street) {
+      show.street.paintRoutes(this, show.routes);
+      show.street.paintOthers(this, show.frame);
+    } else this.#paintEgo();
     if (show.anchors) drawAnchors(context, this, show);
     if (show.street) show.street.paintEgo(this, show.frame);
     if (show.anchors && !show.stale) this.#paintPoses(show.anchors, show.focus ?? show.anchors.best);

@@ -5,6 +5,7 @@ import { InputMismatch } from "./drive_file.js";
 import { DrivePlayer } from "./drive_player.js";
 import { hideSensed, showSensed } from "./sensed.js";
 import { Street } from "./street.js";
+import { isPlaces, unpacked } from "./tensor.js";
 
 export class Drive {
   /** What the fields hold: {drive, street, index, values} of a frame; null: none of a drive. */
@@ -90,14 +91,17 @@ export class Drive {
   }
 
   #paint({ drive, street, index, values }) {
-    Object.assign(this.eye.show, { street, frame: drive.frames[index] });
+    const told = this.#card.inputs.filter((spec) => isPlaces(spec) && values[spec.name]?.base64);
+    const routes = told.map(({ name }) => unpacked(values[name]).values);
+    Object.assign(this.eye.show, { street, frame: drive.frames[index], routes });
+    byId("drive-route").hidden = !routes.length;
     showSensed(this.#card, values, this.eye.colours.classes);
     this.eye.request();
   }
 
   #leave() {
     this.held = null;
-    Object.assign(this.eye.show, { street: null, frame: null, anchors: null });
+    Object.assign(this.eye.show, { street: null, frame: null, routes: [], anchors: null });
     hideSensed();
     this.eye.request();
     this.onClose();

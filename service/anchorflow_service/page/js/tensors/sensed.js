@@ -2,13 +2,13 @@
 
 import { byId, make } from "../dom.js";
 import { Raster } from "./raster.js";
-import { axesOf, unpacked } from "./tensor.js";
+import { axesOf, isPlaces, unpacked } from "./tensor.js";
 
 /** Times as wide as high, from which on a picture does not stand beside another. */
 const WIDE = 2;
 
 /** Axes of a picture, with channels or without, along which there are more than a few values. */
-const isPicture = (spec) => [2, 3].includes(axesOf(spec).length) && axesOf(spec).slice(-2).every((size) => size > 1);
+const isPicture = (spec) => !isPlaces(spec) && [2, 3].includes(axesOf(spec).length) && axesOf(spec).slice(-2).every((size) => size > 1);
 
 /** Show them beside the scene; `palette` colours the layers of those with many channels. */
 export function showSensed(card, values, palette) {

@@ -3,6 +3,8 @@
 /** Types of boxes as a driving log has them, by the colour that they are drawn in. */
 const BOX_COLOURS = ["wall", "goal", "goal", "soft"];
 const DRIVEN_DASH = [4, 9];
+/** How a route is drawn: px wide, and how much of it one sees. */
+const [ROUTE_PX, ROUTE_OPACITY] = [10, 0.25];
 /** Share of its length that a box's nose takes. */
 const NOSE = 0.22;
 
@@ -35,6 +37,21 @@ export class Street {
     context.setLineDash([1.5, 2.5]);
     context.stroke(this.lines.centre);
     context.restore();
+  }
+
+  /** Inputs that are places [P, 2] around the ego: x0, y0, x1, y1, … each. */
+  paintRoutes(eye, routes) {
+    const { context, colours } = eye;
+    context.lineJoin = context.lineCap = "round";
+    context.lineWidth = ROUTE_PX;
+    context.strokeStyle = colours.start;
+    context.globalAlpha = ROUTE_OPACITY;
+    for (const places of routes) {
+      context.beginPath();
+      for (let k = 0; k < places.length; k += 2) context.lineTo(...eye.toScreen(places[k], places[k + 1]));
+      context.stroke();
+    }
+    context.globalAlpha = 1;
   }
 
   /** The boxes of the others. */

@@ -37,6 +37,9 @@ export function unpacked({ dtype, shape, base64: text }) {
   return { shape, values: new ARRAYS[dtype](bytes.buffer) };
 }
 
+/** Whether an input is places [P, 2] in m, such as a route. */
+export const isPlaces = (spec) => spec.unit === "m" && axesOf(spec).length === 2 && axesOf(spec)[1] === 2;
+
 /** Bytes in base64. */
 export function base64(bytes) {
   let text = "";
