@@ -52,8 +52,6 @@ LEANING = 2.5  # m/s² to the side, at most, of turns
 SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most, of turns
 CERTAIN = 20.0  # a logit, of what is known
 GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
-
-
 SURROUNDINGS = tuple(each.name for each in fields(Surroundings))
 """Names of what a score looks at."""
 

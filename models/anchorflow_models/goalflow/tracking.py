@@ -16,10 +16,10 @@ LOOKS_S = 1.0
 SPEEDING = 10 / 11  # m/s² for each m/s that the speed differs from what is wanted then
 PULL_LAG_S = 0.2
 HEADING, LATERAL = 10.0, 1.0  # what errors cost; a steering rate costs 1
-# What comes of 1 s at 1 m/s: metres to the side, of a curvature and of one that grows from nought,
-# and radians, of the latter.
+# What comes of its ten steps at 1 m/s: metres to the side, of a curvature and of one that grows
+# from nought, and radians, of the latter.
 SHIFT, SHIFT_OF_RATE, TURN_OF_RATE = 0.45, 0.12, 0.45
-PASSED_ON = 0.6  # of a steering rate, by a lag of 0.05 s
+PASSED_ON = 0.6  # of a steering rate, by a lag of 0.05 s; fitted to what it drives
 SHARPEST = 0.5  # 1/m
 WHEELBASE = 0.5968  # in lengths (`anchorflow_driving.window.WHEELBASE`)
 _LEAST = 0.3  # m, of a way by which a turn is divided

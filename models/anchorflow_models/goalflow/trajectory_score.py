@@ -30,7 +30,7 @@ GAP = 0.2
 AHEAD_S = (0.5, 0.9)
 """That the time to collision looks ahead."""
 LOOKS_S = (0.0, 0.5, 1.0, -0.5)
-"""How far ahead of its plan the ego is taken to be, each time that it is asked whom it meets."""
+"""How far ahead of where it drives the ego is taken to be, each time it is asked whom it meets."""
 WIDER = (2.0, 1.2)  # m more in length and width, of the ego that is asked once more
 LOOKS = len(LOOKS_S) + 1
 PULL = 1.5  # m/s², of a car that nothing holds up
