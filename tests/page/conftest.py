@@ -229,9 +229,13 @@ class Visit:
             lambda asked: asked["x_goal"][:2] == pytest.approx([4.0, 0.0], abs=0.05),
         )
 
+    def wait_for_anchors(self) -> None:
+        """Until an answer to the scene is shown: the page can be used from then on."""
+        wait_for_text(self, "#summary", "anchors are safe")
+
     def choose_camera(self) -> None:
         """Ask the camera planner from now on; returns when its first answer is shown."""
-        wait_for_text(self, "#summary", "anchors are safe")
+        self.wait_for_anchors()
         self.locate("#bundle").select_option("tiny-camera")
         wait_for_text(self, "#summary", "6 anchors")
 
@@ -356,7 +360,7 @@ def copied() -> Callable[[Visit, str], str]:
 def visit(open_page: Callable[..., Visit]) -> Iterator[Visit]:
     """The page on a desk, its first answer shown; the test ends with an empty console."""
     visit = open_page()
-    wait_for_text(visit, "#summary", "anchors are safe")
+    visit.wait_for_anchors()
     yield visit
     assert visit.errors == []
 

@@ -39,6 +39,27 @@ def test_it_opens_with_a_map_and_anchors(visit: Any, artefacts: Path, served: An
     assert all(url.startswith(served.url) for url in hosts)
 
 
+def test_nothing_can_be_chosen_before_a_planner_is_known(
+    open_page: Callable[..., Any], served: Any
+) -> None:
+    visit = open_page("about:blank")
+    held: list[Any] = []
+    visit.page.route("**/v2/models", lambda route: held.append(route))  # noqa: PLW0108
+    visit.page.goto(served.url)
+    expect(visit.locate("#link-text")).to_have_text("Connecting")
+
+    # What is typed now would be lost to the card that comes.
+    visit.locate("#seed").focus()
+    visit.page.keyboard.type("7")
+    expect(visit.locate("#seed")).to_have_value("0")
+    held[0].continue_()
+
+    visit.wait_for_anchors()
+    visit.locate("#seed").fill("7")
+    visit.answer(lambda: visit.page.keyboard.press("Tab"), lambda asked: asked["seed"] == 7)
+    assert visit.errors == []
+
+
 def test_anchors_go_round_a_wall_that_is_drawn(visit: Any, artefacts: Path) -> None:
     before = visit.choose_empty_map()
     visit.page.wait_for_timeout(300)

@@ -228,6 +228,7 @@ def test_a_robot_stops_where_another_planner_is_chosen(
     open_page: Callable[..., Any], served_both: Any
 ) -> None:
     visit = open_page(served_both.url)
+    visit.wait_for_anchors()
     visit.locate("#num").fill("4")
     visit.answer(lambda: visit.locate("#drive").click(), lambda asked: asked["num_samples"] == 4)
 

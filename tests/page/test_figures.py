@@ -24,7 +24,7 @@ def test_the_first_load_with_its_first_answer_is_small(
     open_page: Callable[..., Any], artefacts: Path
 ) -> None:
     visit = open_page()
-    visit.locate("#summary").get_by_text("anchors are safe").wait_for()
+    visit.wait_for_anchors()
     finished = [request for request in visit.requests if request.response().ok]
     sizes = {request.url: request.sizes() for request in finished}
 

@@ -94,7 +94,7 @@ def test_a_service_that_asks_for_a_token_gets_one(
     visit.locate("#token").fill("open sesame")
     visit.page.keyboard.press("Enter")
 
-    expect(visit.locate("#summary")).to_contain_text("anchors are safe", timeout=PATIENCE_MS)
+    visit.wait_for_anchors()
     expect(visit.locate("#token-form")).to_be_hidden()
     visit.forget_errors("status of 401")
     assert visit.errors == []

@@ -129,7 +129,7 @@ def test_a_phone_is_enough(open_page: Callable[..., Any], artefacts: Path, schem
         device_scale_factor=2,
         color_scheme=scheme,
     )
-    expect(visit.locate("#summary")).to_contain_text("anchors are safe", timeout=PATIENCE_MS)
+    visit.wait_for_anchors()
     width = visit.page.evaluate("document.documentElement.scrollWidth")
 
     tapped = visit.answer(

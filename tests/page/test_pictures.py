@@ -23,7 +23,7 @@ PROMPT = "The ego vehicle drives at 7.4 m/s. Plan its path for 4.5 seconds."
 def visit(open_page: Callable[..., Any], served_v2x: Any) -> Iterator[Any]:
     """The page with V2X chosen, behind the first answer of another bundle."""
     visit = open_page(served_v2x.url)
-    expect(visit.locate("#summary")).to_contain_text("anchors are safe", timeout=PATIENCE_MS)
+    visit.wait_for_anchors()
     visit.locate("#bundle").select_option("v2x")
     yield visit
     assert visit.errors == []

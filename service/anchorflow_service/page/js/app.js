@@ -62,6 +62,7 @@ class App {
     this.connection.useCard(card);
     this.card.show(card);
     view.useCard(card);
+    byId("layout").inert = false;
   }
 
   /** What comes back is for the view that has asked, as long as it is looked at. */
