@@ -12,8 +12,6 @@ import pytest
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect
 
-PATIENCE_MS = 60_000
-
 
 def test_looking_at_an_anchor(visit: Any) -> None:
     expect(visit.locate("#anchor-name")).to_have_text("Best anchor")

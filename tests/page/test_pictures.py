@@ -14,7 +14,6 @@ from PIL import Image
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect
 
-PATIENCE_MS = 60_000
 CAR, ROADSIDE = "#input-vehicle_image", "#input-infrastructure_image"
 PROMPT = "The ego vehicle drives at 7.4 m/s. Plan its path for 4.5 seconds."
 
