@@ -42,14 +42,6 @@ class TrajectorySpace(nn.Module):
         return points.clamp(-1, 1) * self.scale + self.middle
 
 
-def with_halfway(poses: Tensor) -> Tensor:
-    """[B, M, T, 3] -> [B, M, 2 T, 3]: before each pose what lies halfway from the one before, the
-    ego's own before the first.
-    """
-    before = torch.cat([torch.zeros_like(poses[..., :1, :]), poses[..., :-1, :]], -2)
-    return torch.stack([(before + poses) / 2, poses], -2).flatten(-3, -2)
-
-
 def embedded_points(points: Tensor) -> Tensor:
     """[..., T, 2] m -> [..., 64 T]"""
     features = POINT_FEATURES // 2

@@ -33,6 +33,7 @@ from anchorflow_models.goalflow.trajectory_score import (
     trajectory_scores,
 )
 from anchorflow_models.layers.standstill import standing_still
+from anchorflow_models.tracking import SLOWEST_TURN, curvature_of
 
 Context = dict[str, Tensor]
 
@@ -46,7 +47,6 @@ TIME_LEFT = 0.02  # least, that a slope is divided by
 FULL = 255.0
 BEND = 10.0  # m, in which networks hear of curvatures
 STRAYS = (0.4, 4.0)  # m, before the data are known, at the first pose and at the last
-SLOWEST_TURN = 1.0  # m/s; below it a curvature is noise
 SETTLED = -1.0  # in place of whether it has a goal: the way itself is the trajectory
 LEANING = 2.5  # m/s² to the side, at most, of turns
 SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most, of turns
@@ -125,12 +125,12 @@ class GoalFlow(nn.Module):
         picked = order[:, : self.config.picked, None, None]
         # Plain gathers: the exporter takes the scenes of take_along_dim for a constant.
         taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
-        speed = ego_status[:, VELOCITY]
+        speed, bend = ego_status[:, VELOCITY], curvature_of(ego_status[:, VELOCITY:])
         shadow = self.shadow(ego_status, speed)
         settled = self.turns(speed), self.halts(shadow, speed)
         ways = torch.cat([taken, shadow, *settled], 1)
         return {
-            "prior_mean": self.with_route(ways, route, speed, _curvature(ego_status)),
+            "prior_mean": self.with_route(ways, route, speed, bend),
             "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
             "goals": self.vocabulary[order],
             "goal_scores": scores.gather(1, order),
@@ -150,7 +150,7 @@ class GoalFlow(nn.Module):
             "context": context,
             "speed": ego_status[:, VELOCITY],
             "acceleration": ego_status[:, VELOCITY + 2],
-            "curvature": _curvature(ego_status),
+            "curvature": curvature_of(ego_status[:, VELOCITY:]),
             "size": vehicle_size,
             "drivable": cells[:, layout.drivable, :, :, None],
             "occupied": torch.cat([now, foretold], 1),
@@ -166,7 +166,7 @@ class GoalFlow(nn.Module):
 
     def shadow(self, ego_status: Tensor, speed: Tensor) -> Tensor:
         """The way [B, 1, T, S] that goes on as the ego moves now, to no goal."""
-        bend = _curvature(ego_status)[:, None].clamp(-SHARPEST, SHARPEST)
+        bend = curvature_of(ego_status[:, VELOCITY:])[:, None].clamp(-SHARPEST, SHARPEST)
         # What accelerates now does not for 4 s.
         acceleration = (0.5 * ego_status[:, None, VELOCITY + 2]).clamp(-BRAKING, PULLING)
         return self._way(speed[:, None], acceleration[..., None], bend[..., None], aimed=0.0)
@@ -321,12 +321,6 @@ class GoalFlow(nn.Module):
 
 def _surroundings(context: Context) -> Surroundings:
     return Surroundings(**{name: context[name] for name in SURROUNDINGS})
-
-
-def _curvature(ego_status: Tensor) -> Tensor:
-    """[B] 1/m to the left, of where the ego drives now."""
-    left, speed = ego_status[:, VELOCITY + 3], ego_status[:, VELOCITY]
-    return left / speed.clamp(min=SLOWEST_TURN).square()
 
 
 def _fan(count: int) -> Tensor:

@@ -10,7 +10,13 @@ from anchorflow_models.transfuser.config import (
 )
 from anchorflow_models.transfuser.encounters import FORETOLD_S, Encounters, foretold_times
 from anchorflow_models.transfuser.far_sight import FarSight, with_far
-from anchorflow_models.transfuser.footprint import CAR, Footprint, Places, placed
+from anchorflow_models.transfuser.footprint import (
+    CAR,
+    Footprint,
+    Places,
+    driven_by_car,
+    placed,
+)
 from anchorflow_models.transfuser.ground_sight import GROUND_WIDTH, GroundSight, moved_ahead
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
@@ -51,6 +57,7 @@ __all__ = [
     "TransfuserBackbone",
     "TransfuserConfig",
     "bev_places",
+    "driven_by_car",
     "foretold_times",
     "moved_ahead",
     "placed",

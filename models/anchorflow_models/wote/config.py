@@ -73,6 +73,8 @@ class WoteConfig:
     ground_sight: whether the cameras' picture is also looked up on the ground, and all that look at
         the BEV look at a square as large as the LiDAR's that lies three eighths of its side farther
         ahead; published is not
+    driven: whether footprint and encounters look where a car drives that follows an anchor
+        (`anchorflow_models.tracking`), in place of the anchor's own poses; published is not
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.
@@ -97,6 +99,7 @@ class WoteConfig:
     footprint: Places = ()
     encounters: Places = ()
     ground_sight: bool = False
+    driven: bool = field(default=False, metadata={"free": True})
     backbone: TransfuserConfig = field(default_factory=TransfuserConfig)
 
     def __post_init__(self) -> None:
@@ -154,5 +157,6 @@ def small_wote() -> WoteConfig:
         footprint=CAR,
         encounters=(*CAR, (5.0, 0.0)),
         ground_sight=True,
+        driven=True,
         backbone=small_transfuser(),
     )

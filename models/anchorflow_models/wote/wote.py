@@ -15,6 +15,7 @@ from anchorflow_models.layers.attention import Decoder, EncoderLayer
 from anchorflow_models.layers.standstill import standing_still
 from anchorflow_models.transfuser import (
     GROUND_WIDTH,
+    MOTION,
     STATUS,
     STATUS_UNITS,
     AgentHead,
@@ -30,6 +31,7 @@ from anchorflow_models.transfuser import (
     SemanticHead,
     SweepMotion,
     TransfuserBackbone,
+    driven_by_car,
     moved_ahead,
     with_far,
 )
@@ -54,6 +56,7 @@ class Seen:
     occupancy_logits: [B, T, H/4, H/4] of where others will be when the poses are reached
     upscaled: [B, C', H/4, H/4] the backbone's BEV
     fine: [B, h, h, C] what footprints look up, where there are any
+    motion: [B, 4] the ego's velocity and acceleration, where it is asked what is driven
     foretold: [B, L, H', H] the share of each cell that others take at `foretold_times`, with
         encounters; moving: where they are and how fast they move; far: beyond the LiDAR
     """
@@ -66,6 +69,7 @@ class Seen:
     occupancy_logits: Tensor
     upscaled: Tensor
     fine: Tensor | None
+    motion: Tensor | None
     foretold: Tensor | None
     moving: Moving | None
     far: Moving | None
@@ -198,7 +202,8 @@ class WoTE(nn.Module):
         """What `score` takes of what `encode` gives, in its order."""
         fine = ("bev_fine",) if self.config.footprint else ()
         foretold = ("foretold",) if self.config.encounters else ()
-        return ("bev_tokens", "ego", *fine, *foretold)
+        motion = ("ego_motion",) if self.config.driven else ()
+        return ("bev_tokens", "ego", *fine, *foretold, *motion)
 
     def set_anchors(self, anchors: Tensor) -> None:
         """Take other anchors [K, T, 3]. Raises ValueError where their shape is another."""
@@ -218,8 +223,9 @@ class WoTE(nn.Module):
         lidar_before: as lidar, for a backbone that reads it.
 
         Returns by name: bev_tokens [B, M, W], ego [B, W], bev_fine [B, h, h, C] where there are
-        footprints, foretold [B, L, H', H] where there are encounters; agents [B, Q, 5],
-        agent_scores [B, Q] and bev_semantics [B, classes, H/2, H], both in [0, 1].
+        footprints, foretold [B, L, H', H] where there are encounters, ego_motion [B, 4] where it is
+        asked what is driven; agents [B, Q, 5], agent_scores [B, Q] and bev_semantics
+        [B, classes, H/2, H], both in [0, 1].
         """
         seen = self.look(camera, lidar, ego_status, lidar_before)
         return {
@@ -227,6 +233,7 @@ class WoTE(nn.Module):
             "ego": seen.ego,
             **({} if seen.fine is None else {"bev_fine": seen.fine}),
             **({} if seen.foretold is None else {"foretold": seen.foretold}),
+            **({} if seen.motion is None else {"ego_motion": seen.motion}),
             "agents": seen.agents,
             "agent_scores": seen.agent_logits.sigmoid(),
             "bev_semantics": seen.semantic_logits.softmax(1),
@@ -238,11 +245,12 @@ class WoTE(nn.Module):
         ego: Tensor,
         bev_fine: Tensor | None = None,
         foretold: Tensor | None = None,
+        ego_motion: Tensor | None = None,
         *,
         anchors: Tensor | None = None,
     ) -> Context:
-        """bev_tokens, ego, bev_fine, foretold as of `encode`; anchors: [K, W] where they are
-        encoded already.
+        """bev_tokens, ego, bev_fine, foretold, ego_motion as of `encode`; anchors: [K, W] encoded
+        already, where they are.
 
         Returns by name: trajectories [B, K', T, 3] m, m, rad; scores [B, K']; offsets [B, K', T, 3]
         from the anchors; im_rewards [B, K'], which sum to 1; sim_rewards [B, K', 5] in [0, 1]. K'
@@ -253,7 +261,14 @@ class WoTE(nn.Module):
             moved = moved.taken(moved.logits.topk(self.config.judged).indices)
         chosen = self.anchors[moved.index]
         trajectories = standing_still(chosen + moved.offsets)
-        judged = self.judge(bev_tokens, moved, fine=bev_fine, foretold=foretold, poses=trajectories)
+        judged = self.judge(
+            bev_tokens,
+            moved,
+            fine=bev_fine,
+            foretold=foretold,
+            motion=ego_motion,
+            poses=trajectories,
+        )
         return {
             "trajectories": trajectories,
             "scores": final_scores(judged.imitation, judged.simulation, self.config.rewards),
@@ -296,6 +311,7 @@ class WoTE(nn.Module):
             self.occupancy(features.upscaled),
             features.upscaled,
             self.fine_values(fine) if self.config.footprint else None,
+            ego_status[:, MOTION] if self.config.driven else None,
             foretold,
             moving,
             far,
@@ -331,23 +347,31 @@ class WoTE(nn.Module):
         *,
         fine: Tensor | None,
         foretold: Tensor | None = None,
+        motion: Tensor | None = None,
         poses: Tensor | None = None,
     ) -> Judged:
         """Imagine what follows from each anchor and rate it.
 
         bev: [B, M, W]; fine: [B, h, h, C], which footprints look up; foretold: [B, L, H', H], which
-            encounters do; poses: [B, K', T, 3] where they look, as a rule the anchors' own
+            encounters do; motion: [B, 4] the ego's, by which it is worked out what is driven
+        poses: [B, K', T, 3] where they look, or what is followed there; the anchors' own unless
+            others are given
 
         Raises:
-            ValueError: footprints or encounters have nothing to look up.
+            ValueError: footprints or encounters have nothing to look up, or nobody tells how the
+                ego moves that follows an anchor.
         """
         if fine is None and self.config.footprint:
             raise ValueError("fine: expected [B, h, h, C] for footprints, got None")
         if foretold is None and self.config.encounters:
             raise ValueError("foretold: expected [B, L, H', H] for encounters, got None")
+        if motion is None and self.config.driven:
+            raise ValueError("motion: expected [B, 4] to tell what is driven, got None")
         here, there = self._cells()
         ego, future = self.world_model(moved.ego, bev, here=here, there=there[moved.index])
         poses = self.anchors[moved.index] if poses is None else poses
+        if motion is not None:
+            poses = driven_by_car(poses, motion, dt=self.config.dt)
         under = None if fine is None else self.footprint(fine, poses)
         if foretold is not None:
             under = self.met(torch.zeros_like(ego) if under is None else under, poses, foretold)

@@ -16,7 +16,6 @@ from anchorflow_models.diffusiondrive.trajectories import (
     Variants,
     embedded_poses,
     motion_features,
-    with_halfway,
 )
 from anchorflow_models.layers.lookup import lookup_sum
 from anchorflow_models.transfuser import bev_places
@@ -167,9 +166,3 @@ def test_the_heading_of_a_u_turn_is_not_torn() -> None:
     heading = variants(path, (0.0, 0.0))[0, :, 2]
     turned = (heading - path[0, 0, :, 2] + math.pi) % (2 * math.pi) - math.pi
     assert turned.abs().max() < 0.05
-
-
-def test_halfway_to_each_pose() -> None:
-    poses = torch.tensor([[[[2.0, 0.0, 0.2], [6.0, 2.0, 0.6]]]])
-    expected = [[1.0, 0.0, 0.1], [2.0, 0.0, 0.2], [4.0, 1.0, 0.4], [6.0, 2.0, 0.6]]
-    torch.testing.assert_close(with_halfway(poses)[0, 0], torch.tensor(expected))

@@ -30,9 +30,15 @@ def planner(config: WoteConfig = AHEAD) -> WoTE:
 
 def rewards(model: WoTE, context: dict[str, Tensor], poses: Tensor) -> Tensor:
     """[K, 6] logits of anchors that stand in such poses [K, T, 3]."""
-    bev, ego, fine, foretold = (context[name] for name in model.context_for_score)
-    moved = model.move(bev, ego)
-    judged = model.judge(bev, moved, fine=fine, foretold=foretold, poses=poses[None])
+    bev = context["bev_tokens"]
+    judged = model.judge(
+        bev,
+        model.move(bev, context["ego"]),
+        fine=context["bev_fine"],
+        foretold=context["foretold"],
+        motion=context.get("ego_motion"),
+        poses=poses[None],
+    )
     return torch.cat([judged.simulation, judged.imitation[..., None]], -1)[0]
 
 
@@ -90,6 +96,25 @@ def test_rewards_are_told_who_will_be_where_an_anchor_leads() -> None:
 
 
 @torch.inference_mode()
+def test_rewards_look_where_a_car_drives_that_follows_an_anchor() -> None:
+    model = planner(replace(AHEAD, driven=True))
+    context = model.encode(**sensors(AHEAD, B=1))
+    assert model.context_for_score[-1] == "ego_motion"
+    changed = dict(context, bev_fine=context["bev_fine"].clone())
+    changed["bev_fine"][:, 22:25] += 1.0  # 2 m a row from 56 m ahead: 6 to 12 m
+    told_to_stand = standing(0.0)
+    heard = []
+    for speed in (0.0, 8.0):  # who drives comes to a halt farther ahead
+        motion = torch.tensor([[speed, 0.0, 0.0, 0.0]])
+        before, after = (
+            rewards(model, dict(each, ego_motion=motion), told_to_stand)
+            for each in (context, changed)
+        )
+        heard.append(not torch.equal(before, after))
+    assert heard == [False, True]
+
+
+@torch.inference_mode()
 def test_tokens_lie_where_the_ego_will_be() -> None:
     """Three of eight rows farther ahead: the ego stands in the second row from behind."""
     size = BACKBONE.bev_size
@@ -115,13 +140,14 @@ def test_the_picture_moves_tokens_and_fine_cells() -> None:
 
 
 @torch.inference_mode()
-def test_the_published_network_has_neither() -> None:
+def test_the_published_network_has_none_of_it() -> None:
     model = tiny_wote()
     assert not any(
         part in name for part in ("ground", "sweeps", "far", "met.") for name in model.state_dict()
     )
     assert not WoteConfig().ground_sight
     assert not WoteConfig().encounters
+    assert not WoteConfig().driven
 
 
 @torch.inference_mode()
@@ -130,6 +156,14 @@ def test_nothing_foretold_is_an_error() -> None:
     context = model.encode(**sensors(AHEAD, B=1))
     with pytest.raises(ValueError, match="foretold: expected"):
         model.score(context["bev_tokens"], context["ego"], context["bev_fine"])
+
+
+@torch.inference_mode()
+def test_no_motion_to_tell_what_is_driven_is_an_error() -> None:
+    model = planner(replace(AHEAD, driven=True))
+    context = model.encode(**sensors(AHEAD, B=1))
+    with pytest.raises(ValueError, match="motion: expected"):
+        model.score(*(context[name] for name in model.context_for_score[:-1]))
 
 
 @pytest.mark.parametrize(
@@ -149,8 +183,9 @@ def test_a_wrong_field_is_named(wrong: dict[str, Any], message: str) -> None:
         replace(AHEAD, **wrong)
 
 
-def test_the_small_preset_has_both() -> None:
+def test_the_small_preset_has_all() -> None:
     config = small_wote()
     assert config.ground_sight
     assert config.encounters[:5] == config.footprint
     assert config.foretold_times[-1] == 5.0
+    assert config.driven

@@ -34,7 +34,7 @@ from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 MODEL = "tiny-wote"
-CONFIG = replace(TINY, kept=5)
+CONFIG = replace(TINY, kept=5, driven=True)
 OF_EACH = ("offsets", "im_rewards", "sim_rewards")
 OF_THE_SCENE = ("agents", "agent_scores", "bev_semantics")
 
@@ -80,7 +80,7 @@ def assert_torchs(anchors: AnchorBatch, *, outputs: tuple[str, ...]) -> None:
     model = tiny_wote(CONFIG)
     with torch.inference_mode():
         context = model.encode(**sensors(CONFIG, 1))
-        given = model.score(*(context[name] for name in model.context_for_score))
+        given = model.score(**{name: context[name] for name in model.context_for_score})
     best = given["scores"][0].argsort(descending=True)[: anchors.trajectories.shape[0]]
     for name in ("trajectories", "scores", *outputs):
         wanted = context[name][0] if name in OF_THE_SCENE else given[name][0, best]

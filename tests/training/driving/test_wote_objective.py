@@ -27,6 +27,7 @@ from anchorflow_training.driving.wote_objective import (
 TOLD = replace(
     TINY,
     encounters=((0.0, 0.0),),
+    driven=True,
     backbone=replace(TINY.backbone, lidar_before=True, lidar_size=64),
 )
 

@@ -83,7 +83,13 @@ class WoteObjective(nn.Module):
         distance = distances(model.anchors[None], batch["future"])
         nearest = distance.argmin(-1)
         chosen = self._chosen(order, nearest, likely(moved.logits.detach(), luck))
-        judged = model.judge(seen.bev, moved.taken(chosen), fine=seen.fine, foretold=seen.foretold)
+        judged = model.judge(
+            seen.bev,
+            moved.taken(chosen),
+            fine=seen.fine,
+            foretold=seen.foretold,
+            motion=seen.motion,
+        )
         winner = nearest[:, None, None, None].expand(-1, 1, *moved.offsets.shape[2:])
         refined = model.anchors[nearest] + moved.offsets.gather(1, winner)[:, 0]
         pdm = batch["pdm"].gather(1, chosen[..., None].expand(-1, -1, batch["pdm"].shape[-1]))

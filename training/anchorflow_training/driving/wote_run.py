@@ -74,7 +74,7 @@ class WoteRun(SensorRun):
         success: PDMS of the anchor with the best score, before its offset
         """
         seen = model.look(**sensors_of(batch))
-        scored = model.score(seen.bev, seen.ego, seen.fine, seen.foretold)
+        scored = model.score(seen.bev, seen.ego, seen.fine, seen.foretold, seen.motion)
         refined = distances(scored["trajectories"], batch["future"])
         worth = pdms(self.pdm[window])
         # Whichever were kept, by the anchors that they are nearest to before their offsets.

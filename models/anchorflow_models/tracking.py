@@ -22,6 +22,7 @@ SHIFT, SHIFT_OF_RATE, TURN_OF_RATE = 0.45, 0.12, 0.45
 PASSED_ON = 0.6  # of a steering rate, by a lag of 0.05 s; fitted to what it drives
 SHARPEST = 0.5  # 1/m
 WHEELBASE = 0.5968  # in lengths (`anchorflow_driving.window.WHEELBASE`)
+SLOWEST_TURN = 1.0  # m/s; below it a curvature is noise
 _LEAST = 0.3  # m, of a way by which a turn is divided
 
 
@@ -32,6 +33,13 @@ class Start(NamedTuple):
     acceleration: Tensor
     curvature: Tensor
     wheelbase: Tensor
+
+    @classmethod
+    def of(cls, motion: Tensor, *, wheelbase: float) -> Start:
+        """Of a car with the velocity and acceleration [B, 4], forward and to the left."""
+        speed, acceleration = motion[:, 0], motion[:, 2]
+        axles = torch.full_like(speed, wheelbase)
+        return cls(speed.clamp(min=0.0), acceleration, curvature_of(motion), axles)
 
 
 class Driven(NamedTuple):
@@ -90,6 +98,11 @@ def driven(poses: Tensor, start: Start, *, dt: float) -> Driven:
         track.append(torch.stack([x, y, heading, speed], -1))
     own, fast = torch.stack(track[1::2], -2).split([3, 1], -1)
     return Driven(own, fast[..., 0])
+
+
+def curvature_of(motion: Tensor) -> Tensor:
+    """[B] 1/m to the left, of a velocity and an acceleration [B, 4]."""
+    return motion[:, 3] / motion[:, 0].clamp(min=SLOWEST_TURN).square()
 
 
 def halved(poses: Tensor) -> Tensor:
