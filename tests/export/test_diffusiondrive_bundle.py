@@ -35,7 +35,6 @@ SMALL = replace(
     backbone=replace(TINY.backbone, lidar_before=True),
     encounters=TINY.footprint,
     ground_sight=True,
-    driven=True,
     direction=True,
     imitation=0.1,
     pessimistic=True,

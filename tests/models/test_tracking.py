@@ -97,3 +97,15 @@ def test_a_pose_stands_in_the_middle_of_every_two() -> None:
 
 def test_the_car_is_that_of_the_driving_logs() -> None:
     assert WHEELBASE == OF_NAVSIM
+
+
+@pytest.mark.parametrize(
+    ("motion", "bend"),
+    [((8.0, 0.0, -1.0, 3.2), 0.05), ((0.4, 0.0, 0.0, 0.1), 0.1), ((-0.1, 0.0, 0.0, 0.0), 0.0)],
+    ids=["turns", "creeps", "rolls_back"],
+)
+def test_it_starts_as_the_car_moves(motion: tuple[float, ...], bend: float) -> None:
+    start = Start.of(torch.tensor([motion]), wheelbase=AXLES)
+    assert [each.item() for each in start] == pytest.approx(
+        [max(motion[0], 0.0), motion[2], bend, AXLES]
+    )

@@ -22,7 +22,7 @@ from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.layers.scalar_head import scalar_head
 from anchorflow_models.sub_scores import SUB_SCORES, pdm_score
 from anchorflow_models.tracking import halved
-from anchorflow_models.transfuser import BevValues, Encounters, Footprint, driven_by_car
+from anchorflow_models.transfuser import BevValues, Encounters, Footprint
 
 DIRECTION = "DDC"
 """Driving direction compliance, which stands behind SUB_SCORES where it is foretold too."""
@@ -165,11 +165,11 @@ class SeenUnder(nn.Module):
                 ahead=config.bev_ahead,
             )
 
-    def forward(self, x: Tensor, poses: Tensor, bev: Tensor) -> Tensor:
-        """x: [B, M, F]; poses: [B, M, T, 3]; bev: [B, W, H, H]"""
+    def forward(self, x: Tensor, candidates: Tensor, bev: Tensor) -> Tensor:
+        """x: [B, M, F]; candidates: [B, M, T, 3]; bev: [B, W, H, H]"""
         if self.footprint is None:
             return x
-        return x + self.footprint(self.values(bev), halved(poses))
+        return x + self.footprint(self.values(bev), halved(candidates))
 
 
 def encounters(config: DiffusionDriveConfig) -> Encounters | None:
@@ -187,20 +187,14 @@ def encounters(config: DiffusionDriveConfig) -> Encounters | None:
     )
 
 
-def met(encounters: Encounters | None, x: Tensor, poses: Tensor, foretold: Tensor | None) -> Tensor:
-    """x [B, M, F], and whom poses [B, M, T, 3] meet where that is foretold."""
+def met(
+    encounters: Encounters | None, x: Tensor, candidates: Tensor, foretold: Tensor | None
+) -> Tensor:
+    """x [B, M, F], and whom candidates [B, M, T, 3] meet where that is foretold."""
     if encounters is None:
         return x
     assert foretold is not None  # as `Perception` tells it
-    return encounters(x, poses, foretold)
-
-
-def looked_at(candidates: Tensor, scene: SceneFeatures, *, driven: bool) -> Tensor:
-    """[B, M, T, 3]: the candidates' poses, or those that are driven by who follows them."""
-    if not driven:
-        return candidates
-    assert scene.motion is not None  # as `Perception` tells it
-    return driven_by_car(candidates, scene.motion, dt=STEP_S)
+    return encounters(x, candidates, foretold)
 
 
 class CoarseScorer(nn.Module):
@@ -217,13 +211,11 @@ class CoarseScorer(nn.Module):
         self.motion, self.under = ToldMotion(config), SeenUnder(config)
         self.met = encounters(config)
         self.layer = ScorerLayer(config)
-        self.driven = config.driven
 
     def forward(self, candidates: Tensor, scene: SceneFeatures) -> Scored:
         """candidates: [B, M, T, 3]"""
         x = self.motion(self.embed(embedded_poses(candidates)), candidates, scene.motion)
-        poses = looked_at(candidates, scene, driven=self.driven)
-        x = met(self.met, self.under(x, poses, scene.bev), poses, scene.foretold)
+        x = met(self.met, self.under(x, candidates, scene.bev), candidates, scene.foretold)
         return self.layer(x, candidates[..., :2], scene)
 
 
@@ -235,15 +227,13 @@ class FineScorer(nn.Module):
         self.motion, self.under = ToldMotion(config), SeenUnder(config)
         self.met = encounters(config)
         self.layers = nn.ModuleList(ScorerLayer(config) for _ in range(config.fine_layers))
-        self.driven = config.driven
 
     def forward(self, candidates: Tensor, features: Tensor, scene: SceneFeatures) -> list[Scored]:
         """candidates: [B, M, T, 3]; features: [B, M, F] -> one a layer, of which the last counts"""
         made = []
         features = self.motion(features, candidates, scene.motion)
-        poses = looked_at(candidates, scene, driven=self.driven)
-        features = self.under(features, poses, scene.bev)
-        features = met(self.met, features, poses, scene.foretold)
+        features = self.under(features, candidates, scene.bev)
+        features = met(self.met, features, candidates, scene.foretold)
         for layer in self.layers:
             scored = layer(features, candidates[..., :2], scene)
             features = scored.features

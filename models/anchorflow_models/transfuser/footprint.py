@@ -7,14 +7,14 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.layers.lookup import lookup
-from anchorflow_models.tracking import Start, driven
 from anchorflow_models.transfuser.bev_values import bev_places
 
 Places = tuple[tuple[float, float], ...]
 
 CAR: Places = ((0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (3.0, 1.0), (3.0, -1.0))
 """m ahead and to the left of a pose: the middle of the rear axle, its sides, and the front."""
-CAR_WHEELBASE = 3.1  # m
+CAR_WHEELBASE = 3.1
+"""m, of nuPlan's car."""
 
 
 class Footprint(nn.Module):
@@ -55,14 +55,6 @@ class Footprint(nn.Module):
         points = points.reshape(batch, -1, 2)
         found = lookup(values, points).reshape(batch, count, steps, -1)
         return self.whole(F.relu(self.pose(found) + self.times).flatten(2))
-
-
-def driven_by_car(poses: Tensor, motion: Tensor, *, dt: float) -> Tensor:
-    """[B, K, T, 3]: where a car drives that is told to follow poses.
-
-    motion: [B, 4] its velocity and acceleration now, m/s and m/s²; dt: s, from pose to pose
-    """
-    return driven(poses, Start.of(motion, wheelbase=CAR_WHEELBASE), dt=dt).poses
 
 
 def placed(poses: Tensor, places: Tensor) -> Tensor:

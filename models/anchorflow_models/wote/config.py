@@ -117,6 +117,8 @@ class WoteConfig:
             check("encounters", seen, "none without lidar_before of the backbone", self.encounters)
             apart = self.dt / FORETOLD_S
             check("dt", apart == int(apart), f"a multiple of {FORETOLD_S} for encounters", self.dt)
+        looks = bool(self.footprint or self.encounters)
+        check("driven", looks or not self.driven, "false without footprint or encounters", True)
         if self.ground_sight:
             check("ground_sight", bool(self.footprint), "false without a footprint", True)
             size = self.backbone.bev_size

@@ -13,7 +13,9 @@ from torch import Tensor, nn
 
 from anchorflow_models.layers.attention import Decoder, EncoderLayer
 from anchorflow_models.layers.standstill import standing_still
+from anchorflow_models.tracking import Start, driven
 from anchorflow_models.transfuser import (
+    CAR_WHEELBASE,
     GROUND_WIDTH,
     MOTION,
     STATUS,
@@ -31,7 +33,6 @@ from anchorflow_models.transfuser import (
     SemanticHead,
     SweepMotion,
     TransfuserBackbone,
-    driven_by_car,
     moved_ahead,
     with_far,
 )
@@ -371,7 +372,8 @@ class WoTE(nn.Module):
         ego, future = self.world_model(moved.ego, bev, here=here, there=there[moved.index])
         poses = self.anchors[moved.index] if poses is None else poses
         if motion is not None:
-            poses = driven_by_car(poses, motion, dt=self.config.dt)
+            start = Start.of(motion, wheelbase=CAR_WHEELBASE)
+            poses = driven(poses, start, dt=self.config.dt).poses
         under = None if fine is None else self.footprint(fine, poses)
         if foretold is not None:
             under = self.met(torch.zeros_like(ego) if under is None else under, poses, foretold)

@@ -173,6 +173,10 @@ def test_no_motion_to_tell_what_is_driven_is_an_error() -> None:
         ({"footprint": ()}, "ground_sight: expected false without a footprint, got True"),
         ({"backbone": replace(BACKBONE, lidar_before=False)}, "encounters: expected none without"),
         (
+            {"footprint": (), "encounters": (), "driven": True},
+            "driven: expected false without footprint or encounters, got True",
+        ),
+        (
             {"backbone": replace(BACKBONE, lidar_size=96)},
             "backbone: expected a BEV of 8 n cells a side for ground_sight, got 12",
         ),
