@@ -354,13 +354,11 @@ class WoTE(nn.Module):
         """Imagine what follows from each anchor and rate it.
 
         bev: [B, M, W]; fine: [B, h, h, C], which footprints look up; foretold: [B, L, H', H], which
-            encounters do; motion: [B, 4] the ego's, by which it is worked out what is driven
-        poses: [B, K', T, 3] where they look, or what is followed there; the anchors' own unless
-            others are given
+            encounters do; motion: [B, 4] the ego's, m/s and m/s², where it is asked what is driven
+        poses: [B, K', T, 3] where they look, or what is followed there; as a rule the anchors' own
 
         Raises:
-            ValueError: footprints or encounters have nothing to look up, or nobody tells how the
-                ego moves that follows an anchor.
+            ValueError: what footprints, encounters or `driven` ask for is missing.
         """
         if fine is None and self.config.footprint:
             raise ValueError("fine: expected [B, h, h, C] for footprints, got None")
