@@ -35,6 +35,7 @@ SMALL = replace(
     backbone=replace(TINY.backbone, lidar_before=True),
     encounters=TINY.footprint,
     ground_sight=True,
+    driven=True,
     direction=True,
     imitation=0.1,
     pessimistic=True,

@@ -51,6 +51,8 @@ class DiffusionDriveConfig:
     ground_sight: whether the cameras' picture is also looked up on the ground, and denoiser and
         scorers look at a square as large as the LiDAR's that lies three eighths of its side farther
         ahead; published is not
+    driven: whether the fine scorer's footprint and encounters look where a car drives that follows
+        a candidate (`anchorflow_models.tracking`), in place of its own poses; published is not
     direction: whether both scorers also foretell how far a candidate drives against its lanes'
         direction (DDC), and multiply by it; published is not
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;
@@ -89,6 +91,7 @@ class DiffusionDriveConfig:
     footprint: Places = ()
     encounters: Places = ()
     ground_sight: bool = False
+    driven: bool = field(default=False, metadata={"free": True})
     direction: bool = False
     imitation: float = 0.0
     pessimistic: bool = field(default=False, metadata={"free": True})
@@ -124,6 +127,7 @@ class DiffusionDriveConfig:
         check("value_kernel", self.value_kernel in (1, 3, 5), "1, 3 or 5", self.value_kernel)
         seen = self.backbone.lidar_before or not self.encounters
         check("encounters", seen, "none without lidar_before of the backbone", self.encounters)
+        check("driven", self.ego_motion or not self.driven, "false without ego_motion", True)
         check("imitation", self.imitation >= 0, "at least 0", self.imitation)
         check("diversity", min(self.diversity) >= 0, "at least 0 each", self.diversity)
         fits = 1 <= self.bezier_degree <= POSES
@@ -171,6 +175,7 @@ def small_diffusiondrive() -> DiffusionDriveConfig:
         footprint=CAR,
         encounters=(*CAR, (5.0, 0.0)),
         ground_sight=True,
+        driven=True,
         direction=True,
         imitation=0.01,
     )

@@ -21,8 +21,8 @@ from anchorflow_models.diffusiondrive.trajectories import (
 from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.layers.scalar_head import scalar_head
 from anchorflow_models.sub_scores import SUB_SCORES, pdm_score
-from anchorflow_models.tracking import halved
-from anchorflow_models.transfuser import BevValues, Encounters, Footprint
+from anchorflow_models.tracking import Start, driven, halved
+from anchorflow_models.transfuser import CAR_WHEELBASE, BevValues, Encounters, Footprint
 
 DIRECTION = "DDC"
 """Driving direction compliance, which stands behind SUB_SCORES where it is foretold too."""
@@ -165,11 +165,11 @@ class SeenUnder(nn.Module):
                 ahead=config.bev_ahead,
             )
 
-    def forward(self, x: Tensor, candidates: Tensor, bev: Tensor) -> Tensor:
-        """x: [B, M, F]; candidates: [B, M, T, 3]; bev: [B, W, H, H]"""
+    def forward(self, x: Tensor, poses: Tensor, bev: Tensor) -> Tensor:
+        """x: [B, M, F]; poses: [B, M, T, 3]; bev: [B, W, H, H]"""
         if self.footprint is None:
             return x
-        return x + self.footprint(self.values(bev), halved(candidates))
+        return x + self.footprint(self.values(bev), halved(poses))
 
 
 def encounters(config: DiffusionDriveConfig) -> Encounters | None:
@@ -187,14 +187,12 @@ def encounters(config: DiffusionDriveConfig) -> Encounters | None:
     )
 
 
-def met(
-    encounters: Encounters | None, x: Tensor, candidates: Tensor, foretold: Tensor | None
-) -> Tensor:
-    """x [B, M, F], and whom candidates [B, M, T, 3] meet where that is foretold."""
+def met(encounters: Encounters | None, x: Tensor, poses: Tensor, foretold: Tensor | None) -> Tensor:
+    """x [B, M, F], and who is met in poses [B, M, T, 3] where that is foretold."""
     if encounters is None:
         return x
     assert foretold is not None  # as `Perception` tells it
-    return encounters(x, candidates, foretold)
+    return encounters(x, poses, foretold)
 
 
 class CoarseScorer(nn.Module):
@@ -227,13 +225,19 @@ class FineScorer(nn.Module):
         self.motion, self.under = ToldMotion(config), SeenUnder(config)
         self.met = encounters(config)
         self.layers = nn.ModuleList(ScorerLayer(config) for _ in range(config.fine_layers))
+        self.driven = config.driven
 
     def forward(self, candidates: Tensor, features: Tensor, scene: SceneFeatures) -> list[Scored]:
         """candidates: [B, M, T, 3]; features: [B, M, F] -> one a layer, of which the last counts"""
         made = []
         features = self.motion(features, candidates, scene.motion)
-        features = self.under(features, candidates, scene.bev)
-        features = met(self.met, features, candidates, scene.foretold)
+        poses = candidates
+        if self.driven:
+            assert scene.motion is not None  # as `Perception` tells it
+            start = Start.of(scene.motion, wheelbase=CAR_WHEELBASE)
+            poses = driven(candidates, start, dt=STEP_S).poses
+        features = self.under(features, poses, scene.bev)
+        features = met(self.met, features, poses, scene.foretold)
         for layer in self.layers:
             scored = layer(features, candidates[..., :2], scene)
             features = scored.features

@@ -193,7 +193,7 @@ def test_an_untrained_denoiser_leaves_points_where_they_are() -> None:
 
 @torch.inference_mode()
 def test_the_published_planner_is_told_no_motion() -> None:
-    config = replace(SMALL, ego_motion=False, encounters=(), look_heads=1)
+    config = replace(SMALL, ego_motion=False, driven=False, encounters=(), look_heads=1)
     model = planner(config)
     assert "ego_motion" not in model.encode(**sensors())
     assert not any("motion" in name for name in model.state_dict())
@@ -225,6 +225,17 @@ def test_both_scorers_look_under_the_car(scorer: str) -> None:
     assert not torch.allclose(after["scores"], before["scores"], atol=1e-6)
     heard = not torch.allclose(after["coarse_scores"], before["coarse_scores"], atol=1e-6)
     assert heard is (scorer == "coarse_scorer")
+
+
+@torch.inference_mode()
+def test_the_fine_scorer_looks_where_a_car_drives_that_follows_a_candidate() -> None:
+    model, inputs = planner(), sensors()
+    inputs["ego_status"][:, 4] = 10.0
+    before = whole(model, inputs)
+    model.fine_scorer.driven = False
+    after = whole(model, inputs)
+    assert not torch.allclose(after["scores"], before["scores"], atol=1e-6)
+    torch.testing.assert_close(after["coarse_scores"], before["coarse_scores"])
 
 
 @torch.inference_mode()
@@ -391,6 +402,7 @@ def test_the_score_is_that_of_pdm() -> None:
         ({"diversity": (-0.1, 0.1)}, "diversity: expected at least 0 each"),
         ({"look_heads": 5}, "width: expected an even multiple of its 5 heads, got 64"),
         ({"anchors": 0}, "anchors: expected at least 1, got 0"),
+        ({"ego_motion": False}, "driven: expected false without ego_motion, got True"),
     ],
 )
 def test_a_wrong_configuration_names_its_field(wrong: dict[str, Any], said: str) -> None:
