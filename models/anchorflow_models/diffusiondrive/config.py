@@ -128,6 +128,8 @@ class DiffusionDriveConfig:
         seen = self.backbone.lidar_before or not self.encounters
         check("encounters", seen, "none without lidar_before of the backbone", self.encounters)
         check("driven", self.ego_motion or not self.driven, "false without ego_motion", True)
+        looks = bool(self.footprint or self.encounters)
+        check("driven", looks or not self.driven, "false without footprint or encounters", True)
         check("imitation", self.imitation >= 0, "at least 0", self.imitation)
         check("diversity", min(self.diversity) >= 0, "at least 0 each", self.diversity)
         fits = 1 <= self.bezier_degree <= POSES

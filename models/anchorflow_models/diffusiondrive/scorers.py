@@ -21,8 +21,8 @@ from anchorflow_models.diffusiondrive.trajectories import (
 from anchorflow_models.layers.attention import Attention, FeedForward
 from anchorflow_models.layers.scalar_head import scalar_head
 from anchorflow_models.sub_scores import SUB_SCORES, pdm_score
-from anchorflow_models.tracking import Start, driven, halved
-from anchorflow_models.transfuser import CAR_WHEELBASE, BevValues, Encounters, Footprint
+from anchorflow_models.tracking import halved
+from anchorflow_models.transfuser import BevValues, Encounters, Footprint, driven_by_car
 
 DIRECTION = "DDC"
 """Driving direction compliance, which stands behind SUB_SCORES where it is foretold too."""
@@ -234,8 +234,7 @@ class FineScorer(nn.Module):
         poses = candidates
         if self.driven:
             assert scene.motion is not None  # as `Perception` tells it
-            start = Start.of(scene.motion, wheelbase=CAR_WHEELBASE)
-            poses = driven(candidates, start, dt=STEP_S).poses
+            poses = driven_by_car(candidates, scene.motion, dt=STEP_S)
         features = self.under(features, poses, scene.bev)
         features = met(self.met, features, poses, scene.foretold)
         for layer in self.layers:

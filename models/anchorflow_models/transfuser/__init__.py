@@ -12,9 +12,9 @@ from anchorflow_models.transfuser.encounters import FORETOLD_S, Encounters, fore
 from anchorflow_models.transfuser.far_sight import FarSight, with_far
 from anchorflow_models.transfuser.footprint import (
     CAR,
-    CAR_WHEELBASE,
     Footprint,
     Places,
+    driven_by_car,
     placed,
 )
 from anchorflow_models.transfuser.ground_sight import GROUND_WIDTH, GroundSight, moved_ahead
@@ -33,7 +33,6 @@ __all__ = [
     "AGENT_QUERIES",
     "AGENT_STATE",
     "CAR",
-    "CAR_WHEELBASE",
     "FORETOLD_S",
     "GROUND_WIDTH",
     "LIDAR_BEFORE",
@@ -58,6 +57,7 @@ __all__ = [
     "TransfuserBackbone",
     "TransfuserConfig",
     "bev_places",
+    "driven_by_car",
     "foretold_times",
     "moved_ahead",
     "placed",

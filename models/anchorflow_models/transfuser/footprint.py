@@ -7,6 +7,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.layers.lookup import lookup
+from anchorflow_models.tracking import Start, driven
 from anchorflow_models.transfuser.bev_values import bev_places
 
 Places = tuple[tuple[float, float], ...]
@@ -55,6 +56,14 @@ class Footprint(nn.Module):
         points = points.reshape(batch, -1, 2)
         found = lookup(values, points).reshape(batch, count, steps, -1)
         return self.whole(F.relu(self.pose(found) + self.times).flatten(2))
+
+
+def driven_by_car(poses: Tensor, motion: Tensor, *, dt: float) -> Tensor:
+    """[B, K, T, 3] m, m, rad: where a car drives that is told to follow poses of that shape.
+
+    motion: [B, 4] its velocity and acceleration now, m/s and m/s²; dt: s, from pose to pose
+    """
+    return driven(poses, Start.of(motion, wheelbase=CAR_WHEELBASE), dt=dt).poses
 
 
 def placed(poses: Tensor, places: Tensor) -> Tensor:

@@ -13,9 +13,7 @@ from torch import Tensor, nn
 
 from anchorflow_models.layers.attention import Decoder, EncoderLayer
 from anchorflow_models.layers.standstill import standing_still
-from anchorflow_models.tracking import Start, driven
 from anchorflow_models.transfuser import (
-    CAR_WHEELBASE,
     GROUND_WIDTH,
     MOTION,
     STATUS,
@@ -33,6 +31,7 @@ from anchorflow_models.transfuser import (
     SemanticHead,
     SweepMotion,
     TransfuserBackbone,
+    driven_by_car,
     moved_ahead,
     with_far,
 )
@@ -370,8 +369,7 @@ class WoTE(nn.Module):
         ego, future = self.world_model(moved.ego, bev, here=here, there=there[moved.index])
         poses = self.anchors[moved.index] if poses is None else poses
         if motion is not None:
-            start = Start.of(motion, wheelbase=CAR_WHEELBASE)
-            poses = driven(poses, start, dt=self.config.dt).poses
+            poses = driven_by_car(poses, motion, dt=self.config.dt)
         under = None if fine is None else self.footprint(fine, poses)
         if foretold is not None:
             under = self.met(torch.zeros_like(ego) if under is None else under, poses, foretold)

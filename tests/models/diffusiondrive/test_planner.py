@@ -403,6 +403,10 @@ def test_the_score_is_that_of_pdm() -> None:
         ({"look_heads": 5}, "width: expected an even multiple of its 5 heads, got 64"),
         ({"anchors": 0}, "anchors: expected at least 1, got 0"),
         ({"ego_motion": False}, "driven: expected false without ego_motion, got True"),
+        (
+            {"footprint": (), "encounters": ()},
+            "driven: expected false without footprint or encounters, got True",
+        ),
     ],
 )
 def test_a_wrong_configuration_names_its_field(wrong: dict[str, Any], said: str) -> None:
