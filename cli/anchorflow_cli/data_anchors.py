@@ -13,7 +13,7 @@ from rich.progress import Progress
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import file_option
 from anchorflow_training.config_file import layers
-from anchorflow_training.driving.anchor_scores import anchor_scores, driven, trajectory_anchors
+from anchorflow_training.driving.anchor_scores import anchor_scores, examples_of, trajectory_anchors
 from anchorflow_training.driving.kept_logs import open_logs
 from anchorflow_training.driving.sensor_run import SensorRunConfig
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
@@ -30,12 +30,12 @@ def anchors(
     count: Annotated[int, typer.Option(min=1, help="K.")] = 256,
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same bytes.")] = 0,
 ) -> None:
-    """Cluster what was driven into anchors, and score each in every window.
+    """Cluster examples into anchors, and score each in every window.
 
     The PDM sub-scores are kept beside the logs; stopped, it goes on where it was.
     """
     paths = open_logs(logs)
-    futures = driven(paths)
+    futures = examples_of(paths)
     centres = trajectory_anchors(futures, count=count, seed=seed)
     out.parent.mkdir(parents=True, exist_ok=True)
     with out.open("wb") as file:
@@ -44,7 +44,7 @@ def anchors(
     apart = np.linalg.norm(futures[:, None, :, :2] - centres[None, ..., :2], axis=-1).mean(-1)
     typer.echo(
         f"{out}: {count} anchors of {len(table)} windows, the nearest {apart.min(1).mean():.2f} m "
-        "from what was driven"
+        "from its example"
     )
 
 

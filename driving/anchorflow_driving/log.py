@@ -29,6 +29,9 @@ FUTURE_FRAMES = 45
 VEHICLE, PEDESTRIAN, CYCLIST, STATIC = range(4)
 COMMANDS = ("left", "straight", "right")
 
+SIMULATED, DRIVEN = "simulated", "driven"
+"""`source` of simulated traffic, and of what a planner under test drove in it."""
+
 Polylines = tuple[NDArray[np.float64], ...]
 """Each [V, 2]."""
 

@@ -1,4 +1,4 @@
-"""A backbone begins with ResNet weights from a folder."""
+"""Seeing begins with ResNet weights from a folder, or with what another planner learnt."""
 
 from __future__ import annotations
 
@@ -7,10 +7,16 @@ from pathlib import Path
 
 import pytest
 import torch
+from tiny_diffusiondrive import TINY as TINY_DIFFUSIONDRIVE
+from tiny_diffusiondrive import tiny_diffusiondrive
+from tiny_wote import TINY as TINY_WOTE
+from tiny_wote import tiny_wote
+from torch import nn
 from transformers import ResNetBackbone, ResNetConfig
 
 from anchorflow_models.transfuser import TransfuserBackbone, small_transfuser
-from anchorflow_training.pretrained import FIRST, load_resnet
+from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
+from anchorflow_training.pretrained import FIRST, load_resnet, load_sight, sight_of
 from anchorflow_training.settings import ConfigError
 
 SMALL = small_transfuser()
@@ -55,3 +61,56 @@ def test_a_resnet_of_another_shape_is_named(resnet: tuple[Path, ResNetBackbone])
 def test_a_folder_without_one_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"expected a ResNet's config.json and model.safetensors"):
         load_resnet(TransfuserBackbone(SMALL), tmp_path)
+
+
+EYES = replace(TINY_WOTE.backbone, lidar_before=True, lidar_size=64)
+MET = ((0.0, 0.0),)
+
+
+def saved(model: nn.Module, path: Path) -> Path:
+    checkpoint = Checkpoint(
+        step=1, config={}, data={}, model={}, average=model.state_dict(), optimiser={}, curve=[]
+    )
+    save_checkpoint(path, checkpoint)
+    return path
+
+
+@pytest.mark.parametrize("learnt", ["wote", "diffusiondrive"])
+def test_either_planner_begins_with_the_others_perception(learnt: str, tmp_path: Path) -> None:
+    told = {"backbone": EYES, "encounters": MET, "ground_sight": True}
+    models: dict[str, nn.Module] = {
+        "wote": tiny_wote(replace(TINY_WOTE, **told)),
+        "diffusiondrive": tiny_diffusiondrive(replace(TINY_DIFFUSIONDRIVE, **told)),
+    }
+    first = models.pop(learnt)
+    (second,) = models.values()
+    with torch.no_grad():
+        for weight in first.parameters():
+            weight.add_(torch.rand_like(weight))
+    before = {name: value.clone() for name, value in second.state_dict().items()}
+    load_sight(sight_of(second), saved(first, tmp_path / "first.pt"))
+    parts = sight_of(first)
+    assert set(parts) == {"backbone", "ground", "sweeps", "far"}
+    for name, part in sight_of(second).items():
+        torch.testing.assert_close(part.state_dict(), parts[name].state_dict(), rtol=0, atol=0)
+    seen = {id(weight) for part in sight_of(second).values() for weight in part.parameters()}
+    own = [name for name, weight in second.named_parameters() if id(weight) not in seen]
+    assert own
+    assert all(torch.equal(second.state_dict()[name], before[name]) for name in own)
+
+
+def test_a_part_that_the_other_has_not_stays_as_it_is(tmp_path: Path) -> None:
+    path = saved(tiny_wote(replace(TINY_WOTE, backbone=EYES)), tmp_path / "blind.pt")
+    sees = tiny_wote(replace(TINY_WOTE, backbone=EYES, encounters=MET))
+    before = {name: value.clone() for name, value in sight_of(sees)["far"].state_dict().items()}
+    load_sight(sight_of(sees), path)
+    torch.testing.assert_close(sight_of(sees)["far"].state_dict(), before, rtol=0, atol=0)
+
+
+def test_a_perception_of_another_shape_is_named(tmp_path: Path) -> None:
+    path = saved(tiny_diffusiondrive(), tmp_path / "small.pt")
+    with pytest.raises(ConfigError, match=r"perception: .*small.pt: its backbone does not fit"):
+        load_sight(sight_of(tiny_wote()), path)
+    path = saved(nn.Linear(2, 2), tmp_path / "none.pt")
+    with pytest.raises(ConfigError, match=r"perception: .*none.pt: its backbone does not fit"):
+        load_sight(sight_of(tiny_wote()), path)

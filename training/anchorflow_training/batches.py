@@ -5,8 +5,9 @@ Batch i depends on the seed and on i alone; a run that resumes sees what it woul
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -157,13 +158,15 @@ def batches(
     return prefetched(partial(draw_batch, dataset, config), indices)
 
 
-def prefetched(draw: Callable[[int], Batch], indices: Iterable[int]) -> Generator[Batch]:
-    """What `draw` gives for each number, the next one prepared while the last is used."""
-    with ThreadPoolExecutor(1) as pool:
-        ahead = None
+def prefetched(
+    draw: Callable[[int], Batch], indices: Iterable[int], *, threads: int = 1
+) -> Generator[Batch]:
+    """What `draw` gives for each number, so many of the next prepared while the last is used."""
+    ahead: deque[Future[Batch]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
         for index in indices:
-            ready, ahead = ahead, pool.submit(draw, index)
-            if ready:
-                yield ready.result()
-        if ahead:
-            yield ahead.result()
+            ahead.append(pool.submit(draw, index))
+            if len(ahead) > threads:
+                yield ahead.popleft().result()
+        while ahead:
+            yield ahead.popleft().result()

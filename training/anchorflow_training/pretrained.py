@@ -1,17 +1,21 @@
-"""Weights that a backbone begins with: a ResNet of ImageNet, or what another planner learnt."""
+"""Weights that seeing begins with: a ResNet of ImageNet, or what another planner learnt."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from torch import nn
 from torch.nn import functional as F
 
-from anchorflow_models.transfuser import TransfuserBackbone
+from anchorflow_models.transfuser import FarSight, GroundSight, SweepMotion, TransfuserBackbone
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.settings import ConfigError
 
-BACKBONE = "backbone."  # in the names of the weights of every planner that has one
+BACKBONE = "backbone"
+SIGHT = (TransfuserBackbone, GroundSight, SweepMotion, FarSight)
+"""The parts by which planners see, under the same names in each."""
 FIRST = "embedder.embedder.convolution.weight"  # [stem, colours, 7, 7]
 
 
@@ -36,21 +40,35 @@ def load_resnet(backbone: TransfuserBackbone, folder: Path) -> None:
         raise ConfigError(f"{folder}: its ResNet does not fit the backbone: {error}") from error
 
 
-def load_backbone(backbone: TransfuserBackbone, checkpoint: Path) -> None:
-    """Begin with the averaged weights of the backbone of any planner's checkpoint.
+def sight_of(model: nn.Module) -> dict[str, Any]:
+    """The parts by which a planner sees, by their names; a backbone is among them."""
+    parts = model.named_modules()
+    return {name.rpartition(".")[2]: part for name, part in parts if isinstance(part, SIGHT)}
+
+
+def load_sight(sight: Mapping[str, nn.Module], checkpoint: Path) -> None:
+    """Begin with the averaged weights of the same parts in any planner's checkpoint.
+
+    Parts beside the backbone that only one of both planners has stay as they are.
 
     Raises:
         CheckpointError: it cannot be read.
-        ConfigError: it has no backbone, or one of another shape.
+        ConfigError: it has no backbone, or a part of another shape.
     """
     average = load_checkpoint(checkpoint).average
-    weights = {
-        name.partition(BACKBONE)[2]: value for name, value in average.items() if BACKBONE in name
-    }
-    try:
-        backbone.load_state_dict(weights)
-    except RuntimeError as error:
-        raise ConfigError(f"backbone: {checkpoint}: does not fit: {error}") from error
+    for part, module in sight.items():
+        weights = {
+            name.rpartition(f".{part}.")[2]: value
+            for name, value in ((f".{name}", value) for name, value in average.items())
+            if f".{part}." in name
+        }
+        if not weights and part != BACKBONE:
+            continue
+        try:
+            module.load_state_dict(weights)
+        except RuntimeError as error:
+            said = f"perception: {checkpoint}: its {part} does not fit: {error}"
+            raise ConfigError(said) from error
 
 
 def _weights(folder: Path) -> dict[str, Any]:

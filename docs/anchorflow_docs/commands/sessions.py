@@ -274,11 +274,15 @@ NOT_HERE = {
     "anchorflow data sensors drive --config examples/wote-small.yaml": DRAWS,
     "anchorflow train drive --config examples/wote-small.yaml --anchors anchors.npy"
     " --out runs/wote": TRAINS,
+    "anchorflow bench drive-closed-loop --drivers none --bundle bundles/wote --along-route"
+    " --seed 9000 --keep drive --out runs/drives": MEASURES,
+    "anchorflow train drive --config examples/wote-small.yaml --before runs/wote/checkpoint.pt"
+    " --objective.moved --out runs/again": TRAINS,
     "anchorflow export runs/wote/checkpoint.pt --out bundles/wote": (
         "needs what the training above leaves; tests/service/http/test_wote_bundle.py exports one"
     ),
     "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/together"
-    " --backbone runs/wote/checkpoint.pt --frozen-backbone": TRAINS,
+    " --perception runs/wote/checkpoint.pt --frozen-perception": TRAINS,
     "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/scorers"
     " --before runs/together/checkpoint.pt --objective.stage scorers --objective.groups 0"
     " --steps 200": TRAINS,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
 from anchorflow_driving.lines import ROUTE_SIGMA, SPACING, smooth_line
-from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, VEHICLE, DrivingLog
+from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, SIMULATED, VEHICLE, DrivingLog
 from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
 from anchorflow_driving.pdm.score import tracked
 from anchorflow_driving.pdm.tracker import Motion
@@ -311,7 +311,7 @@ def _bare_log(fields: dict) -> DrivingLog:
     """A log of a map alone."""
     return DrivingLog(
         name="closed loop",
-        source="simulated",
+        source=SIMULATED,
         licence="none",
         city="",
         dt=FRAME_S,

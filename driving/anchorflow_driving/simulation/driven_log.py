@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.line_fields import line_fields
-from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, HISTORY_FRAMES, DrivingLog
+from anchorflow_driving.log import DRIVEN, FRAME_S, FUTURE_FRAMES, HISTORY_FRAMES, DrivingLog
 from anchorflow_driving.simulation.live_traffic import LiveTraffic
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class DrivenLog:
         frame, route, command, limit = zip(*kept, strict=True) if kept else ((), (), (), ())
         return DrivingLog(
             name=name,
-            source="simulated",
+            source=DRIVEN,
             licence="none",
             city="right-hand traffic",
             dt=FRAME_S,

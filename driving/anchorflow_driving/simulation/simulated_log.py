@@ -18,6 +18,7 @@ from anchorflow_driving.log import (
     FUTURE_FRAMES,
     HISTORY_FRAMES,
     PEDESTRIAN,
+    SIMULATED,
     DrivingLog,
 )
 from anchorflow_driving.simulation.config import LogConfig
@@ -112,7 +113,7 @@ def _simulated(
         each.line[:, 1] *= mirror
     log = DrivingLog(
         name=name,
-        source="simulated",
+        source=SIMULATED,
         licence="none",
         city="left-hand traffic" if mirror < 0 else "right-hand traffic",
         dt=FRAME_S,

@@ -54,6 +54,7 @@ def batch() -> dict[str, Tensor]:
         "lidar": torch.rand(B, 1, 16, 16, generator=generator),
         "ego_status": torch.randn(B, 8, generator=generator),
         "future": future + torch.tensor([0.4, 0.2, 0.1]),
+        "is_example": torch.ones(B),
         "agents": 10 * torch.rand(B, 30, 5, generator=generator),
         "agent_velocity": torch.randn(B, 30, 2, generator=generator),
         "randomised_velocity": torch.randn(B, 30, 2, generator=generator),
@@ -358,6 +359,8 @@ def sensed(window: Window, sizes: SensorSizes) -> Drawn:
         "occupancy": pictures["occupancy"] % 2,
         "ego_status": np.eye(8, dtype=np.float32)[1],
         "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
+        "is_example": np.array(1, np.float32),
+        "is_recorded": np.array(1, np.float32),
         "agents": np.ones((30, 5), np.float32),
         **{name: np.ones((30, 2), np.float32) for name in sensor_windows.VELOCITIES},
         "agent_count": np.array(1),
@@ -406,6 +409,19 @@ def test_the_judge_is_the_scorer_of_each_window(logs: list[Path]) -> None:
     told = judge(torch.tensor([0]), plans[:1]).numpy()[0]
     np.testing.assert_array_equal(told[:, :5], twice)
     np.testing.assert_allclose(told[:, 5], wanted, atol=1e-6)
+
+
+def test_processes_judge_as_the_run_itself_does(logs: list[Path]) -> None:
+    of_log = np.repeat([0, 1], [len(Scenes(read_log(log))) for log in logs])
+    plans = 3.0 * torch.arange(1, 9)[:, None] * torch.tensor([1.0, 0.1, 0.0])
+    plans = plans * torch.tensor([0.5, 1.0, 3.0])[:, None, None]
+    asked = (torch.tensor([0, 1, len(of_log) - 1]), plans.expand(3, 3, T, 3))
+    speeds = torch.tensor([torch.nan, 3.0, torch.nan])
+    wanted = PdmJudge(logs, of_log, direction=True)(*asked, speeds)
+    assert len(wanted[..., 2].unique()) > 1
+    for processes in (1, 3):
+        judge = PdmJudge(logs, of_log, direction=True, processes=processes)
+        torch.testing.assert_close(judge(*asked, speeds), wanted, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

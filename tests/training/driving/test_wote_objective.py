@@ -10,7 +10,7 @@ import torch
 from tiny_wote import TINY, sensors, tiny_wote
 from torch import Tensor
 
-from anchorflow_models.wote import WoteConfig
+from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_training.driving.likeness import distances, likeness_loss
 from anchorflow_training.driving.perception_losses import (
     agent_loss,
@@ -50,6 +50,8 @@ def batch(config: WoteConfig = TINY, B: int = 2) -> dict[str, Tensor]:
         **sensors(config, B),
         **(others if config.encounters else {}),
         "future": driven + torch.tensor([0.2, 0.1, 0.0]),
+        "is_example": torch.ones(B),
+        "is_recorded": torch.ones(B),
         "pdm": torch.rand(B, config.anchors, 5, generator=generator),
         "agents": 10 * torch.rand(B, config.agents, 5, generator=generator),
         "agent_count": torch.tensor([3, 0]),
@@ -167,7 +169,7 @@ def test_distances_and_labels() -> None:
 def test_the_focal_loss_of_half_a_chance() -> None:
     logits, classes = torch.zeros(1, 2, 1, 2), torch.tensor([[[0, 1]]])
     wanted = 0.5 * 0.25 * torch.tensor(2.0).log()
-    torch.testing.assert_close(focal_loss(logits, classes), wanted)
+    torch.testing.assert_close(focal_loss(logits, classes), wanted[None])
     sure = torch.tensor([[[[9.0]], [[-9.0]]]])
     assert focal_loss(sure, torch.tensor([[[0]]])) < 1e-6
 
@@ -176,8 +178,14 @@ def test_boxes_are_matched_at_the_least_cost() -> None:
     boxes = torch.tensor([[0.0, 0, 0, 4, 2], [10.0, 0, 3.1, 4, 2]])
     # The first query lies between both; alone it would take the second box.
     states = torch.tensor([[6.0, 0, 0, 4, 2], [10.0, 0, -3.1, 4, 2], [50.0, 0, 0, 4, 2]])
-    query, box = match(states, torch.zeros(3), boxes)
-    assert dict(zip(query.tolist(), box.tolist(), strict=True)) == {0: 0, 1: 1}
+    both = torch.stack([states, states.flip(0)])
+    found = match(both, torch.zeros(2, 3), boxes.expand(2, 2, 5), torch.tensor([2, 1]))
+    # In the other scene the second box is none: the first goes to the query nearest to it.
+    assert set(zip(*(each.tolist() for each in found), strict=True)) == {
+        (0, 0, 0),
+        (0, 1, 1),
+        (1, 2, 0),
+    }
 
 
 def test_the_loss_of_boxes_that_are_all_found() -> None:
@@ -214,3 +222,49 @@ def test_occupancy_is_learnt_where_its_weight_says_so() -> None:
         gradient = model.occupancy.out.weight.grad
         assert gradient is not None
         assert bool(gradient.any()) is learns
+
+
+def test_rewards_may_learn_of_anchors_as_they_are_moved() -> None:
+    model, given, asked = tiny_wote().train(), batch(), []
+    given |= {"window": torch.tensor([4, 9]), "signs": torch.tensor([[1.0, -1.0, -1.0]] * 2)}
+    del given["pdm"]
+
+    def judge(windows: Tensor, trajectories: Tensor, speeds: Tensor | None) -> Tensor:
+        assert (windows.tolist(), speeds) == ([4, 9], None)
+        asked.append(trajectories)
+        return torch.ones(*trajectories.shape[:2], 5)
+
+    config = WoteObjectiveConfig(moved=True, rank=1.0)
+    objective = WoteObjective(model, config, judge)
+    drawn = objective.draw(2, 1, torch.Generator().manual_seed(0))
+    loss, terms = objective(given, *drawn)
+    loss.backward()
+    assert terms["simulation"].isfinite()
+    with torch.no_grad():
+        answer = model.score(*_context(model, given))["trajectories"]
+    # In the order in which anchors are taken, left for right, and once at rest at rest.
+    reflected = asked[0] * given["signs"][:, None, None]
+    apart = torch.cdist(reflected.flatten(2), answer.flatten(2))
+    assert apart.amin(-1).max() < 1e-5
+    assert len(set(apart[0].argmin(-1).tolist())) > 1
+    with pytest.raises(ValueError, match="judge: expected one for moved anchors, got None"):
+        WoteObjective(model, config)
+
+
+def test_without_an_example_nothing_is_imitated() -> None:
+    objective, given = WoteObjective(tiny_wote(), WoteObjectiveConfig()), batch()
+    drawn = objective.draw(2, 1, torch.Generator().manual_seed(0))
+    first = {name: value[:1] for name, value in given.items()}
+    alone = objective(first, *(each[:1] for each in drawn))[1]
+    given["is_example"] = given["is_recorded"] = torch.tensor([1.0, 0.0])
+    terms = objective(given, *drawn)[1]
+    for name in ("offset", "offset_imitation", "imitation", "future_semantics"):
+        torch.testing.assert_close(terms[name], alone[name])
+    given["is_example"] = given["is_recorded"] = torch.zeros(2)
+    terms = objective(given, *drawn)[1]
+    assert terms["offset"] == terms["imitation"] == terms["future_semantics"] == 0
+
+
+def _context(model: WoTE, given: dict[str, Tensor]) -> list[Tensor]:
+    context = model.encode(given["camera"], given["lidar"], given["ego_status"])
+    return [context[name] for name in model.context_for_score]

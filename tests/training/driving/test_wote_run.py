@@ -26,7 +26,7 @@ from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.anchor_scores import (
     anchor_scores,
-    driven,
+    examples_of,
     pdms,
     read_anchors,
     trajectory_anchors,
@@ -75,6 +75,8 @@ def drawn(window: Window, sizes: SensorSizes) -> Drawn:
         "future_semantics": semantic_bev(later, rows=16, reach=32.0),
         "ego_status": np.eye(8, dtype=np.float32)[1],
         "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
+        "is_example": np.array(1, np.float32),
+        "is_recorded": np.array(1, np.float32),
         "agents": np.zeros((MODEL.agents, 5), np.float32),
         **{name: np.zeros((MODEL.agents, 2), np.float32) for name in sensor_windows.VELOCITIES},
         "agent_count": np.array(1),
@@ -156,7 +158,7 @@ def test_an_earlier_sweep_is_kept_beside_and_now_and_then_lost(
 
 
 def test_scores_are_the_scorers_and_are_kept(logs: list[Path]) -> None:
-    anchors = trajectory_anchors(driven(logs), count=5, seed=0)
+    anchors = trajectory_anchors(examples_of(logs), count=5, seed=0)
     told: list[int] = []
     table = anchor_scores(logs, anchors, progress=lambda done, _: told.append(done))
     again = anchor_scores(logs, anchors, progress=lambda done, _: told.append(done))
@@ -271,7 +273,7 @@ def test_a_run_goes_on_with_other_weights_of_its_rewards(logs: list[Path], tmp_p
 
 
 def test_a_checkpoint_brings_back_its_anchors(logs: list[Path], tmp_path: Path) -> None:
-    anchors = trajectory_anchors(driven(logs), count=12, seed=3)
+    anchors = trajectory_anchors(examples_of(logs), count=12, seed=3)
     np.save(tmp_path / "anchors.npy", anchors)
     config = replace(CONFIG, steps=1, anchors=str(tmp_path / "anchors.npy"))
     WoteRun(config, logs, tmp_path / "run").fit()
@@ -280,21 +282,23 @@ def test_a_checkpoint_brings_back_its_anchors(logs: list[Path], tmp_path: Path) 
     np.testing.assert_array_equal(restored.anchors.numpy(), anchors)
 
 
-def test_a_run_begins_with_the_backbone_of_another(logs: list[Path], tmp_path: Path) -> None:
+def test_a_run_begins_with_the_perception_of_another(logs: list[Path], tmp_path: Path) -> None:
     first = WoteRun(CONFIG, logs, tmp_path / "first")
     first.fit()
     saved = tmp_path / "first" / "checkpoint.pt"
-    other = replace(CONFIG, backbone=str(saved), model=replace(MODEL, width=MODEL.width * 2))
+    other = replace(CONFIG, perception=str(saved), model=replace(MODEL, width=MODEL.width * 2))
     run = WoteRun(other, logs, tmp_path / "other")
     wanted = first.averaged_model().backbone.state_dict()
     torch.testing.assert_close(run.model.backbone.state_dict(), wanted)
     wide = replace(MODEL.backbone, bev_channels=MODEL.backbone.bev_channels + 1)
     unlike = replace(other, model=replace(MODEL, backbone=wide))
-    with pytest.raises(ConfigError, match=r"backbone: .*first/checkpoint.pt: does not fit"):
+    with pytest.raises(
+        ConfigError, match=r"perception: .*first/checkpoint.pt: its backbone does not fit"
+    ):
         WoteRun(unlike, logs, tmp_path / "unlike")
 
 
-def test_a_backbone_goes_over_the_weights_of_the_run_before(
+def test_a_perception_goes_over_the_weights_of_the_run_before(
     logs: list[Path], tmp_path: Path
 ) -> None:
     saved = []
@@ -303,7 +307,7 @@ def test_a_backbone_goes_over_the_weights_of_the_run_before(
         WoteRun(config, logs, tmp_path / str(seed)).fit()
         saved.append(tmp_path / str(seed) / "checkpoint.pt")
     # What a first stage began with, here a folder that is not there, is not looked at again.
-    config = replace(CONFIG, before=str(saved[0]), backbone=str(saved[1]), resnet="none")
+    config = replace(CONFIG, before=str(saved[0]), perception=str(saved[1]), resnet="none")
     found = WoteRun(config, logs, tmp_path / "both").model.state_dict()
     first, second = (load_checkpoint(path).average for path in saved)
     for name, weight in found.items():
@@ -311,8 +315,8 @@ def test_a_backbone_goes_over_the_weights_of_the_run_before(
         torch.testing.assert_close(weight, wanted[name])
 
 
-def test_a_frozen_backbone_stays_as_it_is(logs: list[Path], tmp_path: Path) -> None:
-    run = WoteRun(replace(CONFIG, frozen_backbone=True), logs, tmp_path)
+def test_a_frozen_perception_stays_as_it_is(logs: list[Path], tmp_path: Path) -> None:
+    run = WoteRun(replace(CONFIG, frozen_perception=True), logs, tmp_path)
     assert not any(weight.requires_grad for weight in run.model.backbone.parameters())
     before = {name: value.clone() for name, value in run.model.state_dict().items()}
     run.fit()

@@ -1,4 +1,4 @@
-"""Anchors clustered from what was driven, and the PDM sub-scores of each in every window."""
+"""Anchors clustered from examples, and the PDM sub-scores of each in every window."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
 from anchorflow_driving.window import Scenes
+from anchorflow_training.driving.examples import example
 from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
 from anchorflow_training.driving.vocabulary import clustered
 from anchorflow_training.settings import ConfigError
@@ -25,10 +25,10 @@ HEADING_M = 5.0
 DIGITS = 12  # of the anchors' digest, in a file's name
 
 
-def driven(logs: Sequence[Path]) -> Floats:
-    """What was driven in the windows of logs: poses [M, T, 3], m and rad."""
-    futures = [w.recorded(PLAN_TIMES) for log in logs for w in Scenes(read_log(log))]
-    return np.array(futures, np.float32)
+def examples_of(logs: Sequence[Path]) -> Floats:
+    """What there is to imitate in the windows of logs: poses [M, T, 3], m and rad."""
+    shown = (example(window) for log in logs for window in Scenes(read_log(log)))
+    return np.array([poses for poses in shown if poses is not None], np.float32)
 
 
 def trajectory_anchors(futures: NDArray[np.floating], *, count: int, seed: int) -> Floats:

@@ -10,7 +10,7 @@ Three stages, each of which goes on from the weights of the one before, and one 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -30,7 +30,8 @@ from anchorflow_training.driving.diffusiondrive_losses import (
     advantages,
     pose_distance,
 )
-from anchorflow_training.driving.likeness import distances, likeness_loss
+from anchorflow_training.driving.likeness import distances, likeness_loss, shares
+from anchorflow_training.driving.pdm_judge import Judge, judged
 from anchorflow_training.driving.perception_losses import (
     agent_loss,
     focal_loss,
@@ -43,10 +44,6 @@ from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import ddim_step, noised
 
 Terms = dict[str, Tensor]
-Judge = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""PDM sub-scores [B, M, 5] in [0, 1], or [B, M, 6] with DDC, of trajectories [B, M, T, 3] in
-windows [B], by number, the ego beginning at speeds [B]; NaN: as recorded."""
-
 SPEED, ALONG, ACROSS = 4, 6, 7
 """Of the ego status: velocity and acceleration forward, acceleration to the left."""
 SCORED = ("scorers", "together")  # stages in which the scorers learn
@@ -154,11 +151,12 @@ class DiffusionDriveObjective(nn.Module):
         change: Tensor,
     ) -> tuple[Tensor, Terms]:
         """batch: camera, lidar, ego_status, lidar_before as of `Perception`; future [B, T, 3] m and
-        rad; agents [B, Q, 5], agent_velocity [B, Q, 2] and agent_count [B]; semantics [B, H/2, H]
-        classes; occupancy [B, T, H/4, H/4] 0 or 1; where the model compares two sweeps also
-        lidar_randomised as lidar_before and randomised_velocity as agent_velocity, and far_others,
-        far_velocity and far_count, as those of agents, of who is far ahead; window [B], for
-        the judge; signs [B, 3] of its poses, which reflect a window that was reflected."""
+        rad, to imitate where is_example [B] is 1; agents [B, Q, 5], agent_velocity [B, Q, 2] and
+        agent_count [B]; semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1; where the
+        model compares two sweeps also lidar_randomised as lidar_before and randomised_velocity as
+        agent_velocity, and far_others, far_velocity and far_count, as those of agents, of who is
+        far ahead; window [B], for the judge; signs [B, 3] of its poses, which reflect a window that
+        was reflected."""
         config, anchors = self.config, self.model.config.anchors
         status, speeds = self._changed(batch["ego_status"], change)
         sensors = {**sensors_of(batch), "ego_status": status}
@@ -208,7 +206,7 @@ class DiffusionDriveObjective(nn.Module):
         x_t = noised(begun(model, groups=1), noise, signal[:, None, None, None])
         winner = self.nearest(future)
         rows = torch.arange(len(winner), device=winner.device)
-        share = as_recorded(speeds)
+        share = examples(batch, speeds)
         classes, poses = [], []
         for made in model.denoiser(x_t, level.to(noise.dtype), seen.scene):
             classes.append(share @ F.cross_entropy(made.logits, winner, reduction="none"))
@@ -220,7 +218,7 @@ class DiffusionDriveObjective(nn.Module):
             "agents": agent_loss(
                 seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
             ),
-            "semantics": focal_loss(seen.semantics, batch["semantics"]),
+            "semantics": focal_loss(seen.semantics, batch["semantics"]).mean(),
             "occupancy": occupancy_loss(seen.occupancy, batch["occupancy"]),
         }
 
@@ -274,7 +272,7 @@ class DiffusionDriveObjective(nn.Module):
         ranks = [wrong_order(coarse_scores, score)]
         ranks += [wrong_order(pdm_score(s.logits.sigmoid()), pdm_score(true_of_kept)) for s in fine]
         return {
-            **self._likeness(coarse, fine, apart, kept[..., 0], as_recorded(speeds)),
+            **self._likeness(coarse, fine, apart, kept[..., 0], examples(batch, speeds)),
             "coarse": sub_score_loss(logits, truth),
             "fine": torch.stack(misses).mean(),
             "rank": torch.stack(ranks).mean(),
@@ -322,18 +320,16 @@ class DiffusionDriveObjective(nn.Module):
 
     def _judged(self, batch: Mapping[str, Tensor], trajectories: Tensor, speeds: Tensor) -> Tensor:
         assert self.judge is not None  # as the constructor found
-        recorded = trajectories * batch["signs"][:, None, None]
-        return self.judge(batch["window"], recorded, speeds).to(trajectories)
+        return judged(self.judge, batch, trajectories, speeds)
 
 
-def as_recorded(speeds: Tensor) -> Tensor:
-    """Weights [B] of windows, which sum to 1 or are all 0.
+def examples(batch: Mapping[str, Tensor], speeds: Tensor) -> Tensor:
+    """Weights [B] of windows in what is imitated, which sum to 1 or are all 0.
 
     At another speed something else would have been driven: it counts for nothing.
     speeds: [B] m/s, NaN as recorded
     """
-    known = speeds.isnan().to(speeds.dtype)
-    return known / known.sum().clamp(min=1.0)
+    return shares(speeds.isnan() * batch["is_example"])
 
 
 def begun(model: DiffusionDriveV2, *, groups: int) -> Tensor:

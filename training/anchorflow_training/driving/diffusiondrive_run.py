@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from anchorflow_models.diffusiondrive import DiffusionDriveConfig, DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import POSES
 from anchorflow_models.sub_scores import pdm_score
-from anchorflow_training.batches import Batch
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.diffusiondrive_objective import (
     DiffusionDriveObjective,
@@ -26,7 +22,6 @@ from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
 from anchorflow_training.driving.sensor_windows import sensors_of
-from anchorflow_training.reflection import SIGNS, reflection
 from anchorflow_training.settings import ConfigError
 
 
@@ -56,30 +51,22 @@ class DiffusionDriveRun(SensorRun):
         """The classes of the semantic BEV that is drawn."""
         return {"classes": len(CLASSES)}
 
-    @cached_property
-    def judge(self) -> PdmJudge:
-        """Of trajectories in the windows."""
-        return PdmJudge(self.logs, self.windows.log, direction=self.config.model.direction)
+    @property
+    def scores_direction(self) -> bool:
+        return self.config.model.direction
 
     def begin(self, model: DiffusionDriveV2) -> None:
         """Anchors, and a backbone that has seen pictures where there is one."""
         anchors = self.first_anchors(count=self.config.model.anchors, steps=POSES)
         model.anchors.copy_(anchors[..., :2])
-        self.first_weights(model.perception.backbone)
+        self.first_weights(model)
 
     def new_objective(self, model: DiffusionDriveV2) -> DiffusionDriveObjective:
         return DiffusionDriveObjective(model, self.config.objective, self.judge)
 
-    def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
-        return {
-            **self.windows.batch(windows, mirrored=mirrored),
-            "window": windows.astype(np.int64),
-            "signs": np.tile(reflection(3) if mirrored else np.ones_like(SIGNS), (len(windows), 1)),
-        }
-
-    def judged(self, model: DiffusionDriveV2, window: int, batch: dict[str, torch.Tensor]) -> Row:
+    def judged(self, model: DiffusionDriveV2, batch: dict[str, torch.Tensor]) -> Row:
         """The window's candidates by who chooses among them: see `choices`."""
-        generator = torch.Generator().manual_seed(window)
+        generator = torch.Generator().manual_seed(int(batch["window"]))
         row = choices(model, batch, self.judge, generator)
         learnt = "pdms_by_class" if self.config.objective.stage == "imitation" else "pdms_by_fine"
         return {"success": row[learnt], **row}

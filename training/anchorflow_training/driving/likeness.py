@@ -10,6 +10,13 @@ def distances(trajectories: Tensor, future: Tensor) -> Tensor:
     return (trajectories[..., :2] - future[:, None, :, :2]).norm(dim=-1).mean(-1)
 
 
+def shares(counted: Tensor) -> Tensor:
+    """Weights [B] of windows in a mean: alike where one is counted, 1, and not 0; they sum to 1,
+    or are all 0.
+    """
+    return counted / counted.sum().clamp(min=1.0)
+
+
 def likeness_loss(logits: Tensor, distance: Tensor, *, over: float) -> Tensor:
     """Cross-entropy [B] of logits [B, M] with soft labels, which fall by e over so many metres."""
     labels = (-distance / over).softmax(-1)

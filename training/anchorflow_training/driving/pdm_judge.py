@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from functools import lru_cache
+import multiprocessing
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -12,61 +13,75 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from anchorflow_driving.log import read_log
-from anchorflow_driving.pdm import PdmScorer, direction_compliance
-from anchorflow_driving.window import Scenes, Window
+from anchorflow_training.driving.window_judge import (
+    WindowJudge,
+    begin_judging,
+    judge_window,
+)
 
-KEPT_LOGS, KEPT_WINDOWS = 256, 256
+Judge = Callable[[Tensor, Tensor, Tensor | None], Tensor]
+"""PDM sub-scores [B, M, 5] in [0, 1], or [B, M, 6] with DDC, of trajectories [B, M, T, 3] in
+windows [B], by number, the ego beginning at speeds [B]; NaN: as recorded, as is everybody's without
+them."""
 
 
 class PdmJudge:
-    """Scores trajectories in the windows of logs, by their number over all logs.
+    """A `Judge` of the windows of logs.
 
-    logs: the files; log: [W] which of them each window is of, those of a log beside one another
-    direction: whether it tells driving direction compliance too
+    A window takes some 40 ms of one core, and a whole step hardly longer on a GPU. So processes of
+    their own may share the windows: those of a log go to the same one always, which keeps it.
+
+    logs, log, direction: as `WindowJudge` takes them
+    processes: beside this one, which begin when they are first asked; 0: this one does it all
     """
 
     def __init__(
-        self, logs: Sequence[Path], log: NDArray[np.int64], *, direction: bool = False
+        self,
+        logs: Sequence[Path],
+        log: NDArray[np.int64],
+        *,
+        direction: bool = False,
+        processes: int = 0,
     ) -> None:
-        self._log, self._direction = log, direction
-        self._scenes = lru_cache(KEPT_LOGS)(lambda number: Scenes(read_log(logs[number])))
-        self._scorer = lru_cache(KEPT_WINDOWS)(self._new_scorer)
+        self._logs, self._log, self._direction = logs, log, direction
+        self._processes = processes
 
     def __call__(
         self, windows: Tensor, trajectories: Tensor, speeds: Tensor | None = None
     ) -> Tensor:
-        """Sub-scores [B, M, 5] in the order of SUB_SCORES of trajectories [B, M, T, 3]; [B, M, 6]
-        with driving direction compliance.
-
-        speeds: [B] m/s that the ego begins with; NaN: as recorded, as is everybody's without them
-        """
         plans = trajectories.detach().cpu().double().numpy()
-        begun = [math.nan] * len(plans) if speeds is None else speeds.tolist()
-        rows = [
-            self._judged(
-                self._scorer(int(window)) if math.isnan(speed) else self._begun(int(window), speed),
-                own,
-            )
-            for window, speed, own in zip(windows, begun, plans, strict=True)
-        ]
+        begun = [float("nan")] * len(plans) if speeds is None else speeds.tolist()
+        asked = zip(windows.tolist(), begun, plans, strict=True)
+        if not self._processes:
+            rows = [self._own(*each) for each in asked]
+        else:
+            told = [self._judge_of(each[0]).submit(judge_window, *each) for each in asked]
+            rows = [each.result() for each in told]
         return torch.from_numpy(np.array(rows, np.float32))
 
-    def _judged(self, scorer: PdmScorer, plans: NDArray[np.float64]) -> NDArray[np.float64]:
-        """[M, 5 or 6]"""
-        motion = scorer.motion(plans)
-        scores = scorer.judge(motion).sub_scores
-        if not self._direction:
-            return scores
-        compliance = direction_compliance(scorer.metres_against(motion))
-        return np.concatenate([scores, compliance[:, None]], axis=-1)
+    @cached_property
+    def _own(self) -> WindowJudge:
+        return WindowJudge(self._logs, self._log, direction=self._direction)
 
-    def _new_scorer(self, window: int) -> PdmScorer:
-        return PdmScorer(self._window(window))
+    @cached_property
+    def _others(self) -> Sequence[ProcessPoolExecutor]:
+        # Not forked: what torch's threads hold in that moment would be held for ever.
+        context = multiprocessing.get_context("spawn")
+        told = (self._logs, self._log, self._direction)
+        return [
+            ProcessPoolExecutor(1, context, begin_judging, told) for _ in range(self._processes)
+        ]
 
-    def _begun(self, window: int, speed: float) -> PdmScorer:
-        return PdmScorer(self._window(window), speed=speed)
+    def _judge_of(self, window: int) -> ProcessPoolExecutor:
+        return self._others[int(self._log[window]) % self._processes]
 
-    def _window(self, window: int) -> Window:
-        log = int(self._log[window])
-        return self._scenes(log)[window - int(np.searchsorted(self._log, log))]
+
+def judged(
+    judge: Judge, batch: Mapping[str, Tensor], trajectories: Tensor, speeds: Tensor | None = None
+) -> Tensor:
+    """What a judge says of trajectories in the windows of a batch, which may be reflected.
+
+    batch: with window [B], and signs [B, 3] of its poses
+    """
+    recorded = trajectories * batch["signs"][:, None, None]
+    return judge(batch["window"], recorded, speeds).to(trajectories)

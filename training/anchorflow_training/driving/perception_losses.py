@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import torch
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
@@ -22,12 +23,12 @@ THERE = 5.0  # times the loss of velocities weighs whether somebody is there
 def focal_loss(
     logits: Tensor, classes: Tensor, *, alpha: float = 0.5, gamma: float = 2.0
 ) -> Tensor:
-    """-α (1 - p)^γ log p of the true class, its mean (Lin et al., 2017).
+    """-α (1 - p)^γ log p of the true class [B], the mean over its cells (Lin et al., 2017).
 
     logits: [B, classes, H, W]; classes: integers [B, H, W]
     """
     log_p = logits.log_softmax(1).gather(1, classes.long()[:, None])[:, 0]
-    return -(alpha * (1 - log_p.exp()).pow(gamma) * log_p).mean()
+    return -(alpha * (1 - log_p.exp()).pow(gamma) * log_p).mean((1, 2))
 
 
 def occupancy_loss(logits: Tensor, occupied: Tensor) -> Tensor:
@@ -105,28 +106,32 @@ def agent_loss(states: Tensor, logits: Tensor, boxes: Tensor, count: Tensor) -> 
     states: [B, Q, 5] x, y, heading, length, width; logits: [B, Q]
     boxes: [B, Q, 5], the first count [B] of which are there
     """
+    scene, query, box = match(states, logits, boxes, count)
     there = torch.zeros_like(logits)
-    taken, wanted = [], []
-    for b, number in enumerate(count.tolist()):
-        query, box = match(states[b], logits[b], boxes[b, :number])
-        there[b, query] = 1.0
-        taken.append(states[b, query])
-        wanted.append(boxes[b, box])
+    there[scene, query] = 1.0
     told = F.binary_cross_entropy_with_logits(logits, there)
-    apart = _apart(torch.cat(taken), torch.cat(wanted)).mean(-1)
+    apart = _apart(states[scene, query], boxes[scene, box]).mean(-1)
     return told + apart.sum() / max(len(apart), 1)
 
 
 @torch.no_grad()
-def match(states: Tensor, logits: Tensor, boxes: Tensor) -> tuple[Tensor, Tensor]:
+def match(states: Tensor, logits: Tensor, boxes: Tensor, count: Tensor) -> tuple[Tensor, ...]:
     """Which query tells of which box, at the least cost in all (the Hungarian method).
 
-    states: [Q, 5]; logits: [Q]; boxes: [M, 5]; returns indices [min(Q, M)] of both
+    The costs of all scenes leave the device at once: each time it is waited for.
+
+    states: [B, Q, 5]; logits: [B, Q]; boxes: [B, M, 5], the first count [B] of which are there;
+    returns indices of scene, query and box, one a match
     """
-    cost = _apart(states[:, None], boxes[None]).mean(-1) + F.softplus(-logits)[:, None]
-    query, box = linear_sum_assignment(cost.float().cpu().numpy())
-    device = states.device
-    return torch.as_tensor(query, device=device), torch.as_tensor(box, device=device)
+    costs = _apart(states[:, :, None], boxes[:, None]).mean(-1) + F.softplus(-logits)[..., None]
+    counts = count.tolist()
+    found = [
+        linear_sum_assignment(cost[:, :number])
+        for cost, number in zip(costs.float().cpu().numpy(), counts, strict=True)
+    ]
+    scene = np.repeat(np.arange(len(found)), [len(query) for query, _ in found])
+    query, box = (np.concatenate(each) for each in zip(*found, strict=True))
+    return tuple(torch.from_numpy(each).to(states.device) for each in (scene, query, box))
 
 
 def _apart(states: Tensor, boxes: Tensor) -> Tensor:

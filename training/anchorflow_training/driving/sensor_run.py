@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from anchorflow_models.transfuser import LIDAR_BEFORE, TransfuserBackbone
+from anchorflow_models.transfuser import LIDAR_BEFORE
 from anchorflow_training.batches import (
     Batch,
     MirroredBatchConfig,
@@ -24,9 +25,12 @@ from anchorflow_training.batches import (
 from anchorflow_training.config import HeldOutConfig, RunConfig
 from anchorflow_training.curve import Row
 from anchorflow_training.driving.anchor_scores import read_anchors, trajectory_anchors
+from anchorflow_training.driving.pdm_judge import PdmJudge
+from anchorflow_training.driving.sensor_noise import disturb
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.held_out import left_to_learn
-from anchorflow_training.pretrained import load_backbone, load_resnet
+from anchorflow_training.pretrained import BACKBONE, load_resnet, load_sight, sight_of
+from anchorflow_training.reflection import SIGNS, reflection
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import check_fixed, setting
 
@@ -45,10 +49,17 @@ class SensorRunConfig(RunConfig):
     lidar_before_lost: float = setting(
         0.1, "Share of the batches without the LiDAR of before.", least=0, most=1
     )
-    backbone: str | None = setting(
-        None, "Checkpoint of any planner with the same backbone, to begin with its weights."
+    perception: str | None = setting(
+        None, "Checkpoint of any planner that sees by the same parts, to begin with their weights."
     )
-    frozen_backbone: bool = setting(False, "Keep the backbone as it begins: it does not learn.")
+    frozen_perception: bool = setting(False, "Keep these parts as they begin: they do not learn.")
+    sensor_noise: float = setting(
+        0.0, "Of pictures and sweeps; 1: as much as between two worlds.", least=0
+    )
+    judges: int = setting(
+        0, "Processes that score what the network proposes; 0: the run's own.", least=0
+    )
+    loaders: int = setting(1, "Threads that prepare batches ahead.", least=1)
 
 
 class SensorRun(TrainingRun):
@@ -75,23 +86,43 @@ class SensorRun(TrainingRun):
 
     def _new_model(self) -> Any:
         model = super()._new_model()
-        if self.config.frozen_backbone:
-            # Its normalisation neither.
-            backbone_of(model).requires_grad_(False).eval()
+        if self.config.frozen_perception:
+            # Their normalisation neither.
+            for part in sight_of(model).values():
+                part.requires_grad_(False).eval()
         return model
 
     def begin_after(self, model: Any, weights: Mapping[str, torch.Tensor]) -> None:
-        """Those weights, and over them another planner's backbone, where one is named."""
+        """Those weights, and over them another planner's perception, where one is named."""
         super().begin_after(model, weights)
-        if self.config.backbone:
-            load_backbone(backbone_of(model), Path(self.config.backbone))
+        if self.config.perception:
+            load_sight(sight_of(model), Path(self.config.perception))
 
-    @abstractmethod
+    @cached_property
+    def judge(self) -> PdmJudge:
+        """Of trajectories in the windows."""
+        return PdmJudge(
+            self.logs,
+            self.windows.log,
+            direction=self.scores_direction,
+            processes=self.config.judges,
+        )
+
+    @property
+    def scores_direction(self) -> bool:
+        """Whether driving direction compliance is one of the scores that are learnt."""
+        return False
+
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
         """What the objective takes of these windows, or of their reflections."""
+        return {
+            **self.windows.batch(windows, mirrored=mirrored),
+            "window": windows.astype(np.int64),
+            "signs": np.tile(reflection(3) if mirrored else np.ones_like(SIGNS), (len(windows), 1)),
+        }
 
     @abstractmethod
-    def judged(self, model: Any, window: int, batch: dict[str, torch.Tensor]) -> Row:
+    def judged(self, model: Any, batch: dict[str, torch.Tensor]) -> Row:
         """What a model makes of one window, its `batch` on the model's device; has a `success`."""
 
     def first_anchors(self, *, count: int, steps: int) -> torch.Tensor:
@@ -99,31 +130,35 @@ class SensorRun(TrainingRun):
         anchors = (
             read_anchors(Path(self.config.anchors), count=count, steps=steps)
             if self.config.anchors
-            else trajectory_anchors(
-                self.windows.numbers["future"][: self.count],
-                count=count,
-                seed=self.config.batch.seed,
-            )
+            else trajectory_anchors(self._examples(), count=count, seed=self.config.batch.seed)
         )
         return torch.from_numpy(anchors)
 
-    def first_weights(self, backbone: TransfuserBackbone) -> None:
+    def _examples(self) -> NDArray[np.float32]:
+        """[M, T, 3] what may be imitated in the windows to learn from."""
+        numbers = {n: array[: self.count] for n, array in self.windows.numbers.items()}
+        return numbers["future"][numbers["is_example"] > 0]
+
+    def first_weights(self, model: nn.Module) -> None:
         """Those that have seen pictures, where the configuration names some."""
+        sight = sight_of(model)
         if self.config.resnet:
-            load_resnet(backbone, Path(self.config.resnet))
-        if self.config.backbone:
-            load_backbone(backbone, Path(self.config.backbone))
+            load_resnet(sight[BACKBONE], Path(self.config.resnet))
+        if self.config.perception:
+            load_sight(sight, Path(self.config.perception))
 
     def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        return prefetched(self._numbered, indices)
+        return prefetched(self._numbered, indices, threads=self.config.loaders)
 
     def _numbered(self, index: int) -> Batch:
-        sizes = self.config.batch
-        luck = batch_rng(sizes, index).random(2)
+        sizes, rng = self.config.batch, batch_rng(self.config.batch, index)
+        luck = rng.random(2)
         mirrored = sizes.mirror and bool(luck[0] < 0.5)
         batch = self.batch(batch_scenes(self.count, sizes, index), mirrored=mirrored)
         if luck[1] < self.config.lidar_before_lost:
             batch.pop(LIDAR_BEFORE, None)
+        if self.config.sensor_noise:
+            disturb(batch, rng, scale=self.config.sensor_noise)
         return batch
 
     @property
@@ -143,10 +178,5 @@ class SensorRun(TrainingRun):
         for window in held[np.unique(picked)]:
             arrays = self.batch(np.array([window]))
             batch = {name: torch.from_numpy(array) for name, array in arrays.items()}
-            rows.append(self.judged(model, int(window), self.fabric.to_device(batch)))
+            rows.append(self.judged(model, self.fabric.to_device(batch)))
         return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}, None
-
-
-def backbone_of(model: nn.Module) -> TransfuserBackbone:
-    """The one backbone of a planner that sees by sensors."""
-    return next(part for part in model.modules() if isinstance(part, TransfuserBackbone))

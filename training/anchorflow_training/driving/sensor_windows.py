@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import TensorSpec
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.log import read_log
+from anchorflow_driving.log import DRIVEN, read_log
 from anchorflow_driving.sensors.agents import far_others, nearest_agents
 from anchorflow_driving.sensors.by_name import draw_inputs
 from anchorflow_driving.sensors.lidar import simulated_lidar_before
@@ -22,6 +22,7 @@ from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.transfuser import LIDAR_BEFORE, SEMANTIC_STRIDE, TransfuserConfig
 from anchorflow_training.batches import Batch
 from anchorflow_training.driving.augmentation import mirrored_status
+from anchorflow_training.driving.examples import example
 from anchorflow_training.driving.kept_logs import (
     Progress,
     each_log,
@@ -43,7 +44,16 @@ LIDAR_RANDOMISED = "lidar_randomised"
 INPUTS = ("camera", *SWEEPS, "ego_status")
 BOXES = ("agents", "far_others")
 VELOCITIES = ("agent_velocity", "randomised_velocity", "far_velocity")
-NUMBERS = ("ego_status", "future", *BOXES, *VELOCITIES, "agent_count", "far_count")
+NUMBERS = (
+    "ego_status",
+    "future",
+    "is_example",
+    "is_recorded",
+    *BOXES,
+    *VELOCITIES,
+    "agent_count",
+    "far_count",
+)
 
 Drawn = dict[str, NDArray[Any]]
 Value = TypeVar("Value")
@@ -116,7 +126,8 @@ class SensorWindows:
     """W windows, those of a log beside one another.
 
     streams: zlib, one a window: the pictures of `sizes.shapes` as bytes, the LiDAR as counts
-    numbers: ego_status [W, 8]; future [W, T, 3] poses that were driven, m and rad;
+    numbers: ego_status [W, 8]; future [W, T, 3] poses to imitate, m and rad, where is_example [W]
+        is 1; is_recorded [W]: whether they are those that were driven;
         agents [W, Q, 5] x, y, heading, length, width, the first agent_count [W] of which are there;
         agent_velocity [W, Q, 2] theirs, m/s forward and to the left; randomised_velocity, had they
         moved as chance has it; far_others, far_velocity, far_count: likewise of those far ahead
@@ -225,7 +236,8 @@ def keep_sensors(
 
 def simulated(window: Window, sizes: SensorSizes) -> Drawn:
     """By the simulated camera and LiDAR. Raises what they raise where nothing can be drawn."""
-    view = window.view
+    view, shown = window.view, example(window)
+    future = np.zeros((len(PLAN_TIMES), 3)) if shown is None else shown
     seen = draw_inputs(view, sizes.inputs)
     agents, velocity, there = nearest_agents(view)
     far, far_velocity, far_there = far_others(view)
@@ -242,7 +254,9 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
         ),
         "occupancy": occupancy(window, cells=sizes.cells, reach=reach),
         "ego_status": seen["ego_status"],
-        "future": window.recorded(PLAN_TIMES).astype(np.float32),
+        "future": future.astype(np.float32),
+        "is_example": np.array(shown is not None, np.float32),
+        "is_recorded": np.array(window.log.source != DRIVEN, np.float32),
         "agents": agents,
         "agent_velocity": velocity,
         "randomised_velocity": nearest_agents(chance)[1],

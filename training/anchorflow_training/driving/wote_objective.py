@@ -9,9 +9,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from anchorflow_models.layers.standstill import standing_still
 from anchorflow_models.sub_scores import pdm_score
-from anchorflow_models.wote import WoTE
-from anchorflow_training.driving.likeness import distances, likeness_loss
+from anchorflow_models.wote import Moved, WoTE
+from anchorflow_training.driving.likeness import distances, likeness_loss, shares
+from anchorflow_training.driving.pdm_judge import Judge, judged
 from anchorflow_training.driving.perception_losses import (
     agent_loss,
     focal_loss,
@@ -56,14 +58,21 @@ class WoteObjectiveConfig:
     likeness: float = setting(1.0, "m, over which an anchor's soft label falls by e.", above=0)
     judged: int = setting(0, "Anchors that the world model looks at in a step; 0: all.", least=0)
     likely: int = setting(0, "Of them, how many are drawn by their offset scores.", least=0)
+    moved: bool = setting(
+        False, "Whether rewards learn of anchors as their offsets move them, and not before."
+    )
 
 
 class WoteObjective(nn.Module):
-    """Loss and its terms on a batch."""
+    """Loss and its terms on a batch; `judge` is asked of moved anchors."""
 
-    def __init__(self, model: WoTE, config: WoteObjectiveConfig) -> None:
+    def __init__(
+        self, model: WoTE, config: WoteObjectiveConfig, judge: Judge | None = None
+    ) -> None:
         super().__init__()
-        self.model, self.config = model, config
+        if judge is None and config.moved:
+            raise ValueError("judge: expected one for moved anchors, got None")
+        self.model, self.config, self.judge = model, config, judge
 
     def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:  # noqa: ARG002
         """[B, K] numbers, by whose order anchors are taken, and by whose luck likely ones are."""
@@ -74,8 +83,9 @@ class WoteObjective(nn.Module):
         self, batch: Mapping[str, Tensor], order: Tensor, luck: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """batch: camera, lidar, ego_status, lidar_before as of `WoTE.encode`; future [B, T, 3] m,
-        rad; pdm [B, K, 5] of the anchors in [0, 1]; agents [B, Q, 5] and agent_count [B];
-        semantics, future_semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1;
+        rad, to imitate where is_example [B] is 1, and is_recorded [B]; pdm [B, K, 5] of the anchors
+        in [0, 1], or window [B] and signs [B, 3], for the judge; agents [B, Q, 5] and agent_count
+        [B]; semantics, future_semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1;
         with encounters also what `sweep_losses` takes."""
         model, config = self.model, self.config
         seen = model.look(**sensors_of(batch))
@@ -83,35 +93,38 @@ class WoteObjective(nn.Module):
         distance = distances(model.anchors[None], batch["future"])
         nearest = distance.argmin(-1)
         chosen = self._chosen(order, nearest, likely(moved.logits.detach(), luck))
-        judged = model.judge(
+        taken = moved.taken(chosen)
+        poses, pdm = self._rated(batch, taken)
+        imagined = model.judge(
             seen.bev,
-            moved.taken(chosen),
+            taken,
             fine=seen.fine,
             foretold=seen.foretold,
             motion=seen.motion,
+            poses=poses,
         )
         winner = nearest[:, None, None, None].expand(-1, 1, *moved.offsets.shape[2:])
         refined = model.anchors[nearest] + moved.offsets.gather(1, winner)[:, 0]
-        pdm = batch["pdm"].gather(1, chosen[..., None].expand(-1, -1, batch["pdm"].shape[-1]))
+        share, recorded = shares(batch["is_example"]), shares(batch["is_recorded"])
+        future_semantics = model.future_semantic_logits(imagined.future[:, 0])
         terms = {
-            "offset": F.l1_loss(refined, batch["future"]),
-            "offset_imitation": self._likeness(moved.logits, distance),
-            "imitation": self._likeness(judged.imitation, distance.gather(1, chosen)),
-            "simulation": sub_score_loss(judged.simulation, pdm)
+            "offset": share @ (refined - batch["future"]).abs().mean((1, 2)),
+            "offset_imitation": share @ self._likeness(moved.logits, distance),
+            "imitation": share
+            @ self._likeness(imagined.imitation, distances(poses, batch["future"])),
+            "simulation": sub_score_loss(imagined.simulation, pdm)
             if config.conditional
-            else F.binary_cross_entropy_with_logits(judged.simulation, pdm),
+            else F.binary_cross_entropy_with_logits(imagined.simulation, pdm),
             "agents": agent_loss(
                 seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
             ),
-            "semantics": focal_loss(seen.semantic_logits, batch["semantics"]),
+            "semantics": focal_loss(seen.semantic_logits, batch["semantics"]).mean(),
             "occupancy": occupancy_loss(seen.occupancy_logits, batch["occupancy"]),
             # The first that is judged is the nearest to what was driven.
-            "future_semantics": focal_loss(
-                model.future_semantic_logits(judged.future[:, 0]), batch["future_semantics"]
-            ),
+            "future_semantics": recorded @ focal_loss(future_semantics, batch["future_semantics"]),
         }
         if config.rank:
-            scores = pdm_score(judged.simulation.sigmoid())
+            scores = pdm_score(imagined.simulation.sigmoid())
             terms["rank"] = wrong_order(scores, pdm_score(pdm))
         if model.sweeps is not None:
             assert seen.moving is not None
@@ -132,8 +145,19 @@ class WoteObjective(nn.Module):
         rank = rank.scatter(1, nearest[:, None], -2.0)
         return rank.argsort(-1)[:, : self.config.judged or None]
 
+    def _rated(self, batch: Mapping[str, Tensor], taken: Moved) -> tuple[Tensor, Tensor]:
+        """What is judged of the anchors that were taken, [B, K', T, 3], and its sub-scores."""
+        anchors = self.model.anchors[taken.index]
+        if not self.config.moved:
+            index = taken.index[..., None].expand(-1, -1, batch["pdm"].shape[-1])
+            return anchors, batch["pdm"].gather(1, index)
+        assert self.judge is not None  # as the constructor found
+        poses = standing_still(anchors + taken.offsets.detach())
+        return poses, judged(self.judge, batch, poses)
+
     def _likeness(self, logits: Tensor, distance: Tensor) -> Tensor:
-        return likeness_loss(logits, distance, over=self.config.likeness).mean()
+        """[B]"""
+        return likeness_loss(logits, distance, over=self.config.likeness)
 
 
 def likely(logits: Tensor, luck: Tensor) -> Tensor:

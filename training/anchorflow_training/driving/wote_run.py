@@ -12,10 +12,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from anchorflow_models.sub_scores import pdm_score
 from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_training.batches import Batch
 from anchorflow_training.curve import Row
-from anchorflow_training.driving.anchor_scores import anchor_scores, pdms
+from anchorflow_training.driving.anchor_scores import anchor_scores
 from anchorflow_training.driving.kept_logs import PLAN_SETTINGS
 from anchorflow_training.driving.likeness import distances
 from anchorflow_training.driving.semantic_bev import CLASSES
@@ -59,30 +60,30 @@ class WoteRun(SensorRun):
         """Anchors, and a backbone that has seen pictures where there is one."""
         shape = self.config.model
         model.set_anchors(self.first_anchors(count=shape.anchors, steps=shape.num_steps))
-        self.first_weights(model.backbone)
+        self.first_weights(model)
 
     def new_objective(self, model: WoTE) -> WoteObjective:
-        return WoteObjective(model, self.config.objective)
+        return WoteObjective(model, self.config.objective, self.judge)
 
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
+        batch = super().batch(windows, mirrored=mirrored)
+        if self.config.objective.moved:
+            return batch
         pdm = self.mirrored_pdm if mirrored else self.pdm
-        return {**self.windows.batch(windows, mirrored=mirrored), "pdm": pdm[windows]}
+        return {**batch, "pdm": pdm[windows]}
 
-    def judged(self, model: WoTE, window: int, batch: dict[str, torch.Tensor]) -> Row:
-        """How well the anchors of a window are chosen and refined.
+    def judged(self, model: WoTE, batch: dict[str, torch.Tensor]) -> Row:
+        """How well the anchors of a window are refined, and chosen.
 
-        success: PDMS of the anchor with the best score, before its offset
+        success: PDMS of the answer
         """
         seen = model.look(**sensors_of(batch))
         scored = model.score(seen.bev, seen.ego, seen.fine, seen.foretold, seen.motion)
         refined = distances(scored["trajectories"], batch["future"])
-        worth = pdms(self.pdm[window])
-        # Whichever were kept, by the anchors that they are nearest to before their offsets.
-        plain = scored["trajectories"][0] - scored["offsets"][0]
-        index = torch.cdist(plain.flatten(1), model.anchors.flatten(1)).argmin(-1).cpu().numpy()
+        worth = pdm_score(self.judge(batch["window"], scored["trajectories"]))[0]
         return {
-            "success": float(worth[index[int(scored["scores"][0].argmax())]]),
-            "pdms_by_imitation": float(worth[index[int(scored["im_rewards"][0].argmax())]]),
+            "success": float(worth[int(scored["scores"][0].argmax())]),
+            "pdms_by_imitation": float(worth[int(scored["im_rewards"][0].argmax())]),
             "pdms_of_the_best": float(worth.max()),
             "best_ade_m": float(distances(model.anchors[None], batch["future"]).min()),
             "best_refined_ade_m": float(refined.min()),
