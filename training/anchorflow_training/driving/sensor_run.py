@@ -53,9 +53,7 @@ class SensorRunConfig(RunConfig):
         None, "Checkpoint of any planner that sees by the same parts, to begin with their weights."
     )
     frozen_perception: bool = setting(False, "Keep these parts as they begin: they do not learn.")
-    sensor_noise: float = setting(
-        0.0, "Of pictures and sweeps; 1: as much as between two worlds.", least=0
-    )
+    sensor_noise: float = setting(0.0, "On pictures and sweeps; 1 is strong, 0 is none.", least=0)
     judges: int = setting(
         0, "Processes that score what the network proposes; 0: the run's own.", least=0
     )
