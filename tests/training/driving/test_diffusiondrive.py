@@ -69,8 +69,9 @@ def batch() -> dict[str, Tensor]:
     }
 
 
-def farther_is_better(windows: Tensor, trajectories: Tensor, speeds: Tensor) -> Tensor:
+def farther_is_better(windows: Tensor, trajectories: Tensor, speeds: Tensor | None) -> Tensor:
     """A judge for whom progress is all, up to 60 m; who ends far to the right fails."""
+    assert speeds is not None
     assert speeds.isnan().all()
     told = torch.ones(*trajectories.shape[:2], 5)
     told[..., 2] = (trajectories[..., -1, 0] / 60).clamp(0, 1)
@@ -142,7 +143,7 @@ def scored(loss_of: DiffusionDriveObjective, name: str) -> list[tuple[Any, ...]]
 def test_the_coarse_scorers_best_are_judged_and_scored_finely() -> None:
     judged: list[Tensor] = []
 
-    def judge(_windows: Tensor, candidates: Tensor, _speeds: Tensor) -> Tensor:
+    def judge(_windows: Tensor, candidates: Tensor, _speeds: Tensor | None) -> Tensor:
         judged.append(candidates)
         return torch.rand(*candidates.shape[:2], 5)
 
@@ -175,7 +176,7 @@ def test_which_candidate_would_be_driven_is_learnt_from_windows_as_recorded() ->
     model = tiny_diffusiondrive(replace(TINY, imitation=0.1)).train()
     settings = DiffusionDriveObjectiveConfig(stage="scorers", judged=12, speed=4.0)
 
-    def judge(_windows: Tensor, candidates: Tensor, _speeds: Tensor) -> Tensor:
+    def judge(_windows: Tensor, candidates: Tensor, _speeds: Tensor | None) -> Tensor:
         return torch.rand(*candidates.shape[:2], 5)
 
     loss_of, given = DiffusionDriveObjective(model, settings, judge), batch()
@@ -214,7 +215,8 @@ def test_reinforcement_drives_farther() -> None:
 def test_the_scorers_learn_other_speeds_and_imitation_does_not() -> None:
     asked = []
 
-    def judge(_windows: Tensor, trajectories: Tensor, speeds: Tensor) -> Tensor:
+    def judge(_windows: Tensor, trajectories: Tensor, speeds: Tensor | None) -> Tensor:
+        assert speeds is not None
         asked.append(speeds)
         return torch.rand(*trajectories.shape[:2], 5)
 

@@ -31,7 +31,9 @@ def test_where_a_planner_drove_pdm_closed_is() -> None:
 
 def test_whoever_has_left_the_route_shows_nothing() -> None:
     log = bend(0)
-    aside = replace(log, source=DRIVEN, route_points=log.route_points + np.float32([0.0, 9.0]))
+    aside = replace(
+        log, source=DRIVEN, route_points=log.route_points + np.array([0.0, 9.0], np.float32)
+    )
     assert example(Scenes(aside)[0]) is None
     recorded = replace(aside, source=log.source)
     assert example(Scenes(recorded)[0]) is not None
