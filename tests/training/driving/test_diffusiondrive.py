@@ -15,8 +15,7 @@ from driven_bend import bend, write_bends
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import Tensor
 
-from anchorflow_driving.log import read_log
-from anchorflow_driving.pdm import PdmScorer, direction_compliance
+from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.layers.standstill import standing_still
 from anchorflow_training.batches import MirroredBatchConfig
@@ -34,7 +33,6 @@ from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRunConfig,
 )
 from anchorflow_training.driving.kept_logs import open_logs
-from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_windows import Drawn, SensorSizes, open_sensor_windows
 from anchorflow_training.restore import restore_model
@@ -381,49 +379,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def logs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     monkeypatch.setattr(sensor_windows, "simulated", sensed)
     return [*open_logs(folder)]
-
-
-def test_the_judge_is_the_scorer_of_each_window(logs: list[Path]) -> None:
-    scenes = [Scenes(read_log(log)) for log in logs]
-    of_log = np.repeat([0, 1], [len(each) for each in scenes])
-    judge = PdmJudge(logs, of_log)
-    last = len(of_log) - 1
-    plans = torch.zeros(2, 3, T, 3)
-    plans[:, 1, :, 0] = 2.0 * torch.arange(1, 9)
-    plans[:, 2, :, 1] = 30.0
-    told = judge(torch.tensor([0, last]), plans).numpy()
-    for row, window in zip(told, (scenes[0][0], scenes[1][len(scenes[1]) - 1]), strict=True):
-        wanted = PdmScorer(window).score(plans[0].numpy())
-        np.testing.assert_allclose(row[:, 0], wanted.nc)
-        np.testing.assert_allclose(row[:, 2], wanted.ep, atol=1e-6)
-        np.testing.assert_allclose(row[:, 4], wanted.c)
-    own = scenes[0][0].state.speed
-    twice, faster = judge(
-        torch.tensor([0, 0]), plans, speeds=torch.tensor([torch.nan, own + 9.0])
-    ).numpy()
-    np.testing.assert_array_equal(twice, told[0])
-    wanted = PdmScorer(scenes[0][0], speed=own + 9.0).score(plans[0].numpy())
-    np.testing.assert_allclose(faster[:, 2], wanted.ep, atol=1e-6)
-    assert not np.array_equal(faster, twice)
-    judge = PdmJudge(logs, of_log, direction=True)
-    scorer = PdmScorer(scenes[0][0])
-    wanted = direction_compliance(scorer.metres_against(scorer.motion(plans[0].numpy())))
-    told = judge(torch.tensor([0]), plans[:1]).numpy()[0]
-    np.testing.assert_array_equal(told[:, :5], twice)
-    np.testing.assert_allclose(told[:, 5], wanted, atol=1e-6)
-
-
-def test_processes_judge_as_the_run_itself_does(logs: list[Path]) -> None:
-    of_log = np.repeat([0, 1], [len(Scenes(read_log(log))) for log in logs])
-    plans = 3.0 * torch.arange(1, 9)[:, None] * torch.tensor([1.0, 0.1, 0.0])
-    plans = plans * torch.tensor([0.5, 1.0, 3.0])[:, None, None]
-    asked = (torch.tensor([0, 1, len(of_log) - 1]), plans.expand(3, 3, T, 3))
-    speeds = torch.tensor([torch.nan, 3.0, torch.nan])
-    wanted = PdmJudge(logs, of_log, direction=True)(*asked, speeds)
-    assert len(wanted[..., 2].unique()) > 1
-    for processes in (1, 3):
-        judge = PdmJudge(logs, of_log, direction=True, processes=processes)
-        torch.testing.assert_close(judge(*asked, speeds), wanted, rtol=0, atol=0)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
