@@ -55,13 +55,10 @@ def load_sight(sight: Mapping[str, nn.Module], checkpoint: Path) -> None:
         CheckpointError: it cannot be read.
         ConfigError: it has no backbone, or a part of another shape.
     """
-    average = load_checkpoint(checkpoint).average
+    average = {f".{name}": value for name, value in load_checkpoint(checkpoint).average.items()}
     for part, module in sight.items():
-        weights = {
-            name.rpartition(f".{part}.")[2]: value
-            for name, value in ((f".{name}", value) for name, value in average.items())
-            if f".{part}." in name
-        }
+        within = f".{part}."
+        weights = {n.rpartition(within)[2]: value for n, value in average.items() if within in n}
         if not weights and part != BACKBONE:
             continue
         try:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +19,12 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log, write_log
 from anchorflow_driving.pdm import PdmScorer
-from anchorflow_driving.sensors.rendering import Renderer, RenderingUnavailable
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.wote import RewardWeights, WoTE
 from anchorflow_training.batches import MirroredBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.config import HeldOutConfig
-from anchorflow_training.driving import sensor_windows
+from anchorflow_training.driving import sensor_windows, wote_run
 from anchorflow_training.driving.anchor_scores import (
     anchor_scores,
     examples_of,
@@ -32,12 +33,11 @@ from anchorflow_training.driving.anchor_scores import (
     trajectory_anchors,
 )
 from anchorflow_training.driving.kept_logs import open_logs
-from anchorflow_training.driving.semantic_bev import CLASSES, occupancy, semantic_bev, view_after
+from anchorflow_training.driving.semantic_bev import CLASSES, semantic_bev, view_after
 from anchorflow_training.driving.sensor_windows import (
     Drawn,
     SensorSizes,
     open_sensor_windows,
-    reflected,
 )
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
 from anchorflow_training.planners import TRAININGS
@@ -199,6 +199,26 @@ def test_anchors_in_a_reflected_window_are_worth_what_they_are_in_that_of_the_mi
     assert not np.allclose(run.pdm[0], batch["pdm"][0], atol=0.1)
 
 
+def test_anchors_are_scored_before_several_loaders_ask(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    by: list[threading.Thread] = []
+
+    def scored(*args: Any) -> NDArray[np.float32]:
+        by.append(threading.current_thread())
+        return anchor_scores(*args)
+
+    monkeypatch.setattr(wote_run, "anchor_scores", scored)
+    run = WoteRun(replace(CONFIG, loaders=3), logs, tmp_path)
+    assert len([*run.stream(range(4))]) == 4
+    assert by == [threading.current_thread()] * 2  # the windows, and their reflections
+
+
+def test_without_an_example_there_are_no_anchors() -> None:
+    with pytest.raises(ConfigError, match="anchors: expected examples to cluster, found none"):
+        trajectory_anchors(np.zeros((0, 8, 3)), count=4, seed=0)
+
+
 def test_anchors_are_centres_of_what_was_driven(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     kinds = np.zeros((3, 8, 3))
@@ -213,37 +233,6 @@ def test_anchors_are_centres_of_what_was_driven(tmp_path: Path) -> None:
         ConfigError, match=r"anchors: .*expected shape \[4, 8, 3\], got \[3, 8, 3\]"
     ):
         read_anchors(tmp_path / "anchors.npy", count=4, steps=8)
-
-
-def test_semantics_show_the_leader_where_it_is_and_will_be(logs: list[Path]) -> None:
-    window = Scenes(read_log(logs[0]))[0]
-    now = semantic_bev(window.view, rows=32, reach=32.0)
-    assert now.shape == (32, 64)
-    vehicle = CLASSES.index("vehicle")
-    rows, columns = np.nonzero(now == vehicle)
-    # 20 m before the ego's middle along a bend to the left, 1 m a cell.
-    assert 7 <= rows.mean() <= 13
-    assert columns.mean() < 31
-    assert (now[-1, 30:34] > 0).all()  # the road under the ego
-    # In 4 s it has driven out of sight.
-    later = semantic_bev(view_after(window, 4.0), rows=32, reach=32.0)
-    assert (later == vehicle).sum() == 0
-    still = later == now
-    assert still[now != vehicle].all()
-
-
-def test_occupancy_follows_the_leader_and_leaves_the_ego_out(logs: list[Path]) -> None:
-    window = Scenes(read_log(logs[0]))[0]
-    maps = occupancy(window, cells=64, reach=32.0)
-    assert maps.shape == (len(PLAN_TIMES), 64, 64)
-    assert all(each.any() for each in maps[:2])
-    # Row 0 lies farthest ahead.
-    ahead = [32 - np.nonzero(each)[0].mean() for each in maps[:2]]
-    place = [view_after(window, t).tracks[1, -1, 0] for t in (0.5, 1.0)]
-    np.testing.assert_allclose(ahead, place, atol=1.0)
-    own = window.recorded(PLAN_TIMES[:1])[0]
-    row, column = (np.array([32.0, 32.0]) - own[:2]).astype(int)
-    assert not maps[0, row, column]
 
 
 def test_a_run_goes_on_as_if_it_had_not_stopped(logs: list[Path], tmp_path: Path) -> None:
@@ -364,52 +353,3 @@ def _stop_after(step: int) -> Report:
             raise InterruptedError
 
     return report
-
-
-@pytest.fixture
-def _renderer() -> None:
-    try:
-        Renderer()
-    except RenderingUnavailable as error:
-        pytest.skip(str(error))
-
-
-@pytest.mark.usefixtures("_renderer")
-def test_a_reflected_window_is_the_window_of_the_mirrored_bend() -> None:
-    sizes = SensorSizes(64, 256, 256, 32.0)
-    own, other = (
-        sensor_windows.simulated(Scenes(bend(0, mirrored=mirrored))[0], sizes)
-        for mirrored in (False, True)
-    )
-    seen = reflected(
-        {name: array[None] for name, array in own.items()}, pictures=tuple(sizes.shapes)
-    )
-    for name in ("ego_status", "future", "agents"):
-        np.testing.assert_allclose(seen[name][0], other[name], atol=1e-3, err_msg=name)
-    for name, most in {"camera": 2.0, "lidar": 0.01, "semantics": 0.05, "occupancy": 0.01}.items():
-        unlike, plain = (
-            np.abs(drawn.astype(float) - other[name].astype(float)).mean()
-            for drawn in (seen[name][0], own[name])
-        )
-        # Asphalt has another grain there, and edges fall on the other side of a pixel's middle.
-        assert unlike < most, name
-        assert unlike < 0.35 * plain, name
-
-
-@pytest.mark.usefixtures("_renderer")
-def test_the_simulated_sensors_agree_on_where_the_leader_is(folder: Path) -> None:
-    window = Scenes(read_log(folder / "bend-0.npz"))[0]
-    told = sensor_windows.simulated(window, SensorSizes(32, 128, 256, 32.0))
-    assert told["camera"].shape == (3, 32, 128)
-    assert told["camera"].std() > 1  # something is drawn
-    assert told["agent_count"] == 1
-    vehicle = told["semantics"] == CLASSES.index("vehicle")
-    # The histogram begins behind on the right, the semantics ahead on the left.
-    struck = told["lidar"][0, ::-1, ::-1][:128] > 0
-    rows, columns = np.nonzero(vehicle)
-    assert struck.any()
-    for row, column in zip(*np.nonzero(struck), strict=True):
-        assert np.hypot(rows - row, columns - column).min() <= 2  # half a metre
-    x, y = told["agents"][0, :2]
-    assert abs(4 * (32 - x) - rows.mean()) < 3
-    assert abs(4 * (32 - y) - columns.mean()) < 3

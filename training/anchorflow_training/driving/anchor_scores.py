@@ -32,7 +32,13 @@ def examples_of(logs: Sequence[Path]) -> Floats:
 
 
 def trajectory_anchors(futures: NDArray[np.floating], *, count: int, seed: int) -> Floats:
-    """K anchors [K, T, 3] of futures [M, T, 3], by k-means over x, y and heading."""
+    """K anchors [K, T, 3] of futures [M, T, 3], by k-means over x, y and heading.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if not len(futures):
+        raise ConfigError("anchors: expected examples to cluster, found none in any window")
     units = np.array([1.0, 1.0, HEADING_M])
     points = (futures * units).reshape(len(futures), -1)
     centres = clustered(points, count=count, seed=seed)

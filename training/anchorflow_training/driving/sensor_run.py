@@ -134,8 +134,8 @@ class SensorRun(TrainingRun):
 
     def _examples(self) -> NDArray[np.float32]:
         """[M, T, 3] what may be imitated in the windows to learn from."""
-        numbers = {n: array[: self.count] for n, array in self.windows.numbers.items()}
-        return numbers["future"][numbers["is_example"] > 0]
+        numbers, learnt = self.windows.numbers, slice(self.count)
+        return numbers["future"][learnt][numbers["is_example"][learnt] > 0]
 
     def first_weights(self, model: nn.Module) -> None:
         """Those that have seen pictures, where the configuration names some."""

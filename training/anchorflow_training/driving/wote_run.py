@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -64,6 +64,12 @@ class WoteRun(SensorRun):
 
     def new_objective(self, model: WoTE) -> WoteObjective:
         return WoteObjective(model, self.config.objective, self.judge)
+
+    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
+        if not self.config.objective.moved:
+            # Worked out here, and not by several loaders at once.
+            _ = self.pdm, self.config.batch.mirror and self.mirrored_pdm
+        return super().stream(indices)
 
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
         batch = super().batch(windows, mirrored=mirrored)
