@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from drawn_bend import drawn as told
 from driven_bend import bend, write_bends
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import Tensor
 
 from anchorflow_driving.pdm import PdmScorer
-from anchorflow_driving.window import Scenes, Window
+from anchorflow_driving.window import Scenes
 from anchorflow_models.layers.standstill import standing_still
 from anchorflow_training.batches import MirroredBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
@@ -34,7 +35,7 @@ from anchorflow_training.driving.diffusiondrive_run import (
 )
 from anchorflow_training.driving.kept_logs import open_logs
 from anchorflow_training.driving.semantic_bev import CLASSES
-from anchorflow_training.driving.sensor_windows import Drawn, SensorSizes, open_sensor_windows
+from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.restore import restore_model
 from anchorflow_training.settings import ConfigError
 
@@ -346,30 +347,6 @@ CONFIG = DiffusionDriveRunConfig(
 )
 
 
-def sensed(window: Window, sizes: SensorSizes) -> Drawn:
-    """Sensors of a window without a graphics driver: its number in every picture."""
-    pictures = {
-        name: np.full(shape, window.index, np.uint8) for name, shape in sizes.shapes.items()
-    }
-    return {
-        **pictures,
-        "lidar": pictures["lidar"] % 6,
-        "semantics": pictures["semantics"] % len(CLASSES),
-        "future_semantics": pictures["semantics"] % len(CLASSES),
-        "occupancy": pictures["occupancy"] % 2,
-        "ego_status": np.eye(8, dtype=np.float32)[1],
-        "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
-        "is_example": np.array(1, np.float32),
-        "is_recorded": np.array(1, np.float32),
-        "agents": np.ones((30, 5), np.float32),
-        **{name: np.ones((30, 2), np.float32) for name in sensor_windows.VELOCITIES},
-        "agent_count": np.array(1),
-        "far_others": np.ones((48, 5), np.float32),
-        "far_velocity": np.ones((48, 2), np.float32),
-        "far_count": np.array(1),
-    }
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bends(tmp_path_factory.mktemp("bends"), count=2)
@@ -377,7 +354,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def logs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    monkeypatch.setattr(sensor_windows, "simulated", sensed)
+    monkeypatch.setattr(sensor_windows, "simulated", told)
     return [*open_logs(folder)]
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import threading
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from drawn_bend import drawn
 from driven_bend import bend, write_bends
 from numpy.typing import NDArray
 from tiny_wote import TINY
@@ -19,7 +21,7 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log, write_log
 from anchorflow_driving.pdm import PdmScorer
-from anchorflow_driving.window import Scenes, Window
+from anchorflow_driving.window import Scenes
 from anchorflow_models.wote import RewardWeights, WoTE
 from anchorflow_training.batches import MirroredBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
@@ -33,9 +35,8 @@ from anchorflow_training.driving.anchor_scores import (
     trajectory_anchors,
 )
 from anchorflow_training.driving.kept_logs import open_logs
-from anchorflow_training.driving.semantic_bev import CLASSES, semantic_bev, view_after
+from anchorflow_training.driving.semantic_bev import CLASSES
 from anchorflow_training.driving.sensor_windows import (
-    Drawn,
     SensorSizes,
     open_sensor_windows,
 )
@@ -47,6 +48,7 @@ from anchorflow_training.settings import ConfigError
 
 MODEL = replace(TINY, semantic_classes=len(CLASSES))
 SIZES = SensorSizes(16, 32, 32, 32.0)
+TOLD = partial(drawn, agents=MODEL.agents)
 CONFIG = WoteRunConfig(
     steps=4,
     warmup=0,
@@ -60,32 +62,6 @@ CONFIG = WoteRunConfig(
 )
 
 
-def drawn(window: Window, sizes: SensorSizes) -> Drawn:
-    """Sensors of a window without a graphics driver: its number in every picture."""
-    view = window.view
-    pictures = {
-        name: np.full(shape, window.index, np.uint8) for name, shape in sizes.shapes.items()
-    }
-    later = view_after(window, 4.0)
-    return {
-        **pictures,
-        **{name: pictures[name] % 6 for name in sizes.histograms},
-        "occupancy": pictures["occupancy"] % 2,
-        "semantics": semantic_bev(view, rows=16, reach=32.0),
-        "future_semantics": semantic_bev(later, rows=16, reach=32.0),
-        "ego_status": np.eye(8, dtype=np.float32)[1],
-        "future": window.recorded(np.arange(1, 9) / 2).astype(np.float32),
-        "is_example": np.array(1, np.float32),
-        "is_recorded": np.array(1, np.float32),
-        "agents": np.zeros((MODEL.agents, 5), np.float32),
-        **{name: np.zeros((MODEL.agents, 2), np.float32) for name in sensor_windows.VELOCITIES},
-        "agent_count": np.array(1),
-        "far_others": np.ones((48, 5), np.float32),
-        "far_velocity": np.ones((48, 2), np.float32),
-        "far_count": np.array(1),
-    }
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_bends(tmp_path_factory.mktemp("bends"), count=2)
@@ -93,12 +69,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def logs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    monkeypatch.setattr(sensor_windows, "simulated", drawn)
+    monkeypatch.setattr(sensor_windows, "simulated", TOLD)
     return [*open_logs(folder)]
 
 
 def test_windows_come_back_as_they_were_drawn(logs: list[Path]) -> None:
-    windows = open_sensor_windows(logs, SIZES, draw=drawn)
+    windows = open_sensor_windows(logs, SIZES, draw=TOLD)
     assert len(windows) == sum(len(Scenes(read_log(log))) for log in logs)
     per_log = len(windows) // 2
     batch = windows.batch(np.array([2, per_log + 1]))
@@ -111,15 +87,15 @@ def test_windows_come_back_as_they_were_drawn(logs: list[Path]) -> None:
 
 def test_what_is_kept_is_not_drawn_again(logs: list[Path]) -> None:
     kept = [log.with_suffix(sensor_windows.KEPT) for log in logs]
-    open_sensor_windows(logs, SIZES, draw=drawn)
+    open_sensor_windows(logs, SIZES, draw=TOLD)
     before, told = [path.stat().st_mtime_ns for path in kept], []
     os.utime(logs[1])  # as if it had been made anew
-    open_sensor_windows(logs, SIZES, draw=drawn, progress=lambda done, of: told.append((done, of)))
+    open_sensor_windows(logs, SIZES, draw=TOLD, progress=lambda done, of: told.append((done, of)))
     after = [path.stat().st_mtime_ns for path in kept]
     assert after[0] == before[0]
     assert after[1] > before[1]
     assert told == [(1, 2), (2, 2)]
-    other = open_sensor_windows(logs, replace(SIZES, camera_rows=8), draw=drawn)
+    other = open_sensor_windows(logs, replace(SIZES, camera_rows=8), draw=TOLD)
     assert other.batch(np.array([0]))["camera"].shape == (1, 3, 8, 32)
 
 
@@ -153,7 +129,7 @@ def test_an_earlier_sweep_is_kept_beside_and_now_and_then_lost(
     assert 4 < sum(told) < 16
     assert told == ["lidar_before" in each for each in run.stream(range(20))]
     run.fit()
-    plain = open_sensor_windows(logs, SIZES, draw=drawn)
+    plain = open_sensor_windows(logs, SIZES, draw=TOLD)
     assert "lidar_before" not in plain.batch(np.array([0]))
 
 
@@ -341,10 +317,10 @@ def test_a_log_without_windows_is_passed_over(logs: list[Path], tmp_path: Path) 
         if name.startswith(("window_", "route_"))
     }
     write_log(replace(log, **own | {"route_offsets": log.route_offsets[:1]}), bare)
-    windows = open_sensor_windows([bare, logs[1]], SIZES, draw=drawn)
+    windows = open_sensor_windows([bare, logs[1]], SIZES, draw=TOLD)
     assert set(windows.log) == {1}
     with pytest.raises(LogError, match="expected windows, found none in any log"):
-        open_sensor_windows([bare], SIZES, draw=drawn)
+        open_sensor_windows([bare], SIZES, draw=TOLD)
 
 
 def _stop_after(step: int) -> Report:
