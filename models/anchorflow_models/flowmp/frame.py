@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from anchorflow_models.layers.in_float32 import in_float32
 from anchorflow_trajectory.route_splines import LEAST_SPREAD, MOST_SPREAD, SPREAD_SHARE
 
 WINDOW_SHARE = 0.5
@@ -80,6 +81,7 @@ class Frame:
         return _turn(grid, self.rotation[:, :2, :2].transpose(1, 2)) + self.centre[:, None, :2]
 
 
+@in_float32
 def _turn(vectors: Tensor, rotation: Tensor) -> Tensor:
     """v R for every vector in [B, ..., D]."""
     flat = vectors.reshape(vectors.shape[0], -1, vectors.shape[-1])

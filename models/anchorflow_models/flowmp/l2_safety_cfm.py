@@ -28,6 +28,7 @@ from anchorflow_models.flowmp.transformer import FlowMPTransformer, create_flowm
 from anchorflow_models.flowmp.unet1d import FlowMPUNet1D, create_flowmp_unet1d
 from anchorflow_models.flowmp.window import MapWindow
 from anchorflow_models.layers.embedding import PLACE_OCTAVES, fourier_places
+from anchorflow_models.layers.in_float32 import in_float32
 from anchorflow_models.layers.lookup import lookup
 
 Context = dict[str, Tensor]
@@ -195,6 +196,7 @@ class L2SafetyCFM(nn.Module):
             context.get("map_keys_values"),
         )
 
+    @in_float32
     def _told(self, x_t: Tensor, prior_mean: Tensor, frame: Frame, motion_limits: Tensor) -> Tensor:
         """Where each step's route leads, and how near its limits it is: [B, N * T, 7 + 4]."""
         dim = self.config.dim
@@ -226,6 +228,7 @@ class L2SafetyCFM(nn.Module):
         told = ROUTE_CHANNELS + PACE_CHANNELS + places
         return told + (looked_up if self.config.map_lookup else 0)
 
+    @in_float32
     def draw(self, noise: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
         """x_0 [B, N, T, S] from standard normal noise [B or 1, N, R] around [B, N, T, S]."""
         spread = noise @ context["prior_basis"]

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.flowmp.frame import Frame
+from anchorflow_models.layers.in_float32 import in_float32
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
 FIELDS = 3  # position and its derivatives by the trajectory's own time
@@ -84,14 +85,17 @@ class TrajectoryPrior(nn.Module):
         turn = frame.rotation.transpose(1, 2) * frame.spread[:, None, None]
         return self._diagonal(turn) * self.spread[:, None]
 
+    @in_float32
     def normalise(self, residual: Tensor, units: Tensor) -> Tensor:
         """What states [B, N, T, S] in SI differ by, at unit spread in the scene's axes."""
         return (residual.flatten(1, 2) @ units).reshape(residual.shape)
 
+    @in_float32
     def to_si(self, field: Tensor, si_units: Tensor) -> Tensor:
         """A field [B, N, T, S] of the normalised states as one of the SI states."""
         return (field.flatten(1, 2) @ si_units).reshape(field.shape)
 
+    @in_float32
     def disturbed(self, disturbance: Tensor) -> Tensor:
         """States [..., T, S] of control points in (D, F) order [m] and log duration [..., R]."""
         points = disturbance[..., :-1].unflatten(-1, (self.dim, -1))

@@ -32,6 +32,7 @@ from anchorflow_models.goalflow.trajectory_score import (
     met,
     trajectory_scores,
 )
+from anchorflow_models.layers.in_float32 import in_float32
 from anchorflow_models.layers.standstill import standing_still
 from anchorflow_models.tracking import SLOWEST_TURN, curvature_of
 
@@ -249,6 +250,11 @@ class GoalFlow(nn.Module):
             self.noise_scale * self.config.sigma * self.stray.flatten()
         )
         return spread.flatten(1)[None]
+
+    @in_float32
+    def draw(self, noise: Tensor, prior_mean: Tensor) -> Tensor:
+        """x_0 [B, N, T, S] from standard normal noise [B, N, 3T] around [B, N, T, S]."""
+        return prior_mean + (noise @ self.basis()[0]).unflatten(-1, prior_mean.shape[2:])
 
     def modulate(self, times: Tensor, context: Context) -> Tensor:
         """Flow times [K], or [B, K] each scene's own -> modulation [B, K, 1 + M]."""

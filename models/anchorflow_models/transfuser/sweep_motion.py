@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from anchorflow_models.layers.in_float32 import in_float32
 from anchorflow_models.transfuser.config import SEMANTIC_STRIDE, TransfuserConfig
 
 APART_S = 0.5
@@ -79,7 +80,7 @@ class SweepMotion(nn.Module):
         likeness = correlation(*keys) / EYES**0.5
         share = (self.sharpness * likeness).softmax(1)
         # Where it was lies behind it; rows count backward and columns to the right, so do these.
-        moved = torch.einsum("bdhw,kd->bkhw", share, self.displacements)
+        moved = _expected(share, self.displacements)
         best = moved * (2 * self.cell / APART_S)
         x = F.relu(self.match(torch.cat([likeness, *keys], 1)))
         for layer in self.coarse:
@@ -107,6 +108,12 @@ class SweepMotion(nn.Module):
 
 def _around(inputs: int, outputs: int, dilation: int = 1) -> nn.Conv2d:
     return nn.Conv2d(inputs, outputs, 3, padding=dilation, dilation=dilation)
+
+
+@in_float32
+def _expected(share: Tensor, displacements: Tensor) -> Tensor:
+    """The mean [B, 2, h, w] of displacements [2, D] by shares [B, D, h, w]."""
+    return torch.einsum("bdhw,kd->bkhw", share, displacements)
 
 
 def correlation(now: Tensor, before: Tensor) -> Tensor:

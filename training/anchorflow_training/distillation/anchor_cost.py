@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from anchorflow_models import L2Config
 from anchorflow_models.generation.clearance_map import ClearanceMap
 from anchorflow_models.generation.scenes import basis_of
+from anchorflow_models.layers.in_float32 import in_float32
 from anchorflow_trajectory.cost import TURN, CostWeights
 from anchorflow_trajectory.cost_fields import RISK, TRAVERSABILITY
 from anchorflow_trajectory.cost_kernels import DEEP
@@ -44,18 +45,18 @@ class AnchorCost(nn.Module):
             tensor = torch.from_numpy(array.copy()).float()
             self.register_buffer(name, tensor, persistent=False)
 
+    @in_float32
     def forward(self, states: Tensor, inputs: Mapping[str, Tensor], reference_s: Tensor) -> Tensor:
         """J [B, N] of states [B, N, T, 3D + 1]: p, p', p'' in own time [m], and log duration.
 
         inputs: of encode; reference_s: [B] s, as of `TrajectoryCost`
         """
-        with torch.autocast(states.device.type, enabled=False):
-            states = states.float()
-            horizon_s = inputs["limits"][:, 3:]
-            duration = torch.exp(states[..., -1].mean(-1))
-            duration = torch.where(horizon_s > 0, horizon_s, duration)
-            samples = self._fitted(states[..., :-1], inputs, duration) @ self.stacked
-            return self._cost(samples.unflatten(-1, (4, -1)), duration, inputs, reference_s)
+        states = states.float()
+        horizon_s = inputs["limits"][:, 3:]
+        duration = torch.exp(states[..., -1].mean(-1))
+        duration = torch.where(horizon_s > 0, horizon_s, duration)
+        samples = self._fitted(states[..., :-1], inputs, duration) @ self.stacked
+        return self._cost(samples.unflatten(-1, (4, -1)), duration, inputs, reference_s)
 
     def _fitted(self, states: Tensor, inputs: Mapping[str, Tensor], duration: Tensor) -> Tensor:
         """Control points [B, N, D, K] that meet both ends and lie nearest to [B, N, T, 3D]."""

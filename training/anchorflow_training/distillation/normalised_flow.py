@@ -14,7 +14,7 @@ from torch import Tensor
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation.integrate import Stage, integrate
-from anchorflow_training.objective import METRIC
+from anchorflow_models.layers.in_float32 import in_float32
 from anchorflow_trajectory.ode.method import Method
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
 from anchorflow_trajectory.ode.tableau import EULER, MIDPOINT
@@ -33,9 +33,7 @@ class NormalisedFlow:
     @staticmethod
     def of(model: L2SafetyCFM, inputs: Mapping[str, Tensor], prior_mean: Tensor) -> NormalisedFlow:
         """inputs: of encode"""
-        context = model.encode(**inputs)
-        context |= {name: context[name].float() for name in METRIC}
-        return NormalisedFlow(model, context, prior_mean)
+        return NormalisedFlow(model, model.encode(**inputs), prior_mean)
 
     def velocity(self, z: Tensor, t: Tensor) -> Tensor:
         """dz/dt [B, N, T, S] at z and flow times t, [B, N] or [1] for all."""
@@ -65,13 +63,11 @@ class NormalisedFlow:
 
     def in_si(self, z: Tensor) -> Tensor:
         """States in SI and the map's frame."""
-        with torch.autocast(z.device.type, enabled=False):
-            return self.prior_mean + self.model.prior.to_si(z.float(), self.context["si_units"])
+        return self.prior_mean + self.model.prior.to_si(z.float(), self.context["si_units"])
 
     def normalised(self, x: Tensor) -> Tensor:
         """The inverse of `in_si`."""
-        with torch.autocast(x.device.type, enabled=False):
-            return self.model.prior.normalise(x - self.prior_mean, self.context["units"])
+        return self.model.prior.normalise(x - self.prior_mean, self.context["units"])
 
 
 def start_states(model: L2SafetyCFM) -> Tensor:
@@ -79,16 +75,16 @@ def start_states(model: L2SafetyCFM) -> Tensor:
     return model.prior.disturbed(model.prior.factor) / model.prior.spread
 
 
+@in_float32
 def started(model: L2SafetyCFM, noise: Tensor, limits: Tensor) -> Tensor:
-    """z_0 [B, N, T, S] of noise [B or 1, N, R]; in float32 under autocast too.
+    """z_0 [B, N, T, S] of noise [B or 1, N, R].
 
     limits: [B, 4]; where they have a horizon, no duration is drawn
     """
-    with torch.autocast(noise.device.type, enabled=False):
-        drawn = torch.tensordot(noise, start_states(model), 1)
-        scale = drawn.new_ones(len(limits), drawn.shape[-1])
-        scale[:, -1] = (limits[:, 3] <= 0).to(drawn)
-        return drawn * scale[:, None, None]
+    drawn = torch.tensordot(noise, start_states(model), 1)
+    scale = drawn.new_ones(len(limits), drawn.shape[-1])
+    scale[:, -1] = (limits[:, 3] <= 0).to(drawn)
+    return drawn * scale[:, None, None]
 
 
 def drawn(

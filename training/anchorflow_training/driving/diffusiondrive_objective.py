@@ -30,7 +30,7 @@ from anchorflow_training.driving.diffusiondrive_losses import (
     advantages,
     pose_distance,
 )
-from anchorflow_training.driving.likeness import distances, likeness_loss, shares
+from anchorflow_training.driving.likeness import by_shares, distances, likeness_loss, shares
 from anchorflow_training.driving.pdm_judge import Judge, judged
 from anchorflow_training.driving.perception_losses import (
     agent_loss,
@@ -209,8 +209,8 @@ class DiffusionDriveObjective(nn.Module):
         share = examples(batch, speeds)
         classes, poses = [], []
         for made in model.denoiser(x_t, level.to(noise.dtype), seen.scene):
-            classes.append(share @ F.cross_entropy(made.logits, winner, reduction="none"))
-            poses.append(share @ pose_distance(made.trajectories[rows, winner], future))
+            classes.append(by_shares(share, F.cross_entropy(made.logits, winner, reduction="none")))
+            poses.append(by_shares(share, pose_distance(made.trajectories[rows, winner], future)))
         return {
             **self._motion(seen, batch),
             "classes": torch.stack(classes).mean(),
@@ -291,7 +291,7 @@ class DiffusionDriveObjective(nn.Module):
         """
         judged = [(coarse, apart), *((scored, apart.gather(1, kept)) for scored in fine)]
         losses = [
-            share @ likeness_loss(scored.imitation, distance, over=self.config.likeness)
+            by_shares(share, likeness_loss(scored.imitation, distance, over=self.config.likeness))
             for scored, distance in judged
             if scored.imitation is not None
         ]

@@ -124,9 +124,8 @@ class GoalFlowObjective(nn.Module):
         """The loss, and the poses [B, N, T, 3] that are expected of x_t."""
         model, targets = self.model, batch["targets"]
         mean = self.begun(targets, batch["status"], context, jitter)
-        spread = (noise @ model.basis()[0]).unflatten(-1, mean.shape[2:])
         x_1 = torch.cat([targets, mean[..., POSE:]], -1)
-        x_t, _ = interpolate(mean + spread, x_1, t)
+        x_t, _ = interpolate(model.draw(noise, mean), x_1, t)
         modulation = model.modulate(t, context)[..., 1:]
         expected = model.expected(x_t, mean, modulation, context)
         # u - u* = (expected - x_1) / (1 - t)

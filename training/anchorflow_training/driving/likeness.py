@@ -17,6 +17,11 @@ def shares(counted: Tensor) -> Tensor:
     return counted / counted.sum().clamp(min=1.0)
 
 
+def by_shares(share: Tensor, losses: Tensor) -> Tensor:
+    """The mean of losses [B] by shares [B]; no product, which autocast would round."""
+    return (share * losses).sum()
+
+
 def likeness_loss(logits: Tensor, distance: Tensor, *, over: float) -> Tensor:
     """Cross-entropy [B] of logits [B, M] with soft labels, which fall by e over so many metres."""
     labels = (-distance / over).softmax(-1)

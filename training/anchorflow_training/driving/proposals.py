@@ -88,7 +88,7 @@ def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArra
     flowing = ways[:, ways[0, :, 0, POSE] != SETTLED]
     mean = torch.cat([ways, flowing.repeat(1, PER_WAY - 1, 1, 1)], 1)
     noise = torch.randn(*mean.shape[:2], POSE * model.config.num_steps, generator=generator)
-    x_0 = mean + (noise @ model.basis()[0]).unflatten(-1, mean.shape[2:])
+    x_0 = model.draw(noise, mean)
     x_1 = x_0 + model.field(x_0, mean, model.modulate(torch.zeros(1), context)[:, 0], context)
     return x_1[0, ..., :POSE].numpy()
 

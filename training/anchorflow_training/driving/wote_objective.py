@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from anchorflow_models.layers.standstill import standing_still
 from anchorflow_models.sub_scores import pdm_score
 from anchorflow_models.wote import Moved, WoTE
-from anchorflow_training.driving.likeness import distances, likeness_loss, shares
+from anchorflow_training.driving.likeness import by_shares, distances, likeness_loss, shares
 from anchorflow_training.driving.pdm_judge import Judge, judged
 from anchorflow_training.driving.perception_losses import (
     agent_loss,
@@ -108,10 +108,11 @@ class WoteObjective(nn.Module):
         share, recorded = shares(batch["is_example"]), shares(batch["is_recorded"])
         future_semantics = model.future_semantic_logits(imagined.future[:, 0])
         terms = {
-            "offset": share @ (refined - batch["future"]).abs().mean((1, 2)),
-            "offset_imitation": share @ self._likeness(moved.logits, distance),
-            "imitation": share
-            @ self._likeness(imagined.imitation, distances(poses, batch["future"])),
+            "offset": by_shares(share, (refined - batch["future"]).abs().mean((1, 2))),
+            "offset_imitation": by_shares(share, self._likeness(moved.logits, distance)),
+            "imitation": by_shares(
+                share, self._likeness(imagined.imitation, distances(poses, batch["future"]))
+            ),
             "simulation": sub_score_loss(imagined.simulation, pdm)
             if config.conditional
             else F.binary_cross_entropy_with_logits(imagined.simulation, pdm),
@@ -121,7 +122,9 @@ class WoteObjective(nn.Module):
             "semantics": focal_loss(seen.semantic_logits, batch["semantics"]).mean(),
             "occupancy": occupancy_loss(seen.occupancy_logits, batch["occupancy"]),
             # The first that is judged is the nearest to what was driven.
-            "future_semantics": recorded @ focal_loss(future_semantics, batch["future_semantics"]),
+            "future_semantics": by_shares(
+                recorded, focal_loss(future_semantics, batch["future_semantics"])
+            ),
         }
         if config.rank:
             scores = pdm_score(imagined.simulation.sigmoid())
