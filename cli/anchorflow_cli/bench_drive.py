@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from anchorflow_benchmarks.driving.bundle_driver import BundleDriver
+from anchorflow_benchmarks.driving.bundle_driver import open_drivers
 from anchorflow_benchmarks.driving.open_loop import (
     ENTRIES,
     Entry,
@@ -58,12 +58,12 @@ def drive(
     """Score drivers and bundles on recorded logs with the PDM score; tables and plans."""
     found = read_logs(logs)
     chosen = {} if drivers == "none" else named_drivers(drivers.split(","))
-    for folder in bundle or []:
-        for sampler in samplers.split(","):
-            driver = BundleDriver(folder, num=num, sampler=sampler, threads=threads)
-            ways = (driver, driver.along_route()) if along_route else (driver,)
-            seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
-            chosen |= {each.name: Entry(each) for each in seeded}
+    for driver in open_drivers(
+        bundle or [], num=num, samplers=samplers.split(","), threads=threads
+    ):
+        ways = (driver, driver.along_route()) if along_route else (driver,)
+        seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
+        chosen |= {each.name: Entry(each) for each in seeded}
     windows = sum(log.windows for log in found)
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from anchorflow_benchmarks.driving.bundle_driver import BundleDriver
+from anchorflow_benchmarks.driving.bundle_driver import open_drivers
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_cli.bench_options import (
     RESULTS,
@@ -60,8 +60,7 @@ def drive_closed_loop(
         if name not in BASELINES:
             raise BenchmarkError(f"expected drivers among {', '.join(BASELINES)}, got {name!r}")
     chosen = baselines(names)
-    for folder in bundle or []:
-        driver = BundleDriver(folder, num=num, threads=threads)
+    for driver in open_drivers(bundle or [], num=num, threads=threads):
         for each in (driver, driver.along_route()) if along_route else (driver,):
             chosen[each.name] = each
     if keep is not None:

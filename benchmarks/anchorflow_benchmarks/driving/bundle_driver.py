@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.planners import bundle_names
 from anchorflow_benchmarks.samplers import CARD, parse_sampler
 from anchorflow_client.contract import (
     AnchorBatch,
@@ -66,7 +69,7 @@ class Proposals:
 
 class BundleDriver:
     """Drives by the proposal with the highest score, of `num` or as many as there are; is told no
-    route.
+    route. Its name begins with the card's where none is given.
 
     Raises:
         BundleError: the bundle is broken.
@@ -75,7 +78,13 @@ class BundleDriver:
     """
 
     def __init__(
-        self, folder: Path, *, num: int, sampler: str = CARD, threads: int | None = None
+        self,
+        folder: Path,
+        *,
+        num: int,
+        name: str = "",
+        sampler: str = CARD,
+        threads: int | None = None,
     ) -> None:
         bundle = load_bundle(folder)
         card = bundle.card
@@ -97,7 +106,8 @@ class BundleDriver:
         self._told = [name for name in told if name in extras]
         self._inputs = [spec for spec in card.inputs if spec.name != ROUTE]
         self._route = [spec for spec in card.inputs if spec.name == ROUTE]
-        self.name = card.name if sampler == CARD else f"{card.name}_{sampler.replace(':', '_')}"
+        name = name or card.name
+        self.name = name if sampler == CARD else f"{name}_{sampler.replace(':', '_')}"
         self._by_route = False
         self._draws_noise = not isinstance(card.sampler, VocabularySpec)
         self._client = LocalClient(Engine(bundle, threads=threads))
@@ -158,6 +168,21 @@ class BundleDriver:
         if self._by_route and not self._route:
             return answer.best_along(window.view.route.points)
         return int(answer.best)
+
+
+def open_drivers(
+    folders: Sequence[Path], *, num: int, samplers: Sequence[str] = (CARD,), threads: int | None
+) -> list[BundleDriver]:
+    """One of each bundle and sampler; bundles of one name are told apart as `bundle_names` does,
+    in what a file's name may hold. Raises as `BundleDriver`.
+    """
+    told = bundle_names([load_bundle(folder) for folder in folders])
+    names = [re.sub(r"[^\w.-]+", "_", name).strip("_") for name in told]
+    return [
+        BundleDriver(folder, num=num, name=name, sampler=sampler, threads=threads)
+        for folder, name in zip(folders, names, strict=True)
+        for sampler in samplers
+    ]
 
 
 def _doubles(answer: AnchorBatch, name: str) -> Array | None:

@@ -24,12 +24,14 @@ from anchorflow_driving.route import Route
 from anchorflow_driving.simulation.demand import make_demand
 from anchorflow_driving.simulation.driven_log import DrivenLog
 from anchorflow_driving.simulation.driven_motion import (
-    comfortable_share,
+    comfortable_stretches,
     first_steps,
+    joined,
     state_after,
 )
 from anchorflow_driving.simulation.live_traffic import LiveTraffic, Seen
 from anchorflow_driving.simulation.road_net import RoadNet
+from anchorflow_driving.simulation.route_progress import RouteProgress
 from anchorflow_driving.simulation.routes import line_ahead
 from anchorflow_driving.simulation.simulated_log import NO_WINDOWS, map_fields
 from anchorflow_driving.simulation.standing import all_that_stands
@@ -73,15 +75,18 @@ class ClosedLoopConfig:
 
 @dataclass(frozen=True)
 class RouteResult:
-    """What happened on a route, which ends with the first of completed, collision, off road, time.
+    """What happened on a route, which ends with the first of its outcomes.
 
-    comfortable: share of its stretches of 4 s
+    outcome: completed, collision, off road, off route or time
+    progress_m: of the route, that was passed; driven_m: wherever that was
+    comfortable: of each stretch of 4 s, one after the other, and of the last 4 s
     """
 
     outcome: str
+    progress_m: float
     driven_m: float
     seconds: float
-    comfortable: float
+    comfortable: list[bool] = field(repr=False)
     plan_ms: list[float] = field(repr=False)
 
 
@@ -197,7 +202,7 @@ class _Drive:
         self._scenes, self._line, self._net, self._noted = scenes, line, net, noted
         self._vehicle = Vehicle(*traffic.size_of(ego))
         self._touched: set[str] = set()
-        self._place = self._begin = round(BEHIND / SPACING)
+        self._progress = RouteProgress(line, begin=BEHIND)
         self._motions: list[Motion] = []
         self._plan_ms: list[float] = []
         self._limit = 13.9
@@ -215,14 +220,16 @@ class _Drive:
             if fault is not None:
                 outcome = fault
                 break
-            if self._driven() >= self._config.length_m:
+            if self._progress.passed >= self._config.length_m:
                 outcome = "completed"
                 break
+        driven = joined(self._motions)
         result = RouteResult(
             outcome=outcome,
-            driven_m=self._driven(),
-            seconds=sum(m.speed.shape[1] - 1 for m in self._motions) * FRAME_S,
-            comfortable=comfortable_share(self._motions),
+            progress_m=self._progress.passed,
+            driven_m=float(np.abs(driven.speed[:, 1:]).sum()) * FRAME_S,
+            seconds=(driven.speed.shape[1] - 1) * FRAME_S,
+            comfortable=comfortable_stretches(driven),
             plan_ms=list(self._plan_ms),
         )
         for _ in range(math.ceil(on_s / self._config.replan_s)):
@@ -231,9 +238,6 @@ class _Drive:
             state = state_after(motion, stride)
         return result
 
-    def _driven(self) -> float:
-        return (self._place - self._begin) * SPACING
-
     def _window(self, state: EgoState | None) -> LiveWindow:
         seen = self._traffic.seen()
         lane, _ = self._traffic.lane_of(self._ego)
@@ -241,8 +245,8 @@ class _Drive:
             self._limit = self._net.lanes[lane].speed
         ego = seen.names.index(self._ego)
         middle = seen.states[ego, -1]
-        self._advance(middle[:2])
-        now, speed = self._place * SPACING, float(np.hypot(*middle[3:]))
+        self._progress.advance(middle[:2])
+        now, speed = self._progress.place, float(np.hypot(*middle[3:]))
         begin, end = (round((now + away) / SPACING) for away in (-BEHIND, AHEAD))
         route = self._line[max(begin, 0) : end]
         asked = command(self._line, now, now + COMMAND_S * speed)
@@ -276,7 +280,7 @@ class _Drive:
         self._motions.append(driven)
         seen = self._traffic.seen()
         ego = seen.names.index(self._ego)
-        self._advance(seen.states[ego, -1, :2])
+        self._progress.advance(seen.states[ego, -1, :2])
         kept = [
             i
             for i in range(len(seen.states))
@@ -285,11 +289,12 @@ class _Drive:
         others = Others(seen.states[kept, -stride - 1 :], seen.size[kept], seen.kind[kept])
         scene = _scene(self._scenes.road, self._vehicle, others, self._line)
         placement = Placement(driven, self._vehicle, self._scenes.road)
-        if placement.off_road.any():
-            return "off road"
-        fault, _ = no_collision(driven, scene, placement)
-        if fault[0] < 1:
-            return "collision"
+        off_road = np.append(np.flatnonzero(placement.off_road[0]), np.inf)[0]
+        _, (collision,) = no_collision(driven, scene, placement)
+        if np.isfinite(min(collision, off_road)):
+            return "collision" if collision <= off_road else "off road"
+        if self._progress.is_lost:
+            return "off route"
         contacts = find_contacts(driven, scene, ahead=0)
         self._touched |= {self._name(seen, kept[i]) for i in contacts.track.tolist()}
         return None
@@ -299,12 +304,6 @@ class _Drive:
         return (
             seen.names[index] if index < len(seen.names) else f"standing {index - len(seen.names)}"
         )
-
-    def _advance(self, middle: Array) -> None:
-        """The nearest place on the route not far from the last one: a route may cross itself."""
-        low = max(self._place - 20, 0)
-        near = self._line[low : self._place + 80]
-        self._place = low + int(np.linalg.norm(near - middle, axis=1).argmin())
 
 
 def _bare_log(fields: dict) -> DrivingLog:

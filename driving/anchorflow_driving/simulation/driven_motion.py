@@ -8,16 +8,12 @@ from anchorflow_driving.pdm.comfort import comfort
 from anchorflow_driving.pdm.tracker import STEPS, Motion
 from anchorflow_driving.window import EgoState
 
+QUANTITIES = ("poses", "speed", "acceleration", "yaw_rate")
+
 
 def first_steps(motion: Motion, steps: int) -> Motion:
     """The motion's start and as many steps."""
-    cut = slice(0, steps + 1)
-    return Motion(
-        motion.poses[:, cut],
-        motion.speed[:, cut],
-        motion.acceleration[:, cut],
-        motion.yaw_rate[:, cut],
-    )
+    return _cut(motion, slice(0, steps + 1))
 
 
 def state_after(motion: Motion, step: int) -> EgoState:
@@ -31,12 +27,20 @@ def state_after(motion: Motion, step: int) -> EgoState:
     )
 
 
-def comfortable_share(motions: list[Motion]) -> float:
-    """Share of the stretches of 4 s, one after the other, that are comfortable."""
-    whole = [
-        np.concatenate([getattr(m, name)[:, 1:] for m in motions], axis=1)
-        for name in ("poses", "speed", "acceleration", "yaw_rate")
-    ]
-    begins = range(0, whole[0].shape[1] - STEPS, STEPS)
-    parts = [Motion(*(each[:, begin : begin + STEPS + 1] for each in whole)) for begin in begins]
-    return float(np.mean([comfort(part)[0] for part in parts])) if parts else float("nan")
+def joined(motions: list[Motion]) -> Motion:
+    """Motions that each begin where the one before ends, as one."""
+    parts = [motions[0], *(_cut(motion, slice(1, None)) for motion in motions[1:])]
+    return Motion(*(np.concatenate([getattr(p, n) for p in parts], axis=1) for n in QUANTITIES))
+
+
+def comfortable_stretches(driven: Motion) -> list[bool]:
+    """Whether each stretch of 4 s is comfortable, one after the other; what is left over is judged
+    with what was before it, as a stretch that ends with the drive. A shorter drive has none.
+    """
+    last = driven.speed.shape[1] - 1 - STEPS
+    begins = sorted({*range(0, last + 1, STEPS), last} if last >= 0 else ())
+    return [bool(comfort(_cut(driven, slice(b, b + STEPS + 1)))[0]) for b in begins]
+
+
+def _cut(motion: Motion, steps: slice) -> Motion:
+    return Motion(*(getattr(motion, name)[:, steps] for name in QUANTITIES))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from driven_bend import bend
 from image_planner import write_image_bundle
 
 from anchorflow_benchmarks.driving import bundle_driver
-from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals
+from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals, open_drivers
 from anchorflow_benchmarks.driving.open_loop import Entry, drive_tables, judge_drivers, write_plans
 from anchorflow_benchmarks.driving.proposals import proposal_figures
 from anchorflow_benchmarks.driving.rewards import (
@@ -205,3 +206,11 @@ def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(
 def test_a_sampler_that_there_is_not_is_named() -> None:
     with pytest.raises(BenchmarkError, match="METHOD:uniformN"):
         BundleDriver(GOALFLOW, num=4, sampler="often")
+
+
+def test_bundles_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
+    copy = shutil.copytree(GOALFLOW, tmp_path / "another")
+
+    drivers = open_drivers([GOALFLOW, copy], num=N, threads=1)
+
+    assert [driver.name for driver in drivers] == ["goalflow_goalflow", "goalflow_another"]

@@ -23,10 +23,11 @@ def test_the_table_counts_how_routes_ended() -> None:
     )
 
     results = [
-        RouteResult("completed", 300.0, 40.0, 1.0, [2.0, 4.0]),
-        RouteResult("completed", 300.0, 50.0, 0.5, [3.0]),
-        RouteResult("collision", 150.0, 20.0, 0.75, [3.0]),
-        RouteResult("off road", 50.0, 3.0, float("nan"), [9.0]),
+        RouteResult("completed", 301.0, 300.0, 40.0, [True, True], [2.0, 4.0]),
+        RouteResult("completed", 300.0, 300.0, 50.0, [True, False], [3.0]),
+        RouteResult("collision", 150.0, 150.0, 20.0, [True], [3.0]),
+        RouteResult("off road", 30.0, 50.0, 3.0, [], [9.0]),
+        RouteResult("off route", 60.0, 200.0, 30.0, [False], [3.0]),
     ]
 
     table = routes_table({"somebody": results}, ClosedLoopConfig())
@@ -34,12 +35,14 @@ def test_the_table_counts_how_routes_ended() -> None:
     assert table.rows == [
         {
             "driver": "somebody",
-            "completed": 0.5,
-            "collisions/km": pytest.approx(1.25),
-            "off road/km": pytest.approx(1.25),
+            "completed": 0.4,
+            "progress": pytest.approx(0.56),
+            "collisions/km": pytest.approx(1.0),
+            "off road/km": pytest.approx(1.0),
+            "off route": 1,
             "out of time": 0,
-            "km": pytest.approx(0.8),
-            "comfort": pytest.approx(0.75),
+            "km": pytest.approx(1.0),
+            "comfort": pytest.approx(4 / 6),
             "s": 45.0,
             "ms": 3.0,
         }
