@@ -85,7 +85,7 @@ def export(
         "refine_rate": refine_rate,
     }
     asked = {name: value for name, value in asked.items() if value is not None}
-    check_used(saved.planner, asked)
+    check_used(saved.planner, [*asked, *(["int8"] if int8 else [])])
     asked["sampler"] = _sampler(method, schedule, student_schedule(saved))
     choices = ExportChoices(**{**_limits(saved), **asked})
     description = BundleDescription(

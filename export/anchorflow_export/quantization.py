@@ -31,7 +31,7 @@ from anchorflow_export.planners.flowmp.adapter import SAMPLE_TRIAL
 from anchorflow_export.planners.flowmp.scenes import random_scenes
 from anchorflow_service.bundle import Bundle, load_bundle
 from anchorflow_service.bundle.graphs import open_graph
-from anchorflow_service.bundle.manifest import FILE_NAME, GraphEntry
+from anchorflow_service.bundle.manifest import FILE_NAME, CostMapEntry, GraphEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.parts import Arrays
 from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
@@ -52,12 +52,14 @@ def quantize_bundle(path: Path) -> Difference:
 
     Raises:
         BundleError: there is no sound bundle at that path, which stays what it is.
-        ExportError: the bundle draws its anchors without a field.
+        ExportError: the bundle has no field that flows over a cost map.
     """
     bundle = load_bundle(path)
-    if "field" not in bundle.manifest.graphs:
-        kind = bundle.manifest.sampler.kind
-        raise ExportError(f"int8: expected a bundle with a field, as of kind ode, got {kind}")
+    sampler, conditioning = bundle.manifest.sampler.kind, bundle.manifest.conditioning.kind
+    if not isinstance(bundle.manifest.conditioning, CostMapEntry) or sampler != "ode":
+        raise ExportError(
+            f"int8: expected a bundle with a field over a cost map, got {sampler} on {conditioning}"
+        )
     with into_place(path) as folder:
         shutil.copytree(path, folder, dirs_exist_ok=True)
         scenes = random_scenes(bundle, CALIBRATION, TRIAL_SHAPE, seed=1)

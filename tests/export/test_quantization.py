@@ -13,9 +13,11 @@ import pytest
 
 from anchorflow_client.contract import OdeSpec
 from anchorflow_export.bundle import export_bundle
+from anchorflow_export.errors import ExportError
+from anchorflow_export.planners import check_used
 from anchorflow_export.planners.flowmp.scenes import random_scenes
 from anchorflow_export.quantization import quantize_bundle
-from anchorflow_service.bundle import BundleError, load_bundle
+from anchorflow_service.bundle import DEFAULT_BUNDLE, BundleError, load_bundle
 from anchorflow_service.engine.samplers.ode import OdeSampler
 
 
@@ -80,3 +82,17 @@ def test_a_broken_bundle_stays_as_it_is(bundle: Path) -> None:
     with pytest.raises(BundleError, match=r"field\.onnx"):
         quantize_bundle(bundle)
     assert {path.name: path.read_bytes() for path in bundle.iterdir()} == before
+
+
+def test_a_bundle_without_a_cost_map_is_refused(tmp_path: Path) -> None:
+    goalflow = shutil.copytree(DEFAULT_BUNDLE.parent / "goalflow", tmp_path / "goalflow")
+    with pytest.raises(
+        ExportError, match="with a field over a cost map, got ode"
+    ):
+        quantize_bundle(goalflow)
+
+
+def test_a_planner_without_a_cost_map_has_no_use_for_eight_bits() -> None:
+    check_used("flowmp", ["int8"])
+    with pytest.raises(ExportError, match=r"goalflow has a use for .* got int8"):
+        check_used("goalflow", ["int8"])

@@ -1,5 +1,6 @@
 """The expert's data: solved, every way round, the same bytes from any number of workers."""
 
+import shutil
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from anchorflow_training.dataset import (
     DTYPES,
     DatasetError,
     SceneDataset,
+    create_arrays,
     open_dataset,
     own_time_states,
 )
@@ -263,3 +265,12 @@ def test_a_broken_dataset_names_its_file(dataset: SceneDataset, tmp_path: Path) 
     (tmp_path / "dataset.json").unlink()
     with pytest.raises(DatasetError, match=r"dataset\.json"):
         open_dataset(tmp_path)
+
+
+def test_a_folder_that_is_written_anew_is_no_dataset_until_it_is_whole(
+    dataset: SceneDataset, tmp_path: Path
+) -> None:
+    again = Path(shutil.copytree(dataset.path, tmp_path / "again"))
+    create_arrays(again, {name: array.shape for name, array in dataset.arrays.items()})
+    with pytest.raises(DatasetError, match="expected a dataset"):
+        open_dataset(again)

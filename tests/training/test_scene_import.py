@@ -178,6 +178,16 @@ def test_given_ends_are_taken(tmp_path: Path) -> None:
     np.testing.assert_allclose(scenes.arrays["x_goal"], goal)
 
 
+def test_a_heading_that_is_given_for_an_end_runs_on_as_those_between(tmp_path: Path) -> None:
+    positions = straight_lines([3.0], dim=3)
+    heading = np.linspace(3.0, 3.6, STEPS)
+    positions[0, :, 2] = (heading + np.pi) % (2 * np.pi) - np.pi
+    goal = np.concatenate([positions[:, -1], np.zeros((1, 3))], -1)
+    np.savez(tmp_path / "h.npz", positions=positions, dt=0.1, goal_states=goal)
+    scenes = imported(tmp_path / "h.npz", tmp_path / "out")
+    np.testing.assert_allclose(scenes.arrays["x_goal"][0, 2], 3.6, atol=1e-5)
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_samples_without_a_map_get_an_empty_one(dim: int, tmp_path: Path) -> None:
     positions = straight_lines([0.0, 1.0], dim=dim)

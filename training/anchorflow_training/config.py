@@ -40,7 +40,9 @@ class JudgeConfig:
 class HeldOutConfig(JudgeConfig):
     """A judge of what the run keeps from training."""
 
-    held_out: int = setting(0, "Last scenes of the dataset, kept from training.", least=0)
+    held_out: int = setting(
+        0, "Last scenes of the dataset, kept from training; of driving logs whole ones.", least=0
+    )
 
 
 @dataclass(frozen=True)

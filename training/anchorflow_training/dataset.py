@@ -270,6 +270,8 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
     arrays = {}
     try:
         path.mkdir(parents=True, exist_ok=True)
+        # Until it is written anew, what is cut off is no dataset.
+        (path / "dataset.json").unlink(missing_ok=True)
         for name, dtype in (DTYPES | OPTIONAL_DTYPES).items():
             file = path / f"{name}.npy"
             if name in shapes:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from anchorflow_training.batches import BatchConfig
 from anchorflow_training.config import CostMapRunConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
@@ -31,15 +34,29 @@ def split(
     return training, judged
 
 
-def left_to_learn(count: int, *, of: str, held_out: int, batch: BatchConfig) -> int:
-    """How many of `count`, which `of` names, are trained on; raises `ConfigError` if too few."""
+def left_to_learn(
+    count: int,
+    *,
+    of: str,
+    held_out: int,
+    batch: BatchConfig,
+    log: NDArray[np.integer] | None = None,
+) -> int:
+    """How many of `count`, which `of` names, are trained on; raises `ConfigError` if too few.
+
+    log: [count], ascending: the log of each. None is parted, since its windows show one another's
+        futures: the one that `held_out` reaches into is held out whole
+    """
     if held_out >= count:
         raise ConfigError(f"evaluation.held_out: expected less than {count}, {of}, got {held_out}")
     left = count - held_out
+    less = "evaluation.held_out"
+    if log is not None and held_out:
+        left = int(np.searchsorted(log, log[left]))
+        less = f"the logs of {less}"
     if left < batch.scenes:
         raise ConfigError(
-            f"batch.scenes: expected at most {left}, {of} less evaluation.held_out, "
-            f"got {batch.scenes}"
+            f"batch.scenes: expected at most {left}, {of} less {less}, got {batch.scenes}"
         )
     return left
 

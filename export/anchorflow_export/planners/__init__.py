@@ -23,15 +23,16 @@ ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
 """By the name in the registry of planners: from a network to its adapter."""
 
 USES: Mapping[str, tuple[str, ...]] = {
-    "flowmp": tuple(ExportChoices.__dataclass_fields__),
+    "flowmp": (*ExportChoices.__dataclass_fields__, "int8"),
     "goalflow": ("sampler", "noise_scale"),
     "diffusiondrive": ("noise_scale",),
 }
-"""Which of the `ExportChoices` a planner has a use for; one that is not listed has for none."""
+"""Which of the `ExportChoices`, and of `quantize_bundle`, a planner has a use for; one that is not
+listed has for none."""
 
 
 def check_used(planner: str, names: Iterable[str]) -> None:
-    """Raise `ExportError` where a planner has no use for one of these `ExportChoices`."""
+    """Raise `ExportError` where a planner has no use for one of these choices."""
     used = USES.get(planner, ())
     for name in names:
         if name not in used:

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
 from anchorflow_client.contract import TensorSpec
 from anchorflow_client.sensors import LIDAR_BEFORE_S
-from anchorflow_models.transfuser import LIDAR_BEFORE, STATUS, TransfuserConfig
+from anchorflow_export.tracing import random_tensor
+from anchorflow_models.transfuser import LIDAR_BEFORE, MOTION, STATUS, TransfuserConfig
+from anchorflow_service.bundle import Bundle
 
 F32 = "float32"
+COMMANDS = MOTION.start  # of the ego status
 FASTEST = 60.0  # m/s, and m/s²: what a status may say
 
 
@@ -38,3 +45,16 @@ def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
         ),
         *([before] if backbone.lidar_before else []),
     )
+
+
+def random_sensors(bundle: Bundle, B: int, generator: torch.Generator) -> dict[str, Tensor]:
+    """Of the types and ranges that the bundle says; a command and a motion that a car may have."""
+    inputs = {
+        spec.name: random_tensor(spec, {"B": B}, generator=generator)
+        for spec in bundle.manifest.request.inputs
+    }
+    command = F.one_hot(torch.randint(COMMANDS, (B,), generator=generator), COMMANDS)
+    speed = 15.0 * torch.rand(B, 1, generator=generator)
+    rest = torch.randn(B, STATUS - COMMANDS - 1, generator=generator)
+    inputs["ego_status"] = torch.cat([command, speed, rest], -1)
+    return inputs

@@ -16,8 +16,6 @@ from anchorflow_trajectory.ddim import NoiseLevels
 
 POSES = 8
 FIRST_S = STEP_S = 0.5  # s
-POSE_TIMES = tuple(FIRST_S + STEP_S * pose for pose in range(POSES))
-"""s; a trajectory's poses are at 0.5 … 4.0 s."""
 
 FORETOLD_TIMES = foretold_times(POSES, STEP_S)
 """s, for which is foretold where others will be."""

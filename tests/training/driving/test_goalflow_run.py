@@ -66,6 +66,20 @@ def test_a_run_is_judged_and_its_checkpoint_restored(
     assert run.evaluations[-1]["best_ade_m"] < 20.0
 
 
+def test_a_log_that_is_judged_on_is_not_trained_on(windows: DrivingWindows, tmp_path: Path) -> None:
+    assert (windows.log == 1).sum() > 1  # of which one is asked for
+    run = GoalFlowRun(CONFIG, windows, tmp_path)
+    assert (set(run.windows.log), set(run.held_out.log)) == ({0}, {1})
+
+
+def test_all_that_is_judged_may_stand(
+    windows: DrivingWindows, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = GoalFlowRun(CONFIG, windows, tmp_path)
+    monkeypatch.setattr(run, "_judged", lambda *_: {"success": np.nan, "best_ade_m": 1.0})
+    assert run.evaluate(run.model)[0] == {"success": 0.0, "best_ade_m": 1.0}
+
+
 def test_a_batch_is_the_same_whenever_it_is_asked_for(
     windows: DrivingWindows, tmp_path: Path
 ) -> None:

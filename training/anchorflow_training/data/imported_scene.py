@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_training.data.derivatives import HEADING
 from anchorflow_training.data.trajectory_statistics import FIELDS
 from anchorflow_training.dataset import Row, scene_row
 from anchorflow_trajectory.cost import MotionLimits
@@ -106,7 +107,7 @@ def end_states(arrays: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray
     p, v, a = (arrays[name] for name in FIELDS)
     x_curr = arrays.get("start_states", np.concatenate([p[0], v[0], a[0]]))
     x_goal = arrays.get("goal_states", np.concatenate([p[-1], v[-1]]))
-    return x_curr, x_goal
+    return _turned_on(x_curr, p[0]), _turned_on(x_goal, p[-1])
 
 
 def empty_map(
@@ -128,6 +129,14 @@ def _basis(num_steps: int) -> SplineBasis:
     """As a model's by default, with fewer control points where there are fewer steps."""
     usual = spline_basis(num_steps).num_control_points
     return spline_basis(num_steps, num_control_points=min(usual, max(num_steps, LEAST_POINTS)))
+
+
+def _turned_on(state: FloatArray, end: FloatArray) -> FloatArray:
+    """The state, its heading, if there is one, by whole turns nearest to that of the end [D]."""
+    state = state.copy()
+    turn = 2 * np.pi
+    state[HEADING : len(end)] += turn * np.round((end - state[: len(end)])[HEADING:] / turn)
+    return state
 
 
 def _moved(state: FloatArray, by: FloatArray) -> FloatArray:

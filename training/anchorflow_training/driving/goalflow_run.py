@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import fmean
 from typing import Any, ClassVar
 
 import numpy as np
@@ -79,6 +81,7 @@ class GoalFlowRun(TrainingRun):
             of=f"the windows of {windows.path}",
             held_out=config.evaluation.held_out,
             batch=config.batch,
+            log=windows.log,
         )
         self.windows, self.held_out = windows.part(slice(first)), windows.part(slice(first, None))
         check_fixed(config.model, self.model_settings(windows), by="the windows")
@@ -197,8 +200,7 @@ class GoalFlowRun(TrainingRun):
         chosen = np.linspace(0, len(self.held_out) - 1, self.config.evaluation.scenes).astype(int)
         judge = self._chosen if self.learns_outcomes else self._judged
         rows = [judge(model, window) for window in np.unique(chosen)]
-        means = {name: float(np.nanmean([row[name] for row in rows])) for name in rows[0]}
-        return means, None
+        return {name: _mean([row[name] for row in rows]) for name in rows[0]}, None
 
     @torch.no_grad()
     def _judged(self, model: GoalFlow, window: int) -> dict[str, float]:
@@ -234,6 +236,11 @@ class GoalFlowRun(TrainingRun):
         held = self.held_out
         told = (held.rasters([window]), held.status[[window]], held.size[[window]])
         return [torch.from_numpy(each).to(device) for each in told]
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Of those that count; 0 where none does."""
+    return fmean([value for value in values if not math.isnan(value)] or [0.0])
 
 
 def _apart(points: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:

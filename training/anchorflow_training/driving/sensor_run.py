@@ -79,6 +79,7 @@ class SensorRun(TrainingRun):
             of="the windows of the logs",
             held_out=config.evaluation.held_out,
             batch=config.batch,
+            log=self.windows.log,
         )
         super().__init__(config, out)
 

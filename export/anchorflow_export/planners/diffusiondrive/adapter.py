@@ -13,8 +13,8 @@ from torch import Tensor, nn
 
 from anchorflow_client.contract import AnchorRequest, TensorSpec, resolve_for_card
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
-from anchorflow_export.planners.sensors import sensor_inputs
-from anchorflow_export.tracing import random_tensor, trace
+from anchorflow_export.planners.sensors import random_sensors, sensor_inputs
+from anchorflow_export.tracing import trace
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S
 from anchorflow_models.transfuser import AGENT_QUERIES, AGENT_STATE
@@ -160,7 +160,7 @@ class DiffusionDriveAdapter:
         """Every graph at several sizes, each fed from torch's own outputs."""
         for seed, trial in enumerate(TRIALS):
             generator = torch.Generator().manual_seed(seed)
-            inputs = _random_inputs(bundle, trial.B, generator)
+            inputs = random_sensors(bundle, trial.B, generator)
             yield from self._graph_trials(trial, inputs, generator)
 
     def _graph_trials(
@@ -179,7 +179,7 @@ class DiffusionDriveAdapter:
 
     def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
         """The engine's best of two scenes at every number of steps, beside torch's."""
-        inputs = _random_inputs(bundle, 2, torch.Generator().manual_seed(len(TRIALS)))
+        inputs = random_sensors(bundle, 2, torch.Generator().manual_seed(len(TRIALS)))
         sampler = TruncatedDiffusionSampler(bundle, threads=1, provider="cpu")
         count = min(SAMPLED, self.model.config.keep)
         for steps in SCHEDULES:
@@ -263,12 +263,3 @@ def _of_anchors(spec: TensorSpec) -> TensorSpec:
     """An output as the input of a later graph, where an axis that was computed has a name."""
     axes = tuple("M" if isinstance(a, str) and not a.isidentifier() else a for a in spec.shape)
     return TensorSpec(spec.name, spec.dtype, axes, spec.unit, spec.range)
-
-
-def _random_inputs(bundle: Bundle, B: int, generator: torch.Generator) -> Outputs:
-    inputs = {
-        spec.name: random_tensor(spec, {"B": B}, generator=generator)
-        for spec in bundle.manifest.request.inputs
-    }
-    inputs["ego_status"] = inputs["ego_status"] / 10  # m/s that are driven
-    return inputs

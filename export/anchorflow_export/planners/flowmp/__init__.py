@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 from anchorflow_client.contract import OdeSpec, uniform_schedule
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.planners.flowmp.adapter import FlowMPAdapter
@@ -15,8 +17,9 @@ DEFAULT_SAMPLER = OdeSpec("rk4", uniform_schedule(8))
 
 
 def flowmp_adapter(model: L2SafetyCFM, choices: ExportChoices) -> FlowMPAdapter:
-    """The adapter of a trained network, whose noise gets the spread that is asked for."""
+    """The adapter of a copy of a trained network, whose noise gets the spread that is asked for."""
     config, asked = model.config, choices.limits
+    model = deepcopy(model)
     model.prior.widen(choices.noise_scale)
     limits = LimitsEntry(
         horizon_s=asked.horizon_s,

@@ -17,10 +17,10 @@ from anchorflow_export.adapter import (
     SampleTrial,
     TracedGraph,
 )
-from anchorflow_export.planners.sensors import sensor_inputs
-from anchorflow_export.tracing import random_tensor, trace
+from anchorflow_export.planners.sensors import random_sensors, sensor_inputs
+from anchorflow_export.tracing import trace
 from anchorflow_models.sub_scores import SUB_SCORES
-from anchorflow_models.transfuser import AGENT_STATE, STATUS
+from anchorflow_models.transfuser import AGENT_STATE
 from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_models.wote.wote import POSE
 from anchorflow_service.bundle import Bundle
@@ -127,7 +127,7 @@ class WoteAdapter:
     def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
         """Both graphs at several B."""
         for B in TRIALS:
-            inputs = random_inputs(bundle, B)
+            inputs = random_sensors(bundle, B, torch.Generator().manual_seed(B))
             context = self.model.encode(**inputs)
             yield GraphTrial(f"encode at B={B}", "encode", inputs, context)
             given = {name: context[name] for name in self.model.context_for_score}
@@ -135,7 +135,7 @@ class WoteAdapter:
 
     def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
         """The engine's answer of a scene beside torch's, the best first."""
-        inputs = random_inputs(bundle, 1)
+        inputs = random_sensors(bundle, 1, torch.Generator().manual_seed(len(TRIALS)))
         request = AnchorRequest.build(
             inputs={name: tensor.numpy() for name, tensor in inputs.items()},
             num_samples=self.model.config.judged,
@@ -153,19 +153,6 @@ class WoteAdapter:
         yield SampleTrial("sample, trajectories", drawn.states, states[nearest])
         yield SampleTrial("sample, scores", got, scores[nearest], relative=True)
         yield SampleTrial("sample, the best first", got, -np.sort(-scores), relative=True)
-
-
-def random_inputs(bundle: Bundle, B: int) -> dict[str, Tensor]:
-    """Of the types and ranges that the bundle says; a status that a car may have."""
-    generator = torch.Generator().manual_seed(B)
-    inputs = {
-        spec.name: random_tensor(spec, {"B": B}, generator=generator)
-        for spec in bundle.manifest.request.inputs
-    }
-    inputs["ego_status"] = torch.zeros(B, STATUS)
-    inputs["ego_status"][:, 1] = 1.0
-    inputs["ego_status"][:, 4] = 15.0 * torch.rand(B, generator=generator)
-    return inputs
 
 
 def wote_adapter(model: WoTE, _choices: ExportChoices) -> WoteAdapter:

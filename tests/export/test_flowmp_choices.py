@@ -1,0 +1,19 @@
+"""What is chosen at export changes the bundle, not the network that it is made of."""
+
+from __future__ import annotations
+
+import torch
+
+from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.planners import adapter_of
+from anchorflow_models import L2Config, L2SafetyCFM
+
+
+def test_wider_noise_is_the_bundles_own() -> None:
+    model = L2SafetyCFM(L2Config(map_size=16, feature_channels=4))
+    before = model.prior.factor.clone()
+    choices = ExportChoices(noise_scale=1.4)
+    for _ in range(2):
+        adapted = adapter_of("flowmp", model, choices).model
+        torch.testing.assert_close(adapted.prior.factor, 1.4 * before)
+    torch.testing.assert_close(model.prior.factor, before)
