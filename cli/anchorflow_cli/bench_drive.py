@@ -68,8 +68,6 @@ def drive(
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)
     about = {"logs": f"{logs.name}: {len(found)} files, {windows} windows"}
-    if bundle:
-        about["proposals"] = f"{num} a window"
     report("Drive", about, [*drive_tables(judged), score_time_table(found)], out)
     for path in write_plans(judged, plans or out):
         say(str(path))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from time import perf_counter
 
 import numpy as np
@@ -202,13 +202,16 @@ def _distances(window: Window, plan: Array, times: Array) -> dict[str, float]:
 
 
 def _row(name: str, verdicts: Sequence[Judged]) -> Row:
-    figures = verdicts[0].figures if verdicts else {}
-    means = {
-        key: float(np.mean([v.figures[key] for v in verdicts]))
-        for key in figures
-        if key not in OF_GOALS
-    }
-    return {"driver": name, **means, "ms": median(v.ms for v in verdicts) if verdicts else None}
+    keys = [key for key in (verdicts[0].figures if verdicts else ()) if key not in OF_GOALS]
+    ms = median(v.ms for v in verdicts) if verdicts else None
+    return {"driver": name, **_means(verdicts, keys), "ms": ms}
+
+
+def _means(verdicts: Sequence[Judged], keys: Iterable[str]) -> dict[str, float]:
+    """Of the windows that have the figure; NaN where none has."""
+    values = {key: [v.figures[key] for v in verdicts] for key in keys}
+    there = {key: [one for one in all_ if one == one] for key, all_ in values.items()}
+    return {key: fmean(all_) if all_ else float("nan") for key, all_ in there.items()}
 
 
 def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
@@ -218,10 +221,7 @@ def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
         proposed = [verdict.proposals for verdict in verdicts if verdict.proposals]
         if not proposed:
             continue
-        mean = {
-            key: float(np.nanmean([verdict.figures[key] for verdict in verdicts]))
-            for key in ("PDMS", "oracle", "minADE", "rank")
-        }
+        mean = _means(verdicts, ("PDMS", "oracle", "minADE", "rank"))
         times = {
             "inputs ms": median(each.drawing_ms for each in proposed),
             "flow ms": median(each.flow_ms for each in proposed),
@@ -229,8 +229,7 @@ def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
         }
         rows.append({"driver": name, "N": len(proposed[0].trajectories), **mean, **times})
         if OF_GOALS[0] in verdicts[0].figures:
-            figures = {k: float(np.nanmean([v.figures[k] for v in verdicts])) for k in OF_GOALS}
-            of_goals.append({"driver": name, **figures})
+            of_goals.append({"driver": name, **_means(verdicts, OF_GOALS)})
     tables = [
         ResultTable("Proposals", rows, PROPOSALS_NOTE) if rows else None,
         ResultTable("Goals", of_goals, GOALS_NOTE) if of_goals else None,
@@ -274,10 +273,7 @@ def _by_log(judged: Mapping[str, Sequence[Judged]]) -> ResultTable:
     for log in logs:
         of_log = {name: [v for v in all_ if v.log == log] for name, all_ in judged.items()}
         count = len(next(iter(of_log.values())))
-        means = {
-            name: float(np.mean([v.figures["PDMS"] for v in verdicts]))
-            for name, verdicts in of_log.items()
-        }
+        means = {name: _means(all_, ("PDMS",))["PDMS"] for name, all_ in of_log.items()}
         rows.append({"log": log, "windows": count, **means})
     return ResultTable("PDMS by log", rows, "Windows of one log overlap in time.")
 

@@ -37,7 +37,7 @@ from anchorflow_service.engine.samplers.ode import OdeSampler
 
 F32 = "float32"
 COMPONENTS = ("x", "y", "heading")
-SIZES = ((1, 1, 3), (3, 5, 1))  # B, N and K of the trials; traced at others
+SIZES = ((1, 7, 3), (3, 5, 1))  # B, N and K of the trials; traced at others
 SAMPLED = 9  # anchors, enough for two slices
 SEED = 11
 # m/s and m/s² of random cars.
