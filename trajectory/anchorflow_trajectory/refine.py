@@ -13,6 +13,7 @@ from anchorflow_trajectory.bisection import bisect_to_safe
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.cost import TrajectoryCost
+from anchorflow_trajectory.rescue import beginnings
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import Splines
 from anchorflow_trajectory.verify import are_safe, path_clearance, required_clearance, verify
@@ -26,8 +27,9 @@ DESCENT_RATE = 0.3  # m, a first step on the control points
 FURTHER_RATES = (0.15, 0.15)
 STIFFER = 4.0  # by how much obstacles and limits then weigh more, from one to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
-# Where a route still has nothing safe, its own spline is descended, slowly gone and for longer.
-RESCUE_STRETCH, RESCUE_STEPS, RESCUE_RATE = 1.5, 60, 0.1
+# Where a route still has nothing safe, it is begun on anew and descended for longer.
+RESCUE_STEPS, RESCUE_RATE = 60, 0.1
+MOST_RESCUED = 4  # anchors of a route, to which the others are then brought back
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
@@ -206,16 +208,25 @@ class Refiner:
         certified: float,
         barrier: ControlBarrier | None,
     ) -> tuple[Splines, BoolArray]:
-        """One anchor anew on each of the `lost` routes; and which are safe then."""
-        scene = self.scene
-        places = np.array([np.flatnonzero(route == each)[0] for each in lost])
-        begun = self._slowed(scene.route_splines[lost], np.full(len(lost), RESCUE_STRETCH))
+        """Some anchors anew on each of the `lost` routes; and which are safe then."""
         rescue = Attempt(RESCUE_STEPS, RESCUE_RATE, slowed_after=True)
-        tried, gained = self._attempted(rescue, cost, begun, certified, barrier)
-        gained &= self._on_route(tried, lost)
         safe = safe.copy()
-        safe[places[gained]] = True
-        return splines.replaced(places[gained], tried[gained]), safe
+        for begun, along in beginnings(self.scene, lost, certified_margin=certified):
+            still = np.isin(along, lost)
+            begun, along = begun[still], along[still]
+            tried, gained = self._attempted(rescue, cost, begun, certified, barrier)
+            gained &= self._on_route(tried, along)
+            for each in np.unique(along[gained]):
+                found = np.flatnonzero(gained & (along == each))
+                cheapest = found[np.argsort(cost.value(tried[found]))][:MOST_RESCUED]
+                own = np.flatnonzero(route == each)
+                places = own[np.argsort(safe[own], kind="stable")][: len(cheapest)]
+                splines = splines.replaced(places, tried[cheapest[: len(places)]])
+                safe[places] = True
+            lost = lost[~np.isin(lost, along[gained])]
+            if not len(lost):
+                break
+        return splines, safe
 
     def _has_any(self, route: NDArray[np.intp]) -> BoolArray:
         """Which of the scene's routes are among these: [R]."""
@@ -234,16 +245,6 @@ class Refiner:
         )
         kept = [a == scene.routes[k].signature for a, k in zip(found, route, strict=True)]
         return np.array(kept, np.bool_)
-
-    def _slowed(self, splines: Splines, factor: FloatArray) -> Splines:
-        """The same ways in `factor` [M] times the duration, where there is no horizon."""
-        scene = self.scene
-        if scene.motion.horizon_s is not None:
-            return splines
-        duration, free = splines.duration * factor, scene.basis.free
-        control = scene.basis.end_points(scene.ends, duration)
-        control[..., free] = splines.control[..., free]
-        return Splines(control, duration)
 
     def _attempted(
         self,

@@ -103,6 +103,17 @@ class Scene:
             found = self._found_routes(SLACK)
         return pulled_tight(found, self.clearance_field, **grid)
 
+    def routes_with(self, slack: float) -> list[Route]:
+        """Those that keep so many m beyond robot_radius, as their chords do; there may be none."""
+        return pulled_tight(
+            self._found_routes(slack),
+            self.clearance_field,
+            resolution=self.resolution,
+            origin=self.origin,
+            slack=slack,
+            rays=self.rays,
+        )
+
     def _found_routes(self, slack: float) -> list[Route]:
         return find_routes(
             self.clearance_field,

@@ -152,6 +152,12 @@ class SplineBasis:
         slopes = END_ORDERS[:, None, None] * ends.in_own_time(duration)
         return np.einsum("ke,emd->dmk", self.ends, slopes).astype(np.float32)
 
+    @cached_property
+    def even(self) -> NDArray[np.float64]:
+        """[K] in [0, 1]: where the control points stand of who goes at one pace along a line."""
+        s = np.linspace(0.0, 1.0, self.num_samples)
+        return np.linalg.lstsq(self.position.astype(np.float64), s, rcond=None)[0]
+
     def rest_curves(self, ends: Ends, duration: FloatArray) -> Splines:
         """The smoothest curves between both ends (least integral of squared jerk)."""
         fixed = self.end_points(ends, duration)
