@@ -186,6 +186,21 @@ def test_neither_smoothed_nor_projected_anchors_are_as_they_were_sampled() -> No
         np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
+def test_sampled_anchors_are_safe_only_as_one_motion_from_start_to_goal() -> None:
+    """Which derivatives a network tells of them, and where it begins, nobody else has looked at."""
+    scene = scene_of()
+    states = states_of(scene.route_splines[[0]])
+    no_slower, elsewhere = states.copy(), states.copy()
+    no_slower[..., 2:6] *= 0.5  # told of half its own pace
+    no_slower[..., -1] -= np.log(2.0)
+    elsewhere[..., 0, 1] += 0.2
+    told = np.concatenate([states, no_slower, elsewhere])
+    sampled = Refiner(scene, 20).refine(told, np.zeros(3, int), Spec(**UNFINISHED))
+    speed = np.linalg.norm(sampled.velocities, axis=-1).max(1)
+    assert (speed <= 1.02 * LIMITS.v_max).all()
+    assert sampled.safe.tolist() == [True, False, False]
+
+
 def test_what_is_sampled_for_a_horizon_lasts_as_long() -> None:
     fixed = scene_of(motion=replace(LIMITS, horizon_s=7.0))
     for spec in ({}, {"project": False}, UNFINISHED):

@@ -16,7 +16,13 @@ from anchorflow_trajectory.cost import TrajectoryCost
 from anchorflow_trajectory.rescue import beginnings
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import Splines
-from anchorflow_trajectory.verify import are_safe, path_clearance, required_clearance, verify
+from anchorflow_trajectory.verify import (
+    are_safe,
+    is_one_motion,
+    path_clearance,
+    required_clearance,
+    verify,
+)
 
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
@@ -117,7 +123,8 @@ class Refiner:
         elif barrier is not None:
             safe = self._safe(splines, certified)
             splines, _ = self._corrected(splines, safe, certified, barrier)
-        if spec.project or spec.smooth or spec.barrier:
+        is_finished = spec.project or spec.smooth or spec.barrier
+        if is_finished:
             found = scene.basis.states(splines)
         else:
             found = self._as_sampled(states, splines.duration)
@@ -128,6 +135,10 @@ class Refiner:
             scene.motion,
             certified_margin=spec.certified_margin,
         )
+        safe = verdict.safe
+        if not is_finished:
+            sampled = position, velocity, acceleration
+            safe &= is_one_motion(sampled, splines.duration, scene.ends, scene.motion)
         return Refined(
             position,
             velocity,
@@ -135,7 +146,7 @@ class Refiner:
             splines.duration,
             -cost.value(splines),
             verdict.clearance,
-            verdict.safe,
+            safe,
         )
 
     def cost(self, spec: Refinement) -> TrajectoryCost:

@@ -15,7 +15,7 @@ from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.cost_fields import Grid, look_up
-from anchorflow_trajectory.spline import SplineBasis, Splines
+from anchorflow_trajectory.spline import Ends, SplineBasis, Splines
 from anchorflow_trajectory.spline_kernels import Band, sample_one
 
 FloatArray = NDArray[np.floating]
@@ -26,6 +26,7 @@ FAR_OUT = 4  # sides of the map: a leg of so many has an end where the field is 
 # A bilinear field and another reader's rounding to cells differ by less than this share of a cell.
 SHARE_OF_CELL = 0.3
 SPEED_TOLERANCE, ACCELERATION_TOLERANCE = 1.02, 1.05
+END_TOLERANCE = 0.05  # m, by which states miss an end that no spline meets
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,29 @@ def verify(
     feasible = largest_length(velocity) <= SPEED_TOLERANCE * limits.v_max
     feasible &= largest_length(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
     return Verdict(clearance, free, feasible)
+
+
+def is_one_motion(
+    states: tuple[FloatArray, FloatArray, FloatArray],
+    duration: FloatArray,
+    ends: Ends,
+    limits: MotionLimits,
+) -> BoolArray:
+    """Whether states that no spline holds together lead from start to goal within limits: [M].
+
+    They begin and end where they should, and from one to the next they move no faster, and change
+    their velocity no faster, than the limits allow.
+
+    states: positions, velocities and accelerations [M, T, D]; duration: [M] s
+    """
+    position, velocity, _ = (each[..., :2] for each in states)
+    step = duration[:, None, None] / (position.shape[1] - 1)
+    start, goal = ends.x_curr[:2], ends.x_goal[:2]
+    missed = largest_length(np.stack([position[:, 0] - start, position[:, -1] - goal], axis=1))
+    speed = largest_length(np.diff(position, axis=1) / step)
+    pull = largest_length(np.diff(velocity, axis=1) / step)
+    found = (missed <= END_TOLERANCE) & (speed <= SPEED_TOLERANCE * limits.v_max)
+    return found & (pull <= ACCELERATION_TOLERANCE * limits.a_max)
 
 
 def are_safe(
