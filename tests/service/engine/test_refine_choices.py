@@ -83,8 +83,13 @@ def test_a_scale_of_zero_leaves_the_bytes(engine: Engine) -> None:
 
 
 def test_guided_anchors_do_not_depend_on_the_threads(engine: Engine) -> None:
+    """Neither on a request's nor on those that the machine has."""
     one, two = (plan(engine, threads=threads, guidance=1.0) for threads in (1, 2))
     assert_same_bytes(one, two)
+    for threads in (1, 4):
+        assert_same_bytes(
+            one, plan(Engine(load_bundle(DEFAULT_BUNDLE), threads=threads), guidance=1.0)
+        )
 
 
 def test_flow_states_are_guided_too(engine: Engine) -> None:

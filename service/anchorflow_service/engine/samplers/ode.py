@@ -49,6 +49,7 @@ from anchorflow_trajectory.scene import ROUTE_STATES
 Array = NDArray[np.float32]
 
 MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it brings
+FIXED_SLICE = 16  # anchors, at most, where a cut changes the last digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +126,8 @@ class OdeSampler:
         """
         encoded = self._encode.settle(scene.inputs(self._encode.input_names))
         context = {**self._own_prior(scene), **encoded}
-        count = MIN_SLICE * self._threads
-        noise = self.draw_noise(context, num_samples=count, seed=scene.request.seed)
+        most = max(self._threads, 2)  # one thread shall answer what two do
+        noise = self.draw_noise(context, num_samples=MIN_SLICE * most, seed=scene.request.seed)
         begun = self.beginning(context, noise)
         if self._score:
             self._score.settle(context, begun.x, begun.mean)
@@ -137,7 +138,7 @@ class OdeSampler:
                 whole,
                 np.concatenate([_evaluated(field, part) for part in _cut(begun, parts)]),
             )
-            for parts in range(2, self._threads + 1)
+            for parts in range(2, most + 1)
         )
 
     def encode(self, scene: ConditionedScene, *, threads: int = 1) -> Context:
@@ -257,9 +258,12 @@ class OdeSampler:
                 on_step=lambda _: check(),
             )
 
-        # The products of guidance round a row by the number of rows beside it.
-        most = threads if self.cuts_freely and guidance is None else self._threads
-        slices = _cut(begun, min(most, -(-len(begun.x) // MIN_SLICE)))
+        # The products of guidance round a row by the number of rows beside it: on any machine these
+        # are the same.
+        if self.cuts_freely and guidance is None:
+            slices = _cut(begun, min(threads, -(-len(begun.x) // MIN_SLICE)))
+        else:
+            slices = _cut(begun, -(-len(begun.x) // FIXED_SLICE))
         if threads == 1 or len(slices) == 1:
             return np.concatenate([integrate_slice(part) for part in slices])
         tasks = [partial(integrate_slice, part) for part in slices]
