@@ -141,7 +141,10 @@ def request_of(
         beside["request_id"] = request_id
     for path, value in beside.items():
         _put(leaves, path, value)
-    return AnchorRequest.from_fields(nest(leaves))
+    request = AnchorRequest.from_fields(nest(leaves))
+    if GEOMETRY in tensors:
+        _check_rows(tensors[GEOMETRY], request.num_scenes)
+    return request
 
 
 def answer_tensors(batch: AnchorBatch) -> list[str]:
@@ -214,3 +217,8 @@ def _geometry_leaves(geometry: NDArray[Any]) -> Mapping[str, Any]:
         raise InvalidRequest("expected the same row for every scene, got several", GEOMETRY)
     *origin, resolution = rows[0].tolist()
     return {"cost_map.origin": origin, "cost_map.resolution": resolution}
+
+
+def _check_rows(geometry: NDArray[Any], num_scenes: int) -> None:
+    if geometry.ndim == 2 and len(geometry) != num_scenes:
+        raise wrong_shape(GEOMETRY, f"[3] or [{num_scenes},3], a row for every scene", geometry)

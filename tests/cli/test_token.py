@@ -42,6 +42,20 @@ def test_what_is_printed_opens_what_is_written(
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
 
 
+@pytest.mark.parametrize("text", ["", "# NAME SCOPES sha256:DIGEST\n"])
+def test_a_file_without_a_token_gets_its_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    file = tmp_path / "tokens"
+    file.write_text(text)
+    run(str(file), "robot-7")
+
+    found = TokenFile(file).find(capsys.readouterr().out.strip())
+    assert found is not None
+    assert found.name == "robot-7"
+    assert file.read_text().startswith(text)
+
+
 def test_what_cannot_be_is_one_line_and_changes_nothing(tmp_path: Path) -> None:
     file = tmp_path / "tokens"
     run(str(file), "robot-7")

@@ -1,4 +1,7 @@
-"""Clearance: how far the robot's edge is from the nearest occupied cell or the edge of the map."""
+"""Clearance: how far the robot's edge is from the nearest occupied cell.
+
+Or, where that is less, how far its centre is from the edge of the map.
+"""
 
 from __future__ import annotations
 

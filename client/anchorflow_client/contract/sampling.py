@@ -26,6 +26,9 @@ from anchorflow_client.contract.checks import (
 from anchorflow_client.contract.ranges import Interval
 from anchorflow_client.errors import InvalidRequest
 
+MIN_STEP = 1e-6
+"""Of flow time; a multistep method weighs slopes by ratios of steps, which float32 has to hold."""
+
 
 @dataclass(frozen=True)
 class SamplerChoice:
@@ -34,7 +37,8 @@ class SamplerChoice:
     method: str | None = None
     """"rk4", "heun", "midpoint", "euler" or "ab2" (Adams and Bashforth's of order 2)."""
     schedule: tuple[float, ...] | None = None
-    """Flow times t0 … 1, strictly increasing; t0 is 0 unless the request brings a warm start."""
+    """Flow times t0 … 1, each at least MIN_STEP behind the last; t0 is 0 unless the request brings
+    a warm start."""
 
     @classmethod
     def from_fields(cls, value: Any) -> SamplerChoice:
@@ -187,8 +191,12 @@ def _increasing(times: NDArray[np.float64]) -> tuple[float, ...]:
     field = "sampler.schedule"
     if times.ndim != 1 or not 2 <= times.size <= ranges.MAX_SCHEDULE_STEPS + 1:
         raise wrong_shape(field, f"[K], K from 2 to {ranges.MAX_SCHEDULE_STEPS + 1}", times)
-    if not (np.diff(times) > 0).all():
+    steps = np.diff(times)
+    if not (steps > 0).all():
         raise InvalidRequest(f"expected strictly increasing times, got {times.tolist()}", field)
+    if steps.min() < MIN_STEP:
+        what = f"times at least {MIN_STEP:g} apart"
+        raise InvalidRequest(f"expected {what}, got {times.tolist()}", field)
     if times[-1] != 1.0:
         raise InvalidRequest(f"expected a last time of 1, got {describe(times[-1])}", field)
     return tuple(times.tolist())

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
 from functools import partial
@@ -17,7 +18,11 @@ from typing import cast
 import httptools
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
-from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import (
+    STATUS_LINE,
+    HttpToolsProtocol,
+    RequestResponseCycle,
+)
 
 from anchorflow_client.errors import InvalidRequest, Overloaded
 from anchorflow_service.http.body import discard_body
@@ -33,7 +38,11 @@ SHARE = 0.75
 """Of the connections, for one address."""
 MOST_AHEAD = 32
 """Requests that one connection may send before the first is answered."""
+MOST_BYTES_AHEAD = 64 * 2**10
+"""Of the bodies of those requests."""
 NO_REQUEST = "Invalid HTTP request received."
+SEPARATORS = len(b":\r\n")
+"""Bytes of a header beside its name and its value; white space around that is not counted."""
 FRAMING = (b"content-length", b"transfer-encoding")
 """Headers that say how long a body is."""
 
@@ -48,7 +57,7 @@ class ConnectionLimits:
     max_per_address: int | None = None
     """Of those, for one address; None: three quarters."""
     max_head_bytes: int = 16 * 2**10
-    """Of a request line and its headers together."""
+    """Of a request's target and its headers together."""
     head_s: float = 10.0
     """For a request line and headers to come in; then the connection is closed."""
     receive_s: float = 60.0
@@ -85,7 +94,7 @@ class LimitedConnection(HttpToolsProtocol):
     _num_heads = 0
     """That began, the one on its way included."""
     _head_bytes = 0
-    """Of the one on its way, in names and values."""
+    """Of the one on its way, in its target and headers."""
     _head_came = 0
     """Of the one on its way, in all that came of it."""
     _is_refused = False
@@ -96,6 +105,7 @@ class LimitedConnection(HttpToolsProtocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Serve it, or hear it and refuse, by how many there are."""
         super().connection_made(transport)
+        self._unanswered: deque[RequestResponseCycle] = deque()
         source = None if self.client is None else source_of(self.client[0])
         has_place, evicted = self.places.enter(self, source)
         if evicted is not None:
@@ -128,7 +138,7 @@ class LimitedConnection(HttpToolsProtocol):
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """A header; what comes after a body in chunks, as a trailer, is none."""
-        self._note_head(len(name) + len(value))
+        self._note_head(len(name) + len(value) + SEPARATORS)
         if self._stage is Stage.HEAD:
             super().on_header(name, value)
 
@@ -145,6 +155,17 @@ class LimitedConnection(HttpToolsProtocol):
         joined = JoinedHead(self.transport)
         self.cycle.transport = cast("asyncio.Transport", joined)
         self.cycle.on_response = partial(self._end_response, joined)
+        self._unanswered.append(self.cycle)
+        # uvicorn reads no further where an answer is still due, and would not see the caller leave.
+        self.flow.resume_reading()
+
+    def on_body(self, body: bytes) -> None:
+        """Part of a body, which is kept until the request's turn comes."""
+        if self.pipeline:
+            ahead = len(body) + sum(len(cycle.body) for cycle, _ in self.pipeline)
+            if ahead > MOST_BYTES_AHEAD:
+                raise ValueError(f"expected at most {MOST_BYTES_AHEAD} bytes before an answer")
+        super().on_body(body)
 
     def on_message_complete(self) -> None:
         """All of a request is there."""
@@ -161,19 +182,28 @@ class LimitedConnection(HttpToolsProtocol):
         self._note_place()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Give the place back and stop waiting."""
+        """Give the place back, stop waiting, and tell whoever works on an answer."""
         self.places.leave(self)
         self._stop_watching()
+        self.pipeline.clear()
+        for cycle in self._unanswered:  # uvicorn tells the latest alone, which may not have begun
+            cycle.disconnected = True
+            cycle.message_event.set()
         super().connection_lost(exc)
 
     def send_400_response(self, msg: str) -> None:
         """The refusal of what is no HTTP, or too long a head, as the contract writes it."""
-        self._is_refused, cycle = True, self.cycle
+        self._is_refused = True
+        if self._stage is Stage.BODY and self.pipeline:  # its turn will not come
+            self.pipeline.popleft()
+            self._unanswered.pop()
+            self.cycle, self._stage = self._unanswered[-1], Stage.WHOLE
+        cycle = self.cycle
         if cycle is not None and not cycle.response_complete:
             if self._stage is not Stage.BODY:
                 cycle.keep_alive = False  # what came before it is answered, and no more
                 return
-            if cycle.response_started or self.pipeline:  # no other answer may come between
+            if cycle.response_started:  # no other answer may come between
                 self.transport.abort()
                 return
         most = self.limits.max_head_bytes
@@ -212,6 +242,7 @@ class LimitedConnection(HttpToolsProtocol):
 
     def _end_response(self, joined: JoinedHead) -> None:
         joined.flush()
+        self._unanswered.popleft()
         self.on_response_complete()
 
     def _note_head(self, size: int) -> None:

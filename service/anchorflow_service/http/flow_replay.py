@@ -5,7 +5,7 @@ No part of the contract: the page and the service come from one package and chan
 
 from __future__ import annotations
 
-import asyncio
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -21,7 +21,7 @@ from anchorflow_service.http.answers import json_answer
 from anchorflow_service.http.body import read_body
 from anchorflow_service.http.hang_up import HungUp, to_nobody, unless_hung_up
 from anchorflow_service.http.orjson_codec import OrjsonCodec
-from anchorflow_service.planning import PlanningService
+from anchorflow_service.planning import Arrival, PlanningService
 
 MAX_ANCHORS = 64
 MAX_STEPS = 32
@@ -47,23 +47,33 @@ def flow_replay_router(service: PlanningService) -> APIRouter:
         """{times [K], positions [K,N,T,2]} of a request as `POST /anchors` takes it in JSON."""
         arrival = service.arrival()
         body = await read_body(request, service.limits.max_body_bytes)
-        asked = await asyncio.to_thread(OrjsonCodec().decode_request, Payload(body))
-        engine = service.engines.choose(asked.model)
-        if not isinstance(engine, FlowEngine):
-            raise InvalidRequest(f"expected a model with a flow, got {engine.card.name}", "model")
-        resolved = resolve_for_card(asked, engine.card)
-        _check_size(resolved)
-        replay = service.queue.run(
-            lambda _: _answer(engine.flow_states(resolved)),
-            arrival=arrival,
-            budget_ms=resolved.budget_ms,
-        )
         try:
-            return await unless_hung_up(request, replay)
+            return await unless_hung_up(request, _replay(service, Payload(body), arrival))
         except HungUp:
             return to_nobody()
 
     return router
+
+
+async def _replay(service: PlanningService, payload: Payload, arrival: Arrival) -> Response:
+    with service.queue.place():
+        engine, request = await service.reading(payload, partial(_read, service, payload))
+        return await service.queue.run(
+            lambda _: _answer(engine.flow_states(request)),
+            arrival=arrival,
+            budget_ms=request.budget_ms,
+        )
+
+
+def _read(service: PlanningService, payload: Payload) -> tuple[FlowEngine, ResolvedRequest]:
+    """What is asked, of whom. Raises `InvalidRequest`."""
+    asked = OrjsonCodec().decode_request(payload)
+    engine = service.engines.choose(asked.model)
+    if not isinstance(engine, FlowEngine):
+        raise InvalidRequest(f"expected a model with a flow, got {engine.card.name}", "model")
+    request = resolve_for_card(asked, engine.card)
+    _check_size(request)
+    return engine, request
 
 
 def _check_size(request: ResolvedRequest) -> None:

@@ -45,6 +45,8 @@ from anchorflow_client.oip_codec import (
 from anchorflow_client.wire_fields import answer_fields
 from anchorflow_service.http.orjson_codec import dump, parse
 
+MAX_ENTRIES = 64
+"""Of a request's parameters, inputs and outputs each; an honest one has about twenty at most."""
 TIMEOUT = "timeout"
 """Triton's parameter for a budget, in microseconds."""
 
@@ -73,6 +75,8 @@ class InferCodec:
             else unpack_header(payload)
         )
         header = fields_of(value, "", ("id", "parameters", "inputs", "outputs"), ("inputs",))
+        for name in ("parameters", "inputs", "outputs"):
+            _check_few(header.get(name), name)
         leaves = scalars(header.get("parameters"))
         self._in_binary = boolean(leaves.pop("binary_data_output", False), "binary_data_output")
         self._wanted = wanted_outputs(header.get("outputs"), in_binary=self._in_binary)
@@ -116,6 +120,11 @@ class InferCodec:
             return dict.fromkeys(tensors, self._in_binary)
         told = {TIME_STEP: self._in_binary} | self._wanted
         return {name: in_binary for name, in_binary in told.items() if name in tensors}
+
+
+def _check_few(entries: Any, field: str) -> None:
+    if isinstance(entries, list | Mapping) and len(entries) > MAX_ENTRIES:
+        raise InvalidRequest(f"expected at most {MAX_ENTRIES} entries, got {len(entries)}", field)
 
 
 def _tensors(inputs: Any, data: memoryview) -> Mapping[str, NDArray[Any]]:

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from anchorflow_service.http.infer_codec import MAX_ENTRIES
 from anchorflow_service.http.schemas import Text
 
 Datatype = Literal["FP32", "FP64", "INT64", "UINT8", "BOOL", "BYTES"]
@@ -91,13 +92,17 @@ class InferRequestBody(_Body):
     id: Text | None = Field(None, description="Echoed.")
     parameters: dict[str, Scalar] | None = Field(
         None,
+        max_length=MAX_ENTRIES,
         description="num_samples, seed, budget_ms, robot_id, sampler.method, refine.project, …; "
         "`binary_data_output` for outputs in binary, `timeout` for a budget in microseconds.",
     )
     inputs: list[InferInputBody] = Field(
-        description="map_geometry is [3] or [B,3]: origin x and y [m], resolution [m/cell]."
+        max_length=MAX_ENTRIES,
+        description="map_geometry is [3] or [B,3]: origin x and y [m], resolution [m/cell].",
     )
-    outputs: list[InferOutputBody] | None = Field(None, description="All of them.")
+    outputs: list[InferOutputBody] | None = Field(
+        None, max_length=MAX_ENTRIES, description="All of them."
+    )
 
 
 class AnswerTensorBody(BaseModel):
@@ -130,7 +135,10 @@ class ModelStateBody(BaseModel):
     """What is known of one version of a model."""
 
     name: str
-    version: str = Field(description="Empty where the manifest cannot be read.")
+    version: str = Field(
+        description="Where the manifest cannot be read, the name of its folder among versions, "
+        "or empty."
+    )
     state: Literal["READY", "UNAVAILABLE"]
     reason: str = Field(description="Why it is not served, or why its newer bundle is not.")
 

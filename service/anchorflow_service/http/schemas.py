@@ -85,7 +85,7 @@ class SamplerBody(_Body):
 
     method: Method | None = Field(None, description="Method of integration.")
     schedule: Literal["8step"] | UniformSchedule | Schedule | None = Field(
-        None, description="Flow times from 0 (noise) to 1 (data), strictly increasing."
+        None, description="Flow times from 0 (noise) to 1 (data), at least 1e-6 apart."
     )
 
 
@@ -270,10 +270,14 @@ class AnchorAnswerBody(BaseModel):
     accelerations: Tensor3 | Tensor4 | None = Field(None, description="[N,T,D] m/s^2.")
     scores: Vector | Matrix | None = Field(None, description="[N], higher is better.")
     clearance: Vector | Matrix | None = Field(
-        None, description="[N] m beyond robot_radius, smallest along the path."
+        None,
+        description="[N] m, smallest along the path: beyond robot_radius to an obstacle, or from "
+        "the path to the edge of the map.",
     )
     safe: list[bool] | list[list[bool]] | None = Field(
-        None, description="[N], whether the path keeps robot_radius from every obstacle."
+        None,
+        description="[N], whether the path keeps robot_radius and certified_margin from every "
+        "obstacle, certified_margin from the edge of the map, and v_max and a_max.",
     )
     dt: float | Vector | Matrix = Field(
         description="[N] s between two time steps, or one number where all anchors are alike."

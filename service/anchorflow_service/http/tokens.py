@@ -64,7 +64,7 @@ class TokenFile:
         self._clock = clock
         self._looked = clock()
         self._stamp = _stamp(path)
-        self._tokens = read_tokens(path)
+        self._tokens = _served(path)
 
     def find(self, presented: str) -> Token | None:
         """The token that was presented, where it is one of the file's."""
@@ -84,7 +84,7 @@ class TokenFile:
             return
         self._stamp = stamp
         try:
-            self._tokens = read_tokens(self._path)
+            self._tokens = _served(self._path)
         except TokenFileError as error:
             logger.error("the tokens stay as they were: %s", error)
         else:
@@ -92,7 +92,7 @@ class TokenFile:
 
 
 def read_tokens(path: Path) -> tuple[Token, ...]:
-    """The tokens of a file. Raises `TokenFileError`."""
+    """The tokens of a file, which may hold none. Raises `TokenFileError`."""
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -100,12 +100,9 @@ def read_tokens(path: Path) -> tuple[Token, ...]:
     except UnicodeDecodeError as error:
         raise TokenFileError(f"{path}: expected UTF-8 text") from error
     try:
-        tokens = tuple(_parse(text))
+        return tuple(_parse(text))
     except ValueError as error:
         raise TokenFileError(f"{path}: {error}") from error
-    if not tokens:
-        raise TokenFileError(f"{path}: holds no token, so that nobody could ask anything")
-    return tokens
 
 
 def token_line(name: str, scopes: tuple[str, ...], token: str) -> str:
@@ -118,6 +115,14 @@ def token_line(name: str, scopes: tuple[str, ...], token: str) -> str:
 def digest_of(token: str) -> bytes:
     """SHA-256, 32 bytes."""
     return hashlib.sha256(token.encode()).digest()
+
+
+def _served(path: Path) -> tuple[Token, ...]:
+    """Raises `TokenFileError`, where there is none too."""
+    tokens = read_tokens(path)
+    if not tokens:
+        raise TokenFileError(f"{path}: holds no token, so that nobody could ask anything")
+    return tokens
 
 
 def _parse(text: str) -> Iterator[Token]:

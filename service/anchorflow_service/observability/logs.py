@@ -38,7 +38,10 @@ class JsonFormatter(logging.Formatter):
 
 
 def set_up_logging(style: str, level: str) -> None:
-    """Send every logger's records to stderr, as `FORMATS` and from the `LEVELS` given."""
+    """Send every logger's records to stderr, as `FORMATS` and from the `LEVELS` given; Python's
+    warnings are records too.
+    """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter() if style == "json" else logging.Formatter(TEXT))
     logging.basicConfig(handlers=[handler], level=level.upper(), force=True)
+    logging.captureWarnings(True)

@@ -121,7 +121,7 @@ class PlanningQueue:
         arrival: Arrival | None = None,
         budget_ms: float | None = None,
     ) -> Result:
-        """What work that is no request returns; it takes a place, and a lane to itself.
+        """What work that is no request returns; it has a lane to itself.
 
         Args:
             work: the function to run, on a lane's thread.
@@ -129,12 +129,10 @@ class PlanningQueue:
             budget_ms: from then on; None: the caller waits as long as it takes.
 
         Raises:
-            NotReady, Overloaded: as `place`.
-            DeadlineExceeded: the budget ran out.
+            NotReady, Overloaded, DeadlineExceeded: as `submit`.
         """
         arrival = arrival or Arrival(clock=self._clock)
-        with self.place():
-            return await self.submit(Job(work, arrival, budget_ms=budget_ms))
+        return await self.submit(Job(work, arrival, budget_ms=budget_ms))
 
     async def submit(self, job: Job[Result]) -> Result:
         """What the job's work returns; whoever cancels this cancels the job.

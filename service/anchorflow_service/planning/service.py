@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from types import TracebackType
+from typing import TypeVar
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import (
@@ -27,8 +28,11 @@ from anchorflow_service.planning.limits import ServiceLimits
 from anchorflow_service.planning.observer import ANSWERED, CANCELLED, Observer
 from anchorflow_service.planning.queue import PlanningQueue
 
+Result = TypeVar("Result")
+
 QUICK_BYTES = 256 * 2**10
-"""Of a binary request: to read so many takes less than to hand them to a thread and back."""
+"""Of a request: to read so many takes milliseconds; in binary less than to hand them to a thread
+and back."""
 
 
 class PlanningService:
@@ -59,8 +63,9 @@ class PlanningService:
         self._is_leaving = False
         self._latest = LatestPerRobot()
         self._clock = clock
-        # Parsing holds the interpreter's lock: a second reader would only get in the way.
+        # Parsing holds the interpreter's lock: more readers would only get in each other's way.
         self._reader: ThreadPoolExecutor | None = None
+        self._large_reader: ThreadPoolExecutor | None = None
 
     def arrival(self) -> Arrival:
         """A request comes in now."""
@@ -92,11 +97,7 @@ class PlanningService:
         # named: one of them may be inside already, and its older request makes room for this one.
         beyond = self.limits.max_waiting if self._latest else 0
         with self._observed(call), self.queue.place(beyond=beyond):
-            if _is_quickly_read(call.payload):
-                engine, request = self._read(call)
-            else:
-                loop = asyncio.get_running_loop()
-                engine, request = await loop.run_in_executor(self._reader, self._read, call)
+            engine, request = await self.reading(call.payload, partial(self._read, call))
             call.arrival.check(request.budget_ms, "before planning")
             job = Job(
                 partial(_plan, engine, request, call),
@@ -114,8 +115,19 @@ class PlanningService:
             ):
                 return await self.queue.result_of(job)
 
+    async def reading(self, payload: Payload, read: Callable[[], Result]) -> Result:
+        """What reading a payload gives: off the event loop unless that is quick, and no small one
+        behind a large one.
+        """
+        is_small = len(payload.body) <= QUICK_BYTES
+        if is_small and payload.header_length is not None:
+            return read()
+        reader = self._reader if is_small else self._large_reader
+        return await asyncio.get_running_loop().run_in_executor(reader, read)
+
     def __enter__(self) -> PlanningService:
         self._reader = ThreadPoolExecutor(1, thread_name_prefix="reading")
+        self._large_reader = ThreadPoolExecutor(1, thread_name_prefix="reading-large")
         self.queue.__enter__()
         return self
 
@@ -126,8 +138,9 @@ class PlanningService:
         traceback: TracebackType | None,
     ) -> None:
         self.queue.__exit__(kind, error, traceback)
-        if self._reader is not None:
-            self._reader.shutdown()
+        for reader in (self._reader, self._large_reader):
+            if reader is not None:
+                reader.shutdown()
 
     @contextmanager
     def _observed(self, call: Call) -> Iterator[None]:
@@ -158,10 +171,6 @@ class PlanningService:
         engine = self.engines.choose(_model(call, asked))
         call.model_id = engine.card.id
         return engine, _with_call(resolve_for_card(asked, engine.card), call)
-
-
-def _is_quickly_read(payload: Payload) -> bool:
-    return payload.header_length is not None and len(payload.body) <= QUICK_BYTES
 
 
 def _plan(

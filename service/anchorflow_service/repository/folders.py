@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from anchorflow_client.errors import AnchorFlowError
@@ -28,9 +28,10 @@ class FoundBundle:
 
     path: Path
     name: str
-    """The model's; the folder's where the manifest cannot be read."""
+    """The model's. Where the manifest cannot be read, that of the versions beside it, or the
+    folder's."""
     version: str
-    """Empty where the manifest cannot be read."""
+    """Where the manifest cannot be read, the folder's name if it lies among versions, or empty."""
     fault: BundleError | None = None
     """Why the manifest cannot be read."""
 
@@ -54,7 +55,7 @@ class BundleFolders:
 
     def found(self) -> list[FoundBundle]:
         """All bundles, the newest version of each model first; those that are broken are marked."""
-        found = [_look_at(path) for path in self._paths()]
+        found = self._by_model([_look_at(path) for path in self._paths()])
         found.sort(key=lambda bundle: _version_order(bundle.version), reverse=True)
         found.sort(key=lambda bundle: bundle.name)
         return found
@@ -64,21 +65,38 @@ class BundleFolders:
 
         Raises:
             RepositoryError: two folders hold that version.
-            BundleError: the folder of that name holds a manifest that cannot be read.
+            BundleError: its manifest cannot be read.
         """
         same_name = [bundle for bundle in self.found() if bundle.name == name]
-        readable = [bundle for bundle in same_name if bundle.fault is None]
-        matching = [bundle for bundle in readable if version in (None, bundle.version)]
+        matching = [bundle for bundle in same_name if version in (None, bundle.version)]
+        # A manifest that cannot be read, in no folder of versions, may be of any version.
+        matching += [bundle for bundle in same_name if bundle.fault and not bundle.version]
         if not matching:
-            for bundle in same_name:
-                if bundle.fault is not None:
-                    raise bundle.fault
             return None
         first = matching[0]
+        if first.fault is not None:
+            raise first.fault
         if sum(other.version == first.version for other in matching) > 1:
             twice = f"{name} {first.version}"
             raise RepositoryError(f"expected one bundle of {twice}, found it in two folders")
         return first
+
+    def _by_model(self, found: list[FoundBundle]) -> list[FoundBundle]:
+        """The same; a broken one among versions is named after the model that lies beside it."""
+        names: dict[Path, set[str]] = {}
+        for bundle in found:
+            if bundle.fault is None:
+                names.setdefault(bundle.path.parent, set()).add(bundle.name)
+
+        def named(bundle: FoundBundle) -> FoundBundle:
+            folder = bundle.path.parent
+            if bundle.fault is None or folder.parent != self._repository:
+                return bundle
+            beside = names.get(folder, set())
+            name = next(iter(beside)) if len(beside) == 1 else folder.name
+            return replace(bundle, name=name, version=bundle.path.name)
+
+        return [named(bundle) for bundle in found]
 
     def _paths(self) -> Iterator[Path]:
         """Each folder once, although a single one may lie in the repository."""

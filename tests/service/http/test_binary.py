@@ -20,6 +20,7 @@ from anchorflow_client import (
 )
 from anchorflow_client.contract import resolve_for_card
 from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.oip.message import pack
 
 CODEC = OipCodec()
 LENGTH = "Inference-Header-Content-Length"
@@ -54,6 +55,28 @@ def test_a_batch_has_a_batch_axis(client: AnchorClient, fields: dict[str, Any]) 
     fields["x_goal"] = [fields["x_goal"]] * 3
 
     assert client.plan(**fields).trajectories.shape == (3, 4, 16, 2)
+
+
+@pytest.mark.parametrize("num_scenes", [1, 2])
+def test_a_geometry_of_rows_has_one_for_every_scene(
+    service: Any, fields: dict[str, Any], num_scenes: int
+) -> None:
+    geometry = np.array([-5.0, -4.0, fields["cost_map"]["resolution"]])
+    tensors = {
+        "x_curr": np.array(fields["x_curr"], float),
+        "x_goal": np.array([fields["x_goal"]] * num_scenes, float),
+        "cost_map": np.array(fields["cost_map"]["data"], np.float32),
+    }
+
+    def asked(geometry: np.ndarray) -> Any:
+        return post(service, pack({}, "inputs", tensors | {"map_geometry": geometry}))
+
+    assert asked(geometry).status_code == 200
+    assert asked(np.tile(geometry, (num_scenes, 1))).status_code == 200
+    error = asked(np.tile(geometry, (3, 1))).json()["error"]
+    assert error["field"] == "map_geometry"
+    words = f"expected shape [3] or [{num_scenes},3], a row for every scene, got [3, 3]"
+    assert words in error["message"]
 
 
 def test_an_answer_says_where_its_tensors_begin(service: Any, fields: dict[str, Any]) -> None:

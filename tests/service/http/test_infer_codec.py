@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anchorflow_client import InvalidRequest, Payload
-from anchorflow_service.http.infer_codec import InferCodec
+from anchorflow_service.http.infer_codec import MAX_ENTRIES, InferCodec
 
 BEYOND_FLOAT64 = 2**53 + 1
 
@@ -59,3 +59,16 @@ def test_a_number_that_its_type_does_not_hold_is_refused(
 ) -> None:
     with pytest.raises(InvalidRequest, match=f"^{words}"):
         read(datatype, data, [2])
+
+
+@pytest.mark.parametrize("field", ["inputs", "outputs", "parameters"])
+def test_a_crowd_of_entries_is_refused_before_any_is_read(field: str) -> None:
+    """The reader takes some 50 µs for each, and 16 MiB hold hundreds of thousands."""
+    names = [f"a{index}" for index in range(MAX_ENTRIES + 1)]
+    entries = (
+        {name: [] for name in names} if field == "parameters" else [{"odd": each} for each in names]
+    )
+    body = json.dumps({"inputs": []} | {field: entries}).encode()
+
+    with pytest.raises(InvalidRequest, match=rf"^{field}: expected at most 64 entries, got 65$"):
+        InferCodec().decode_request(Payload(body))

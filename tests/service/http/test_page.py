@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 import re
+import threading
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
@@ -276,6 +277,22 @@ def test_a_flow_that_is_refused(
     assert answer.status_code == 422
     assert answer.json()["error"]["field"] == field
     assert expected in answer.json()["error"]["message"]
+
+
+def test_what_a_flow_is_asked_for_is_read_by_the_services_reader(
+    flowing: Any, flow_fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One at a time: threads of its own would keep everybody else from reading."""
+    threads: list[str] = []
+
+    def resolve(*given: Any) -> Any:
+        threads.append(threading.current_thread().name.partition("_")[0])
+        return resolve_for_card(*given)
+
+    monkeypatch.setattr("anchorflow_service.http.flow_replay.resolve_for_card", resolve)
+
+    assert post_flow(flowing, flow_fields).status_code == 200
+    assert threads == ["reading"]
 
 
 def test_a_flow_has_the_budget_of_its_request(flowing: Any, flow_fields: dict[str, Any]) -> None:

@@ -79,6 +79,11 @@ BAD_VALUES: dict[str, tuple[str, Any, str]] = {
     "unknown field": ("x_gaol", [0] * 4, "unknown field; did you mean 'x_goal'?"),
     "nested unknown field": ("cost_map.frame", "map", "unknown field"),
     "deeply unknown field": ("sampler.schedule", {"unifrom": 3}, "did you mean 'uniform'?"),
+    "steps of nothing": (
+        "sampler.schedule",
+        [0, 1e-38, 1],
+        "expected times at least 1e-06 apart, got [0.0, 1e-38, 1.0]",
+    ),
     "fixed limit": ("v_max", 9.0, "expected 2 m/s, which lines 1.2.3 was made for"),
     "object for a list": ("x_curr", {}, "got an object"),
     "list for an object": ("cost_map", [], "expected an object, got a list of 0"),

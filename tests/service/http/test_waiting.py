@@ -45,3 +45,26 @@ def test_one_too_many_is_told_when_to_come_back(
     gate.opened.set()
     assert answer.result(PATIENCE_S).status_code == 200
     assert service.post(fields).status_code == 200
+
+
+@pytest.mark.parametrize("path", ["/anchors", "/page/flow"])
+def test_for_whom_there_is_no_place_nothing_is_read(
+    run: Any,
+    engine: Any,
+    gate: Any,
+    fields: dict[str, Any],
+    background: ThreadPoolExecutor,
+    path: str,
+) -> None:
+    planning = PlanningService(
+        {"a": engine}, default="a", limits=ServiceLimits(max_waiting=0, threads=1)
+    )
+    service = run(create_app(planning))
+    answer = background.submit(service.post, fields)
+    assert gate.reached.wait(PATIENCE_S)
+
+    assert service.request("POST", path, content=b"nonsense").status_code == 429
+
+    gate.opened.set()
+    assert answer.result(PATIENCE_S).status_code == 200
+    assert service.request("POST", path, content=b"nonsense").status_code == 422

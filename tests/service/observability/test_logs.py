@@ -5,10 +5,12 @@ from __future__ import annotations
 import io
 import json
 import logging
+import warnings
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 from typing import Any
 
+import numpy as np
 import pytest
 
 from anchorflow_service.observability.exchanges import Exchange, log_exchange
@@ -33,6 +35,7 @@ def root() -> Iterator[logging.Logger]:
     yield logger
     logger.handlers[:] = handlers
     logger.setLevel(level)
+    logging.captureWarnings(False)
 
 
 def lines_of(root: logging.Logger, style: str, level: str = "info") -> io.StringIO:
@@ -79,6 +82,17 @@ def test_an_exception_stays_on_its_line(root: logging.Logger) -> None:
     assert record["request_id"] == "r7"
     assert "Traceback" in record["exception"]
     assert "ValueError: two\nlines" in record["exception"]
+
+
+def test_a_warning_is_a_line_like_any_other(root: logging.Logger) -> None:
+    out = lines_of(root, "json")
+    with np.errstate(all="warn"), warnings.catch_warnings():
+        warnings.simplefilter("always")
+        np.float64(1e300).astype(np.float32)
+
+    (line,) = map(json.loads, out.getvalue().splitlines())
+    assert (line["level"], line["logger"]) == ("warning", "py.warnings")
+    assert "RuntimeWarning: overflow encountered in cast" in line["message"]
 
 
 def test_what_a_caller_sent_cannot_begin_a_line(root: logging.Logger) -> None:

@@ -22,8 +22,10 @@ from anchorflow_client import (
 )
 from anchorflow_client.contract import resolve_for_card
 from anchorflow_service.planning import Call, PlanningService
+from anchorflow_service.planning.service import QUICK_BYTES
 
 CODEC = OipCodec()
+PATIENCE_S = 20
 
 
 @pytest.fixture
@@ -146,4 +148,40 @@ def test_what_takes_long_to_read_is_read_off_the_event_loop(
     monkeypatch.setattr("anchorflow_service.planning.service.QUICK_BYTES", 100)
     answer(open_planning, call(open_planning, fields))
 
-    assert threads == [loop, "reading", "reading"]
+    assert threads == [loop, "reading", "reading-large"]
+
+
+class HeldCodec(JsonCodec):
+    """Reads long bodies once it may."""
+
+    def __init__(self) -> None:
+        self.reached, self.opened = threading.Event(), threading.Event()
+
+    def decode_request(self, payload: Payload) -> AnchorRequest:
+        if len(payload.body) > QUICK_BYTES:
+            self.reached.set()
+            assert self.opened.wait(PATIENCE_S)
+        return super().decode_request(payload)
+
+
+def test_a_small_request_does_not_wait_behind_a_large_one(
+    open_planning: PlanningService, fields: dict[str, Any]
+) -> None:
+    codec = HeldCodec()
+    small = codec.encode_request(AnchorRequest.from_fields(fields))
+    large = Payload(small.body.ljust(QUICK_BYTES + 1))
+
+    def asked(payload: Payload) -> Call:
+        return Call(payload, codec, open_planning.arrival(), "json")
+
+    async def both() -> None:
+        behind = asyncio.create_task(open_planning.answer(asked(large)))
+        try:
+            assert await asyncio.to_thread(codec.reached.wait, PATIENCE_S)
+            await asyncio.wait_for(open_planning.answer(asked(small)), PATIENCE_S)
+            assert not behind.done()
+        finally:
+            codec.opened.set()
+        assert await behind
+
+    asyncio.run(both())

@@ -80,6 +80,56 @@ def test_a_broken_manifest_is_known_by_its_folder(tmp_path: Path, write_bundle: 
         folders.find("flow")
 
 
+def test_a_broken_manifest_among_versions_is_one_of_them(
+    tmp_path: Path, write_bundle: Write
+) -> None:
+    for version in ("0.9.1", "0.10.0", "0.11.0"):
+        folder = write_bundle(
+            tmp_path / "repository" / "flow" / version, name="flow-small", version=version
+        )
+        if version != "0.10.0":
+            (folder / "manifest.json").write_text("{")
+    folders = BundleFolders(repository=tmp_path / "repository")
+
+    found = [(each.name, each.version, each.fault is None) for each in folders.found()]
+    assert found == [
+        ("flow-small", "0.11.0", False),
+        ("flow-small", "0.10.0", True),
+        ("flow-small", "0.9.1", False),
+    ]
+    for version, folder in ((None, "0.11.0"), ("0.11.0", "0.11.0"), ("0.9.1", "0.9.1")):
+        with pytest.raises(BundleError, match=rf"flow/{folder}/manifest\.json: Invalid JSON"):
+            folders.find("flow-small", version)
+    whole = folders.find("flow-small", "0.10.0")
+    assert whole is not None
+    assert whole.path == tmp_path / "repository" / "flow" / "0.10.0"
+    assert folders.find("flow-small", "0.12.0") is None
+
+
+def test_an_older_version_that_is_broken_keeps_no_newer_one_back(
+    tmp_path: Path, write_bundle: Write
+) -> None:
+    for version in ("0.9.1", "0.10.0"):
+        write_bundle(tmp_path / "repository" / "flow" / version, name="flow", version=version)
+    (tmp_path / "repository" / "flow" / "0.9.1" / "manifest.json").write_text("{")
+
+    found = BundleFolders(repository=tmp_path / "repository").find("flow")
+    assert found is not None
+    assert found.version == "0.10.0"
+
+
+def test_a_broken_manifest_without_other_versions_is_known_by_the_folder_of_versions(
+    tmp_path: Path, write_bundle: Write
+) -> None:
+    (write_bundle(tmp_path / "repository" / "flow" / "1.0") / "manifest.json").write_text("{")
+    folders = BundleFolders(repository=tmp_path / "repository")
+
+    assert [(each.name, each.version) for each in folders.found()] == [("flow", "1.0")]
+    with pytest.raises(BundleError, match="Invalid JSON"):
+        folders.find("flow")
+    assert folders.find("1.0") is None
+
+
 def test_a_single_folder_without_a_manifest_is_told(tmp_path: Path) -> None:
     with pytest.raises(BundleError, match=r"manifest\.json: cannot be read"):
         BundleFolders([tmp_path / "nothing"]).find("nothing")

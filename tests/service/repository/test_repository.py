@@ -60,6 +60,27 @@ def test_a_bundle_that_was_written_anew_is_taken(
     assert repository.index() == [ModelState("tiny", "2.0", "READY", "")]
 
 
+def test_a_newer_version_whose_manifest_is_broken_is_refused_and_the_old_one_goes_on(
+    repository: Repository, engines: EngineRegistry, folder: Path, write_bundle: Write
+) -> None:
+    for version in ("2.0", "3.0"):
+        write_bundle(folder.parent / "many" / version, name="many", version=version)
+    (folder.parent / "many" / "3.0" / "manifest.json").write_text("{")
+
+    for version in (None, "3.0"):
+        with pytest.raises(LoadError, match=r"^manifest\.json: Invalid JSON"):
+            repository.load("many", version)
+    assert repository.load("many", "2.0").version == "2.0"
+    with pytest.raises(LoadError):
+        repository.load("many")
+
+    assert engines.choose("many").card.version == "2.0"
+    assert {name for name, _ in states(repository)} == {"tiny", "many"}
+    state, reason = states(repository)["many", "3.0"]
+    assert state == "UNAVAILABLE"
+    assert reason.startswith("manifest.json: Invalid JSON")
+
+
 def test_another_model_beside_it(
     repository: Repository, engines: EngineRegistry, folder: Path, write_bundle: Write
 ) -> None:
