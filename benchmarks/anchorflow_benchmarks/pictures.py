@@ -17,6 +17,10 @@ from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hid
 PANEL_INCHES = 2.9
 COLUMNS = 4
 GOOD, BAD = "#1f6fb4", "#d1495b"
+COLOURS = 10
+"""Of matplotlib's cycle; rows beyond them have other marks."""
+MARKS = (("o", "^"), ("s", "v"), ("D", "<"))
+"""Of success and of `any`."""
 
 
 def draw_scene_sheet(plans: Sequence[JudgedPlan], path: Path, *, title: str) -> None:
@@ -41,12 +45,13 @@ def draw_quality_over_time(rows: Sequence[Row], path: Path) -> None:
     axes = figure.add_subplot()
     for index, row in enumerate(rows):
         ms, success, solved = (float(row[key] or 0.0) for key in ("ms", "success", "any"))
-        color = f"C{index % 10}"
+        color = f"C{index % COLOURS}"
+        mark, triangle = MARKS[index // COLOURS % len(MARKS)]
         axes.plot([ms, ms], [success, solved], color=color, linewidth=0.8)
-        axes.plot(ms, success, "o", color=color, label=str(row["planner"]))
-        axes.plot(ms, solved, "^", color=color)
+        axes.plot(ms, success, mark, color=color, label=str(row["planner"]))
+        axes.plot(ms, solved, triangle, color=color)
     axes.set(xscale="log", xlabel="median time of a request [ms]", ylim=(-0.02, 1.02))
-    axes.set_ylabel("success (dot) and any (triangle)")
+    axes.set_ylabel("success, and any (triangles)")
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
     _save(figure, path)

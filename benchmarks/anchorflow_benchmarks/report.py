@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +21,7 @@ Row = Mapping[str, Cell]
 
 NOTHING = "–"
 MEASURING_WIDTH = 1000
+PROGRAM = "anchorflow"
 
 
 @dataclass(frozen=True)
@@ -104,17 +107,29 @@ class Report:
             raise BenchmarkError(f"{error.filename}: {error.strerror}") from error
         return [folder / name for name in texts]
 
+    @property
+    def header(self) -> dict[str, str]:
+        """What its files begin with: the command that was typed, if one was, and `about`."""
+        command = typed_command()
+        return ({"command": command} if command else {}) | dict(self.about)
+
     def to_json(self) -> str:
         tables = [
             {"title": table.title, "note": table.note, "rows": [_plain(r) for r in table.rows]}
             for table in self.tables
         ]
-        return json.dumps({"about": dict(self.about), "tables": tables}, indent=1) + "\n"
+        return json.dumps({"about": self.header, "tables": tables}, indent=1) + "\n"
 
     def to_markdown(self) -> str:
-        about = [f"- {key}: {value}" for key, value in self.about.items()]
+        about = [f"- {key}: {value}" for key, value in self.header.items()]
         tables = [part for table in self.tables for part in ("", table.to_markdown())]
         return "\n".join([f"# {self.title}", "", *about, *tables]) + "\n"
+
+
+def typed_command() -> str | None:
+    """`anchorflow bench …` with its options as given; None where another program runs."""
+    path, *arguments = sys.argv
+    return shlex.join([PROGRAM, *arguments]) if Path(path).stem == PROGRAM else None
 
 
 def formatted(value: Cell) -> str:

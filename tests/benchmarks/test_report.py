@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,20 @@ def test_both_files_are_written(tmp_path: Path) -> None:
     assert read["about"] == {"commit": "abc"}
     assert read["tables"][0]["rows"][1] == {"who": "b", "ms": None, "N": None}
     assert "- commit: abc" in paths[1].read_text()
+
+
+def test_both_files_say_first_what_was_typed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ["bench", "quality", "--bundle", "my bundles/a", "--samplers", "card,rk4:8step"]
+    monkeypatch.setattr(sys, "argv", [".venv/bin/anchorflow", *options])
+    report = Report("speed", "Speed", {"commit": "abc"}, [TABLE])
+    of_json, of_markdown = report.write(tmp_path)
+
+    command = "anchorflow bench quality --bundle 'my bundles/a' --samplers card,rk4:8step"
+    about = json.loads(of_json.read_text())["about"]
+    assert [*about.items()] == [("command", command), ("commit", "abc")]
+    assert of_markdown.read_text().splitlines()[2:4] == [f"- command: {command}", "- commit: abc"]
 
 
 def test_a_wide_table_is_not_squeezed(capsys: pytest.CaptureFixture[str]) -> None:

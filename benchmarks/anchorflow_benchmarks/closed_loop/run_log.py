@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,22 +24,36 @@ class RunLog:
     settings: Mapping[str, str]
 
     def known(self) -> dict[RunKey, Result]:
-        """The runs of the file, which is begun where there is none.
+        """The runs of the file, which is begun where there is none or an empty one.
+
+        A last line that was cut off is taken out of the file.
 
         Raises:
-            BenchmarkError: it holds runs of other settings, or something else.
+            BenchmarkError: it holds runs of other settings, or something else, or it cannot be
+                read or written.
         """
-        if not self.path.exists():
-            self.path.write_text(json.dumps(dict(self.settings)) + "\n", encoding="utf-8")
-        first, *lines = self.path.read_text(encoding="utf-8").splitlines()
+        settings = json.dumps(dict(self.settings)) + "\n"
         try:
-            settings, results = json.loads(first), [_result(json.loads(line)) for line in lines]
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.touch()
+            written = self.path.read_bytes()
+            if settings.encode().startswith(written):
+                self.path.write_text(settings, encoding="utf-8")
+                return {}
+            first, *lines, cut_off = written.split(b"\n")
+            found, results = dict(json.loads(first)), [_result(json.loads(line)) for line in lines]
+            for name in {**self.settings, **found}:
+                wanted, got = self.settings.get(name), found.get(name)
+                if wanted != got:
+                    raise BenchmarkError(
+                        f"{self.path}: {name}: expected runs of {wanted!r}, got runs of {got!r}; "
+                        "another file begins anew"
+                    )
+            os.truncate(self.path, len(written) - len(cut_off))
+        except OSError as error:
+            raise BenchmarkError(f"{self.path}: {error.strerror}") from error
         except (ValueError, KeyError, TypeError) as error:
             raise BenchmarkError(f"{self.path}: not a file of runs ({error})") from error
-        if settings != dict(self.settings):
-            raise BenchmarkError(
-                f"{self.path}: expected runs of {dict(self.settings)}, got runs of {settings}"
-            )
         return {(result.contender, result.world, result.seed): result for result in results}
 
     def add(self, result: Result) -> None:

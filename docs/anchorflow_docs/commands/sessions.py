@@ -123,6 +123,8 @@ WALKTHROUGH = (
             "make toolkit",
             ".venv/bin/anchorflow data make data/small --scenes 400",
             ".venv/bin/anchorflow train data/small --out runs/small --steps 600 --samples 16",
+            ".venv/bin/anchorflow generate --checkpoint runs/small/checkpoint.pt --start 0,0"
+            " --goal 6,1 --plot small.png",
             ".venv/bin/anchorflow export runs/small/checkpoint.pt --out bundles/small --name small",
             ".venv/bin/anchorflow serve --bundle bundles/small",
             PLAN,
@@ -218,28 +220,41 @@ NOT_HERE = {
     "anchorflow bench quality --bundle bundles/a --bundle bundles/b"
     " --samplers card,rk4:8step,rk4:uniform8,midpoint:uniform2 --baselines expert,lines,routes,rrt"
     " --scenes ../shared/data/scenes_public.npz --limit 60": MEASURES,
+    f"anchorflow bench quality --bundle {SHIPPED}/default --bundle {SHIPPED}/student"
+    " --samplers card,midpoint:uniform2 --limit 60": MEASURES,
     "anchorflow bench quality --bundle whole --bundle rounded": MEASURES,
     "anchorflow bench routes": MEASURES,
     "anchorflow bench latency": MEASURES,
     "anchorflow bench latency --provider cuda": "needs a GPU",
     "anchorflow bench latency --checkpoint runs/default/checkpoint.pt"
     " --samplers rk4:8step,card": MEASURES,
+    f"anchorflow bench latency --bundle {SHIPPED}/default --bundle {SHIPPED}/student"
+    " --samplers card --scenes drawn:8:3 --rounds 16": MEASURES,
     "anchorflow bench load": MEASURES,
     "anchorflow bench load --url http://127.0.0.1:8000": MEASURES,
     "anchorflow bench serving --bundle bundles/flowmp --num 16": MEASURES,
+    f"anchorflow bench serving --bundle {SHIPPED}/student --budget-ms 1000 --seconds 8"
+    " --rounds 5": MEASURES,
     "anchorflow bench release": MEASURES,
     "anchorflow bench swaps": MEASURES,
     "anchorflow bench kill": MEASURES,
     "anchorflow bench soak": MEASURES,
+    f"anchorflow bench soak --bundle {SHIPPED}/student --num 16 --scenes drawn:64:0": MEASURES,
     "anchorflow bench zenoh": MEASURES,
     "anchorflow bench zenoh --sampler midpoint:uniform2": MEASURES,
+    f"anchorflow bench zenoh --bundle {SHIPPED}/student --rounds 300": MEASURES,
     "anchorflow bench failover": MEASURES,
     "anchorflow bench failover --seconds 60": MEASURES,
     "anchorflow bench robots --limit 60": MEASURES,
     "anchorflow bench earns --limit 60": MEASURES,
     "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
     "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
+    f"anchorflow bench closed-loop ../shared/data/barn_public.npz --bundle {SHIPPED}/student"
+    " --motions 128,512 --seeds 3 --sampler card --latency-ms 100": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
+    f"anchorflow bench drive --logs ../shared/data/driving --bundle {SHIPPED}/goalflow"
+    f" --bundle {SHIPPED}/wote --bundle {SHIPPED}/diffusiondrive"
+    " --seed 0 --seed 1 --seed 2 --seed 3": MEASURES,
     f"anchorflow bench drive-closed-loop --bundle {SHIPPED}/goalflow --along-route": MEASURES,
     "anchorflow data import-log USA_US101-1_1_T-1.xml --out us101.npz": OTHERS_LOGS,
     "anchorflow data import-log nuscenes --scene scene-0061 --out 0061.npz": OTHERS_LOGS,

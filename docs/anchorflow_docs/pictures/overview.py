@@ -26,8 +26,9 @@ def front(stage: Stage) -> Drawing:
 
 
 def anchors(stage: Stage) -> Drawing:
-    """The first scene of each of eight families, whatever it is, with the share that is safe."""
-    return _sheet(stage, [stage.scene(family) for family in FAMILIES], rows=2, titled=True)
+    """The first scene with a free route of each of eight families, with the share that is safe."""
+    scenes = [stage.scene(family, lambda scene: bool(scene.routes)) for family in FAMILIES]
+    return _sheet(stage, scenes, rows=2, titled=True)
 
 
 def _sheet(

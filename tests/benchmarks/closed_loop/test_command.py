@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
 
 from anchorflow_cli.main import main
+from anchorflow_export.bundle import record_quality
+from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 LITTLE = ("--num", "8", "--motions", "24", "--sampler", "euler:uniform1", "--limit-s", "0.3")
 
@@ -37,6 +40,36 @@ def test_it_drives_and_writes_its_tables(
     assert [row["world"] for row in worlds] == ["drawn 1000", "drawn 1002"]
     assert written["about"]["latency"] == "60 ms"
     assert (tmp_path / "closed_loop.md").exists()
+
+
+def test_the_runs_of_a_log_are_of_all_that_changes_one(tmp_path: Path) -> None:
+    """As far as a contest that has nothing left to drive shows it."""
+    log, bundle = tmp_path / "runs.jsonl", shutil.copytree(DEFAULT_BUNDLE, tmp_path / "bundle")
+    given = [
+        "drawn:1:0",
+        *LITTLE,
+        "--log",
+        str(log),
+        "--bundle",
+        str(bundle),
+        "--out",
+        str(tmp_path),
+    ]
+    run(*given)
+    taken_down = log.read_bytes()
+    run(*given)
+    assert log.read_bytes() == taken_down
+
+    def refusal(*arguments: str) -> str:
+        with pytest.raises(SystemExit) as caught:
+            main(["bench", "closed-loop", *given, *arguments])
+        return str(caught.value.code)
+
+    assert "robot: expected runs of" in refusal("--limit-s", "0.4")
+    assert "answers lost: expected runs of '0.1%', got runs of '0%'" in refusal("--lost", "0.001")
+    assert "latency: expected runs of" in refusal("--threads", "1")
+    record_quality(bundle, {"success": 0.5})
+    assert "bundle: expected runs of 'flowmp-small 0.3.0 (" in refusal()
 
 
 @pytest.mark.parametrize(

@@ -41,9 +41,43 @@ def test_runs_of_other_settings_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "runs.jsonl"
     RunLog(path, {"robot": "unicycle"}).known()
     with pytest.raises(
-        BenchmarkError, match=r"expected runs of .*double.*, got runs of .*unicycle"
+        BenchmarkError, match=r"robot: expected runs of 'double-integrator', got runs of 'unicycle'"
     ):
         RunLog(path, {"robot": "double-integrator"}).known()
-    path.write_text("[]\nrubbish\n")
-    with pytest.raises(BenchmarkError, match="not a file of runs"):
+    with pytest.raises(BenchmarkError, match="limit: expected runs of '9 s', got runs of None"):
+        RunLog(path, {"robot": "unicycle", "limit": "9 s"}).known()
+
+
+@pytest.mark.parametrize(
+    "content", [b"[]\nrubbish\n", b"[1]\n", b"{}\n[]\n", b"\xff\xfe\x00\n", b"a line alone"]
+)
+def test_what_is_no_file_of_runs_is_left_alone(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "runs.jsonl"
+    path.write_bytes(content)
+
+    with pytest.raises(BenchmarkError, match=r"runs\.jsonl: not a file of runs"):
         RunLog(path, {}).known()
+
+    assert path.read_bytes() == content
+
+
+def test_a_file_that_was_cut_off_goes_on(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "new" / "runs.jsonl", {"robot": "unicycle"})
+    first, second = (
+        Result("MPPI", name, 0, 6.0, Run(End.GOAL, 3.0, 0.1, 4.0, 0), ()) for name in ("a", "b")
+    )
+    log.known()
+    settings = log.path.read_bytes()
+    log.add(first)
+    log.add(second)
+    whole = log.path.read_bytes()
+
+    for end in range(len(settings)):
+        log.path.write_bytes(settings[:end])
+        assert log.known() == {}
+        assert log.path.read_bytes() == settings
+    for end in range(len(whole) - 9, len(whole)):
+        log.path.write_bytes(whole[:end])
+        assert list(log.known().values()) == [first]
+        log.add(second)
+        assert log.path.read_bytes() == whole
