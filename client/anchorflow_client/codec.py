@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
+from anchorflow_client.errors import InvalidAnswer
 
 
 @dataclass(frozen=True)
@@ -56,3 +57,11 @@ class Codec(Protocol):
             InvalidAnswer: the bytes are not the contract's.
         """
         ...
+
+
+def answer_to(request: AnchorRequest, answer: AnchorBatch) -> AnchorBatch:
+    """The answer. Raises `InvalidAnswer` where the request was named, and it is another's."""
+    if request.request_id is not None and answer.request_id != request.request_id:
+        wanted, came = request.request_id, answer.request_id
+        raise InvalidAnswer(f"request_id: expected the answer to {wanted}, got that to {came}")
+    return answer

@@ -47,11 +47,11 @@ class Patience:
 
     def __post_init__(self) -> None:
         """Raises `ValueError` where a time is not above 0."""
-        check_times(
-            patience_s=self.patience_s,
-            first_pause_s=self.first_pause_s,
-            longest_pause_s=self.longest_pause_s,
-        )
+        names = ("patience_s", "first_pause_s", "longest_pause_s")
+        times_s = {name: getattr(self, name) for name in names}
+        check_times(**times_s)
+        for name, time_s in times_s.items():
+            object.__setattr__(self, name, float(time_s))
 
     def attempts(self, budget_ms: float | None = None) -> Attempts:
         """For one question, which is asked first now."""

@@ -131,7 +131,7 @@ def map_fields(
         return cost_map
     try:
         data = np.asarray(cost_map)
-    except ValueError:  # ragged lists: whoever reads them tells where
+    except (TypeError, ValueError, RuntimeError):  # whoever reads it tells why, and where
         return {"data": cost_map, "resolution": resolution, "origin": origin}
     data = data[None] if data.ndim == 2 else data
     return {"data": data, "resolution": resolution, "origin": origin}

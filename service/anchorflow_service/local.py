@@ -12,7 +12,7 @@ from anchorflow_service.engine import Engine
 
 
 class LocalClient(BaseClient):
-    """Plans on the caller's thread.
+    """Plans on the caller's thread. Decodes no pictures: an `EncodedImage` is refused.
 
     with LocalClient.of(bundle) as client:
         anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)

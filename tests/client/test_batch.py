@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from typing import Any
 
 import numpy as np
@@ -135,6 +137,24 @@ def test_far_from_zero_trajectories_keep_their_digits(reach: float, dtype: type)
     paths = np.full((3, 4, 2), reach + 0.0)
 
     assert batch(trajectories=paths).trajectories.dtype == dtype
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
+@pytest.mark.parametrize("dt", [0.1, [0.1, 0.2, 0.3]])
+def test_a_copy_in_another_process_is_as_frozen_as_the_first(again: Any, dt: Any) -> None:
+    first = batch(dt=dt, request_id="r1")
+    second = again(first)
+
+    assert second.arrays.keys() == first.arrays.keys()
+    for name, array in first.arrays.items():
+        np.testing.assert_array_equal(second.arrays[name], array)
+        assert not second.arrays[name].flags.writeable
+        assert not np.shares_memory(second.arrays[name], array)
+    with pytest.raises(TypeError):
+        second.arrays["scores"] = first.scores
+    np.testing.assert_array_equal(second.dt, first.dt)
+    assert not np.asarray(second.dt).flags.writeable or np.ndim(dt) == 0
+    assert (second.seed, second.model, second.request_id) == (7, MODEL, "r1")
 
 
 def test_told_anew_its_anchors_are_the_same() -> None:

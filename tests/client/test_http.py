@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -165,6 +166,18 @@ def test_a_refusal_is_raised_with_its_field(client: Client, fields: dict[str, An
     assert caught.value.retry_after_s == 7
 
 
+def test_the_answer_to_another_request_is_refused(client: Client, fields: dict[str, Any]) -> None:
+    assert client(Canned()).plan(**fields, request_id="r1").request_id == "r1"
+    for codec in (JsonCodec(), OipCodec()):
+        answer = codec.encode_answer(
+            JsonCodec().decode_answer(Payload(json.dumps(ANSWER).encode()))
+        )
+        length = {"inference-header-content-length": str(answer.header_length)}
+        transport = Canned(answer.body, headers=length)
+        with pytest.raises(InvalidAnswer, match="expected the answer to r2, got that to r1"):
+            client(transport, codec=codec).plan(**fields, request_id="r2")
+
+
 @pytest.mark.parametrize("body", [b"<html>Not found</html>", b"[]", b"", TOO_DEEP])
 @pytest.mark.parametrize("status", [404, 501])
 def test_an_error_of_another_program_is_an_invalid_answer(
@@ -251,7 +264,28 @@ def test_a_strange_url_is_refused(kind: Callable[[str], object], url: str) -> No
         kind(url)
 
 
-@pytest.mark.parametrize("url", ["http://robot.de.", "http://[::1]:8000", "http://räuber.de"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://robot:secret@host",
+        "https://robot:secret@host:8000/base",
+        "http://secret@host:port",
+        "http://robot:secret@[::1",
+        "robot:secret@host",
+    ],
+)
+@pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])
+def test_a_password_in_a_url_is_refused_and_not_repeated(
+    kind: Callable[[str], object], url: str
+) -> None:
+    with pytest.raises(ValueError, match=r"user before the host; .* token=") as caught:
+        kind(url)
+    assert "secret" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "url", ["http://robot/a@b", "http://robot.de.", "http://[::1]:8000", "http://räuber.de"]
+)
 @pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])
 def test_an_unusual_host_is_taken(kind: Callable[[str], object], url: str) -> None:
     kind(url)
@@ -262,6 +296,17 @@ def test_an_unusual_host_is_taken(kind: Callable[[str], object], url: str) -> No
 def test_a_wait_that_never_ends_is_refused(kind: Callable[..., object], name: str) -> None:
     with pytest.raises(ValueError, match=rf"{name}: expected at most 1e\+06 s, got inf"):
         kind("http://robot", **{name: math.inf})
+
+
+def test_a_time_may_be_a_number_of_numpy(client: Client, fields: dict[str, Any]) -> None:
+    transport = Canned()
+    client(transport, timeout_s=np.float32(1)).plan(**fields)
+    assert type(transport.sent[0][-1]) is float
+
+    times: dict[str, Any] = {"timeout_s": np.float32(1), "connect_timeout_s": np.float32(1)}
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}"
+    assert not AnchorClient(url, **times).live()
 
 
 @pytest.mark.parametrize("kind", [AnchorClient, AsyncAnchorClient])

@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from staged_planner import Stage, batch_for
 
-from anchorflow_client import AnchorBatch, AnchorRequest
+from anchorflow_client import (
+    AnchorBatch,
+    AnchorRequest,
+    ConnectionFailed,
+    CostMap,
+    InvalidRequest,
+    Overloaded,
+    WarmStart,
+)
 from anchorflow_client.planner import PlannerConfig
 from anchorflow_client.planner.plan import PlanState
 
@@ -76,6 +84,37 @@ def test_what_the_loop_changes_afterwards_is_not_sent(stage: Stage) -> None:
 
     assert stage.requests[0].cost_map.data.max() == 0.0
     assert stage.requests[0].x_curr[0, 0] == 0.0
+
+
+def test_no_other_array_that_the_loop_changes_afterwards_is_sent(stage: Stage) -> None:
+    origin, style, path = np.array([-4.0, -4.0]), np.array([1.0, 0.0, 0.0]), np.zeros((4, 2))
+    schedule = [0.0, 0.5, 1.0]
+    stage.update(
+        origin=origin,
+        w_style=style,
+        warm_start=WarmStart(path, 0.5),
+        sampler={"method": "euler", "schedule": schedule},
+    )
+    origin[:], style[:], path[:] = -3.0, [0.0, 0.0, 1.0], 9.0
+    schedule.insert(1, 0.25)
+    stage.answer()
+
+    (sent,) = stage.requests
+    np.testing.assert_array_equal(sent.cost_map.origin, [-4.0, -4.0])
+    np.testing.assert_array_equal(sent.w_style, [[1.0, 0.0, 0.0]])
+    assert sent.warm_start is not None
+    assert sent.warm_start.trajectory.max() == 0.0
+    assert sent.sampler is not None
+    assert sent.sampler.schedule == (0.0, 0.5, 1.0)
+
+
+def test_a_map_that_holds_the_loops_own_array_is_copied(stage: Stage) -> None:
+    grid = np.zeros((1, 16, 16), np.float32)
+    stage.update(cost_map=CostMap(grid, 0.5, np.array([-4.0, -4.0])), resolution=None)
+    grid[:] = 1.0
+    stage.answer()
+
+    assert stage.requests[0].cost_map.data.max() == 0.0
 
 
 def test_further_fields_go_into_the_request(stage: Stage) -> None:
@@ -165,6 +204,71 @@ def test_after_a_reset_nothing_old_comes_back(stage: Stage) -> None:
     stage.now += 0.1
     assert stage.cycle().request_id == stage.requests[-1].request_id
     assert stage.requests[-1].warm_start is None
+
+
+def test_after_a_reset_is_asked_at_once(stage: Stage) -> None:
+    stage.cycle()
+    stage.update()
+    stage.fail(Overloaded("full", retry_after_s=60.0))
+    stage.update()
+    stage.planner.reset()
+    stage.update()
+
+    assert len(stage.waiting) == 1
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_where_the_clock_goes_back_it_begins_anew(stage: Stage, asked: bool) -> None:
+    stage.cycle()
+    if asked:
+        stage.update()
+    stage.now = 3.0
+    plan = stage.planner.wait(0.0)
+    assert plan.state is PlanState.WAITING
+    assert plan.batch is None
+    stage.update()
+    while stage.waiting:
+        stage.answer()
+    stage.now += 0.2
+    plan = stage.update()
+
+    assert plan.state is PlanState.FRESH
+    assert plan.age_ms == pytest.approx(200.0)
+    assert plan.states()[0, 0, 0] == pytest.approx(0.2)
+
+
+def test_settings_of_numpy_do_not_round_the_time() -> None:
+    period_ms: Any = np.float32(100)
+    stage = Stage(PlannerConfig(period_ms=period_ms))
+    stage.now = 1.8e9  # where float32 counts by 128 s
+    stage.cycle(seconds=0.05)
+    stage.update()
+
+    assert stage.waiting == []
+
+
+def test_which_anchor_is_followed_has_to_be_one(stage: Stage) -> None:
+    stage.planner.follow(999)  # of no answer yet
+    stage.cycle()
+    index: Any
+    for index in (-1, 2, 0.5, None):
+        with pytest.raises(InvalidRequest, match="index: expected an integer from 0 to 1, got"):
+            stage.planner.follow(index)
+    index = np.int64(0)
+    stage.planner.follow(index)
+    stage.cycle()
+    assert stage.requests[1].warm_start is not None
+
+
+def test_a_planner_that_is_closed_asks_no_more_and_says_so(stage: Stage) -> None:
+    stage.cycle()
+    stage.planner.close()
+    plan = stage.update()
+
+    assert stage.waiting == []
+    assert plan.state is PlanState.HELD
+    assert isinstance(plan.last_error, ConnectionFailed)
+    assert str(plan.last_error) == "the planner is closed, and asks no more"
 
 
 @pytest.mark.parametrize(

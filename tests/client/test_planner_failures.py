@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,17 @@ from anchorflow_client import (
 )
 from anchorflow_client.planner import PlannerConfig
 from anchorflow_client.planner.plan import PlanState
+
+
+class Tensor:
+    """Of another library, with gradients."""
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        raise RuntimeError("use detach()")
+
+
+HOLDS_ITSELF: list[Any] = []
+HOLDS_ITSELF.append(HOLDS_ITSELF)
 
 
 def test_a_failure_leaves_the_last_good_plan_and_says_why(stage: Stage) -> None:
@@ -115,6 +127,15 @@ def test_a_refused_view_is_followed_by_the_next_one(stage: Stage) -> None:
         ({"cost_map": np.full((16, 16), np.nan)}, "cost_map.data"),
         ({"cost_map": None}, "cost_map"),
         ({"seed": "a"}, "seed"),
+        ({"cost_map": Tensor()}, "cost_map.data"),
+        ({"cost_map": {"data": Tensor(), "resolution": 0.5}, "resolution": None}, "cost_map.data"),
+        ({"x_curr": Tensor()}, "x_curr"),
+        ({"origin": Tensor()}, "cost_map.origin"),
+        ({"w_style": Tensor()}, "w_style"),
+        ({"warm_start": {"trajectory": Tensor()}}, "warm_start.trajectory"),
+        ({"v_max": "fast"}, "v_max"),
+        ({"model": ["lines"]}, "model"),
+        ({"w_style": HOLDS_ITSELF}, "w_style"),
     ],
 )
 def test_nothing_that_the_loop_sees_is_raised_out_of_it(
@@ -184,6 +205,24 @@ def test_the_answer_to_another_request_is_refused(stage: Stage) -> None:
     assert plan.state is PlanState.WAITING
     assert isinstance(plan.last_error, InvalidAnswer)
     assert "somebody else's" in str(plan.last_error)
+
+
+@pytest.mark.parametrize("odd", ["batched", "bare"])
+def test_an_answer_that_no_loop_can_follow_is_refused(stage: Stage, odd: str) -> None:
+    def answer(request: AnchorRequest) -> AnchorBatch:
+        good = batch_for(request)
+        if odd == "bare":
+            return replace(good, arrays={"trajectories": good.trajectories})
+        return replace(good, arrays={name: array[None] for name, array in good.arrays.items()})
+
+    stage.cycle()
+    stage.reply = answer
+    plan = stage.cycle()
+
+    assert plan.state is PlanState.HELD
+    assert isinstance(plan.last_error, InvalidAnswer)
+    wanted = "expected trajectories, velocities, accelerations [N,T,D], got trajectories"
+    assert str(plan.last_error).startswith(wanted)
 
 
 @given(st.lists(st.sampled_from(["tick", "long tick", "answer", "newest", "fail"]), max_size=60))

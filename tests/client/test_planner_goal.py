@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from staged_planner import Stage
 
-from anchorflow_client import CostMap, InvalidRequest
+from anchorflow_client import CostMap, InvalidRequest, ModelCard, Unauthorized
+from anchorflow_client.contract.kinds import TensorsSpec
+from anchorflow_client.planner import PlannerConfig
 from anchorflow_client.planner.local_goal import local_goal
 
 RESOLUTION = 0.25
@@ -89,6 +95,53 @@ def test_the_local_goal_keeps_its_distance(
     # The point lies in its cell, so at most half a diagonal from the centre that was looked at.
     distance = np.linalg.norm(centres - point, axis=1).min(initial=np.inf)
     assert distance >= clearance_m - RESOLUTION / np.sqrt(2) - 1e-9
+
+
+class Carded(Stage):
+    """Its client tells cards too."""
+
+    def __init__(self, *cards: ModelCard, lost: bool = False) -> None:
+        super().__init__(PlannerConfig(through_speed=1.0))
+        self.cards, self.lost = cards, lost
+        self.told = 0
+
+    def models(self) -> tuple[ModelCard, ...]:
+        self.told += 1
+        if self.lost:
+            raise Unauthorized("not for you")
+        return self.cards
+
+
+def through_speed(stage: Stage, **options: Any) -> float:
+    """m/s at the goal that is sent for one beyond the map."""
+    stage.cycle(x_goal=[50.0, 0.0, 0.0, 0.0], **options)
+    return float(stage.requests[-1].x_goal[0, 2])
+
+
+def slow(card: ModelCard, v_max: float) -> ModelCard:
+    limits = replace(card.cost_map.limits, v_max=v_max)
+    return replace(card, conditioning=replace(card.cost_map, limits=limits))
+
+
+def test_a_far_goal_is_passed_no_faster_than_the_robot_drives(
+    stage: Stage, card: ModelCard
+) -> None:
+    assert through_speed(stage) == 1.0
+    assert through_speed(stage, v_max=0.26) == 0.26
+    assert through_speed(stage, v_max=2.0) == 1.0
+
+    carded = Carded(slow(card, 0.5), replace(slow(card, 0.3), name="crawler"))
+    assert [through_speed(carded) for _ in range(2)] == [0.5, 0.5]
+    assert through_speed(carded, model="crawler") == 0.3
+    assert carded.told == 1
+    assert through_speed(carded, model="crawler", v_max=0.8) == 0.8
+    assert through_speed(Carded(card)) == 1.0
+
+
+def test_without_a_card_a_far_goal_is_passed_as_it_is_set(card: ModelCard) -> None:
+    tensors = replace(card, conditioning=TensorsSpec())
+    for stage in (Carded(), Carded(tensors), Carded(card, lost=True)):
+        assert through_speed(stage) == 1.0
 
 
 def test_a_goal_in_a_pocket_is_not_taken_where_another_place_can_be_reached() -> None:

@@ -67,6 +67,15 @@ def test_the_loop_runs_on_while_the_client_hangs() -> None:
     assert planner.counts["asked"] == 1
 
 
+def test_after_closing_the_loop_still_gets_plans() -> None:
+    client = GatedClient()
+    client.gate.set()
+    planner = Planner(client)
+    planner.close()
+
+    assert isinstance(update(planner).last_error, ConnectionFailed)
+
+
 def test_a_server_that_is_lost_in_between_is_survived() -> None:
     client = GatedClient()
     client.gate.set()

@@ -7,7 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client import AnchorRequest, Codec, CostMap, InvalidRequest, JsonCodec, OipCodec
+from anchorflow_client import (
+    AnchorClient,
+    AnchorRequest,
+    Codec,
+    CostMap,
+    InvalidRequest,
+    JsonCodec,
+    OipCodec,
+)
 from anchorflow_client.contract import DEFAULT_STYLE, STYLES, TensorSpec
 from anchorflow_client.contract.inputs import bind
 
@@ -93,6 +101,51 @@ def test_arrays_cannot_be_written_and_the_callers_own_can(fields: dict[str, Any]
         request.x_curr[0, 0] = 1.0
     mine[0] = 9.0
     assert request.x_curr[0, 0] == -3.0
+
+
+def test_an_input_does_not_change_with_the_array_that_a_read_only_view_is_of() -> None:
+    live = np.zeros(3)
+    view = live.view()
+    view.flags.writeable = False
+    request = AnchorRequest.build(inputs={"speed": view})
+    live[:] = 1.0
+
+    np.testing.assert_array_equal(np.asarray(request.inputs["speed"]), np.zeros(3))
+
+
+class OfAnotherLibrary:
+    """A tensor that is not on this processor, or whose gradients are wanted."""
+
+    def __init__(self, error: type[Exception]) -> None:
+        self._error = error
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        raise self._error("use detach()")
+
+
+@pytest.mark.parametrize("error", [RuntimeError, TypeError, ValueError])
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("cost_map", "cost_map.data"),
+        ("origin", "cost_map.origin"),
+        ("x_curr", "x_curr"),
+        ("x_goal", "x_goal"),
+        ("w_style", "w_style"),
+        ("inputs", "inputs.camera"),
+        ("warm_start", "warm_start.trajectory"),
+    ],
+)
+def test_what_cannot_become_an_array_is_named(
+    fields: dict[str, Any], name: str, field: str, error: type[Exception]
+) -> None:
+    tensor: Any = OfAnotherLibrary(error)
+    inside: dict[str, Any] = {"inputs": {"camera": tensor}, "warm_start": {"trajectory": tensor}}
+    place = {"cost_map": np.zeros((16, 20)), "resolution": 0.5}
+
+    with pytest.raises(InvalidRequest, match=r"use detach\(\)") as caught:
+        AnchorClient("http://nobody").plan(**fields | place | {name: inside.get(name, tensor)})
+    assert caught.value.field == field
 
 
 def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:

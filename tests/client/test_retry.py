@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 import pytest
 
 from anchorflow_client import (
@@ -181,6 +182,15 @@ def test_a_pause_is_from_half_its_length_to_all_of_it(
     retrying(stage, draw=draw).plan(**fields)
 
     assert stage.slept == pytest.approx([0.1 * (0.5 + 0.5 * draw), 0.2 * (0.5 + 0.5 * draw)])
+
+
+def test_times_of_numpy_are_slept_as_numbers(retrying: Retrying, fields: dict[str, Any]) -> None:
+    stage = Stage(NotReady("a moment"), failures=1)
+    tenth = np.float32(0.1)
+
+    retrying(stage, first_pause_s=tenth, longest_pause_s=tenth, patience_s=tenth * 9).plan(**fields)
+
+    assert [type(seconds) for seconds in stage.slept] == [float]
 
 
 def test_patience_may_be_endless(retrying: Retrying, fields: dict[str, Any]) -> None:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import ssl
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, suppress
 from typing import Any
 from unittest.mock import Mock
 
 import pytest
+import trustme
 
 from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut
 from anchorflow_client.http.answer_parser import AnswerParser
@@ -115,6 +121,130 @@ def test_a_connection_that_closes_as_it_is_asked_is_opened_again(serve: Serve) -
     transport = serve(answer_once, answer)
 
     assert [get(transport), get(transport)] == [b"ok", b"ok"]
+
+
+@pytest.fixture
+def secured(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Script], SocketTransport]]:
+    """Makes a transport to a server under TLS, which plays the script on two connections."""
+    authority = trustme.CA()
+    ours, theirs = ssl.create_default_context(), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    authority.configure_trust(ours)
+    authority.issue_cert("localhost").configure_cert(theirs)
+    monkeypatch.setattr(Address, "tls", lambda _: ours)
+    with ExitStack() as stack:
+
+        def start(script: Script) -> SocketTransport:
+            listener = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+
+            def run() -> None:
+                for _ in range(2):
+                    connection = theirs.wrap_socket(listener.accept()[0], server_side=True)
+                    with connection:
+                        script(connection)
+
+            threading.Thread(target=run, daemon=True).start()
+            url = f"https://localhost:{listener.getsockname()[1]}"
+            transport = SocketTransport(url, connect_timeout_s=5)
+            stack.callback(transport.close)
+            return transport
+
+        yield start
+
+
+BODY = bytes(2**18)
+"""Of several TLS records: a later one is sent when the first has met nobody."""
+
+
+@pytest.mark.parametrize("says_so", [False, True])
+def test_an_idle_connection_that_was_closed_under_tls_is_opened_again(
+    secured: Callable[[Script], SocketTransport], says_so: bool
+) -> None:
+    closed = threading.Event()
+
+    def answer_and_close(connection: socket.socket) -> None:
+        assert isinstance(connection, ssl.SSLSocket)
+        left = len(BODY)
+        while left > 0:
+            left -= len(connection.recv(65536))
+        connection.sendall(OK)
+        connection.settimeout(0.1)
+        with suppress(OSError):
+            if says_so:
+                connection.unwrap()
+        connection.close()
+        closed.set()
+
+    transport = secured(answer_and_close)
+    for _ in range(2):
+        assert transport.send("POST", "/", {}, BODY, 10)[2] == b"ok"
+        assert closed.wait(10)
+
+
+def test_a_refusal_under_tls_is_heard_though_the_body_is_not_taken(
+    secured: Callable[[Script], SocketTransport],
+) -> None:
+    def refuse(connection: socket.socket) -> None:
+        read_head(connection)
+        connection.sendall(b"HTTP/1.1 413 Too Large\r\nContent-Length: 2\r\n\r\nno")
+
+    assert secured(refuse).send("POST", "/", {}, bytes(2**23), 10)[0] == 413
+
+
+FORKS = """
+import os
+import sys
+from anchorflow_client.http.socket_transport import SocketTransport
+
+transport = SocketTransport(f"http://127.0.0.1:{sys.argv[1]}", connect_timeout_s=5)
+
+def ask(path):
+    return transport.send("GET", path, {}, None, 5)[2].decode()
+
+assert ask("/first") == "/first"
+child = os.fork()
+paths = [f"/{'parent' if child else 'child'}{n}" for n in range(50)]
+assert [ask(path) for path in paths] == paths
+if child:
+    sys.exit(os.waitpid(child, 0)[1] != 0)
+transport.close()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_forked_process_has_a_connection_of_its_own() -> None:
+    def echo(connection: socket.socket) -> None:
+        with connection:
+            while head := connection.recv(65536):  # these heads come in one piece
+                path = head.split()[1]
+                length = str(len(path)).encode()
+                connection.sendall(
+                    b"HTTP/1.1 200 OK\r\nContent-Length: " + length + b"\r\n\r\n" + path
+                )
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def accept() -> None:
+            for _ in range(2):
+                threading.Thread(target=echo, args=(listener.accept()[0],), daemon=True).start()
+
+        accepting = threading.Thread(target=accept, daemon=True)
+        accepting.start()
+        command = [sys.executable, "-c", FORKS, str(listener.getsockname()[1])]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        assert ended.returncode == 0, ended.stderr
+        accepting.join(10)
+
+
+def test_a_lock_that_was_held_at_a_fork_holds_up_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        url = f"http://127.0.0.1:{listener.getsockname()[1]}"
+        transport = SocketTransport(url, connect_timeout_s=5)
+        with transport._turn():  # another thread's, which is not in the child
+            monkeypatch.setattr(os, "getpid", lambda: -1)
+            thread = threading.Thread(target=transport.close, daemon=True)
+            thread.start()
+            thread.join(10)
+            assert not thread.is_alive()
 
 
 class Scripted:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract.checks import describe, expected, is_number_type
+from anchorflow_client.contract.checks import as_array, describe, expected, is_number_type
 from anchorflow_client.contract.ranges import Interval
 from anchorflow_client.errors import InvalidRequest
 
@@ -91,8 +91,30 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
+def frozen(array: Array) -> Array:
+    """The array itself, to which nobody writes any more."""
+    array.flags.writeable = False
+    return array
+
+
+def unshared(array: NDArray[Any]) -> NDArray[Any]:
+    """The array itself where nobody can write to its memory, else a copy that nobody can."""
+    return array if _is_constant(array) else frozen(array.copy())
+
+
+def _is_constant(memory: Any) -> bool:
+    """Whether nobody can write to it: a read-only view may be one of an array that changes."""
+    match memory:
+        case np.ndarray():
+            return not memory.flags.writeable and _is_constant(memory.base)
+        case memoryview():
+            return _is_constant(memory.obj)
+        case _:
+            return memory is None or isinstance(memory, bytes)
+
+
 def _from_array(value: Any, field: str, shape: str) -> NDArray[np.float64]:
-    array = np.asarray(value)
+    array = as_array(value, field)
     if array.dtype.kind not in "iuf":
         raise expected(field, f"numbers of shape {shape}", array)
     return array.astype(np.float64)

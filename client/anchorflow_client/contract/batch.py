@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anchorflow_client.contract.arrays import read_only
+from anchorflow_client.contract.arrays import frozen, read_only
 from anchorflow_client.contract.card import ModelId
 from anchorflow_client.contract.route import beside_route
 
@@ -67,6 +67,18 @@ class AnchorBatch:
         object.__setattr__(self, "dt", _time_step(self.dt))
         self._check_shapes()
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "arrays": dict(self.arrays)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        arrays, dt = state["arrays"], state["dt"]
+        same = {
+            "arrays": MappingProxyType({name: frozen(array) for name, array in arrays.items()}),
+            "dt": frozen(dt) if isinstance(dt, np.ndarray) else dt,
+        }
+        for name, value in (state | same).items():
+            object.__setattr__(self, name, value)
+
     def _check_shapes(self) -> None:
         shape = self.trajectories.shape
         if len(shape) not in (3, 4):
@@ -112,7 +124,8 @@ class AnchorBatch:
 
     @property
     def safe(self) -> NDArray[np.bool_]:
-        """[N], whether the path keeps robot_radius from every obstacle and stays on the map."""
+        """[N], whether the path keeps robot_radius and certified_margin from every obstacle,
+        certified_margin from the map's edge, and v_max and a_max."""
         return self._given("safe")
 
     @property

@@ -62,7 +62,7 @@ def as_array(value: Any, field: str, dtype: DTypeLike | None = None) -> NDArray[
     try:
         with np.errstate(over="ignore"):
             return np.asarray(value, dtype)
-    except (TypeError, ValueError, OverflowError) as error:
+    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # of other libraries too
         raise InvalidRequest(f"expected an array of numbers, got none: {error}", field) from error
 
 

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import numbers, read_only, within, wrong_shape
+from anchorflow_client.contract.arrays import (
+    frozen,
+    numbers,
+    read_only,
+    unshared,
+    within,
+    wrong_shape,
+)
 from anchorflow_client.contract.checks import fields_of, number
 from anchorflow_client.errors import InvalidRequest
 
@@ -86,13 +93,15 @@ class CostMap:
 
 def _grid(data: Any) -> NDArray[np.float32]:
     field = "cost_map.data"
+    if isinstance(data, np.ndarray):
+        data = np.asarray(data)  # a masked array has numbers under its mask too
     if isinstance(data, np.ndarray) and data.dtype == np.bool_:
-        data = data.astype(np.float32)
+        data = frozen(data.astype(np.float32))
     if isinstance(data, np.ndarray) and data.dtype == np.float32:
         # A decoder's view of the bytes that came is kept: nobody can write to it.
-        grid = within(data.copy() if data.flags.writeable else data, field, ranges.UNIT)
+        grid = within(unshared(data), field, ranges.UNIT)
     else:
-        grid = numbers(data, field, ranges.UNIT, MAP_SHAPE).astype(np.float32)
+        grid = frozen(numbers(data, field, ranges.UNIT, MAP_SHAPE).astype(np.float32))
     if grid.ndim not in (3, 4):
         raise wrong_shape(field, MAP_SHAPE, grid)
     channels, *sides = grid.shape[-3:]

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import first_refused, numbers, read_only, within
+from anchorflow_client.contract.arrays import (
+    first_refused,
+    numbers,
+    read_only,
+    unshared,
+    within,
+)
 from anchorflow_client.contract.checks import choice, describe, expected, fields_of, integer, text
 from anchorflow_client.contract.kinds import TensorSpec
 from anchorflow_client.contract.ranges import Interval
@@ -164,7 +170,7 @@ def _own_array(array: NDArray[Any], field: str) -> NDArray[Any]:
         raise expected(field, "numbers or texts", array)
     if array.dtype.newbyteorder("=").name not in DTYPES:
         return read_only(_widened(array, field))
-    return read_only(array.copy() if array.flags.writeable else array)
+    return read_only(unshared(array))
 
 
 def _widened(array: NDArray[Any], field: str) -> NDArray[Any]:

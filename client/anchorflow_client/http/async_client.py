@@ -64,7 +64,7 @@ class AsyncAnchorClient(BaseAsyncClient):
             )
         self._transport = transport
         self._exchanges = Exchanges(url, codec=codec or OipCodec(), token=token)
-        self._timeout_s = timeout_s
+        self._timeout_s = float(timeout_s)
 
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
         """Anchors for a request that was built before."""

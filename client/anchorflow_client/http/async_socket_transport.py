@@ -37,7 +37,7 @@ class AsyncSocketTransport:
                 f"max_connections: expected a whole number of at least 1, got {max_connections!r}"
             )
         self._url = url
-        self._connect_timeout_s = connect_timeout_s
+        self._connect_timeout_s = float(connect_timeout_s)
         self._places = asyncio.Semaphore(max_connections)
         self._idle: list[_Connection] = []
         self._open: set[_Connection] = set()

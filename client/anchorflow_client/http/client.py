@@ -54,7 +54,7 @@ class AnchorClient(BaseClient):
         check_times(LONGEST_S, timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
         self._transport = transport or SocketTransport(url, connect_timeout_s=connect_timeout_s)
         self._exchanges = Exchanges(url, codec=codec or OipCodec(), token=token)
-        self._timeout_s = timeout_s
+        self._timeout_s = float(timeout_s)
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
         """Anchors for a request that was built before."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 from urllib.parse import urlsplit
 
-from anchorflow_client.codec import Codec, Payload
+from anchorflow_client.codec import Codec, Payload, answer_to
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.errors import (
     ConnectionFailed,
@@ -79,7 +79,11 @@ class Exchanges:
         if payload.header_length is not None:
             headers["Inference-Header-Content-Length"] = str(payload.header_length)
         path = f"{self._base_path}/anchors"
-        return Exchange("POST", path, headers, payload.body, self._codec.decode_answer)
+
+        def read(answer: Payload) -> AnchorBatch:
+            return answer_to(request, self._codec.decode_answer(answer))
+
+        return Exchange("POST", path, headers, payload.body, read)
 
     def models(self) -> Exchange[tuple[ModelCard, ...]]:
         """The cards of all bundles that are served, the default first."""

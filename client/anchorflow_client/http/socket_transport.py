@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import os
 import socket
 import ssl
 import threading
@@ -15,12 +16,14 @@ from anchorflow_client.http.transport import Address, HttpAnswer, translated, un
 
 HEARD_BYTES = 256 * 2**10
 """At most, at a time."""
+HUNG_UP = (ConnectionError, ssl.SSLEOFError, ssl.SSLZeroReturnError)
+"""What is met on a connection that the service has closed."""
 
 
 class SocketTransport:
     """One connection, kept alive; opened again once where the service had closed an idle one.
 
-    Threads may share it, and take turns.
+    Threads may share it, and take turns. After a fork each process has a connection of its own.
     """
 
     def __init__(self, url: str, *, connect_timeout_s: float) -> None:
@@ -31,9 +34,10 @@ class SocketTransport:
         """
         self._url = url
         self._address = Address.of(url)
-        self._connect_timeout_s = connect_timeout_s
-        self._lock = threading.Lock()
+        self._connect_timeout_s = float(connect_timeout_s)
+        self._locks: dict[int, threading.Lock] = {}
         self._socket: socket.socket | None = None
+        self._pid = os.getpid()
         # Kept: new memory of that size is taken from the system and given back each time.
         self._heard = memoryview(bytearray(HEARD_BYTES))
 
@@ -47,25 +51,36 @@ class SocketTransport:
     ) -> HttpAnswer:
         """Send and wait; `timeout_s` bounds each wait for the service's next bytes."""
         head = self._address.head(method, path, headers, body)
-        with self._lock, self._translated_errors(timeout_s):
+        with self._turn(), self._translated_errors(timeout_s):
             if self._socket is not None:
                 try:
                     return self._exchange(self._socket, head, body, timeout_s)
-                except ConnectionError:  # The service closed it while it was idle.
+                except HUNG_UP:  # while it was idle
                     self._disconnect()
             return self._exchange(self._connect(), head, body, timeout_s)
 
     def close(self) -> None:
         """Close the connection; a later `send` opens it again."""
-        with self._lock:
+        with self._turn():
             self._disconnect()
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """One thread's at a time, on no other process's connection."""
+        pid = os.getpid()
+        # A lock that another thread held at a fork is held for ever in the child.
+        with self._locks.setdefault(pid, threading.Lock()):
+            if self._pid != pid:
+                self._disconnect()  # the child's copy; the parent's stays open
+                self._pid = pid
+            yield
 
     def _exchange(
         self, connection: socket.socket, head: bytes, body: bytes | None, timeout_s: float
     ) -> HttpAnswer:
         connection.settimeout(timeout_s)
         # A service that refuses a large body stops reading it: its answer may be here already.
-        with suppress(BrokenPipeError, ConnectionResetError):
+        with suppress(*HUNG_UP):
             _send_all(connection, head, body or b"")
         parser = AnswerParser()
         while parser.answer is None:

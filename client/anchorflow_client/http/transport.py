@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import re
 import ssl
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -72,8 +73,14 @@ class Address:
 
         Raises:
             ValueError: `url` is not http://host[:port] or https://host[:port], its host is no name
-                of one, its port is 0, or a path follows that no request could carry.
+                of one, its port is 0, a user stands before it, or a path follows that no request
+                could carry.
         """
+        if "@" in re.split(r"[/?#]", f"{url}".partition("//")[2] or f"{url}")[0]:
+            raise ValueError(  # without the URL, which may hold a password
+                "expected http://host[:port] or https://host[:port], got one with a user before "
+                "the host; a bearer token is given as token=…"
+            )
         try:
             parts = urlsplit(url)
             port = parts.port
@@ -93,8 +100,7 @@ class Address:
             ) from error
         if port == 0:
             raise ValueError(f"expected a port from 1 to 65535, got {url!r}")
-        authority = parts.netloc.rpartition("@")[2]
-        named = authority if authority.isascii() else authority.encode("idna").decode()
+        named = parts.netloc if parts.netloc.isascii() else parts.netloc.encode("idna").decode()
         return cls(parts.hostname, port or PORTS[parts.scheme], named, parts.scheme == "https")
 
     def tls(self) -> ssl.SSLContext | None:

@@ -9,6 +9,7 @@ routes       which anchors of an answer take the same route
 commitment   stays on a route until another is better by a margin
 progress     whether the robot gets anywhere
 local_goal   where to plan to on a map that may end before the goal
+speed_limit  how fast a goal beyond the map is passed at most
 plan         the newest finished batch, and how good it still is
 shift        an anchor as it looks from a later moment
 """

@@ -49,7 +49,8 @@ class PlannerConfig:
     """Of the local goal, from obstacles and from the map's edge; at least the robot's radius and
     the margin, where a request says the radius."""
     through_speed: float = 1.0
-    """m/s at a local goal that stands in for one beyond the map."""
+    """m/s at a local goal that stands in for one beyond the map; at most the request's `v_max` or,
+    where it says none, the one on the model's card."""
     warm_tau: float = ranges.DEFAULT_TAU
     """Flow time at which a warm start enters, in (0, 1)."""
     cold_every: int = 3
@@ -61,5 +62,6 @@ class PlannerConfig:
             value = getattr(self, name)
             if not is_number(value) or not interval.holds(value):
                 raise ValueError(f"{name}: expected a number {interval}, got {value!r}")
+            object.__setattr__(self, name, float(value))  # float32 rounds the time in s to minutes
         if not isinstance(self.cold_every, int) or self.cold_every < 1:
             raise ValueError(f"cold_every: expected an integer from 1, got {self.cold_every!r}")

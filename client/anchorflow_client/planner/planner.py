@@ -20,6 +20,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from anchorflow_client.codec import answer_to
 from anchorflow_client.contract import (
     AnchorBatch,
     CostMap,
@@ -27,9 +28,16 @@ from anchorflow_client.contract import (
     SamplerChoice,
     WarmStart,
 )
+from anchorflow_client.contract.batch import MOTIONS
 from anchorflow_client.contract.checks import integer
-from anchorflow_client.contract.ranges import SEED
-from anchorflow_client.errors import AnchorFlowError, InvalidAnswer, InvalidRequest, TimedOut
+from anchorflow_client.contract.ranges import SEED, Interval
+from anchorflow_client.errors import (
+    AnchorFlowError,
+    ConnectionFailed,
+    InvalidAnswer,
+    InvalidRequest,
+    TimedOut,
+)
 from anchorflow_client.plan_keywords import map_fields
 from anchorflow_client.planner.commitment import Commitment
 from anchorflow_client.planner.config import PlannerConfig
@@ -45,6 +53,7 @@ from anchorflow_client.planner.request import (
     states_seen,
 )
 from anchorflow_client.planner.routes import Routes
+from anchorflow_client.planner.speed_limit import SpeedLimit
 
 MAX_IN_FLIGHT = 2  # a request that hangs may be given up once before there is an answer again
 
@@ -69,13 +78,16 @@ class Planner:
         Args:
             client: answers; it should itself give up after about `max_age_ms`.
             config: ages and periods; the defaults unless told.
-            clock: the time in s.
+            clock: the time in s; where it goes back, all is forgotten as by `reset`.
             executor: where requests wait for their answer; a pool of two threads unless told.
         """
         self.counts: Counter[str] = Counter()
         self._client = client
         self._config = config or PlannerConfig()
         self._clock = clock
+        self._last_now = -float("inf")
+        self._is_closed = False
+        self._speed_limit = SpeedLimit(client)
         self._own_executor = executor is None
         self._executor = executor or futures.ThreadPoolExecutor(
             MAX_IN_FLIGHT, thread_name_prefix="anchorflow-planner"
@@ -127,8 +139,10 @@ class Planner:
         Nothing that is wrong with what is seen or with a request is raised: it is the plan's
         `last_error`.
         """
-        now = self._clock()
+        now = self._now()
         self._collect(now)
+        if self._is_closed:
+            self._last_error = ConnectionFailed("the planner is closed, and asks no more")
         stuck = False
         try:
             start, goal = states_seen(x_curr, x_goal)
@@ -161,15 +175,19 @@ class Planner:
         """Say which anchor of the plan handed out last is driven along, where it is not its best.
 
         Its route is the one in use, and the next request starts from it.
+
+        Raises:
+            InvalidRequest: there is no anchor of that index.
         """
         if self._answer is not None:
+            index = integer(index, "index", Interval(0, len(self._answer.batch.trajectories) - 1))
             self._commitment.in_use = AnchorInUse(self._answer.batch, index, self._answer.seen_at)
 
     def wait(self, timeout_s: float) -> Plan:
         """Wait for the request on its way, at most so long: before the robot starts to move."""
         if self._in_flight is not None:
             futures.wait([self._in_flight.future], timeout=timeout_s)
-        now = self._clock()
+        now = self._now()
         self._collect(now)
         return self._plan(now)
 
@@ -179,9 +197,14 @@ class Planner:
         self._answer = self._last_error = None
         self._commitment.reset()
         self._progress.reset()
+        self._pacing = Pacing(self._config)
 
     def close(self) -> None:
-        """Ask no more. The client stays open; a request on its way ends by itself."""
+        """Ask no more, which plans then have as their `last_error`.
+
+        The client stays open; a request on its way ends by itself.
+        """
+        self._is_closed = True
         if self._own_executor:
             self._executor.shutdown(wait=False, cancel_futures=True)
 
@@ -196,9 +219,18 @@ class Planner:
     ) -> None:
         self.close()
 
+    def _now(self) -> float:
+        """The time; where it went back, nothing of before is left."""
+        now = self._clock()
+        if now < self._last_now:
+            self.reset()
+        self._last_now = now
+        return now
+
     def _is_due(self, now: float) -> bool:
-        hanging = len(self._given_up)
-        return self._in_flight is None and hanging < MAX_IN_FLIGHT and self._pacing.is_due(now)
+        if self._is_closed or self._in_flight is not None:
+            return False
+        return len(self._given_up) < MAX_IN_FLIGHT and self._pacing.is_due(now)
 
     def _ask(self, seen: Observation) -> None:
         request_id = f"{self._run}-{self.counts['asked']}"
@@ -213,11 +245,19 @@ class Planner:
         self, seen: Observation, request_id: str, in_use: AnchorInUse | None
     ) -> tuple[AnchorBatch, Routes]:
         """Runs in the background: the answer to what was seen. Raises `AnchorFlowError`."""
-        budget_ms = self._config.max_age_ms
         request = build_request(
-            seen, self._config, request_id=request_id, budget_ms=budget_ms, in_use=in_use
+            seen,
+            self._config,
+            request_id=request_id,
+            budget_ms=self._config.max_age_ms,
+            v_max=self._speed_limit.of(seen.options),
+            in_use=in_use,
         )
-        batch = self._client.plan_request(request)
+        batch = answer_to(request, self._client.plan_request(request))
+        shape = batch.trajectories.shape
+        if any(name not in batch.arrays for name in MOTIONS) or len(shape) != 3:
+            wanted, came = ", ".join(MOTIONS), ", ".join(batch.arrays)
+            raise InvalidAnswer(f"expected {wanted} [N,T,D], got {came} of {list(shape)}")
         return batch, Routes.among(batch, CostMap.from_fields(seen.cost_map))
 
     def _seed(self, seed: int) -> int:
@@ -257,10 +297,6 @@ class Planner:
             batch, routes = finished.future.result()
         except AnchorFlowError as error:
             self._failed(error, now)
-            return
-        if batch.request_id != finished.request_id:
-            wrong = f"expected the answer to {finished.request_id}, got that to {batch.request_id}"
-            self._failed(InvalidAnswer(wrong), now)
             return
         self.counts["answered"] += 1
         best = self._commitment.choose(batch, routes, finished.seen_at)

@@ -14,9 +14,10 @@ from anchorflow_client.contract import (
     AnchorRequest,
     CostMap,
     RefineChoice,
+    SamplerChoice,
     WarmStart,
 )
-from anchorflow_client.contract.arrays import wrong_shape
+from anchorflow_client.contract.arrays import MAX_DIMENSIONS, unshared, wrong_shape
 from anchorflow_client.contract.checks import as_array, number
 from anchorflow_client.contract.ranges import (
     DIMENSIONS,
@@ -58,18 +59,17 @@ class Observation:
         x_goal: Array,
         options: Mapping[str, Any],
     ) -> Observation:
-        """With a copy of the loop's own map; options that are None are left out.
+        """With copies of the loop's own map and options; options that are None are left out.
 
         Raises:
-            InvalidRequest: there is no map, or it is no array.
+            InvalidRequest: there is no map, or what should be an array is none.
         """
         if cost_map is None:
             raise InvalidRequest("expected a map to plan on, got none", "cost_map")
         if not isinstance(cost_map, CostMap):
-            data = as_array(cost_map.get("data"), "cost_map.data")
-            cost_map = {**cost_map, "data": data.copy()}
-        given = {name: value for name, value in options.items() if value is not None}
-        return cls(seen_at, cost_map, x_curr, x_goal, given)
+            cost_map = {**cost_map, "data": as_array(cost_map.get("data"), "cost_map.data")}
+        given = {name: _copied(value, name) for name, value in options.items() if value is not None}
+        return cls(seen_at, _copied(cost_map, "cost_map"), x_curr, x_goal, given)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +128,12 @@ def build_request(
     *,
     request_id: str,
     budget_ms: float,
+    v_max: float,
     in_use: AnchorInUse | None,
 ) -> AnchorRequest:
     """The request; what `seen.options` says goes before what is added here.
 
+    v_max: m/s, how fast a local goal is passed at most
     in_use: to start from; None: from noise
 
     Raises:
@@ -149,7 +151,7 @@ def build_request(
         seen.x_curr[:2],
         seen.x_goal,
         clearance_m=max(config.goal_clearance_m, passage_m or 0.0),
-        through_speed=config.through_speed,
+        through_speed=min(config.through_speed, v_max),
         passage_m=passage_m,
     )
     warm_start = in_use and in_use.warm_start(
@@ -163,6 +165,19 @@ def build_request(
     return AnchorRequest.build(
         cost_map=cost_map, x_curr=seen.x_curr, x_goal=goal, **added, request_id=request_id
     )
+
+
+def _copied(value: Any, field: str, depth: int = 1 + MAX_DIMENSIONS) -> Any:
+    """The same, of which its owner can change nothing; what is nested deeper is refused later."""
+    if not depth or isinstance(value, np.generic):
+        return value
+    if isinstance(value, CostMap | WarmStart | SamplerChoice | RefineChoice):
+        return replace(value, **_copied(vars(value), field, depth))
+    if isinstance(value, Mapping):
+        return {name: _copied(each, f"{field}.{name}", depth - 1) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_copied(each, field, depth - 1) for each in value]
+    return unshared(as_array(value, field)) if hasattr(value, "__array__") else value
 
 
 def _state(value: ArrayLike, field: str, parts: int, *dims: int) -> Array:

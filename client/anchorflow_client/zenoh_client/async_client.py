@@ -48,7 +48,9 @@ class AsyncZenohAnchorClient(BaseAsyncClient):
             ValueError: `timeout_s` is not above 0 or is over 10⁶ s, or there is no thread.
         """
         self._client = ZenohAnchorClient(where, timeout_s=timeout_s)
-        self._threads = ThreadPoolExecutor(max_threads, thread_name_prefix="anchorflow-zenoh")
+        self._threads: ThreadPoolExecutor | None = ThreadPoolExecutor(
+            max_threads, thread_name_prefix="anchorflow-zenoh"
+        )
 
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
         """Anchors for a request that was built before."""
@@ -69,11 +71,14 @@ class AsyncZenohAnchorClient(BaseAsyncClient):
     async def aclose(self) -> None:
         """Leave the network; requests that wait for an answer are taken back."""
         await asyncio.to_thread(self._client.close)  # there is always a place on the loop's own
-        self._threads.shutdown(wait=False)
+        threads, self._threads = self._threads, None
+        if threads is not None:
+            threads.shutdown(wait=False)
 
     async def _on_a_thread(self, call: Callable[..., Result]) -> Result:
         loop, cancellation = asyncio.get_running_loop(), Cancellation()
         try:
+            # Without threads, the loop's own: a client that is closed says so at once.
             return await loop.run_in_executor(
                 self._threads, partial(call, cancellation=cancellation)
             )

@@ -19,8 +19,6 @@ from anchorflow_client.zenoh_messages import AnswerAttachment, Load, RequestAtta
 
 SETTLE_S = 0.3
 """How long after a query came back empty the replica's death may take to be known."""
-TIMEOUT = b"Timeout"
-"""What zenoh itself replies when a query takes too long."""
 
 
 @dataclass(frozen=True)

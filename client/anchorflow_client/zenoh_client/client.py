@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.cancellation import Cancellation
+from anchorflow_client.codec import answer_to
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.errors import Cancelled, ConnectionFailed, TimedOut
 from anchorflow_client.oip_codec import OipCodec
@@ -34,8 +35,10 @@ class ZenohAnchorClient(BaseClient):
     Errors:
         ConnectionFailed: nobody is there: no router, no service, or TLS fails.
         Unauthorized: the user or password is wrong, or access control denies the key.
-        TimedOut: no answer came within `budget_ms`, or `timeout_s` without one.
+        TimedOut: no answer came within `budget_ms`, or `timeout_s` without one; or a service is
+            alive and does not answer.
         Cancelled: the request was taken back, or the client was closed meanwhile.
+        InvalidAnswer: what came is not the contract's.
         RequestError: the service refuses, in the same words as over HTTP.
     """
 
@@ -57,7 +60,7 @@ class ZenohAnchorClient(BaseClient):
         """
         check_times(LONGEST_S, timeout_s=timeout_s)
         self._connection = Connection(_settings(where))
-        self._timeout_s = timeout_s
+        self._timeout_s = float(timeout_s)
         self._codec = OipCodec()
         self._closing = Cancellation()
 
@@ -78,7 +81,8 @@ class ZenohAnchorClient(BaseClient):
             model=request.model,
             deadline=deadline,
         )
-        return self._codec.decode_answer(Failover(self._settled(deadline), question).run())
+        payload = Failover(self._settled(deadline), question).run()
+        return answer_to(request, self._codec.decode_answer(payload))
 
     def models(self, *, cancellation: Cancellation | None = None) -> tuple[ModelCard, ...]:
         """The cards of all bundles that are served, the default first."""

@@ -8,7 +8,13 @@ from anchorflow_client.errors import ConnectionFailed
 from anchorflow_client.zenoh_client.background import Background
 from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.network import Network
-from anchorflow_client.zenoh_client.session import config_of, open_session, why_alone
+from anchorflow_client.zenoh_client.session import (
+    check_not_forked,
+    config_of,
+    is_forked,
+    open_session,
+    why_alone,
+)
 from anchorflow_client.zenoh_client.settings import ZenohSettings
 
 
@@ -30,6 +36,7 @@ class Connection:
             TimedOut, Cancelled: it is not joined by then; joining goes on.
             ConnectionFailed, Unauthorized, ZenohConfigError: why it cannot be joined.
         """
+        check_not_forked()
         if self._is_closed:
             raise ConnectionFailed("the client is closed")
         return self._network or self._joining.result(deadline)
@@ -38,7 +45,7 @@ class Connection:
         """Leave the network, at once or as soon as it is joined."""
         with self._lock:
             self._is_closed, network = True, self._network
-        if network is not None:
+        if network is not None and not is_forked():
             network.close()
 
     def _join(self) -> Network:

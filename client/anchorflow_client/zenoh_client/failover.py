@@ -22,13 +22,12 @@ from anchorflow_client.errors import (
 from anchorflow_client.keys import replica_anchors_key
 from anchorflow_client.zenoh_client.attempt import (
     SETTLE_S,
-    TIMEOUT,
     Attempt,
     Question,
     answer_of,
     refusal_of,
 )
-from anchorflow_client.zenoh_client.network import Network
+from anchorflow_client.zenoh_client.network import TIMEOUT, Network
 from anchorflow_client.zenoh_client.replicas import Choice
 from anchorflow_client.zenoh_messages import Load
 

@@ -26,6 +26,8 @@ DISCOVERY_S = 0.5
 """How long after the connection a service may take to be seen."""
 INFO_S = 2.0
 """How long a replica may take to tell of itself."""
+TIMEOUT = b"Timeout"
+"""What zenoh itself replies when a query takes too long."""
 
 logger = logging.getLogger(__name__)
 
@@ -44,7 +46,9 @@ class Network:
         self._explaining = explaining
         self._seen_by = time.monotonic() + DISCOVERY_S
         self._was_let_in = bool(session.info.transports())
-        session.liveliness().declare_subscriber(ALL_REPLICAS, self._see, history=True)
+        # A bare callable would get a thread of its own, for which a program that ends waits.
+        see = zenoh.handlers.Callback(self._see, indirect=False)
+        session.liveliness().declare_subscriber(ALL_REPLICAS, see, history=True)
 
     def settle(self, deadline: Deadline) -> None:
         """Returns when a replica is known that can be asked, or none is to be expected."""
@@ -63,11 +67,13 @@ class Network:
         Raises:
             ConnectionFailed: nobody is there.
             Unauthorized: replicas are alive, and none may be asked.
+            TimedOut: replicas are alive, and none answers in time.
+            InvalidAnswer: what they tell cannot be read.
             Cancelled: the caller gives up.
         """
         self.settle(deadline)
         timeout_s = min(INFO_S, max(deadline.left_s, 1e-3))
-        token = zenoh.CancellationToken()
+        token, told = zenoh.CancellationToken(), []
         with translated(deadline), deadline.watched_by(token.cancel):
             replies = self.session.get(
                 ALL_INFO,
@@ -75,7 +81,9 @@ class Network:
                 timeout=timeout_s,
                 cancellation_token=token,
             )
-            told = [info for reply in replies if (info := _info(reply)) is not None]
+            for reply in replies:
+                with suppress(TimedOut, InvalidAnswer):
+                    told.append(_info(reply))
         deadline.check()
         if not told:
             raise self.why_nobody(deadline)
@@ -83,9 +91,10 @@ class Network:
 
     def why_nobody(self, deadline: Deadline) -> AnchorFlowError:
         """Why there is no replica that can be asked."""
-        if silent := self.replicas.silent():
-            heard = f"{', '.join(silent)} is alive, and nothing comes from its info key"
-            return Unauthorized(f"{heard}: access control denies it to this node")
+        # Who is late may answer yet; who tells what cannot be read is not denied.
+        for kind in (TimedOut, InvalidAnswer, Unauthorized):
+            if alike := [why for why in self.replicas.silences() if isinstance(why, kind)]:
+                return kind("; ".join(map(str, alike)))
         if quiet := self.replicas.unheard() or self.replicas.alive():
             return TimedOut(f"{', '.join(quiet)} is alive and has not told yet what it serves")
         info = self.session.info
@@ -147,23 +156,41 @@ class _Hearing:
         self._replicas = replicas
         self._name = name
         self._has_told = False
+        self._why: AnchorFlowError = Unauthorized(
+            f"{name} is alive, and nothing comes from its info key: "
+            "access control denies it to this node"
+        )
 
     def hear(self, reply: zenoh.Reply) -> None:
-        if (info := _info(reply)) is not None and info.replica == self._name:
+        try:
+            info = _info(reply)
+            if info.replica != self._name:
+                raise InvalidAnswer(f"expected what it tells of itself, got {info.replica}'s")
+        except (TimedOut, InvalidAnswer) as error:
+            self._why = type(error)(f"{self._name} is alive, and its info key: {error}")
+        else:
             self._has_told = True
             self._replicas.learn(info)
 
     def end(self) -> None:
         if not self._has_told:
-            self._replicas.hear_nothing(self._name)
+            self._replicas.hear_nothing(self._name, self._why)
 
 
-def _info(reply: zenoh.Reply) -> ReplicaInfo | None:
-    """What a reply tells; None, and a line in the log, where it tells nothing."""
-    if reply.ok is None:
-        return None
-    try:
-        return ReplicaInfo.from_bytes(reply.ok.payload.to_bytes())
-    except InvalidAnswer as error:
-        logger.warning("%s: %s", reply.ok.key_expr, error)
-        return None
+def _info(reply: zenoh.Reply) -> ReplicaInfo:
+    """What a reply tells.
+
+    Raises:
+        TimedOut: it is zenoh's own, as nothing came in time.
+        InvalidAnswer: it cannot be read, which the log tells too.
+    """
+    if reply.ok is not None:
+        try:
+            return ReplicaInfo.from_bytes(reply.ok.payload.to_bytes())
+        except InvalidAnswer as error:
+            logger.warning("%s: %s", reply.ok.key_expr, error)
+            raise
+    said = b"" if reply.err is None else reply.err.payload.to_bytes()
+    if said == TIMEOUT:
+        raise TimedOut(f"nothing came within {INFO_S:g} s")
+    raise InvalidAnswer(f"expected what a replica tells of itself, got an error: {said[:80]!r}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from anchorflow_client.contract import ModelCard
-from anchorflow_client.errors import UnknownModel
+from anchorflow_client.errors import AnchorFlowError, UnknownModel
 from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_messages import Load, ReplicaInfo
 
@@ -28,8 +28,8 @@ class Replica:
     """None: it has not told yet, or may not."""
     default: str | None = None
     """Answers where no model is named; served at present or not."""
-    is_silent: bool = False
-    """It was asked to tell, and nothing came."""
+    silence: AnchorFlowError | None = None
+    """Why nothing came that can be read, where it was asked to tell."""
     is_ready: bool = True
     """False: it starts or stops; it may still answer, and others had better be asked."""
     load: Load = field(default_factory=Load)
@@ -41,7 +41,7 @@ class Replica:
 
     @property
     def is_known(self) -> bool:
-        return self.models is not None or self.is_silent
+        return self.models is not None or self.silence is not None
 
 
 class Choice(NamedTuple):
@@ -78,15 +78,15 @@ class Replicas:
             if replica := self._alive.get(info.replica):
                 replica.models, replica.default = info.models, info.default
                 replica.is_ready = info.ready
-                replica.is_silent = replica.is_being_asked = False
+                replica.silence, replica.is_being_asked = None, False
                 replica.load, replica.told_at = info.load, self._clock()
                 self._changed.notify_all()
 
-    def hear_nothing(self, name: str) -> None:
-        """It was asked to tell of itself, and nothing came."""
+    def hear_nothing(self, name: str, why: AnchorFlowError) -> None:
+        """It was asked to tell of itself, and nothing came that can be read."""
         with self._changed:
             if replica := self._alive.get(name):
-                replica.is_silent, replica.is_being_asked = True, False
+                replica.silence, replica.is_being_asked = why, False
                 replica.told_at = self._clock()
                 self._changed.notify_all()
 
@@ -162,10 +162,10 @@ class Replicas:
                 if not replica.is_known and name not in tried
             )
 
-    def silent(self) -> tuple[str, ...]:
-        """The names of those that were asked to tell of themselves, and from which nothing came."""
+    def silences(self) -> tuple[AnchorFlowError, ...]:
+        """Why nothing came from those that were asked to tell of themselves in vain."""
         with self._changed:
-            return tuple(name for name, replica in self._alive.items() if replica.is_silent)
+            return tuple(each.silence for each in self._alive.values() if each.silence is not None)
 
     def wait_until_known(self, deadline: Deadline, *, somebody_s: float) -> None:
         """Until one has told of itself. Raises `Cancelled`.
@@ -205,7 +205,7 @@ class Replicas:
     def _rank(self, replica: Replica, unknown_ms: float) -> tuple[int, float, float]:
         doubts = (
             replica.shunned_until > self._clock(),
-            replica.is_silent,
+            replica.silence is not None,
             not replica.is_ready,
         )
         load = replica.load

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import time
 from pathlib import Path
@@ -10,11 +11,14 @@ from typing import Any
 
 import zenoh
 
-from anchorflow_client.errors import AnchorFlowError
+from anchorflow_client.errors import AnchorFlowError, ConnectionFailed
 from anchorflow_client.zenoh_client.diagnosis import NOBODY, Approach, explain
 from anchorflow_client.zenoh_client.settings import ZenohConfigError, ZenohSettings
 
 RETRY_S = 0.25
+
+_processes: set[int] = set()
+"""Where a session was opened: this process, or one from which it was forked."""
 
 
 def open_session(settings: ZenohSettings, *, wait_s: float = 0.0) -> zenoh.Session:
@@ -31,6 +35,7 @@ def open_session(settings: ZenohSettings, *, wait_s: float = 0.0) -> zenoh.Sessi
         ConnectionFailed: nobody listens there, or TLS fails.
         Unauthorized: who listens does not let this node in.
     """
+    _processes.add(os.getpid())
     until = time.monotonic() + wait_s
     while True:
         config = config_of(settings)
@@ -41,6 +46,22 @@ def open_session(settings: ZenohSettings, *, wait_s: float = 0.0) -> zenoh.Sessi
             if not str(reason).startswith(NOBODY) or time.monotonic() + RETRY_S > until:
                 raise reason from error
         time.sleep(RETRY_S)
+
+
+def is_forked() -> bool:
+    """Whether this process was forked after a session was opened: zenoh's threads are not in it,
+    and what is asked of it there may never return.
+    """
+    return bool(_processes) and os.getpid() not in _processes
+
+
+def check_not_forked() -> None:
+    """Raises `ConnectionFailed` where `is_forked`."""
+    if is_forked():
+        raise ConnectionFailed(
+            "zenoh does not survive a fork: expected a process that was started anew, as by "
+            "multiprocessing's spawn, or forked before a session was opened"
+        )
 
 
 def config_of(settings: ZenohSettings) -> zenoh.Config:

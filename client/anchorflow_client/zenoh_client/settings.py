@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,9 @@ from anchorflow_client.errors import AnchorFlowError
 MODES = ("peer", "client", "router")
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 """Where a peer or a router listens that is told nothing else: this machine's own, zenoh's port."""
+
+PORTLESS = re.compile(r"(tcp|tls|udp|quic|ws)/(\[[^]]*\]|[^:?#]*):?([?#].*)?")
+"""An endpoint that needs a port and has none."""
 
 OPEN_MS = 5000
 """Longest wait for an endpoint that says nothing; zenoh's own is 10 s. A program cannot end while
@@ -67,6 +71,9 @@ class ZenohSettings:
         for name in ("connect", "listen"):
             if isinstance(endpoints := getattr(self, name), str):
                 wrong = f"expected a tuple of endpoints, got {endpoints!r}"
+                raise ZenohConfigError(f"{name}: {wrong}")
+            if lacking := [end for end in endpoints if PORTLESS.fullmatch(str(end))]:
+                wrong = f"expected a port, as in {DEFAULT_ENDPOINT}, got {lacking[0]!r}"
                 raise ZenohConfigError(f"{name}: {wrong}")
         if (self.user is None) != (self.password is None):
             raise ZenohConfigError("user and password: expected both or none, got one")

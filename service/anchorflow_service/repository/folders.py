@@ -102,7 +102,8 @@ class BundleFolders:
         """Each folder once, although a single one may lie in the repository."""
         paths = [*self.single]
         if self._repository is not None:
-            for pattern in (f"*/{FILE_NAME}", f"*/*/{FILE_NAME}"):
+            # What begins with a dot is being written: an export proves it there.
+            for pattern in (f"[!.]*/{FILE_NAME}", f"[!.]*/[!.]*/{FILE_NAME}"):
                 paths += [manifest.parent for manifest in sorted(self._repository.glob(pattern))]
         return iter({path.resolve(): path for path in paths}.values())
 

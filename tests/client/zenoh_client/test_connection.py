@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import subprocess
 import sys
 import threading
@@ -15,7 +16,14 @@ from typing import Any
 import pytest
 import zenoh
 
-from anchorflow_client import AnchorRequest, Cancellation, Cancelled, ModelCard, TimedOut
+from anchorflow_client import (
+    AnchorRequest,
+    Cancellation,
+    Cancelled,
+    ConnectionFailed,
+    ModelCard,
+    TimedOut,
+)
 from anchorflow_client.zenoh_client import AsyncZenohAnchorClient, ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.connection import Connection
 from anchorflow_client.zenoh_client.deadline import Deadline
@@ -136,6 +144,80 @@ def test_a_program_may_end_while_its_client_connects(tmp_path: Path) -> None:
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
 
     assert (ended.returncode, ended.stderr) == (0, "")
+
+
+RAISES_WITH_AN_OPEN_CLIENT = """
+import sys
+from anchorflow_client.zenoh_client import ZenohAnchorClient
+
+client = ZenohAnchorClient(sys.argv[1])
+assert client.live()
+raise LookupError("of the program")
+"""
+
+
+@pytest.fixture
+def alive(peer: Any, endpoint: str, card: ModelCard) -> str:
+    """The endpoint at which a replica is alive."""
+    info = ReplicaInfo("a", ready=True, load=Load(), models=(card,), default="lines")
+    peer.play(info, peer.answer)
+    return endpoint
+
+
+def test_a_program_that_fails_ends_though_its_client_is_open(alive: str) -> None:
+    command = [sys.executable, "-c", RAISES_WITH_AN_OPEN_CLIENT, alive]
+
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+    assert ended.returncode == 1
+    assert "LookupError: of the program" in ended.stderr
+
+
+FORKS = """
+import os
+import sys
+from anchorflow_client import ConnectionFailed
+from anchorflow_client.zenoh_client import ZenohAnchorClient
+
+with ZenohAnchorClient(sys.argv[1]) as client:
+    assert client.live()
+    child = os.fork()
+    if child:
+        assert os.waitpid(child, 0)[1] == 0
+        assert client.ready()
+        sys.exit()
+    with ZenohAnchorClient(sys.argv[1]) as fresh:
+        for each in (client, fresh):
+            assert not each.live()
+            try:
+                each.models()
+            except ConnectionFailed as error:
+                print(error)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_forked_process_is_told_that_it_has_no_session(alive: str) -> None:
+    command = [sys.executable, "-c", FORKS, alive]
+
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.count("zenoh does not survive a fork") == 2
+
+
+def test_an_async_client_that_is_closed_says_so(alive: str, fields: dict[str, Any]) -> None:
+    async def ask() -> None:
+        async with AsyncZenohAnchorClient(alive) as client:
+            assert await client.live()
+        await client.aclose()
+        assert not await client.live()
+        assert not await client.ready()
+        for call in (client.plan(**fields), client.models()):
+            with pytest.raises(ConnectionFailed, match="the client is closed"):
+                await call
+
+    asyncio.run(ask())
 
 
 def test_who_looked_before_it_was_joined_gets_the_same_network(peer: Any, endpoint: str) -> None:

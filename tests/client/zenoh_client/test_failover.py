@@ -10,7 +10,16 @@ from typing import Any
 import pytest
 import zenoh
 
-from anchorflow_client import Cancellation, Cancelled, ModelCard, Payload, TimedOut
+from anchorflow_client import (
+    Cancellation,
+    Cancelled,
+    InvalidAnswer,
+    ModelCard,
+    Payload,
+    TimedOut,
+    Unauthorized,
+)
+from anchorflow_client.zenoh_client import ZenohAnchorClient
 from anchorflow_client.zenoh_client.attempt import Question
 from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.failover import Failover
@@ -66,6 +75,54 @@ def test_who_has_not_told_yet_is_waited_for_before_the_default_is_given_up(
         asked = executor.submit(ask, network, Deadline(PATIENCE_S))
         opened.set()
         assert asked.result() == b"anchorflow/v1/replica/b/anchors/lines"
+
+
+def say_nothing(query: zenoh.Query) -> None:
+    query.drop()
+
+
+def tell_rubbish(query: zenoh.Query) -> None:
+    with query:
+        query.reply(query.key_expr, b"rubbish")
+
+
+def tell_of_another(query: zenoh.Query) -> None:
+    with query:
+        query.reply(query.key_expr, info("b").to_bytes())
+
+
+def refuse_to_tell(query: zenoh.Query) -> None:
+    with query:
+        query.reply_err(b"no")
+
+
+@pytest.mark.parametrize(
+    ("tell", "kind", "words"),
+    [
+        (None, TimedOut, "a is alive, and its info key: nothing came within 2 s"),
+        (say_nothing, Unauthorized, "nothing comes from its info key: access control denies it"),
+        (tell_rubbish, InvalidAnswer, "its info key: not what a replica tells of itself"),
+        (tell_of_another, InvalidAnswer, "expected what it tells of itself, got b's"),
+        (refuse_to_tell, InvalidAnswer, "got an error: b'no'"),
+    ],
+)
+def test_why_a_replica_does_not_tell_what_it_serves(
+    peer: Any, network: Network, until: Any, tell: Any, kind: type[Exception], words: str
+) -> None:
+    peer.play(info("a"), peer.answer, tell=tell or peer.hold)
+    until(network.replicas.silences)
+
+    with pytest.raises(kind, match=words):
+        ask(network, Deadline(PATIENCE_S))
+    assert isinstance(network.why_nobody(Deadline(PATIENCE_S)), kind)
+
+
+def test_a_client_of_a_replica_that_hangs_is_not_ready(peer: Any, endpoint: str) -> None:
+    peer.play(info("a"), peer.answer, tell=peer.hold)
+
+    with ZenohAnchorClient(endpoint, timeout_s=PATIENCE_S) as client:
+        assert client.live()
+        assert not client.ready()
 
 
 def test_what_was_taken_back_before_is_not_asked(

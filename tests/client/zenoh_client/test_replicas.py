@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from anchorflow_client import Cancellation, Cancelled, ModelCard, UnknownModel
+from anchorflow_client import Cancellation, Cancelled, ModelCard, TimedOut, UnknownModel
 from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.replicas import Replicas
 from anchorflow_client.zenoh_messages import Load, ReplicaInfo
@@ -184,10 +184,10 @@ def test_who_is_not_ready_comes_last(replicas: Replicas, card: ModelCard) -> Non
 
 
 def test_who_says_nothing_comes_last(replicas: Replicas, card: ModelCard) -> None:
-    replicas.hear_nothing("a")
+    replicas.hear_nothing("a", why := TimedOut("nothing came"))
     replicas.learn(info("b", card, in_flight=50))
 
-    assert replicas.silent() == ("a",)
+    assert replicas.silences() == (why,)
     assert chosen(replicas) == "b"
 
 
@@ -210,7 +210,7 @@ def test_it_is_waited_for_those_who_are_being_asked(
     replicas.wait_until_told(Deadline(0.0))
     clock.now += 1.5
     assert replicas.to_be_asked() == ["a", "b"]
-    replicas.hear_nothing("a")
+    replicas.hear_nothing("a", TimedOut("nothing came"))
     threading.Timer(0.05, replicas.learn, [info("b", replace(card, name="bows"))]).start()
     replicas.wait_until_told(Deadline(20.0))
 

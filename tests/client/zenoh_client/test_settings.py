@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from anchorflow_client import ConnectionFailed
@@ -100,6 +101,22 @@ def test_an_endpoint_that_is_none_is_refused() -> None:
         config_of(ZenohSettings(connect=("127.0.0.1:7447",)))
 
 
+@pytest.mark.parametrize("endpoint", ["tcp/127.0.0.1", "tls/[::1]", "tcp/h:", "udp/h#iface=lo"])
+@pytest.mark.parametrize("where", ["connect", "listen"])
+def test_an_endpoint_without_a_port_is_named(endpoint: str, where: str) -> None:
+    given: dict[str, Any] = {where: (ENDPOINT, endpoint)}
+    with pytest.raises(ZenohConfigError) as caught:
+        ZenohSettings(**given)
+    assert str(caught.value) == f"{where}: expected a port, as in {ENDPOINT}, got {endpoint!r}"
+    with pytest.raises(ZenohConfigError, match="connect: expected a port"):
+        ZenohAnchorClient(endpoint)
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/[::1]:0", "unixsock-stream/a.sock", "tcp/h:1#iface=lo"])
+def test_an_endpoint_that_has_or_needs_no_port_is_taken(endpoint: str) -> None:
+    ZenohSettings(connect=(endpoint,))
+
+
 @pytest.mark.parametrize("host", ["a..b", "a" * 64])
 def test_a_host_that_cannot_be_a_name_is_named(host: str) -> None:
     with pytest.raises(ConnectionFailed, match=f"nobody listens at tcp/{host}:7447: .*label"):
@@ -115,6 +132,12 @@ def test_an_address_of_another_machine_cannot_be_listened_on() -> None:
 def test_a_wait_that_never_ends_is_refused(kind: Callable[..., object]) -> None:
     with pytest.raises(ValueError, match=r"timeout_s: expected at most 1e\+06 s, got inf"):
         kind(ENDPOINT, timeout_s=float("inf"))
+
+
+def test_a_time_may_be_a_number_of_numpy() -> None:
+    timeout_s: Any = np.float32(5)
+    with ZenohAnchorClient("tcp/127.0.0.1:1", timeout_s=timeout_s) as client:
+        assert not client.live()
 
 
 @pytest.mark.parametrize("kind", [ZenohAnchorClient, AsyncZenohAnchorClient])

@@ -41,6 +41,12 @@ def test_the_newest_version_is_taken_unless_one_is_named(
     assert folders.find("flow", "7") is None
 
 
+def test_what_is_being_exported_is_not_there_yet(tmp_path: Path, write_bundle: Write) -> None:
+    write_bundle(tmp_path / ".flow-scratch" / "new", name="flow")
+    write_bundle(tmp_path / "flow" / ".0.2.0", name="flow")
+    assert BundleFolders(repository=tmp_path).found() == []
+
+
 def test_versions_sort_as_people_read_them() -> None:
     versions = ["0.1", "0.1.0", "0.9.1", "0.10.0-a2", "0.10.0-rc1", "0.10.0", "0.10.0.1", "1" * 999]
     mixed = random.Random(0).sample(versions, len(versions))
