@@ -42,6 +42,37 @@ AXES = {
 ANOTHER_AXIS = OpenAxis(7)
 
 
+class Role(nn.Module):
+    """A method of a network as a module: its inputs by name, its outputs in order.
+
+    Inputs that the method does not name are its `context`.
+    """
+
+    def __init__(
+        self, model: Any, role: str, inputs: Sequence[str], outputs: Sequence[str]
+    ) -> None:
+        super().__init__()
+        self.model, self.role = model, role
+        self.inputs, self.outputs = tuple(inputs), tuple(outputs)
+        self.named = inspect.signature(getattr(model, role)).parameters
+
+    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
+        told = dict(zip(self.inputs, inputs, strict=True))
+        given: dict[str, Any] = {name: each for name, each in told.items() if name in self.named}
+        if "context" in self.named:
+            given["context"] = {name: each for name, each in told.items() if name not in given}
+        made = getattr(self.model, self.role)(**given)
+        return made if isinstance(made, Tensor) else tuple(made[name] for name in self.outputs)
+
+
+def trace_role(
+    model: Any, role: str, *, inputs: Sequence[TensorSpec], outputs: Sequence[str]
+) -> TracedGraph:
+    """The graph of a method of a network; as `trace`."""
+    names = [spec.name for spec in inputs]
+    return trace(Role(model, role, names, outputs), inputs=inputs, outputs=outputs)
+
+
 def trace(
     module: nn.Module, *, inputs: Sequence[TensorSpec], outputs: Sequence[str]
 ) -> TracedGraph:
@@ -52,6 +83,7 @@ def trace(
     Raises:
         ExportError: the module cannot be traced, or holds only for the sizes of the trace.
     """
+    name = module.role if isinstance(module, Role) else type(module).__name__
     for spec in inputs:
         _check_open_axes(spec)
     examples = [random_tensor(spec) for spec in inputs]
@@ -70,10 +102,10 @@ def trace(
             )
     except torch.onnx.OnnxExporterError as error:
         reason = error.__cause__ or error  # torch wraps the cause in advice on reporting bugs
-        raise ExportError(f"{type(module).__name__} cannot be traced: {reason}") from error
+        raise ExportError(f"{name} cannot be traced: {reason}") from error
     assert program is not None  # None is for the exporter that dynamo=True replaces
     model = program.model_proto
-    _check_axes(type(module).__name__, model, inputs)
+    _check_axes(name, model, inputs)
     _forget_origin(model)
     onnx.checker.check_model(model, full_check=True)
     return TracedGraph(model, tuple(inputs), tuple(map(_spec, model.graph.output)))

@@ -86,9 +86,7 @@ def test_a_broken_bundle_stays_as_it_is(bundle: Path) -> None:
 
 def test_a_bundle_without_a_cost_map_is_refused(tmp_path: Path) -> None:
     goalflow = shutil.copytree(DEFAULT_BUNDLE.parent / "goalflow", tmp_path / "goalflow")
-    with pytest.raises(
-        ExportError, match="with a field over a cost map, got ode"
-    ):
+    with pytest.raises(ExportError, match="with a field over a cost map, got ode"):
         quantize_bundle(goalflow)
 
 

@@ -15,8 +15,8 @@ from anchorflow_client.contract import TensorSpec
 from anchorflow_export.adapter import TracedGraph
 from anchorflow_export.parity import TOLERANCE
 from anchorflow_export.planners.sensors import sensor_inputs
-from anchorflow_export.planners.wote.adapter import SCORED, Encode, Score
-from anchorflow_export.tracing import trace
+from anchorflow_export.planners.wote.adapter import SCORED, TOLD, Score
+from anchorflow_export.tracing import Role, trace
 from anchorflow_models.wote import WoTE, WoteConfig, create_wote
 
 CONFIG = WoteConfig()
@@ -58,9 +58,9 @@ def test_every_tensor_has_the_published_shape_and_onnx_gives_torchs_numbers(mode
     with torch.no_grad():
         encoded = model.encode(**given)
         scored = model.score(encoded["bev_tokens"], encoded["ego"])
-    inputs, encoder = sensor_inputs(CONFIG.backbone), Encode(model)
+    inputs, told = sensor_inputs(CONFIG.backbone), (*model.context_for_score, *TOLD)
 
-    encode = traced(encoder, inputs, encoder.names)
+    encode = traced(Role(model, "encode", [spec.name for spec in inputs], told), inputs, told)
     assert_equal(encode, given, encoded)
     context = encode.outputs[:2]
     score = traced(Score(model), context, SCORED)

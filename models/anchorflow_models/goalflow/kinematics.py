@@ -22,9 +22,12 @@ def roll_out(speed: Tensor, acceleration: Tensor, curvature: Tensor, *, dt: floa
     """
     step = dt / SUBSTEPS
     fine = acceleration.repeat_interleave(SUBSTEPS, -1)
-    after = speed[..., None] + step * fine.cumsum(-1)
-    middle = (after - 0.5 * step * fine).clamp(min=0.0)
-    way = step * middle
+    # What braking would take below 0 is not paid back by who drives off again.
+    owed = speed[..., None] + step * fine.cumsum(-1)
+    so_far = torch.ones(2 * owed.shape[-1:], dtype=torch.bool, device=owed.device).tril()
+    after = owed - torch.where(so_far, owed[..., None, :], 0.0).amin(-1).clamp(max=0.0)
+    before = torch.cat([speed[..., None], after[..., :-1]], -1)
+    way = step * 0.5 * (before + after)
     turn = way * curvature.repeat_interleave(SUBSTEPS, -1)
     heading = turn.cumsum(-1)
     course = heading - 0.5 * turn

@@ -26,7 +26,8 @@ def alignment(image: Tensor, text: Tensor, *, kappa: float) -> Tensor:
 
 
 def distribution_distillation(student: Tensor, teacher: Tensor, *, temperature: float) -> Tensor:
-    """T² KL(softmax(teacher/T) ‖ softmax(student/T)) over the 2T coordinates of [B,T,2].
+    """τ² KL(softmax(teacher/τ) ‖ softmax(student/τ)) over the 2T coordinates of [B,T,2], of
+    temperature τ.
 
     As it was published. A softmax over coordinates gives nearly all the weight to the waypoints
     that lie farthest ahead, and moving all of them alike changes nothing.

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from anchorflow_client.contract import AnchorRequest, TensorSpec, resolve_for_card
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
 from anchorflow_export.planners.sensors import random_sensors, sensor_inputs
-from anchorflow_export.tracing import trace
+from anchorflow_export.tracing import trace_role
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S
 from anchorflow_models.transfuser import AGENT_QUERIES, AGENT_STATE
@@ -66,18 +66,6 @@ def start_level(model: DiffusionDriveV2, noise_scale: float) -> int:
     """The level whose noise has a spread nearest to so many times that of the model's start."""
     spread = (1.0 - model.config.noise_levels.signal) ** 0.5
     return int(np.abs(spread - noise_scale * spread[model.config.start]).argmin())
-
-
-class Role(nn.Module):
-    """A method of the network as a module of its own, its inputs by name, its outputs in order."""
-
-    def __init__(self, model: DiffusionDriveV2, role: str, inputs: Sequence[str]) -> None:
-        super().__init__()
-        self.model, self.role, self.inputs = model, role, tuple(inputs)
-
-    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        made = getattr(self.model, self.role)(**dict(zip(self.inputs, inputs, strict=True)))
-        return tuple(made[name] for name in _outputs(self.model, self.role))
 
 
 @dataclass(frozen=True)
@@ -148,8 +136,7 @@ class DiffusionDriveAdapter:
         for role in OUTPUTS:
             inputs = self._inputs(role, given)
             outputs = _outputs(self.model, role)
-            method = Role(self.model, role, [spec.name for spec in inputs])
-            graphs[role] = trace(method, inputs=inputs, outputs=outputs)
+            graphs[role] = trace_role(self.model, role, inputs=inputs, outputs=outputs)
             given |= {spec.name: _of_anchors(spec) for spec in graphs[role].outputs}
         return graphs
 

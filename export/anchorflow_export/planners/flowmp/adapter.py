@@ -16,17 +16,14 @@ from anchorflow_export.planners.flowmp.graphs import (
     PRIOR_BASIS,
     TIMES,
     Context,
-    Encode,
-    Field,
     FlowModel,
-    Modulate,
     context_names,
     encode_inputs,
     encode_outputs,
     unit_of,
 )
 from anchorflow_export.planners.flowmp.scenes import dealt_means, random_scenes, stacked_inputs
-from anchorflow_export.tracing import trace
+from anchorflow_export.tracing import trace_role
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
     AnswerEntry,
@@ -114,12 +111,11 @@ class FlowMPAdapter:
         """
         model = self.model
         inputs = encode_inputs(model, D=self.D, channels=self.conditioning.channels)
-        names = tuple(spec.name for spec in inputs)
-        encode = trace(Encode(model, names), inputs=inputs, outputs=encode_outputs(model))
+        encode = trace_role(model, "encode", inputs=inputs, outputs=encode_outputs(model))
         context = {spec.name: spec for spec in encode.outputs}
 
         modulate_inputs = (TIMES, *(context[name] for name in context_names(model, "modulate")))
-        modulate = trace(Modulate(model), inputs=modulate_inputs, outputs=("modulation",))
+        modulate = trace_role(model, "modulate", inputs=modulate_inputs, outputs=("modulation",))
 
         x_t, prior_mean = (
             TensorSpec(name, F32, ("B", "N", self.T, 3 * self.D + 1))
@@ -129,7 +125,7 @@ class FlowMPAdapter:
         one_time = TensorSpec("modulation", F32, ("B", size))
         told = (context[name] for name in context_names(model, "field"))
         field_inputs = (x_t, prior_mean, one_time, *told)
-        field_graph = trace(Field(model), inputs=field_inputs, outputs=("dx_t",))
+        field_graph = trace_role(model, "field", inputs=field_inputs, outputs=("dx_t",))
         return {"encode": encode, "modulate": modulate, "field": field_graph}
 
     def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from torch import Tensor, nn
+from torch import Tensor
 
 from anchorflow_client.contract import TensorSpec
 
@@ -82,41 +82,3 @@ def _sized(spec: TensorSpec, sizes: Mapping[str | int, int], D: int) -> TensorSp
     shape = tuple(sizes.get(axis, axis) for axis in spec.shape)
     unit = unit_of(spec.unit, D) if {"3D", "2D"} & {*spec.shape} else spec.unit
     return TensorSpec(spec.name, spec.dtype, shape, unit, spec.range)
-
-
-class Encode(nn.Module):
-    """Named inputs -> the encode outputs, in their order."""
-
-    def __init__(self, model: FlowModel, inputs: tuple[str, ...]) -> None:
-        super().__init__()
-        self.model, self.inputs, self.outputs = model, inputs, encode_outputs(model)
-
-    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        context = self.model.encode(**dict(zip(self.inputs, inputs, strict=True)))
-        return tuple(context[name] for name in self.outputs)
-
-
-class Modulate(nn.Module):
-    """times [K] and the context -> modulation [B,K,M]."""
-
-    def __init__(self, model: FlowModel) -> None:
-        super().__init__()
-        self.model = model
-
-    def forward(self, *inputs: Tensor) -> Tensor:
-        times, *context = inputs
-        names = context_names(self.model, "modulate")
-        return self.model.modulate(times, dict(zip(names, context, strict=True)))
-
-
-class Field(nn.Module):
-    """x_t and prior_mean [B,N,T,S], modulation [B,M] and the context -> dx_t [B,N,T,S]."""
-
-    def __init__(self, model: FlowModel) -> None:
-        super().__init__()
-        self.model = model
-
-    def forward(self, *inputs: Tensor) -> Tensor:
-        x_t, prior_mean, modulation, *context = inputs
-        names = context_names(self.model, "field")
-        return self.model.field(x_t, prior_mean, modulation, dict(zip(names, context, strict=True)))

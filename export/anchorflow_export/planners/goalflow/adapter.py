@@ -12,16 +12,9 @@ from torch import Tensor
 from anchorflow_client.contract import AnchorRequest, OdeSpec, TensorSpec, resolve_for_card
 from anchorflow_client.sensors import ROUTE_POINTS, ROUTE_SPACING_M
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
-from anchorflow_export.planners.goalflow.graphs import (
-    ENCODE_OUTPUTS,
-    Encode,
-    Field,
-    Modulate,
-    Score,
-)
-from anchorflow_export.tracing import trace
+from anchorflow_export.tracing import trace_role
 from anchorflow_models.goalflow import BevLayout, GoalFlow
-from anchorflow_models.goalflow.goalflow import POSE, STATE, Context
+from anchorflow_models.goalflow.goalflow import POSE, STATE, SURROUNDINGS, Context
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.graphs import open_graph
 from anchorflow_service.bundle.manifest import (
@@ -36,6 +29,16 @@ from anchorflow_service.engine.conditioning.tensors import TensorConditioning
 from anchorflow_service.engine.samplers.ode import OdeSampler
 
 F32 = "float32"
+ENCODE_OUTPUTS = (
+    "prior_mean",
+    "prior_basis",
+    "goals",
+    "goal_scores",
+    "features",
+    "context",
+    "course",
+    *SURROUNDINGS,
+)
 COMPONENTS = ("x", "y", "heading")
 SIZES = ((1, 7, 3), (3, 5, 1))  # B, N and K of the trials; traced at others
 SAMPLED = 9  # anchors, enough for two slices
@@ -98,7 +101,7 @@ class GoalFlowAdapter:
             ExportError: a graph cannot be traced, or holds only for the examples' sizes.
         """
         model = self.model
-        encode = trace(Encode(model), inputs=self.inputs, outputs=ENCODE_OUTPUTS)
+        encode = trace_role(model, "encode", inputs=self.inputs, outputs=ENCODE_OUTPUTS)
         context = {spec.name: spec for spec in encode.outputs}
         states = [
             TensorSpec(name, F32, ("B", "N", model.config.num_steps, STATE))
@@ -113,17 +116,19 @@ class GoalFlowAdapter:
                 "score": model.context_for_score,
             }.items()
         }
-        modulate = trace(
-            Modulate(model), inputs=(TIMES, *told["modulate"]), outputs=("modulation",)
+        modulate = trace_role(
+            model, "modulate", inputs=(TIMES, *told["modulate"]), outputs=("modulation",)
         )
         one_time = TensorSpec("modulation", F32, ("B", modulate.outputs[0].shape[-1]))
         return {
             "encode": encode,
             "modulate": modulate,
-            "field": trace(
-                Field(model), inputs=(x_t, mean, one_time, *told["field"]), outputs=("dx_t",)
+            "field": trace_role(
+                model, "field", inputs=(x_t, mean, one_time, *told["field"]), outputs=("dx_t",)
             ),
-            "score": trace(Score(model), inputs=(x_1, mean, *told["score"]), outputs=("scores",)),
+            "score": trace_role(
+                model, "score", inputs=(x_1, mean, *told["score"]), outputs=("scores",)
+            ),
         }
 
     def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:

@@ -18,7 +18,7 @@ from anchorflow_export.adapter import (
     TracedGraph,
 )
 from anchorflow_export.planners.sensors import random_sensors, sensor_inputs
-from anchorflow_export.tracing import trace
+from anchorflow_export.tracing import trace, trace_role
 from anchorflow_models.sub_scores import SUB_SCORES
 from anchorflow_models.transfuser import AGENT_STATE
 from anchorflow_models.wote import WoTE, WoteConfig
@@ -58,25 +58,6 @@ def answer_extras(config: WoteConfig) -> tuple[TensorSpec, ...]:
             extent=(0.0, reach, -reach, reach),
         ),
     )
-
-
-class Encode(nn.Module):
-    """What a request brings -> the context for scores, and what TOLD names"""
-
-    def __init__(self, model: WoTE) -> None:
-        super().__init__()
-        self.model = model
-        self.names = (*model.context_for_score, *TOLD)
-
-    def forward(
-        self,
-        camera: Tensor,
-        lidar: Tensor,
-        ego_status: Tensor,
-        lidar_before: Tensor | None = None,
-    ) -> tuple[Tensor, ...]:
-        context = self.model.encode(camera, lidar, ego_status, lidar_before)
-        return tuple(context[name] for name in self.names)
 
 
 class Score(nn.Module):
@@ -119,10 +100,11 @@ class WoteAdapter:
 
     def trace(self) -> dict[str, TracedGraph]:
         """encode and score."""
-        inputs, encoder = sensor_inputs(self.model.config.backbone), Encode(self.model)
-        encode = trace(encoder, inputs=inputs, outputs=encoder.names)
-        context = encode.outputs[: len(self.model.context_for_score)]
-        return {"encode": encode, "score": trace(Score(self.model), inputs=context, outputs=SCORED)}
+        model, inputs = self.model, sensor_inputs(self.model.config.backbone)
+        told = (*model.context_for_score, *TOLD)
+        encode = trace_role(model, "encode", inputs=inputs, outputs=told)
+        context = encode.outputs[: len(model.context_for_score)]
+        return {"encode": encode, "score": trace(Score(model), inputs=context, outputs=SCORED)}
 
     def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
         """Both graphs at several B."""
