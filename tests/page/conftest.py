@@ -116,6 +116,18 @@ def served_both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     served.stop()
 
 
+@pytest.fixture
+def served_copies(tmp_path: Path) -> Iterator[tuple[Served, list[Path]]]:
+    """A service with both, in folders that a test may change."""
+    camera = tmp_path / "camera"
+    camera.mkdir()
+    copies = [Path(shutil.copytree(DEFAULT_BUNDLE, tmp_path / "map")), write_image_bundle(camera)]
+    served = Served(*(option for copy in copies for option in ("--bundle", str(copy))))
+    served.start()
+    yield served, copies
+    served.stop()
+
+
 @pytest.fixture(scope="session")
 def served_driving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
     """A service with GoalFlow, and with a planner that asks for something else."""
@@ -130,6 +142,17 @@ def served_driving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]
 def served_v2x() -> Iterator[Served]:
     """A service with the default bundle, and one that takes two pictures of any size and a text."""
     served = Served("--bundle", str(DEFAULT_BUNDLE), "--bundle", str(DEFAULT_BUNDLE.parent / "v2x"))
+    served.start()
+    yield served
+    served.stop()
+
+
+@pytest.fixture(scope="session")
+def served_student() -> Iterator[Served]:
+    """A service with the default bundle, its student, and V2X, which is asked without a map."""
+    names = ("default", "student", "v2x")
+    folders = (str(DEFAULT_BUNDLE.parent / name) for name in names)
+    served = Served(*(option for folder in folders for option in ("--bundle", folder)))
     served.start()
     yield served
     served.stop()

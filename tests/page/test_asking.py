@@ -223,6 +223,18 @@ def test_limits_that_are_the_bundles_own_cannot_be_changed(
         expect(visit.locate(control)).to_be_disabled()
 
 
+def test_a_label_belongs_to_its_control(visit: Any) -> None:
+    labels = visit.locate("label.field:visible")
+    kinds = labels.evaluate_all("labels => labels.map(label => label.control.localName)")
+    assert len(kinds) == 13
+    assert set(kinds) == {"input", "select"}
+
+    for role, name in (("slider", "Speed limit"), ("slider", "Anchors"), ("combobox", "Style")):
+        expect(visit.locate(".ask").get_by_role(role, name=name)).to_have_count(1)
+    visit.locate("label:has(#radius) > span").click()
+    expect(visit.locate("#radius")).to_be_focused()
+
+
 def test_controls_are_what_is_asked(visit: Any) -> None:
     visit.locate("#num").fill("16")
     visit.locate("#sampler").select_option("heun")

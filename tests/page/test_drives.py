@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import copy
 import io
 import json
 import zlib
@@ -186,10 +187,65 @@ def test_a_drive_of_other_shapes_is_refused(
     expect(beside).to_contain_text("bev: expected uint8 [20, 192, 128]")
     driving.locate("#drive-file").set_input_files(tmp_path / "scene.json")
     expect(trouble).to_contain_text("scene.json: expected a drive")
-    (tmp_path / "cut.json").write_text(json.dumps({**drive, "map": None}))
-    driving.locate("#drive-file").set_input_files(tmp_path / "cut.json")
-    expect(trouble).to_have_text("cut.json: expected map, got none.")
 
+    expect(driving.locate("#drive-bar")).to_be_hidden()
+
+
+BROKEN: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+    "no map": (lambda drive: drive.update(map=None), "map: expected an object."),
+    "no lines": (
+        lambda drive: drive["map"].pop("line"),
+        "map: line: expected lists of numbers.",
+    ),
+    "no frames": (lambda drive: drive.update(frames=[]), "frames: expected a list of frames."),
+    "an empty frame": (
+        lambda drive: drive.update(frames=[{}]),
+        "frame 0: time_s: expected a number.",
+    ),
+    "inputs": (
+        lambda drive: drive.update(inputs={}),
+        "inputs: expected a list of name, dtype and shape.",
+    ),
+    "ego": (lambda drive: drive.update(ego={}), "ego: expected 5 numbers."),
+    "pose": (
+        lambda drive: drive["frames"][1].update(pose=["a", None, 0]),
+        "frame 1: pose: expected 3 numbers.",
+    ),
+    "boxes": (
+        lambda drive: drive["frames"][0].pop("boxes"),
+        "frame 0: boxes: expected a list of 6 numbers each.",
+    ),
+    "no input": (
+        lambda drive: drive["frames"][0]["inputs"].pop("bev"),
+        "frame 0: bev: expected a value, got none.",
+    ),
+    "dtype": (
+        lambda drive: drive["frames"][0]["inputs"]["bev"].update(dtype="odd"),
+        "frame 0: bev: expected dtype and shape of a tensor.",
+    ),
+    "base64": (
+        lambda drive: drive["frames"][0]["inputs"]["bev"].update(zlib="%"),
+        "frame 0: bev: expected deflated bytes in base64.",
+    ),
+    "zlib": (
+        lambda drive: drive["frames"][0]["inputs"]["bev"].update(zlib="AAAA"),
+        "frame 0: bev: expected deflated bytes in base64.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_what_is_broken_in_a_drive_is_named(
+    driving: Any, drive: dict[str, Any], tmp_path: Path, case: str
+) -> None:
+    damage, message = BROKEN[case]
+    broken = copy.deepcopy(drive)
+    damage(broken)
+    (tmp_path / "cut.json").write_text(json.dumps(broken))
+
+    driving.locate("#drive-file").set_input_files(tmp_path / "cut.json")
+
+    expect(driving.locate("#drive-trouble")).to_have_text(f"cut.json: {message}")
     expect(driving.locate("#drive-bar")).to_be_hidden()
 
 
@@ -206,6 +262,23 @@ def test_a_drive_that_is_closed_leaves_the_last_inputs(
     expect(driving.locate("#sensed")).to_be_hidden()
     np.testing.assert_array_equal(sent(told), drawn(drive["frames"][0]))
     expect(driving.locate("#summary")).to_contain_text("64 anchors")
+
+
+def test_what_a_drive_has_filled_in_can_be_left_out_again(
+    driving: Any, drive: dict[str, Any], tmp_path: Path
+) -> None:
+    assert "route" in opened(driving, drive, tmp_path).asked["inputs"]
+    driving.locate("#close-drive").click()
+    route = driving.locate("#input-route")
+    route.fill("[[1, 2]]")
+    route.fill("")
+    expect(route).to_have_attribute("placeholder", "left out")
+
+    told = driving.answer(
+        lambda: driving.locate("#plan").click(), lambda asked: "route" not in asked["inputs"]
+    )
+
+    assert told.status == 200
 
 
 def test_a_picture_of_a_drive_goes_as_it_is(call: Callable[..., Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,26 @@ def test_a_service_that_is_back_is_found_without_a_hand(visit: Any, served: Any)
     visit.forget_errors(UNREACHABLE)
 
 
+def test_a_service_that_is_overloaded_is_waited_for(visit: Any) -> None:
+    error = {"code": "overloaded", "message": "8 requests wait already; try again in 30 s"}
+    visit.page.route(
+        "**/anchors",
+        lambda route: route.fulfill(
+            status=429, headers={"Retry-After": "30"}, json={"error": error}
+        ),
+    )
+    visit.locate("#seed").fill("7")
+    visit.page.keyboard.press("Tab")
+
+    banner = visit.locate("#banner-text")
+    expect(banner).to_have_text(re.compile(r"^8 requests wait already\. Trying again in \d+ s\.$"))
+    expect(visit.locate("#link-text")).to_have_text("Waiting for the service")
+    visit.page.unroute("**/anchors")
+    visit.answer(lambda: visit.locate("#retry").click(), lambda asked: asked["seed"] == 7)
+    expect(visit.locate("#link-text")).to_contain_text("flowmp-small")
+    visit.forget_errors("status of 429")
+
+
 def test_a_service_that_asks_for_a_token_gets_one(
     open_page: Callable[..., Any], guarded: Any
 ) -> None:
@@ -90,6 +111,11 @@ def test_a_service_that_asks_for_a_token_gets_one(
     visit.locate("#token").fill("wrong")
     visit.page.keyboard.press("Enter")
     expect(visit.locate("#token-why")).to_contain_text("a token that is valid here")
+    visit.locate("#token").fill("open\u200b sesame")
+    visit.page.keyboard.press("Enter")
+    expect(visit.locate("#token-why")).to_have_text(
+        "token: expected characters of Latin-1, got U+200B in place 5"
+    )
 
     visit.locate("#token").fill("open sesame")
     visit.page.keyboard.press("Enter")
@@ -98,3 +124,39 @@ def test_a_service_that_asks_for_a_token_gets_one(
     expect(visit.locate("#token-form")).to_be_hidden()
     visit.forget_errors("status of 401")
     assert visit.errors == []
+
+
+def test_a_service_that_is_away_while_it_asks_for_a_token_is_taken_up_again(
+    open_page: Callable[..., Any], guarded: Any
+) -> None:
+    visit = open_page(guarded.url)
+    expect(visit.locate("#token-form")).to_be_visible(timeout=PATIENCE_MS)
+    guarded.stop()
+    expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
+    guarded.start()
+    expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
+    expect(visit.locate("#link-text")).to_have_text("Connecting")
+
+    visit.locate("#token").fill("open sesame")
+    visit.page.keyboard.press("Enter")
+
+    visit.wait_for_anchors()
+    visit.locate("#seed").fill("7")
+    visit.answer(lambda: visit.page.keyboard.press("Tab"), lambda asked: asked["seed"] == 7)
+    visit.forget_errors("status of 401")
+    visit.forget_errors(UNREACHABLE)
+    assert visit.errors == []
+
+
+def test_a_question_that_cannot_be_put_does_not_silence_the_page(call: Callable[..., Any]) -> None:
+    make = """async (m) => {
+        let asked = 0;
+        const planner = new m.Planner(() => {
+            asked++;
+            throw new Error("no question");
+        });
+        planner.ask();
+        planner.ask();
+        return [asked, planner.busy];
+    }"""
+    assert call("planner", make) == [2, False]

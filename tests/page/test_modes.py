@@ -12,6 +12,9 @@ import pytest
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect
 
+PATIENCE_MS = 60_000
+PHONE = {"has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+
 
 def test_looking_at_an_anchor(visit: Any) -> None:
     expect(visit.locate("#anchor-name")).to_have_text("Best anchor")
@@ -66,6 +69,36 @@ def test_the_flow_is_replayed(visit: Any, artefacts: Path) -> None:
     expect(visit.locate("#scrub")).to_be_hidden()
 
 
+@pytest.mark.parametrize("open_by_then", [True, False])
+def test_an_answer_ends_the_replay_of_the_one_before(visit: Any, open_by_then: bool) -> None:
+    flows: list[Any] = []
+    answers: list[Any] = []
+
+    def let_go(held: list[Any]) -> None:
+        while not held:
+            visit.page.wait_for_timeout(20)
+        held[0].continue_()
+
+    visit.page.route("**/page/flow", lambda route: flows.append(route))  # noqa: PLW0108
+    visit.page.route("**/anchors", lambda route: answers.append(route))  # noqa: PLW0108
+    visit.locate("#num").fill("16")
+    visit.locate("#replay").click()
+    if open_by_then:
+        let_go(flows)
+        expect(visit.locate("#scrub")).to_be_visible()
+
+    let_go(answers)
+
+    expect(visit.locate("#summary")).to_contain_text("of 16 anchors are safe", timeout=PATIENCE_MS)
+    if not open_by_then:
+        with visit.page.expect_response("**/page/flow"):
+            let_go(flows)
+        visit.page.wait_for_timeout(300)
+    expect(visit.locate("#scrub")).to_be_hidden()
+    expect(visit.locate("#replay")).to_have_attribute("aria-pressed", "false")
+    expect(visit.locate("#replay")).to_have_text("Replay the flow")
+
+
 def test_a_robot_drives_and_plans_again(visit: Any, artefacts: Path) -> None:
     visit.choose_empty_map()
     visit.locate("#num").fill("16")
@@ -118,15 +151,27 @@ def test_the_keyboard_is_enough(visit: Any) -> None:
     assert (rows.mean(), columns.mean()) == pytest.approx((58.5, 7.5), abs=0.6)
 
 
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(1366, 768), (1366, 650), (1536, 730), (1600, 780), (1180, 640), (1024, 768), (800, 600)],
+)
+def test_every_tool_is_in_reach(open_page: Callable[..., Any], width: int, height: int) -> None:
+    visit = open_page(viewport={"width": width, "height": height})
+    visit.wait_for_anchors()
+
+    hit = """button => {
+        const { x, y, width, height } = button.getBoundingClientRect();
+        return button.contains(document.elementFromPoint(x + width / 2, y + height / 2));
+    }"""
+    for name in ("[data-tool=move]", "#another", "#undo", "#drive", "#replay"):
+        assert visit.locate(name).evaluate(hit), name
+    tops = [visit.locate(name).bounding_box()["y"] for name in ("#another", "#undo")]
+    assert tops[0] == tops[1]
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone_is_enough(open_page: Callable[..., Any], artefacts: Path, scheme: str) -> None:
-    visit = open_page(
-        viewport={"width": 390, "height": 844},
-        has_touch=True,
-        is_mobile=True,
-        device_scale_factor=2,
-        color_scheme=scheme,
-    )
+    visit = open_page(viewport={"width": 390, "height": 844}, color_scheme=scheme, **PHONE)
     visit.wait_for_anchors()
     width = visit.page.evaluate("document.documentElement.scrollWidth")
 
@@ -139,3 +184,77 @@ def test_a_phone_is_enough(open_page: Callable[..., Any], artefacts: Path, schem
     assert visit.occupied(tapped.asked)[18, 68]
     visit.page.screenshot(path=artefacts / f"phone-{scheme}.png", full_page=True)
     assert visit.errors == []
+
+
+@pytest.fixture
+def phone(open_page: Callable[..., Any]) -> Any:
+    """The page on a phone, with an empty map."""
+    visit = open_page(viewport={"width": 390, "height": 844}, **PHONE)
+    visit.wait_for_anchors()
+    visit.answer(
+        lambda: visit.locate("#sample").select_option("empty"),
+        lambda asked: not visit.occupied(asked).any(),
+    )
+    return visit
+
+
+@pytest.fixture
+def touch(phone: Any) -> Callable[..., None]:
+    """Sends a touch event with these fingers down, in m."""
+    session = phone.page.context.new_cdp_session(phone.page)
+
+    def send(kind: str, *points: tuple[float, float]) -> None:
+        places = [phone.at(point) for point in points]
+        fingers = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
+
+    return send
+
+
+def test_two_fingers_paint_nothing(phone: Any, touch: Callable[..., None]) -> None:
+    touch("touchStart", (-1.0, 0.0))
+    touch("touchMove", (-1.5, 0.0))
+    expect(phone.locate("#undo")).to_be_enabled()
+    touch("touchStart", (-1.5, 0.0), (1.0, 0.0))
+    touch("touchMove", (-2.0, 0.0), (2.0, 0.0))
+    touch("touchEnd")
+
+    expect(phone.locate("#undo")).to_be_disabled()
+    phone.locate("#seed").fill("7")
+    after = phone.answer(
+        lambda: phone.locate("#seed").press("Tab"), lambda asked: asked["seed"] == 7
+    )
+    assert not phone.occupied(after.asked).any()
+
+
+def test_a_finger_pushes_an_obstacle_up(phone: Any, touch: Callable[..., None]) -> None:
+    spot = phone.at((1.0, 0.0))
+    dot = phone.answer(
+        lambda: phone.page.touchscreen.tap(*spot), lambda asked: phone.occupied(asked).any()
+    )
+    phone.locate("[data-tool=move]").click()
+
+    touch("touchStart", (1.0, 0.0))
+    for y in np.linspace(0.1, 1.9, 7):
+        touch("touchMove", (1.0, y))
+        phone.page.wait_for_timeout(30)
+    pushed = phone.answer(
+        lambda: touch("touchMove", (1.0, 2.0)), lambda asked: phone.occupied(asked)[68, 58]
+    )
+    touch("touchEnd")
+
+    np.testing.assert_array_equal(
+        np.roll(phone.occupied(dot.asked), 20, 0), phone.occupied(pushed.asked)
+    )
+
+
+def test_a_phone_that_is_held_across_shows_the_whole_board(open_page: Callable[..., Any]) -> None:
+    visit = open_page(viewport={"width": 667, "height": 375}, **PHONE)
+    visit.wait_for_anchors()
+    tools, board, deck = (
+        visit.locate(part).bounding_box() for part in (".toolbar", "#board", ".deck:visible")
+    )
+
+    assert deck["y"] + deck["height"] - tools["y"] < 375
+    assert board["width"] == pytest.approx(board["height"])
+    assert board["x"] > 100

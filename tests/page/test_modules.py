@@ -156,6 +156,12 @@ def test_lines_lie_where_single_points_do(call: Callable[..., Any], metres: floa
     np.testing.assert_allclose(screen, expected, atol=1e-3)
 
 
+def test_what_rounds_to_0_has_no_sign(call: Callable[..., Any]) -> None:
+    make = "(m, values) => values.map((value) => m.figure(value))"
+    told = call("dom", make, [-0.004, 0, -0.006, -12.5, 3])
+    assert told == ["0.00", "0.00", "−0.01", "−12.50", "3.00"]
+
+
 @pytest.mark.parametrize(
     ("dtype", "limits", "value"),
     [

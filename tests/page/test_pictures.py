@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,42 @@ def test_a_picture_goes_in_its_own_size_and_an_optional_one_when_it_is_given(
     visit.locate(".picture button:visible").click()
     expect(visit.locate(".thumbnail:visible")).to_have_count(1)
     assert plan(visit).asked["inputs"] == told
+
+
+def test_a_transparent_picture_is_sent_as_it_is_shown(visit: Any, tmp_path: Path) -> None:
+    pixels = np.full((10, 20, 4), (200, 100, 50, 255), np.uint8)
+    pixels[:, 10:, 3] = 0
+    Image.fromarray(pixels).save(tmp_path / "glass.png")
+    choose(visit, CAR, tmp_path / "glass.png")
+    note = visit.locate(f".picture:has({CAR}) .hint")
+    expect(note).to_have_text("20 × 10 pixels, drawn on black")
+
+    told = plan(visit)
+
+    (sent,) = told.asked["inputs"]["vehicle_image"].values()
+    read = np.asarray(Image.open(io.BytesIO(base64.b64decode(sent))).convert("RGB"))
+    np.testing.assert_array_equal(read, pixels[..., :3] * (pixels[..., 3:] // 255))
+
+
+def test_of_two_pictures_the_later_one_counts(visit: Any, tmp_path: Path) -> None:
+    slow = picture(tmp_path, "slow.png", width=30, height=20)
+    quick = picture(tmp_path, "quick.png", width=90, height=50)
+    visit.page.evaluate(
+        """() => {
+            const read = createImageBitmap;
+            window.createImageBitmap = async (file) => {
+                if (file.name === "slow.png") await new Promise((go) => setTimeout(go, 500));
+                return read(file);
+            };
+        }"""
+    )
+    visit.locate(CAR).set_input_files(slow)
+    choose(visit, CAR, quick)
+    visit.page.wait_for_timeout(700)
+
+    expect(visit.locate(f".picture:has({CAR}) .hint")).to_have_text("90 × 50 pixels")
+    sent = plan(visit).asked["inputs"]["vehicle_image"]
+    assert sent == {"png": base64.b64encode(quick.read_bytes()).decode()}
 
 
 def test_one_anchor_is_told_as_one(visit: Any, tmp_path: Path) -> None:

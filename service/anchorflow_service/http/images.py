@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import io
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 
 from anchorflow_client.contract import AnchorRequest, EncodedImage
 from anchorflow_client.contract.ranges import MAX_PIXELS, MAX_REQUEST_PIXELS
@@ -28,7 +29,7 @@ def with_pixels(request: AnchorRequest) -> AnchorRequest:
 
 
 def decoded(image: EncodedImage, field: str, *, num_before: int = 0) -> NDArray[np.uint8]:
-    """Pixels [3,H,W], RGB.
+    """Pixels [3,H,W], RGB, upright as EXIF says.
 
     num_before: pixels of the request's other pictures so far
 
@@ -39,16 +40,28 @@ def decoded(image: EncodedImage, field: str, *, num_before: int = 0) -> NDArray[
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the limit is our own
+            warnings.simplefilter("ignore")  # of size, where the limit is our own, and of odd EXIF
             with Image.open(io.BytesIO(image.data), formats=[image.format]) as picture:
                 _check(picture, field, num_before)
-                pixels = np.asarray(picture.convert("RGB"))
+                pixels = np.asarray(_upright(picture.convert("RGB")))
     except InvalidRequest:
         raise
+    except Image.DecompressionBombError as error:  # which Pillow raises before `_check` can look
+        most = f"a picture of at most {MAX_PIXELS} pixels"
+        raise InvalidRequest(
+            f"expected {most}, got one of more than ten times as many", field
+        ) from error
     except Exception as error:  # of broken files Pillow raises whatever its plugins stumble over
         came = f"{len(image.data)} bytes that cannot be read as one"
         raise InvalidRequest(f"expected a {image.format} file, got {came}", field) from error
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _upright(picture: Image.Image) -> Image.Image:
+    """Turned as its EXIF says; where that is broken, as it lies, which is how browsers show it."""
+    with suppress(Exception):  # Pillow raises whatever it stumbles over
+        ImageOps.exif_transpose(picture, in_place=True)
+    return picture
 
 
 def _check(picture: Image.Image, field: str, num_before: int) -> None:

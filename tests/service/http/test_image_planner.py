@@ -22,7 +22,7 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 from fastapi import FastAPI
 from image_planner import HEIGHT, WIDTH, K, expected
-from PIL import Image
+from PIL import ExifTags, Image
 
 from anchorflow_client import AnchorBatch, AnchorClient, AnchorRequest, JsonCodec, OipCodec
 from anchorflow_client.contract import EncodedImage
@@ -31,6 +31,7 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.http import create_app
+from anchorflow_service.http.images import decoded
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import Call, PlanningService, ServiceLimits
 from anchorflow_service.repository import BundleFolders, Repository
@@ -221,6 +222,50 @@ def test_a_picture_may_be_a_file(service: Any, image_format: str) -> None:
     np.testing.assert_allclose(anchors.scores[0], 0.0, atol=1e-3)
 
 
+UPRIGHT: list[Callable[[np.ndarray], np.ndarray]] = [
+    lambda lying: lying,
+    np.fliplr,
+    lambda lying: np.rot90(lying, 2),
+    np.flipud,
+    lambda lying: lying.swapaxes(0, 1),
+    lambda lying: np.rot90(lying, -1),
+    lambda lying: np.rot90(lying, 2).swapaxes(0, 1),
+    np.rot90,
+]
+"""By EXIF orientation, from 1 on."""
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_picture_is_turned_as_its_exif_says(orientation: int) -> None:
+    lying = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    data = io.BytesIO()
+    Image.fromarray(lying).save(data, "PNG", exif=exif)
+
+    pixels = decoded(EncodedImage("png", data.getvalue()), "camera")
+
+    np.testing.assert_array_equal(pixels.transpose(1, 2, 0), UPRIGHT[orientation - 1](lying))
+
+
+def test_a_picture_on_its_side_has_the_size_that_one_sees(service: Any) -> None:
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    data = io.BytesIO()
+    Image.new("RGB", (HEIGHT, WIDTH), (153, 153, 153)).save(data, "JPEG", exif=exif)
+
+    answer = post(service, {"jpeg": base64_of(data.getvalue())})
+
+    assert answer.status_code == 200, answer.text
+
+
+def test_a_picture_with_broken_exif_stays_as_it_lies() -> None:
+    data = io.BytesIO()
+    Image.new("RGB", (WIDTH, HEIGHT)).save(data, "JPEG", exif=b"Exif\0\0no TIFF")
+
+    assert decoded(EncodedImage("jpeg", data.getvalue()), "camera").shape == (3, HEIGHT, WIDTH)
+
+
 def base64_of(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
@@ -237,6 +282,13 @@ def with_an_empty_profile() -> bytes:
     png = encoded(9)
     chunk = bytes(4) + b"iCCP" + zlib.crc32(b"iCCP").to_bytes(4, "big")
     return png[:-12] + chunk + png[-12:]  # in front of IEND
+
+
+def of_side(pixels: int) -> bytes:
+    """A picture that says of itself to be that large."""
+    png = encoded(9)
+    header = b"IHDR" + 2 * pixels.to_bytes(4, "big") + png[24:29]
+    return png[:12] + header + zlib.crc32(header).to_bytes(4, "big") + png[33:]
 
 
 BAD_FILES: dict[str, tuple[Any, str]] = {
@@ -268,6 +320,10 @@ BAD_FILES: dict[str, tuple[Any, str]] = {
     "a bomb": (
         {"png": base64_of(encoded(9, "PNG", (10_000, 10_000)))},
         f"inputs.camera.png: expected a picture of at most {MAX_PIXELS} pixels, got 10000 x 10000",
+    ),
+    "a bomb that Pillow refuses": (
+        {"png": base64_of(of_side(14_000))},
+        f"inputs.camera.png: expected a picture of at most {MAX_PIXELS} pixels, got one of more ",
     ),
     "short of bytes": (
         {"dtype": "uint8", "shape": [3, 16, 24], "base64": base64_of(b"\0" * 5)},

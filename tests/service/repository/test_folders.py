@@ -42,9 +42,10 @@ def test_the_newest_version_is_taken_unless_one_is_named(
 
 
 def test_what_is_being_exported_is_not_there_yet(tmp_path: Path, write_bundle: Write) -> None:
-    write_bundle(tmp_path / ".flow-scratch" / "new", name="flow")
-    write_bundle(tmp_path / "flow" / ".0.2.0", name="flow")
-    assert BundleFolders(repository=tmp_path).found() == []
+    repository = tmp_path / "repository"
+    write_bundle(repository / ".flow-scratch" / "new", name="flow")
+    write_bundle(repository / "flow" / ".0.2.0", name="flow")
+    assert BundleFolders(repository=repository).found() == []
 
 
 def test_versions_sort_as_people_read_them() -> None:

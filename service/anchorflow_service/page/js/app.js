@@ -24,11 +24,12 @@ const LONGEST_WAIT_MS = 4000;
  */
 class App {
   #views = {};
+  /** null until a bundle is known. */
   view = null;
 
   constructor() {
     this.models = new Models();
-    this.planner = new Planner(() => ({ ...this.view.question(), view: this.view }));
+    this.planner = new Planner(() => ({ ...this.view?.question(), view: this.view }));
     this.connection = new Connection(this.planner);
     this.amount = new Amount((options, time) => this.view.choose(options, time));
     this.card = new CardPanel();
@@ -36,7 +37,7 @@ class App {
     this.models.addEventListener("choose", (event) => this.#use(event.detail));
     this.planner.addEventListener("answer", (event) => this.#take("answered", event.detail));
     this.planner.addEventListener("refusal", (event) => this.#take("refused", event.detail));
-    this.planner.addEventListener("down", () => this.view.down());
+    this.planner.addEventListener("down", () => this.view?.down());
     this.planner.addEventListener("up", () => this.#refresh());
   }
 
@@ -55,7 +56,7 @@ class App {
 
   #use(card) {
     const kind = card.conditioning.kind in VIEWS ? card.conditioning.kind : "tensors";
-    const view = (this.#views[kind] ??= new VIEWS[kind](this.planner, this.amount));
+    const view = (this.#views[kind] ??= new VIEWS[kind](this.planner, this.amount, this.models));
     if (view !== this.view) this.view?.leave();
     this.view = view;
     document.body.dataset.kind = kind;
@@ -68,8 +69,10 @@ class App {
   /** What comes back is for the view that has asked, as long as it is looked at. */
   #take(event, detail) {
     this.connection.up();
-    if (detail.error?.code === "unknown_model") this.#refresh();
-    if (detail.question.view === this.view) this.view[event](detail);
+    const { question, answer, error } = detail;
+    const isAnother = answer && answer.model.sha256 !== question.card.sha256;
+    if (isAnother || error?.code === "unknown_model") this.#refresh();
+    if (question.view === this.view) this.view[event](detail);
   }
 
   /** Bundles come and go, with a service that was started again or in one that runs. */

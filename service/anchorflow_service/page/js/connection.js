@@ -1,9 +1,11 @@
 /** Whether the service answers: the mark in the corner, and a banner while it is silent. */
 
 import { byId } from "./dom.js";
+import { Refusal } from "./service.js";
 
 export class Connection {
   #counting = null;
+  /** null until a bundle is known. */
   #card = null;
 
   constructor(planner) {
@@ -22,7 +24,8 @@ export class Connection {
   up() {
     clearInterval(this.#counting);
     byId("banner").hidden = true;
-    this.#state("up", `${this.#card.name} ${this.#card.version}`);
+    if (this.#card) this.#state("up", `${this.#card.name} ${this.#card.version}`);
+    else this.#state("wait", "Connecting");
   }
 
   /** It has not answered yet. */
@@ -36,13 +39,16 @@ export class Connection {
     const until = performance.now() + waitMs;
     clearInterval(this.#counting);
     byId("banner").hidden = false;
+    const why = error.message.replace(/; try again in \d+ s$|\.$/, ""); // which is counted here
     const count = () => {
       const left = Math.max(0, Math.ceil((until - performance.now()) / 1e3));
-      byId("banner-text").textContent = `${error.message} ${left ? `Trying again in ${left} s.` : "Trying again."}`;
+      byId("banner-text").textContent = `${why}. ${left ? `Trying again in ${left} s.` : "Trying again."}`;
     };
     count();
     this.#counting = setInterval(count, 250);
-    this.#state("down", "Not connected");
+    // Who refuses is there.
+    if (error instanceof Refusal) this.#state("wait", "Waiting for the service");
+    else this.#state("down", "Not connected");
   }
 
   #state(state, text) {

@@ -20,8 +20,8 @@ export function makeSvg(tag, attributes = {}, text = "") {
   return element;
 }
 
-/** A number with so many digits and a true minus sign. */
-export const figure = (value, digits = 2) => value.toFixed(digits).replace("-", "−");
+/** A number with so many digits and a true minus sign, which 0 has none of. */
+export const figure = (value, digits = 2) => Number(value.toFixed(digits)).toFixed(digits).replace("-", "−");
 
 /** A number with no more digits than it needs, three behind the point at most. */
 export const plain = (value) => String(Number(value.toFixed(3))).replace("-", "−");

@@ -1,14 +1,17 @@
 /** Requests for other programs: a line for a shell, the literals of Python, the clipboard. */
 
 import { byId, make } from "./dom.js";
+import { authorization } from "./token.js";
 
-/** The address of the service. */
-export const serviceUrl = () => new URL(".", document.baseURI).href.replace(/\/$/, "");
+/** Where a copied request finds the token; the token itself is not copied. */
+const TOKEN = "ANCHORFLOW_TOKEN";
+const needsToken = () => "Authorization" in authorization();
 
 /** A request in JSON, for a shell; nothing in it is the shell's. */
 export function toCurl(json) {
   const url = new URL("anchors", document.baseURI);
-  return `curl -s ${url} -H 'Content-Type: application/json' --data-binary @- <<'JSON'\n${json}JSON\n`;
+  const token = needsToken() ? ` -H "Authorization: Bearer $${TOKEN}"` : "";
+  return `curl -s ${url} -H 'Content-Type: application/json'${token} --data-binary @- <<'JSON'\n${json}JSON\n`;
 }
 
 /** A value of JSON as Python writes it. */
@@ -19,6 +22,14 @@ export function python(value) {
     return `{${Object.entries(value).map(([key, part]) => `${python(key)}: ${python(part)}`).join(", ")}}`;
   }
   return value === null ? "None" : JSON.stringify(value);
+}
+
+/** {imports, opened}: what opens a client in Python; `options`: arguments beyond address and token. */
+export function pythonClient(options = []) {
+  const address = new URL(".", document.baseURI).href.replace(/\/$/, "");
+  const token = needsToken() ? [`token=os.environ["${TOKEN}"]`] : [];
+  const given = [`"${address}"`, ...options, ...token].join(", ");
+  return { imports: token.length ? "import os\n\n" : "", opened: `AnchorClient(${given})` };
 }
 
 /** Keyword arguments, a line each. */
@@ -34,7 +45,7 @@ export function listenForCopies(isShown, write) {
       if (!isShown()) return;
       try {
         await copy(text());
-        byId("scene-note").textContent = `Copied for ${name}.`;
+        byId("scene-note").textContent = `Copied for ${name}${needsToken() ? `; it takes the token from ${TOKEN}` : ""}.`;
       } catch (error) {
         byId("scene-note").textContent = error.message;
       }
@@ -52,9 +63,11 @@ async function copy(text) {
 
 /** The clipboard is closed to pages that came over plain HTTP from another machine. */
 function copyBySelection(text) {
+  const focused = document.activeElement;
   const field = make("textarea", { value: text, className: "unseen" });
   document.body.append(field);
   field.select();
   document.execCommand("copy");
   field.remove();
+  focused.focus();
 }

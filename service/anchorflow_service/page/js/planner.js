@@ -47,12 +47,15 @@ export class Planner extends EventTarget {
 
   async #run() {
     this.#busy = true;
-    while (this.#wanted) {
-      this.#wanted = false;
-      const question = this.#question();
-      if (question.body) await this.#put(question);
+    try {
+      while (this.#wanted) {
+        this.#wanted = false;
+        const question = this.#question();
+        if (question.body) await this.#put(question);
+      }
+    } finally {
+      this.#busy = false;
     }
-    this.#busy = false;
   }
 
   async #put(question) {

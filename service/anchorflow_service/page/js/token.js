@@ -3,6 +3,8 @@
 import { byId } from "./dom.js";
 
 const KEY = "anchorflow-token";
+/** What no header can carry, such as an invisible space that was copied along. */
+const FOREIGN = /[^ -\xff]/u;
 let asking = null;
 
 /** What goes with every request: {Authorization}, or nothing. */
@@ -18,13 +20,21 @@ export function askForToken(why) {
     const form = byId("token-form");
     form.hidden = false;
     byId("token").focus();
-    form.addEventListener("submit", (event) => {
+    form.onsubmit = (event) => {
       event.preventDefault();
-      sessionStorage.setItem(KEY, byId("token").value.trim());
+      const token = byId("token").value.trim();
+      const foreign = token.match(FOREIGN);
+      if (foreign) {
+        byId("token-why").textContent = `token: expected characters of Latin-1, got ${codePoint(foreign[0])} in place ${foreign.index + 1}`;
+        return;
+      }
+      sessionStorage.setItem(KEY, token);
       form.hidden = true;
       asking = null;
       resolve();
-    }, { once: true });
+    };
   });
   return asking;
 }
+
+const codePoint = (character) => `U+${character.codePointAt(0).toString(16).toUpperCase().padStart(4, "0")}`;

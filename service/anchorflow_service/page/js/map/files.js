@@ -3,12 +3,12 @@
 import { byId, make } from "../dom.js";
 import { listenForCopies, toCurl } from "../exchange.js";
 import { readMap } from "./maps.js";
-import { fromJson, toJson, toPython } from "./scene_json.js";
+import { fromRequest, parse, toJson, toPython } from "./scene_json.js";
 
 export class Files {
-  /** `isShown()`: whether scenes are what the page is about. */
-  constructor(scene, controls, isShown) {
-    Object.assign(this, { scene, controls });
+  /** `isShown()`: whether scenes are what the page is about; `onOpen()`: one is about to be shown. */
+  constructor(scene, controls, models, { isShown, onOpen }) {
+    Object.assign(this, { scene, controls, models, onOpen });
     byId("open").addEventListener("click", () => byId("files").click());
     byId("files").addEventListener("change", () => {
       this.#read([...byId("files").files]);
@@ -44,9 +44,7 @@ export class Files {
     try {
       const json = files.find((file) => /\.json$/i.test(file.name));
       if (json) {
-        const { grid, ends, options } = fromJson(await json.text(), this.scene.dim);
-        Object.assign(this.scene.options, options);
-        this.#show(grid, ends, `${json.name} is open.`);
+        this.#open(json.name, parse(await json.text()));
       } else if (files.some((file) => /\.(pgm|png|ya?ml)$/i.test(file.name))) {
         const { grid, note } = await readMap(files);
         this.#show(grid, undefined, note);
@@ -58,7 +56,20 @@ export class Files {
     }
   }
 
+  /** A scene, asked of the bundle that it names; what it does not give is the bundle's own. */
+  #open(name, request) {
+    const named = this.models.like(request.model);
+    const card = named ?? this.scene.card;
+    const { grid, ends, options, left } = fromRequest(request, card.answer.components.length);
+    if (request.model && !named) left.push(`model, as no ${request.model} with a map is served`);
+    if (card.name === this.scene.card.name) this.scene.useCard(this.scene.card);
+    else this.models.choose(card);
+    Object.assign(this.scene.options, options);
+    this.#show(grid, ends, `${name} is open.${left.length ? ` Left out: ${left.join(", ")}.` : ""}`);
+  }
+
   #show(grid, ends, note) {
+    this.onOpen();
     byId("sample").value = "own";
     this.scene.useMap(grid, ends);
     this.controls.show();

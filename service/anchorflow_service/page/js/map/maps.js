@@ -2,48 +2,26 @@
 
 import { FREE, Grid, OCCUPIED, UNKNOWN } from "./grid.js";
 import { readPgm } from "./pgm.js";
+import { readYaml } from "./yaml.js";
 
 /** Larger maps have several of their cells in one, which is occupied where one of them is. */
 const MOST_CELLS = 160;
 const LEAST_CELLS = 16;
 /** Of a picture that comes without a YAML file, as `map_saver` writes them. */
-const DEFAULTS = { resolution: 0.05, negate: 0, occupied_thresh: 0.65, free_thresh: 0.25, mode: "trinary" };
-const MODES = ["trinary", "scale", "raw"];
+const DEFAULTS = { resolution: 0.05, origin: [0, 0], negate: 0, occupied_thresh: 0.65, free_thresh: 0.25, mode: "trinary" };
 
 /** {grid, note} of the files [File] of one map. Throws an Error whose message is for the reader. */
 export async function readMap(files) {
-  const named = (pattern) => files.find((file) => pattern.test(file.name));
-  const yaml = named(/\.ya?ml$/i);
-  const picture = named(/\.(pgm|png)$/i);
-  const fields = yaml ? readYaml(await yaml.text(), yaml.name) : { ...DEFAULTS, origin: [0, 0, 0] };
+  const yaml = files.find(({ name }) => /\.ya?ml$/i.test(name));
+  const fields = yaml ? readYaml(await yaml.text(), yaml.name) : DEFAULTS;
+  const wanted = fields.image?.split("/").at(-1);
+  const picture = files.find(({ name }) => (yaml ? name === wanted : /\.(pgm|png)$/i.test(name)));
   if (!picture) throw new Error(`${yaml.name} names the picture ${fields.image}: choose both files together.`);
   const shades = /\.pgm$/i.test(picture.name) ? readPgm(new Uint8Array(await picture.arrayBuffer()), picture.name) : await readPng(picture);
   const grid = pooled(trimmed(toGrid(shades, fields)));
   const [width, height] = grid.size.map((metres) => metres.toFixed(1));
   const guess = yaml ? "" : `, taking ${DEFAULTS.resolution} m a pixel for want of a .yaml file`;
   return { grid, note: `${picture.name}: ${width} × ${height} m, ${grid.resolution.toFixed(2)} m a cell${guess}.` };
-}
-
-/** The fields of a map_server YAML file, which is flat. */
-export function readYaml(text, name) {
-  const fields = { mode: DEFAULTS.mode, negate: DEFAULTS.negate };
-  const lines = text.replace(/#.*$/gm, "").replace(/\n\s*-\s*/g, ", ").split("\n");
-  for (const line of lines) {
-    const [, key, value] = line.match(/^\s*(\w+)\s*:\s*(.+?)\s*$/) ?? [];
-    if (key) fields[key] = value.replace(/^["']|["']$/g, "");
-  }
-  const wrong = (key, expected) => new Error(`${name}: ${key}: expected ${expected}, got ${fields[key] ?? "nothing"}.`);
-  for (const key of ["resolution", "occupied_thresh", "free_thresh", "negate"]) {
-    const number = Number(fields[key] ?? NaN);
-    if (!Number.isFinite(number)) throw wrong(key, "a number");
-    fields[key] = number;
-  }
-  if (!(fields.resolution > 0)) throw wrong("resolution", "more than 0 m");
-  if (!MODES.includes(fields.mode)) throw wrong("mode", MODES.join(", "));
-  const origin = String(fields.origin ?? "").replace(/[[\]]/g, "").split(",").filter((part) => part.trim()).map(Number);
-  if (origin.length !== 3 || !origin.every(Number.isFinite)) throw wrong("origin", "three numbers x, y, yaw");
-  if (origin[2] !== 0) throw wrong("origin", "a yaw of 0");
-  return { ...fields, origin };
 }
 
 /** {width, height, shade: [H*W] in [0, 1], opaque: [H*W]} of a PNG, top row first. */
@@ -69,7 +47,7 @@ async function readPng(file) {
 
 /** A grid of map_server's meaning of shades; its first row is the picture's last. */
 function toGrid({ width, height, shade, opaque }, fields) {
-  const grid = new Grid(height, width, fields.resolution, fields.origin.slice(0, 2));
+  const grid = new Grid(height, width, fields.resolution, [...fields.origin]);
   for (let row = 0; row < height; row++) {
     for (let column = 0; column < width; column++) {
       const k = (height - 1 - row) * width + column;

@@ -19,8 +19,8 @@ export class Painting {
     const { canvas } = stage;
     canvas.addEventListener("pointerdown", (event) => this.#begin(event));
     canvas.addEventListener("pointermove", (event) => this.#move(event));
-    canvas.addEventListener("pointerup", () => this.#end());
-    canvas.addEventListener("pointercancel", () => this.#end());
+    canvas.addEventListener("pointerup", (event) => this.#end(event));
+    canvas.addEventListener("pointercancel", (event) => this.#end(event));
     canvas.addEventListener("pointerleave", () => this.#leave());
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("keydown", (event) => this.#key(event));
@@ -53,6 +53,11 @@ export class Painting {
 
   #begin(event) {
     if (event.button > 2) return;
+    if (this.#stroke) {
+      this.#takeBack();
+      return;
+    }
+    const { pointerId: pointer } = event;
     const at = this.#where(event);
     const { grid } = this.scene;
     if (this.tool === "move") {
@@ -60,16 +65,17 @@ export class Painting {
       const cells = grid.obstacleAt(row, column);
       if (!cells.length) return;
       this.scene.remember();
-      this.#stroke = { cells, before: grid.cells.slice(), from: [row, column], moved: [0, 0] };
+      this.#stroke = { pointer, cells, before: grid.cells.slice(), from: [row, column], moved: [0, 0] };
     } else {
       this.scene.remember();
-      this.#stroke = { last: at, value: this.#erases(event) ? FREE : OCCUPIED };
+      this.#stroke = { pointer, last: at, value: this.#erases(event) ? FREE : OCCUPIED };
       this.#paintTo(at, event.timeStamp);
     }
-    this.stage.canvas.setPointerCapture(event.pointerId);
+    this.stage.canvas.setPointerCapture(pointer);
   }
 
   #move(event) {
+    if (this.#stroke && this.#stroke.pointer !== event.pointerId) return;
     const at = this.#where(event);
     if (!this.#stroke) {
       this.#showBrush(this.tool === "move" ? null : { at, erase: this.#erases(event) });
@@ -82,8 +88,14 @@ export class Painting {
     }
   }
 
-  #end() {
+  #end(event) {
+    if (this.#stroke?.pointer === event.pointerId) this.#stroke = null;
+  }
+
+  /** A second finger pinches: what the first has begun was not meant. */
+  #takeBack() {
     this.#stroke = null;
+    this.scene.undo();
   }
 
   #leave() {

@@ -30,7 +30,7 @@ export class MapView {
   shown = null;
   kept = null;
 
-  constructor(planner, amount) {
+  constructor(planner, amount, models) {
     this.planner = planner;
     this.scene = new Scene();
     this.controls = new Controls(this.scene, amount);
@@ -39,7 +39,7 @@ export class MapView {
     this.handles = new Handles(this.stage, this.scene);
     this.painting = new Painting(this.stage, this.scene, (left, top) => this.#hover(left, top));
     this.bubble = new Bubble(this.stage, this.scene);
-    this.files = new Files(this.scene, this.controls, () => this.active);
+    this.files = new Files(this.scene, this.controls, models, { isShown: () => this.active, onOpen: () => this.#rest() });
     this.replay = new Replay(this.stage, () => this.#press("replay", false, "Replay the flow"));
     this.drive = new Drive(this.stage, this.scene, {
       ask: () => this.planner.busy || this.planner.ask(),
@@ -104,7 +104,8 @@ export class MapView {
   }
 
   async answered({ question, answer, sentAt }) {
-    if (question.driven !== this.drive.active || this.replay.active) return;
+    if (question.driven !== this.drive.active) return;
+    this.replay.end();
     const anchors = new Anchors(answer, question.card, question.limits);
     this.shown = question;
     this.bubble.clear();

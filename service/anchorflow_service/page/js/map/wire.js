@@ -59,10 +59,11 @@ async function unpack(response) {
   const buffer = await response.arrayBuffer();
   const length = Number(response.headers.get(HEADER_LENGTH));
   const { outputs, parameters } = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 0, length)));
-  const answer = { timing: {} };
+  const answer = { timing: {}, model: {} };
   for (const [name, value] of Object.entries(parameters)) {
     const [group, stage] = name.split(".");
     if (group === "timing_ms") answer.timing[stage] = value;
+    else if (group === "model") answer.model[stage] = value;
     else answer[name] = value;
   }
   let at = length;

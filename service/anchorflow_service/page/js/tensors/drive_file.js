@@ -5,7 +5,27 @@ import { ARRAYS, axesOf, base64 } from "./tensor.js";
 
 const FORMAT = "anchorflow-drive";
 const VERSION = 1;
-const PARTS = ["inputs", "ego", "map", "frames"];
+
+const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
+const isNumbers = (count) => (values) => Array.isArray(values) && values.length === (count ?? values.length) && values.every(Number.isFinite);
+const isListOf = (isGood) => (values) => Array.isArray(values) && values.every(isGood);
+const isInput = (input) => typeof input?.name === "string" && typeof input.dtype === "string" && Array.isArray(input.shape);
+const LINES = ["lists of numbers", isListOf(isNumbers())];
+/** What the page reads of a drive, of its map and of each frame: [what it is, whether it is that]. */
+const DRIVE = {
+  inputs: ["a list of name, dtype and shape", isListOf(isInput)],
+  ego: ["5 numbers", isNumbers(5)],
+  map: ["an object", isObject],
+  frames: ["a list of frames", (frames) => Array.isArray(frames) && frames.length > 0],
+};
+const MAP = { drivable: LINES, crosswalk: LINES, line: LINES, centre: LINES };
+const FRAME = {
+  time_s: ["a number", Number.isFinite],
+  pose: ["3 numbers", isNumbers(3)],
+  recorded: ["a list of 3 numbers each", isListOf(isNumbers(3))],
+  boxes: ["a list of 6 numbers each", isListOf(isNumbers(6))],
+  inputs: ["an object", isObject],
+};
 
 /** m that are shown around the ego at least. */
 const SHOWN = { behind: 12, ahead: 36, aside: 20 };
@@ -30,8 +50,9 @@ export class DriveFile {
       throw new Error(`${name}: expected JSON: ${cause.message}`, { cause });
     }
     if (held?.format !== FORMAT || held.version !== VERSION) throw new Error(`${name}: expected a drive that "anchorflow data frames" has made, "format": "${FORMAT}", "version": ${VERSION}.`);
-    const missing = PARTS.find((part) => !held[part]) ?? (held.frames.length ? undefined : "frames");
-    if (missing) throw new Error(`${name}: expected ${missing}, got none.`);
+    check(held, DRIVE, name);
+    check(held.map, MAP, `${name}: map`);
+    held.frames.forEach((frame, index) => check(frame, FRAME, `${name}: frame ${index}`));
     Object.assign(this, held, { name });
   }
 
@@ -49,7 +70,7 @@ export class DriveFile {
   /** {name: value} of a frame, as the contract's JSON has them, of the inputs that a card lists. */
   async values(index, card) {
     const { inputs } = this.frames[index];
-    const entries = card.inputs.map(async ({ name }) => [name, await unpack(inputs[name], `frame ${index}: ${name}`)]);
+    const entries = card.inputs.map(async ({ name }) => [name, await unpack(inputs[name], `${this.name}: frame ${index}: ${name}`)]);
     return Object.fromEntries(await Promise.all(entries));
   }
 
@@ -60,12 +81,21 @@ export class DriveFile {
   }
 }
 
+function check(held, parts, place) {
+  for (const [part, [expected, isGood]] of Object.entries(parts)) {
+    if (!isGood(held?.[part])) throw new Error(`${place}: ${part}: expected ${expected}.`);
+  }
+}
+
 /** Deflated bytes become bytes in base64; everything else is what it is. */
 async function unpack(value, place) {
-  if (value === undefined) throw new Error(`${place}: expected a value, got none.`);
+  if (value === undefined || value === null) throw new Error(`${place}: expected a value, got none.`);
   if (!value.zlib) return value;
   const { dtype, shape, zlib } = value;
-  const bytes = await inflate(zlib);
+  if (!(dtype in ARRAYS && isNumbers()(shape))) throw new Error(`${place}: expected dtype and shape of a tensor.`);
+  const bytes = await inflate(zlib).catch((cause) => {
+    throw new Error(`${place}: expected deflated bytes in base64.`, { cause });
+  });
   const expected = shape.reduce((count, size) => count * size, ARRAYS[dtype].BYTES_PER_ELEMENT);
   if (bytes.length !== expected) throw new Error(`${place}: expected ${expected} bytes, got ${bytes.length}.`);
   return { dtype, shape, base64: base64(bytes) };

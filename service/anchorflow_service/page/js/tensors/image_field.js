@@ -7,6 +7,9 @@ import { axesOf, base64, unpacked } from "./tensor.js";
 const FORMATS = { "image/png": "png", "image/jpeg": "jpeg" };
 
 export class ImageField {
+  /** Counts what was chosen, so that a slow file does not come after a later one. */
+  #reads = 0;
+
   static fits = (spec) => spec.dtype === "uint8" && axesOf(spec).length === 3 && axesOf(spec)[0] === 3;
 
   constructor(spec, id, onChange) {
@@ -53,6 +56,7 @@ export class ImageField {
   }
 
   #clear() {
+    this.#reads++;
     this.original = null;
     this.note.textContent = "";
     this.picture.hidden = !this.isBlackAtFirst;
@@ -78,21 +82,31 @@ export class ImageField {
 
   async #read(file) {
     this.#clear();
-    try {
-      if (file) await this.#show(file);
-    } catch {
-      this.note.textContent = `${file.name}: expected a PNG or JPEG picture.`;
-    }
+    const read = this.#reads;
+    const [picture, bytes] = file ? await Promise.all([createImageBitmap(file), file.arrayBuffer()]).catch(() => []) : [];
+    if (read !== this.#reads) return; // another one was chosen meanwhile
+    if (picture) this.#show(picture, FORMATS[file.type], bytes);
+    else if (file) this.note.textContent = `${file.name}: expected a PNG or JPEG picture.`;
     this.onChange();
   }
 
-  async #show(file) {
-    const format = FORMATS[file.type];
-    const picture = await createImageBitmap(file);
+  #show(picture, format, bytes) {
     const { width, height } = this.#draw(picture);
     const fits = picture.width === width && picture.height === height;
-    this.note.textContent = `${picture.width} × ${picture.height} pixels${fits ? "" : `, drawn to ${width} × ${height}`}`;
+    const asItIs = fits && isOpaque(picture);
+    const drawn = fits ? ", drawn on black" : `, drawn to ${width} × ${height}`;
+    this.note.textContent = `${picture.width} × ${picture.height} pixels${asItIs ? "" : drawn}`;
     // A file of the right size goes as it is; what is drawn loses nothing more as PNG.
-    if (fits && format) this.original = { [format]: base64(new Uint8Array(await file.arrayBuffer())) };
+    if (asItIs && format) this.original = { [format]: base64(new Uint8Array(bytes)) };
   }
+}
+
+/** Whether one sees through it nowhere; the service takes colours without their alpha. */
+function isOpaque(picture) {
+  const { width, height } = picture;
+  const context = new OffscreenCanvas(width, height).getContext("2d");
+  context.drawImage(picture, 0, 0);
+  const { data } = context.getImageData(0, 0, width, height);
+  for (let k = 3; k < data.length; k += 4) if (data[k] < 255) return false;
+  return true;
 }

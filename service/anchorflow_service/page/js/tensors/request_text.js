@@ -1,6 +1,6 @@
 /** A request with named inputs as text: JSON for a shell, a program for Python. */
 
-import { python, pythonArguments, serviceUrl } from "../exchange.js";
+import { python, pythonArguments, pythonClient } from "../exchange.js";
 
 /** The contract's JSON, an input a line. */
 export function toJson({ inputs, ...rest }) {
@@ -12,10 +12,11 @@ export function toJson({ inputs, ...rest }) {
 export function toPython({ inputs, ...rest }) {
   const lines = Object.entries(inputs).map(([name, value]) => `            ${python(name)}: ${python(value)},\n`);
   // The client's binary form carries pixels, and JSON alone carries files.
-  const [needed, codec] = Object.values(inputs).some(isFile) ? [", JsonCodec", ", codec=JsonCodec()"] : ["", ""];
-  return `from anchorflow_client import AnchorClient${needed}
+  const needsJson = Object.values(inputs).some(isFile);
+  const { imports, opened } = pythonClient(needsJson ? ["codec=JsonCodec()"] : []);
+  return `${imports}from anchorflow_client import AnchorClient${needsJson ? ", JsonCodec" : ""}
 
-with AnchorClient("${serviceUrl()}"${codec}) as client:
+with ${opened} as client:
     anchors = client.plan(
         inputs={
 ${lines.join("")}        },

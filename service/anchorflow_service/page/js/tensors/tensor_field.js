@@ -11,13 +11,17 @@ export class TensorField {
 
   constructor(spec, id, onChange) {
     this.spec = spec;
-    const first = spec.optional ? "left out" : `${plain(neutral(spec))} everywhere`;
-    this.hint = `${first}, unless you paste JSON: lists, or {"dtype", "shape", "base64"}`;
-    this.control = make("textarea", { id, rows: 2, spellcheck: false, placeholder: first });
-    this.control.addEventListener("input", onChange);
+    this.first = spec.optional ? "left out" : `${plain(neutral(spec))} everywhere`;
+    this.hint = `${this.first}, unless you paste JSON: lists, or {"dtype", "shape", "base64"}`;
+    this.control = make("textarea", { id, rows: 2, spellcheck: false, placeholder: this.first });
+    this.control.addEventListener("input", () => {
+      this.held = undefined;
+      this.control.placeholder = this.first;
+      onChange();
+    });
   }
 
-  /** `value`: {dtype, shape, base64}; too long to stand in a field that one can type in. */
+  /** `value`: {dtype, shape, base64}; too long to stand in the field, it is held until one types. */
   fill(value) {
     this.held = value;
     this.control.value = "";
