@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from anchorflow_export.adapter import ExportChoices
-from anchorflow_export.planners import adapter_of
+from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_models import L2Config, L2SafetyCFM
 
 
@@ -14,6 +14,7 @@ def test_wider_noise_is_the_bundles_own() -> None:
     before = model.prior.factor.clone()
     choices = ExportChoices(noise_scale=1.4)
     for _ in range(2):
-        adapted = adapter_of("flowmp", model, choices).model
+        adapted = flowmp_adapter(model, choices).model
+        assert isinstance(adapted, L2SafetyCFM)
         torch.testing.assert_close(adapted.prior.factor, 1.4 * before)
     torch.testing.assert_close(model.prior.factor, before)

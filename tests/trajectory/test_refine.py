@@ -189,7 +189,7 @@ def test_neither_smoothed_nor_projected_anchors_are_as_they_were_sampled() -> No
 def test_sampled_anchors_are_safe_only_as_one_motion_from_start_to_goal() -> None:
     """Which derivatives a network tells of them, and where it begins, nobody else has looked at."""
     scene = scene_of()
-    states = states_of(scene.route_splines[[0]])
+    states = states_of(scene.route_splines[:1])
     no_slower, elsewhere = states.copy(), states.copy()
     no_slower[..., 2:6] *= 0.5  # told of half its own pace
     no_slower[..., -1] -= np.log(2.0)

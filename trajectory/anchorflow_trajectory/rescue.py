@@ -115,7 +115,7 @@ def _resting(scene: Scene, certified_margin: float) -> Splines:
     return curves[np.flatnonzero(safe)[:1]]
 
 
-def _durations(scene: Scene, stretches: FloatArray) -> NDArray[np.float64]:
+def _durations(scene: Scene, stretches: FloatArray) -> FloatArray:
     horizon_s = scene.motion.horizon_s
     return scene.reference_s * stretches if horizon_s is None else np.array([horizon_s])
 

@@ -153,7 +153,7 @@ class SplineBasis:
         return np.einsum("ke,emd->dmk", self.ends, slopes).astype(np.float32)
 
     @cached_property
-    def even(self) -> NDArray[np.float64]:
+    def even(self) -> FloatArray:
         """[K] in [0, 1]: where the control points stand of who goes at one pace along a line."""
         s = np.linspace(0.0, 1.0, self.num_samples)
         return np.linalg.lstsq(self.position.astype(np.float64), s, rcond=None)[0]
