@@ -127,8 +127,12 @@ class Report:
 
 
 def typed_command() -> str | None:
-    """`anchorflow bench …` with its options as given; None where another program runs."""
+    """`anchorflow bench …` with its options as given, but for where the files lie; None where
+    another program runs."""
     path, *arguments = sys.argv
+    if "--out" in arguments:
+        place = arguments.index("--out")
+        del arguments[place : place + 2]
     return shlex.join([PROGRAM, *arguments]) if Path(path).stem == PROGRAM else None
 
 

@@ -58,7 +58,7 @@ def test_both_files_say_first_what_was_typed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = ["bench", "quality", "--bundle", "my bundles/a", "--samplers", "card,rk4:8step"]
-    monkeypatch.setattr(sys, "argv", [".venv/bin/anchorflow", *options])
+    monkeypatch.setattr(sys, "argv", [".venv/bin/anchorflow", *options, "--out", "results"])
     report = Report("speed", "Speed", {"commit": "abc"}, [TABLE])
     of_json, of_markdown = report.write(tmp_path)
 
