@@ -54,12 +54,14 @@ class Role(nn.Module):
         super().__init__()
         self.model, self.role = model, role
         self.inputs, self.outputs = tuple(inputs), tuple(outputs)
-        self.named = inspect.signature(getattr(model, role)).parameters
+        parameters = inspect.signature(getattr(model, role)).parameters
+        self.has_context = "context" in parameters
+        self.named = {*parameters} - {"context"}
 
     def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
         told = dict(zip(self.inputs, inputs, strict=True))
         given: dict[str, Any] = {name: each for name, each in told.items() if name in self.named}
-        if "context" in self.named:
+        if self.has_context:
             given["context"] = {name: each for name, each in told.items() if name not in given}
         made = getattr(self.model, self.role)(**given)
         return made if isinstance(made, Tensor) else tuple(made[name] for name in self.outputs)

@@ -90,7 +90,7 @@ def test_no_graph_of_the_published_planner_takes_what_the_small_one_adds(
     told = load_bundle(exported[0]).manifest.graphs
     published = tiny_diffusiondrive(replace(TINY, ego_motion=False))
     # What a graph takes and gives is settled before it is traced, and tracing takes half a minute.
-    monkeypatch.setattr(adapter_module, "trace", untraced)
+    monkeypatch.setattr(adapter_module, "trace_role", untraced)
     plain = adapter_of("diffusiondrive", published, ExportChoices()).trace()
     for graphs, wanted in ((told, True), (plain, False)):
         scorers = [{spec.name for spec in graphs[role].inputs} for role in ("coarse", "fine")]
@@ -102,7 +102,9 @@ def test_no_graph_of_the_published_planner_takes_what_the_small_one_adds(
         assert ("direction_scores" in told_last) is wanted
 
 
-def untraced(_: nn.Module, *, inputs: Sequence[TensorSpec], outputs: Sequence[str]) -> TracedGraph:
+def untraced(
+    _: nn.Module, __: str, *, inputs: Sequence[TensorSpec], outputs: Sequence[str]
+) -> TracedGraph:
     told = tuple(TensorSpec(name, "float32", ()) for name in outputs)
     return TracedGraph(ModelProto(), tuple(inputs), told)
 
