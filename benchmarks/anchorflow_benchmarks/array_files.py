@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_driving.errors import UNREADABLE
 
 
 def read_arrays(path: Path, keys: Sequence[str], *, what: str) -> dict[str, NDArray[Any]]:
@@ -26,5 +26,5 @@ def read_arrays(path: Path, keys: Sequence[str], *, what: str) -> dict[str, NDAr
                     raise ValueError(f"expected the key {key!r}, found {', '.join(file.files)}")
             return {key: file[key] for key in keys}
     # A .npy file opens as an array, which no `with` takes.
-    except (OSError, ValueError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+    except (*UNREADABLE, TypeError, AttributeError) as error:
         raise BenchmarkError(f"{path}: not a file of {what} ({error})") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -64,7 +65,7 @@ from anchorflow_cli.options import (
     style_text,
 )
 from anchorflow_client.contract.checks import number
-from anchorflow_client.contract.ranges import GUIDANCE
+from anchorflow_client.contract.ranges import A_MAX, GUIDANCE, ROBOT_RADIUS, V_MAX
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.cores import usable_cores
 
@@ -116,6 +117,13 @@ def quality(
     """Judge bundles and baselines on scenes; tables, JSON, Markdown and pictures."""
     with needs_extra("plot", who="anchorflow bench quality"):
         from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
+    for option, value, interval in (
+        ("--v-max", v_max, V_MAX),
+        ("--a-max", a_max, A_MAX),
+        ("--radius", radius, replace(ROBOT_RADIUS, open_low=True)),
+    ):
+        if value is not None:
+            number(value, option, interval)
     bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
     robot, own = AskedRobot(v_max, a_max, radius), limits_of(bundles[0])
     limits, source = robot.limits(own), scenes or default_source()

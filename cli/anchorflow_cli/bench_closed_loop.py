@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,12 +25,14 @@ from anchorflow_cli.bench_options import (
 from anchorflow_cli.bench_output import progress, report
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import StyleOption, file_option, style_text, url_option
+from anchorflow_client.contract import ModelCard
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 if TYPE_CHECKING:
     from anchorflow_benchmarks.closed_loop.contest import ContestConfig
     from anchorflow_benchmarks.closed_loop.world import World
 
+DIGITS = 12  # of a SHA-256
 WORLDS = "FILE|drawn:N:SEED|forests:N:SEED"
 
 
@@ -80,8 +83,10 @@ def closed_loop(
     if robot not in ROBOTS:
         raise BenchmarkError(f"--robot: expected {' or '.join(ROBOTS)}, got {robot!r}")
     opened = open_bundle(bundle)
+    anchors = f"{num} a request, {sampler}"
     if url is not None:
-        first_card(url)  # Else refusals would be timed as answers.
+        # Of a service that serves no model refusals would be timed as answers.
+        anchors += f", of {_version(first_card(url))} at {url}"
     spec = parse_sampler(sampler, opened.card)
     contenders = contenders_of(whole_numbers(motions, "--motions"), anchors=num)
     config = ContestConfig(
@@ -103,9 +108,14 @@ def closed_loop(
         ),
     )
     found = load_worlds(worlds, limit=limit)
-    anchors = f"{num} a request, {sampler}, of {url or opened.card.name}"
     about = _about(
-        config, found, source=worlds, seeds=seeds, anchors=anchors, style=style_text(style)
+        config,
+        found,
+        source=Path(worlds),
+        seeds=seeds,
+        anchors=anchors,
+        bundle=_version(opened.card),
+        style=style_text(style),
     )
     known = None if log is None else RunLog(log, about)
     with progress("driving", len(found) * seeds * len(contenders)) as advance:
@@ -120,21 +130,33 @@ def _about(
     config: ContestConfig,
     worlds: Sequence[World],
     *,
-    source: str,
+    source: Path,
     seeds: int,
     anchors: str,
+    bundle: str,
     style: str,
 ) -> dict[str, str]:
-    """What the tables tell of the contest."""
+    """What the tables tell of the contest: all that changes a run."""
     drive, latency_ms = config.drive, config.latency_ms
     narrowest = min(world.to_spare for world in worlds)
+    file = f" ({_digest(source.read_bytes())})" if source.is_file() else ""
+    threads = "" if config.threads is None else f", {config.threads} threads"
     return {
-        "worlds": f"{Path(source).name}, {len(worlds)} driven, {seeds} runs each; at least "
+        "worlds": f"{source.name}{file}, {len(worlds)} driven, {seeds} runs each; at least "
         f"{narrowest:.2f} m to spare on the widest way",
         "robot": f"{config.robot}, {1 / drive.tick_s:g} commands a second, "
-        f"lidar noise {drive.lidar_noise:g} m",
+        f"lidar noise {drive.lidar_noise:g} m, {drive.limit_s:g} s a run at most",
+        "bundle": bundle,
         "anchors": anchors,
         "style": style,
-        "latency": "as measured" if latency_ms is None else f"{latency_ms:g} ms",
-        "answers lost": f"{config.lost:.0%}",
+        "latency": f"as measured{threads}" if latency_ms is None else f"{latency_ms:g} ms",
+        "answers lost": f"{100 * config.lost:g}%",
     }
+
+
+def _version(card: ModelCard) -> str:
+    return f"{card.name} {card.version} ({card.sha256[:DIGITS]})"
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:DIGITS]

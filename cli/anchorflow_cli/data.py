@@ -79,7 +79,7 @@ def make(
     with Progress() as bar:
         task = bar.add_task("scenes", total=scenes)
         meta = make_dataset(out, config, workers=workers, progress=lambda n: bar.advance(task, n))
-    Console().print(
+    typer.echo(
         f"{out}: {scenes} scenes; {meta['good_share']:.0%} of the expert's tries were good; "
         f"redrawn as unsolved: {sum(meta['unsolved'].values())}"
     )
@@ -188,12 +188,19 @@ def inspect(
         typer.echo(str(out))
 
 
+def npz_path(text: str | Path) -> Path:
+    """A file of arrays to write. Raises `typer.BadParameter` before any work."""
+    if Path(text).suffix != ".npz":
+        raise typer.BadParameter(f"expected a file .npz, got {str(text)!r}")
+    return new_file(text)
+
+
 @app.command("from-poses")
 def from_poses(
     poses: Annotated[
         Path, typer.Argument(metavar="DIR", help="KITTI *.txt or DAIR-V2X novatel_to_world JSON.")
     ],
-    out: Annotated[Path, typer.Argument(parser=new_file, help="File to write, .npz.")],
+    out: Annotated[Path, typer.Argument(parser=npz_path, help="File to write, .npz.")],
     *,
     steps: Annotated[int, typer.Option(min=3, help="T.")] = CutConfig.steps,
     rate_hz: Annotated[
@@ -214,6 +221,7 @@ def from_poses(
         raise typer.BadParameter("expected finite rates above 0 Hz")
     tracks = read_poses(poses, pose_rate_hz=pose_rate_hz)
     cut = cut_trajectories(tracks, CutConfig(steps, rate_hz, stride, heading))
+    out.parent.mkdir(parents=True, exist_ok=True)
     cut.save(out)
     count, steps, dim = cut.positions.shape
     typer.echo(
@@ -233,7 +241,7 @@ def print_summary(summary: Summary) -> None:
             *(("" if value is None else f"{value:.4g}") for value in (array.least, array.most)),
             array.note,
         )
-    Console().print(table)
+    Console(markup=False).print(table)
     for fact in summary.facts:
         typer.echo(fact)
     for family, count in summary.families.items():

@@ -50,6 +50,7 @@ def import_log(
     if layout is not Layout.NAVSIM and (map_file is not None or unpickle):
         raise typer.BadParameter(f"--map and --unpickle: for navsim, found {layout.value}")
     log, counts = _imported(file, layout, scene=scene, map_file=map_file, unpickle=unpickle)
+    out.parent.mkdir(parents=True, exist_ok=True)
     write_log(log, out)
     windows = counts.pop("windows", 0)
     tracks, frames = log.track_state.shape[:2]

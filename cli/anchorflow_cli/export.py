@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -95,11 +98,26 @@ def export(
         training={**provenance(saved), "noise_scale": choices.noise_scale},
     )
     adapter = adapter_of(saved.planner, model, choices)
-    for difference in export_bundle(adapter, description, out=out):
-        typer.echo(str(difference))
-    if int8:
-        typer.echo(str(quantize_bundle(out)))
+    with _sigterm_cleans_up():
+        for difference in export_bundle(adapter, description, out=out):
+            typer.echo(str(difference))
+        if int8:
+            typer.echo(str(quantize_bundle(out)))
     typer.echo(f"{out}: {description.name} {version}")
+
+
+@contextmanager
+def _sigterm_cleans_up() -> Iterator[None]:
+    """SIGTERM ends the block as an error would; by itself it leaves behind what is half written."""
+
+    def end(number: int, _: object) -> None:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _name(checkpoint: Checkpoint) -> str:

@@ -139,7 +139,7 @@ def generate(
         model=_model_id(checkpoint, saved.step),
         milliseconds=1e3 * (time.perf_counter() - began),
     )
-    Console().print(table(answer))
+    Console(markup=False).print(table(answer))
     if out is not None:
         _write(out, answer)
     if plot is not None:
@@ -217,6 +217,7 @@ def _write(path: Path, answer: AnchorBatch) -> None:
         for name in ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")
     }
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("wb") as file:
             np.savez(file, **arrays, dt=answer.dt, seed=answer.seed, checkpoint=answer.model.sha256)
     except OSError as error:

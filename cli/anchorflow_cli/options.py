@@ -13,7 +13,7 @@ import typer
 from numpy.typing import NDArray
 from typer.core import TyperCommand
 
-from anchorflow_client.contract.ranges import NUM_STYLE
+from anchorflow_client.contract.ranges import COORDINATE, NUM_STYLE, VELOCITY, Interval
 from anchorflow_client.contract.styles import STYLES
 from anchorflow_client.http.transport import Address
 
@@ -57,7 +57,10 @@ def new_folder(text: str | Path) -> Path:
 
 
 def new_file(text: str | Path) -> Path:
-    """A file that can be written, its folder too. Raises `typer.BadParameter` before any work."""
+    """A file that can be written, its folder too, which whoever writes makes.
+
+    Raises `typer.BadParameter` before any work.
+    """
     return _place(text, "a file", is_wrong=Path.is_dir)
 
 
@@ -87,7 +90,7 @@ def file_option(help_text: str, **settings: Any) -> Any:
 
 
 def service_url(text: str) -> str:
-    """http://host[:port] of a service. Raises `typer.BadParameter`."""
+    """http://host[:port] of a service, and a path. Raises `typer.BadParameter`."""
     try:
         Address.of(text)
     except ValueError as error:
@@ -104,11 +107,10 @@ PICTURE_SUFFIXES = (".png", ".svg")
 
 
 def picture_path(text: str) -> Path:
-    """The file of a picture to draw. Raises `typer.BadParameter` for another suffix."""
-    path = Path(text)
-    if path.suffix.lower() not in PICTURE_SUFFIXES:
+    """The file of a picture to draw, as `new_file`. Raises `typer.BadParameter`."""
+    if Path(text).suffix.lower() not in PICTURE_SUFFIXES:
         raise typer.BadParameter(f"expected a file {' or '.join(PICTURE_SUFFIXES)}, got {text!r}")
-    return path
+    return new_file(text)
 
 
 def picture_option(what: str) -> Any:
@@ -117,10 +119,10 @@ def picture_option(what: str) -> Any:
     return typer.Option(parser=picture_path, metavar="PATH", help=f"{what}, {suffixes}.")
 
 
-def vector_option(metavar: str, help_text: str) -> Any:
+def vector_option(metavar: str, help_text: str, interval: Interval) -> Any:
     """An option of numbers, `--start 1.5,-2`: as many as the metavar (`X,Y[,HEADING]`) has parts.
 
-    Parts in brackets may be left out, all of them.
+    Parts in brackets may be left out, all of them; each number lies in the interval.
     """
     most, least = (len(part.split(",")) for part in (metavar, metavar.partition("[")[0]))
     counts = f"{least}" if least == most else f"{least} or {most}"
@@ -132,23 +134,27 @@ def vector_option(metavar: str, help_text: str) -> Any:
             values = np.empty(0)
         if values.size not in (least, most) or not np.isfinite(values).all():
             raise typer.BadParameter(f"expected {counts} numbers {metavar}, got {text!r}")
+        if not interval.holds_all(values):
+            raise typer.BadParameter(f"expected numbers {interval}, got {text!r}")
         return values
 
     return typer.Option(parser=vector, metavar=metavar, help=help_text)
 
 
-PLACE, VELOCITY = "X,Y[,HEADING]", "VX,VY[,RATE]"
+PLACE, RATE = "X,Y[,HEADING]", "VX,VY[,RATE]"
 
 StartOption = Annotated[
     Vector,
-    vector_option(PLACE, "Start [m], in the map's frame; heading [rad] where the model has one."),
+    vector_option(
+        PLACE, "Start [m], in the map's frame; heading [rad] where the model has one.", COORDINATE
+    ),
 ]
-GoalOption = Annotated[Vector, vector_option(PLACE, "Goal [m], likewise.")]
+GoalOption = Annotated[Vector, vector_option(PLACE, "Goal [m], likewise.", COORDINATE)]
 StartVelocityOption = Annotated[
-    Vector | None, vector_option(VELOCITY, "Velocity at the start [m/s, rad/s]; default 0.")
+    Vector | None, vector_option(RATE, "Velocity at the start [m/s, rad/s]; default 0.", VELOCITY)
 ]
 GoalVelocityOption = Annotated[
-    Vector | None, vector_option(VELOCITY, "Velocity at the goal [m/s, rad/s]; default 0.")
+    Vector | None, vector_option(RATE, "Velocity at the goal [m/s, rad/s]; default 0.", VELOCITY)
 ]
 STYLE = "NAME|S,E,M"
 

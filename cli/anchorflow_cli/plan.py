@@ -85,7 +85,7 @@ def plan(
         horizon_s=horizon,
     )
     anchors = ask_server(url, request) if url else ask_engine(bundle or DEFAULT_BUNDLE, request)
-    Console().print(table(anchors))
+    Console(markup=False).print(table(anchors))
     if out is not None:
         draw(anchors, seen, start=start[:2], goal=goal[:2], path=out)
 

@@ -60,6 +60,7 @@ def told_durations(anchors: AnchorBatch) -> str:
 def save(figure: Figure, path: Path, *, dpi: int) -> None:
     """Raises `PlotError` where `path` cannot be written or has no picture's suffix."""
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=dpi)
     except (OSError, ValueError) as error:
         raise PlotError(f"{path}: {error}") from error

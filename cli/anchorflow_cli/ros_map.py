@@ -17,9 +17,9 @@ from typing import Any, TypeGuard
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
-from anchorflow_client.contract.ranges import RESOLUTION
+from anchorflow_client.contract.ranges import COORDINATE, RESOLUTION
 from anchorflow_client.errors import AnchorFlowError
 
 
@@ -80,7 +80,7 @@ def load_ros_map(path: Path | str, *, unknown_is_free: bool = False) -> RosMap:
     return RosMap(
         occupancy=np.where(unknown, unknown_occupancy, occupancy).astype(np.float32),
         unknown=unknown,
-        resolution=fields.number("resolution", low=RESOLUTION.low),
+        resolution=fields.number("resolution", low=RESOLUTION.low, high=RESOLUTION.high),
         origin=_origin(fields),
         unknown_occupancy=unknown_occupancy,
     )
@@ -133,11 +133,10 @@ class _Fields:
             raise self.error(name, "a file name", value)
         return value
 
-    def number(self, name: str, *, low: float, high: float = math.inf) -> float:
+    def number(self, name: str, *, low: float, high: float) -> float:
         value = self.values.get(name)
         if not _is_number(value) or not low <= value <= high:
-            limits = f"of at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
-            raise self.error(name, f"a number {limits}", value)
+            raise self.error(name, f"a number from {low:g} to {high:g}", value)
         return float(value)
 
     def choice(self, name: str, choices: tuple[Any, ...], *, default: Any) -> Any:
@@ -150,7 +149,7 @@ class _Fields:
 def _is_number(value: object) -> TypeGuard[float]:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return math.isfinite(value)
+    return -math.inf < value < math.inf  # math.isfinite takes no int that is too large for a float
 
 
 def _origin(fields: _Fields) -> NDArray[np.float64]:
@@ -159,14 +158,17 @@ def _origin(fields: _Fields) -> NDArray[np.float64]:
         raise fields.error("origin", "three numbers x, y, yaw", origin)
     if origin[2] != 0:
         raise fields.error("origin", "a yaw of 0 (turned maps are not supported)", origin[2])
+    if not all(map(COORDINATE.holds, origin)):
+        raise fields.error("origin", f"numbers {COORDINATE}", origin)
     return np.array(origin[:2], dtype=np.float64)
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RosMapError(f"{path}: expected a map_server YAML file: {error}") from error
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        said = " ".join(str(error).split())
+        raise RosMapError(f"{path}: expected a map_server YAML file: {said}") from error
     if not isinstance(values, dict):
         raise RosMapError(f"{path}: expected a map_server YAML file with named fields")
     return values
@@ -180,7 +182,8 @@ def _read_shade(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
                 shade = np.asarray(image, dtype=np.float64) / 65535
                 return shade, np.ones(shade.shape, dtype=np.bool_)
             channels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255
-    except (OSError, UnidentifiedImageError) as error:
+    # Pillow's readers raise the first three over a damaged file.
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise RosMapError(f"{path}: image: expected a .pgm or .png picture: {error}") from error
     return channels[..., :3].mean(axis=-1), channels[..., 3] == 1
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from anchorflow_cli.options import url_option
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.http.tls import tls_context
 
@@ -65,10 +66,8 @@ LogFormatOption = Annotated[LogFormat, typer.Option(help="Form of the log on std
 LogLevelOption = Annotated[LogLevel, typer.Option(help="From `info` on every request is a line.")]
 TracesOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="URL",
-        help="OTLP collector to send traces to: http://127.0.0.1:4318/v1/traces.",
-        show_default=False,
+    url_option(
+        "OTLP collector to send traces to: http://127.0.0.1:4318/v1/traces.", show_default=False
     ),
 ]
 WorkersOption = Annotated[

@@ -34,25 +34,28 @@ SHORT = {
 
 
 def given_settings(given: dict[str, Any], *, bfloat16: bool) -> dict[str, Any]:
-    """Settings of the command line by dotted path, short forms spelled out."""
+    """Settings of the command line by dotted path, short forms spelled out.
+
+    Raises `ConfigError` where two of them contradict each other.
+    """
+    if bfloat16 and given.get("precision", "bfloat16") != "bfloat16":
+        raise ConfigError(
+            f"precision: expected --bfloat16 alone, got {given['precision']} beside it"
+        )
     return {"precision": "bfloat16", **given} if bfloat16 else given
 
 
 def run_folder(out: Path | None) -> Path:
-    """The folder of a run, which is made; raises `ConfigError` where it cannot be."""
+    """The folder of a run, made once it begins; raises `ConfigError` where there is none."""
     if out is None:
         raise ConfigError("--out: expected the folder of the run, got nothing")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out: expected a folder to write to, got {out} ({error})") from error
     return out
 
 
 def carry_out(run: TrainingRun) -> None:
     """Fit, with the configuration in the run's folder and reports on the way."""
     if run.leads:
-        (run.out / "config.yaml").write_text(config_text(run.run_config))
+        _write_config(run)
         if not run.evaluates:
             typer.echo("no scenes are held out (--held-out): nothing is evaluated", err=True)
     with reported(run, run.run_config.steps) as report:
@@ -60,3 +63,13 @@ def carry_out(run: TrainingRun) -> None:
     if run.leads:
         why = ": no progress, stopped early" if run.stopped else ""
         typer.echo(f"{run.checkpoint_path}: step {run.step}{why}")
+
+
+def _write_config(run: TrainingRun) -> None:
+    """Into the run's folder; raises `ConfigError` where there is no place to write."""
+    file = run.out / "config.yaml"
+    try:
+        run.out.mkdir(parents=True, exist_ok=True)
+        file.write_text(config_text(run.run_config))
+    except OSError as error:
+        raise ConfigError(f"{file}: expected a place to write ({error})") from error

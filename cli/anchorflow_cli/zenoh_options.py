@@ -86,9 +86,13 @@ def _parameter(name: str) -> inspect.Parameter:
 
 def _choice(given: dict[str, Any]) -> ZenohChoice | None:
     """What was chosen; None where no zenoh was. Raises `ZenohOptionError`, `ZenohConfigError`."""
-    named = {name: value for name, value in given.items() if value}
+    named = {name: value for name, value in given.items() if value not in (None, [], False)}
     if not named:
         return None
+    for name, value in named.items():
+        if value == "":
+            wanted = METAVARS.get(name, "a name")
+            raise ZenohOptionError(f"{OPTIONS[name][1]}: expected {wanted}, got ''")
     if not named.keys() & {"mode", "config_file"}:
         stranger = OPTIONS[next(iter(named))][1]
         raise ZenohOptionError(f"{stranger}: expected {MODE} or {CONFIG} beside it")
@@ -104,6 +108,8 @@ def _choice(given: dict[str, Any]) -> ZenohChoice | None:
 
 def _first_line(path: Path) -> str:
     try:
-        return path.read_text().partition("\n")[0]
+        return path.read_text(encoding="utf-8").partition("\n")[0]
     except OSError as error:
         raise ZenohOptionError(f"--zenoh-password-file: {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ZenohOptionError(f"--zenoh-password-file: {path}: expected text, {error}") from error

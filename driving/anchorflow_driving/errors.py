@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from anchorflow_client.errors import AnchorFlowError
+
+UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,
+    tokenize.TokenError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+"""What numpy and zipfile raise over a damaged file of arrays: RuntimeError where it asks for a
+password or for what zipfile cannot do, MemoryError where it says that it holds more than there is.
+"""
 
 
 class LogError(AnchorFlowError):
     """A log that cannot be used: which file, which field, what was expected, what was found."""
 
     def __init__(self, path: Path | str, field: str, *, expected: str, found: str) -> None:
-        self.path, self.field = str(path), field
+        self.path, self.field, self.expected, self.found = str(path), field, expected, found
         super().__init__(f"{path}: {field}: expected {expected}, found {found}")
+
+    def __reduce__(self) -> tuple[Callable[..., LogError], tuple[str, str]]:
+        # Processes send it to each other, and would make it of its message alone.
+        return partial(LogError, expected=self.expected, found=self.found), (self.path, self.field)
 
 
 class SensorError(AnchorFlowError):

@@ -7,8 +7,6 @@ offsets, the k-th being points[offsets[k]:offsets[k + 1]].
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from itertools import pairwise
@@ -18,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.errors import LogError
+from anchorflow_driving.errors import UNREADABLE, LogError
 
 FRAME_S = 0.1
 HISTORY_FRAMES = 20
@@ -66,11 +64,6 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "route_points": ("float32", ("n", 2)),
     "route_offsets": ("int32", ("W+1",)),
 }
-
-
-# What numpy and zipfile raise over a damaged file; RuntimeError, of one that asks for a password or
-# for what zipfile cannot do.
-_UNREADABLE = (OSError, ValueError, EOFError, RuntimeError, zlib.error, zipfile.BadZipFile)
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,7 +275,7 @@ def _read_arrays(path: Path | str) -> dict[str, NDArray]:
             if missing:
                 raise LogError(path, missing[0], expected="the field", found="none")
             return {field: _array(path, field, file) for field in LAYOUT}
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise LogError(path, "file", expected="an .npz of arrays", found=str(error)) from error
 
 

@@ -80,6 +80,9 @@ def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
         (("quality", "--scenes", "nowhere.npz"), "nowhere.npz: not a file of scenes"),
         (("quality", "--routes", "nowhere.npz"), "nowhere.npz: not a file of routes"),
         (("quality", "--v-max", "9", "--scenes", "drawn:1:0"), "v_max: expected 0.2 to 6 m/s"),
+        (("quality", "--v-max", "0"), "--v-max: expected a number in (0, 100] m/s, got 0"),
+        (("quality", "--a-max", "0"), "--a-max: expected a number in (0, 1000] m/s^2, got 0"),
+        (("quality", "--radius", "0"), "--radius: expected a number in (0, 5] m, got 0"),
         (("routes", "--routes", "a.npz"), "at most one --routes for each --scenes"),
     ],
 )

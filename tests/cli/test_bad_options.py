@@ -41,6 +41,11 @@ FILE_WANTED, FOLDER_WANTED = "expected a file to write, got", "expected a folder
         ("average a.pt b.pt --out EMPTY", FILE_WANTED),
         ("distill a.pt DIR --out DIR --pairs FILE", FOLDER_WANTED),
         ("generate --checkpoint a.pt --start 0,0 --goal 1,1 --out DIR", FILE_WANTED),
+        ("generate --checkpoint a.pt --start 0,0 --goal 1,1 --plot FILE/x.png", FILE_WANTED),
+        ("plan --map m.yaml --start 0,0 --goal 1,1 --out FILE/x.png", FILE_WANTED),
+        ("data inspect x.npz --out FILE/x.png", FILE_WANTED),
+        ("data from-poses DIR FILE/x.npz", FILE_WANTED),
+        ("data from-poses DIR FILE", "expected a file .npz, got"),
         ("bench closed-loop drawn:1:0 --log DIR", FILE_WANTED),
         ("bench quality --out FILE", FOLDER_WANTED),
         ("bench drive --logs DIR --plans FILE", FOLDER_WANTED),
@@ -57,7 +62,8 @@ def test_a_place_that_cannot_be_written(
         else places.get(word, word)
         for word in command.split()
     ]
-    assert f"{wanted} {words[-1] or repr('')}" in refused(capsys, *words)
+    said = refused(capsys, *words)
+    assert any(f"{wanted} {form}" in said for form in (words[-1] or "''", repr(words[-1])))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
 
 
@@ -91,11 +97,30 @@ def test_a_budget_below_0(capsys: pytest.CaptureFixture[str]) -> None:
         "plan --map no.yaml --start 0,0 --goal 1,1",
         "bench load",
         "bench closed-loop drawn:1:0",
+        "serve",
     ],
 )
 def test_a_url_of_no_service(command: str, url: str, capsys: pytest.CaptureFixture[str]) -> None:
-    said = refused(capsys, *command.split(), "--url", url)
-    assert f"'--url': expected http://host[:port] or https://host[:port], got {url!r}" in said
+    option = "--traces" if command == "serve" else "--url"
+    said = refused(capsys, *command.split(), option, url)
+    assert f"'{option}': expected http://host[:port] or https://host[:port], got {url!r}" in said
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "interval"),
+    [
+        ("--start", "1e300,0", "[-1e+07, 1e+07] m"),
+        ("--goal", "0,-1e8", "[-1e+07, 1e+07] m"),
+        ("--start-velocity", "101,0", "[-100, 100] m/s"),
+    ],
+)
+@pytest.mark.parametrize("command", ["plan --map no.yaml", "generate --checkpoint no.pt"])
+def test_an_end_beyond_the_contract(
+    command: str, option: str, value: str, interval: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = {"--start": "0,0", "--goal": "1,1", option: value}
+    said = refused(capsys, *command.split(), *(word for pair in words.items() for word in pair))
+    assert f"'{option}': expected numbers in {interval}, got {value!r}" in said
 
 
 def test_a_server_and_a_bundle(capsys: pytest.CaptureFixture[str]) -> None:

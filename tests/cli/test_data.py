@@ -97,7 +97,10 @@ def test_errors_are_one_line(file: Path, tmp_path: Path) -> None:
     (tmp_path / "a.pkl").write_bytes(pickle.dumps(np.ones((2, 9, 2)).cumsum(1)))
     assert "--allow-pickle" in str(data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1))
     assert data("import", tmp_path / "a.pkl", tmp_path / "d", "--dt", 1, "--allow-pickle") == 0
-    sheet = tmp_path / "absent" / "sheet.svg"
+    sheet = tmp_path / "new" / "sheet.svg"
+    assert data("inspect", tmp_path / "d", "--out", sheet) == 0
+    sheet.unlink()
+    sheet.symlink_to("/dev/full")
     assert "sheet.svg" in str(data("inspect", tmp_path / "d", "--out", sheet))
     assert data("inspect", tmp_path / "d", "--out", tmp_path / "sheet.txt") == 2
     assert "expected KITTI" in str(data("from-poses", tmp_path / "none", tmp_path / "p.npz"))
@@ -164,7 +167,7 @@ def test_drawing_names_its_extra(tmp_path: Path) -> None:
 def test_from_poses(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     lines = [f"1 0 0 0 0 1 0 0 0 0 1 {0.5 * i}" for i in range(40)]
     (tmp_path / "00.txt").write_text("\n".join(lines))
-    out = tmp_path / "p.npz"
+    out = tmp_path / "new" / "p.npz"
     assert data("from-poses", tmp_path, out, "--steps", 16, "--stride", 8, "--heading") == 0
     assert "4 trajectories, T 16, D 3, dt 0.1 s, of 1 drives with 40 poses" in (
         capsys.readouterr().out
@@ -174,6 +177,18 @@ def test_from_poses(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
         np.testing.assert_allclose(saved["velocities"][..., 0], 5.0, atol=1e-4)
     assert data("import", out, tmp_path / "d") == 0
     assert "T 16, D 3" in capsys.readouterr().out
+
+
+def test_brackets_in_names_are_no_markup(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "x[red]y[/z]"
+    assert data("make", out, "--scenes", 1, "--trajectories", 4, "--workers", 1) == 0
+    assert f"{out}: 1 scenes; " in capsys.readouterr().out
+    with np.load(file) as arrays:
+        np.savez(tmp_path / "named.npz", **arrays, **{"a[/z]": np.arange(8)})  # type: ignore[arg-type]
+    assert data("inspect", tmp_path / "named.npz", "--dt", 1) == 0
+    assert "a[/z]" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("command", [["data", "inspect"], ["train"]])

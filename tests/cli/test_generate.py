@@ -81,8 +81,8 @@ def failure(*arguments: object) -> str:
 
 
 def drawn(checkpoint: Path, tmp_path: Path, *arguments: object) -> dict[str, np.ndarray]:
-    run(checkpoint, "--out", tmp_path / "anchors.npz", *arguments)
-    with np.load(tmp_path / "anchors.npz") as arrays:
+    run(checkpoint, "--out", tmp_path / "new" / "anchors.npz", *arguments)
+    with np.load(tmp_path / "new" / "anchors.npz") as arrays:
         return dict(arrays)
 
 
@@ -198,7 +198,8 @@ def test_what_cannot_be_is_one_line(checkpoint: Path, tmp_path: Path) -> None:
     assert "x_curr: expected a position on the map" in failure(*asked, "--size", "1")
     assert "v_max: expected" in failure(*asked, "--v-max", "-1")
     assert "horizon_s: expected" in failure(*asked, "--horizon", "0")
-    assert "absent" in failure(*asked, "--out", tmp_path / "absent" / "anchors.npz")
+    (tmp_path / "anchors.npz").symlink_to("/dev/full")
+    assert "--out: [Errno 28]" in failure(*asked, "--out", tmp_path / "anchors.npz")
     assert "absent.pt: expected a checkpoint, found no file" in failure(
         "--checkpoint", tmp_path / "absent.pt", *ENDS
     )

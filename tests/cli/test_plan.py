@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -192,11 +193,31 @@ def test_another_format_than_the_help_names_is_refused_before_planning(
 
 @pytest.mark.usefixtures("requests")
 def test_a_picture_that_cannot_be_written_is_one_line(map_file: Path, tmp_path: Path) -> None:
-    ends, picture = ["--start", "0,0", "--goal", "3,0"], str(tmp_path / "absent/plot.png")
+    ends, picture = ["--start", "0,0", "--goal", "3,0"], tmp_path / "new" / "plot.png"
+    picture.parent.mkdir()
+    picture.symlink_to("/dev/full")
     with pytest.raises(SystemExit) as caught:
-        main(["plan", "--map", str(map_file), *ends, "--out", picture])
+        main(["plan", "--map", str(map_file), *ends, "--out", str(picture)])
 
     assert str(caught.value.code).startswith(f"anchorflow plan: {picture}: ")
+
+
+@pytest.mark.usefixtures("requests")
+def test_the_folder_of_a_picture_is_made(map_file: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "new" / "folder" / "plot.png"
+    run("--map", map_file, "--start", "0,0", "--goal", "3,0", "--out", picture)
+    assert picture.exists()
+
+
+def test_brackets_in_a_model_s_name_are_no_markup(
+    map_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def answer(_: Path, request: AnchorRequest) -> AnchorBatch:
+        return replace(straight_lines(request), model=ModelId("x[red]y[/z]", "1", "0" * 64))
+
+    monkeypatch.setattr(plan, "ask_engine", answer)
+    run("--map", map_file, "--start", "0,0", "--goal", "3,0", "--num-samples", 2)
+    assert "x[red]y[/z] 1, seed 7" in capsys.readouterr().out
 
 
 def test_a_point_that_is_none_is_a_usage_error(

@@ -103,15 +103,19 @@ def test_a_plain_text_pgm_and_a_16_bit_png_read_the_same(write_map: Callable[...
     [
         ("image", None, "image: expected a file name, got None"),
         ("mode", "fuzzy", "mode: expected one of trinary, scale, raw, got 'fuzzy'"),
-        ("resolution", 0, "resolution: expected a number of at least"),
-        ("resolution", "0.05 m", "resolution: expected a number of at least"),
-        ("resolution", float("nan"), "resolution: expected a number of at least"),
+        ("resolution", 0, "resolution: expected a number from 1e-06 to 100, got 0"),
+        ("resolution", "0.05 m", "resolution: expected a number from"),
+        ("resolution", float("nan"), "resolution: expected a number from"),
+        ("resolution", 1e308, "resolution: expected a number from"),
+        ("resolution", 10**400, "resolution: expected a number from"),
         ("negate", 2, "negate: expected one of 0, 1, got 2"),
         ("free_thresh", 1.5, "free_thresh: expected a number from 0 to 1, got 1.5"),
         ("free_thresh", 0.7, "free_thresh: expected less than occupied_thresh, got 0.7"),
         ("occupied_thresh", None, "occupied_thresh: expected a number from 0 to 1, got None"),
         ("origin", [0, 0], "origin: expected three numbers x, y, yaw"),
         ("origin", [0, 0, 0.1], "origin: expected a yaw of 0"),
+        ("origin", [0, -(10**400), 0], "origin: expected numbers in [-1e+07, 1e+07] m, got"),
+        ("origin", [1e30, 0, 0], "origin: expected numbers in [-1e+07, 1e+07] m, got"),
     ],
 )
 def test_an_error_names_file_and_field(
@@ -133,8 +137,35 @@ def test_what_is_no_map_is_named(tmp_path: Path, write_map: Callable[..., Path])
     with pytest.raises(RosMapError, match=r"map\.pgm: image: expected a \.pgm or \.png picture"):
         load_ros_map(path)
 
+    path.write_text("image: [map.pgm\n")
+    with pytest.raises(RosMapError, match=r"map\.yaml: expected .* YAML file: while parsing .*$"):
+        load_ros_map(path)
+
+    path.write_text("image: 2026-02-31\n")
+    with pytest.raises(RosMapError, match=r"map\.yaml: expected .* YAML file: day is out of range"):
+        load_ros_map(path)
+
     path.write_text("- a list")
     with pytest.raises(RosMapError, match=r"map\.yaml: expected .* named fields"):
+        load_ros_map(path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"P5\n3 2",
+        b"P5\nabc 2\n255\n" + PIXELS.tobytes(),
+        b"P5\n3 2\n99999\n" + PIXELS.tobytes(),
+        b"P5\n12345678901 2\n255\n" + PIXELS.tobytes(),
+        b"P5\n50000 50000\n255\n" + PIXELS.tobytes(),
+        b"P5\n3 2\n255\n" + PIXELS.tobytes()[:-1],
+    ],
+    ids=["cut off", "no number", "too bright", "too long", "too large", "too short"],
+)
+def test_a_damaged_picture_is_named(write_map: Callable[..., Path], content: bytes) -> None:
+    path = write_map()
+    (path.parent / "map.pgm").write_bytes(content)
+    with pytest.raises(RosMapError, match=r"map\.pgm: image: expected a \.pgm or \.png picture"):
         load_ros_map(path)
 
 

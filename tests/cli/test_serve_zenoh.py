@@ -99,6 +99,14 @@ def test_what_cannot_be_joined_is_one_line(endpoint: str, tmp_path: Path) -> Non
     assert "--zenoh-password-file: none: No such file" in failure(
         "--zenoh", "client", "--zenoh-user", "a", "--zenoh-password-file", "none"
     )
+    (tmp_path / "password").write_bytes(b"\xff\xfe")
+    assert "password: expected text, 'utf-8' codec can't decode" in failure(
+        "--zenoh", "peer", "--zenoh-user", "a", "--zenoh-password-file", str(tmp_path / "password")
+    )
+    assert "--zenoh: expected peer|client|router, got ''" in failure("--zenoh", "")
+    assert "--zenoh-replica: expected a name, got ''" in failure(
+        "--zenoh", "peer", "--zenoh-replica", ""
+    )
 
 
 def test_a_router_that_is_not_there_is_one_line(

@@ -1,5 +1,7 @@
 """The expert's data: solved, every way round, the same bytes from any number of workers."""
 
+import errno
+import os
 import shutil
 from collections import Counter
 from dataclasses import replace
@@ -262,6 +264,11 @@ def test_a_broken_dataset_names_its_file(dataset: SceneDataset, tmp_path: Path) 
     np.save(tmp_path / "x_goal.npy", np.zeros((2, 4)))
     with pytest.raises(DatasetError, match=r"x_goal\.npy.*float32 \[6, \.\.\.\].*float64 \[2, 4\]"):
         open_dataset(tmp_path)
+    whole = (dataset.path / "x_goal.npy").read_bytes()
+    for damaged in (b"", whole[:-1], whole.replace(b")", b" ", 1)):
+        (tmp_path / "x_goal.npy").write_bytes(damaged)
+        with pytest.raises(DatasetError, match=r"x_goal\.npy: "):
+            open_dataset(tmp_path)
     (tmp_path / "dataset.json").unlink()
     with pytest.raises(DatasetError, match=r"dataset\.json"):
         open_dataset(tmp_path)
@@ -274,3 +281,22 @@ def test_a_folder_that_is_written_anew_is_no_dataset_until_it_is_whole(
     create_arrays(again, {name: array.shape for name, array in dataset.arrays.items()})
     with pytest.raises(DatasetError, match="expected a dataset"):
         open_dataset(again)
+
+
+def test_a_dataset_has_its_room_on_the_disk_before_it_is_written(tmp_path: Path) -> None:
+    """Else a full disk would end the process at a write to memory, in silence."""
+    create_arrays(tmp_path, {"states": (400, 8, 64, 6)})
+    found = (tmp_path / "states.npy").stat()
+    assert 512 * found.st_blocks >= found.st_size > 4 * 400 * 8 * 64 * 6
+
+
+def test_a_disk_without_that_room_is_named_and_left_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(DatasetError, match=f"{tmp_path}: .*No space left"):
+        create_arrays(tmp_path, {"states": (4, 8, 64, 6)})
+    assert list(tmp_path.iterdir()) == []

@@ -189,6 +189,30 @@ def test_a_broken_file_is_named(name: str, content: bytes, said: str, tmp_path: 
         open_arrays(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["plain.npy", "stored.npz", "packed.npz"])
+def test_a_damaged_file_is_named_or_opens(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if name == "plain.npy":
+        np.save(path, POSITIONS)
+    else:
+        WRITERS[name](path)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    damaged = [whole[:end] for end in range(0, len(whole), 23)]
+    for at in rng.integers(0, min(len(whole), 400), 400):
+        changed = bytearray(whole)
+        changed[at] = rng.integers(256)
+        damaged.append(bytes(changed))
+    refusals: list[str] = []
+    for content in damaged:
+        path.write_bytes(content)
+        try:
+            open_arrays(path)
+        except DatasetError as error:
+            refusals.append(str(error))
+    assert len(refusals) > len(damaged) / 10
+    assert all(name in refusal for refusal in refusals)
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     for name in ("gone.npy", "gone.npz", "gone.h5", "gone.pt", "gone"):
         with pytest.raises(DatasetError, match=rf"{name}: there is no such file"):

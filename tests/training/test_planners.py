@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -181,6 +182,28 @@ def test_a_checkpoint_is_exported_by_its_planners_adapter(trained: Path, tmp_pat
     anchors = LocalClient.of(out, threads=1).plan(inputs=inputs, num_samples=1)
     model = restore_model(load_checkpoint(trained / "checkpoint.pt"))
     assert anchors.trajectories[0, -1, 1] == pytest.approx(4.0 * model.aside[0].item(), rel=1e-5)
+
+
+def test_an_export_that_is_ended_leaves_nothing(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    repository = tmp_path / "bundles"
+
+    def ended(*_: Any, **__: Any) -> None:
+        (scratch,) = repository.iterdir()
+        assert scratch.name.startswith(".")  # which no service takes for a bundle
+        signal.raise_signal(signal.SIGTERM)
+
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    monkeypatch.setattr("anchorflow_export.bundle.prove_parity", ended)
+    try:
+        said = command("export", trained / "checkpoint.pt", "--out", repository / "mine")
+        assert signal.getsignal(signal.SIGTERM) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+    assert said == str(128 + signal.SIGTERM)
+    assert list(repository.iterdir()) == []
 
 
 def test_the_commands_of_flowmp_refuse_another_planner(trained: Path, data: Path) -> None:

@@ -13,8 +13,12 @@ from anchorflow_models import L2Config
 from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.dataset import SceneDataset
+from anchorflow_training.divergence import DivergenceError
 from anchorflow_training.learning_rate import FLOOR, rate_share
+from anchorflow_training.record import RunRecord
 from anchorflow_training.restore import restore_model
+from anchorflow_training.run import LARGEST_RATE
+from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 
 BATCH = FlowBatchConfig(scenes=2, samples=8)
@@ -86,6 +90,23 @@ def test_weights_depend_on_the_seed_and_not_on_what_was_drawn_before(
     assert torch.equal(state, torch.get_rng_state())
 
 
+@pytest.mark.parametrize("seed", [20261127120000, 10**30])
+def test_a_seed_may_be_of_any_length(seed: int, tiny_dataset: SceneDataset, tmp_path: Path) -> None:
+    batch = replace(BATCH, seed=seed)
+    config = TrainerConfig(steps=1, report_every=1, batch=batch, model=SMALL)
+    run = CFMTrainer(config, tiny_dataset, tmp_path)
+    run.fit()
+    assert abs(run.curve[0]["loss"] - LOSSES["float32"][0]) > 1e-3
+
+
+def test_a_rate_beyond_float32_is_refused(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
+    config = TrainerConfig(steps=2, warmup=0, report_every=1, batch=BATCH, model=SMALL)
+    with pytest.raises(ConfigError, match=r"learning_rate: expected at most 1e\+37, got 1e\+300"):
+        CFMTrainer(replace(config, learning_rate=1e300), tiny_dataset, tmp_path)
+    with pytest.raises(DivergenceError, match="step 2"):
+        CFMTrainer(replace(config, learning_rate=LARGEST_RATE), tiny_dataset, tmp_path).fit()
+
+
 def test_a_restored_model_has_the_averaged_weights(
     tiny_dataset: SceneDataset, tmp_path: Path
 ) -> None:
@@ -105,6 +126,32 @@ def test_a_file_that_is_no_checkpoint_is_named(tmp_path: Path) -> None:
     path.write_bytes(b"nothing of the kind")
     with pytest.raises(CheckpointError, match=r"checkpoint\.pt"):
         load_checkpoint(path)
+
+
+def test_a_full_disk_leaves_the_last_checkpoint_and_no_draft(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    run = trainer(tiny_dataset, tmp_path, 3)
+    run.fit()
+    kept = run.checkpoint_path.read_bytes()
+    draft = tmp_path / "checkpoint.tmp"
+    draft.symlink_to("/dev/full")
+
+    with pytest.raises(
+        CheckpointError, match=r"checkpoint\.pt: expected a place to write \(.*disk"
+    ):
+        run.save(run.checkpoint_path)
+
+    assert run.checkpoint_path.read_bytes() == kept
+    assert not draft.is_symlink()
+
+
+def test_a_full_disk_for_the_curve_is_named(tmp_path: Path) -> None:
+    record = RunRecord(tmp_path, step=0, curve=[], evaluations=[], tensorboard=False)
+    (tmp_path / "curve.jsonl").unlink()
+    (tmp_path / "curve.jsonl").symlink_to("/dev/full")
+    with pytest.raises(CheckpointError, match=f"{tmp_path}: expected a place to write .*No space"):
+        record.report(1, {"loss": 1.0})
 
 
 def test_the_rate_climbs_then_falls_as_a_cosine() -> None:

@@ -203,15 +203,25 @@ def test_print_config_prints_and_trains_nothing(
         (["--config", "absent.yaml"], "absent.yaml"),
         (["--flow.weights.lambda-vel", "-1"], "lambda_vel: expected at least 0, got -1"),
         (["--held-out", "6", "--out", "run"], "held_out: expected less than 6"),
+        (
+            ["--bfloat16", "--precision", "float32", "--out", "run"],
+            "precision: expected --bfloat16 alone, got float32 beside it",
+        ),
     ],
 )
-def test_a_wrong_command_is_one_line(
-    words: list[str], message: str, tiny_dataset_path: Path
+def test_a_wrong_command_is_one_line_and_makes_nothing(
+    words: list[str],
+    message: str,
+    tiny_dataset_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     said = command(str(tiny_dataset_path), *words)
     assert message in said
     assert said.startswith("anchorflow train: ")
     assert "\n" not in said
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_a_terminal_each_report_is_a_plain_line(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import pytest
 from anchorflow_cli.main import main
 from anchorflow_driving.cooperative.crossings import CAR, FRAMES, LANE, STOP, draw_crossing
 from anchorflow_driving.cooperative.layout import GROUP, CooperativeFrame, write_recording
+from anchorflow_driving.errors import LogError
 from anchorflow_driving.geometry import boxes_overlap, into_frame
 from anchorflow_driving.window import Vehicle
 from anchorflow_training.dataset import DatasetError
@@ -49,6 +50,26 @@ def circle(frames: int, pictures: slice) -> list[CooperativeFrame]:
         seen = (picture, picture) if number in range(frames)[pictures] else (None, None)
         drive.append(CooperativeFrame(0.1 * number, pose, *seen, np.zeros((0, 5))))
     return drive
+
+
+def test_a_recording_that_is_cut_off_is_none(copy: Path) -> None:
+    def cut_off() -> Iterator[CooperativeFrame]:
+        yield from circle(3, slice(None))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_recording(copy, [("0", cut_off())])
+
+    with pytest.raises(DatasetError, match=r"data_info\.json"):
+        read_recording(copy)
+
+
+def test_a_full_disk_is_named(tmp_path: Path) -> None:
+    picture = tmp_path / "vehicle-side/image/000000.jpg"
+    picture.parent.mkdir(parents=True)
+    picture.symlink_to("/dev/full")
+    with pytest.raises(LogError, match=r"000000\.jpg: file: expected a place to write, .*No space"):
+        write_recording(tmp_path, [("0", circle(1, slice(None)))])
 
 
 def test_waypoints_are_the_45_frames_after(tmp_path: Path) -> None:
@@ -219,7 +240,13 @@ def test_pairs_are_split_by_sequence(recording: Path, tmp_path: Path) -> None:
 
     with pytest.raises(DatasetError, match="expected a new or an empty folder"):
         make_pairs(recording, tmp_path / "pairs", image_size=32)
-    (tmp_path / "pairs" / "speed.npy").unlink()
+    speed = tmp_path / "pairs" / "speed.npy"
+    whole = speed.read_bytes()
+    for damaged in (b"", whole[:-1], whole.replace(b")", b" ", 1)):
+        speed.write_bytes(damaged)
+        with pytest.raises(DatasetError, match=r"speed\.npy: "):
+            open_pairs(tmp_path / "pairs")
+    speed.unlink()
     with pytest.raises(DatasetError, match=r"speed\.npy"):
         open_pairs(tmp_path / "pairs")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from anchorflow_models.registry import UNNAMED
 
 
 class CheckpointError(AnchorFlowError):
-    """A checkpoint cannot be read; the message names the file."""
+    """A checkpoint cannot be read or written; the message names the file."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +47,22 @@ class Checkpoint:
 
 
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Write whole or not at all: a kill in mid-write leaves the last checkpoint in place."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Write whole or not at all: a kill in mid-write leaves the last checkpoint in place.
+
+    Raises:
+        CheckpointError: there is no place to write.
+    """
     draft = path.with_suffix(".tmp")
-    torch.save(vars(checkpoint), draft)
-    draft.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        torch.save(vars(checkpoint), draft)
+        draft.replace(path)
+    except (OSError, RuntimeError) as error:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+        # Of a full disk torch says no more than at which byte it noticed.
+        why = error if isinstance(error, OSError) else "it broke off, as on a full disk"
+        raise CheckpointError(f"{path}: expected a place to write ({why})") from error
 
 
 def load_checkpoint(path: Path) -> Checkpoint:

@@ -22,6 +22,7 @@ S scenes, M trajectories a scene, T samples, D dimensions, map [C, H, W]:
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.errors import AnchorFlowError
+from anchorflow_driving.errors import UNREADABLE
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.routes import MOST
 from anchorflow_trajectory.scene import Scene
@@ -207,7 +209,7 @@ def _opened(path: Path, name: str, scenes: int) -> NDArray:
     file, dtype = path / f"{name}.npy", np.dtype((DTYPES | OPTIONAL_DTYPES)[name])
     try:
         array = np.load(file, mmap_mode="r")
-    except (EOFError, OSError, ValueError) as error:
+    except UNREADABLE as error:
         raise DatasetError(f"{file}: {error}") from error
     if array.dtype != dtype or not array.ndim or len(array) != scenes:
         raise DatasetError(
@@ -265,7 +267,7 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
     """New writable `.npy` files under `path`, one for each array of `shapes`.
 
     Raises:
-        DatasetError: `path` is no folder, or one that cannot be written.
+        DatasetError: `path` is no folder, or one that cannot be written or holds no more.
     """
     arrays = {}
     try:
@@ -276,11 +278,21 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
             file = path / f"{name}.npy"
             if name in shapes:
                 arrays[name] = np.lib.format.open_memmap(file, "w+", dtype, shapes[name])
+                _reserve(file)
             else:
                 file.unlink(missing_ok=True)  # of an earlier dataset in this folder
     except OSError as error:
+        for name in arrays:
+            (path / f"{name}.npy").unlink()
         raise DatasetError(f"{path}: expected a folder to write to ({error})") from error
     return arrays
+
+
+def _reserve(file: Path) -> None:
+    """Room on the disk for a file's holes: a full one ends whoever writes to a map of it."""
+    if hasattr(os, "posix_fallocate"):
+        with file.open("r+b") as stream:
+            os.posix_fallocate(stream.fileno(), 0, file.stat().st_size)
 
 
 def shrink_arrays(path: Path, scenes: int) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +62,12 @@ def left_to_learn(
             f"batch.scenes: expected at most {left}, {of} less {less}, got {batch.scenes}"
         )
     return left
+
+
+def means(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Of each figure over the rows in which it counts and is not NaN; 0 where it does in none."""
+    counted = {name: [r[name] for r in rows if not math.isnan(r[name])] for name in rows[0]}
+    return {name: fmean(values or [0.0]) for name, values in counted.items()}
 
 
 def _part(dataset: SceneDataset, scenes: slice) -> SceneDataset:

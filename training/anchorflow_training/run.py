@@ -32,12 +32,16 @@ from anchorflow_training.learning_rate import rate_share
 from anchorflow_training.patience import out_of_patience
 from anchorflow_training.record import RunRecord
 from anchorflow_training.restore import resumable, weights_before
+from anchorflow_training.settings import ConfigError
 
 Report = Callable[[int, Row], None]
 Picture = NDArray[np.uint8]
 """[height, width, 3]"""
 
 SEED_STRIDE = 1_000_003  # between the noise of one seed and of the next
+SEEDS = 2**64  # that torch has
+LARGEST_RATE = 1e37
+"""Of learning: AdamW's first step is ten times as long, and has to be a number of float32."""
 
 
 class Objective(Protocol):
@@ -60,6 +64,10 @@ class TrainingRun(ABC):
     """
 
     def __init__(self, config: RunConfig, out: Path) -> None:
+        if config.learning_rate > LARGEST_RATE:
+            raise ConfigError(
+                f"learning_rate: expected at most {LARGEST_RATE:g}, got {config.learning_rate:g}"
+            )
         self.run_config, self.out = config, out
         self.fabric = make_fabric(config)
         if config.threads:
@@ -75,7 +83,7 @@ class TrainingRun(ABC):
             self.begin(self.model)
         if config.compile:
             # In place and part by part, so that the weights keep their names.
-            for part in self.model.children():
+            for part in self.called_parts(self.model):
                 part.compile()
         self._optimiser = torch.optim.AdamW(
             self.model.parameters(), config.learning_rate, weight_decay=config.weight_decay
@@ -93,6 +101,10 @@ class TrainingRun(ABC):
     @abstractmethod
     def model_settings(data: Any) -> Mapping[str, Any]:
         """What the data fix of the model's configuration."""
+
+    def called_parts(self, model: Any) -> Iterable[nn.Module]:
+        """The parts of a model that are called, which can be compiled."""
+        return model.children()
 
     @abstractmethod
     def begin(self, model: Any) -> None:
@@ -240,7 +252,7 @@ class TrainingRun(ABC):
     def _loss(self, batch: Batch, part: int) -> tuple[Tensor, dict[str, Tensor]]:
         sizes = self.run_config.batch
         index = self._index(self.step * self.run_config.accumulate + part)
-        generator = torch.Generator().manual_seed(sizes.seed * SEED_STRIDE + index)
+        generator = torch.Generator().manual_seed((sizes.seed * SEED_STRIDE + index) % SEEDS)
         draws = self.objective.module.draw(sizes.scenes, sizes.per_scene, generator)
         inputs = {name: torch.from_numpy(value) for name, value in batch.items()}
         device = self.fabric.device
@@ -287,7 +299,7 @@ class TrainingRun(ABC):
 
     def _new_model(self) -> Any:
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.run_config.batch.seed)
+            torch.manual_seed(self.run_config.batch.seed % SEEDS)
             return self._created()
 
     def _created(self) -> Any:

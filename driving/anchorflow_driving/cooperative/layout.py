@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from anchorflow_driving.errors import LogError
 from anchorflow_driving.geometry import box_corners
 
 Array = NDArray[np.float64]
@@ -23,6 +25,9 @@ HEIGHT = 1.5
 """m, of the boxes that are written."""
 QUALITY = 85  # of JPEG files
 MICROSECONDS = 1e6
+SIDES = ("vehicle-side", "infrastructure-side", "cooperative")
+INFO = "data_info.json"
+"""Of each side: what frames it has."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +52,16 @@ def write_recording(
     """A recording of drives by name; how many pairs of pictures it has.
 
     Every frame has its pose, its time and its label; those with pictures are pairs as well.
+
+    Raises:
+        LogError: a file cannot be written.
     """
     vehicle: list[dict[str, Any]] = []
     infrastructure: list[dict[str, Any]] = []
     pairs: list[dict[str, Any]] = []
     number = 0
+    for side in SIDES:  # Until all is written, what is cut off is no recording.
+        (folder / side / INFO).unlink(missing_ok=True)
     for name, frames in drives:
         began = number / hz
         for frame in frames:
@@ -75,12 +85,8 @@ def write_recording(
                 paths[f"{side}_image_path"] = path
             label = f"cooperative/label_world/{stem}.json"
             pairs.append({**paths, "cooperative_label_path": label})
-    for side, entries in (
-        ("vehicle-side", vehicle),
-        ("infrastructure-side", infrastructure),
-        ("cooperative", pairs),
-    ):
-        _write_json(folder / side / "data_info.json", entries)
+    for side, entries in zip(SIDES, (vehicle, infrastructure, pairs), strict=True):
+        _write_json(folder / side / INFO, entries)
     return len(pairs)
 
 
@@ -114,10 +120,18 @@ def _boxes(boxes: Array) -> list[dict[str, Any]]:
 
 
 def _write_picture(path: Path, pixels: Pixels) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels.transpose(1, 2, 0)).save(path, "JPEG", quality=QUALITY)
+    picture = io.BytesIO()
+    Image.fromarray(pixels.transpose(1, 2, 0)).save(picture, "JPEG", quality=QUALITY)
+    _write(path, picture.getvalue())
 
 
 def _write_json(path: Path, value: Any) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(value))
+    _write(path, json.dumps(value).encode())
+
+
+def _write(path: Path, content: bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    except OSError as error:
+        raise LogError(path, "file", expected="a place to write", found=str(error)) from error

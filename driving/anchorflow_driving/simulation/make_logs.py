@@ -10,7 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from anchorflow_driving.log import write_log
+from anchorflow_driving.errors import LogError
+from anchorflow_driving.log import SIMULATED, write_log
 from anchorflow_driving.simulation.config import LogConfig
 from anchorflow_driving.simulation.simulated_log import simulate_log
 
@@ -32,9 +33,11 @@ def make_logs(
 
     Raises:
         SimulationError: SUMO's programs do not run here.
-        LogError: a log cannot be written.
+        LogError: the folder holds other logs than these, or a log cannot be written.
     """
+    _refuse_others(folder, {f"{SIMULATED}-{config.seed}-{index:05d}.npz" for index in range(logs)})
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / SUMMARY).unlink(missing_ok=True)
     counts: Counter[str] = Counter()
     tasks = ((folder, config, index) for index in range(logs))
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
@@ -51,8 +54,25 @@ def make_logs(
         "redrawn": _counted(counts, "redrawn: "),
         "config": asdict(config),
     }
-    (folder / SUMMARY).write_text(json.dumps(summary, indent=1) + "\n")
+    try:
+        (folder / SUMMARY).write_text(json.dumps(summary, indent=1) + "\n")
+    except OSError as error:
+        raise LogError(
+            folder / SUMMARY, "file", expected="a place to write", found=str(error)
+        ) from error
     return summary
+
+
+def _refuse_others(folder: Path, made: set[str]) -> None:
+    """Whoever learns from a folder learns from all its logs."""
+    others = sorted(path.name for path in folder.glob("*.npz") if path.name not in made)
+    if others:
+        raise LogError(
+            folder,
+            "folder",
+            expected="a new one, or one of the same seed with no more logs",
+            found=f"{others[0]} and {len(others) - 1} more" if others[1:] else others[0],
+        )
 
 
 def _made(task: tuple[Path, LogConfig, int]) -> Counter[str]:

@@ -28,7 +28,11 @@ class BundleError(AnchorFlowError):
     def __init__(self, file: Path, wrong: str, detail: str = "") -> None:
         self.file = file
         self.wrong = wrong
-        super().__init__(f"{file}: {wrong}" + (f": {detail}" if detail else ""))
+        super().__init__(file, wrong, detail)  # as pickle makes it anew
+
+    def __str__(self) -> str:
+        file, wrong, detail = self.args
+        return f"{file}: {wrong}" + (f": {detail}" if detail else "")
 
     @property
     def reason(self) -> str:

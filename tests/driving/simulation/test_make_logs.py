@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from anchorflow_driving.drivers import human
+from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import FUTURE_FRAMES, STATIC, DrivingLog, read_logs
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.road import Road
@@ -43,6 +45,20 @@ def test_a_log_depends_on_seed_and_index_alone(folder: Path, tmp_path: Path) -> 
     assert alone.read_bytes() == (folder / alone.name).read_bytes()
     first, second = sorted(folder.glob("*.npz"))
     assert first.read_bytes() != second.read_bytes()
+
+
+def test_a_folder_holds_the_logs_of_one_run(folder: Path, tmp_path: Path) -> None:
+    kept = shutil.copytree(folder, tmp_path / "kept")
+    first, second = sorted(path.name for path in folder.glob("*.npz"))
+
+    with pytest.raises(LogError, match=f"a new one, or .* the same seed .*, found {second}$"):
+        made(kept, logs=1)
+    with pytest.raises(LogError, match=f"found {first} and 1 more"):
+        made(kept, logs=2, config=replace(CONFIG, seed=4))
+
+    (kept / second).unlink()
+    made(kept, logs=1)
+    assert json.loads((kept / "drive.json").read_text())["logs"] == 1
 
 
 def test_the_summary_counts_the_logs_windows(folder: Path, logs: list[DrivingLog]) -> None:

@@ -110,13 +110,20 @@ def test_the_teacher_s_network_and_the_options_make_the_configuration(
         (["--method", "magic"], "method: expected one of reflow, direct, consistency"),
     ],
 )
-def test_a_wrong_command_is_one_line(
-    words: list[str], message: str, checkpoint: Path, tiny_dataset_path: Path
+def test_a_wrong_command_is_one_line_and_makes_nothing(
+    words: list[str],
+    message: str,
+    checkpoint: Path,
+    tiny_dataset_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     said = command(checkpoint, tiny_dataset_path, *words)
     assert message in said
     assert said.startswith("anchorflow distill: ")
     assert "\n" not in said
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_teacher_that_is_no_checkpoint_is_named(tiny_dataset_path: Path, tmp_path: Path) -> None:

@@ -54,6 +54,13 @@ def test_the_course_is_what_was_driven(windows: DrivingWindows) -> None:
     np.testing.assert_allclose(np.linalg.norm(np.diff(course, axis=0), axis=1), SPACING, rtol=0.05)
 
 
+@pytest.mark.parametrize("kept", [b"", b"PK, but cut off"])
+def test_what_was_cut_off_is_drawn_anew(kept: bytes, folder: Path, windows: DrivingWindows) -> None:
+    file = sorted(folder.glob(f"*{KEPT}"))[0]
+    file.write_bytes(kept)
+    assert len(open_windows(folder)) == len(windows)
+
+
 def test_a_log_is_drawn_once_and_again_when_it_changes(folder: Path) -> None:
     kept = sorted(folder.glob(f"*{KEPT}"))
     before = [path.stat().st_mtime_ns for path in kept]
@@ -134,3 +141,8 @@ def test_a_vocabulary_of_the_ends_or_of_ones_own(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_vocabulary(tmp_path / "goals.npy", count=3), found)
     with pytest.raises(ConfigError, match=r"goals.npy: expected \[4, 2\], got \[3, 2\]"):
         read_vocabulary(tmp_path / "goals.npy", count=4)
+    whole = (tmp_path / "goals.npy").read_bytes()
+    for damaged in (b"", whole[:-1], whole.replace(b")", b" ")):
+        (tmp_path / "goals.npy").write_bytes(damaged)
+        with pytest.raises(ConfigError, match=r"vocabulary: .*goals.npy: "):
+            read_vocabulary(tmp_path / "goals.npy", count=3)

@@ -99,6 +99,31 @@ def test_what_is_kept_is_not_drawn_again(logs: list[Path]) -> None:
     assert other.batch(np.array([0]))["camera"].shape == (1, 3, 8, 32)
 
 
+def test_what_is_kept_and_damaged_is_made_anew_or_named(logs: list[Path]) -> None:
+    anchors = trajectory_anchors(examples_of(logs), count=6, seed=0)
+    windows, table = open_sensor_windows(logs, SIZES), anchor_scores(logs, anchors)
+    (scores,) = logs[0].parent.glob(f"{logs[0].stem}.pdm-*")
+    for file in (logs[0].with_suffix(sensor_windows.KEPT), scores):
+        whole = file.read_bytes()
+        for cut_off in (b"", whole[: len(whole) // 2]):
+            file.write_bytes(cut_off)
+            assert len(open_sensor_windows(logs, SIZES)) == len(windows)
+            np.testing.assert_array_equal(anchor_scores(logs, anchors), table)
+            assert len(file.read_bytes()) == len(whole)
+        file.write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
+        with pytest.raises(LogError, match=f"{file}: file: expected an .npz .*, found Bad CRC"):
+            anchor_scores(logs, anchors) if file == scores else open_sensor_windows(logs, SIZES)
+        file.unlink()
+
+
+def test_a_log_that_was_cut_off_is_named(logs: list[Path], tmp_path: Path) -> None:
+    """By the process that meets it."""
+    log = tmp_path / "cut.npz"
+    log.write_bytes(logs[0].read_bytes()[:-100])
+    with pytest.raises(LogError, match=r"cut\.npz: file: expected an \.npz of arrays"):
+        open_sensor_windows([logs[0], log], SIZES)
+
+
 def test_what_is_kept_is_read_once_and_closed(
     logs: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -209,6 +234,11 @@ def test_anchors_are_centres_of_what_was_driven(tmp_path: Path) -> None:
         ConfigError, match=r"anchors: .*expected shape \[4, 8, 3\], got \[3, 8, 3\]"
     ):
         read_anchors(tmp_path / "anchors.npy", count=4, steps=8)
+    whole = (tmp_path / "anchors.npy").read_bytes()
+    for damaged in (b"", whole[:-1], whole.replace(b")", b" ")):
+        (tmp_path / "anchors.npy").write_bytes(damaged)
+        with pytest.raises(ConfigError, match=r"anchors: .*anchors\.npy: "):
+            read_anchors(tmp_path / "anchors.npy", count=3, steps=8)
 
 
 def test_a_run_goes_on_as_if_it_had_not_stopped(logs: list[Path], tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ Of the first three nothing is read but the headers; see `array_source`.
 
 from __future__ import annotations
 
+import math
 import pickle
 import re
 import struct
@@ -18,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.data.array_source import (
     ArraySource,
     H5Array,
@@ -90,7 +92,9 @@ def _open_npz(path: Path) -> Arrays:
                     lengths = LOCAL_HEADER.unpack(stream.read(LOCAL_HEADER.size))
                     stream.seek(sum(lengths), 1)
                     arrays[name] = _mapped(path, stream, where)
-    except (zipfile.BadZipFile, RuntimeError, struct.error) as error:
+    except OSError:
+        raise
+    except (*UNREADABLE, struct.error) as error:
         raise DatasetError(f"{path}: not an .npz file ({error})") from error
     return arrays
 
@@ -103,7 +107,7 @@ def _mapped(file: Path, stream: IO[bytes], where: str, keeps: object = None) -> 
             shape, fortran_order, dtype = np.lib.format.read_array_header_1_0(stream)
         else:
             shape, fortran_order, dtype = np.lib.format.read_array_header_2_0(stream)
-    except ValueError as error:
+    except UNREADABLE as error:
         raise DatasetError(f"{where}: not an array that numpy wrote ({error})") from error
     if dtype.hasobject:
         raise DatasetError(
@@ -111,7 +115,7 @@ def _mapped(file: Path, stream: IO[bytes], where: str, keeps: object = None) -> 
             "trajectories of one length make one array [N, T, D]"
         )
     array = MappedArray(file, stream.tell(), dtype, shape, fortran_order, keeps)
-    size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
+    size = math.prod(shape) * dtype.itemsize
     if file.stat().st_size < array.offset + size:
         raise DatasetError(f"{where}: cut off, {dtype} {list(shape)} needs {size} bytes")
     return array

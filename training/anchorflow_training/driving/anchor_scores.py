@@ -10,11 +10,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.errors import UNREADABLE
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving.examples import example
-from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
+from anchorflow_training.driving.kept_logs import (
+    Progress,
+    each_log,
+    is_fresh,
+    opened,
+    write_beside,
+)
 from anchorflow_training.driving.vocabulary import clustered
 from anchorflow_training.settings import ConfigError
 
@@ -53,7 +60,7 @@ def read_anchors(path: Path, *, count: int, steps: int) -> Floats:
     """
     try:
         anchors = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
+    except UNREADABLE as error:
         raise ConfigError(f"anchors: {path}: {error}") from error
     if anchors.shape != (count, steps, 3):
         wanted = [count, steps, 3]
@@ -90,7 +97,7 @@ def pdms(scores: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def _read(path: Path) -> Floats:
-    with np.load(path, allow_pickle=False) as part:
+    with opened(path) as part:
         return part["scores"].astype(np.float32)
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import fmean
 from typing import Any, ClassVar
 
 import numpy as np
@@ -43,7 +41,7 @@ from anchorflow_training.driving.outcome_objective import OutcomeObjective
 from anchorflow_training.driving.proposals import proposals
 from anchorflow_training.driving.vocabulary import clustered, read_vocabulary
 from anchorflow_training.driving.windows import DrivingWindows
-from anchorflow_training.held_out import left_to_learn
+from anchorflow_training.held_out import left_to_learn, means
 from anchorflow_training.reflection import reflection
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import ConfigError, check_fixed, setting
@@ -200,7 +198,7 @@ class GoalFlowRun(TrainingRun):
         chosen = np.linspace(0, len(self.held_out) - 1, self.config.evaluation.scenes).astype(int)
         judge = self._chosen if self.learns_outcomes else self._judged
         rows = [judge(model, window) for window in np.unique(chosen)]
-        return {name: _mean([row[name] for row in rows]) for name in rows[0]}, None
+        return means(rows), None
 
     @torch.no_grad()
     def _judged(self, model: GoalFlow, window: int) -> dict[str, float]:
@@ -236,11 +234,6 @@ class GoalFlowRun(TrainingRun):
         held = self.held_out
         told = (held.rasters([window]), held.status[[window]], held.size[[window]])
         return [torch.from_numpy(each).to(device) for each in told]
-
-
-def _mean(values: Sequence[float]) -> float:
-    """Of those that count; 0 where none does."""
-    return fmean([value for value in values if not math.isnan(value)] or [0.0])
 
 
 def _apart(points: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:

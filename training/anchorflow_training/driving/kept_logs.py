@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.errors import LogError
+from anchorflow_driving.errors import UNREADABLE, LogError
 
 PLAN_SETTINGS: Mapping[str, Any] = {"num_steps": len(PLAN_TIMES), "dt": float(PLAN_TIMES[0])}
 """What the times of a log's plans fix of a model's configuration."""
@@ -51,8 +53,29 @@ def each_log(
 
 
 def is_fresh(kept: Path, log: Path) -> bool:
-    """Whether a file is there, and was made of the log as it is."""
-    return kept.exists() and kept.stat().st_mtime >= log.stat().st_mtime
+    """Whether a file is there, whole, and was made of the log as it is."""
+    if not kept.exists() or kept.stat().st_mtime < log.stat().st_mtime:
+        return False
+    try:
+        zipfile.ZipFile(kept).close()  # its directory stands at its end
+    except UNREADABLE:
+        return False
+    return True
+
+
+@contextmanager
+def opened(kept: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """The arrays of a file beside a log, to be read in the block.
+
+    Raises:
+        LogError: it is damaged.
+    """
+    try:
+        with np.load(kept, allow_pickle=False) as arrays:
+            yield arrays
+    except UNREADABLE as error:
+        wanted = "an .npz of arrays, which is made anew where there is none"
+        raise LogError(kept, "file", expected=wanted, found=str(error)) from error
 
 
 def write_beside(path: Path, **arrays: NDArray[Any]) -> None:

@@ -28,7 +28,7 @@ from anchorflow_training.driving.anchor_scores import read_anchors, trajectory_a
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.sensor_noise import disturb
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
-from anchorflow_training.held_out import left_to_learn
+from anchorflow_training.held_out import left_to_learn, means
 from anchorflow_training.pretrained import BACKBONE, load_resnet, load_sight, sight_of
 from anchorflow_training.reflection import SIGNS, reflection
 from anchorflow_training.run import TrainingRun
@@ -178,4 +178,4 @@ class SensorRun(TrainingRun):
             arrays = self.batch(np.array([window]))
             batch = {name: torch.from_numpy(array) for name, array in arrays.items()}
             rows.append(self.judged(model, self.fabric.to_device(batch)))
-        return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}, None
+        return means(rows), None

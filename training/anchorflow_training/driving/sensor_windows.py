@@ -28,6 +28,7 @@ from anchorflow_training.driving.kept_logs import (
     each_log,
     is_fresh,
     no_windows,
+    opened,
     write_beside,
 )
 from anchorflow_training.driving.randomised_motion import randomised_motion
@@ -201,7 +202,7 @@ def open_sensor_windows(
     rows: dict[str, list[NDArray[Any]]] = {name: [] for name in NUMBERS}
     counts = []
     for log in logs:
-        with np.load(log.with_suffix(KEPT), allow_pickle=False) as part:
+        with opened(log.with_suffix(KEPT)) as part:
             ends = part["sizes"].cumsum()
             pictures = np.split(part["pictures"], ends[:-1]) if len(ends) else []
             streams += (picture.tobytes() for picture in pictures)
@@ -272,6 +273,6 @@ def _is_kept(log: Path, sizes: SensorSizes) -> bool:
     kept = log.with_suffix(KEPT)
     if not is_fresh(kept, log):
         return False
-    with np.load(kept, allow_pickle=False) as file:
+    with opened(kept) as file:
         whole = all(name in file for name in NUMBERS)
         return whole and np.array_equal(file["layout"], list(asdict(sizes).values()))

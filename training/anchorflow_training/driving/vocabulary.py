@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.settings import ConfigError
 
 MOST_ENDS = 20_000  # that are clustered
@@ -54,7 +55,7 @@ def read_vocabulary(path: Path, *, count: int) -> NDArray[np.float32]:
     """
     try:
         goals = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
+    except UNREADABLE as error:
         raise ConfigError(f"vocabulary: {path}: {error}") from error
     if goals.shape != (count, 2):
         raise ConfigError(f"vocabulary: {path}: expected [{count}, 2], got {list(goals.shape)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -86,11 +87,12 @@ class WoteRun(SensorRun):
         seen = model.look(**sensors_of(batch))
         scored = model.score(seen.bev, seen.ego, seen.fine, seen.foretold, seen.motion)
         refined = distances(scored["trajectories"], batch["future"])
+        counts = 1.0 if batch["is_example"][0] else math.nan
         worth = pdm_score(self.judge(batch["window"], scored["trajectories"]))[0]
         return {
             "success": float(worth[int(scored["scores"][0].argmax())]),
             "pdms_by_imitation": float(worth[int(scored["im_rewards"][0].argmax())]),
             "pdms_of_the_best": float(worth.max()),
-            "best_ade_m": float(distances(model.anchors[None], batch["future"]).min()),
-            "best_refined_ade_m": float(refined.min()),
+            "best_ade_m": counts * float(distances(model.anchors[None], batch["future"]).min()),
+            "best_refined_ade_m": counts * float(refined.min()),
         }

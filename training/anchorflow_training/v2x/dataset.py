@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from anchorflow_client.images import resized
 from anchorflow_driving.cooperative.layout import GROUP
+from anchorflow_driving.errors import UNREADABLE
 from anchorflow_driving.geometry import into_frame
 from anchorflow_training.dataset import DatasetError
 from anchorflow_training.v2x.boxes import read_boxes, without_own
@@ -194,7 +195,7 @@ def open_pairs(path: Path) -> PairDataset:
 def _array(file: Path, dtype: str) -> Array:
     try:
         array = np.load(file, mmap_mode="r")
-    except (OSError, ValueError) as error:
+    except UNREADABLE as error:
         raise DatasetError(f"{file}: {error}") from error
     if array.dtype != dtype:
         raise DatasetError(f"{file}: expected {dtype}, found {array.dtype}")

@@ -1,4 +1,4 @@
-"""V2X-VLM's loss: L1(waypoints) + λ1 InfoNCE + λ2 distillation + next token."""
+"""V2X-VLM's loss: L1(waypoints) + λ1 InfoNCE + λ2 distillation + λ3 location + λ4 next token."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class V2XObjective(nn.Module):
         waypoints = self.model.drive(fused)
         terms = {"regression": regression(waypoints, batch["waypoints"])}
         total = terms["regression"]
-        if weights.alignment:
+        if weights.alignment and self.config.text:  # pairs of pictures with one text are no pairs
             terms["alignment"] = alignment(*self.model.align(fused), kappa=weights.kappa)
             total = total + weights.alignment * terms["alignment"]
         if self._teacher and weights.distillation:

@@ -82,6 +82,13 @@ class V2XRun(TrainingRun):
                 f"{source}: expected the tokenizer of the pairs in {self.dataset.path}, got another"
             )
 
+    def called_parts(self, model: V2XVLM) -> Iterable[nn.Module]:
+        florence = model.florence.model
+        heads = [part for part in model.children() if part is not model.florence]
+        language = [florence.language_model.encoder, florence.language_model.decoder]
+        seeing = [florence.vision_tower, florence.multi_modal_projector]
+        return [*seeing, *language, model.florence.lm_head, *heads]
+
     def begin(self, model: V2XVLM) -> None:
         model.tokenizer = self.dataset.tokenizer
         if self.config.pretrained:
