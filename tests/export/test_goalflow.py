@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
+import numpy as np
+import onnxruntime
 import pytest
 import torch
 
+from anchorflow_client.contract import TensorSpec
 from anchorflow_export.adapter import ExportChoices
-from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners.goalflow import goalflow_adapter
+from anchorflow_export.tracing import trace_role
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goals import pick
 from anchorflow_service.bundle import DEFAULT_BUNDLE
@@ -51,14 +53,30 @@ def test_random_scenes_have_scores_that_differ(outcomes: bool) -> None:
         assert scores.max() > 1.1 * scores.min()
 
 
-def test_scores_by_the_rules_are_proved(tmp_path: Path) -> None:
+def test_scores_by_the_rules_are_proved() -> None:
     """Those of what is learnt are by the bundle that is served in tests/service/http."""
-    adapter = goalflow_adapter(GoalFlow(CONFIG).eval(), ExportChoices())
-    description = BundleDescription(name="goalflow", version="1", planner="goalflow")
-    differences = export_bundle(adapter, description, out=tmp_path / "bundle")
-    proved = [each for each in differences if "score" in each.what]
-    assert proved
-    assert max(each.error for each in proved) < 1e-4
+    model = GoalFlow(CONFIG).eval()
+    adapter = goalflow_adapter(model, ExportChoices())
+    with torch.no_grad():
+        context = model.encode(**adapter.random_inputs(3, seed=0))
+        mean, x_1 = adapter._beginning(context, torch.randn(7, context["prior_basis"].shape[1]))
+        wanted = model.score(x_1, mean, context).numpy()
+    told = {"x_1": x_1, "prior_mean": mean, **{n: context[n] for n in model.context_for_score}}
+    inputs = [
+        TensorSpec(name, str(each.dtype).removeprefix("torch."), _axes(name, each.shape))
+        for name, each in told.items()
+    ]
+    graph = trace_role(model, "score", inputs=inputs, outputs=("scores",))
+    session = onnxruntime.InferenceSession(graph.model.SerializeToString())
+    fed = {spec.name: told[spec.name].numpy() for spec in session.get_inputs()}
+    (got,) = session.run(None, fed)
+    np.testing.assert_allclose(np.asarray(got), wanted, atol=1e-5)
+    assert wanted.max() > 1.1 * wanted.min()
+
+
+def _axes(name: str, shape: torch.Size) -> tuple[str | int, ...]:
+    per_anchor = name in ("x_1", "prior_mean")
+    return ("B", "N", *shape[2:]) if per_anchor else ("B", *shape[1:])
 
 
 def test_the_scorer_that_ships_tells_random_scenes_apart() -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
+from anchorflow_client.contract import RefineSpec
 from anchorflow_trajectory import refine
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.refine import Refined, Refiner
@@ -14,15 +13,7 @@ from anchorflow_trajectory.scene import Scene
 
 RADIUS, RESOLUTION, WALL = 0.25, 0.1, 0.5  # m
 ANCHORS = 8
-
-
-@dataclass(frozen=True)
-class Spec:
-    smooth: bool = True
-    project: bool = True
-    safety_margin: float = 0.1
-    barrier: bool = False
-    certified_margin: float = 0.0
+SPEC = RefineSpec(smooth=True, project=True, safety_margin=0.1, guidance=0.0)
 
 
 def corridor(turns: int, *, width: float, size: float) -> tuple[np.ndarray, ...]:
@@ -52,7 +43,7 @@ def refined(
         motion=motion,
     )
     states = np.repeat(scene.route_states[:1], ANCHORS, axis=0)
-    return Refiner(scene, 20).refine(states, np.zeros(ANCHORS, np.intp), Spec())
+    return Refiner(scene, 20).refine(states, np.zeros(ANCHORS, np.intp), SPEC)
 
 
 @pytest.mark.parametrize(
