@@ -49,12 +49,13 @@ from anchorflow_cli.bench_options import (
     BundlesOption,
     NumOption,
     OutOption,
+    RecordOption,
     SamplersOption,
     ScenesOption,
     ThreadsOption,
     whole_numbers,
 )
-from anchorflow_cli.bench_output import progress, report, say
+from anchorflow_cli.bench_output import progress, record, report, say
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import (
     AMaxOption,
@@ -112,6 +113,7 @@ def quality(
     a_max: AMaxOption = None,
     radius: RadiusOption = None,
     threads: ThreadsOption = None,
+    recorded: RecordOption = False,
     out: OutOption = RESULTS,
 ) -> None:
     """Judge bundles and baselines on scenes; tables, JSON, Markdown and pictures."""
@@ -124,18 +126,18 @@ def quality(
     ):
         if value is not None:
             number(value, option, interval)
-    bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
+    folders = bundle or [DEFAULT_BUNDLE]
+    bundles = [open_bundle(folder) for folder in folders]
     robot, own = AskedRobot(v_max, a_max, radius), limits_of(bundles[0])
     limits, source = robot.limits(own), scenes or default_source()
-    ours: list[Planner] = [
-        *engine_planners(
-            bundles,
-            samplers.split(","),
-            guidance=_scales(guidance),
-            limits=limits if v_max or a_max else None,
-            threads=threads,
-        )
-    ]
+    engines = engine_planners(
+        bundles,
+        samplers.split(","),
+        guidance=_scales(guidance),
+        limits=limits if v_max or a_max else None,
+        threads=threads,
+    )
+    ours: list[Planner] = [*engines]
     names = [] if baselines == "none" else baselines.split(",")
     with needs_extra("bench", who="anchorflow bench quality --baselines rrt"):
         planners = [*ours, *named_baselines(names, bundles[0], limits)]
@@ -161,6 +163,10 @@ def quality(
         "style": style_text(style),
     }
     report("Quality", about, tables, out)
+    if recorded:
+        first = {planner.engine: planner.name for planner in reversed(engines)}
+        names = [first[engine] for engine in dict.fromkeys(each.engine for each in engines)]
+        record(zip(names, folders, strict=True), about, tables[0])
     draw_scene_sheet(plans[ours[0].name], out / "quality_scenes.png", title=ours[0].name)
     draw_quality_over_time(tables[0].rows, out / "quality_time.png")
 

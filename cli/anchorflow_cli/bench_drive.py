@@ -23,10 +23,11 @@ from anchorflow_cli.bench_options import (
     AlongRouteOption,
     NumOption,
     OutOption,
+    RecordOption,
     SamplersOption,
     ThreadsOption,
 )
-from anchorflow_cli.bench_output import progress, report, say
+from anchorflow_cli.bench_output import progress, record, report, say
 from anchorflow_cli.options import folder_option
 from anchorflow_driving.log import read_logs
 
@@ -53,14 +54,15 @@ def drive(
         Path | None,
         folder_option("Folder that plans_*.npz are written to.", show_default="that of --out"),
     ] = None,
+    recorded: RecordOption = False,
     out: OutOption = RESULTS,
 ) -> None:
     """Score drivers and bundles on recorded logs with the PDM score; tables and plans."""
     found = read_logs(logs)
     chosen = {} if drivers == "none" else named_drivers(drivers.split(","))
-    for driver in open_drivers(
-        bundle or [], num=num, samplers=samplers.split(","), threads=threads
-    ):
+    asked = samplers.split(",")
+    ours = open_drivers(bundle or [], num=num, samplers=asked, threads=threads)
+    for driver in ours:
         ways = (driver, driver.along_route()) if along_route else (driver,)
         seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
         chosen |= {each.name: Entry(each) for each in seeded}
@@ -68,6 +70,11 @@ def drive(
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)
     about = {"logs": f"{logs.name}: {len(found)} files, {windows} windows"}
-    report("Drive", about, [*drive_tables(judged), score_time_table(found)], out)
+    tables = drive_tables(judged)
+    report("Drive", about, [*tables, score_time_table(found)], out)
+    if recorded:
+        firsts = ours[:: len(asked)]
+        names = [driver.seeded((seeds or [0])[0]).name for driver in firsts]
+        record(zip(names, bundle or [], strict=True), about, tables[0])
     for path in write_plans(judged, plans or out):
         say(str(path))

@@ -41,6 +41,9 @@ AlongRouteOption = Annotated[
     bool,
     typer.Option("--along-route", help="Each bundle drives twice: then by its route."),
 ]
+RecordOption = Annotated[
+    bool, typer.Option("--record", help="Put each bundle's figures into its manifest.")
+]
 OutOption = Annotated[Path, folder_option("Folder that the results are written to.")]
 
 

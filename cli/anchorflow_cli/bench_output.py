@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from rich.console import Console
 from rich.progress import Progress
 
 from anchorflow_benchmarks.machine import circumstances
-from anchorflow_benchmarks.report import Report, ResultTable
+from anchorflow_benchmarks.report import Cell, Report, ResultTable
+from anchorflow_cli.extras import needs_extra
 
 
 def say(line: str) -> None:
@@ -32,6 +34,33 @@ def report(
     whole.show()
     for path in whole.write(folder):
         say(str(path))
+
+
+def record(
+    bundles: Iterable[tuple[str, Path]], about: Mapping[str, str], first: ResultTable
+) -> None:
+    """Put rows of a report's first table into manifests, without what hangs on the machine.
+
+    bundles: what the first column calls each, and its folder
+
+    Raises:
+        BundleError: a manifest cannot be written.
+    """
+    with needs_extra("train", who="--record"):
+        from anchorflow_export.bundle import record_quality
+    who = first.columns[0]
+    for name, folder in bundles:
+        row = next(row for row in first.rows if row[who] == name)
+        figures = {key: value for key, value in row.items() if key not in (who, "ms")}
+        record_quality(folder, {**about, **{key: _kept(each) for key, each in figures.items()}})
+        say(f"{folder}: recorded")
+
+
+def _kept(figure: Cell) -> Cell:
+    """Four digits behind the point; None in place of NaN, which no JSON holds."""
+    if not isinstance(figure, float):
+        return figure
+    return round(figure, 4) if math.isfinite(figure) else None
 
 
 @contextmanager

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from anchorflow_cli.bench_options import RESULTS, OutOption, ThreadsOption
-from anchorflow_cli.bench_output import progress, report, say
+from anchorflow_cli.bench_options import RESULTS, OutOption, RecordOption, ThreadsOption
+from anchorflow_cli.bench_output import progress, record, report, say
 from anchorflow_cli.extras import needs_extra
 from anchorflow_client.contract import VisionLanguageSpec
 from anchorflow_service.local import LocalClient
@@ -24,6 +24,7 @@ def pairs(
     ] = None,
     crossings: Annotated[int, typer.Option(min=2, help="Scenes drawn, without --data.")] = 200,
     threads: ThreadsOption = None,
+    recorded: RecordOption = False,
     out: OutOption = RESULTS,
 ) -> None:
     """Judge V2X-VLM bundles by L2 and collisions, with and without the roadside picture."""
@@ -48,6 +49,8 @@ def pairs(
             tables = pair_tables(clients, dataset, groups, progress=advance)
     judged = data.name if data else f"{crossings} drawn crossings"
     report("Pairs", {"bundles": ", ".join(clients), "pairs": judged}, tables, out)
+    if recorded:
+        record(zip(clients, bundles, strict=True), {"pairs": judged}, tables[0])
 
 
 def _image_size(client: LocalClient) -> int:

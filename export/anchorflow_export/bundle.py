@@ -16,7 +16,7 @@ from anchorflow_export.adapter import PlannerAdapter, PlannerParts, TracedGraph
 from anchorflow_export.errors import ExportError
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
 from anchorflow_export.tracing import OPSET
-from anchorflow_service.bundle import load_bundle
+from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.bundle.manifest import (
     FILE_NAME,
     FORMAT,
@@ -76,12 +76,15 @@ def record_quality(bundle: Path, quality: Mapping[str, Any]) -> None:
     """Put the quality that the judge measured on a bundle into its manifest.
 
     Raises:
-        BundleError: there is no sound bundle at that path.
+        BundleError: there is no sound bundle at that path, or no place to write.
     """
     manifest = load_bundle(bundle).manifest.model_copy(update={"quality": dict(quality)})
     scratch = bundle / f".{FILE_NAME}"
-    scratch.write_bytes(manifest.to_json())
-    scratch.replace(bundle / FILE_NAME)
+    try:
+        scratch.write_bytes(manifest.to_json())
+        scratch.replace(bundle / FILE_NAME)
+    except OSError as error:
+        raise BundleError(bundle, f"its manifest cannot be written: {error}") from error
 
 
 def _write(graph: TracedGraph, path: Path) -> GraphEntry:

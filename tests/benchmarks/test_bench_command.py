@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from anchorflow_benchmarks.programs import served
 from anchorflow_cli.bench_options import STUDENT
 from anchorflow_cli.main import main
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 
 def run(*arguments: str) -> None:
@@ -41,6 +43,34 @@ def test_quality(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     }
 
 
+def test_quality_is_put_into_the_manifests(tmp_path: Path) -> None:
+    bundles = [tmp_path / name for name in ("default", "student")]
+    for bundle in bundles:
+        shutil.copytree(DEFAULT_BUNDLE.parent / bundle.name, bundle)
+    asked = [option for bundle in bundles for option in ("--bundle", str(bundle))]
+    options = ("--scenes", "drawn:2:1", "--num", "4", "--samplers", "card,euler:uniform2")
+    out = tmp_path / "out"
+    run(
+        "quality",
+        *asked,
+        *options,
+        "--baselines",
+        "none",
+        "--no-styles",
+        "--record",
+        "--out",
+        str(out),
+    )
+
+    rows = tables(out / "quality.json")["All scenes (2)"]
+    for bundle, row in zip(bundles, rows[::2], strict=True):
+        quality = load_bundle(bundle).card.quality
+        assert quality["scenes"] == "drawn:2:1, 2 judged"
+        assert quality["success"] == pytest.approx(row["success"], abs=1e-4)
+        assert quality["evaluations"] == row["evaluations"]
+        assert not {"planner", "ms"} & quality.keys()
+
+
 def test_routes(tmp_path: Path) -> None:
     options = ("--scenes", "drawn:4:1", "--limit", "1", "--num", "4")
     run("routes", *options, "--baselines", "routes", "--out", str(tmp_path))
@@ -68,6 +98,10 @@ def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
     ]
 
 
+NO_SCENES = ("--scenes", "nowhere.npz")
+"""So that a command that is not refused ends all the same."""
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -80,9 +114,18 @@ def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
         (("quality", "--scenes", "nowhere.npz"), "nowhere.npz: not a file of scenes"),
         (("quality", "--routes", "nowhere.npz"), "nowhere.npz: not a file of routes"),
         (("quality", "--v-max", "9", "--scenes", "drawn:1:0"), "v_max: expected 0.2 to 6 m/s"),
-        (("quality", "--v-max", "0"), "--v-max: expected a number in (0, 100] m/s, got 0"),
-        (("quality", "--a-max", "0"), "--a-max: expected a number in (0, 1000] m/s^2, got 0"),
-        (("quality", "--radius", "0"), "--radius: expected a number in (0, 5] m, got 0"),
+        (
+            ("quality", "--v-max", "0", *NO_SCENES),
+            "--v-max: expected a number in (0, 100] m/s, got 0",
+        ),
+        (
+            ("quality", "--a-max", "0", *NO_SCENES),
+            "--a-max: expected a number in (0, 1000] m/s^2, got 0",
+        ),
+        (
+            ("quality", "--radius", "0", *NO_SCENES),
+            "--radius: expected a number in (0, 5] m, got 0",
+        ),
         (("routes", "--routes", "a.npz"), "at most one --routes for each --scenes"),
     ],
 )

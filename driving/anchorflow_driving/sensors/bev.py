@@ -22,8 +22,14 @@ Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 FULL = 255
-FINE = 2
+DRAWING = 2
+"""Counted up where the same view gets another raster: what is kept of the old ones is stale."""
+FINE = 4
 """Cells of the drawing to a cell of the raster, a side."""
+PLACES = 2
+"""Of a cell, a side, where it is asked whether one may drive there."""
+EDGE = 0.25
+"""Cells of the drawing by which Pillow's polygons are too large in the mean, a side."""
 SPACING = 0.4
 """m between the points that a lane's centre is drawn with."""
 BEFORE_FRAMES = 10
@@ -124,13 +130,13 @@ def _in_ego_frame(view: PlannerView, family: str) -> Polylines:
 
 
 def _drivable(view: PlannerView, grid: BevGrid) -> Bytes:
-    """Shares of each cell's FINE x FINE places that are drivable."""
-    step = grid.cell / FINE
-    x = grid.extent[1] - step * (np.arange(grid.rows * FINE) + 0.5)
-    y = grid.extent[3] - step * (np.arange(grid.columns * FINE) + 0.5)
+    """Shares of each cell's PLACES x PLACES places that are drivable."""
+    step = grid.cell / PLACES
+    x = grid.extent[1] - step * (np.arange(grid.rows * PLACES) + 0.5)
+    y = grid.extent[3] - step * (np.arange(grid.columns * PLACES) + 0.5)
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).astype(np.float64)
     held = view.road.is_drivable(out_of_frame(places, view.state.pose)).astype(np.float32)
-    cells = held.reshape(grid.rows, FINE, grid.columns, FINE).mean((1, 3))
+    cells = held.reshape(grid.rows, PLACES, grid.columns, PLACES).mean((1, 3))
     return np.rint(FULL * cells).astype(np.uint8)
 
 
@@ -149,7 +155,8 @@ class _Painter:
         with np.errstate(invalid="ignore"):  # NaN, of who is absent, is not in sight
             inside = (states[:, :2] > self._low - reach) & (states[:, :2] < self._high + reach)
         seen &= inside.all(1)
-        return self.polygons(box_corners(states[seen, :3], size[seen]))
+        edge = 2 * EDGE * self._grid.cell / FINE
+        return self.polygons(box_corners(states[seen, :3], size[seen] - edge))
 
     def polygons(self, polygons: Iterable[Array]) -> Bytes:
         image, draw = self._canvas()
@@ -200,7 +207,7 @@ class _Painter:
         begins = np.concatenate([[0], ends[:-1]])
         high, low = (f.reduceat(points, begins) for f in (np.maximum, np.minimum))
         seen = ((high > self._low) & (low < self._high)).all(1)
-        flat = ((self._high - points) * (FINE / self._grid.cell) - 0.5)[:, ::-1].ravel().tolist()
+        flat = ((self._high - points) * (FINE / self._grid.cell))[:, ::-1].ravel().tolist()
         for begin, end in zip(begins[seen].tolist(), ends[seen].tolist(), strict=True):
             yield flat[2 * begin : 2 * end]
 

@@ -2,7 +2,8 @@
 
 from anchorflow_models.wote.config import RewardWeights, WoteConfig, small_wote
 from anchorflow_models.wote.rewards import final_scores
-from anchorflow_models.wote.wote import Judged, Moved, Seen, WoTE, create_wote
+from anchorflow_models.wote.stages import Judged, Moved, Seen
+from anchorflow_models.wote.wote import WoTE, create_wote
 
 __all__ = [
     "Judged",

@@ -6,8 +6,6 @@ score      BEV tokens, ego, fine BEV, others -> anchors moved by their offsets, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor, nn
 
@@ -26,7 +24,6 @@ from anchorflow_models.transfuser import (
     Footprint,
     GroundSemanticHead,
     GroundSight,
-    Moving,
     OccupancyHead,
     SemanticHead,
     SweepMotion,
@@ -38,78 +35,13 @@ from anchorflow_models.transfuser import (
 from anchorflow_models.wote.anchors import arcs, cells
 from anchorflow_models.wote.config import WoteConfig
 from anchorflow_models.wote.rewards import RewardHead, final_scores
+from anchorflow_models.wote.stages import Judged, Moved, Seen
 from anchorflow_models.wote.world_model import WorldModel
 
 POSE = 3
 OFFSET_UNITS = (1.0, 1.0, 0.1)  # m, m, rad
 
 Context = dict[str, Tensor]
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What the sensors tell.
-
-    bev: [B, M, W] tokens; ego: [B, W]
-    agents: [B, Q, 5] x, y, heading, length, width; agent_logits: [B, Q]
-    semantic_logits: [B, classes, H/2, H] of the half before the ego
-    occupancy_logits: [B, T, H/4, H/4] of where others will be when the poses are reached
-    upscaled: [B, C', H/4, H/4] the backbone's BEV
-    fine: [B, h, h, C] what footprints look up, where there are any
-    motion: [B, 4] the ego's velocity and acceleration, where it is asked what is driven
-    foretold: [B, L, H', H] the share of each cell that others take at `foretold_times`, with
-        encounters; moving: where they are and how fast they move; far: beyond the LiDAR
-    """
-
-    bev: Tensor
-    ego: Tensor
-    agents: Tensor
-    agent_logits: Tensor
-    semantic_logits: Tensor
-    occupancy_logits: Tensor
-    upscaled: Tensor
-    fine: Tensor | None
-    motion: Tensor | None
-    foretold: Tensor | None
-    moving: Moving | None
-    far: Moving | None
-
-
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """Anchors, each with the ego that would drive it.
-
-    index: [B, K'] of the anchors; ego: [B, K', W]; offsets: [B, K', T, 3]; logits: [B, K']
-    """
-
-    index: Tensor
-    ego: Tensor
-    offsets: Tensor
-    logits: Tensor
-
-    def taken(self, chosen: Tensor) -> Moved:
-        """Those at [B, K''] of the K'."""
-        egos = chosen[..., None].expand(-1, -1, self.ego.shape[-1])
-        poses = chosen[..., None, None].expand(-1, -1, *self.offsets.shape[-2:])
-        return Moved(
-            self.index.gather(1, chosen),
-            self.ego.gather(1, egos),
-            self.offsets.gather(1, poses),
-            self.logits.gather(1, chosen),
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """What follows from each anchor.
-
-    future: [B, K', M, W] the BEV that is imagined
-    imitation: [B, K'] logits; simulation: [B, K', 5] logits of NC, DAC, EP, TTC, C
-    """
-
-    future: Tensor
-    imitation: Tensor
-    simulation: Tensor
 
 
 class WoTE(nn.Module):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from anchorflow_benchmarks.driving.open_loop import drive_tables, judge_drivers,
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_cli.main import main
 from anchorflow_driving.log import VEHICLE, DrivingLog, write_log
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 FRAMES, NOW = 80, 20
 
@@ -114,6 +116,25 @@ def test_the_command_writes_tables_and_plans(
         assert plans["trajectories"].shape == (2, 8, 3)
     with np.load(out / "waypoints_stop.npz") as waypoints:
         assert waypoints["trajectories"].shape == (2, 45, 2)
+
+
+def test_what_a_bundle_scores_is_put_into_its_manifest(log: DrivingLog, tmp_path: Path) -> None:
+    logs, bundle = tmp_path / "logs", tmp_path / "goalflow"
+    logs.mkdir()
+    write_log(log, logs / "square.npz")
+    shutil.copytree(DEFAULT_BUNDLE.parent / "goalflow", bundle)
+    options = ("--drivers", "stop", "--bundle", str(bundle), "--along-route", "--seed", "3")
+
+    with pytest.raises(SystemExit) as caught:
+        main(["bench", "drive", "--logs", str(logs), *options, "--record", "--out", str(tmp_path)])
+
+    assert caught.value.code in (0, None)
+    whole, *_ = json.loads((tmp_path / "drive.json").read_text())["tables"]
+    (row,) = (row for row in whole["rows"] if row["driver"] == "goalflow_seed3")
+    quality = load_bundle(bundle).card.quality
+    assert quality["logs"] == "logs: 1 files, 2 windows"
+    assert quality["PDMS"] == pytest.approx(row["PDMS"], abs=1e-4)
+    assert not {"driver", "ms"} & quality.keys()
 
 
 def test_a_folder_without_logs_is_one_line(tmp_path: Path) -> None:

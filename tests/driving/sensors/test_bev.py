@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_driving.sensors.bev import BEV, BevGrid, draw_bev
+from anchorflow_driving.sensors.bev import BEV, BevGrid, draw_bev, draw_boxes
 from anchorflow_driving.window import REAR_AXLE, Window
 
 LENGTH, WIDTH = 5.0, 2.0  # of the street's boxes
@@ -33,6 +33,14 @@ def covered(raster: np.ndarray) -> float:
     return float(raster.sum()) / 255 * BEV.cell**2
 
 
+def middle(raster: np.ndarray) -> tuple[float, float]:
+    """x and y of what is covered, in the mean."""
+    rows, columns = (np.arange(count) + 0.5 for count in raster.shape)
+    share = raster / raster.sum()
+    x = BEV.extent[1] - BEV.cell * (share.sum(1) @ rows)
+    return float(x), float(BEV.extent[3] - BEV.cell * (share.sum(0) @ columns))
+
+
 def test_it_reaches_as_far_as_it_says(on_street: Street) -> None:
     assert draw_bev(on_street().view).shape == BEV.shape == (20, 192, 128)
     assert draw_bev(on_street().view).dtype == np.uint8
@@ -47,8 +55,35 @@ def test_a_box_ahead_to_the_left_lies_up_and_left(on_street: Street, other: Any)
     rows, columns = np.nonzero(boxes)
     assert rows.max() < (80 - 20) / BEV.cell
     assert columns.max() < 32 / BEV.cell
-    # A polygon takes the pixels that its outline touches too, a quarter of a metre each.
-    assert LENGTH * WIDTH <= covered(boxes) <= (LENGTH + 0.5) * (WIDTH + 0.5)
+    assert covered(boxes) == pytest.approx(LENGTH * WIDTH, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("length", "width", "too_large"), [(4.6, 1.9, 0.02), (1.8, 0.6, 0.06), (0.6, 0.6, 0.08)]
+)
+def test_boxes_lie_where_they_are_and_are_as_large(
+    length: float, width: float, too_large: float
+) -> None:
+    """In the mean of many that lie anyhow: each is rounded to cells of an eighth of a metre."""
+    rng = np.random.default_rng(0)
+    size = np.array([[length, width]])
+    places = rng.uniform([10, -20, 0], [60, 20, 2 * np.pi], (400, 3))
+    drawn = [draw_boxes(np.array([[*place, 0.0, 0.0]]), size, BEV) for place in places]
+
+    middles = np.array([middle(raster) for raster in drawn])
+    np.testing.assert_allclose((middles - places[:, :2]).mean(0), 0.0, atol=0.01)
+    area = np.mean([covered(raster) for raster in drawn]) / (length * width)
+    assert 1.0 - 0.02 < area < 1.0 + too_large
+
+
+def test_lines_lie_where_they_are(on_street: Street) -> None:
+    apart = []
+    for y in np.random.default_rng(0).uniform(-8, 8, 60):
+        line = np.array([[-10.0, y], [60.0, y]], np.float32)
+        drawn = channel(on_street(line_points=line), "lines")
+        apart.append(middle(drawn)[1] - y)
+
+    assert np.mean(apart) == pytest.approx(0.0, abs=0.02)
 
 
 def test_everybody_has_a_channel_and_the_ego_none(on_street: Street, other: Any) -> None:
