@@ -37,8 +37,11 @@ def token(
 def append_line(file: Path, line: str) -> None:
     """At the end of the file, which its owner alone may read where it is new."""
     try:
-        descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-        with os.fdopen(descriptor, "a") as out:
-            out.write(f"{line}\n")
+        descriptor = os.open(file, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o600)
+        with os.fdopen(descriptor, "r+b") as out:
+            text = out.read()
+            # An editor may have left the last line without an end.
+            begin = "\n" if text and not text.endswith(b"\n") else ""
+            out.write(f"{begin}{line}\n".encode())
     except OSError as error:
         raise TokenFileError(f"{file}: cannot be written: {error.strerror}") from error

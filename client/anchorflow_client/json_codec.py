@@ -57,27 +57,31 @@ class JsonCodec:
         return parse(body)
 
 
-def parse(body: bytes) -> Any:
+def parse(body: bytes, field: str = "body") -> Any:
     """Parsed JSON; NaN and Infinity come through, for the field's own check to name them.
 
+    field: where the bytes stand, for the message
+
     Raises:
-        InvalidRequest: "body" is no JSON.
+        InvalidRequest: names `field`: it is no JSON in UTF-8, is nested too deep, or holds an
+            integer of more digits than Python reads.
     """
     try:
-        return json.loads(body)
+        return json.loads(body.decode())
     except json.JSONDecodeError as error:
-        raise not_json(error.msg, error.pos, len(body)) from error
+        raise not_json(error.msg, error.pos, len(body), field) from error
     except UnicodeDecodeError as error:
-        raise not_json("not UTF-8", error.start, len(body)) from error
-    # Lists nested beyond any contract, or an integer of thousands of digits.
+        raise not_json("not UTF-8", error.start, len(body), field) from error
     except (RecursionError, ValueError) as error:
-        raise InvalidRequest(f"expected the contract's JSON, got {error}", "body") from error
+        is_deep = isinstance(error, RecursionError)
+        came = "lists nested too deep" if is_deep else "an integer of too many digits"
+        raise InvalidRequest(f"expected the contract's JSON, got {came}", field) from error
 
 
-def not_json(reason: str, position: int, length: int) -> InvalidRequest:
-    """The refusal of a body that breaks off, or breaks JSON's grammar."""
+def not_json(reason: str, position: int, length: int, field: str = "body") -> InvalidRequest:
+    """The refusal of bytes that break off, or break JSON's grammar."""
     place = f"position {position} of {length}"
-    return InvalidRequest(f"expected JSON, got a body that breaks at {place}: {reason}", "body")
+    return InvalidRequest(f"expected JSON, got text that breaks at {place}: {reason}", field)
 
 
 def _input(value: Input) -> Any:

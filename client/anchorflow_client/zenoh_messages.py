@@ -11,6 +11,7 @@ from anchorflow_client.contract import ModelCard
 from anchorflow_client.contract.checks import expected, fields_of, integer, number, text
 from anchorflow_client.contract.ranges import BUDGET, Interval
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
+from anchorflow_client.json_codec import parse
 
 _LENGTHS = Interval(0, 2**53)
 _COUNTS = Interval(0, 2**31)
@@ -165,10 +166,7 @@ def _written(value: Mapping[str, Any]) -> bytes:
 
 
 def _parsed(data: bytes) -> Mapping[str, Any]:
-    try:
-        value = json.loads(data.decode())
-    except (ValueError, RecursionError) as error:
-        raise InvalidRequest(f"expected JSON in UTF-8, got {error}", "attachment") from error
+    value = parse(data, "attachment")
     if not isinstance(value, Mapping):
         raise expected("attachment", "an object", value)
     return value

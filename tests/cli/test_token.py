@@ -56,6 +56,20 @@ def test_a_file_without_a_token_gets_its_first(
     assert file.read_text().startswith(text)
 
 
+def test_a_last_line_without_an_end_is_not_continued(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "tokens"
+    run(str(file), "robot-7")
+    file.write_text(file.read_text().rstrip())
+    run(str(file), "robot-8")
+
+    tokens = TokenFile(file)
+    found = [tokens.find(token) for token in capsys.readouterr().out.split()]
+    assert [token and token.name for token in found] == ["robot-7", "robot-8"]
+    assert len(file.read_text().splitlines()) == 2
+
+
 def test_what_cannot_be_is_one_line_and_changes_nothing(tmp_path: Path) -> None:
     file = tmp_path / "tokens"
     run(str(file), "robot-7")

@@ -217,6 +217,11 @@ def test_what_is_no_list_of_cards_is_an_invalid_answer(client: Client, value: An
         client(Canned(value)).models()
 
 
+def test_cards_of_too_many_digits_are_refused_in_plain_words(client: Client) -> None:
+    with pytest.raises(InvalidAnswer, match="got an integer of too many digits"):
+        client(Canned(b'{"models": [' + b"9" * 5000 + b"]}")).models()
+
+
 def test_a_card_of_another_make_is_an_invalid_answer(client: Client, card: ModelCard) -> None:
     with pytest.raises(InvalidAnswer, match="not a list of model cards"):
         client(Canned({"models": [card.to_dict() | {"inputs": [[]]}]})).models()

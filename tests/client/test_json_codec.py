@@ -47,9 +47,10 @@ def test_a_map_shared_by_a_batch_travels_once(fields: dict[str, Any]) -> None:
     [
         (b'{"x_curr": [1, 2', "breaks at position 16 of 16"),
         (b"", "breaks at position 0 of 0"),
-        (b"\xff\xfe{", "body"),
-        (b"[" * 100_000, "body"),
-        (b"9" * 10_000, "body"),
+        (b"\xff\xfe{", "breaks at position 0 of 3: not UTF-8"),
+        ("{}".encode("utf-16"), "not UTF-8"),
+        (b"[" * 100_000, "expected the contract's JSON, got lists nested too deep"),
+        (b"9" * 10_000, "expected the contract's JSON, got an integer of too many digits"),
         (b"[1, 2]", "expected an object, got a list of 2"),
     ],
 )

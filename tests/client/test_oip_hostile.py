@@ -245,6 +245,19 @@ def test_a_header_that_is_no_json_object_is_refused(header: bytes) -> None:
     assert_invalid_answer(joined(header, b""), "header")
 
 
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        (b'{"id": ', "expected JSON, got text that breaks at position 7 of 7: Expecting value"),
+        (b"\xff{}", "expected JSON, got text that breaks at position 0 of 3: not UTF-8"),
+        (b"[" * 60_000, "expected the contract's JSON, got lists nested too deep"),
+        (b"9" * 5000, "expected the contract's JSON, got an integer of too many digits"),
+    ],
+)
+def test_a_header_that_cannot_be_read_is_refused_in_plain_words(header: bytes, words: str) -> None:
+    assert str(refusal(joined(header, b""))) == f"header: {words}"
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0, 2.0])
 def test_costs_outside_their_range_are_refused(value: float) -> None:
     cost_map = np.zeros((1, 16, 20), F32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -378,6 +379,26 @@ def test_whole_numbers_of_an_input_are_not_rounded(codec: Codec, number: int) ->
     bound, *_ = bind(came.inputs, [TensorSpec("stamps", "int64", ("B", 2))])
 
     assert np.asarray(bound["stamps"]).tolist() == [[number, 1], [0, 2]]
+
+
+@pytest.mark.parametrize("number", [1e39, -3.5e38])
+def test_an_input_beyond_its_cards_type_is_told_as_it_came(number: float) -> None:
+    speeds = TensorSpec("speeds", "float32", ("B", 2))
+    words = rf"numbers that float32 holds, got {re.escape(str(number))} at inputs\.speeds\[1\]$"
+
+    for value in ([0.0, number], np.array([0.0, number])):
+        with pytest.raises(InvalidRequest, match=f"expected {words}"):
+            bind(AnchorRequest.build(inputs={"speeds": value}).inputs, [speeds])
+    with pytest.raises(InvalidRequest, match=r"finite numbers, got inf at inputs\.speeds\[1\]$"):
+        bind({"speeds": np.array([0.0, np.inf])}, [speeds])
+
+
+def test_an_input_may_be_the_end_of_its_range_in_the_cards_type() -> None:
+    speed = TensorSpec("speed", "float32", ("B", 1), range=(0.0, 1.1))
+
+    bound, *_ = bind(AnchorRequest.build(inputs={"speed": [1.1]}).inputs, [speed])
+
+    np.testing.assert_array_equal(bound["speed"], np.array([[1.1]], np.float32))
 
 
 def test_an_unknown_option_is_refused_in_python_too(fields: dict[str, Any]) -> None:

@@ -44,6 +44,18 @@ def test_no_bytes_break_the_readers(data: bytes) -> None:
             read(data)
 
 
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"{", "expected JSON, got text that breaks at position 1 of 1"),
+        (b"9" * 5000, "expected the contract's JSON, got an integer of too many digits"),
+    ],
+)
+def test_what_cannot_be_read_is_refused_in_plain_words(data: bytes, words: str) -> None:
+    with pytest.raises(InvalidRequest, match=f"^attachment: {words}"):
+        RequestAttachment.from_bytes(data)
+
+
 def test_an_answers_attachment_comes_back() -> None:
     said = AnswerAttachment(640, "r1", "a", BUSY)
 

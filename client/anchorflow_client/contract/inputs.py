@@ -235,6 +235,8 @@ def _typed(value: Input, spec: TensorSpec, field: str) -> NDArray[Any]:
             cast = value.astype(dtype)
         if dtype.kind != "f" and (changed := cast != value).any():
             raise first_refused(value, changed, field, f"{dtype} numbers")
+        if (beyond := np.isinf(cast) & np.isfinite(value)).any():
+            raise first_refused(value, beyond, field, f"numbers that {dtype} holds")
         return cast
     raise expected(field, f"{spec.dtype} {_shape_of(spec)}", value)
 

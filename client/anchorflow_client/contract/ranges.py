@@ -37,11 +37,13 @@ class Interval:
         return bool(above and below)
 
     def holds_all(self, values: NDArray[Any]) -> bool:
-        """Whether every number lies inside: told by the least and the greatest, without a mask."""
+        """Whether every number lies inside: most often told by the least and the greatest."""
         if values.size <= FEW:
-            return all(map(self.holds, values.ravel().tolist()))
-        # A NaN is the least and the greatest of all that it is among.
-        return self.holds(values.min()) and self.holds(values.max())
+            inside = all(map(self.holds, values.ravel().tolist()))
+        else:  # a NaN is the least and the greatest of all that it is among
+            inside = self.holds(values.min()) and self.holds(values.max())
+        # As `contains` compares: in the array's own type, in which 1.1 meets an end of 1.1.
+        return inside or bool(self.contains(values).all())
 
     def __str__(self) -> str:
         left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"

@@ -13,11 +13,13 @@ from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.errors import (
     ConnectionFailed,
     InvalidAnswer,
+    InvalidRequest,
     NotReady,
     RequestError,
     TimedOut,
 )
 from anchorflow_client.http.transport import HttpAnswer
+from anchorflow_client.json_codec import parse
 from anchorflow_client.wire_fields import UNREADABLE
 
 Result = TypeVar("Result")
@@ -100,8 +102,8 @@ class Exchanges:
 
 def _cards(answer: Payload) -> tuple[ModelCard, ...]:
     try:
-        return tuple(map(ModelCard.from_dict, json.loads(answer.body)["models"]))
-    except UNREADABLE as error:
+        return tuple(map(ModelCard.from_dict, parse(answer.body)["models"]))
+    except (*UNREADABLE, InvalidRequest) as error:
         raise InvalidAnswer(f"not a list of model cards: {error!r}") from error
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract.checks import choice, expected, fields_of, text
 from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.json_codec import parse
 from anchorflow_client.oip.datatypes import (
     BYTES,
     DATATYPES,
@@ -174,11 +175,7 @@ def _array(part: memoryview, dtype: np.dtype, name: str) -> NDArray[Any]:
 
 
 def _parsed(header: bytes) -> Mapping[str, Any]:
-    try:
-        value = json.loads(header.decode())
-    # A number of thousands of digits, bytes that are no UTF-8, or lists nested beyond any header.
-    except (ValueError, RecursionError) as error:
-        raise InvalidRequest(f"expected JSON, got {error}", "header") from error
+    value = parse(header, "header")
     if not isinstance(value, Mapping):
         raise expected("header", "an object", value)
     return value

@@ -8,6 +8,7 @@ What the graphs themselves say of their inputs and outputs is checked where they
 from __future__ import annotations
 
 import hashlib
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -70,7 +71,7 @@ def load_bundle(path: Path | str) -> Bundle:
     """
     folder = Path(path)
     manifest_path = folder / FILE_NAME
-    data = _read(manifest_path)
+    data = read_file(manifest_path)
     try:
         manifest = parse_manifest(data)
     except ValueError as error:
@@ -80,14 +81,21 @@ def load_bundle(path: Path | str) -> Bundle:
     return Bundle(folder, manifest, manifest.card(sha256=hashlib.sha256(data).hexdigest()))
 
 
-def _read(path: Path) -> bytes:
+def read_file(path: Path) -> bytes:
+    """The bytes of a bundle's file.
+
+    Raises:
+        BundleError: it cannot be read, or is a pipe or a device, which might never end.
+    """
     try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise BundleError(path, "cannot be read: not a regular file")
         return path.read_bytes()
     except OSError as error:
         raise BundleError(path, f"cannot be read: {error.strerror}") from error
 
 
 def _check_hash(path: Path, expected: str) -> None:
-    got = hashlib.sha256(_read(path)).hexdigest()
+    got = hashlib.sha256(read_file(path)).hexdigest()
     if got != expected:
         raise BundleError(path, f"its sha256 is {got}, the manifest says {expected}")

@@ -12,6 +12,7 @@ from anchorflow_service.http.anchors import anchors_router
 from anchorflow_service.http.errors import install_error_handlers
 from anchorflow_service.http.guard import Guard
 from anchorflow_service.http.guard_documentation import document_guard
+from anchorflow_service.http.images import ignore_warnings_of_pillow
 from anchorflow_service.http.leave_to_send import LeaveToSend
 from anchorflow_service.http.metrics import metrics_router
 from anchorflow_service.http.oip_models import models_router
@@ -52,6 +53,7 @@ def create_app(
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        ignore_warnings_of_pillow()
         async with AsyncExitStack() as stack:
             stack.enter_context(service)
             for endpoint in endpoints:

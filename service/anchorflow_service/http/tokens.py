@@ -16,6 +16,7 @@ import hashlib
 import hmac
 import logging
 import re
+import stat
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -158,9 +159,11 @@ def _token(line: str) -> Token:
 
 
 def _stamp(path: Path) -> tuple[int, ...] | None:
-    """What changes when the file does; None where there is none."""
+    """What changes when the file does; None where there is none, or a pipe, which is read once."""
     try:
         status = path.stat()
     except OSError:
+        return None
+    if not stat.S_ISREG(status.st_mode):
         return None
     return status.st_mtime_ns, status.st_size, status.st_ino

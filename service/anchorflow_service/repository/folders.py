@@ -16,6 +16,7 @@ from pathlib import Path
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.bundle import BundleError
 from anchorflow_service.bundle.manifest import FILE_NAME, parse_manifest
+from anchorflow_service.bundle.reader import read_file
 
 
 class RepositoryError(AnchorFlowError):
@@ -111,9 +112,9 @@ class BundleFolders:
 def _look_at(path: Path) -> FoundBundle:
     file = path / FILE_NAME
     try:
-        manifest = parse_manifest(file.read_bytes())
-    except OSError as error:
-        fault = BundleError(file, f"cannot be read: {error.strerror}")
+        manifest = parse_manifest(read_file(file))
+    except BundleError as error:
+        fault = error
     except ValueError as error:
         fault = BundleError(file, str(error))
     else:

@@ -7,14 +7,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 
 from anchorflow_client import (
+    AnchorBatch,
     Cancellation,
     Cancelled,
     InvalidAnswer,
     ModelCard,
+    ModelId,
+    OipCodec,
     Payload,
     TimedOut,
     Unauthorized,
@@ -24,7 +28,7 @@ from anchorflow_client.zenoh_client.attempt import Question
 from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.failover import Failover
 from anchorflow_client.zenoh_client.network import Network
-from anchorflow_client.zenoh_messages import Load, ReplicaInfo
+from anchorflow_client.zenoh_messages import AnswerAttachment, Load, ReplicaInfo
 
 PATIENCE_S = 20.0
 
@@ -137,3 +141,24 @@ def test_what_was_taken_back_before_is_not_asked(
         ask(network, Deadline(PATIENCE_S, cancellation))
     assert ask(network, Deadline(PATIENCE_S)) == b"anchorflow/v1/replica/a/anchors/lines"
     assert peer.asked == ["a"]
+
+
+def test_the_answer_to_another_request_is_refused(
+    peer: Any, endpoint: str, card: ModelCard, fields: dict[str, Any]
+) -> None:
+    model = ModelId(card.name, card.version, card.sha256)
+    arrays = {"trajectories": np.zeros((2, 3, 2), np.float32)}
+    batch = AnchorBatch(arrays=arrays, dt=0.1, seed=1, model=model, timing_ms={}, request_id="r1")
+    sent = OipCodec().encode_answer(batch)
+
+    def answer(query: zenoh.Query) -> None:
+        said = AnswerAttachment(sent.header_length, "r1", "a", Load())
+        with query:
+            query.reply(query.key_expr, sent.body, attachment=said.to_bytes())
+
+    peer.play(info("a", card), answer)
+    with ZenohAnchorClient(endpoint, timeout_s=PATIENCE_S) as client:
+        assert client.plan(**fields, request_id="r1").request_id == "r1"
+        assert client.plan(**fields).request_id == "r1"
+        with pytest.raises(InvalidAnswer, match="expected the answer to r2, got that to r1"):
+            client.plan(**fields, request_id="r2")

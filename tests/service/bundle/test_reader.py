@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -64,6 +65,18 @@ def test_a_changed_graph_is_refused_by_its_hash(tiny_bundle: Path) -> None:
 def test_a_missing_file_is_named(tiny_bundle: Path, name: str) -> None:
     (tiny_bundle / name).unlink()
     with pytest.raises(BundleError, match="No such file") as caught:
+        load_bundle(tiny_bundle)
+    assert caught.value.file == tiny_bundle / name
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+@pytest.mark.parametrize("name", ["field.onnx", "manifest.json"])
+@pytest.mark.timeout(60)
+def test_what_is_no_file_is_named(tiny_bundle: Path, name: str, make: Edit) -> None:
+    """A pipe would be waited for, until somebody writes to it."""
+    (tiny_bundle / name).unlink()
+    make(tiny_bundle / name)
+    with pytest.raises(BundleError, match=r"cannot be read: not a regular file$") as caught:
         load_bundle(tiny_bundle)
     assert caught.value.file == tiny_bundle / name
 

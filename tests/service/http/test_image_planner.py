@@ -12,6 +12,8 @@ import io
 import json
 import re
 import socket
+import struct
+import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -30,7 +32,7 @@ from anchorflow_client.contract.ranges import MAX_PIXELS, MAX_REQUEST_PIXELS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
-from anchorflow_service.http import create_app
+from anchorflow_service.http import create_app, images
 from anchorflow_service.http.images import decoded
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import Call, PlanningService, ServiceLimits
@@ -270,6 +272,55 @@ def base64_of(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
+def with_odd_exif() -> bytes:
+    """On its side, with the name of a camera that lies beyond the end of the file."""
+    entries = [(ExifTags.Base.Orientation, 3, 1, 6), (ExifTags.Base.Make, 2, 99, 900)]
+    tiff = b"II*\0" + struct.pack("<IH", 8, len(entries))
+    tiff += b"".join(struct.pack("<HHII", *entry) for entry in entries) + bytes(4)
+    data = io.BytesIO()
+    Image.new("RGB", (HEIGHT, WIDTH)).save(data, "JPEG", exif=b"Exif\0\0" + tiff)
+    return data.getvalue()
+
+
+def with_half_transparent_colours() -> bytes:
+    image = Image.new("P", (WIDTH, HEIGHT))
+    image.putpalette(range(9))
+    image.info["transparency"] = bytes([0, 128, 255])
+    return written(image)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"jpeg": base64_of(with_odd_exif())},
+        {"png": base64_of(with_half_transparent_colours())},
+    ],
+    ids=lambda camera: next(iter(camera)),
+)
+def test_what_pillow_warns_of_is_taken_and_not_told(service: Any, camera: Any) -> None:
+    """Here a warning would be an error."""
+    answer = post(service, camera)
+
+    assert answer.status_code == 200, answer.text
+
+
+def test_the_filters_of_warnings_are_left_alone_while_a_picture_is_decoded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Threads share them."""
+    before = warnings.filters
+    during = []
+
+    def upright(picture: Image.Image) -> Image.Image:
+        during.append(warnings.filters)
+        return picture
+
+    monkeypatch.setattr(images, "_upright", upright)
+    decoded(EncodedImage("png", encoded(9)), "camera")
+
+    assert during[0] is before
+
+
 def without_palette() -> bytes:
     image = Image.new("P", (WIDTH, HEIGHT))
     image.info["transparency"] = 0
@@ -321,9 +372,9 @@ BAD_FILES: dict[str, tuple[Any, str]] = {
         {"png": base64_of(encoded(9, "PNG", (10_000, 10_000)))},
         f"inputs.camera.png: expected a picture of at most {MAX_PIXELS} pixels, got 10000 x 10000",
     ),
-    "a bomb that Pillow refuses": (
+    "a bomb that Pillow would refuse": (
         {"png": base64_of(of_side(14_000))},
-        f"inputs.camera.png: expected a picture of at most {MAX_PIXELS} pixels, got one of more ",
+        f"inputs.camera.png: expected a picture of at most {MAX_PIXELS} pixels, got 14000 x 14000",
     ),
     "short of bytes": (
         {"dtype": "uint8", "shape": [3, 16, 24], "base64": base64_of(b"\0" * 5)},

@@ -151,7 +151,7 @@ def change(body: dict[str, Any], **changes: Any) -> dict[str, Any]:
 
 REFUSED: dict[str, tuple[Any, str]] = {
     "no object": (lambda _: [1], "body: expected an object"),
-    "no json": (lambda _: b"{", "expected JSON, got a body that breaks"),
+    "no json": (lambda _: b"{", "body: expected JSON, got text that breaks"),
     "no inputs": (lambda _: {"id": "a"}, "inputs: this field is required"),
     "inputs no list": (lambda _: {"inputs": {"a": 1}}, "inputs: expected a list of tensors"),
     "a number for a tensor": (lambda body: body | {"inputs": [7]}, r"inputs\[0\]: expected an obj"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -121,6 +122,21 @@ def test_a_secret_that_is_mounted_as_a_link_is_seen_to_change(path: Path, tmp_pa
     clock.now = 2 * RELOAD_S
     assert tokens.find("third") is not None
     assert tokens.find("first") is None
+
+
+@pytest.mark.timeout(60)
+def test_a_pipe_is_read_once(tmp_path: Path) -> None:
+    """To read it again would wait until somebody writes to it, and the service with it."""
+    clock = Clock()
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with ThreadPoolExecutor(1) as executor:
+        executor.submit(pipe.write_text, OTHER)
+        tokens = TokenFile(pipe, clock=clock)
+    os.utime(pipe, ns=(1, 1))
+
+    clock.now = RELOAD_S
+    assert tokens.find("second") is not None
 
 
 @pytest.mark.parametrize("gone", [False, True])

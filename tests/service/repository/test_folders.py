@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -85,6 +86,22 @@ def test_a_broken_manifest_is_known_by_its_folder(tmp_path: Path, write_bundle: 
     assert (found.name, found.version) == ("flow", "")
     with pytest.raises(BundleError, match=r"manifest\.json: Invalid JSON"):
         folders.find("flow")
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+@pytest.mark.timeout(60)
+def test_a_manifest_that_is_no_file_is_known_by_its_folder(
+    tmp_path: Path, write_bundle: Write, make: Callable[[Path], None]
+) -> None:
+    """A pipe would be waited for, until somebody writes to it."""
+    write_bundle(tmp_path / "repository" / "whole", name="whole")
+    (tmp_path / "repository" / "flow").mkdir()
+    make(tmp_path / "repository" / "flow" / "manifest.json")
+
+    broken, whole = BundleFolders(repository=tmp_path / "repository").found()
+    assert (broken.name, whole.name, whole.fault) == ("flow", "whole", None)
+    assert broken.fault is not None
+    assert broken.fault.reason == "manifest.json: cannot be read: not a regular file"
 
 
 def test_a_broken_manifest_among_versions_is_one_of_them(
