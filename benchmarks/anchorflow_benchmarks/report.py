@@ -83,8 +83,9 @@ class Report:
     def show(self) -> None:
         """On standard output; a wide table is never squeezed."""
         tables = [table.to_rich() for table in self.tables]
-        wide = Console(width=MEASURING_WIDTH)
-        console = Console()
+        # Names of files and bundles are text, whatever they look like.
+        wide = Console(width=MEASURING_WIDTH, markup=False, emoji=False)
+        console = Console(markup=False, emoji=False)
         console.width = max(console.width, *(wide.measure(table).maximum for table in tables))
         for table in tables:
             console.print(table)
@@ -152,7 +153,8 @@ def tally(counts: Mapping[str, int]) -> str:
 
 
 def _line(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+    escaped = (cell.replace("|", r"\|") for cell in cells)
+    return f"| {' | '.join(escaped)} |"
 
 
 def _plain(row: Row) -> dict[str, Cell]:

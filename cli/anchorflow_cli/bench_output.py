@@ -9,6 +9,7 @@ from pathlib import Path
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 
 from anchorflow_benchmarks.machine import circumstances
@@ -67,5 +68,5 @@ def _kept(figure: Cell) -> Cell:
 def progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
     """A bar on standard error; calls of what it gives move it on."""
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=total)
+        task = bar.add_task(escape(title), total=total)
         yield lambda done: bar.advance(task, done)

@@ -37,9 +37,12 @@ def anchors(
     paths = open_logs(logs)
     futures = examples_of(paths)
     centres = trajectory_anchors(futures, count=count, seed=seed)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with out.open("wb") as file:
-        np.save(file, centres)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with out.open("wb") as file:
+            np.save(file, centres)
+    except OSError as error:
+        raise ConfigError(f"{out}: expected a place to write ({error})") from error
     table = with_bar("logs scored", lambda tell: anchor_scores(paths, centres, progress=tell))
     apart = np.linalg.norm(futures[:, None, :, :2] - centres[None, ..., :2], axis=-1).mean(-1)
     typer.echo(

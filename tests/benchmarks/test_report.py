@@ -76,6 +76,19 @@ def test_a_wide_table_is_not_squeezed(capsys: pytest.CaptureFixture[str]) -> Non
     assert all(f"a long name {k}" in heading for k in range(20))
 
 
+def test_names_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    name = "a[red]b[/c]:car:"
+    table = ResultTable(f"of {name}", [{name: 1, "bundle": f"its {name}"}], f"beside {name}")
+    Report("names", "Names", {"file": name}, [table]).show()
+
+    shown = capsys.readouterr().out
+    for line in (f"of {name}", f"its {name}", f"beside {name}", f"file: {name}"):
+        assert line in shown
+    assert shown.count(name) == 5
+    rows = ResultTable("Names", [{"who": "a|b", "ms": 1}]).to_markdown()
+    assert rows.splitlines()[-1] == r"| a\|b | 1 |"
+
+
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchmarkError, match="file"):

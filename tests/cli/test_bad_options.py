@@ -1,4 +1,7 @@
-"""Options that cannot be followed: refused before any work, in words that name them."""
+"""Options that cannot be followed: refused before any work, in words that name them.
+
+A command that would work for long lacks something else too, and ends even if it is not refused.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,7 @@ FILE_WANTED, FOLDER_WANTED = "expected a file to write, got", "expected a folder
         ("data from-poses DIR FILE/x.npz", FILE_WANTED),
         ("data from-poses DIR FILE", "expected a file .npz, got"),
         ("bench closed-loop drawn:1:0 --log DIR", FILE_WANTED),
-        ("bench quality --out FILE", FOLDER_WANTED),
+        ("bench quality --scenes none.npz --out FILE", FOLDER_WANTED),
         ("bench drive --logs DIR --plans FILE", FOLDER_WANTED),
     ],
 )
@@ -73,9 +76,9 @@ def test_a_place_that_cannot_be_written(
         "data drive --out x --seconds inf",
         "data frames log.npz --bundle x --out x.json --every nan",
         "data frames log.npz --bundle x --out x.json --every inf",
-        "bench serving --budget-ms nan",
-        "bench drive-closed-loop --seconds inf",
-        "serve --drain-s inf",
+        "bench serving --scenes none.npz --budget-ms nan",
+        "bench drive-closed-loop --drivers nobody --seconds inf",
+        "serve --bundle none --drain-s inf",
     ],
 )
 def test_a_number_without_an_end(command: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -86,7 +89,7 @@ def test_a_number_without_an_end(command: str, capsys: pytest.CaptureFixture[str
 
 def test_a_budget_below_0(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--budget-ms: expected a number" in refused(
-        capsys, "bench", "serving", "--budget-ms", "-5"
+        capsys, "bench", "serving", "--scenes", "none.npz", "--budget-ms", "-5"
     )
 
 
@@ -97,11 +100,11 @@ def test_a_budget_below_0(capsys: pytest.CaptureFixture[str]) -> None:
         "plan --map no.yaml --start 0,0 --goal 1,1",
         "bench load",
         "bench closed-loop drawn:1:0",
-        "serve",
+        "serve --bundle none",
     ],
 )
 def test_a_url_of_no_service(command: str, url: str, capsys: pytest.CaptureFixture[str]) -> None:
-    option = "--traces" if command == "serve" else "--url"
+    option = "--traces" if command.startswith("serve") else "--url"
     said = refused(capsys, *command.split(), option, url)
     assert f"'{option}': expected http://host[:port] or https://host[:port], got {url!r}" in said
 
@@ -130,7 +133,7 @@ def test_a_server_and_a_bundle(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_no_host(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--host: expected an address, such as 127.0.0.1, got ''" in refused(
-        capsys, "serve", "--host", "", "--port", "0"
+        capsys, "serve", "--bundle", "none", "--host", "", "--port", "0"
     )
 
 

@@ -106,6 +106,16 @@ def test_errors_are_one_line(file: Path, tmp_path: Path) -> None:
     assert "expected KITTI" in str(data("from-poses", tmp_path / "none", tmp_path / "p.npz"))
 
 
+@pytest.mark.parametrize("ranges", [[1], {"v_max": 3}, {"v_max": ["a", "b"]}])
+def test_ranges_that_are_none_are_one_line(ranges: object, tmp_path: Path) -> None:
+    import_scenes(SyntheticTrajectoryDataset("sine", 1, num_steps=16), tmp_path)
+    meta = json.loads((tmp_path / "dataset.json").read_text())
+    (tmp_path / "dataset.json").write_text(json.dumps(meta | {"ranges": ranges}))
+    answer = str(data("inspect", tmp_path))
+    assert answer.startswith(f"anchorflow data: {tmp_path / 'dataset.json'}: ranges")
+    assert "\n" not in answer
+
+
 def test_wrong_words_are_one_line(file: Path, tmp_path: Path) -> None:
     torch.save({"trajectories": torch.ones(2, 9, 2).cumsum(1), "horizon": 9.0}, tmp_path / "a.pt")
     assert data("import", tmp_path / "a.pt", tmp_path / "d") == 0

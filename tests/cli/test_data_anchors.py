@@ -24,6 +24,14 @@ def test_anchors_are_written_and_scored(tmp_path: Path, capsys: pytest.CaptureFi
     assert np.load(kept)["scores"].shape == (3, 3, 5)
 
 
+def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
+    logs, out = write_bends(tmp_path, count=1), tmp_path / "anchors.npy"
+    out.symlink_to("/dev/full")
+    with pytest.raises(SystemExit) as ended:
+        main(["data", "anchors", str(logs), "--out", str(out), "--count", "3"])
+    assert f"anchorflow data: {out}: expected a place to write" in str(ended.value)
+
+
 def test_a_folder_without_logs_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["data", "anchors", str(tmp_path), "--out", str(tmp_path / "a.npy")])

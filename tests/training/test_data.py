@@ -1,9 +1,11 @@
 """The expert's data: solved, every way round, the same bytes from any number of workers."""
 
 import errno
+import json
 import os
 import shutil
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -272,6 +274,41 @@ def test_a_broken_dataset_names_its_file(dataset: SceneDataset, tmp_path: Path) 
     (tmp_path / "dataset.json").unlink()
     with pytest.raises(DatasetError, match=r"dataset\.json"):
         open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"ranges": [1]}, r"ranges: expected an object, found \[1\]"),
+        ({"ranges": {"v_max": 3}}, r"ranges\.v_max: expected the least and the greatest .* 3"),
+        ({"ranges": {"v_max": None}}, r"ranges\.v_max: expected the least .* found None"),
+        ({"ranges": {"a_max": [1]}}, r"ranges\.a_max: expected the least .* found \[1\]"),
+        ({"ranges": {"a_max": ["1", "2"]}}, r"ranges\.a_max: .* found \['1', '2'\]"),
+        ({"ranges": {"a_max": [2, 1]}}, r"ranges\.a_max: .* found \[2, 1\]"),
+        ({"ranges": {"a_max": [1, float("nan")]}}, r"ranges\.a_max: .* found \[1, nan\]"),
+        ({"limits": 3}, r"limits: expected an object, found 3"),
+        ({"limits": {"v_max": "fast", "a_max": 1}}, r"limits\.v_max: expected .* found 'fast'"),
+        ({"limits": {"v_max": None, "a_max": 1}}, r"limits\.v_max: expected a number, found None"),
+        ({"families": ["walls"]}, r"families: expected an object, found \['walls'\]"),
+    ],
+)
+def test_what_a_dataset_tells_wrong_is_named(
+    told: dict, message: str, write_dataset: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    file = write_dataset(tmp_path) / "dataset.json"
+    meta = json.loads(file.read_text())
+    file.write_text(json.dumps(meta | {"ranges": None, "families": None}))
+    assert open_dataset(tmp_path).limits == MotionLimits(v_max=2.0, a_max=3.0)
+    file.write_text(json.dumps(meta | told))
+    with pytest.raises(DatasetError, match=rf"{file}: {message}"):
+        open_dataset(tmp_path)
+
+
+def test_a_full_disk_for_what_a_dataset_tells_is_named(tmp_path: Path) -> None:
+    (tmp_path / f"dataset.json.{os.getpid()}").symlink_to("/dev/full")
+    with pytest.raises(DatasetError, match=r"dataset\.json: expected a place to write .*No space"):
+        make_dataset(tmp_path, replace(CONFIG, scenes=1), workers=1)
+    assert {file.name for file in tmp_path.iterdir()} == {f"{n}.npy" for n in (*DTYPES, "starts")}
 
 
 def test_a_folder_that_is_written_anew_is_no_dataset_until_it_is_whole(

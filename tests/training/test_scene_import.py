@@ -1,5 +1,6 @@
 """Trajectory files as scenes for the trainer."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -140,6 +141,7 @@ def test_samples_that_do_not_fit_their_map_are_left_out(tmp_path: Path) -> None:
     scenes = imported(path, tmp_path / "out", least_quality=0.5)
     assert scenes.meta["left_out"] == {
         "not_finite": 1,
+        "missed_ends": 0,
         "off_map": 1,
         "collision": 2,
         "low_quality": 1,
@@ -176,6 +178,17 @@ def test_given_ends_are_taken(tmp_path: Path) -> None:
     scenes = imported(path, tmp_path / "out")
     np.testing.assert_allclose(scenes.arrays["x_curr"], start, rtol=1e-6)
     np.testing.assert_allclose(scenes.arrays["x_goal"], goal)
+
+
+def test_samples_that_miss_a_given_end_are_left_out(tmp_path: Path) -> None:
+    goal = np.array([[5, 3, 0, 0], [5, 2.91, 0, 0], [5, 2.89, 0, 0], [1, 3, 0, 0]])
+    path = l2_file(tmp_path / "goal.npz", [3.0] * 4, goal_states=goal)
+    scenes = imported(path, tmp_path / "goal")
+    assert scenes.meta["left_out"]["missed_ends"] == 2
+    np.testing.assert_allclose(scenes.arrays["x_goal"], goal[:2], rtol=1e-6)
+    start = np.array([[1, 3, 2, 0, 0, 0], [1.2, 3, 2, 0, 0, 0]])
+    path = l2_file(tmp_path / "start.npz", [3.0] * 2, start_states=start)
+    assert imported(path, tmp_path / "start").meta["left_out"]["missed_ends"] == 1
 
 
 def test_a_heading_that_is_given_for_an_end_runs_on_as_those_between(tmp_path: Path) -> None:
@@ -262,6 +275,13 @@ def test_a_quality_of_nothing_and_a_folder_that_is_a_file_are_refused(tmp_path: 
         imported(path, tmp_path / "out")
     with pytest.raises(DatasetError, match=r"l2\.npz: expected a folder to write to"):
         imported(path, path)
+
+
+def test_a_full_disk_for_what_a_dataset_tells_is_named(tmp_path: Path) -> None:
+    (tmp_path / f"dataset.json.{os.getpid()}").symlink_to("/dev/full")
+    with pytest.raises(DatasetError, match=r"dataset\.json: expected a place to write .*No space"):
+        import_scenes(SyntheticTrajectoryDataset("sine", 2, num_steps=16), tmp_path)
+    assert not [*tmp_path.glob("dataset.json*")]
 
 
 def test_what_the_file_does_not_say_is_asked_for(tmp_path: Path) -> None:

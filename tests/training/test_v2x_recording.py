@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -249,6 +251,34 @@ def test_pairs_are_split_by_sequence(recording: Path, tmp_path: Path) -> None:
     speed.unlink()
     with pytest.raises(DatasetError, match=r"speed\.npy"):
         open_pairs(tmp_path / "pairs")
+    meta = dict(dataset.meta)
+    for name in ("image_size", "names", "held_out", "prompts"):
+        (tmp_path / "pairs" / "dataset.json").write_text(json.dumps(meta | {name: None}))
+        with pytest.raises(DatasetError, match=rf"dataset\.json: {name}: expected .*, found None"):
+            open_pairs(tmp_path / "pairs")
+
+
+@pytest.mark.parametrize("name", ["vehicle_image", "speed.npy", "tokenizer.json", "dataset.json"])
+def test_a_full_disk_for_pairs_is_named(
+    name: str, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "pairs"
+
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    if name == "vehicle_image":
+        monkeypatch.setattr(os, "posix_fallocate", full)
+
+    def fill(done: int, _: int) -> None:
+        if done == 1:
+            draft = f"{name}.{os.getpid()}" if name == "dataset.json" else name
+            (out / draft).symlink_to("/dev/full")
+
+    with pytest.raises(DatasetError, match=rf"{out}.*: expected a .* to write"):
+        make_pairs(recording, out, image_size=32, progress=fill)
+    with pytest.raises(DatasetError, match=r"dataset\.json: expected a folder of"):
+        open_pairs(out)
 
 
 def test_sequences_of_one_log_alone_cannot_be_split(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from anchorflow_training.whole_file import whole_file
+
 Row = dict[str, float]
 
 
@@ -22,9 +24,8 @@ class LineFile:
     def __init__(self, path: Path, rows: Iterable[Row] = ()) -> None:
         self.path = path
         path.parent.mkdir(parents=True, exist_ok=True)
-        draft = path.with_suffix(".tmp")
-        draft.write_text("".join(_line(row) for row in rows))
-        draft.replace(path)
+        with whole_file(path) as file:
+            file.write("".join(_line(row) for row in rows).encode())
 
     def append(self, row: Row) -> None:
         with self.path.open("a") as file:

@@ -22,6 +22,7 @@ S scenes, M trajectories a scene, T samples, D dimensions, map [C, H, W]:
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,8 +33,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_driving.errors import UNREADABLE
+from anchorflow_training.whole_file import whole_file
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.routes import MOST
 from anchorflow_trajectory.scene import Scene
@@ -157,6 +160,7 @@ def open_dataset(path: Path) -> SceneDataset:
     scenes = meta.get("scenes") if isinstance(meta, dict) else None
     if not isinstance(scenes, int):
         raise DatasetError(f"{path / 'dataset.json'}: scenes: expected a number, found {scenes}")
+    _check_told(path / "dataset.json", meta)
     arrays = {name: _opened(path, name, scenes) for name in DTYPES}
     for name in OPTIONAL_DTYPES:
         if (path / f"{name}.npy").exists():
@@ -218,6 +222,36 @@ def _opened(path: Path, name: str, scenes: int) -> NDArray:
     return array
 
 
+def _check_told(file: Path, meta: Mapping[str, Any]) -> None:
+    """What `dataset.json` tells of robots and families, as far as it does."""
+    for name in ("limits", "ranges", "families"):
+        if not isinstance(meta.get(name) or {}, dict):
+            raise DatasetError(f"{file}: {name}: expected an object, found {meta[name]!r}")
+    for name, value in (meta.get("limits") or {}).items():
+        if not (_is_number(value) or (name == "horizon_s" and value is None)):
+            raise DatasetError(f"{file}: limits.{name}: expected a number, found {value!r}")
+    ranges = meta.get("ranges") or {}
+    for name in LIMIT_INTERVALS.keys() & ranges:
+        if not _is_range(ranges[name]):
+            raise DatasetError(
+                f"{file}: ranges.{name}: expected the least and the greatest number, "
+                f"found {ranges[name]!r}"
+            )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
+def _is_range(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 2
+        and all(map(_is_number, value))
+        and value[0] <= value[1]
+    )
+
+
 def _check_shapes(path: Path, arrays: Mapping[str, NDArray]) -> None:
     """Whether the arrays belong together; states and cost_map say what the others must be."""
     for name, letters, divisor in (("states", "S, M, T, 3D", 3), ("cost_map", "S, C, H, W", 1)):
@@ -263,6 +297,20 @@ def _check_quality(path: Path, arrays: Mapping[str, NDArray]) -> None:
         )
 
 
+def write_meta(path: Path, meta: Mapping[str, Any]) -> None:
+    """Write a folder's `dataset.json`, whole or not at all, when all else is in place.
+
+    Raises:
+        DatasetError: it cannot be written.
+    """
+    file = path / "dataset.json"
+    try:
+        with whole_file(file) as stream:
+            stream.write(json.dumps(meta, indent=1).encode())
+    except OSError as error:
+        raise DatasetError(f"{file}: expected a place to write ({error})") from error
+
+
 def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray]:
     """New writable `.npy` files under `path`, one for each array of `shapes`.
 
@@ -278,7 +326,7 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
             file = path / f"{name}.npy"
             if name in shapes:
                 arrays[name] = np.lib.format.open_memmap(file, "w+", dtype, shapes[name])
-                _reserve(file)
+                reserve(file)
             else:
                 file.unlink(missing_ok=True)  # of an earlier dataset in this folder
     except OSError as error:
@@ -288,8 +336,12 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
     return arrays
 
 
-def _reserve(file: Path) -> None:
-    """Room on the disk for a file's holes: a full one ends whoever writes to a map of it."""
+def reserve(file: Path) -> None:
+    """Room on the disk for a file's holes: a full one ends whoever writes to a map of it.
+
+    Raises:
+        OSError: there is not as much.
+    """
     if hasattr(os, "posix_fallocate"):
         with file.open("r+b") as stream:
             os.posix_fallocate(stream.fileno(), 0, file.stat().st_size)

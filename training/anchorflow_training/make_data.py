@@ -5,7 +5,6 @@ Scene i depends on the seed and on i alone, so the bytes do not depend on the nu
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 from collections import Counter
 from collections.abc import Callable
@@ -15,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from anchorflow_training.dataset import Row, create_arrays, scene_row
+from anchorflow_training.dataset import Row, create_arrays, scene_row, write_meta
 from anchorflow_training.expert import ExpertConfig, chosen_by_route, solve
 from anchorflow_training.scenes import RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost import CostWeights, MotionLimits
@@ -59,7 +58,11 @@ def make_dataset(
     workers: int,
     progress: Callable[[int], None] = lambda _: None,
 ) -> dict[str, Any]:
-    """Write the dataset folder, return its `dataset.json`; `progress` gets 1 a finished scene."""
+    """Write the dataset folder, return its `dataset.json`; `progress` gets 1 a finished scene.
+
+    Raises:
+        DatasetError: the folder cannot be written.
+    """
     arrays, families, unsolved, shares = None, Counter(), Counter(), []
     tasks = ((config, i) for i in range(config.scenes))
     with multiprocessing.get_context("spawn").Pool(workers) as pool:
@@ -87,7 +90,7 @@ def make_dataset(
         "unsolved": dict(sorted(unsolved.items())),
         "good_share": round(float(np.mean(shares)), 4),
     }
-    (path / "dataset.json").write_text(json.dumps(meta, indent=1))
+    write_meta(path, meta)
     return meta
 
 

@@ -57,11 +57,14 @@ class RunLog:
         return {(result.contender, result.world, result.seed): result for result in results}
 
     def add(self, result: Result) -> None:
-        """Append a run."""
+        """Append a run; raises `BenchmarkError` where that cannot be written."""
         fields = asdict(result)
         fields["run"]["end"] = result.run.end.value
-        with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(fields) + "\n")
+        try:
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(fields) + "\n")
+        except OSError as error:
+            raise BenchmarkError(f"{self.path}: {error.strerror}") from error
 
 
 def _result(fields: dict) -> Result:

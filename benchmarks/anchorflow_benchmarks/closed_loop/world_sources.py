@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from anchorflow_benchmarks.closed_loop.world import (
 )
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.scene_files import count_and_seed, read_scenes, spread_evenly
+from anchorflow_driving.errors import UNREADABLE
 
 FORESTS = "forests"
 MOST_GAP = 0.25  # m, that drawing finds in a reasonable time
@@ -66,5 +66,5 @@ def _holds_scenes(path: Path) -> bool:
     try:
         with np.load(path) as file:
             return "occupancy" in file.files
-    except (OSError, ValueError, AttributeError, zipfile.BadZipFile):
+    except (*UNREADABLE, TypeError, AttributeError):
         return False

@@ -61,6 +61,13 @@ def test_what_is_no_file_of_runs_is_left_alone(tmp_path: Path, content: bytes) -
     assert path.read_bytes() == content
 
 
+def test_a_full_disk_is_named(tmp_path: Path) -> None:
+    log = RunLog(tmp_path / "runs.jsonl", {"robot": "unicycle"})
+    log.path.symlink_to("/dev/full")
+    with pytest.raises(BenchmarkError, match=r"runs\.jsonl: No space left"):
+        log.add(Result("MPPI", "a", 0, 6.0, Run(End.GOAL, 3.0, 0.1, 4.0, 0), ()))
+
+
 def test_a_file_that_was_cut_off_goes_on(tmp_path: Path) -> None:
     log = RunLog(tmp_path / "new" / "runs.jsonl", {"robot": "unicycle"})
     first, second = (

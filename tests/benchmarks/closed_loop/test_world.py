@@ -46,6 +46,13 @@ def test_a_file_of_something_else_is_named(missing: str, tmp_path: Path) -> None
         load_worlds(str(path))
 
 
+def test_an_empty_file_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "worlds.npz"
+    path.touch()
+    with pytest.raises(BenchmarkError, match="not a file of worlds"):
+        load_worlds(str(path))
+
+
 def test_lengths_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     path = write_worlds(tmp_path / "worlds.npz", path_length=np.ones(3))
     with pytest.raises(BenchmarkError, match="not a file of worlds"):

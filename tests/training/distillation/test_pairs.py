@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -65,7 +66,7 @@ def test_pairs_are_made_once_and_only_where_they_are_missing(
 ) -> None:
     whole = make(tmp_path / "whole", teacher, tiny_dataset)
     cut = make(tmp_path / "cut", teacher, tiny_dataset, blocks=[1])
-    (tmp_path / "cut" / "00000.tmp").write_bytes(b"half a file")
+    (tmp_path / "cut" / "00000.npy.1").write_bytes(b"half a file")
     assert cut.missing() == [0]
     written = cut.file(1).stat().st_mtime_ns
     again = make(tmp_path / "cut", teacher, tiny_dataset)
@@ -73,6 +74,46 @@ def test_pairs_are_made_once_and_only_where_they_are_missing(
     assert again.file(1).stat().st_mtime_ns == written
     for block in range(2):
         assert again.file(block).read_bytes() == whole.file(block).read_bytes()
+
+
+@pytest.mark.parametrize("name", ["pairs.json", "00000.npy", "00001.npy"])
+def test_a_full_disk_is_named_and_with_more_room_it_goes_on(
+    name: str, teacher: Teacher, tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    draft = tmp_path / f"{name}.{os.getpid()}"
+    draft.symlink_to("/dev/full")
+    with pytest.raises(
+        ConfigError, match=rf"{tmp_path / name}: expected a place to write \(.*No space"
+    ):
+        make(tmp_path, teacher, tiny_dataset)
+    assert not (tmp_path / name).exists()
+    assert not draft.is_symlink()
+    bank = make(tmp_path, teacher, tiny_dataset)
+    assert bank.missing() == []
+    assert np.isfinite(bank.ends(5)).all()
+
+
+@pytest.mark.parametrize("kept", [0, 40, -1])
+def test_a_block_that_was_cut_off_is_made_anew(
+    kept: int, teacher: Teacher, tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    block = make(tmp_path, teacher, tiny_dataset).file(0)
+    whole = block.read_bytes()
+    block.write_bytes(whole[:kept])
+    bank = make(tmp_path, teacher, tiny_dataset)
+    assert block.read_bytes() == whole
+    assert np.isfinite(bank.ends(0)).all()
+    block.write_bytes(bank.file(1).read_bytes())  # of fewer scenes
+    assert bank.missing() == [0]
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"format": 1'])
+def test_a_description_that_is_none_is_named(
+    content: str, teacher: Teacher, tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    (tmp_path / "pairs.json").write_text(content)
+    with pytest.raises(ConfigError, match=r"pairs\.json: .*[Ee]xpect"):
+        open_pairs(tmp_path, teacher, tiny_dataset, CONFIG)
 
 
 @pytest.mark.parametrize(

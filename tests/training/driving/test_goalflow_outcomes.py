@@ -12,6 +12,7 @@ from driven_bend import write_bends
 
 from anchorflow_client.contract.route import beside_route
 from anchorflow_client.sensors import route_ahead
+from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
@@ -84,6 +85,13 @@ def test_proposals_are_judged_by_the_scorer_and_kept(
     again = proposals(logs, model)
     np.testing.assert_array_equal(again.trajectories, made.trajectories)
 
+    (kept,) = logs[0].parent.glob(f"{logs[0].stem}.proposals-*")
+    whole = kept.read_bytes()
+    kept.write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
+    with pytest.raises(LogError, match=f"{kept}: file: expected an .npz .*, found Bad CRC"):
+        proposals(logs, model)
+    kept.write_bytes(whole)
+
 
 def test_the_scorer_alone_learns_and_goes_on_where_it_stopped(
     windows: DrivingWindows, config: GoalFlowRunConfig, before: Path, tmp_path: Path
@@ -135,6 +143,8 @@ def test_what_does_not_fit_is_named(
 ) -> None:
     with pytest.raises(ConfigError, match="before: expected a checkpoint to begin outcomes with"):
         GoalFlowRun(replace(config, before=None), windows, tmp_path)
+    with pytest.raises(ConfigError, match=r"vocabulary: expected none beside before.* got goals"):
+        GoalFlowRun(replace(config, vocabulary="goals.npy"), windows, tmp_path)
     with pytest.raises(ConfigError, match=r"model\.outcomes: expected true in the stage outcomes"):
         GoalFlowRun(replace(config, model=FLOW.model), windows, tmp_path)
     wide = replace(config.model, width=64)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from driven_bend import SPEED, bend, write_bends
+from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
@@ -16,6 +17,7 @@ from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import augmentation
 from anchorflow_training.driving.augmentation import AugmentationConfig, disturbed, poses_on
+from anchorflow_training.driving.kept_logs import opened, write_beside
 from anchorflow_training.driving.vocabulary import clustered, read_vocabulary
 from anchorflow_training.driving.windows import KEPT, SPACING, DrivingWindows, open_windows
 from anchorflow_training.settings import ConfigError
@@ -59,6 +61,39 @@ def test_what_was_cut_off_is_drawn_anew(kept: bytes, folder: Path, windows: Driv
     file = sorted(folder.glob(f"*{KEPT}"))[0]
     file.write_bytes(kept)
     assert len(open_windows(folder)) == len(windows)
+
+
+def test_what_is_kept_and_damaged_is_named(folder: Path, windows: DrivingWindows) -> None:
+    file = sorted(folder.glob(f"*{KEPT}"))[0]
+    whole = file.read_bytes()
+    # In an array, and in its name in the directory, which stands at the end.
+    for place, found in ((200, "Bad CRC"), (whole.rindex(b"bev.npy"), "'bev is not a file")):
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(LogError, match=f"{file}: file: expected an .npz .*, found .*{found}"):
+            open_windows(folder)
+    file.unlink()
+    assert len(open_windows(folder)) == len(windows)
+
+
+class Interrupted:
+    """An array whose reader is stopped."""
+
+    def __array__(self, *_: object, **__: object) -> NDArray[np.float64]:
+        raise KeyboardInterrupt
+
+
+def test_what_cannot_be_kept_leaves_no_draft(tmp_path: Path) -> None:
+    kept = tmp_path / f"a{KEPT}"
+    write_beside(kept, scores=np.ones(3))
+    draft = tmp_path / f"{kept.name}.{os.getpid()}"
+    draft.symlink_to("/dev/full")
+    with pytest.raises(LogError, match=f"{kept}: file: expected a place to write, .*No space"):
+        write_beside(kept, scores=np.zeros(30_000))
+    with pytest.raises(KeyboardInterrupt):
+        write_beside(kept, scores=np.zeros(3), more=Interrupted())  # type: ignore[arg-type]
+    assert [*tmp_path.iterdir()] == [kept]
+    with opened(kept) as arrays:
+        assert arrays["scores"].tolist() == [1, 1, 1]
 
 
 def test_a_log_is_drawn_once_and_again_when_it_changes(folder: Path) -> None:

@@ -301,13 +301,15 @@ def test_a_perception_goes_over_the_weights_of_the_run_before(
         config = replace(CONFIG, steps=1, batch=replace(CONFIG.batch, seed=seed))
         WoteRun(config, logs, tmp_path / str(seed)).fit()
         saved.append(tmp_path / str(seed) / "checkpoint.pt")
-    # What a first stage began with, here a folder that is not there, is not looked at again.
-    config = replace(CONFIG, before=str(saved[0]), perception=str(saved[1]), resnet="none")
+    config = replace(CONFIG, before=str(saved[0]), perception=str(saved[1]))
     found = WoteRun(config, logs, tmp_path / "both").model.state_dict()
     first, second = (load_checkpoint(path).average for path in saved)
     for name, weight in found.items():
         wanted = second if name.startswith("backbone.") else first
         torch.testing.assert_close(weight, wanted[name])
+    for name in ("anchors", "resnet"):
+        with pytest.raises(ConfigError, match=f"{name}: expected none beside before.* got mine"):
+            WoteRun(replace(config, **{name: "mine"}), logs, tmp_path / name)
 
 
 def test_a_frozen_perception_stays_as_it_is(logs: list[Path], tmp_path: Path) -> None:

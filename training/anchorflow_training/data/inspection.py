@@ -94,14 +94,14 @@ def inspect_scenes(dataset: SceneDataset, *, scenes: int) -> Summary:
     facts = [
         f"{len(dataset)} scenes, M {dataset.arrays['states'].shape[1]}, T {dataset.num_steps}, "
         f"D {dataset.dim}",
-        *limits_in_words(dataset.limits, dataset.meta.get("ranges", {})),
+        *limits_in_words(dataset.limits, dataset.meta.get("ranges") or {}),
         f"durations {in_words(dataset.arrays['durations'])}; scenes with a given horizon "
         f"{np.mean(dataset.arrays['limits'][:, 3] > 0):.0%}",
     ]
     facts += [f"{key}: {dataset.meta[key]}" for key in ("left_out",) if key in dataset.meta]
     picked = np.unique(np.linspace(0, len(dataset) - 1, min(scenes, len(dataset))).astype(int))
     classes = Counter(count_classes(dataset, int(scene)) for scene in picked)
-    families = dict(dataset.meta.get("families", {}))
+    families = dict(dataset.meta.get("families") or {})
     return Summary(tuple(arrays), tuple(facts), families, dict(sorted(classes.items())))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from anchorflow_training.data.imported_scene import SceneOptions, SceneSource, imported_scene
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
-from anchorflow_training.dataset import DatasetError, create_arrays, shrink_arrays
+from anchorflow_training.dataset import DatasetError, create_arrays, shrink_arrays, write_meta
 from anchorflow_trajectory.cost import MotionLimits
 
 LIMIT_QUANTILE = 0.995  # of the samples' peaks; a single glitch must not set the limit
@@ -95,8 +94,8 @@ def import_scenes(
 ) -> dict[str, Any]:
     """Write the folder that the trainer reads, return its `dataset.json`.
 
-    Samples that are off their map, that touch an obstacle of it or that come nearer than their
-    safety margin are left out and counted; `progress` gets 1 a sample.
+    Samples that miss a given start or goal, that are off their map, that touch an obstacle of it or
+    that come nearer than their safety margin are left out and counted; `progress` gets 1 a sample.
 
     Raises:
         DatasetError: the file says too little, nothing is left of it, or `out` cannot be written.
@@ -109,7 +108,7 @@ def import_scenes(
             "stand still"
         )
     left_out: Counter[str] = Counter(not_finite=len(dataset.left_out))
-    left_out.update(off_map=0, collision=0, low_quality=0)
+    left_out.update(missed_ends=0, off_map=0, collision=0, low_quality=0)
     arrays, written = None, 0
     with _mapper(workers) as mapped:
         for sources in _sources(dataset, config, limits, left_out, BLOCK * workers, progress):
@@ -143,7 +142,7 @@ def import_scenes(
         "left_out": dict(left_out),
         **_told(dataset, limits),
     }
-    (out / "dataset.json").write_text(json.dumps(meta, indent=1))
+    write_meta(out, meta)
     return meta
 
 

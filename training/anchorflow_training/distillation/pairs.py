@@ -12,6 +12,7 @@ The noise is not stored: it follows from the seed and the scene's number.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -22,10 +23,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import TeacherConfig
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_training.settings import ConfigError
+from anchorflow_training.whole_file import whole_file
 
 FloatArray = NDArray[np.float32]
 
@@ -69,15 +72,14 @@ class PairBank:
         return self._blocks[block][row].astype(np.float32)
 
     def begin(self) -> None:
-        """Make the folder, where there is none."""
-        file = self.path / DESCRIPTION
-        if not file.exists():
-            self.path.mkdir(parents=True, exist_ok=True)
-            file.write_text(json.dumps(self.description, indent=2) + "\n")
+        """Make the folder, where there is none; raises `ConfigError` where it has no place."""
+        if not (self.path / DESCRIPTION).exists():
+            text = json.dumps(self.description, indent=2) + "\n"
+            self._put(self.path / DESCRIPTION, text.encode())
 
     def missing(self) -> list[int]:
-        """Blocks that are not made yet."""
-        return [block for block in range(self.blocks) if not self.file(block).exists()]
+        """Blocks that are not made yet, or not whole."""
+        return [block for block in range(self.blocks) if not self._is_whole(block)]
 
     @property
     def blocks(self) -> int:
@@ -90,15 +92,32 @@ class PairBank:
         return self.path / f"{block:05d}.npy"
 
     def write(self, block: int, ends: NDArray[np.float16]) -> None:
-        """Put a block's [scenes, N, T, S] in its place, whole."""
-        draft = self.file(block).with_suffix(".tmp")
-        with draft.open("wb") as file:
-            np.save(file, ends)
-        draft.replace(self.file(block))
+        """Put a block's [scenes, N, T, S] in its place; raises `ConfigError` where it has none."""
+        packed = io.BytesIO()
+        np.save(packed, ends)
+        self._put(self.file(block), packed.getbuffer())
+
+    def _put(self, path: Path, content: bytes | memoryview) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(path) as file:
+                file.write(content)
+        except OSError as error:
+            raise ConfigError(f"{path}: expected a place to write ({error})") from error
+
+    def _is_whole(self, block: int) -> bool:
+        try:
+            shape = self._mapped(block).shape
+        except UNREADABLE:
+            return False
+        return shape[:2] == (len(self.scenes_of(block)), self.samples)
+
+    def _mapped(self, block: int) -> NDArray[np.float16]:
+        return np.lib.format.open_memmap(self.file(block), mode="r")
 
     @cached_property
     def _blocks(self) -> list[NDArray[np.float16]]:
-        return [np.load(self.file(block), mmap_mode="r") for block in range(self.blocks)]
+        return [self._mapped(block) for block in range(self.blocks)]
 
 
 def open_pairs(
@@ -140,6 +159,8 @@ def _check_same(file: Path, wanted: Mapping[str, Any]) -> None:
         found = json.loads(file.read_text())
     except (OSError, ValueError) as error:
         raise ConfigError(f"{file}: {error}") from error
+    if not isinstance(found, dict):
+        raise ConfigError(f"{file}: expected an object, found {found}")
     for name, asked in wanted.items():
         if found.get(name) != asked:
             raise ConfigError(

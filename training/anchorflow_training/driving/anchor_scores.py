@@ -76,7 +76,8 @@ def anchor_scores(
     """PDM sub-scores [W, K, 5] of anchors in all windows of logs, in the order of SUB_SCORES.
 
     Those of each log are worked out once, on every core, and kept beside it under the anchors'
-    digest. Raises `LogError` where a log cannot be read or there is no place to write beside it.
+    digest. Raises `LogError` where a log or what is kept of it cannot be read, or there is no place
+    to write beside it.
     """
     missing = [log for log in logs if not is_fresh(_kept(log, anchors), log)]
     each_log(partial(keep_scores, anchors=anchors), missing, of=len(logs), progress=progress)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import UNREADABLE, LogError
+from anchorflow_training.whole_file import whole_file
 
 PLAN_SETTINGS: Mapping[str, Any] = {"num_steps": len(PLAN_TIMES), "dt": float(PLAN_TIMES[0])}
 """What the times of a log's plans fix of a model's configuration."""
@@ -73,17 +74,15 @@ def opened(kept: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
     try:
         with np.load(kept, allow_pickle=False) as arrays:
             yield arrays
-    except UNREADABLE as error:
+    except (*UNREADABLE, KeyError) as error:  # KeyError: the damage is in an array's name
         wanted = "an .npz of arrays, which is made anew where there is none"
         raise LogError(kept, "file", expected=wanted, found=str(error)) from error
 
 
 def write_beside(path: Path, **arrays: NDArray[Any]) -> None:
     """Write arrays whole or not at all; raises `LogError` where there is no place to write."""
-    scratch = path.with_name(f"{path.name}.{os.getpid()}")
     try:
-        with scratch.open("wb") as file:
+        with whole_file(path) as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
-        scratch.replace(path)
     except OSError as error:
         raise LogError(path, "file", expected="a place to write", found=str(error)) from error

@@ -15,13 +15,19 @@ from numpy.typing import NDArray
 from anchorflow_client.sensors import route_ahead
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
-from anchorflow_driving.sensors.bev import draw_bev
+from anchorflow_driving.sensors.bev import DRAWING, draw_bev
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES, TURNS
 from anchorflow_models.goalflow.goalflow import POSE, SETTLED
-from anchorflow_training.driving.kept_logs import Progress, each_log, is_fresh, write_beside
+from anchorflow_training.driving.kept_logs import (
+    Progress,
+    each_log,
+    is_fresh,
+    opened,
+    write_beside,
+)
 
 PER_WAY = 2
 """Trajectories that are drawn to each goal, and to none; ways that no flow moves stand for
@@ -45,8 +51,8 @@ def proposals(
     """Those of a model in all windows of logs.
 
     Those of each log are made once, on every core, and kept beside it under the digest of the
-    weights that they hang on. Raises `LogError` where a log cannot be read or there is no place to
-    write beside it.
+    weights that they hang on. Raises `LogError` where a log or what is kept of it cannot be read,
+    or there is no place to write beside it.
     """
     kept = {log: log.with_suffix(f".proposals-{_digest(model)}") for log in logs}
     missing = [log for log in logs if not is_fresh(kept[log], log)]
@@ -54,7 +60,7 @@ def proposals(
     each_log(keep, missing, of=len(logs), progress=progress)
     trajectories, scores = [], []
     for path in kept.values():
-        with np.load(path, allow_pickle=False) as part:
+        with opened(path) as part:
             trajectories.append(part["trajectories"])
             scores.append(part["scores"].astype(np.float32))
     return Proposals(np.concatenate(trajectories), np.concatenate(scores))
@@ -94,8 +100,8 @@ def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArra
 
 
 def _digest(model: GoalFlow) -> str:
-    """Of what trajectories hang on: the weights, and the ways that no flow moves."""
-    digest = hashlib.sha256(repr((TURNS, HALTINGS, PACES, ASIDE)).encode())
+    """Of what trajectories hang on: rasters, weights, and the ways that no flow moves."""
+    digest = hashlib.sha256(repr((DRAWING, TURNS, HALTINGS, PACES, ASIDE)).encode())
     for name, weight in model.state_dict().items():
         if not name.startswith("outcomes."):
             digest.update(weight.cpu().contiguous().numpy())

@@ -16,6 +16,7 @@ from anchorflow_client.contract import TensorSpec
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import DRIVEN, read_log
 from anchorflow_driving.sensors.agents import far_others, nearest_agents
+from anchorflow_driving.sensors.bev import DRAWING
 from anchorflow_driving.sensors.by_name import draw_inputs
 from anchorflow_driving.sensors.lidar import simulated_lidar_before
 from anchorflow_driving.window import Scenes, Window
@@ -35,7 +36,7 @@ from anchorflow_training.driving.randomised_motion import randomised_motion
 from anchorflow_training.driving.semantic_bev import occupancy, semantic_bev, view_after
 from anchorflow_training.reflection import reflection
 
-KEPT = ".sensors"
+KEPT = f".sensors-{DRAWING}"
 """Suffix of the file beside a log that holds what its sensors tell."""
 LEVEL = 3  # of zlib
 COUNTS = 5  # points in a LiDAR cell that make 1
@@ -193,7 +194,8 @@ def open_sensor_windows(
         default by the simulated camera and LiDAR
 
     Raises:
-        LogError: a log cannot be read, there is no place to write beside it, or none has a window.
+        LogError: a log or what is kept of it cannot be read, there is no place to write beside it,
+            or none has a window.
     """
     missing = [log for log in logs if not _is_kept(log, sizes)]
     keep = partial(keep_sensors, sizes=sizes, draw=draw or simulated)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, read_log
-from anchorflow_driving.sensors.bev import BEV, draw_bev
+from anchorflow_driving.sensors.bev import BEV, DRAWING, draw_bev
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_training.driving.kept_logs import (
@@ -25,12 +25,13 @@ from anchorflow_training.driving.kept_logs import (
     is_fresh,
     no_windows,
     open_logs,
+    opened,
     write_beside,
 )
 
 Floats = NDArray[np.float32]
 
-KEPT = ".windows"
+KEPT = f".windows-{DRAWING}"
 """Suffix of the file beside a log that holds its windows."""
 LEVEL = 3  # of zlib
 SPACING = 1.25
@@ -86,7 +87,8 @@ def open_windows(folder: Path) -> DrivingWindows:
     """The windows of all logs in a folder; each log's are drawn once and kept beside it.
 
     Raises:
-        LogError: there is no log, one cannot be read, or there is no place to write beside it.
+        LogError: there is no log, one or what is kept of it cannot be read, or there is no place to
+            write beside it.
     """
     logs = open_logs(folder)
     missing = [log for log in logs if not is_fresh(log.with_suffix(KEPT), log)]
@@ -120,7 +122,7 @@ def course_of(window: Window) -> tuple[Floats, Floats]:
 
 
 def _kept(path: Path) -> dict[str, NDArray[Any]]:
-    with np.load(path.with_suffix(KEPT), allow_pickle=False) as file:
+    with opened(path.with_suffix(KEPT)) as file:
         return {name: file[name] for name in STORED}
 
 

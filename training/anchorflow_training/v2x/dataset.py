@@ -18,7 +18,8 @@ N pairs that can be asked about, of sequences with F frames in all; S pixels alo
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,7 @@ from anchorflow_client.images import resized
 from anchorflow_driving.cooperative.layout import GROUP
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_driving.geometry import into_frame
-from anchorflow_training.dataset import DatasetError
+from anchorflow_training.dataset import DatasetError, reserve, write_meta
 from anchorflow_training.v2x.boxes import read_boxes, without_own
 from anchorflow_training.v2x.prompts import UNTOLD, prompt, seen_scene
 from anchorflow_training.v2x.recording import FUTURE, Sequence, read_recording
@@ -52,6 +53,12 @@ ARRAYS: Mapping[str, str] = {
     "boxes": "float64",
     "box_offsets": "int64",
 }
+SIDES = "vehicle_image", "infrastructure_image"
+TOLD = (
+    ("image_size", int, "a whole number"),
+    *((name, list, "a list") for name in ("names", "held_out", "prompts")),
+)
+"""What META has to tell, beside the format."""
 IN_SIGHT = 60.0
 """m, within which the pictures may show another."""
 HELD_OUT = 0.2
@@ -123,7 +130,8 @@ def make_pairs(
     seed: of which sequences are held out
 
     Raises:
-        DatasetError: naming the file that is wrong, or the folder that is there already.
+        DatasetError: naming the file that is wrong, or the folder that is there already or cannot
+            be written.
     """
     if out.exists() and any(out.iterdir()):
         raise DatasetError(f"{out}: expected a new or an empty folder, found files")
@@ -133,12 +141,10 @@ def make_pairs(
     if len({_group(name) for name in present}) < 2:
         what = f"pairs with {FUTURE} frames after them in two sequences or more, of different logs"
         raise DatasetError(f"{recording}: expected {what}, found {len(asked)} in fewer")
-    out.mkdir(parents=True, exist_ok=True)
     shape = (len(asked), 3, image_size, image_size)
-    pictures = {
-        side: np.lib.format.open_memmap(out / f"{side}.npy", "w+", np.uint8, shape)
-        for side in ("vehicle_image", "infrastructure_image")
-    }
+    with _writing(out):
+        out.mkdir(parents=True, exist_ok=True)
+        pictures = {side: _picture_array(out / f"{side}.npy", shape) for side in SIDES}
     prompts = []
     for index, (number, frame) in enumerate(asked):
         pair = sequences[number].pairs[frame]
@@ -146,8 +152,12 @@ def make_pairs(
             array[index] = resized(read_picture(getattr(pair, side)), image_size)
         prompts.append(_prompt(sequences[number], frame, describe=describe))
         progress(index + 1, len(asked))
-    for name, values in _driven(sequences, asked).items():
-        np.save(out / f"{name}.npy", np.asarray(values, ARRAYS[name]))
+    driven = _driven(sequences, asked)
+    words = tokenizer or train_tokenizer([*prompts, UNTOLD])
+    with _writing(out):
+        for name, values in driven.items():
+            np.save(out / f"{name}.npy", np.asarray(values, ARRAYS[name]))
+        (out / FILE_NAME).write_bytes(words)
     meta = {
         "format": FORMAT,
         "image_size": image_size,
@@ -155,9 +165,22 @@ def make_pairs(
         "held_out": _held_out(present, seed),
         "prompts": prompts,
     }
-    (out / FILE_NAME).write_bytes(tokenizer or train_tokenizer([*prompts, UNTOLD]))
-    (out / META).write_text(json.dumps(meta))  # the last: a folder without it is not whole
+    write_meta(out, meta)
     return open_pairs(out)
+
+
+@contextmanager
+def _writing(out: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise DatasetError(f"{out}: expected a folder to write to ({error})") from error
+
+
+def _picture_array(file: Path, shape: tuple[int, ...]) -> Array:
+    array = np.lib.format.open_memmap(file, "w+", np.uint8, shape)
+    reserve(file)
+    return array
 
 
 def refuse_pairs(path: Path) -> None:
@@ -184,6 +207,9 @@ def open_pairs(path: Path) -> PairDataset:
         raise DatasetError(f"{file}: expected {what} ({error!r})") from error
     if found != FORMAT:
         raise DatasetError(f"{file}: format: expected {FORMAT!r}, found {found!r}")
+    for name, kind, expected in TOLD:
+        if not isinstance(meta.get(name), kind):
+            raise DatasetError(f"{file}: {name}: expected {expected}, found {meta.get(name)!r}")
     arrays = {name: _array(path / f"{name}.npy", dtype) for name, dtype in ARRAYS.items()}
     try:
         tokenizer = (path / FILE_NAME).read_bytes()
