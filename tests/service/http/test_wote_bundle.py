@@ -34,7 +34,8 @@ from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 MODEL = "tiny-wote"
-CONFIG = replace(TINY, kept=5, driven=True)
+# Of two sweeps: one alone is traced and held against torch in tests/export.
+CONFIG = replace(TINY, kept=5, driven=True, backbone=replace(TINY.backbone, lidar_before=True))
 OF_EACH = ("offsets", "im_rewards", "sim_rewards")
 OF_THE_SCENE = ("agents", "agent_scores", "bev_semantics")
 
@@ -176,23 +177,12 @@ def test_the_card_says_what_the_rasters_cover(client: AnchorClient) -> None:
 
 
 @pytest.fixture(scope="module")
-def two_sweeps_bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    config = replace(CONFIG, backbone=replace(CONFIG.backbone, lidar_before=True))
-    out = tmp_path_factory.mktemp("sweeps") / "bundle"
-    adapter = adapter_of("wote", tiny_wote(config), ExportChoices())
-    description = BundleDescription(name=MODEL, version="1.0.0", planner="wote")
-    differences = export_bundle(adapter, description, out=out)
-    assert max(part.error for part in differences) <= 1e-5
-    return out
+def local(bundle: Path) -> LocalClient:
+    return LocalClient.of(bundle, threads=1)
 
 
-@pytest.fixture(scope="module")
-def two_sweeps(two_sweeps_bundle: Path) -> LocalClient:
-    return LocalClient.of(two_sweeps_bundle, threads=1)
-
-
-def test_an_optional_input_of_open_size_is_refused(two_sweeps_bundle: Path, tmp_path: Path) -> None:
-    copy = shutil.copytree(two_sweeps_bundle, tmp_path / "open")
+def test_an_optional_input_of_open_size_is_refused(bundle: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(bundle, tmp_path / "open")
     manifest = json.loads((copy / "manifest.json").read_text())
     manifest["request"]["inputs"][-1]["shape"] = ["B", 1, "H", "W"]
     (copy / "manifest.json").write_text(json.dumps(manifest))
@@ -200,25 +190,31 @@ def test_an_optional_input_of_open_size_is_refused(two_sweeps_bundle: Path, tmp_
         LocalClient.of(copy, threads=1)
 
 
-def test_an_earlier_sweep_may_be_left_out(two_sweeps: LocalClient) -> None:
-    missing = two_sweeps.plan(inputs=scene(), num_samples=3)
-    sweep = np.zeros_like(scene()["lidar"])
-    empty = two_sweeps.plan(inputs={**scene(), "lidar_before": sweep}, num_samples=3)
-    full = two_sweeps.plan(inputs={**scene(), "lidar_before": sweep + 1}, num_samples=3)
+def without_an_earlier_sweep(inputs: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: array for name, array in inputs.items() if name != "lidar_before"}
+
+
+def test_an_earlier_sweep_may_be_left_out(local: LocalClient) -> None:
+    alone = without_an_earlier_sweep(scene())
+    missing = local.plan(inputs=alone, num_samples=3)
+    sweep = np.zeros_like(alone["lidar"])
+    empty = local.plan(inputs={**alone, "lidar_before": sweep}, num_samples=3)
+    full = local.plan(inputs={**alone, "lidar_before": sweep + 1}, num_samples=3)
     assert missing.trajectories.tobytes() == empty.trajectories.tobytes()
     assert np.abs(full.arrays["scores"] - empty.arrays["scores"]).max() > 1e-6
     assert (missing.absent_inputs, full.absent_inputs) == (("lidar_before",), ())
 
 
-def test_a_batch_without_an_earlier_sweep_is_its_scenes_alone(two_sweeps: LocalClient) -> None:
-    together = two_sweeps.plan(inputs=scenes(2), num_samples=3)
+def test_a_batch_without_an_earlier_sweep_is_its_scenes_alone(local: LocalClient) -> None:
+    asked = without_an_earlier_sweep(scenes(2))
+    together = local.plan(inputs=asked, num_samples=3)
     for b in range(2):
-        own = {name: array[b] for name, array in scenes(2).items()}
-        alone = two_sweeps.plan(inputs=own, num_samples=3)
+        own = {name: array[b] for name, array in asked.items()}
+        alone = local.plan(inputs=own, num_samples=3)
         assert together.trajectories[b].tobytes() == alone.trajectories.tobytes()
 
 
-def test_an_odd_earlier_sweep_is_refused_by_name(two_sweeps: LocalClient) -> None:
+def test_an_odd_earlier_sweep_is_refused_by_name(local: LocalClient) -> None:
     with pytest.raises(InvalidRequest, match="expected shape") as caught:
-        two_sweeps.plan(inputs={**scene(), "lidar_before": np.zeros((1, 8, 8), np.float32)})
+        local.plan(inputs={**scene(), "lidar_before": np.zeros((1, 8, 8), np.float32)})
     assert str(caught.value.field).startswith("inputs.lidar_before")
