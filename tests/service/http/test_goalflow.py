@@ -33,9 +33,17 @@ from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
-MODEL, K, N = "goalflow", 16, 12
+MODEL, K, N, T = "goalflow", 16, 12, 4
+# Ways along a route are a loop over the steps, which a trace unrolls: four are enough.
 CONFIG = GoalFlowConfig(
-    goals=K, picked=5, width=16, channels=8, feature_channels=4, layers=1, outcomes=True
+    num_steps=T,
+    goals=K,
+    picked=5,
+    width=16,
+    channels=8,
+    feature_channels=4,
+    layers=1,
+    outcomes=True,
 )
 
 
@@ -102,7 +110,7 @@ def test_the_card_says_how_to_ask(local: LocalClient) -> None:
         "ode",
         "none",
     )
-    assert (card.T, card.D, card.time.first_s, card.time.dt) == (8, 3, 0.5, 0.5)
+    assert (card.T, card.D, card.time.first_s, card.time.dt) == (T, 3, 0.5, 0.5)
     assert card.answer.names == ("trajectories", "scores", "goals", "goal_scores")
 
 
@@ -116,7 +124,7 @@ def test_an_answer_over_http_is_the_engines(client: AnchorClient, local: LocalCl
     }
     answer = client.plan(**asked)
 
-    assert answer.trajectories.shape == (N, 8, 3)
+    assert answer.trajectories.shape == (N, T, 3)
     assert answer.scores.shape == (N,)
     assert answer.arrays["goals"].shape == (K, 2)
     assert ((answer.scores >= 0) & (answer.scores <= 1)).all()
