@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -39,6 +39,7 @@ from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_models.generation.scenes import DEFAULT_MOTION, DEFAULT_ROBOT_RADIUS
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint
+from anchorflow_training.distillation.student import student_schedule
 from anchorflow_training.restore import restore_flow
 from anchorflow_trajectory.cost import MotionLimits
 
@@ -71,7 +72,10 @@ def generate(
         float | None, typer.Option(help="Side of the square to plan in [m]; by the way's length.")
     ] = None,
     unknown_is_free: UnknownIsFreeOption = False,
-    robot_radius: Annotated[float, typer.Option(help="Radius [m].")] = DEFAULT_ROBOT_RADIUS,
+    robot_radius: Annotated[
+        float | None,
+        typer.Option(help="Radius [m].", show_default=f"{OF_DATA}; {DEFAULT_ROBOT_RADIUS}"),
+    ] = None,
     v_max: Annotated[
         float | None, typer.Option(help="Greatest speed [m/s].", show_default=OF_DATA)
     ] = None,
@@ -87,12 +91,24 @@ def generate(
     num_samples: NumSamplesOption = DEFAULTS.num_samples,
     seed: SeedOption = None,
     method: Annotated[
-        str, typer.Option(help="euler, midpoint, heun, rk4, ab2 or the adaptive rk45.")
-    ] = DEFAULTS.method,
+        str | None,
+        typer.Option(
+            help="euler, midpoint, heun, rk4, ab2 or the adaptive rk45.",
+            show_default=f"{DEFAULTS.method}; a student's euler",
+        ),
+    ] = None,
     schedule: Annotated[
-        str, typer.Option(metavar="NAME|T,T,...", help="uniform, 8step or flow times from 0 to 1.")
-    ] = str(DEFAULTS.schedule),
-    steps: Annotated[int, typer.Option(help="Of the uniform schedule.")] = DEFAULTS.steps,
+        str | None,
+        typer.Option(
+            metavar="NAME|T,T,...",
+            help="uniform, 8step or flow times from 0 to 1.",
+            show_default=f"{DEFAULTS.schedule}; a student's own",
+        ),
+    ] = None,
+    steps: Annotated[
+        int | None,
+        typer.Option(help="Of the uniform schedule.", show_default=f"{DEFAULTS.steps}"),
+    ] = None,
     smooth: Annotated[bool, typer.Option(help="Fit splines that meet both ends.")] = True,
     project: Annotated[bool, typer.Option(help="Push anchors out of obstacles.")] = True,
     safety_margin: Annotated[
@@ -108,18 +124,16 @@ def generate(
     seen = _seen(map_file, start, goal, size_m=size, unknown_is_free=unknown_is_free)
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     seed = secrets.randbelow(2**63) if seed is None else seed
+    saved = load_checkpoint(checkpoint)
     with _value_errors():
         config = GeneratorConfig(
-            method=method,
-            schedule=_schedule(schedule),
-            steps=steps,
+            **_sampler(saved, method=method, schedule=schedule, steps=steps),
             num_samples=num_samples,
             smooth=smooth,
             project=project,
             safety_margin=safety_margin,
             barrier_rate=barrier_rate,
         )
-        saved = load_checkpoint(checkpoint)
         model = restore_flow(saved)
         began = time.perf_counter()
         anchors = TrajectoryGenerator(model, config).generate(
@@ -129,7 +143,7 @@ def generate(
             style,
             resolution=seen.resolution,
             origin=seen.origin,
-            robot_radius=robot_radius,
+            robot_radius=_robot_radius(saved) if robot_radius is None else robot_radius,
             motion=_motion(saved, v_max=v_max, a_max=a_max, horizon_s=horizon),
             seed=seed,
         )
@@ -176,6 +190,21 @@ def _seen(
     return map_window(ros_map, start, goal, size_m=size_m, option="--size")
 
 
+def _sampler(
+    saved: Checkpoint, *, method: str | None, schedule: str | None, steps: int | None
+) -> dict[str, Any]:
+    """What is asked for, over the default; a student's is Euler on its own schedule."""
+    of_student = student_schedule(saved)
+    fields: dict[str, Any] = {}
+    if of_student is not None:
+        fields["method"] = "euler"
+        if steps is None:
+            fields["schedule"] = of_student
+    times = None if schedule is None else _schedule(schedule)
+    asked = {"method": method, "schedule": times, "steps": steps}
+    return fields | {name: value for name, value in asked.items() if value is not None}
+
+
 def _schedule(text: str) -> str | tuple[float, ...]:
     """A name as it is, numbers as flow times."""
     try:
@@ -192,6 +221,11 @@ def _answer(
     return AnchorBatch(
         arrays=arrays, dt=dt, seed=seed, model=model, timing_ms={"total": milliseconds}
     )
+
+
+def _robot_radius(saved: Checkpoint) -> float:
+    """m, of the robot that the run's data were imported with."""
+    return saved.data.get("robot_radius", DEFAULT_ROBOT_RADIUS)
 
 
 def _motion(

@@ -25,6 +25,7 @@ from anchorflow_service.bundle.manifest import (
     Manifest,
     RequestEntry,
 )
+from anchorflow_service.engine import Engine
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +56,8 @@ def export_bundle(
 
     Raises:
         ExportError: the model cannot be traced, its parts make no manifest, ONNX and torch differ
-            by more than the tolerance, or `out` is something else than a bundle. Nothing is left
-            behind.
+            by more than the tolerance, the service refuses the bundle, or `out` is something else
+            than a bundle or cannot be written. Nothing is left behind.
     """
     with into_place(out) as folder:
         parts = adapter.parts
@@ -69,7 +70,13 @@ def export_bundle(
         }
         whole = manifest.model_copy(update={"graphs": graphs, "files": files})
         (folder / FILE_NAME).write_bytes(whole.to_json())
-        return prove_parity(adapter, load_bundle(folder), tolerance=tolerance)
+        try:
+            bundle = load_bundle(folder)
+            differences = prove_parity(adapter, bundle, tolerance=tolerance)
+            Engine(bundle, threads=1)
+        except BundleError as error:
+            raise ExportError(f"expected a bundle that can be served, got {error}") from error
+        return differences
 
 
 def record_quality(bundle: Path, quality: Mapping[str, Any]) -> None:
@@ -134,14 +141,27 @@ def _manifest(parts: PlannerParts, description: BundleDescription) -> Manifest:
 
 @contextmanager
 def into_place(out: Path) -> Iterator[Path]:
-    """A new folder that becomes `out` where the block succeeds, and vanishes where it fails."""
-    if out.exists() and not (out / FILE_NAME).is_file():
-        raise ExportError(f"{out} is there already and is not a bundle")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as scratch:
-        folder = Path(scratch, "new")
-        folder.mkdir()
-        yield folder
-        if out.exists():
-            out.rename(Path(scratch, "old"))
-        folder.rename(out)
+    """A new folder that becomes `out` where the block succeeds, and vanishes where it fails.
+
+    Raises:
+        ExportError: `out` is no bundle, cannot be replaced or cannot be written.
+    """
+    out = out.absolute()  # the parent of "." would be "." again
+    try:
+        if out.exists() and not (out / FILE_NAME).is_file():
+            raise ExportError(f"{out} is there already and is not a bundle")
+        if out.is_mount() or Path.cwd().is_relative_to(out.resolve()):
+            raise ExportError(
+                f"{out}: expected a folder that can be replaced, got a mount point or the working "
+                "directory"
+            )
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}-") as scratch:
+            folder = Path(scratch, "new")
+            folder.mkdir()
+            yield folder
+            if out.exists():
+                out.rename(Path(scratch, "old"))
+            folder.rename(out)
+    except OSError as error:
+        raise ExportError(f"{out}: expected a place to write a bundle ({error})") from error

@@ -68,9 +68,9 @@ def room(tmp_path: Path) -> Path:
     return path
 
 
-def run(checkpoint: Path, *arguments: object) -> None:
+def run(checkpoint: Path, *arguments: object, quick: tuple[str, ...] = QUICK) -> None:
     with pytest.raises(SystemExit) as caught:
-        main(["generate", "--checkpoint", str(checkpoint), *ENDS, *QUICK, *map(str, arguments)])
+        main(["generate", "--checkpoint", str(checkpoint), *ENDS, *quick, *map(str, arguments)])
     assert caught.value.code == 0
 
 
@@ -80,8 +80,10 @@ def failure(*arguments: object) -> str:
     return str(caught.value.code)
 
 
-def drawn(checkpoint: Path, tmp_path: Path, *arguments: object) -> dict[str, np.ndarray]:
-    run(checkpoint, "--out", tmp_path / "new" / "anchors.npz", *arguments)
+def drawn(
+    checkpoint: Path, tmp_path: Path, *arguments: object, quick: tuple[str, ...] = QUICK
+) -> dict[str, np.ndarray]:
+    run(checkpoint, "--out", tmp_path / "new" / "anchors.npz", *arguments, quick=quick)
     with np.load(tmp_path / "new" / "anchors.npz") as arrays:
         return dict(arrays)
 
@@ -151,6 +153,36 @@ def test_the_limits_are_those_of_the_run_s_data(checkpoint: Path, tmp_path: Path
     own = drawn(tmp_path / "of_data.pt", tmp_path)
     np.testing.assert_array_equal(own["trajectories"], asked["trajectories"])
     np.testing.assert_array_equal(own["dt"], asked["dt"])
+
+
+def test_the_robot_is_that_of_the_run_s_data(checkpoint: Path, room: Path, tmp_path: Path) -> None:
+    seen = ("--map", room, "--size", 8, "--no-project")
+    asked = drawn(checkpoint, tmp_path, *seen, "--robot-radius", 0.9)
+    saved = replace(load_checkpoint(checkpoint), data={"robot_radius": 0.9})
+    save_checkpoint(tmp_path / "of_data.pt", saved)
+    own = drawn(tmp_path / "of_data.pt", tmp_path, *seen)
+    np.testing.assert_array_equal(own["clearance"], asked["clearance"])
+    usual = drawn(tmp_path / "of_data.pt", tmp_path, *seen, "--robot-radius", 0.25)
+    assert usual["clearance"].min() > own["clearance"].min()
+
+
+def test_a_student_is_asked_as_it_was_taught(checkpoint: Path, tmp_path: Path) -> None:
+    saved = load_checkpoint(checkpoint)
+    settings = {**saved.config, "schedule": (0.0, 0.6, 1.0)}
+    student = tmp_path / "student.pt"
+    save_checkpoint(student, replace(saved, config=settings, teacher={"sha256": "", "step": 1}))
+
+    def same(given: tuple[str, ...], wanted: tuple[str, ...]) -> None:
+        found = [
+            drawn(each, tmp_path, *words, quick=("--num-samples", "3", "--seed", "5"))
+            for each, words in ((student, given), (checkpoint, wanted))
+        ]
+        np.testing.assert_array_equal(found[0]["trajectories"], found[1]["trajectories"])
+
+    same((), ("--method", "euler", "--schedule", "0,0.6,1"))
+    same(("--method", "midpoint"), ("--method", "midpoint", "--schedule", "0,0.6,1"))
+    same(("--schedule", "8step"), ("--method", "euler", "--schedule", "8step"))
+    same(("--steps", "3"), ("--method", "euler", "--steps", "3"))
 
 
 def test_a_map_and_its_unknown_cells(checkpoint: Path, room: Path, tmp_path: Path) -> None:

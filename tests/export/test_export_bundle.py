@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -130,6 +131,35 @@ def test_a_bundle_is_replaced_and_anything_else_is_not(
     assert [path.name for path in tmp_path.iterdir()] == ["bundle"]
     for file in bundle.glob("*.onnx"):  # the same weights give the same bytes
         assert (out / file.name).read_bytes() == file.read_bytes()
+
+
+def test_what_cannot_be_replaced_is_refused_before_it_is_traced(
+    bundle: Path,
+    small_flow: Any,
+    adapted: Any,
+    description: BundleDescription,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    adapter, out = adapted(small_flow()), tmp_path / "bundle"
+    shutil.copytree(bundle, out)
+    monkeypatch.setattr(type(adapter), "trace", lambda _: pytest.fail("it was traced"))
+    said = "expected a folder that can be replaced, got a mount point or the working directory"
+    with monkeypatch.context() as inside:
+        inside.chdir(out)
+        for name in (".", "../bundle", out):
+            with pytest.raises(ExportError, match=said):
+                export_bundle(adapter, description, out=Path(name))
+    with monkeypatch.context() as mounted:
+        mounted.setattr(Path, "is_mount", lambda path: path == out)
+        with pytest.raises(ExportError, match=said):
+            export_bundle(adapter, description, out=out)
+    for nowhere in ("/proc/absent/bundle", out / "manifest.json" / "bundle"):
+        with pytest.raises(ExportError, match=f"{nowhere}: expected a place to write a bundle"):
+            export_bundle(adapter, description, out=Path(nowhere))
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == {
+        path.name: path.read_bytes() for path in bundle.iterdir()
+    }
 
 
 def untaught(config: L2Config) -> L2SafetyCFM:

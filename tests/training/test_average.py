@@ -96,6 +96,24 @@ def test_a_mean_of_what_does_not_fit_is_refused(
     assert "expected two or more" in capsys.readouterr().err
 
 
+def test_a_mean_is_of_one_tokenizer(first: Path, tmp_path: Path) -> None:
+    saved = load_checkpoint(first)
+
+    def knowing(words: bytes, *, steps: int) -> Path:
+        own = {
+            "_extra_state": torch.tensor([*words], dtype=torch.uint8),
+            "norm.num_batches_tracked": torch.tensor(steps),  # is no reason to refuse
+        }
+        path = tmp_path / f"{steps}.pt"
+        save_checkpoint(path, replace(saved, average={**saved.average, **own}))
+        return path
+
+    one, other, same = (knowing(w, steps=s) for s, w in enumerate((b"one", b"two", b"two")))
+    with pytest.raises(CheckpointError, match=r"0\.pt: expected the tokenizer of .*1\.pt, got an"):
+        mean_checkpoint([one, other])
+    mean_checkpoint([other, same])
+
+
 def test_a_file_of_something_else_is_no_checkpoint(first: Path, tmp_path: Path) -> None:
     (tmp_path / "text.pt").write_text("weights")
     (tmp_path / "cut.pt").write_bytes(first.read_bytes()[:1000])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -152,6 +153,12 @@ def test_a_full_disk_for_the_curve_is_named(tmp_path: Path) -> None:
     (tmp_path / "curve.jsonl").symlink_to("/dev/full")
     with pytest.raises(CheckpointError, match=f"{tmp_path}: expected a place to write .*No space"):
         record.report(1, {"loss": 1.0})
+    draft = tmp_path / f"evaluations.jsonl.{os.getpid()}"
+    draft.symlink_to("/dev/full")
+    rows = [{"step": 1, "success": 0.5}]
+    with pytest.raises(CheckpointError, match=f"{tmp_path}: expected a place to write .*No space"):
+        RunRecord(tmp_path, step=1, curve=rows, evaluations=rows, tensorboard=False)
+    assert not draft.is_symlink()
 
 
 def test_the_rate_climbs_then_falls_as_a_cosine() -> None:

@@ -170,6 +170,8 @@ def test_every_setting_is_an_option_and_stands_in_the_docs() -> None:
         default = "none" if leaf.default is None else str(leaf.default).lower()
         assert row[1].strip() == f"`{default}`", leaf.path
     assert set(SHORT) <= {leaf.path for leaf in leaves}
+    section = text.partition("\n## Every setting\n")[2].partition("\n## ")[0]
+    assert {*re.findall(r"^\| `([^`]+)`", section, re.MULTILINE)} == {leaf.path for leaf in leaves}
 
 
 def command(*words: str) -> str:

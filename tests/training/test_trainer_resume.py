@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config
-from anchorflow_training.batches import FlowBatchConfig
+from anchorflow_training.batches import Batch, FlowBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
 from anchorflow_training.config import EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
@@ -149,6 +149,51 @@ def test_a_checkpoint_of_one_horizon_for_all_is_refused_in_words(
     torch.save(saved, run.checkpoint_path)
     with pytest.raises(CheckpointError, match=r"checkpoint: .*horizon_s"):
         restore_model(load_checkpoint(run.checkpoint_path))
+
+
+def test_other_data_are_refused_by_name(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
+    CFMTrainer(replace(CONFIG, steps=1), tiny_dataset, tmp_path).fit()
+    limits = {**tiny_dataset.meta["limits"], "v_max": 1.5}
+    other = replace(tiny_dataset, meta={**tiny_dataset.meta, "limits": limits})
+    said = r"checkpoint\.pt: limits of the data: expected .*2\.0.* got .*1\.5.*another folder"
+    with pytest.raises(CheckpointError, match=said):
+        CFMTrainer(CONFIG, other, tmp_path)
+    more = replace(tiny_dataset, meta={**tiny_dataset.meta, "robot_radius": 0.3})
+    with pytest.raises(
+        CheckpointError, match=r"robot_radius of the data: expected None.* got 0\.3"
+    ):
+        CFMTrainer(CONFIG, more, tmp_path)
+
+
+def test_another_weight_decay_is_that_of_the_rest_of_the_run(
+    tiny_dataset: SceneDataset, tmp_path: Path
+) -> None:
+    CFMTrainer(replace(CONFIG, steps=1), tiny_dataset, tmp_path).fit()
+    resumed = CFMTrainer(replace(CONFIG, weight_decay=0.5), tiny_dataset, tmp_path)
+    assert [group["weight_decay"] for group in resumed.optimiser.param_groups] == [0.5]
+
+
+def test_a_step_that_was_interrupted_leaves_no_gradient(
+    tiny_dataset: SceneDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = replace(CONFIG, steps=2, accumulate=2)
+    whole = CFMTrainer(config, tiny_dataset, tmp_path / "whole")
+    whole.fit()
+    cut = CFMTrainer(config, tiny_dataset, tmp_path / "cut")
+    loss = cut._loss
+
+    def interrupted(batch: Batch, part: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        if part == 1:
+            raise KeyboardInterrupt
+        return loss(batch, part)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(cut, "_loss", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            cut.fit()
+    cut.fit()
+    norms = [[row["gradient_norm"] for row in run.curve] for run in (whole, cut)]
+    np.testing.assert_allclose(*norms, rtol=1e-4)
 
 
 def test_the_checkpoint_holds_the_whole_configuration(

@@ -129,6 +129,11 @@ def test_cost_maps_in_8_bits_are_scaled(tmp_path: Path) -> None:
     np.testing.assert_allclose(dataset.read(slice(None))["cost_maps"], maps / 255, rtol=1e-6)
 
 
+def test_cost_maps_in_8_bits_may_be_free_throughout(tmp_path: Path) -> None:
+    maps = np.zeros((COUNT, 1, 16, 16), np.uint8)
+    assert len(TrajectoryDataset(saved(tmp_path / "free.npz", **l2_arrays(cost_maps=maps))))
+
+
 def test_a_seed_fixes_the_order_of_every_epoch() -> None:
     dataset = SyntheticTrajectoryDataset("bezier", 30)
 

@@ -32,6 +32,14 @@ from anchorflow_training.data import DatasetError, TrajectoryDataset
             r"cost_maps: .*H and W 16\.\.512, found \[12, 1, 8, 16\]",
         ),
         ({"cost_maps": np.full((COUNT, 1, 16, 16), 100.0)}, r"cost_maps: .*\[0, 1\].*row 0"),
+        (
+            {"cost_maps": np.eye(16, dtype=np.uint8)[None, None].repeat(COUNT, 0)},
+            r"cost_maps: expected 255 for 1 in 8 bits, found at most 1",
+        ),
+        (
+            {"cost_maps": np.full((COUNT, 1, 16, 16), 100, np.uint8)},
+            r"cost_maps: expected 255 for 1 in 8 bits, found at most 100",
+        ),
         ({"style_weights": np.zeros((COUNT, 3))}, r"style_weights: .*not all 0.*row 0"),
         ({"quality": np.arange(COUNT) / 5}, r"quality: .*in \[0, 1\], found 1\.2.*row 6"),
         ({"safety_margins": -np.ones(COUNT)}, r"safety_margins: expected values at least 0"),

@@ -107,6 +107,14 @@ def test_weights_that_know_another_tokenizer_are_refused(
         V2XRun(replace(config, **{option: str(path)}), pairs, tmp_path / option)
 
 
+def test_published_weights_are_refused_beside_those_of_a_run_before(
+    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+) -> None:
+    both = replace(config, before="runs/before.pt", pretrained="florence")
+    with pytest.raises(ConfigError, match=r"pretrained: expected none beside before.* florence"):
+        V2XRun(both, pairs, tmp_path)
+
+
 def test_held_out_pairs_are_judged_evenly_spread(
     pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
 ) -> None:

@@ -12,6 +12,9 @@ from torch import Tensor, nn
 from anchorflow_training.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from anchorflow_training.restore import other_weights, saved_model_config
 
+TOKENIZER = "_extra_state"  # of V2X-VLM
+COUNTER = "num_batches_tracked"  # of batch normalisation
+
 
 @torch.no_grad()
 def update_average(
@@ -34,7 +37,8 @@ def mean_checkpoint(paths: Sequence[Path]) -> Checkpoint:
     do not.
 
     Raises:
-        CheckpointError: one cannot be read, or is of another planner or network than the last.
+        CheckpointError: one cannot be read, or is of another planner, network or tokenizer than
+            the last.
     """
     *others, last = [load_checkpoint(path) for path in paths]
     wanted = saved_model_config(last)
@@ -43,6 +47,10 @@ def mean_checkpoint(paths: Sequence[Path]) -> Checkpoint:
             raise CheckpointError(f"{path}: expected {last.planner}, got {other.planner}")
         for name, (old, new) in other_weights(saved_model_config(other), wanted).items():
             raise CheckpointError(f"{path}: expected model.{name} {new!r}, got {old!r}")
+        for name, value in last.average.items():
+            if _decides(name, value) and not torch.equal(other.average[name], value):
+                what = "tokenizer" if name == TOKENIZER else name
+                raise CheckpointError(f"{path}: expected the {what} of {paths[-1]}, got another")
     every = [*others, last]
     average = {
         name: torch.stack([each.average[name] for each in every]).mean(0)
@@ -52,3 +60,8 @@ def mean_checkpoint(paths: Sequence[Path]) -> Checkpoint:
     }
     parts = [{"steps": each.step, "data": each.data} for each in every]
     return replace(last, average=average, mean_of=parts)
+
+
+def _decides(name: str, value: Tensor) -> bool:
+    """Whether an entry is no weight and has no mean, but says what the weights are for."""
+    return not value.is_floating_point() and not name.endswith(COUNTER)

@@ -66,10 +66,12 @@ class RunConfig:
     """How long, how fast and on what; the rate climbs over `warmup`, then falls as a cosine.
 
     planner: its name in the registry of planners, which a subclass says
+    begins_with: settings of what a run begins with, which no run `before` leaves a use for
     model: the planner's own configuration, of the class that the registry names
     """
 
     planner: ClassVar[str]
+    begins_with: ClassVar[tuple[str, ...]] = ()
 
     steps: int = setting(12_000, "Optimiser steps in all.", least=1)
     learning_rate: float = setting(1e-3, "Peak learning rate.", above=0)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, nullcontext
 from dataclasses import asdict
 from pathlib import Path
+from reprlib import repr as shortened
 from typing import Any, Protocol
 
 import numpy as np
@@ -60,7 +61,7 @@ class TrainingRun(ABC):
 
     Raises:
         ConfigError: the configuration does not fit the dataset, the machine or the run `before`.
-        CheckpointError: the folder's checkpoint is of another model or another teacher.
+        CheckpointError: the folder's checkpoint is of another model, teacher or dataset.
     """
 
     def __init__(self, config: RunConfig, out: Path) -> None:
@@ -68,6 +69,11 @@ class TrainingRun(ABC):
             raise ConfigError(
                 f"learning_rate: expected at most {LARGEST_RATE:g}, got {config.learning_rate:g}"
             )
+        for name in config.begins_with if config.before is not None else ():
+            if value := getattr(config, name):
+                raise ConfigError(
+                    f"{name}: expected none beside before, whose run brings its own, got {value}"
+                )
         self.run_config, self.out = config, out
         self.fabric = make_fabric(config)
         if config.threads:
@@ -195,6 +201,7 @@ class TrainingRun(ABC):
         )
         for settings in self._optimiser.param_groups:
             settings["lr"] = rate
+        self.optimiser.zero_grad(set_to_none=True)  # of a step that was interrupted, too
         sums: dict[str, Tensor] = {}
         for part, batch in enumerate(group):
             waiting = part + 1 < len(group)
@@ -211,7 +218,6 @@ class TrainingRun(ABC):
         )
         self._check_finite({**sums, "gradient_norm": torch.as_tensor(norm)})
         self.optimiser.step()
-        self.optimiser.zero_grad(set_to_none=True)
         update_average(self.average, self.model, decay=config.ema_decay, step=self.step)
         self.step += 1
         course = {"learning_rate": torch.tensor(rate, dtype=torch.float64)}
@@ -312,10 +318,20 @@ class TrainingRun(ABC):
                 f"{self.checkpoint_path}: expected the teacher {saved.teacher or None}, as it was "
                 f"trained, got {self.learnt_from or None}; another folder begins a new run"
             )
+        for name in sorted(saved.data.keys() | self.data.keys()):
+            old, new = (data.get(name) for data in (saved.data, self.data))
+            if old != new:
+                raise CheckpointError(
+                    f"{self.checkpoint_path}: {name} of the data: expected {shortened(old)}, as it "
+                    f"was trained on, got {shortened(new)}; another folder begins a new run, and "
+                    "--before gives it these weights"
+                )
         self.step, self.curve, self.evaluations = saved.step, saved.curve, saved.evaluations
         self.average = {k: v.to(self.fabric.device) for k, v in saved.average.items()}
         self.pending = RunningMean(saved.pending)
         self._optimiser.load_state_dict(saved.optimiser)
+        for settings in self._optimiser.param_groups:
+            settings["weight_decay"] = self.run_config.weight_decay
         if saved.scaler:  # a run may go on in another precision
             self.fabric.strategy.precision.load_state_dict(saved.scaler)
 

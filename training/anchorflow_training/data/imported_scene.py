@@ -21,6 +21,7 @@ FloatArray = NDArray[np.floating]
 
 CHANNELS = 3  # occupancy, traversability, risk: those that a network is told at least
 STYLE = (0.4, 0.3, 0.3)  # safety, energy, smooth, where the file has no style_weights
+REACHED = 0.1  # m from a given end to the trajectory's own
 LEAST_POINTS = START_POINTS + GOAL_POINTS + 1
 ROOM_SHARE, ROOM_M = 0.75, 3.0
 """Half the side of an empty map, in shares of what the trajectory spans, and metres beside it.
@@ -62,6 +63,9 @@ def imported_scene(source: SceneSource) -> Row | str:
     arrays, options = source.arrays, source.options
     fields = [arrays[name] for name in FIELDS]
     x_curr, x_goal = end_states(arrays)
+    for state, position in zip((x_curr, x_goal), fields[0][[0, -1]], strict=True):
+        if np.linalg.norm(state[:2] - position[:2]) > REACHED:
+            return "missed_ends"
     if source.geometry is None:
         given, origin, resolution, centre = empty_map(fields[0], x_curr, x_goal, options.cells)
         # Where the map lies is ours to say; near the origin float32 resolves it best.

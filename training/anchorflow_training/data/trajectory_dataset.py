@@ -32,6 +32,7 @@ from anchorflow_training.dataset import DatasetError
 Sample = dict[str, Tensor]
 
 BLOCK_BYTES = 1 << 23  # of a file that are looked at together; bounds the memory of a pass
+LEAST_WALL = 128  # of 8 bits; where no map reaches it, they hold 0 and 1, or percent
 
 
 class TrajectoryDataset(Dataset[Sample]):
@@ -130,14 +131,20 @@ class TrajectoryDataset(Dataset[Sample]):
         return self._surveyed_samples() if self._overridden else self._file_survey
 
     def _surveyed_file(self) -> Survey:
-        surveyor = Surveyor()
+        surveyor, greatest = Surveyor(), 0
         for rows in self._blocks(self.count):
             block = {name: array.read(rows) for name, array in self.arrays.items()}
             for name, values in block.items():
                 check_values(self.path, name, values, rows.start)
+            if "cost_maps" in block and block["cost_maps"].dtype == np.uint8:
+                greatest = max(greatest, int(block["cost_maps"].max()))
             # Rows that are not finite pass through here before anyone knows them.
             with np.errstate(invalid="ignore", over="ignore"):
                 surveyor.add(rows.start, block, self._states(block, self._steps_of(rows)))
+        if 0 < greatest < LEAST_WALL:
+            raise DatasetError(
+                f"{self.path}: cost_maps: expected 255 for 1 in 8 bits, found at most {greatest}"
+            )
         for name, values in self.geometry.items():
             if not np.isfinite(values).all():
                 raise DatasetError(f"{self.path}: {name}: expected finite numbers")

@@ -56,6 +56,7 @@ class GoalFlowRunConfig(RunConfig):
     """A run that learns GoalFlow from driving logs."""
 
     planner: ClassVar[str] = "goalflow"
+    begins_with: ClassVar = ("vocabulary",)
 
     steps: int = 6000
     warmup: int = 200

@@ -7,7 +7,7 @@ from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -38,6 +38,8 @@ from anchorflow_training.settings import check_fixed, setting
 @dataclass(frozen=True)
 class SensorRunConfig(RunConfig):
     """A run that learns from camera, LiDAR and ego status, and begins with anchors."""
+
+    begins_with: ClassVar = ("anchors", "resnet")
 
     learning_rate: float = 3e-4
     batch: MirroredBatchConfig = field(default_factory=lambda: MirroredBatchConfig(scenes=8))

@@ -33,6 +33,7 @@ class V2XRunConfig(RunConfig):
     """A run that learns waypoints from pairs."""
 
     planner: ClassVar[str] = "v2x_vlm"
+    begins_with: ClassVar = ("pretrained",)
 
     steps: int = setting(6000, "Optimiser steps in all.", least=1)
     learning_rate: float = setting(5e-4, "Peak learning rate.", above=0)
