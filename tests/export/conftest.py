@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
@@ -11,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_client.contract import OdeSpec
-from anchorflow_export.bundle import BundleDescription
+from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners.flowmp import FlowMPAdapter
 from anchorflow_service.bundle.conditioning import CostMapEntry, LimitsEntry
 from anchorflow_service.bundle.manifest import SplineEntry
@@ -125,3 +126,19 @@ def adapted() -> Callable[..., FlowMPAdapter]:
         return FlowMPAdapter(model=model, **(parts | told))
 
     return adapt
+
+
+@pytest.fixture(scope="session")
+def small_bundle(
+    small_flow: Callable[[], SmallFlow],
+    adapted: Callable[..., FlowMPAdapter],
+    description: BundleDescription,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    """The small flow's bundle, exported once; to read, not to change."""
+    out = tmp_path_factory.mktemp("exported") / "bundle"
+    differences = export_bundle(adapted(small_flow()), description, out=out)
+    assert max(part.error for part in differences) <= 1e-5
+    kinds = {part.what.split()[0] for part in differences}
+    assert kinds == {"encode", "modulate", "field", "sample"}
+    return out

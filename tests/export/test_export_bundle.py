@@ -27,17 +27,9 @@ from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.cost import MotionLimits
 
 
-@pytest.fixture(scope="module")
-def bundle(
-    tmp_path_factory: pytest.TempPathFactory, small_flow: Any, description: Any, adapted: Any
-) -> Path:
-    """The small flow's bundle, exported once."""
-    out = tmp_path_factory.mktemp("exported") / "bundle"
-    differences = export_bundle(adapted(small_flow()), description, out=out)
-    assert max(part.error for part in differences) <= 1e-5
-    kinds = {part.what.split()[0] for part in differences}
-    assert kinds == {"encode", "modulate", "field", "sample"}
-    return out
+@pytest.fixture
+def bundle(small_bundle: Path) -> Path:
+    return small_bundle
 
 
 def test_the_folder_holds_three_graphs_and_a_manifest(bundle: Path) -> None:

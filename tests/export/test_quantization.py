@@ -5,14 +5,12 @@ from __future__ import annotations
 import logging
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
 import pytest
 
 from anchorflow_client.contract import OdeSpec
-from anchorflow_export.bundle import export_bundle
 from anchorflow_export.errors import ExportError
 from anchorflow_export.planners import check_used
 from anchorflow_export.planners.flowmp.scenes import random_scenes
@@ -21,19 +19,10 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, BundleError, load_bundle
 from anchorflow_service.engine.samplers.ode import OdeSampler
 
 
-@pytest.fixture(scope="module")
-def exported(
-    tmp_path_factory: pytest.TempPathFactory, small_flow: Any, description: Any, adapted: Any
-) -> Path:
-    out = tmp_path_factory.mktemp("exported") / "bundle"
-    export_bundle(adapted(small_flow()), description, out=out)
-    return out
-
-
 @pytest.fixture
-def bundle(exported: Path, tmp_path: Path) -> Path:
+def bundle(small_bundle: Path, tmp_path: Path) -> Path:
     """One to round, or to break."""
-    return shutil.copytree(exported, tmp_path / "bundle")
+    return shutil.copytree(small_bundle, tmp_path / "bundle")
 
 
 def operations(bundle: Path, role: str) -> set[str]:
