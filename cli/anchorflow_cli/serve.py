@@ -6,6 +6,7 @@ import logging
 import socket
 import ssl
 from contextlib import suppress
+from dataclasses import replace
 from typing import Annotated
 
 import typer
@@ -20,6 +21,7 @@ from anchorflow_cli.model_options import (
     WaitingOption,
 )
 from anchorflow_cli.options import command_app
+from anchorflow_cli.serve_open_files import within_open_files
 from anchorflow_cli.serve_options import (
     BodyOption,
     CertificateOption,
@@ -38,7 +40,7 @@ from anchorflow_cli.serve_options import (
     WorkersOption,
 )
 from anchorflow_cli.serve_workers import check_workers, serve_by_workers
-from anchorflow_cli.serving import Opened, ServeChoice, open_service, serving_line
+from anchorflow_cli.serving import Opened, ServeChoice, open_service, serving_line, tell
 from anchorflow_cli.zenoh_options import ZenohChoice, with_zenoh_options
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.http.connections import ConnectionLimits
@@ -93,6 +95,7 @@ def serve(
         log_level=log_level,
     )
     set_up_logging(log_format, log_level)
+    choice = replace(choice, connections=within_open_files(choice.connections))
     if workers > 1:
         check_workers(zenoh)
         choice = choice.for_one_of(workers)
@@ -118,9 +121,9 @@ def _serve_alone(
     """In this process, until it is interrupted."""
 
     def say() -> None:
-        typer.echo(serving_line(opened.models, choice, listener))
+        tell(serving_line(opened.models, choice, listener))
         if zenoh is not None and opened.zenoh is not None:
-            typer.echo(f"zenoh replica {opened.zenoh.replica} ({zenoh.settings.describe()})")
+            tell(f"zenoh replica {opened.zenoh.replica} ({zenoh.settings.describe()})")
 
     server = AnchorServer(
         opened.app,

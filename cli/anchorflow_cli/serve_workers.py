@@ -11,10 +11,8 @@ from functools import partial
 from multiprocessing.connection import Connection
 from tempfile import TemporaryDirectory
 
-import typer
-
 from anchorflow_cli.serve_options import ServeOptionError
-from anchorflow_cli.serving import ServeChoice, open_service, serving_line
+from anchorflow_cli.serving import ServeChoice, open_service, serving_line, tell
 from anchorflow_cli.zenoh_options import ZenohChoice
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.http.lifecycle import CANCELLING_S
@@ -47,7 +45,7 @@ def serve_by_workers(choice: ServeChoice, listener: socket.socket, workers: int)
     """
 
     def say(models: str) -> None:
-        typer.echo(f"{serving_line(models, choice, listener)}, {workers} workers")
+        tell(f"{serving_line(models, choice, listener)}, {workers} workers")
 
     leave_s = choice.draining.notice_s + choice.draining.drain_s + CANCELLING_S + CLOSING_S
     supervisor = Supervisor(partial(work, choice), listener, count=workers, leave_s=leave_s)
@@ -59,11 +57,13 @@ def serve_by_workers(choice: ServeChoice, listener: socket.socket, workers: int)
         signal.raise_signal(came)
 
 
-def work(choice: ServeChoice, listener: socket.socket, link: Connection) -> None:
+def work(
+    choice: ServeChoice, listener: socket.socket, link: Connection, models: tuple[str, ...]
+) -> None:
     """What runs in a worker's process; ends it with status 1 where it cannot start."""
     set_up_logging(choice.log_format, choice.log_level)
     try:
-        opened = open_service(choice, choice.token_file, one_of_several=True)
+        opened = open_service(choice, choice.token_file, one_of_several=True, models=models)
         server = WorkerServer(
             opened.app,
             opened.service,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import socket
 from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager
@@ -10,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
 from fastapi import FastAPI
 from starlette.middleware import Middleware
 
@@ -24,6 +26,7 @@ from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
 from anchorflow_service.http.lifecycle import Draining
 from anchorflow_service.http.tokens import TokenFile
+from anchorflow_service.observability.metrics import reserve_shared_files
 from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.repository import (
     BundleFolders,
@@ -31,11 +34,14 @@ from anchorflow_service.repository import (
     Repository,
     open_all,
 )
+from anchorflow_service.repository.folders import RepositoryError
 
 if TYPE_CHECKING:
     from anchorflow_cli.zenoh_options import ZenohChoice
     from anchorflow_service.observability.spans import Tracing
     from anchorflow_service.zenoh_endpoint import ZenohEndpoint
+
+logger = logging.getLogger(__name__)
 
 ZENOH_WAIT_S = 5.0
 """How long a router may take to be there when the service starts."""
@@ -90,8 +96,16 @@ def open_service(
     *,
     zenoh: ZenohChoice | None = None,
     one_of_several: bool = False,
+    models: tuple[str, ...] = (),
 ) -> Opened:
     """Load the bundles and put the application together.
+
+    Args:
+        choice: what is served.
+        tokens: who may ask; None: everybody.
+        zenoh: the network to join too; None: none.
+        one_of_several: among processes that count together.
+        models: names that have to be among those served, the default first; empty: any.
 
     Raises:
         AnchorFlowError: a bundle cannot be served, or there is no way to the zenoh network.
@@ -102,10 +116,16 @@ def open_service(
 
     folders = choice.folders
     engines = open_all(folders, open_engine)
-    service = PlanningService(engines, default=next(iter(engines)), limits=choice.limits)
+    lacking = [name for name in models if name not in engines]
+    if lacking:
+        raise RepositoryError(f"expected {', '.join(lacking)}, which others serve, got no bundle")
+    default = models[0] if models else next(iter(engines))
+    service = PlanningService(engines, default=default, limits=choice.limits)
     endpoint = None if zenoh is None else zenoh_endpoint(service, zenoh)
     tracing = None if choice.traces is None else traced(service, choice.traces)
     repository = FixedRepository if one_of_several else Repository
+    if one_of_several:
+        reserve_shared_files()
     both: Sequence[AbstractAsyncContextManager[object] | None] = (tracing, endpoint)
     app = create_app(
         service,
@@ -124,6 +144,14 @@ def serving_line(models: str, choice: ServeChoice, listener: socket.socket) -> s
     """What is told of a service once it answers."""
     url = url_of(listener, tls=choice.tls.certificate is not None)
     return f"{models} at {url} ({choice.folders})"
+
+
+def tell(line: str) -> None:
+    """Print it; a service whose output goes nowhere serves all the same."""
+    try:
+        typer.echo(line)
+    except OSError as error:
+        logger.warning("standard output cannot be written: %s", error.strerror)
 
 
 def traced(service: PlanningService, url: str) -> Tracing:

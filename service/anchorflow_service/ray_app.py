@@ -2,16 +2,14 @@
 
     serve run anchorflow_service.ray_app:app max_replicas=8 cpus=2
 
-The HTTP contract is that of `anchorflow serve`; Ray's proxy routes, and Ray's own batching makes
-the micro-batches of a replica. `zenoh=tcp/HOST:7447` puts every replica on a zenoh network as well,
+The HTTP contract is that of `anchorflow serve`, and so is a replica's queue; Ray's proxy routes.
+`zenoh=tcp/HOST:7447` puts every replica on a zenoh network as well,
 each under keys of its own.
 """
 
 # Not `from __future__ import annotations`: Ray's application builder makes `RaySettings` of the
 # command's words only where the annotation of `app` is the class itself.
 
-import asyncio
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,12 +17,11 @@ from fastapi import FastAPI
 from pydantic import BaseModel, ConfigDict, Field
 from ray import serve  # pyright: ignore[reportMissingImports] - an extra that not every venv has
 
-from anchorflow_client.codec import Payload
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.tokens import TokenFile
-from anchorflow_service.planning import Call, PlanningService, ServiceLimits
+from anchorflow_service.planning import PlanningService, ServiceLimits
 
 if TYPE_CHECKING:
     from anchorflow_service.zenoh_endpoint import ZenohEndpoint
@@ -54,32 +51,9 @@ class RaySettings(BaseModel):
 
     def limits(self) -> ServiceLimits:
         """The bounds of a replica."""
-        return ServiceLimits(max_batch=self.max_batch, threads=self.cpus)
-
-
-class RayBatches(PlanningService):
-    """A service whose requests go through it in Ray's batches, one batch after the other.
-
-    Within a batch it is the service that it is elsewhere: its lanes share the threads. A caller who
-    leaves does not stop what has become part of a batch.
-    """
-
-    def __init__(self, engine: Engine, settings: RaySettings) -> None:
-        name = engine.card.name
-        super().__init__({name: engine}, default=name, limits=settings.limits())
-        batched = serve.batch(
-            max_batch_size=settings.max_batch, batch_wait_timeout_s=settings.batch_wait_ms / 1e3
+        return ServiceLimits(
+            max_batch=self.max_batch, batch_wait_ms=self.batch_wait_ms, threads=self.cpus
         )
-        self._in_batch: Callable[[Call], Awaitable[Payload]] = batched(self._answer_all)
-
-    async def answer(self, call: Call) -> Payload:
-        """As the service's own."""
-        return await self._in_batch(call)
-
-    async def _answer_all(self, calls: list[Call]) -> list[Payload | BaseException]:
-        """An answer or an error for each, which Ray gives or raises to whoever waits for it."""
-        answers = (PlanningService.answer(self, call) for call in calls)
-        return await asyncio.gather(*answers, return_exceptions=True)
 
 
 def app(settings: RaySettings) -> Any:
@@ -93,8 +67,8 @@ def app(settings: RaySettings) -> Any:
         serve.ingress(replica)(),
         name="anchors",
         ray_actor_options={"num_cpus": settings.cpus, "num_gpus": settings.gpus},
-        # Its own queue refuses in the contract's words, so Ray hands over all that may wait there.
-        max_ongoing_requests=limits.max_batch + limits.max_waiting,
+        # Its own queue refuses in the contract's words, so Ray hands over more than may wait there.
+        max_ongoing_requests=2 * (limits.max_batch + limits.max_waiting),
         autoscaling_config={
             "min_replicas": settings.min_replicas,
             "max_replicas": settings.max_replicas,
@@ -108,7 +82,8 @@ def build_replica(settings: RaySettings) -> FastAPI:
     """What runs in a replica. Raises `AnchorFlowError` where the bundle or the tokens are bad."""
     bundle = load_bundle(settings.bundle)
     engine = Engine(bundle, threads=settings.cpus, provider=settings.provider)
-    service = RayBatches(engine, settings)
+    name = engine.card.name
+    service = PlanningService({name: engine}, default=name, limits=settings.limits())
     endpoints = [] if settings.zenoh is None else [_zenoh_endpoint(service, settings.zenoh)]
     tokens = None if settings.tokens is None else TokenFile(settings.tokens)
     return create_app(service, endpoints=endpoints, tokens=tokens)

@@ -79,6 +79,23 @@ def test_a_ctrl_c_on_its_first_word_stops_it_quietly() -> None:
     assert run.stdout.startswith("named 1.2.3 at http://")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no full device to print to")
+def test_output_that_goes_nowhere_ends_nothing() -> None:
+    with (
+        Path("/dev/full").open("w") as full,
+        subprocess.Popen(
+            [sys.executable, "-c", PROGRAM], stdout=full, stderr=subprocess.PIPE, text=True
+        ) as process,
+    ):
+        assert process.stderr is not None
+        line = process.stderr.readline()
+        assert "standard output cannot be written: No space left on device" in line
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(1.0)
+        process.send_signal(signal.SIGINT)
+        assert (process.communicate(timeout=20)[1], process.returncode) == ("", 0)
+
+
 def test_a_port_in_use_is_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

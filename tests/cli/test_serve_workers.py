@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -39,13 +40,7 @@ pytestmark = pytest.mark.skipif(
     not Path("/proc/self/task").exists(), reason="finds the workers in /proc"
 )
 
-COMMAND = (
-    sys.executable,
-    "-u",
-    "-c",
-    "from anchorflow_cli.main import main; main()",
-    *("serve", "--port", "0", "--workers", "2", "--threads", "1", "--drain-s", "5"),
-)
+COMMAND = ("serve", "--port", "0", "--workers", "2", "--threads", "1", "--drain-s", "5")
 REQUEST = AnchorRequest.build(
     cost_map={"data": np.zeros((1, 64, 64)), "resolution": 0.16},
     x_curr=[-3, 0, 0, 0, 0, 0],
@@ -53,15 +48,21 @@ REQUEST = AnchorRequest.build(
     num_samples=2,
     sampler={"method": "midpoint", "schedule": {"uniform": 2}},
 )
+STUDENT = DEFAULT_BUNDLE.with_name("student")
 PATIENCE_S = 100.0
 
 
 class Served:
     """The command, which serves; ended at the end of the test."""
 
-    def __init__(self, *options: str) -> None:
+    def __init__(self, *options: str, first: str = "") -> None:
+        """first: what the process does before it serves"""
+        program = f"{first}\nfrom anchorflow_cli.main import main; main()"
         self.process = subprocess.Popen(
-            [*COMMAND, *options], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-u", "-c", program, *COMMAND, *options],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         assert self.process.stdout is not None
         self.line = self.process.stdout.readline().rstrip("\n")
@@ -94,8 +95,8 @@ def is_gone(pid: int) -> bool:
 def serve() -> Iterator[Callable[..., Served]]:
     started: list[Served] = []
 
-    def start(*options: str) -> Served:
-        started.append(Served(*options))
+    def start(*options: str, first: str = "") -> Served:
+        started.append(Served(*options, first=first))
         return started[-1]
 
     yield start
@@ -311,6 +312,75 @@ def test_every_worker_counts_for_all(
     os.kill(min(before), signal.SIGKILL)
     replacement(served, before)
     assert counted(served.url) == 12.0
+
+
+def test_a_folder_of_counts_that_is_cleared_away_is_made_anew(
+    serve: Callable[..., Served],
+    replacement: Callable[[Served, set[int]], int],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    served = serve()
+    before = served.workers()
+    shutil.rmtree(next(tmp_path.glob("anchorflow-metrics-*")))
+
+    for pid in sorted(before):
+        os.kill(pid, signal.SIGKILL)
+        before.add(replacement(served, before))
+    with AnchorClient(served.url) as client:
+        client.plan_request(REQUEST)
+
+    assert counted(served.url) == 1.0
+
+
+def test_workers_that_have_no_room_to_count_do_not_start(
+    serve: Callable[..., Served], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Else the first thing that they count ends them."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    # What a full disk is to others, a limit on files is to this one.
+    served = serve(first="import resource; resource.setrlimit(resource.RLIMIT_FSIZE, [2**17] * 2)")
+
+    code, (line,) = served.ended()
+    assert (code, served.line) == (1, "")
+    assert re.fullmatch(
+        r"anchorflow serve: .*/anchorflow-metrics-\w+: cannot be written: File too large", line
+    )
+
+
+def test_a_worker_that_lacks_a_model_of_the_others_does_not_take_part(
+    serve: Callable[..., Served],
+    replacement: Callable[[Served, set[int]], int],
+    tmp_path: Path,
+) -> None:
+    """One that starts while a bundle is copied would have another default for good."""
+    repository = tmp_path / "repository"
+    for name, folder in (("flowmp-small", DEFAULT_BUNDLE), ("student", STUDENT)):
+        shutil.copytree(folder, repository / name)
+    served = serve("--repository", str(repository))
+    workers = served.workers()
+    manifest = repository / "flowmp-small" / "manifest.json"
+    whole = manifest.read_bytes()
+    manifest.write_bytes(whole[:100])
+
+    os.kill(min(workers), signal.SIGKILL)
+    assert served.process.stderr is not None
+    said = iter(served.process.stderr.readline, "")
+    assert any("expected flowmp-small, which others serve, got no bundle" in line for line in said)
+
+    manifest.write_bytes(whole)
+    workers.add(replacement(served, workers))
+    for _ in range(8):  # a connection each, so that both are asked
+        with AnchorClient(served.url) as client:
+            assert client.plan_request(REQUEST).model.name == "flowmp-small"
+
+
+def test_a_drain_of_a_month_is_none_too_long(serve: Callable[..., Served]) -> None:
+    served = serve("--drain-s", "3e6")
+
+    served.process.send_signal(signal.SIGTERM)
+    assert served.ended() == (-signal.SIGTERM, [])
 
 
 def test_threads_are_shared_out_unless_they_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

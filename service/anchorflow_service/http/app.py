@@ -9,6 +9,7 @@ from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 from anchorflow_service.http.anchors import anchors_router
+from anchorflow_service.http.connections import HealthAlone
 from anchorflow_service.http.errors import install_error_handlers
 from anchorflow_service.http.guard import Guard
 from anchorflow_service.http.guard_documentation import document_guard
@@ -50,6 +51,7 @@ def create_app(
         middleware: around all routes, refusals included; each sees the request's id.
     """
     metrics = Metrics(service)
+    listeners = [metrics.exchanged, log_exchange]
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -74,10 +76,12 @@ def create_app(
             Middleware(Turns),
             Middleware(RequestIds),
             *middleware,
-            Middleware(Exchanges, listeners=[metrics.exchanged, log_exchange]),
+            Middleware(Exchanges, listeners=listeners),
+            Middleware(HealthAlone),
             *([] if tokens is None else [Middleware(Guard, tokens=tokens)]),
         ],
     )
+    app.state.exchange_listeners = listeners
     app.include_router(anchors_router(service))
     app.include_router(server_router(service))
     app.include_router(models_router(service))

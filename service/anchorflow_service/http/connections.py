@@ -9,7 +9,9 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import uuid
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from functools import partial
@@ -30,10 +32,15 @@ from anchorflow_service.http.errors import error_answer
 from anchorflow_service.http.guard import HEALTH
 from anchorflow_service.http.joined_head import JoinedHead
 from anchorflow_service.http.places import ConnectionPlaces, source_of
+from anchorflow_service.http.request_id import HEADER
 from anchorflow_service.http.second_half import SecondHalf
+from anchorflow_service.http.unsent import held, untaken
+from anchorflow_service.observability.exchanges import OTHER, REFUSED, Exchange, Listener
 
 RESERVE = 64
 """Connections beyond the limit that are still heard, so that a probe gets through a crowd."""
+RESERVED = "is_in_reserve"
+"""In a request's state: its connection is one of those."""
 SHARE = 0.75
 """Of the connections, for one address."""
 MOST_AHEAD = 32
@@ -41,6 +48,8 @@ MOST_AHEAD = 32
 MOST_BYTES_AHEAD = 64 * 2**10
 """Of the bodies of those requests."""
 NO_REQUEST = "Invalid HTTP request received."
+LOOKS = 4
+"""At what a client has taken, in the time in which it has to take something."""
 SEPARATORS = len(b":\r\n")
 """Bytes of a header beside its name and its value; white space around that is not counted."""
 FRAMING = (b"content-length", b"transfer-encoding")
@@ -62,6 +71,9 @@ class ConnectionLimits:
     """For a request line and headers to come in; then the connection is closed."""
     receive_s: float = 60.0
     """For the body after them; then the connection is closed."""
+    send_s: float = 60.0
+    """In which a client has to take something of what is written for it, however little; then the
+    connection is closed."""
 
     def places(self) -> ConnectionPlaces[LimitedConnection]:
         """Empty ones."""
@@ -90,6 +102,8 @@ class LimitedConnection(HttpToolsProtocol):
 
     limits: ConnectionLimits
     places: ConnectionPlaces[LimitedConnection]
+    listeners: Sequence[Listener]
+    """Told of answers that are none of the application's."""
     _stage = Stage.HEAD
     _num_heads = 0
     """That began, the one on its way included."""
@@ -101,6 +115,7 @@ class LimitedConnection(HttpToolsProtocol):
     """Nothing that comes from now on is read."""
     _receiving: asyncio.TimerHandle | None = None
     _receives_body = False
+    _sending: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Serve it, or hear it and refuse, by how many there are."""
@@ -111,7 +126,7 @@ class LimitedConnection(HttpToolsProtocol):
         if evicted is not None:
             evicted.transport.abort()
         if not has_place:
-            self.app = health_alone(self.app)  # type: ignore[assignment]
+            self.app_state = {**self.app_state, RESERVED: True}
         self._watch()
 
     def data_received(self, data: bytes) -> None:
@@ -180,11 +195,29 @@ class LimitedConnection(HttpToolsProtocol):
         else:
             self._watch()
         self._note_place()
+        self._watch_sending()
+
+    def pause_writing(self) -> None:
+        """The client is slower than what is written for it."""
+        super().pause_writing()
+        self._watch_sending()
+
+    def timeout_keep_alive_handler(self) -> None:
+        """Close it; where an answer is still on its way, which asyncio would break off over TLS
+        30 s later, look again.
+        """
+        if not held(self.transport):
+            super().timeout_keep_alive_handler()
+            return
+        self.timeout_keep_alive_task = self.loop.call_later(
+            self.timeout_keep_alive, self.timeout_keep_alive_handler
+        )
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Give the place back, stop waiting, and tell whoever works on an answer."""
         self.places.leave(self)
         self._stop_watching()
+        self._stop_watching_sending()
         self.pipeline.clear()
         for cycle in self._unanswered:  # uvicorn tells the latest alone, which may not have begun
             cycle.disconnected = True
@@ -207,15 +240,20 @@ class LimitedConnection(HttpToolsProtocol):
                 self.transport.abort()
                 return
         most = self.limits.max_head_bytes
-        error = InvalidRequest(f"{msg} Expected HTTP/1.1 with a head of at most {most} bytes")
+        said = f"{msg} Expected HTTP/1.1 with a head of at most {most} bytes"
+        error = InvalidRequest(said, http_status=400)
         body = json.dumps(error.to_dict()).encode()
-        head = b"content-type: application/json\r\ncontent-length: %d\r\nconnection: close\r\n\r\n"
-        self.transport.write(STATUS_LINE[400] + head % len(body) + body)
+        head = (
+            f"content-type: application/json\r\ncontent-length: {len(body)}\r\n"
+            f"{HEADER}: {self._note_refusal(error.http_status)}\r\nconnection: close\r\n\r\n"
+        )
+        self.transport.write(STATUS_LINE[error.http_status] + head.encode() + body)
         self.transport.close()
+        self._watch_sending()
 
     def has_sent_all(self) -> bool:
         """Whether the client has what was written for it, as far as can be told from here."""
-        return self.transport.get_write_buffer_size() == 0
+        return not held(self.transport)
 
     def _feed(self, data: bytes) -> None:
         assert self.parser is not None
@@ -280,6 +318,42 @@ class LimitedConnection(HttpToolsProtocol):
             self._receiving.cancel()
             self._receiving = None
 
+    def _watch_sending(self) -> None:
+        """Limit the time in which the client takes nothing of what is written for it."""
+        self._stop_watching_sending()
+        self._look_at_sending(math.inf, self.loop.time())
+
+    def _look_at_sending(self, before: float, since: float) -> None:
+        """before: bytes that it still had to take at the time `since` [s]"""
+        self._sending = None
+        if not held(self.transport):
+            return
+        now, left = self.loop.time(), untaken(self.transport)
+        if left < before:
+            before, since = left, now
+        elif now - since >= self.limits.send_s:
+            self.transport.abort()
+            return
+        self._sending = self.loop.call_later(
+            self.limits.send_s / LOOKS, self._look_at_sending, before, since
+        )
+
+    def _stop_watching_sending(self) -> None:
+        if self._sending is not None:
+            self._sending.cancel()
+            self._sending = None
+
+    def _note_refusal(self, status: int) -> str:
+        """Have it counted once; the request's id, of its own where the application has none."""
+        if self.cycle is not None and not self.cycle.response_complete:
+            state = self.cycle.scope.get("state", {})
+            state[REFUSED] = status  # the application is at work on it, and will be counted
+            return state.get("request_id") or uuid.uuid4().hex
+        request_id = uuid.uuid4().hex
+        for listener in self.listeners:
+            listener(Exchange("-", "-", OTHER, status, 0.0, request_id, None))
+        return request_id
+
     def _note_place(self) -> None:
         """Whether it has a request is what its place depends on."""
         if self.cycle is None or self.cycle.response_complete:
@@ -288,21 +362,29 @@ class LimitedConnection(HttpToolsProtocol):
             self.places.begin_request(self)
 
 
-def limited(limits: ConnectionLimits) -> type[LimitedConnection]:
-    """The protocol of one server for `uvicorn.Config(http=…)`, within these limits."""
-    attributes = {"limits": limits, "places": limits.places()}
+def limited(
+    limits: ConnectionLimits, listeners: Sequence[Listener] = ()
+) -> type[LimitedConnection]:
+    """The protocol of one server for `uvicorn.Config(http=…)`, within these limits.
+
+    listeners: told of what is refused before it is a request
+    """
+    attributes = {"limits": limits, "places": limits.places(), "listeners": listeners}
     return type("LimitedConnection", (LimitedConnection,), attributes)
 
 
-def health_alone(app: ASGIApp) -> ASGIApp:
-    """The application to a connection too many: health is answered, all else is `overloaded`."""
+class HealthAlone:
+    """Middleware: to a connection in the reserve health is answered, all else is `overloaded`."""
 
-    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["path"].startswith(HEALTH):
-            await app(scope, receive, send)
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on, or refuse it."""
+        is_reserved = scope["type"] == "http" and scope.get("state", {}).get(RESERVED)
+        if not is_reserved or scope["path"].startswith(HEALTH):
+            await self._app(scope, receive, send)
             return
         await discard_body(Request(scope, receive))
         error = Overloaded("too many connections; try again in 1 s", retry_after_s=1)
         await error_answer(error, {"Connection": "close"})(scope, receive, send)
-
-    return answer

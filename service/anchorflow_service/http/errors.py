@@ -11,6 +11,7 @@ from starlette.responses import Response
 
 from anchorflow_client.errors import InvalidRequest, Overloaded, RequestError
 from anchorflow_service.http.answers import json_answer
+from anchorflow_service.http.hang_up import to_nobody
 
 MAX_ECHOED = 100
 """Characters of a method and a path that a refusal repeats."""
@@ -44,5 +45,5 @@ def _not_routed(request: Request, error: Exception) -> Response:
     return error_answer(InvalidRequest(message, http_status=error.status_code), error.headers)
 
 
-def _broken_off(_: Request, error: Exception) -> Response:
-    return error_answer(InvalidRequest(f"the connection broke off: {error}", "body"))
+def _broken_off(_: Request, __: Exception) -> Response:
+    return to_nobody()

@@ -67,7 +67,7 @@ class AnchorServer(uvicorn.Server):
         super().__init__(
             uvicorn.Config(
                 app,
-                http=limited(limits),
+                http=limited(limits, getattr(app.state, "exchange_listeners", ())),
                 ws="none",
                 lifespan="off",
                 log_config=None,

@@ -53,8 +53,9 @@ class Token:
 class TokenFile:
     """The tokens of a file, as it is now.
 
-    A file that breaks while the service runs leaves the tokens that were valid before, and the log
-    says why.
+    A file that breaks while the service runs, or cannot be read then, leaves the tokens that were
+    valid before until it can be, and the log says why. One that holds no token any more lets nobody
+    in.
 
     Raises:
         TokenFileError: it cannot be read, holds no token, or a line is wrong.
@@ -66,6 +67,8 @@ class TokenFile:
         self._looked = clock()
         self._stamp = _stamp(path)
         self._tokens = _served(path)
+        self._fault = ""
+        """What the last look found wrong, so that the log says it once."""
 
     def find(self, presented: str) -> Token | None:
         """The token that was presented, where it is one of the file's."""
@@ -83,13 +86,16 @@ class TokenFile:
         stamp = _stamp(self._path)
         if stamp == self._stamp:
             return
-        self._stamp = stamp
         try:
-            self._tokens = _served(self._path)
+            self._tokens = read_tokens(self._path)
         except TokenFileError as error:
-            logger.error("the tokens stay as they were: %s", error)
-        else:
-            logger.info("%d tokens read from %s", len(self._tokens), self._path)
+            if str(error) != self._fault:
+                logger.error("the tokens stay as they were: %s", error)
+            self._fault = str(error)
+            return
+        self._stamp, self._fault = stamp, ""
+        level = logging.INFO if self._tokens else logging.ERROR
+        logger.log(level, "%d tokens read from %s", len(self._tokens), self._path)
 
 
 def read_tokens(path: Path) -> tuple[Token, ...]:
@@ -166,4 +172,4 @@ def _stamp(path: Path) -> tuple[int, ...] | None:
         return None
     if not stat.S_ISREG(status.st_mode):
         return None
-    return status.st_mtime_ns, status.st_size, status.st_ino
+    return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino

@@ -14,6 +14,8 @@ OTHER = "other"
 """The route of what no route matched."""
 BROKEN_OFF = 499
 """In place of a status where the caller left before there was one."""
+REFUSED = "refused"
+"""In a request's state: the status with which its connection refused it in mid-body."""
 FAILED = 500
 """What an exception is answered with, further out."""
 
@@ -22,7 +24,7 @@ logger = logging.getLogger("anchorflow_service.access")
 
 @dataclass(frozen=True)
 class Exchange:
-    """A request and its answer's head."""
+    """A request and its answer's head; method and path are "-" where there was no request."""
 
     method: str
     path: str
@@ -97,7 +99,7 @@ def _exchange(scope: Scope, status: int, seconds: float) -> Exchange:
         method=scope["method"],
         path=quote(scope["path"]),
         route=getattr(scope.get("route"), "path", OTHER),
-        status=status,
+        status=state.get(REFUSED, status),
         seconds=seconds,
         request_id=state.get("request_id", ""),
         caller=state.get("caller"),

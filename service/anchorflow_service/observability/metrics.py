@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector
 from prometheus_client.exposition import generate_latest
 from prometheus_client.multiprocess import MultiProcessCollector
 
+from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.observability.collector import ServiceCollector
 from anchorflow_service.observability.exchanges import Exchange
 from anchorflow_service.planning import ANSWERED, Call, Observer, PlanningService
@@ -18,6 +21,12 @@ SIZES = (1, 2, 4, 8, 16, 32, 64)
 STAGES = ("encode", "sample", "refine")
 SHARED_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
 """prometheus_client's variable: the folder of the files in which processes count together."""
+SHARED_BYTES = 512 * 2**10
+"""Of each of a process's two files there; a service of a hundred models fills half."""
+
+
+class SharedFolderError(AnchorFlowError):
+    """There is no room to count in, or the folder is another user's."""
 
 
 class Metrics(Observer):
@@ -87,6 +96,27 @@ class Metrics(Observer):
     def render(self) -> bytes:
         """All of them, in Prometheus's text format 0.0.4."""
         return b"".join(map(generate_latest, self._rendered))
+
+
+def reserve_shared_files() -> None:
+    """Take from the disk what this process counts in, and make the folder anew where it is gone.
+
+    It counts in memory that is mapped to its files: a disk that is full only then ends the process.
+
+    Raises:
+        SharedFolderError: saying what is wrong.
+    """
+    folder = Path(os.environ[SHARED_FOLDER])
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if folder.stat().st_uid != os.getuid():
+            raise SharedFolderError(f"{folder}: expected a folder of this user")
+        for kind in ("counter", "histogram"):
+            with (folder / f"{kind}_{os.getpid()}.db").open("ab") as file:
+                if sys.platform != "darwin":  # which has no such call
+                    os.posix_fallocate(file.fileno(), 0, SHARED_BYTES)
+    except OSError as error:
+        raise SharedFolderError(f"{folder}: cannot be written: {error.strerror}") from error
 
 
 def _seconds(

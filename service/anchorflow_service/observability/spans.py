@@ -5,6 +5,8 @@ stages, whatever transport it came by. Sent over OTLP (HTTP); nothing here runs 
 from __future__ import annotations
 
 import asyncio
+import logging
+import threading
 import time
 from collections.abc import Mapping
 from types import TracebackType
@@ -24,14 +26,24 @@ from anchorflow_service.planning import ANSWERED, Call, Observer
 
 STAGES = ("queue", "encode", "sample", "refine")
 NS_PER_MS = 1_000_000
+SENDING_S = 3.0
+"""For what is left at the end; a collector that does not answer would take ten."""
+
+logger = logging.getLogger(__name__)
 
 
 class Tracing(Observer):
-    """Spans of one service; what is left of them is sent when its `async with` block ends."""
+    """Spans of one service; what is left of them is sent when its `async with` block ends.
 
-    def __init__(self, processor: SpanProcessor) -> None:
+    Args:
+        processor: takes the spans.
+        sending_s: longest wait for what is left; then it is dropped.
+    """
+
+    def __init__(self, processor: SpanProcessor, *, sending_s: float = SENDING_S) -> None:
+        self._sending_s = sending_s
         named = Resource({SERVICE_NAME: "anchorflow"}).merge(OTELResourceDetector().detect())
-        self._provider = TracerProvider(resource=named)
+        self._provider = TracerProvider(resource=named, shutdown_on_exit=False)
         self._provider.add_span_processor(processor)
         self._tracer = self._provider.get_tracer("anchorflow_service")
 
@@ -48,7 +60,15 @@ class Tracing(Observer):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        await asyncio.to_thread(self._provider.shutdown)
+        # A daemon, for which nothing waits at the end of the process either.
+        sending = threading.Thread(target=self._provider.shutdown, daemon=True)
+        sending.start()
+        await asyncio.to_thread(sending.join, self._sending_s)
+        if sending.is_alive():
+            logger.warning(
+                "the collector did not answer in %g s: what is left of the traces is dropped",
+                self._sending_s,
+            )
 
     def ended(self, call: Call, outcome: str) -> None:
         """A span for the call, under the one it was made in, with its stages one after the other.

@@ -68,11 +68,12 @@ class PlanningQueue:
         self._busy_lanes = 0
         self._lanes: list[threading.Thread] = []
         self._is_open = False
+        self._takes_jobs = False
 
     @property
     def is_open(self) -> bool:
         """Whether it takes jobs."""
-        return self._is_open
+        return self._takes_jobs
 
     @property
     def mean_service_s(self) -> float:
@@ -86,10 +87,10 @@ class PlanningQueue:
         beyond: so many more may be inside, to be read and perhaps refused by `submit`
 
         Raises:
-            NotReady: the queue is not open.
+            NotReady: the queue takes no jobs.
             Overloaded: no place is free, with the time until one likely is.
         """
-        if not self._is_open:
+        if not self._takes_jobs:
             raise NotReady("the service is starting or stopping")
         with self._changed:
             self._check_room(self.in_flight, self._limits.max_waiting + beyond)
@@ -155,7 +156,7 @@ class PlanningQueue:
             NotReady, Overloaded: as `submit`.
         """
         with self._changed:
-            if not self._is_open:
+            if not self._takes_jobs:
                 raise NotReady("the service is stopping")
             leaves = in_place_of is not None and not in_place_of.has_ended
             waiting = self._count_waiting()
@@ -190,14 +191,15 @@ class PlanningQueue:
                 alarm.cancel()
 
     def cancel_all(self) -> None:
-        """Refuse all that waits and all that is worked on, as `not_ready`."""
+        """Refuse all that waits, all that is worked on and all that comes, as `not_ready`."""
         with self._changed:
+            self._takes_jobs = False
             awaited = list(self._awaited)
         for job in awaited:
             job.cancel(NotReady("the service is stopping"))
 
     def __enter__(self) -> PlanningQueue:
-        self._is_open = True
+        self._is_open = self._takes_jobs = True
         self._lanes = [
             threading.Thread(target=self._work_on, name=f"planning-{lane}", daemon=True)
             for lane in range(self.num_lanes)
@@ -214,7 +216,7 @@ class PlanningQueue:
     ) -> None:
         """Refuse what waits, and wait for what is worked on."""
         with self._changed:
-            self._is_open = False
+            self._is_open = self._takes_jobs = False
             left = [*self._line.clear(), *(assignment.job for assignment in self._batch)]
             self._batch.clear()
             self._changed.notify_all()

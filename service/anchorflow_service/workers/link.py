@@ -8,7 +8,8 @@ left behind.
 from __future__ import annotations
 
 SERVES = b"serves "
-"""By a worker: requests are taken; the models' names and versions follow."""
+"""By a worker: requests are taken. A JSON array follows: the models' names and versions in one
+text, then their names, the default first."""
 FAILED = b"failed "
 """By a worker: it cannot start; one line follows."""
 LEAVE = b"leave"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
 from collections.abc import Callable, Iterator
@@ -11,8 +12,9 @@ from multiprocessing.connection import Connection
 
 from anchorflow_service.workers.link import FAILED, SERVES
 
-Entry = Callable[[socket.socket, Connection], None]
-"""What runs in a worker's process: serves on the socket, and speaks with the supervisor."""
+Entry = Callable[[socket.socket, Connection, tuple[str, ...]], None]
+"""What runs in a worker's process: serves on the socket, speaks with the supervisor, and has at
+least the models of those names, the first of them as default."""
 
 REAPING_S = 5.0
 """For a process to be gone once its pipe is closed; then it is killed."""
@@ -24,7 +26,7 @@ class WorkerProcess:
     Spawned, not forked: threads of onnxruntime and locks of the supervisor's do not survive a fork.
     """
 
-    def __init__(self, entry: Entry, listener: socket.socket) -> None:
+    def __init__(self, entry: Entry, listener: socket.socket, names: tuple[str, ...]) -> None:
         """Starts it.
 
         entry: found again by its name in the new process; what is bound to it is sent there
@@ -32,12 +34,14 @@ class WorkerProcess:
         context = get_context("spawn")
         self.link, theirs = context.Pipe()
         # Daemonic: should the supervisor fail, it ends its workers and does not wait for them.
-        self._process = context.Process(target=entry, args=(listener, theirs), daemon=True)
+        self._process = context.Process(target=entry, args=(listener, theirs, names), daemon=True)
         with _without_interrupts():
             self._process.start()
         theirs.close()
         self.models: str | None = None
-        """What it serves; None before it does."""
+        """What it serves, with versions; None before it does."""
+        self.names: tuple[str, ...] = ()
+        """Of those models."""
         self._fault: str | None = None
 
     @property
@@ -66,7 +70,8 @@ class WorkerProcess:
             self._reap()
             return False
         if said.startswith(SERVES):
-            self.models = said.removeprefix(SERVES).decode()
+            self.models, *names = json.loads(said.removeprefix(SERVES))
+            self.names = tuple(names)
         elif said.startswith(FAILED):
             self._fault = said.removeprefix(FAILED).decode()
         return True

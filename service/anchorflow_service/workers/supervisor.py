@@ -18,6 +18,8 @@ from anchorflow_service.workers.process import Entry, WorkerProcess
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 """Before a worker that could not start is tried again, while others serve."""
+LONGEST_WAIT_S = 3600.0
+"""At a time: the system counts milliseconds in 31 bits."""
 
 logger = logging.getLogger(__name__)
 
@@ -47,6 +49,8 @@ class Supervisor:
         self._leave_s = leave_s
         self._workers: list[WorkerProcess] = []
         self._all_have_served = False
+        self._names: tuple[str, ...] = ()
+        """Of the models that the first ones serve."""
         self._pause_s = FIRST_PAUSE_S
         self._not_before = 0.0
 
@@ -73,7 +77,7 @@ class Supervisor:
     def _start_missing(self) -> None:
         if time.monotonic() >= self._not_before:
             for _ in range(self._count - len(self._workers)):
-                self._workers.append(WorkerProcess(self._entry, self._listener))
+                self._workers.append(WorkerProcess(self._entry, self._listener, self._names))
 
     def _hear(self, told: int) -> None:
         """Wait until a worker says something or ends, a signal comes, or a worker may be tried."""
@@ -101,6 +105,9 @@ class Supervisor:
             return
         self._pause_s = FIRST_PAUSE_S
         if not self._all_have_served:
+            self._names, *others = (each.names for each in self._workers)
+            if others != [self._names] * len(others):
+                raise WorkerError("expected the same models of all workers; is one being copied?")
             self._all_have_served = True
             on_serving(models[0])
 
@@ -134,7 +141,8 @@ class Supervisor:
     def _readable(self, told: int, timeout_s: float | None) -> list[WorkerProcess]:
         """The workers that have said something or ended; none where a signal came instead."""
         links: dict[int | Connection, WorkerProcess] = {each.link: each for each in self._workers}
-        ready = wait([told, *links], timeout_s)
+        most_s = None if timeout_s is None else min(timeout_s, LONGEST_WAIT_S)
+        ready = wait([told, *links], most_s)
         return [worker for link, worker in links.items() if link in ready]
 
     def _signal(self, told: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 import ssl
 from contextlib import suppress
@@ -60,7 +61,8 @@ class WorkerServer(AnchorServer):
 
     def _say_to_supervisor(self) -> None:
         with suppress(OSError):  # one that has died is noticed on the next tick
-            self._link.send_bytes(SERVES + self._models.encode())
+            names = [card.name for card in self._service.engines.cards()]
+            self._link.send_bytes(SERVES + json.dumps([self._models, *names]).encode())
 
     def _heed(self) -> None:
         try:

@@ -14,6 +14,7 @@ from types import TracebackType
 import zenoh
 
 from anchorflow_client.codec import Payload
+from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.errors import InvalidRequest, RequestError, TooLarge
 from anchorflow_client.keys import anchors_key, info_key, replica_anchors_key, replica_key
 from anchorflow_client.oip_codec import OipCodec
@@ -27,6 +28,18 @@ from anchorflow_service.planning import Arrival, Call, PlanningService, internal
 from anchorflow_service.zenoh_endpoint.replies import refuse, reply
 
 logger = logging.getLogger(__name__)
+
+
+class RefusingCodec(OipCodec):
+    """Reads nothing: so a query that is wrong as such is counted like any other call."""
+
+    def __init__(self, error: RequestError) -> None:
+        super().__init__()
+        self._error = error
+
+    def decode_request(self, payload: Payload) -> AnchorRequest:  # noqa: ARG002
+        """Raises the error."""
+        raise self._error
 
 
 class ZenohEndpoint:
@@ -149,22 +162,28 @@ class ZenohEndpoint:
         reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
 
     def _call(self, query: zenoh.Query, key: str, arrival: Arrival, request_id: str) -> Call:
-        """What a query asks. Raises `RequestError`."""
-        attached = None if query.attachment is None else query.attachment.to_bytes()
-        said = RequestAttachment.from_bytes(attached)
-        size, most = len(query.payload or b""), self._service.limits.max_body_bytes
-        if size > most:
-            raise TooLarge(f"expected a body of at most {most} bytes, got {size}", "body")
-        body = b"" if query.payload is None else query.payload.to_bytes()
-        return Call(
-            payload=Payload(body, said.header_length),
+        """What a query asks; where that is wrong, one that is refused when it is read."""
+        call = Call(
+            payload=Payload(b"", 0),
             codec=self._codec,
             arrival=arrival,
-            request_id=said.request_id or request_id,
+            request_id=request_id,
             model=self._models[key],
-            budget_ms=said.budget_ms,
             transport="zenoh",
         )
+        try:
+            attached = None if query.attachment is None else query.attachment.to_bytes()
+            said = RequestAttachment.from_bytes(attached)
+            call.request_id, call.budget_ms = said.request_id or request_id, said.budget_ms
+            size, most = len(query.payload or b""), self._service.limits.max_body_bytes
+            if size > most:
+                raise TooLarge(f"expected a body of at most {most} bytes, got {size}", "body")
+        except RequestError as error:
+            call.codec = RefusingCodec(error)
+        else:
+            body = b"" if query.payload is None else query.payload.to_bytes()
+            call.payload = Payload(body, said.header_length)
+        return call
 
     def _tell(self, query: zenoh.Query) -> None:
         """Cards and load, from zenoh's own thread: nothing here waits."""

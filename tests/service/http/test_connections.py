@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -277,6 +278,68 @@ def test_planning_may_take_longer_than_receiving(
 
         assert asked.result(PATIENCE_S).seed == 1
         assert client.plan(**fields).seed == 1  # and again over the same connection
+
+
+def counted(port: int) -> dict[tuple[str, str], float]:
+    """HTTP answers by route and status, that of asking left out."""
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
+        text = everything(connection).partition(b"\r\n\r\n")[2].decode()
+    pattern = r'^anchorflow_http_responses_total{route="(.*)",status="(.*)"} (.*)$'
+    return {(route, status): float(n) for route, status, n in re.findall(pattern, text, re.M)}
+
+
+def test_who_is_refused_for_want_of_a_connection_is_counted_and_logged(
+    within: Within,
+    fields: dict[str, Any],
+    gate: Any,
+    background: ThreadPoolExecutor,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    port = within(ConnectionLimits(max_connections=1))
+    asked = background.submit(ask, port, fields)
+    assert gate.reached.wait(PATIENCE_S)
+    with caplog.at_level("INFO", "anchorflow_service.access"), ExitStack() as stack:
+        connection = silent(port, stack)
+        connection.sendall(b"GET /v2 HTTP/1.1\r\nHost: a\r\nX-Request-Id: r7\r\n\r\n")
+        answer = everything(connection)
+    gate.opened.set()
+    asked.result(PATIENCE_S)
+
+    assert answer.startswith(b"HTTP/1.1 429 ")
+    assert b"x-request-id: r7" in answer.lower()
+    assert [record.getMessage()[:12] for record in caplog.records] == ["GET /v2 429 "]
+    assert counted(port) == {("other", "429"): 1, ("/anchors", "200"): 1}
+
+
+@pytest.mark.parametrize(
+    ("sent", "route"),
+    [
+        (b"nonsense\r\n\r\n", "other"),
+        (
+            b"POST /anchors HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\nnonsense\r\n",
+            "/anchors",
+        ),
+    ],
+)
+def test_what_is_no_request_is_counted_once(
+    within: Within, until: Any, sent: bytes, route: str
+) -> None:
+    port = within(ConnectionLimits())
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(sent)
+        answer = everything(connection)
+
+    assert re.search(rb"^x-request-id: \w{32}\r$", answer.lower(), re.M)
+    until(lambda: counted(port) == {(route, "400"): 1})
+
+
+def test_who_leaves_in_mid_body_is_counted_as_gone(within: Within, until: Any) -> None:
+    port = within(ConnectionLimits())
+    with ExitStack() as stack:
+        silent(port, stack).sendall(HALF_A_BODY)
+
+    until(lambda: counted(port).get(("/anchors", "499")))
 
 
 def test_what_came_before_nonsense_is_answered(within: Within) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -139,6 +140,23 @@ def test_another_transport_begins_a_trace_of_its_own(
     assert parent_of(plan) is None
     assert plan.attributes is not None
     assert plan.attributes["anchorflow.transport"] == "zenoh"
+
+
+def test_a_collector_that_does_not_answer_keeps_no_service_from_ending(
+    exporter: InMemorySpanExporter,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr(exporter, "shutdown", lambda: answers.wait(5))
+
+    async def end() -> None:
+        async with Tracing(SimpleSpanProcessor(exporter), sending_s=0.1):
+            pass
+
+    asyncio.run(end())
+    answers.set()
+    assert "the collector did not answer in 0.1 s: what is left of the traces" in caplog.text
 
 
 def test_the_service_has_a_name_that_the_environment_may_change(

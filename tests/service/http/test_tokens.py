@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import logging
 import os
@@ -160,4 +161,56 @@ def test_a_file_that_breaks_leaves_the_tokens_as_they_were(
     path.write_text(OTHER)
     os.utime(path, ns=(1, 1))
     clock.now = 4 * RELOAD_S
+    assert tokens.find("first") is None
+
+
+@pytest.mark.parametrize("fault", [errno.EMFILE, errno.EACCES])
+def test_a_token_that_is_taken_away_does_not_outlive_a_failed_read(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, fault: int
+) -> None:
+    """Of a service that has run out of files, or of a file whose owner is still to be set."""
+    clock = Clock()
+    tokens = TokenFile(path, clock=clock)
+    path.write_text(OTHER)
+
+    def fail(*_: object, **__: object) -> str:
+        raise OSError(fault, os.strerror(fault))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "read_text", fail)
+        for clock.now in (RELOAD_S, 2 * RELOAD_S):
+            assert tokens.find("first") is not None
+    assert caplog.text.count(f"cannot be read: {os.strerror(fault)}") == 1
+
+    clock.now = 3 * RELOAD_S
+    assert tokens.find("first") is None
+
+
+def test_who_takes_the_last_token_away_shuts_everybody_out(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    clock = Clock()
+    tokens = TokenFile(path, clock=clock)
+    path.write_text("# nobody\n")
+
+    for clock.now in (RELOAD_S, 2 * RELOAD_S):
+        assert tokens.find("first") is None
+    assert caplog.text.count(f"0 tokens read from {path}") == 1
+
+    path.write_text(OTHER)
+    clock.now = 3 * RELOAD_S
+    assert tokens.find("second") is not None
+
+
+def test_a_change_is_seen_though_time_and_size_are_the_same(path: Path) -> None:
+    clock = Clock()
+    tokens = TokenFile(path, clock=clock)
+    before = path.stat()
+    path.write_text(path.read_text().replace(GOOD, token_line("robot-7", ("infer",), "other")))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    while path.stat().st_ctime_ns == before.st_ctime_ns:  # its clock ticks every few milliseconds
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert path.stat().st_mtime_ns == before.st_mtime_ns
+
+    clock.now = RELOAD_S
     assert tokens.find("first") is None

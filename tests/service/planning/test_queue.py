@@ -86,6 +86,18 @@ def test_a_closed_queue_is_not_ready() -> None:
         asyncio.run(PlanningQueue(ServiceLimits(threads=1)).run(lambda _: None))
 
 
+def test_what_comes_after_all_was_cancelled_is_not_ready() -> None:
+    """A transport that goes last may still bring requests when the time to drain is over."""
+    with PlanningQueue(ServiceLimits(threads=1)) as queue:
+        with queue.place():
+            queue.cancel_all()
+            with pytest.raises(NotReady), queue.admitted(Job(lambda _: None, Arrival())):
+                pass
+        with pytest.raises(NotReady), queue.place():
+            pass
+        assert not queue.is_open
+
+
 def test_closing_waits_for_what_runs_and_refuses_what_waits() -> None:
     reached, opened = threading.Event(), threading.Event()
 
