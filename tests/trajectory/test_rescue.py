@@ -79,6 +79,26 @@ def test_who_is_fast_and_heavy_brakes(
     np.testing.assert_allclose(anchors.velocities[:, 0], np.tile(velocity, (ANCHORS, 1)), atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("acceleration", "v_max", "a_max"),
+    [
+        ((0.8, 0.0), 0.26, 1.0),
+        ((2.0, 0.0), 0.26, 2.5),
+        ((0.0, 2.0), 0.26, 2.5),
+        ((6.4, 0.0), 0.2, 8.0),
+    ],
+)
+def test_who_is_slow_for_its_brakes_may_be_gaining_speed(
+    acceleration: tuple[float, float], v_max: float, a_max: float
+) -> None:
+    free = np.zeros((200, 200), np.float32)
+    x_curr = np.array([6.0, 10.0, 0.0, 0.0, *acceleration])
+
+    anchors = refined(free, x_curr, np.array([9.0, 10.0]), MotionLimits(v_max, a_max))
+
+    assert anchors.safe.all()
+
+
 def test_a_horizon_is_kept() -> None:
     occupied, start, goal = corridor(1, width=1.0, size=25.6)
 

@@ -1,12 +1,14 @@
 """What is called safe is safe."""
 
 import numpy as np
+import pytest
 
 from anchorflow_trajectory.clearance import GridField, clearance_field
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.spline import Ends, Splines, spline_basis
-from anchorflow_trajectory.verify import path_clearance, verify
+from anchorflow_trajectory.verify import are_safe, path_clearance, verify
 
+RADIUS = 0.25  # m
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 BASIS = spline_basis(64)
 ENDS = Ends(np.array([1.0, 3.2, 0, 0, 0, 0]), np.array([5.4, 3.2, 0, 0]))
@@ -15,7 +17,7 @@ ENDS = Ends(np.array([1.0, 3.2, 0, 0, 0, 0]), np.array([5.4, 3.2, 0, 0]))
 def post() -> GridField:
     occupied = np.zeros((64, 64), bool)
     occupied[28:36, 28:36] = True
-    return GridField(clearance_field(occupied, 0.1, 0.25), 0.1, np.zeros(2))
+    return GridField(clearance_field(occupied, 0.1, RADIUS), 0.1, np.zeros(2))
 
 
 def bows(heights: list[float], duration: float = 8.0) -> Splines:
@@ -64,3 +66,26 @@ def test_ways_without_end_are_told_at_once_and_lie_far_out() -> None:
 
     assert (clearance < -1e6).all()
     assert abs(clearance[0] / 1e9 + 1) < 1e-3
+
+
+def test_a_motion_is_followed_between_its_samples_along_its_curve() -> None:
+    """Round a circle in legs of 45 degrees, one of which bulges towards the post."""
+    angle = np.pi * (np.arange(9) / 4 - 1 / 8)
+    path = np.array([1.6, 3.2]) + 0.85 * np.stack([np.cos(angle), np.sin(angle)], -1)[None]
+    still = np.zeros_like(path)
+
+    along_chords = path_clearance(post(), path)
+    along_curve = verify((path, still, still), post(), LIMITS).clearance
+
+    assert along_chords == pytest.approx(2.8 - 1.6 - 0.85 * np.cos(np.pi / 8) - RADIUS, abs=1e-3)
+    assert along_curve == pytest.approx(2.8 - 1.6 - 0.85 - RADIUS, abs=0.01)
+
+
+def test_splines_and_their_states_are_judged_alike_where_legs_are_long() -> None:
+    few = spline_basis(10)
+    splines = bows(list(np.linspace(-1.5, 1.5, 200)))
+
+    safe = are_safe(splines, few, post(), LIMITS)
+
+    np.testing.assert_array_equal(safe, verify(few.states(splines), post(), LIMITS).safe)
+    assert 0.2 < safe.mean() < 0.9

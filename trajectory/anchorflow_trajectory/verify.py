@@ -22,6 +22,7 @@ FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 CHECK_STEP = 0.04  # m between the points at which clearance is looked up
+BULGE = 0.01  # m beside the chord of two samples, up to which a motion is looked at along it
 FAR_OUT = 4  # sides of the map: a leg of so many has an end where the field is lower than within
 # A bilinear field and another reader's rounding to cells differ by less than this share of a cell.
 SHARE_OF_CELL = 0.3
@@ -61,7 +62,8 @@ def verify(
         from the map's edge; the share of a cell comes on top, so it holds for another reader too
     """
     position, velocity, acceleration = states
-    clearance = path_clearance(field, position)
+    position = np.ascontiguousarray(position)
+    clearance = _motion_clearance(Grid.of(field, position.dtype), position)
     free = clearance >= required_clearance(field, certified_margin)
     feasible = largest_length(velocity) <= SPEED_TOLERANCE * limits.v_max
     feasible &= largest_length(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
@@ -145,8 +147,8 @@ def _are_safe(control: FloatArray, duration: NDArray[np.float64], judge: Judge) 
 def is_safe(control: FloatArray, duration: NDArray[np.float64], m: int, judge: Judge) -> bool:
     """Whether the m-th of splines [D, M, K] and durations [M] is safe."""
     pace = control.dtype.type(1.0 / duration[m])
-    last_x, last_y = sample_one(control, m, judge.band, 0, 0)
-    for t in range(len(judge.band.first)):
+    path = np.empty((len(judge.band.first), 2), control.dtype)
+    for t in range(len(path)):
         x, y = sample_one(control, m, judge.band, t, 1)
         x, y = x * pace, y * pace
         if not np.sqrt(x * x + y * y) <= judge.speed:
@@ -155,12 +157,8 @@ def is_safe(control: FloatArray, duration: NDArray[np.float64], m: int, judge: J
         x, y = x * pace * pace, y * pace * pace
         if not np.sqrt(x * x + y * y) <= judge.acceleration:
             return False
-        x, y = sample_one(control, m, judge.band, t, 0)
-        clearance = _leg_clearance(judge.grid, last_x, last_y, x, y, CHECK_STEP)
-        if not clearance >= judge.clearance:
-            return False
-        last_x, last_y = x, y
-    return look_up(judge.grid, last_x, last_y)[0] >= judge.clearance
+        path[t] = sample_one(control, m, judge.band, t, 0)
+    return _clearance_along(judge.grid, path, judge.clearance) >= judge.clearance
 
 
 def required_clearance(field: GridField, certified_margin: float) -> float:
@@ -191,6 +189,68 @@ def _path_clearance(grid: Grid, positions: FloatArray, max_step: float) -> Float
             least[m] = min(least[m], _leg_clearance(grid, x, y, next_x, next_y, max_step))
             x, y = next_x, next_y
     return least
+
+
+@compiled
+def _motion_clearance(grid: Grid, positions: FloatArray) -> FloatArray:
+    least = np.empty(len(positions), positions.dtype)
+    for m in range(len(positions)):
+        least[m] = _clearance_along(grid, positions[m], -np.inf)
+    return least
+
+
+@compiled
+def _clearance_along(grid: Grid, path: FloatArray, enough: float) -> float:
+    """The smallest along a motion's samples [T, D] and between them; what is not `enough` ends it.
+
+    How the motion bends at a sample tells the difference of its legs there.
+    """
+    steps = len(path)
+    least = look_up(grid, path[steps - 1, 0], path[steps - 1, 1])[0]
+    for t in range(1, steps):
+        if not least >= enough:
+            break
+        here, there = min(max(t - 1, 1), steps - 2), min(t, steps - 2)
+        least = min(least, _bent_leg_clearance(grid, path, t, here, there))
+    return least
+
+
+@compiled
+def _bent_leg_clearance(grid: Grid, path: FloatArray, t: int, here: int, there: int) -> float:
+    """The smallest from sample t - 1 to t, which is left out.
+
+    here, there: samples that tell how the motion bends at the leg's ends. In between its second
+    derivative by the leg's share s is linear, b_0 (1 - s) + b_1 s, which puts it
+    s (1 - s) ((2 - s) b_0 + (1 + s) b_1) / 6 beside the chord.
+    """
+    x, y, to_x, to_y = path[t - 1, 0], path[t - 1, 1], path[t, 0], path[t, 1]
+    if len(path) < 3:
+        return _leg_clearance(grid, x, y, to_x, to_y, CHECK_STEP)
+    b_x, b_y = _second_difference(path, here)
+    to_b_x, to_b_y = _second_difference(path, there)
+    bulge = np.sqrt(max(b_x * b_x + b_y * b_y, to_b_x * to_b_x + to_b_y * to_b_y)) / 8
+    rows, columns = grid.values.shape
+    if not BULGE < bulge <= FAR_OUT * (rows + columns) * grid.resolution:
+        return _leg_clearance(grid, x, y, to_x, to_y, CHECK_STEP)
+    along_x, along_y = to_x - x, to_y - y
+    length = np.sqrt(along_x * along_x + along_y * along_y)
+    if not length <= FAR_OUT * (rows + columns) * grid.resolution:
+        return _leg_clearance(grid, x, y, to_x, to_y, CHECK_STEP)
+    least = look_up(grid, x, y)[0]
+    pieces = np.ceil((length + 2 * bulge) / CHECK_STEP)
+    for piece in range(1, int(pieces)):
+        s = np.float32(piece) / np.float32(pieces)
+        lift = s * (1 - s) / np.float32(6)
+        off_x = lift * ((2 - s) * b_x + (1 + s) * to_b_x)
+        off_y = lift * ((2 - s) * b_y + (1 + s) * to_b_y)
+        least = min(least, look_up(grid, x + s * along_x - off_x, y + s * along_y - off_y)[0])
+    return least
+
+
+@compiled
+def _second_difference(path: FloatArray, t: int) -> tuple[float, float]:
+    x = path[t - 1, 0] - 2 * path[t, 0] + path[t + 1, 0]
+    return x, path[t - 1, 1] - 2 * path[t, 1] + path[t + 1, 1]
 
 
 @compiled
