@@ -58,6 +58,13 @@ def test_the_states_of_a_plan_start_where_the_robot_should_be_now(stage: Stage) 
     np.testing.assert_allclose(plan.states()[:, 0], expected)
 
 
+def test_the_states_of_a_plan_may_start_a_tick_later(stage: Stage) -> None:
+    plan = stage.cycle(0.3)
+
+    ahead = plan.states(ahead_s=0.05)[1, 0]
+    np.testing.assert_allclose(ahead, [0.7, 0.0, 2.0, 0.0, 0.0, 0.0], atol=1e-6)
+
+
 def test_a_plan_without_a_batch_has_no_states(stage: Stage) -> None:
     with pytest.raises(ValueError, match="usable plan, got one that is waiting"):
         stage.update().states()
@@ -171,11 +178,14 @@ def test_an_answer_without_anything_safe_says_why(stage: Stage) -> None:
         narrow = {"safe": np.zeros(2, bool), "clearance": np.array([-0.1, -0.02], np.float32)}
         return replace(batch, arrays={**batch.arrays, **narrow})
 
+    assert stage.cycle().followable
     stage.reply = unsafe
-    reason = stage.cycle().reason
+    plan = stage.cycle()
 
-    assert reason is not None
-    assert "keeps -0.020 m of the 0.000 m" in reason
+    assert plan.reason is not None
+    assert "keeps -0.020 m of the 0.000 m" in plan.reason
+    assert plan.usable
+    assert not plan.followable
 
 
 def test_a_robot_that_gets_nowhere_asks_with_another_seed_and_from_noise() -> None:

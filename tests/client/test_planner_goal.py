@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from staged_planner import Stage
+from staged_planner import ByHand, Stage, batch_for
 
-from anchorflow_client import CostMap, InvalidRequest, ModelCard, Unauthorized
+from anchorflow_client import (
+    AnchorBatch,
+    AnchorRequest,
+    CostMap,
+    InvalidRequest,
+    ModelCard,
+    Unauthorized,
+)
 from anchorflow_client.contract.kinds import TensorsSpec
-from anchorflow_client.planner import PlannerConfig
+from anchorflow_client.planner import Planner, PlannerConfig
+from anchorflow_client.planner.clearance import SHARE_OF_CELL, obstacle_distance
 from anchorflow_client.planner.local_goal import local_goal
 
 RESOLUTION = 0.25
@@ -115,7 +123,7 @@ class Carded(Stage):
 def through_speed(stage: Stage, **options: Any) -> float:
     """m/s at the goal that is sent for one beyond the map."""
     stage.cycle(x_goal=[50.0, 0.0, 0.0, 0.0], **options)
-    return float(stage.requests[-1].x_goal[0, 2])
+    return round(float(np.linalg.norm(stage.requests[-1].x_goal[0, 2:])), 9)
 
 
 def slow(card: ModelCard, v_max: float) -> ModelCard:
@@ -159,3 +167,79 @@ def test_a_goal_in_a_pocket_is_not_taken_where_another_place_can_be_reached() ->
     data[0, 14:18, 22] = 0.0  # a door of 1 m
     np.testing.assert_array_equal(reached(0.3), [2.5, 0.0, 0.0, 0.0])
     assert reached(0.8)[0] != 2.5  # too narrow for a wider robot
+
+
+@given(seed=st.integers(0, 2**32 - 1), goal=st.tuples(st.floats(-6, 6), st.floats(-6, 6)))
+def test_the_local_goal_keeps_what_the_service_asks_for(
+    seed: int, goal: tuple[float, float]
+) -> None:
+    data = (np.random.default_rng(seed).random((1, 32, 32)) < 0.05).astype(np.float32)
+    data[0, 12:20, 12:20] = 0.0
+    stage = Carded()
+    stage.planner = Planner(
+        stage,
+        PlannerConfig(goal_clearance_m=0.0, margin_m=0.05),
+        executor=ByHand(stage.waiting),
+    )
+    stage.cycle(cost_map=data, resolution=RESOLUTION, x_goal=[*goal, 0, 0], robot_radius=0.2)
+    sent = stage.requests[-1]
+    distance = obstacle_distance(CostMap.build(data, RESOLUTION), sent.x_goal[0, :2])
+
+    assert distance >= 0.2 + 0.05 + SHARE_OF_CELL * RESOLUTION
+
+
+def test_the_radius_of_the_card_counts_where_a_request_says_none(card: ModelCard) -> None:
+    data = np.zeros((64, 64), np.float32)
+    data[31:33, 40:] = 1.0  # the goal lies 0.3 m beside it
+    wide = replace(card.cost_map, limits=replace(card.cost_map.limits, robot_radius=0.5))
+    for cards, own, kept in (
+        ((replace(card, conditioning=wide),), None, 0.5),
+        ((replace(card, conditioning=wide),), 0.4, 0.4),
+        ((), None, 0.3),
+    ):
+        stage = Carded(*cards)
+        stage.cycle(cost_map=data, resolution=0.1, x_goal=[1.5, 0.4, 0, 0], robot_radius=own)
+        goal = stage.requests[-1].x_goal[0]
+        assert kept <= obstacle_distance(CostMap.build(data[None], 0.1), goal[:2]) < kept + 0.2
+
+
+def nothing_safe(request: AnchorRequest) -> AnchorBatch:
+    batch = batch_for(request)
+    return replace(batch, arrays={**batch.arrays, "safe": np.zeros(2, bool)})
+
+
+def test_where_nothing_is_safe_a_far_goal_is_stopped_at(stage: Stage) -> None:
+    assert through_speed(stage) == 1.0
+    stage.reply = nothing_safe
+    assert through_speed(stage) == 1.0
+    stage.reply = batch_for
+    assert [through_speed(stage) for _ in range(2)] == [0.0, 0.0]
+
+    assert through_speed(stage, x_curr=[0.9, 0, 0, 0, 0, 0]) == 0.0
+    assert through_speed(stage, x_curr=[1.1, 0, 0, 0, 0, 0]) == 1.0
+
+
+def goal_from(data: np.ndarray, y: float, goal_y: float, *, clearance_m: float) -> np.ndarray:
+    """[2] m, the local goal of a robot that asks for 0.3 m."""
+    cost_map, here, goal = CostMap.build(data, 0.1), np.array([0.0, y]), [0.0, goal_y, 0.0, 0.0]
+    told: dict[str, float] = {"clearance_m": clearance_m, "through_speed": 1.0, "passage_m": 0.3}
+    return local_goal(cost_map, here, np.array(goal), **told)[:2]
+
+
+def test_a_place_across_a_wall_is_not_reached() -> None:
+    data = np.zeros((1, 64, 64), np.float32)
+    data[0, 21:32] = 1.0  # y from -1.1 to 0
+    data[0, 22:32, 30:34] = 0.0  # a niche that opens upwards; below it is a wall of one cell
+
+    assert goal_from(data, -0.7, 2.0, clearance_m=0.35)[1] == 2.0
+    assert 0.0 < goal_from(data, -0.7, -2.0, clearance_m=0.35)[1] < 0.5
+
+
+def test_a_corridor_without_a_free_cell_is_driven_along() -> None:
+    data = np.zeros((1, 64, 64), np.float32)
+    data[0, 4:60, 28] = data[0, 4:60, 36] = 1.0  # 0.7 m wide
+    data[0, 59, 28:37] = data[0, 4, 28:37] = 1.0
+
+    x, y = goal_from(data, 0.05, 3.0, clearance_m=0.6)
+    assert -0.3 < x < 0.4
+    assert 2.0 < y < 2.7

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from staged_planner import Stage
 
 from anchorflow_client import AnchorBatch, CostMap, ModelId, PlannerConfig
 from anchorflow_client.planner.commitment import Commitment
@@ -139,6 +140,17 @@ def test_a_robot_that_stays_in_place_is_stuck_after_a_while() -> None:
     assert not at(15.2, 0.6, driving=False)  # without a plan it has to stand
     assert not at(21.0, 8.8)
     assert not at(30.0, 8.8)  # it has arrived
+
+
+def test_a_slow_robot_that_drives_is_not_stuck() -> None:
+    stage = Stage(PlannerConfig(stuck_s=5.0, stuck_m=0.5))
+    for speed, is_stuck in ((0.06, False), (0.01, True)):
+        stage.planner.reset()
+        driven = [
+            stage.cycle(x_curr=[speed * 0.1 * k, 0, speed, 0, 0, 0], v_max=0.5) for k in range(55)
+        ]
+        assert driven[-1].followable
+        assert (stage.planner.counts["stuck"] > 0) == is_stuck
 
 
 def test_the_reason_says_how_much_room_there_is() -> None:

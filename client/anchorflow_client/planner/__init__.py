@@ -9,7 +9,8 @@ routes       which anchors of an answer take the same route
 commitment   stays on a route until another is better by a margin
 progress     whether the robot gets anywhere
 local_goal   where to plan to on a map that may end before the goal
-speed_limit  how fast a goal beyond the map is passed at most
+clearance    how much room a place has, as the service measures it
+robot_limits how fast and how wide the robot is
 plan         the newest finished batch, and how good it still is
 shift        an anchor as it looks from a later moment
 """

@@ -39,18 +39,20 @@ class PlannerConfig:
     longest_retry_ms: float = 500.0
     margin_m: float = 0.0
     """Beyond the robot's radius, that what follows the anchors asks for. It is sent as
-    `refine.certified_margin`, so that an anchor is safe where the robot may drive along it."""
+    `refine.certified_margin`, so that an anchor is safe where the robot may drive along it; less
+    of it where the robot already stands nearer to an obstacle."""
     switch_gain: float = 0.15
     """Share of its cost by which another route has to be better than the one in use."""
     stuck_s: float = 5.0
     """From when a robot with a plan that stays within `stuck_m` m of a place is stuck."""
     stuck_m: float = 0.5
+    """m; for a slow robot no more than a tenth of what it drives in `stuck_s` at its `v_max`."""
     goal_clearance_m: float = 0.35
-    """Of the local goal, from obstacles and from the map's edge; at least the robot's radius and
-    the margin, where a request says the radius."""
+    """m from the local goal to the centres of occupied cells and to the map's edge; more where the
+    service asks for more of a robot of that radius, as the request or the card says it."""
     through_speed: float = 1.0
     """m/s at a local goal that stands in for one beyond the map; at most the request's `v_max` or,
-    where it says none, the one on the model's card."""
+    where it says none, the one on the model's card. 0 within 1 m of where nothing was safe."""
     warm_tau: float = ranges.DEFAULT_TAU
     """Flow time at which a warm start enters, in (0, 1)."""
     cold_every: int = 3

@@ -5,8 +5,13 @@ from __future__ import annotations
 from concurrent import futures
 from typing import NamedTuple, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.planner.routes import Routes
+
+Array = NDArray[np.float64]
 
 
 class AnchorSource(Protocol):
@@ -17,12 +22,25 @@ class AnchorSource(Protocol):
         ...
 
 
+class Judged(NamedTuple):
+    """An answer as it came, and what its request tells of it."""
+
+    batch: AnchorBatch
+    routes: Routes
+    v_max: float
+    """m/s, of the robot; infinite where nothing tells it."""
+    reason: str | None
+    """Why nothing is safe; None where something is."""
+
+
 class RequestInFlight(NamedTuple):
-    """A request on its way; its answer comes with the routes of its anchors."""
+    """A request on its way."""
 
     request_id: str
     seen_at: float
-    future: futures.Future[tuple[AnchorBatch, Routes]]
+    place: Array
+    """[2] m, of the robot."""
+    future: futures.Future[Judged]
 
 
 class Answer(NamedTuple):
@@ -32,4 +50,6 @@ class Answer(NamedTuple):
     seen_at: float
     batch: AnchorBatch
     routes: Routes
+    v_max: float
+    reason: str | None
     best: int

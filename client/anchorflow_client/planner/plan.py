@@ -19,9 +19,9 @@ class PlanState(Enum):
     WAITING = "waiting"
     """No answer has come yet: stand still."""
     FRESH = "fresh"
-    """The last request was answered, and the answer is young enough: follow it."""
+    """The last request was answered, and the answer is young enough: follow what is safe."""
     HELD = "held"
-    """A request has failed since; the last good answer is still young enough: follow it."""
+    """A request has failed since; the last good answer is young enough: follow what is safe."""
     EXPIRED = "expired"
     """The last good answer is older than the limit, or than its anchors last: brake."""
 
@@ -50,16 +50,21 @@ class Plan:
 
     @property
     def usable(self) -> bool:
-        """Whether there is a batch to follow."""
+        """Whether there is a batch that is young enough, safe or not."""
         return self.batch is not None
+
+    @property
+    def followable(self) -> bool:
+        """Whether `best` may be followed: it is usable and, where the planner tells, safe."""
+        return self.usable and self.reason is None
 
     @property
     def expired(self) -> bool:
         """Whether there was a batch and it is too old now."""
         return self.state is PlanState.EXPIRED
 
-    def states(self) -> NDArray[np.float64]:
-        """[N,T,3D] position, velocity, acceleration of the anchors from now on.
+    def states(self, *, ahead_s: float = 0.0) -> NDArray[np.float64]:
+        """[N,T,3D] position, velocity, acceleration of the anchors from `ahead_s` after now on.
 
         Each is sampled at its own `batch.dt`; one that has come to its end goes on at its last
         velocity.
@@ -70,15 +75,27 @@ class Plan:
         if self.batch is None:
             raise ValueError(f"expected a usable plan, got one that is {self.state.value}")
         states = states_of(self.batch)
-        return shifted(states, dt=self.batch.dt, elapsed_s=1e-3 * self.age_ms)
+        return shifted(states, dt=self.batch.dt, elapsed_s=1e-3 * self.age_ms + ahead_s)
 
 
-def why_unsafe(batch: AnchorBatch, margin_m: float) -> str | None:
-    """Why no anchor of a batch is safe; None where one is, or where the planner does not say."""
+def why_unsafe(
+    batch: AnchorBatch, margin_m: float, *, start_m: float = float("inf"), share_m: float = 0.0
+) -> str | None:
+    """Why no anchor of a batch is safe; None where one is, or where the planner does not say.
+
+    margin_m: that is asked for
+    start_m: clearance of the start in m
+    share_m: m beyond the margin that the service wants kept of it
+    """
     safe, clearance = batch.arrays.get("safe"), batch.arrays.get("clearance")
     if safe is None or safe.any():
         return None
     told = f"none of {len(safe)} anchors is safe"
+    if start_m < margin_m + share_m:
+        return (
+            f"{told}: the start keeps {start_m:.3f} m of the {margin_m:.3f} m that are asked for "
+            f"and {share_m:.3f} m for the width of a cell"
+        )
     if clearance is None:
         return told
     widest = float(clearance.max())

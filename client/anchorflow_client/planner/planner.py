@@ -3,13 +3,14 @@
     with AnchorClient("http://127.0.0.1:8000", timeout_s=1.0) as client, Planner(client) as planner:
         while driving:
             plan = planner.update(cost_map=grid, resolution=0.08, x_curr=state, x_goal=goal)
-            drive_along(plan.states()[plan.best]) if plan.usable else brake()
+            drive_along(plan.states()[plan.best]) if plan.followable else brake()
 
 All methods are for the one thread that runs the loop.
 """
 
 from __future__ import annotations
 
+import math
 import secrets
 import time
 from collections import Counter
@@ -18,11 +19,11 @@ from concurrent import futures
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from anchorflow_client.codec import answer_to
 from anchorflow_client.contract import (
-    AnchorBatch,
     CostMap,
     RefineChoice,
     SamplerChoice,
@@ -39,9 +40,10 @@ from anchorflow_client.errors import (
     TimedOut,
 )
 from anchorflow_client.plan_keywords import map_fields
+from anchorflow_client.planner.clearance import SHARE_OF_CELL, start_clearance
 from anchorflow_client.planner.commitment import Commitment
 from anchorflow_client.planner.config import PlannerConfig
-from anchorflow_client.planner.in_flight import AnchorSource, Answer, RequestInFlight
+from anchorflow_client.planner.in_flight import AnchorSource, Answer, Judged, RequestInFlight
 from anchorflow_client.planner.pacing import Pacing
 from anchorflow_client.planner.plan import Plan, PlanState, why_unsafe
 from anchorflow_client.planner.progress import Progress
@@ -50,11 +52,13 @@ from anchorflow_client.planner.request import (
     Array,
     Observation,
     build_request,
+    margin_asked,
     states_seen,
 )
+from anchorflow_client.planner.robot_limits import LimitsSource
 from anchorflow_client.planner.routes import Routes
-from anchorflow_client.planner.speed_limit import SpeedLimit
 
+CAUTIOUS_M = 1.0  # m from where nothing was safe, within which local goals are not passed at speed
 MAX_IN_FLIGHT = 2  # a request that hangs may be given up once before there is an answer again
 
 
@@ -87,7 +91,7 @@ class Planner:
         self._clock = clock
         self._last_now = -float("inf")
         self._is_closed = False
-        self._speed_limit = SpeedLimit(client)
+        self._limits = LimitsSource(client)
         self._own_executor = executor is None
         self._executor = executor or futures.ThreadPoolExecutor(
             MAX_IN_FLIGHT, thread_name_prefix="anchorflow-planner"
@@ -96,6 +100,7 @@ class Planner:
         self._in_flight: RequestInFlight | None = None
         self._given_up: list[RequestInFlight] = []
         self._answer: Answer | None = None
+        self._unsafe_at: Array | None = None
         self._commitment = Commitment(self._config)
         self._progress = Progress(stuck_s=self._config.stuck_s, stuck_m=self._config.stuck_m)
         self._last_error: AnchorFlowError | None = None
@@ -194,7 +199,7 @@ class Planner:
     def reset(self) -> None:
         """Forget the plan and the request on its way: another goal, or another place."""
         self._give_up()
-        self._answer = self._last_error = None
+        self._answer = self._last_error = self._unsafe_at = None
         self._commitment.reset()
         self._progress.reset()
         self._pacing = Pacing(self._config)
@@ -238,27 +243,40 @@ class Planner:
         in_use = None if cold else self._commitment.in_use
         self.counts["asked"] += 1
         self._pacing.asked(seen.seen_at)
-        future = self._executor.submit(self._answered, seen, request_id, in_use)
-        self._in_flight = RequestInFlight(request_id, seen.seen_at, future)
+        place = seen.x_curr[:2]
+        unsafe_at = self._unsafe_at
+        stop = unsafe_at is not None and float(np.linalg.norm(place - unsafe_at)) < CAUTIOUS_M
+        future = self._executor.submit(self._answered, seen, request_id, in_use, stop)
+        self._in_flight = RequestInFlight(request_id, seen.seen_at, place, future)
 
     def _answered(
-        self, seen: Observation, request_id: str, in_use: AnchorInUse | None
-    ) -> tuple[AnchorBatch, Routes]:
+        self, seen: Observation, request_id: str, in_use: AnchorInUse | None, stop: bool
+    ) -> Judged:
         """Runs in the background: the answer to what was seen. Raises `AnchorFlowError`."""
+        limits = self._limits.of(seen.options)
         request = build_request(
             seen,
             self._config,
             request_id=request_id,
             budget_ms=self._config.max_age_ms,
-            v_max=self._speed_limit.of(seen.options),
+            limits=limits,
             in_use=in_use,
+            stop=stop,
         )
         batch = answer_to(request, self._client.plan_request(request))
         shape = batch.trajectories.shape
         if any(name not in batch.arrays for name in MOTIONS) or len(shape) != 3:
             wanted, came = ", ".join(MOTIONS), ", ".join(batch.arrays)
             raise InvalidAnswer(f"expected {wanted} [N,T,D], got {came} of {list(shape)}")
-        return batch, Routes.among(batch, CostMap.from_fields(seen.cost_map))
+        cost_map = CostMap.from_fields(seen.cost_map)
+        place, radius = seen.x_curr[:2], limits.radius
+        reason = why_unsafe(
+            batch,
+            margin_asked(seen, self._config),
+            start_m=math.inf if radius is None else start_clearance(cost_map, place, radius),
+            share_m=SHARE_OF_CELL * cost_map.resolution,
+        )
+        return Judged(batch, Routes.among(batch, cost_map), limits.v_max, reason)
 
     def _seed(self, seed: int) -> int:
         """The next one each time that the robot was stuck."""
@@ -267,7 +285,8 @@ class Planner:
     def _is_stuck(self, now: float, place: Array, goal: Array) -> bool:
         """Whether the robot gets nowhere; its route is given up then."""
         driving = self._answer is not None and not self._expired(self._answer, now)
-        if not self._progress.is_stuck(now, place, goal, driving=driving):
+        v_max = math.inf if self._answer is None else self._answer.v_max
+        if not self._progress.is_stuck(now, place, goal, driving=driving, v_max=v_max):
             return False
         self.counts["stuck"] += 1
         self._progress.next_step(now)
@@ -294,13 +313,15 @@ class Planner:
 
     def _finish(self, finished: RequestInFlight, now: float) -> None:
         try:
-            batch, routes = finished.future.result()
+            judged = finished.future.result()
         except AnchorFlowError as error:
             self._failed(error, now)
             return
         self.counts["answered"] += 1
-        best = self._commitment.choose(batch, routes, finished.seen_at)
-        self._answer = Answer(finished.request_id, finished.seen_at, batch, routes, best)
+        best = self._commitment.choose(judged.batch, judged.routes, finished.seen_at)
+        self._answer = Answer(finished.request_id, finished.seen_at, *judged, best)
+        if judged.reason is not None:
+            self._unsafe_at = finished.place
         self.follow(best)
         self._last_error = None
         self._pacing.answered()
@@ -339,6 +360,6 @@ class Planner:
             batch=answer.batch,
             best=answer.best,
             on_route=answer.routes.of == answer.routes.of[answer.best],
-            reason=why_unsafe(answer.batch, self._config.margin_m),
+            reason=answer.reason,
             **told,
         )

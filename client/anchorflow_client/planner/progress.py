@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+SLOWEST = 0.1  # share of v_max at which a robot that gets somewhere drives at least
+
 
 class Progress:
     """Watches one robot; times are those of the planner's clock, in s."""
@@ -20,9 +22,15 @@ class Progress:
         self._left: Array | None = None
         self._since = 0.0
 
-    def is_stuck(self, now: float, place: Array, goal: Array, *, driving: bool) -> bool:
-        """Whether it has stayed about one place [2] in m, away from its goal, with a plan."""
-        stays = self._left is not None and float(np.linalg.norm(place - self._left)) < self._stuck_m
+    def is_stuck(
+        self, now: float, place: Array, goal: Array, *, driving: bool, v_max: float = np.inf
+    ) -> bool:
+        """Whether it has stayed about one place [2] in m, away from its goal, with a plan.
+
+        v_max: m/s; a slow robot stays nearer to a place that it leaves than `stuck_m`.
+        """
+        about = min(self._stuck_m, SLOWEST * v_max * self._stuck_s)
+        stays = self._left is not None and float(np.linalg.norm(place - self._left)) < about
         there = float(np.linalg.norm(goal - place)) < self._stuck_m
         if not stays or there or not driving:
             self._left, self._since = place, now

@@ -23,16 +23,20 @@ from anchorflow_client.contract.ranges import (
     DIMENSIONS,
     GOAL_FIELDS,
     HORIZON,
-    ROBOT_RADIUS,
     STATE_FIELDS,
 )
 from anchorflow_client.contract.request import read_states
 from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.planner.clearance import SHARE_OF_CELL, start_clearance
 from anchorflow_client.planner.config import PlannerConfig
 from anchorflow_client.planner.local_goal import local_goal
+from anchorflow_client.planner.robot_limits import RobotLimits
 from anchorflow_client.planner.shift import shifted, states_of
 
 Array = NDArray[np.float64]
+
+ROUNDING = 1e-3
+"""m that anchors may come nearer to an obstacle than their start, where that is too near to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,13 +132,15 @@ def build_request(
     *,
     request_id: str,
     budget_ms: float,
-    v_max: float,
+    limits: RobotLimits,
     in_use: AnchorInUse | None,
+    stop: bool = False,
 ) -> AnchorRequest:
     """The request; what `seen.options` says goes before what is added here.
 
-    v_max: m/s, how fast a local goal is passed at most
+    limits: how fast a local goal is passed at most, and what it has to keep from obstacles
     in_use: to start from; None: from noise
+    stop: plan to stand at a local goal that would be passed
 
     Raises:
         InvalidRequest: what was seen breaks the contract, or the map has no room for a goal.
@@ -142,29 +148,37 @@ def build_request(
     cost_map = CostMap.from_fields(seen.cost_map)
     if cost_map.data.ndim != 3:
         raise wrong_shape("cost_map.data", "[C,H,W]", cost_map.data)
-    radius = seen.options.get("robot_radius")
-    passage_m = None if radius is None else number(radius, "robot_radius", ROBOT_RADIUS)
-    if passage_m is not None:
-        passage_m += config.margin_m
+    place, share = seen.x_curr[:2], SHARE_OF_CELL * cost_map.resolution
+    margin, passage_m = margin_asked(seen, config), None
+    if limits.radius is not None:
+        passage_m = limits.radius + margin + share
     goal = local_goal(
         cost_map,
-        seen.x_curr[:2],
+        place,
         seen.x_goal,
         clearance_m=max(config.goal_clearance_m, passage_m or 0.0),
-        through_speed=min(config.through_speed, v_max),
+        through_speed=0.0 if stop else min(config.through_speed, limits.v_max),
         passage_m=passage_m,
     )
     warm_start = in_use and in_use.warm_start(
         seen.seen_at, config.warm_tau, horizon_s=seen.options.get("horizon_s")
     )
     added = {"budget_ms": budget_ms, "warm_start": warm_start} | dict(seen.options)
-    if config.margin_m > 0.0:
-        refine = RefineChoice.from_fields(added.get("refine", {}))
-        if refine.certified_margin is None:
-            added["refine"] = replace(refine, certified_margin=config.margin_m)
+    refine = RefineChoice.from_fields(added.get("refine", {}))
+    if config.margin_m > 0.0 and refine.certified_margin is None:
+        if limits.radius is not None:  # where the start keeps less, no anchor keeps it
+            room = start_clearance(cost_map, place, limits.radius) - share - ROUNDING
+            margin = min(margin, max(room, 0.0))
+        added["refine"] = replace(refine, certified_margin=margin)
     return AnchorRequest.build(
         cost_map=cost_map, x_curr=seen.x_curr, x_goal=goal, **added, request_id=request_id
     )
+
+
+def margin_asked(seen: Observation, config: PlannerConfig) -> float:
+    """m beyond the robot's radius: the request's own or, where it says none, the planner's."""
+    own = RefineChoice.from_fields(seen.options.get("refine", {})).certified_margin
+    return config.margin_m if own is None else own
 
 
 def _copied(value: Any, field: str, depth: int = 1 + MAX_DIMENSIONS) -> Any:
