@@ -3,8 +3,7 @@
     serve run anchorflow_service.ray_app:app max_replicas=8 cpus=2
 
 The HTTP contract is that of `anchorflow serve`, and so is a replica's queue; Ray's proxy routes.
-`zenoh=tcp/HOST:7447` puts every replica on a zenoh network as well,
-each under keys of its own.
+`zenoh=tcp/HOST:7447` puts every replica on a zenoh network as well, each under keys of its own.
 """
 
 # Not `from __future__ import annotations`: Ray's application builder makes `RaySettings` of the

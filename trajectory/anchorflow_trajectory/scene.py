@@ -34,7 +34,7 @@ SCENE_INPUTS = (
 )
 """What a network may be told of a scene, by the names of `Scene.inputs`."""
 NUM_STEPS = 64
-LONG = 3.0  # reference times that anchors last at most, as a rule
+LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 TOP_SPEED = 0.97  # share of v_max
 
@@ -84,7 +84,7 @@ class Scene:
         velocity, acceleration = self.x_curr[dim : dim + 2], self.x_curr[2 * dim : 2 * dim + 2]
         if not acceleration.any():
             return Ends(self.x_curr, self.x_goal)
-        lasting = self.motion.horizon_s or LONG * self.reference_s
+        lasting = self.motion.horizon_s or LONGEST_STRETCH * self.reference_s
         gained = acceleration * (FIRST_GAIN * lasting / (self.basis.num_control_points - DEGREE))
         most = max(TOP_SPEED * self.motion.v_max, float(np.linalg.norm(velocity)))
         share = share_within(velocity, gained, most)
