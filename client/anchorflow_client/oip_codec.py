@@ -6,7 +6,9 @@ request's id is the protocol's `id`. docs/wire.md shows a request byte by byte.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -210,12 +212,12 @@ def _geometry_leaves(geometry: NDArray[Any]) -> Mapping[str, Any]:
     """The contract knows one geometry a request: the scenes of a batch must agree."""
     if geometry.ndim not in (1, 2) or geometry.shape[-1] != 3 or not geometry.size:
         raise wrong_shape(GEOMETRY, "[3] or [B,3]", geometry)
-    rows = geometry.reshape(-1, 3)
-    if not np.isfinite(rows).all():
+    first, *others = rows = geometry.reshape(-1, 3).tolist()
+    if not all(map(math.isfinite, chain.from_iterable(rows))):
         raise InvalidRequest("expected finite numbers, got others", GEOMETRY)
-    if len(rows) > 1 and (rows != rows[0]).any():
+    if any(row != first for row in others):
         raise InvalidRequest("expected the same row for every scene, got several", GEOMETRY)
-    *origin, resolution = rows[0].tolist()
+    *origin, resolution = first
     return {"cost_map.origin": origin, "cost_map.resolution": resolution}
 
 

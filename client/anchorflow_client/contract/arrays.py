@@ -85,7 +85,9 @@ def wrong_shape(field: str, shape: str, array: NDArray[Any]) -> InvalidRequest:
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """A view that cannot be written through; the caller's own array stays as it is."""
+    """The array where it cannot be written through, else such a view of it."""
+    if not array.flags.writeable:
+        return array
     view = array.view()
     view.flags.writeable = False
     return view
@@ -114,7 +116,7 @@ def _is_constant(memory: Any) -> bool:
 
 
 def _from_array(value: Any, field: str, shape: str) -> NDArray[np.float64]:
-    array = as_array(value, field)
+    array = value if type(value) is np.ndarray else as_array(value, field)
     if array.dtype.kind not in "iuf":
         raise expected(field, f"numbers of shape {shape}", array)
     return array.astype(np.float64)

@@ -244,14 +244,14 @@ def _style(value: Any) -> NDArray[np.float64]:
             raise expected("w_style", f"weights [3] or [B,3], or one of {names}", value)
         value = STYLES[value]
     weights = vectors(value, "w_style", ranges.STYLE_WEIGHT, ranges.NUM_STYLE)
-    total = weights.sum(axis=-1, keepdims=True)
-    off = np.abs(total - 1)
-    if off.max(initial=0.0) < 1e-12:
+    rows: list[list[float]] = weights.reshape(-1, ranges.NUM_STYLE).tolist()
+    if all(abs(safety + energy + smooth - 1) < 1e-12 for safety, energy, smooth in rows):
         # They sum to 1 already and stay as they are: client and service agree to the bit.
         return weights
+    total = weights.sum(axis=-1, keepdims=True)
     if not (total > 0).all():
         raise InvalidRequest("expected a weight above 0, got only zeros", "w_style")
-    return np.where(off < 1e-12, weights, weights / total)
+    return np.where(np.abs(total - 1) < 1e-12, weights, weights / total)
 
 
 def _check_on_free_cells(cost_map: CostMap, fields: Mapping[str, NDArray[np.float64]]) -> None:
@@ -298,7 +298,7 @@ def _options(options: Mapping[str, Any], dim: int | None) -> dict[str, Any]:
             if name in options:
                 raise InvalidRequest("expected none for a planner without a cost map", name)
     checks = _CHECK_OF_OPTION
-    if dim is not None:
+    if dim is not None and "warm_start" in options:
         checks = checks | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
     return {name: checks[name](value) for name, value in options.items()}
 

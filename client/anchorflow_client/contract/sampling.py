@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -191,15 +192,16 @@ def _increasing(times: NDArray[np.float64]) -> tuple[float, ...]:
     field = "sampler.schedule"
     if times.ndim != 1 or not 2 <= times.size <= ranges.MAX_SCHEDULE_STEPS + 1:
         raise wrong_shape(field, f"[K], K from 2 to {ranges.MAX_SCHEDULE_STEPS + 1}", times)
-    steps = np.diff(times)
-    if not (steps > 0).all():
-        raise InvalidRequest(f"expected strictly increasing times, got {times.tolist()}", field)
-    if steps.min() < MIN_STEP:
+    visited: list[float] = times.tolist()
+    shortest = min(later - earlier for earlier, later in pairwise(visited))
+    if shortest <= 0:
+        raise InvalidRequest(f"expected strictly increasing times, got {visited}", field)
+    if shortest < MIN_STEP:
         what = f"times at least {MIN_STEP:g} apart"
-        raise InvalidRequest(f"expected {what}, got {times.tolist()}", field)
-    if times[-1] != 1.0:
-        raise InvalidRequest(f"expected a last time of 1, got {describe(times[-1])}", field)
-    return tuple(times.tolist())
+        raise InvalidRequest(f"expected {what}, got {visited}", field)
+    if visited[-1] != 1.0:
+        raise InvalidRequest(f"expected a last time of 1, got {describe(visited[-1])}", field)
+    return tuple(visited)
 
 
 def _warm_trajectory(value: Any, dim: int) -> NDArray[np.float64]:

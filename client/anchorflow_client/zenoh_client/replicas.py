@@ -178,6 +178,10 @@ class Replicas:
         def one_has_told() -> bool:
             return any(replica.models for replica in self._alive.values())
 
+        with self._changed:
+            if one_has_told():  # as a rule
+                deadline.check()
+                return
         if not deadline.at_most(somebody_s).wait_for(self._changed, one_has_told):
             deadline.wait_for(self._changed, lambda: one_has_told() or not self.unheard())
 
