@@ -33,8 +33,8 @@ from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
-MODEL, K, N, T = "goalflow", 16, 12, 4
-# Ways along a route are a loop over the steps, which a trace unrolls: four are enough.
+MODEL, K, N, T = "goalflow", 16, 12, 2
+# Ways along a route are a loop over the steps, which a trace unrolls: two are enough.
 CONFIG = GoalFlowConfig(
     num_steps=T,
     goals=K,
