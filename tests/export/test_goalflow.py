@@ -18,7 +18,9 @@ from anchorflow_models.goalflow.goals import pick
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.local import LocalClient
 
-CONFIG = GoalFlowConfig(num_steps=2, goals=16, picked=5, width=16, channels=8, feature_channels=4, layers=1)
+CONFIG = GoalFlowConfig(
+    num_steps=2, goals=16, picked=5, width=16, channels=8, feature_channels=4, layers=1
+)
 
 
 def test_goals_that_crowd_are_in_order_and_others_are_not() -> None:
