@@ -1,6 +1,7 @@
 """One scene: what follows from its map, when it is worked out, and as what a network is told it."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -66,6 +67,16 @@ def test_routes_that_cannot_keep_the_certified_margin_are_not_offered(scene: Sce
     assert [route.points[:, 1].max() < 3.2 for route in by_door.routes] == [True]
     assert [route.points[:, 1].max() > 4.4 for route in round_the_end.routes] == [True]
     assert len(nobody_has_it.routes) == 1  # offered all the same, and called unsafe
+
+
+def test_routes_keep_the_certified_margin_when_they_are_pulled_tight(scene: Scene) -> None:
+    low = scene.cost_map.copy()
+    low[0, 12:24, 18:21] = 0.0  # 1.8 m are left above the wall
+    (route,) = replace(scene, cost_map=low, certified_margin=0.3).routes
+    field = replace(scene, cost_map=low).clearance_field
+    legs = [np.linspace(a, b, 50) for a, b in pairwise(route.points)]
+    cells = ((np.concatenate(legs) - scene.origin) / scene.resolution).astype(int)
+    assert field[cells[:, 1], cells[:, 0]].min() >= 0.3
 
 
 def test_the_routes_lead_through_the_gap_and_durations_are_measured_by_the_first(

@@ -14,7 +14,7 @@ from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
 from anchorflow_trajectory.grid import cell_index
 from anchorflow_trajectory.lock_free import cached_property
 from anchorflow_trajectory.ray_signature import ObstacleRays
-from anchorflow_trajectory.route_shortening import pulled_tight
+from anchorflow_trajectory.route_shortening import CHORD_SLACK, pulled_tight
 from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
 from anchorflow_trajectory.routes import SLACK, Route, find_routes
 from anchorflow_trajectory.spline import DEGREE, Ends, SplineBasis, Splines, spline_basis
@@ -97,16 +97,19 @@ class Scene:
     @cached_property
     def routes(self) -> list[Route]:
         """The shortest ways round the obstacles, the shortest first; empty where none is free."""
-        grid = {"resolution": self.resolution, "origin": self.origin, "rays": self.rays}
-        found = self._found_routes(SLACK + self.certified_margin)
-        if not found and self.certified_margin > 0.0:  # none can be certified: `safe` says so
-            found = self._found_routes(SLACK)
-        return pulled_tight(found, self.clearance_field, **grid)
+        margin = self.certified_margin
+        found = self._found_routes(SLACK + margin)
+        if not found and margin > 0.0:  # none can be certified: `safe` says so
+            found, margin = self._found_routes(SLACK), 0.0
+        return self._pulled_tight(found, slack=CHORD_SLACK + margin)
 
     def routes_with(self, slack: float) -> list[Route]:
         """Those that keep so many m beyond robot_radius, as their chords do; there may be none."""
+        return self._pulled_tight(self._found_routes(slack), slack=slack)
+
+    def _pulled_tight(self, routes: list[Route], *, slack: float) -> list[Route]:
         return pulled_tight(
-            self._found_routes(slack),
+            routes,
             self.clearance_field,
             resolution=self.resolution,
             origin=self.origin,
