@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_benchmarks.finish import basis_of, finished, unfinished_scene
-from anchorflow_benchmarks.path_splines import gone_along
+from anchorflow_benchmarks.path_splines import driven_along
 from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, limits_of, without_fields
 from anchorflow_benchmarks.routes_planner import DESCENTS, RoutesPlanner
 from anchorflow_service.bundle import Bundle
@@ -45,7 +45,7 @@ class ExpertPlanner:
 
 @dataclass(frozen=True)
 class LinesPlanner:
-    """Straight lines, bent sideways by smooth noise, each gone as quickly as the limits allow.
+    """Straight lines, bent sideways by smooth noise, each driven as quickly as the limits allow.
 
     spread: m, standard deviation of the first and widest of the bends
     """
@@ -67,7 +67,7 @@ class LinesPlanner:
         across = np.array([-span[1], span[0]]) / max(1e-6, float(np.linalg.norm(span)))
         offset = self._bends(share, num, np.random.default_rng(seed))
         paths = start + share[:, None] * span + offset[..., None] * across
-        return gone_along(list(paths), basis, scene.ends, limits=self.limits)
+        return driven_along(list(paths), basis, scene.ends, limits=self.limits)
 
     def _bends(
         self, along: NDArray[np.float64], num: int, rng: np.random.Generator

@@ -14,7 +14,7 @@ from anchorflow_trajectory.spline import Ends, SplineBasis, Splines
 from anchorflow_trajectory.time_law import nominal_duration, ramp_share, time_along
 
 
-def gone_along(
+def driven_along(
     paths: Sequence[NDArray[np.floating]], basis: SplineBasis, ends: Ends, *, limits: MotionLimits
 ) -> Splines:
     """A spline along each polyline [P, 2], as quick as the limits allow, or within the horizon."""

@@ -1,6 +1,6 @@
 """RRT-Connect (Kuffner & LaValle, 2000) from OMPL, its paths smoothed to the same limits.
 
-Each path is simplified by OMPL, gone by the time law of the other
+Each path is simplified by OMPL, driven by the time law of the other
 baselines and fitted by the spline that anchors are.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]  # not everywhere
 
 from anchorflow_benchmarks.anchors import Proposals
-from anchorflow_benchmarks.path_splines import gone_along
+from anchorflow_benchmarks.path_splines import driven_along
 from anchorflow_benchmarks.planners import NUM_SAMPLES, without_fields
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
@@ -53,7 +53,9 @@ class RrtConnectPlanner:
             failures = 0 if path is not None else failures + 1
             paths.append(straight if path is None else path)
         basis = spline_basis(NUM_SAMPLES)
-        return Proposals.of_spline(basis, gone_along(paths, basis, scene.ends, limits=self.limits))
+        return Proposals.of_spline(
+            basis, driven_along(paths, basis, scene.ends, limits=self.limits)
+        )
 
 
 _seeded: list[int] = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +19,7 @@ from anchorflow_cli.data_import_log import import_log
 from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app, new_file, new_folder, picture_option
+from anchorflow_service.cores import usable_cores
 from anchorflow_training.data import TrajectoryDataset
 from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.inspection import (
@@ -39,7 +39,7 @@ from anchorflow_trajectory.cost import MotionLimits
 
 app = command_app()
 
-CORES = os.cpu_count() or 1
+CORES = usable_cores()
 
 TrajectoryFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Trajectories: .npz, .npy, .h5, .pt or .pkl.")

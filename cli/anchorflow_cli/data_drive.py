@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +11,7 @@ from rich.progress import Progress
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import folder_option
 from anchorflow_driving.simulation.config import LogConfig
+from anchorflow_service.cores import usable_cores
 
 COOPERATIVE = "cooperative-vehicle-infrastructure"
 
@@ -39,7 +39,7 @@ def drive(
         bool,
         typer.Option(help="Write the lanes' limits; unknown ones, as of recordings, are 15 m/s."),
     ] = LogConfig.speed_limits,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = os.cpu_count() or 1,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = usable_cores(),
     v2x: Annotated[
         bool,
         typer.Option("--v2x", help="Draw car and roadside cameras too, laid out as DAIR-V2X."),

@@ -1,4 +1,4 @@
-"""Every error of AnchorFlow, in one tree.
+"""The errors of the contract and of its clients, in one tree, and the base of all others.
 
     AnchorFlowError
     ├─ RequestError               the service refused; `code`, `field` and `http_status` say why
@@ -16,7 +16,7 @@
     │    ├─ TimedOut              the service did not answer in time
     │    ├─ Cancelled             the caller took the request back
     │    └─ InvalidAnswer         what came is not the contract's
-    └─ BundleError                a bundle on disk is broken (defined by the service's reader)
+    └─ BundleError, ConfigError, …  of other packages, each defined where it is raised
 
 A `RequestError` reads the same on both ends of the wire: the service raises it, `to_dict` writes
 it, and the client raises what `from_dict` reads.

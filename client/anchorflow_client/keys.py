@@ -12,7 +12,6 @@ from anchorflow_client.contract.checks import describe
 from anchorflow_client.errors import InvalidRequest
 
 ROOT = "anchorflow/v1"
-EVERYTHING = f"{ROOT}/**"
 ALL_REPLICAS = f"{ROOT}/replica/*"
 ALL_INFO = f"{ALL_REPLICAS}/info"
 

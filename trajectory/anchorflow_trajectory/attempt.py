@@ -186,7 +186,7 @@ def _hurry(
 ) -> None:
     """Each of control points [D, K, LANES] in the share of its duration that costs it least.
 
-    Descents smooth a way faster than they find out how soon it can then be gone.
+    Descents smooth a way faster than they find out how soon it can then be driven.
     """
     tried, slope, best = control.copy(), np.empty_like(control), control.copy()
     found, least = np.empty((2, LANES), control.dtype), np.empty(LANES, control.dtype)

@@ -76,7 +76,7 @@ def descend(
 
 
 class Descent(NamedTuple):
-    """How it is gone: `descend` tells of steps, rate and tether.
+    """How a descent is carried out: `descend` tells of steps, rate and tether.
 
     root: [F, F], the whitening; start: the first free control point
     is_timed: whether durations change; is_moving: whether ends then move control points

@@ -19,9 +19,9 @@ Beginnings = tuple[Splines, NDArray[np.intp]]
 """M splines, and [M] the place of the route that each follows."""
 
 RESCUE_STRETCH = 1.5
-"""By which a spline is slowly gone that was fitted to an even pace."""
+"""By which a spline that was fitted to an even pace is driven slowly."""
 STRETCHES = (1.0, 1.5, 2.0, 3.0)
-"""Of the least time for the shortest route, in which a beginning is gone."""
+"""Of the least time for the shortest route, in which a beginning is driven."""
 DWELLS = (0.0, 0.3, 0.5, 0.7)
 """Shares of that time that are spent at the route's corners."""
 BEND = 0.025
@@ -39,7 +39,7 @@ def beginnings(
     """What the `lost` routes may be begun on, what is cheaper first: what follows a route that has
     been rescued meanwhile need not be looked at.
 
-    A route's own spline, slowly gone; the smoothest curve between both ends, for who must brake;
+    A route's own spline, driven slowly; the smoothest curve between both ends, for who must brake;
     control points on the route, close together at its corners, since a B-spline lies in the hulls
     of five in a row; and all that along a route with more room, which does not hug its corners.
 
@@ -69,7 +69,7 @@ def _along(scene: Scene, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
 
 
 def _paced(scene: Scene, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
-    """Splines along these routes as `splines_along` fits them, and the same slowly gone."""
+    """Splines along these routes as `splines_along` fits them, and the same driven slowly."""
     for place, route in routes.items():
         splines = splines_along([route], scene.basis, scene.ends, limits=scene.motion)
         for each in (splines, _slowed(scene, splines, RESCUE_STRETCH)):

@@ -135,7 +135,7 @@ class Scene:
 
     @cached_property
     def reference_s(self) -> float:
-        """s that durations are measured by: the least in which the shortest route can be gone."""
+        """s that durations are measured by: the least in which the shortest route can be driven."""
         straight = float(np.linalg.norm(self.x_goal[:2] - self.x_curr[:2]))
         way = self.routes[0].length if self.routes else straight
         return self.motion.least_time(max(way, LEAST_WAY))

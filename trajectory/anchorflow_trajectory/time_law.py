@@ -49,30 +49,32 @@ def time_along(
     """
     cruise = max(0.0, (1.0 - 0.5 * ramp * (start_share + goal_share)) / (1.0 - ramp))
     points = np.ascontiguousarray(path, np.float64)
-    return _gone(points, num_samples, float(ramp), (float(start_share), cruise, float(goal_share)))
+    return _driven(
+        points, num_samples, float(ramp), (float(start_share), cruise, float(goal_share))
+    )
 
 
 @compiled
-def _gone(
+def _driven(
     path: NDArray[np.float64], num_samples: int, ramp: float, speeds: tuple[float, float, float]
 ) -> NDArray[np.float32]:
     """Positions [T, 2] along a polyline [K, 2] at the speeds of start, cruise and goal."""
     start, cruise, goal = speeds
-    speed, gone = np.empty(num_samples), np.zeros(num_samples)
+    speed, driven = np.empty(num_samples), np.zeros(num_samples)
     for k in range(num_samples):
         tau = k / (num_samples - 1)
         rise = 0.5 - 0.5 * np.cos(np.pi * min(min(tau, 1.0 - tau) / ramp, 1.0))
         first = start if tau < 0.5 else goal
         speed[k] = first + (cruise - first) * rise
         if k:
-            gone[k] = gone[k - 1] + 0.5 * (speed[k] + speed[k - 1])
+            driven[k] = driven[k - 1] + 0.5 * (speed[k] + speed[k - 1])
     marks = np.zeros(len(path))
     for leg in range(1, len(path)):
         step = path[leg] - path[leg - 1]
         marks[leg] = marks[leg - 1] + np.sqrt(step[0] ** 2 + step[1] ** 2)
     positions = np.empty((num_samples, 2), np.float32)
     for k in range(num_samples):
-        at = gone[k] / gone[-1] * marks[-1]
+        at = driven[k] / driven[-1] * marks[-1]
         if at >= marks[-1]:
             positions[k] = path[-1].astype(np.float32)
             continue

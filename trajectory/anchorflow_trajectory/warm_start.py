@@ -29,7 +29,7 @@ def warm_states(
         trajectory: [T', D], [T', 2D] or [T', 3D] p, v, a in SI; missing derivatives are a spline's.
         route: [N] the place of the route that each anchor begins on.
         dt: s between two of its samples; None: it lasts as long as the spline along its route.
-            Where there is a horizon, the way that it goes is gone in that.
+            Where there is a horizon, the way that it goes is driven in that.
     """
     means = scene.route_states
     dim, steps = len(scene.x_goal) // 2, means.shape[1]
@@ -59,7 +59,7 @@ def nearest_route(route_states: FloatArray, positions: FloatArray) -> int:
 
 
 def _bounded(duration: float, place: FloatArray, scene: Scene) -> float:
-    """s: the horizon, or a duration in which the way [T, 2] can be gone and is not dawdled."""
+    """s: the horizon, or a duration in which the way [T, 2] can be driven without dawdling."""
     if scene.motion.horizon_s is not None:
         return scene.motion.horizon_s
     way = float(np.linalg.norm(np.diff(place, axis=0), axis=-1).sum())

@@ -42,7 +42,7 @@ class _Everything:
 def compile_loops() -> None:
     """Run them on a small scene: its routes, its finish, and a bisection.
 
-    A second or less where they are found on disk, else about twenty.
+    A second or less where they are found on disk, else about half a minute.
     """
     if not kept():
         logger.warning("compiling loops for this processor, once: about half a minute")

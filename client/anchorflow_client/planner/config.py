@@ -28,7 +28,7 @@ INTERVALS = {
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerConfig:
-    """How often is asked, how old a plan may grow, and what is added to what the loop sees."""
+    """How often to ask, how old a plan may grow, and what is added to what the loop sees."""
 
     max_age_ms: float = 1000.0
     """From when a plan is expired and a request is given up; also each request's budget_ms."""
@@ -56,7 +56,7 @@ class PlannerConfig:
     warm_tau: float = ranges.DEFAULT_TAU
     """Flow time at which a warm start enters, in (0, 1)."""
     cold_every: int = 3
-    """Every so manieth request starts from noise, to find other ways; 1: all of them."""
+    """Every how many requests one starts from noise, to find other ways; 1: every request."""
 
     def __post_init__(self) -> None:
         """Raises `ValueError` where a setting is out of range."""

@@ -28,7 +28,7 @@ USES: Mapping[str, tuple[str, ...]] = {
     "diffusiondrive": ("noise_scale",),
 }
 """Which of the `ExportChoices`, and of `quantize_bundle`, a planner has a use for; one that is not
-listed has for none."""
+listed has none for any."""
 
 
 def check_used(planner: str, names: Iterable[str]) -> None:

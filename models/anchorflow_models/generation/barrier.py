@@ -28,9 +28,7 @@ from torch import Tensor
 
 from anchorflow_models.generation.clearance_map import ClearanceMap
 from anchorflow_models.generation.covariance import along_prior
-
-SHARPNESS = 40.0  # κ, 1/m: h lies 0.04 m under the least room where five steps have the same
-SLACK = 0.1  # ε, m, well below what the prior moves steps that are not near an end
+from anchorflow_trajectory.control_barrier import SHARPNESS, SLACK
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,8 @@
     sampler        a scene        -> context -> samples
     finish         the samples    -> the arrays of the answer
 
-A new kind is an entry of the manifest, a class here or there, and a line in the folder's registry.
+A new kind is an entry of the manifest, a class in one of the three folders, and a line in its
+registry.
 """
 
 from __future__ import annotations

@@ -85,8 +85,8 @@ class InferCodec:
         if TIMEOUT in leaves:
             if "budget_ms" in leaves:
                 raise InvalidRequest("expected this field or budget_ms, got both", TIMEOUT)
-            timeout_ms = Interval(BUDGET.low, BUDGET.high * 1e3, "µs", open_low=True)
-            leaves["budget_ms"] = number(leaves.pop(TIMEOUT), TIMEOUT, timeout_ms) / 1e3
+            timeout_us = Interval(BUDGET.low * 1e3, BUDGET.high * 1e3, "µs", open_low=True)
+            leaves["budget_ms"] = number(leaves.pop(TIMEOUT), TIMEOUT, timeout_us) / 1e3
         return request_of(_tensors(header["inputs"], data), leaves, header.get("id"))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:

@@ -45,7 +45,7 @@ Trajectory = Annotated[
     Field(min_length=2, max_length=ranges.MAX_WARM_START_STEPS),
 ]
 
-Method = Literal["rk4", "heun", "midpoint", "euler", "ab2"]
+Method = Annotated[str, Field(json_schema_extra={"enum": [*ranges.METHODS]})]
 
 
 def _within(interval: Interval, description: str, **options: Any) -> Any:

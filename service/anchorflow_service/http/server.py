@@ -18,7 +18,7 @@ EXTENSIONS = ["binary_tensor_data", "model_repository"]
 
 
 def server_router(service: PlanningService) -> APIRouter:
-    """The routes, over what the app holds."""
+    """The routes, over the service."""
     router = APIRouter(prefix="/v2", tags=["server"])
 
     @router.get("")

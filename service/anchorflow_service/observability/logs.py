@@ -9,8 +9,6 @@ from typing import Any
 
 import orjson
 
-FORMATS = ("text", "json")
-LEVELS = ("debug", "info", "warning", "error")
 TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 # What every record has; what a record has beside these was said in its `extra`.

@@ -274,7 +274,7 @@ class PlanningQueue:
         return self._line.count(but=but) + left
 
     def _left_in_batch(self) -> Iterator[AnyJob]:
-        """Of those, the ones that have left the line as part of a batch."""
+        """Jobs of the batch that no lane has taken yet."""
         return (each.job for each in self._batch if not each.job.has_ended)
 
     def _check_room(self, held: int, max_waiting: int | None = None) -> None:

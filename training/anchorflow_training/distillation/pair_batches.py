@@ -73,7 +73,7 @@ class PairBatches:
 
 
 def reference_times(batch: Batch) -> FloatArray:
-    """[B] s in which each scene's shortest route can be gone, by the length of its spline."""
+    """[B] s in which each scene's shortest route can be driven, by the length of its spline."""
     places = batch["route_states"][:, 0, :, :2]
     ways = np.linalg.norm(np.diff(places, axis=1), axis=-1).sum(-1)
     times = [
