@@ -30,6 +30,7 @@ from anchorflow_client.contract import (
     WarmStart,
 )
 from anchorflow_client.contract.request import MapScenes
+from anchorflow_client.planner import Plan, PlannerConfig
 from anchorflow_docs.dataclass_fields import dataclass_section, held_fields
 from anchorflow_docs.field_table import ANSWERED, HELD, SENT, field_table
 from anchorflow_docs.schema_fields import schema_fields
@@ -63,6 +64,8 @@ TYPES = (
     NoFinish,
     TimeSpec,
     AnswerSpec,
+    PlannerConfig,
+    Plan,
 )
 OPENAPI = "reference/openapi.json"
 

@@ -252,9 +252,6 @@ NOT_HERE = {
     f"anchorflow bench closed-loop ../shared/data/barn_public.npz --bundle {SHIPPED}/student"
     " --motions 128,512 --seeds 3 --sampler card --latency-ms 100": MEASURES,
     "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
-    f"anchorflow bench drive --logs ../shared/data/driving --bundle {SHIPPED}/goalflow"
-    f" --bundle {SHIPPED}/wote --bundle {SHIPPED}/diffusiondrive"
-    " --seed 0 --seed 1 --seed 2 --seed 3": MEASURES,
     f"anchorflow bench drive-closed-loop --bundle {SHIPPED}/goalflow --along-route": MEASURES,
     "anchorflow data import-log USA_US101-1_1_T-1.xml --out us101.npz": OTHERS_LOGS,
     "anchorflow data import-log nuscenes --scene scene-0061 --out 0061.npz": OTHERS_LOGS,
