@@ -14,7 +14,7 @@ from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.scene_import import ImportConfig, import_scenes, rounded_up
 from anchorflow_training.dataset import DTYPES, SceneDataset, open_dataset
 from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.routes import MOST
+from anchorflow_trajectory.routes import MOST_ROUTES
 
 STEPS = 21
 RADIUS = 0.2
@@ -61,7 +61,7 @@ def test_a_sample_becomes_a_scene(tmp_path: Path) -> None:
     np.testing.assert_allclose(rows["clearance"][0], clearance, atol=2e-3)
     np.testing.assert_allclose(rows["limits"], [[2.1, 1e-3, RADIUS, 2.0]] * 2, rtol=1e-6)
     np.testing.assert_allclose(rows["durations"], 2.0)
-    assert rows["route_states"].shape == (2, MOST, STEPS, 7)
+    assert rows["route_states"].shape == (2, MOST_ROUTES, STEPS, 7)
     np.testing.assert_allclose(np.exp(rows["route_states"][:, 0, :, -1]), 2.0, rtol=1e-6)
     assert rows["states"].shape == (2, 1, STEPS, 6)
     np.testing.assert_allclose(rows["states"][0, 0, :, 2], 2.0, atol=1e-6)

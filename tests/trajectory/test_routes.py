@@ -17,7 +17,7 @@ from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.grid import LENGTHS, STEPS, free_steps
 from anchorflow_trajectory.ray_signature import ObstacleRays
 from anchorflow_trajectory.route_shortening import pulled_tight
-from anchorflow_trajectory.routes import MOST, SLACK, STRETCH, Route, find_routes, free_cells
+from anchorflow_trajectory.routes import MOST_ROUTES, SLACK, STRETCH, Route, find_routes, free_cells
 
 SEEDS = (1, 3, 24, 28)
 CELL, RADIUS = 0.1, 0.25
@@ -175,7 +175,7 @@ def test_every_route_is_free_and_no_two_are_alike(case: World) -> None:
     routes, rays = case.routes(), ObstacleRays.of(clearance)
 
     assert [r.length for r in routes] == sorted(r.length for r in routes)
-    assert len({r.signature for r in routes}) == len(routes) <= MOST
+    assert len({r.signature for r in routes}) == len(routes) <= MOST_ROUTES
     for route in (*routes, *case.tight()):
         columns, rows = ((route.points - ORIGIN) / CELL).astype(int).T
         assert free[rows, columns].all()

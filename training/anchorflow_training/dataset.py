@@ -38,7 +38,7 @@ from anchorflow_client.errors import AnchorFlowError
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.whole_file import whole_file
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.routes import MOST
+from anchorflow_trajectory.routes import MOST_ROUTES
 from anchorflow_trajectory.scene import Scene
 
 Row = dict[str, NDArray[Any]]
@@ -190,7 +190,7 @@ def scene_row(
         "x_goal": scene.x_goal,
         "w_style": scene.w_style,
         "limits": scene.limits,
-        "route_states": np.pad(routes, [(0, MOST - len(routes)), (0, 0), (0, 0)]),
+        "route_states": np.pad(routes, [(0, MOST_ROUTES - len(routes)), (0, 0), (0, 0)]),
         "states": states,
         "durations": durations,
         "route": route,
@@ -269,7 +269,7 @@ def _check_shapes(path: Path, arrays: Mapping[str, NDArray]) -> None:
         "x_goal": (2 * width // 3,),
         "w_style": (3,),
         "limits": (4,),
-        "route_states": (MOST, steps, width + 1),
+        "route_states": (MOST_ROUTES, steps, width + 1),
         "durations": (trajectories,),
         "route": (trajectories,),
         "quality": (trajectories,),

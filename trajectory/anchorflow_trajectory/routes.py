@@ -20,7 +20,7 @@ from anchorflow_trajectory.route_search import search_routes
 FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
-MOST = 12
+MOST_ROUTES = 12
 STRETCH = 1.3
 SLACK = 0.02  # m beyond robot_radius that a route keeps, so that a spline along it can
 
@@ -46,7 +46,7 @@ def find_routes(
     origin: FloatArray,
     start: FloatArray,
     goal: FloatArray,
-    most: int = MOST,
+    most: int = MOST_ROUTES,
     stretch: float = STRETCH,
     slack: float = SLACK,
     rays: ObstacleRays | None = None,

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import AnchorRequest, ResolvedRequest
+from anchorflow_client.contract import AnchorRequest, ResolvedRequest, TensorSpec
 from anchorflow_service.bundle.manifest import Manifest
 
 Array = NDArray[Any]
@@ -106,6 +106,16 @@ class Finish(Protocol):
         The same to the last bit on however many threads.
         """
         ...
+
+
+def best(scores: Array, count: int) -> NDArray[np.intp]:
+    """Indices [N] of the highest of scores [K], at most `count`; ties in their own order."""
+    return np.argsort(-scores, kind="stable")[:count]
+
+
+def names_of_each(extras: Iterable[TensorSpec]) -> set[str]:
+    """The extras that say something of each anchor: [B,N,…]."""
+    return {spec.name for spec in extras if spec.shape[1:2] == ("N",)}
 
 
 def unknown_names(where: str, names: Iterable[str], known: Iterable[str]) -> Iterator[str]:

@@ -9,10 +9,10 @@ from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 from anchorflow_service.http.anchors import anchors_router
-from anchorflow_service.http.connections import HealthAlone
 from anchorflow_service.http.errors import install_error_handlers
 from anchorflow_service.http.guard import Guard
 from anchorflow_service.http.guard_documentation import document_guard
+from anchorflow_service.http.health_alone import HealthAlone
 from anchorflow_service.http.images import ignore_warnings_of_pillow
 from anchorflow_service.http.leave_to_send import LeaveToSend
 from anchorflow_service.http.metrics import metrics_router

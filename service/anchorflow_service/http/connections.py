@@ -18,18 +18,13 @@ from functools import partial
 from typing import cast
 
 import httptools
-from starlette.requests import Request
-from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import (
     STATUS_LINE,
     HttpToolsProtocol,
     RequestResponseCycle,
 )
 
-from anchorflow_client.errors import InvalidRequest, Overloaded
-from anchorflow_service.http.body import discard_body
-from anchorflow_service.http.errors import error_answer
-from anchorflow_service.http.guard import HEALTH
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.http.joined_head import JoinedHead
 from anchorflow_service.http.places import ConnectionPlaces, source_of
 from anchorflow_service.http.request_id import HEADER
@@ -371,20 +366,3 @@ def limited(
     """
     attributes = {"limits": limits, "places": limits.places(), "listeners": listeners}
     return type("LimitedConnection", (LimitedConnection,), attributes)
-
-
-class HealthAlone:
-    """Middleware: to a connection in the reserve health is answered, all else is `overloaded`."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on, or refuse it."""
-        is_reserved = scope["type"] == "http" and scope.get("state", {}).get(RESERVED)
-        if not is_reserved or scope["path"].startswith(HEALTH):
-            await self._app(scope, receive, send)
-            return
-        await discard_body(Request(scope, receive))
-        error = Overloaded("too many connections; try again in 1 s", retry_after_s=1)
-        await error_answer(error, {"Connection": "close"})(scope, receive, send)

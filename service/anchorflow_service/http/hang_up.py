@@ -10,10 +10,9 @@ from typing import Any, TypeVar
 from starlette.requests import Request
 from starlette.responses import Response
 
-Result = TypeVar("Result")
+from anchorflow_service.observability.exchanges import BROKEN_OFF
 
-CLIENT_CLOSED_REQUEST = 499
-"""What nginx calls it; no client reads it, logs and metrics do."""
+Result = TypeVar("Result")
 
 
 class HungUp(Exception):
@@ -57,7 +56,7 @@ async def unless_hung_up(request: Request, work: Coroutine[Any, Any, Result]) ->
 
 def to_nobody() -> Response:
     """The answer to a client who has left."""
-    return Response(status_code=CLIENT_CLOSED_REQUEST)
+    return Response(status_code=BROKEN_OFF)
 
 
 async def _hang_up(request: Request) -> None:

@@ -15,7 +15,7 @@ from starlette.responses import Response
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import CostMapSpec, ModelCard, TensorSpec
 from anchorflow_client.contract.batch import ARRAY_DTYPES, MOTIONS
-from anchorflow_client.errors import NotReady, UnknownModel
+from anchorflow_client.errors import UnknownModel
 from anchorflow_client.oip.datatypes import datatype_of
 from anchorflow_client.oip_codec import TIME_STEP
 from anchorflow_service.http.anchors import answer_to, header_length
@@ -55,8 +55,7 @@ def models_router(service: PlanningService) -> APIRouter:
     async def ready(name: str, version: str | None = None) -> Response:
         """Whether a model takes requests now."""
         card_of(name, version)
-        if not service.is_ready:
-            raise NotReady("the service is starting or stopping")
+        service.check_ready()
         return json_answer({"name": name, "ready": True})
 
     @router.post("/{name}/infer", **INFER_DOCUMENTATION)

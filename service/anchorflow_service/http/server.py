@@ -7,7 +7,6 @@ from importlib.metadata import PackageNotFoundError, version
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from anchorflow_client.errors import NotReady
 from anchorflow_service.http.answers import json_answer
 from anchorflow_service.http.openapi import MODELS_DOCUMENTATION, NOT_READY_DOCUMENTATION
 from anchorflow_service.planning import PlanningService
@@ -35,8 +34,7 @@ def server_router(service: PlanningService) -> APIRouter:
     @router.get("/health/ready", **NOT_READY_DOCUMENTATION)
     async def ready() -> Response:
         """Whether requests are taken now."""
-        if not service.is_ready:
-            raise NotReady("the service is starting or stopping")
+        service.check_ready()
         return json_answer({"ready": True})
 
     @router.get("/models", **MODELS_DOCUMENTATION)

@@ -13,7 +13,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 OTHER = "other"
 """The route of what no route matched."""
 BROKEN_OFF = 499
-"""In place of a status where the caller left before there was one."""
+"""In place of a status where the caller left before there was one, as nginx has it."""
 REFUSED = "refused"
 """In a request's state: the status with which its connection refused it in mid-body."""
 FAILED = 500

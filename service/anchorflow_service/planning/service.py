@@ -18,7 +18,7 @@ from anchorflow_client.contract import (
     ResolvedRequest,
     resolve_for_card,
 )
-from anchorflow_client.errors import InternalError, InvalidRequest, RequestError
+from anchorflow_client.errors import InternalError, InvalidRequest, NotReady, RequestError
 from anchorflow_service.planning.arrival import Arrival
 from anchorflow_service.planning.call import Call
 from anchorflow_service.planning.engines import EngineRegistry, PlanningEngine
@@ -75,6 +75,11 @@ class PlanningService:
     def is_ready(self) -> bool:
         """Whether new callers should come."""
         return self.queue.is_open and not self._is_leaving
+
+    def check_ready(self) -> None:
+        """Raises `NotReady` where new callers should not come."""
+        if not self.is_ready:
+            raise NotReady("the service is starting or stopping")
 
     def leave(self) -> None:
         """Tell whoever asks that it is not ready; requests that come are still answered."""

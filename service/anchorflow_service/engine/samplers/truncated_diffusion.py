@@ -29,7 +29,9 @@ from anchorflow_service.engine.parts import (
     ConditionedScene,
     Context,
     Samples,
+    best,
     missing_roles,
+    names_of_each,
     unknown_names,
 )
 from anchorflow_trajectory.ddim import CLEAN, ddim_step, noised
@@ -80,7 +82,7 @@ class TruncatedDiffusionSampler:
         }
         self._T = manifest.time.steps
         extras = manifest.answer.extras
-        self._of_each = {spec.name for spec in extras if spec.shape[1:2] == ("N",)}
+        self._of_each = names_of_each(extras)
         self._extras = {spec.name for spec in extras}
         fine = manifest.graphs["fine"]
         coarse = manifest.graphs["coarse"].output_names
@@ -172,25 +174,20 @@ class TruncatedDiffusionSampler:
         coarse, fine = self.graphs["coarse"], self.graphs["fine"]
         judged = coarse(coarse.select(fed), threads=threads)
         check()
-        kept = self._picked(judged, _best(judged[COARSE_SCORES][0], self._entry.keep))
+        kept = self._picked(judged, best(judged[COARSE_SCORES][0], self._entry.keep))
         told = {**context, **kept}
         told |= fine(fine.select(told), threads=threads)
-        best = _best(told[SCORES][0], request.num_samples)
+        chosen = best(told[SCORES][0], request.num_samples)
         arrays = {name: told[name][0] for name in (*self._extras, SCORES)}
         arrays = {
-            name: array[best] if name in self._of_each or name == SCORES else array
+            name: array[chosen] if name in self._of_each or name == SCORES else array
             for name, array in arrays.items()
         }
-        return Samples(told[CANDIDATES][0][best], arrays=arrays)
+        return Samples(told[CANDIDATES][0][chosen], arrays=arrays)
 
-    def _picked(self, coarse: Arrays, best: NDArray[np.intp]) -> Arrays:
+    def _picked(self, coarse: Arrays, kept: NDArray[np.intp]) -> Arrays:
         """Of what coarse says of each candidate, what it says of these."""
-        return {name: np.ascontiguousarray(coarse[name][:, best]) for name in self._by_candidate}
+        return {name: np.ascontiguousarray(coarse[name][:, kept]) for name in self._by_candidate}
 
     def _t(self, level: int) -> Array:
         return np.array([level], np.float32)
-
-
-def _best(scores: Array, count: int) -> NDArray[np.intp]:
-    """Indices of the highest scores, ties in the order of the graph."""
-    return np.argsort(-scores, kind="stable")[:count]

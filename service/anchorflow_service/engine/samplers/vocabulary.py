@@ -22,7 +22,9 @@ from anchorflow_service.engine.parts import (
     ConditionedScene,
     Context,
     Samples,
+    best,
     missing_roles,
+    names_of_each,
     unknown_names,
 )
 from anchorflow_service.engine.samplers.views import Views, view_faults
@@ -47,7 +49,7 @@ class VocabularySampler:
         looks = isinstance(bundle.manifest.conditioning, VisionLanguageEntry)
         self.views = Views(bundle, threads=threads, provider=provider) if looks else None
         answer = bundle.manifest.answer
-        self._of_each = {spec.name for spec in answer.extras if spec.shape[1:2] == ("N",)}
+        self._of_each = names_of_each(answer.extras)
         self._extras = {spec.name for spec in answer.extras}
 
     @staticmethod
@@ -96,15 +98,10 @@ class VocabularySampler:
             check()
         trajectories = given[TRAJECTORIES][0]
         scores = given[SCORES][0] if SCORES in given else None
-        best = _best(scores, len(trajectories), scene.request.num_samples)
+        ranks = np.zeros(len(trajectories)) if scores is None else scores
+        chosen = best(ranks, scene.request.num_samples)
         arrays = {name: given[name][0] for name in self._extras}
-        arrays = {name: a[best] if name in self._of_each else a for name, a in arrays.items()}
+        arrays = {name: a[chosen] if name in self._of_each else a for name, a in arrays.items()}
         if scores is not None:
-            arrays[SCORES] = scores[best]
-        return Samples(trajectories[best], arrays=arrays)
-
-
-def _best(scores: np.ndarray | None, size: int, count: int) -> np.ndarray:
-    """Indices [N] of the best, ties in the order of the graph."""
-    order = np.arange(size) if scores is None else np.argsort(-scores, kind="stable")
-    return order[:count]
+            arrays[SCORES] = scores[chosen]
+        return Samples(trajectories[chosen], arrays=arrays)
