@@ -220,8 +220,6 @@ NOT_HERE = {
     "anchorflow bench quality --bundle bundles/a --bundle bundles/b"
     " --samplers card,rk4:8step,rk4:uniform8,midpoint:uniform2 --baselines expert,lines,routes,rrt"
     " --scenes ../shared/data/scenes_public.npz --limit 60": MEASURES,
-    f"anchorflow bench quality --bundle {SHIPPED}/default --bundle {SHIPPED}/student"
-    " --samplers card,midpoint:uniform2 --limit 60": MEASURES,
     "anchorflow bench quality --bundle whole --bundle rounded": MEASURES,
     "anchorflow bench routes": MEASURES,
     "anchorflow bench latency": MEASURES,
