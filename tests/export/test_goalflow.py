@@ -42,6 +42,12 @@ def test_goals_that_crowd_are_in_order_and_others_are_not() -> None:
         assert wrong(swapped)
 
 
+def test_the_spread_of_the_noise_is_the_bundles_and_not_the_networks() -> None:
+    model = GoalFlow(CONFIG)
+    adapter = goalflow_adapter(model, ExportChoices(noise_scale=2.0))
+    assert (adapter.model.noise_scale, model.noise_scale) == (2.0, 1.0)
+
+
 @pytest.mark.parametrize("outcomes", [False, True])
 def test_random_scenes_have_scores_that_differ(outcomes: bool) -> None:
     """Nothing would be proved by scores that are all nought."""
