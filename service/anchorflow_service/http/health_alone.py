@@ -1,4 +1,4 @@
-"""Whose connection is in the reserve is told no more than the service's health."""
+"""A connection in the reserve is told of the service's health alone."""
 
 from __future__ import annotations
 
