@@ -75,10 +75,10 @@ def first_paragraph(thing: Any) -> str:
 
 
 def field_docstrings(kind: type) -> dict[str, str]:
-    """The string that stands under each field of a dataclass, those it inherits included."""
+    """The string that stands under each field of a class, those it inherits included."""
     said: dict[str, str] = {}
     for base in reversed(kind.__mro__):
-        if dataclasses.is_dataclass(base):
+        if "__annotations__" in vars(base):
             said |= _own_docstrings(base)
     return said
 

@@ -33,9 +33,33 @@ from anchorflow_client.contract.request import MapScenes
 from anchorflow_client.planner import Plan, PlannerConfig
 from anchorflow_docs.dataclass_fields import dataclass_section, held_fields
 from anchorflow_docs.field_table import ANSWERED, HELD, SENT, field_table
+from anchorflow_docs.model_fields import model_section
 from anchorflow_docs.schema_fields import schema_fields
 from anchorflow_docs.service_tables import endpoints, failures, refusals
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_service.bundle.conditioning import (
+    CostMapEntry,
+    LimitsEntry,
+    TensorsEntry,
+    VisionLanguageEntry,
+)
+from anchorflow_service.bundle.manifest import (
+    AnswerEntry,
+    FileEntry,
+    GraphEntry,
+    Manifest,
+    NoFinishEntry,
+    RequestEntry,
+    SplineEntry,
+    TimeEntry,
+)
+from anchorflow_service.bundle.samplers import (
+    NoiseLevelsEntry,
+    OdeEntry,
+    PriorEntry,
+    TruncatedDiffusionEntry,
+    VocabularyEntry,
+)
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.schemas import AnchorAnswerBody, AnchorRequestBody, ErrorBody
@@ -66,6 +90,25 @@ TYPES = (
     AnswerSpec,
     PlannerConfig,
     Plan,
+)
+ENTRIES = (
+    Manifest,
+    RequestEntry,
+    CostMapEntry,
+    LimitsEntry,
+    TensorsEntry,
+    VisionLanguageEntry,
+    OdeEntry,
+    PriorEntry,
+    VocabularyEntry,
+    TruncatedDiffusionEntry,
+    NoiseLevelsEntry,
+    SplineEntry,
+    NoFinishEntry,
+    TimeEntry,
+    AnswerEntry,
+    GraphEntry,
+    FileEntry,
 )
 OPENAPI = "reference/openapi.json"
 
@@ -140,6 +183,17 @@ a `kind`, and a kind that the client does not know is an `UnknownPart`.
 
 {types}
 """
+MANIFEST = """# The bundle's manifest
+
+A bundle is a folder of ONNX graphs and `manifest.json`, which says what they are: the classes below
+in JSON. `anchorflow export` writes it and proves that it is true; whoever writes one by hand finds
+a whole small bundle in `tests/planners/image_planner.py`, and what the graphs of each sampler take
+and give in [Models](../models.md#another-planner). An unknown field, a missing one, a hash that
+differs or a graph whose names and shapes are others is refused with the field's path. A
+`TensorSpec` is that of the [Python types](python.md#tensorspec).
+
+{entries}
+"""
 
 
 def reference_pages() -> dict[str, str]:
@@ -159,6 +213,7 @@ def reference_pages() -> dict[str, str]:
             refusals=refusals(),
             failures=failures(),
         ),
+        "reference/manifest.md": MANIFEST.format(entries="\n\n".join(map(model_section, ENTRIES))),
         "reference/python.md": PYTHON.format(types="\n\n".join(map(dataclass_section, TYPES))),
         OPENAPI: json.dumps(openapi, indent=2),
     }

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Annotated, Literal
 
 import pytest
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, PositiveFloat
 
 from anchorflow_client import RequestError, TransportError
 from anchorflow_client.contract import ranges
@@ -16,8 +17,10 @@ from anchorflow_docs.dataclass_fields import dataclass_section, field_docstrings
 from anchorflow_docs.field_table import HELD, field_table
 from anchorflow_docs.field_table import Field as Row
 from anchorflow_docs.markdown import table
+from anchorflow_docs.model_fields import model_section
 from anchorflow_docs.schema_fields import schema_fields
 from anchorflow_docs.service_tables import endpoints, failures, refusals
+from anchorflow_service.bundle.conditioning import Entry
 from anchorflow_service.http.schemas import AnchorAnswerBody, AnchorRequestBody
 
 
@@ -73,6 +76,44 @@ def test_a_type_that_no_table_can_show_is_an_error() -> None:
 
     with pytest.raises(ValueError, match="expected a type"):
         schema_fields(Strange)
+
+
+class Part(BaseModel):
+    """A model with one field of each kind."""
+
+    kind: Literal["a"] = "a"
+    """Which it is."""
+    inside: tuple[Inner, ...]
+    count: Annotated[int, Field(ge=2, lt=9)] = 3
+    length: PositiveFloat | None
+    """m."""
+    told: dict[str, float] = Field(default_factory=dict)
+
+
+def test_a_model_becomes_a_section() -> None:
+    assert model_section(Part).split("\n") == [
+        "## Part",
+        "",
+        "A model with one field of each kind.",
+        "",
+        "| field | type | range | default | meaning |",
+        "| --- | --- | --- | --- | --- |",
+        "| `kind` | `Literal['a']` |  | `'a'` | Which it is. |",
+        "| `inside` | `tuple[Inner, ...]` |  | required |  |",
+        "| `count` | `int` | ≥ 2, < 9 | `3` |  |",
+        "| `length` | `float | None` |  | required | m. |",
+        "| `told` | `dict[str, float]` |  | `{}` |  |",
+    ]
+
+
+def test_every_entry_of_a_manifest_has_its_section() -> None:
+    assert {*reference.ENTRIES} == {*kinds_of(Entry)}
+
+
+def kinds_of(kind: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    for each in kind.__subclasses__():
+        yield each
+        yield from kinds_of(each)
 
 
 @dataclass(frozen=True)

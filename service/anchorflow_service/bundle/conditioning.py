@@ -20,30 +20,31 @@ class Entry(BaseModel):
 
 
 class LimitsEntry(Entry):
-    """horizon_s [s], v_max [m/s], a_max [m/s²] and robot_radius [m] where a request says nothing.
-
-    horizon_s: null where each anchor has its own duration
-    """
+    """What anchors keep where a request says nothing."""
 
     horizon_s: PositiveFloat | None
+    """s, above 0; null where each anchor has its own duration."""
     v_max: PositiveFloat
+    """m/s."""
     a_max: PositiveFloat
+    """m/s²."""
     robot_radius: NonNegativeFloat
+    """m."""
 
 
 class CostMapEntry(Entry):
-    """Asked with a cost map, a state, a goal and a style.
-
-    channels: of the map, at most; H, W: cells of the grid that the model was trained on
-    ranges: the limits that a request may set, and between what
-    """
+    """Asked with a cost map, a state, a goal and a style."""
 
     kind: Literal["cost_map"] = "cost_map"
     channels: PositiveInt
+    """Of the map, at most."""
     H: PositiveInt
+    """Rows of the grid that the model was trained on."""
     W: PositiveInt
+    """Its columns."""
     limits: LimitsEntry
     ranges: dict[Limit, tuple[float, float]] = {}
+    """The limits that a request may set, and between what."""
 
     def spec(self) -> CostMapSpec:
         """What the card says of it."""
@@ -77,18 +78,18 @@ class TensorsEntry(Entry):
 
 
 class VisionLanguageEntry(Entry):
-    """Asked with pictures and a text, which become the pixels and tokens that the graphs take.
-
-    images: the request's inputs that are pictures; of those that are optional the features are
-        remembered by what they show
-    text: its input that is a text, written in the tokens of the bundle's file "tokenizer"
-    """
+    """Asked with pictures and a text, which become the pixels and tokens that the graphs take."""
 
     kind: Literal["vision_language"] = "vision_language"
     images: Annotated[tuple[str, ...], Field(min_length=1)]
+    """The request's inputs that are pictures; of those that are optional the features are
+    remembered by what they show."""
     text: str
+    """Its input that is a text, written in the tokens of the bundle's file `tokenizer`."""
     image_size: PositiveInt
+    """Pixels a side, to which every picture is brought."""
     max_tokens: PositiveInt
+    """Of a text."""
 
     def spec(self) -> VisionLanguageSpec:
         """What the card says of it."""

@@ -55,18 +55,21 @@ class FileEntry(Entry):
     """A file beside the graphs, such as a vocabulary or a tokenizer."""
 
     file: FileName
+    """In the bundle's own folder."""
     sha256: Sha256
+    """Of its bytes, in hexadecimal digits."""
 
 
 class GraphEntry(FileEntry):
-    """One ONNX graph of the bundle; the key it stands under is its role.
-
-    precision: of its products
-    """
+    """One ONNX graph of the bundle; the key it stands under is its role."""
 
     opset: PositiveInt
+    """Of ONNX."""
     precision: Literal["float32", "int8"] = "float32"
+    """Of its products."""
     inputs: tuple[TensorSpec, ...]
+    """In the graph's order; by their names they are found among what a request brings and what
+    other graphs give."""
     outputs: tuple[TensorSpec, ...]
 
     @property
@@ -79,16 +82,15 @@ class GraphEntry(FileEntry):
 
 
 class RequestEntry(Entry):
-    """inputs: what a caller sends, by name; the first axis of each is B."""
+    """What a caller sends."""
 
     inputs: Annotated[tuple[TensorSpec, ...], Field(min_length=1)]
+    """By name; the first axis of each is B."""
 
 
 class SplineEntry(Entry):
-    """Splines that meet both ends: the card's defaults, and the spline they are finished on.
-
-    steps: descents of the projection; rate: m, of the first of them
-    """
+    """Splines that meet both ends: the card's defaults, as a request's `refine` has them, and the
+    spline they are finished on."""
 
     kind: Literal["spline"] = "spline"
     smooth: bool
@@ -98,7 +100,9 @@ class SplineEntry(Entry):
     barrier: bool = False
     certified_margin: NonNegativeFloat = 0.0
     steps: PositiveInt
+    """Descents of the projection."""
     rate: PositiveFloat = DESCENT_RATE
+    """m, of the first of them."""
     num_control_points: PositiveInt
     degree: PositiveInt
 
@@ -125,26 +129,24 @@ class NoFinishEntry(Entry):
 
 
 class TimeEntry(Entry):
-    """Poses at first_s + k dt [s], k from 0 to steps - 1.
-
-    dt: null where each anchor has its own
-    """
+    """Poses at first_s + k dt, k from 0 to steps - 1."""
 
     steps: Annotated[int, Field(ge=2)]
     first_s: NonNegativeFloat
+    """s from now; 0 beside a cost map."""
     dt: PositiveFloat | None
+    """s between two poses, above 0; null where each anchor has its own."""
 
 
 class AnswerEntry(Entry):
-    """What an answer holds beside its trajectories [N,T,D].
-
-    components: the names of D's parts; arrays: which of the contract's are always there
-    extras: further outputs of the graphs, sent where a request asks for them
-    """
+    """What an answer holds beside its trajectories [N,T,D]."""
 
     components: Annotated[tuple[str, ...], Field(min_length=2)]
+    """The names of D's parts."""
     arrays: tuple[str, ...] = ()
+    """Which of the contract's are always there."""
     extras: tuple[TensorSpec, ...] = ()
+    """Further outputs of the graphs, sent where a request asks for them."""
 
 
 class Manifest(Entry):
@@ -152,8 +154,10 @@ class Manifest(Entry):
 
     format: Literal[2]
     name: Annotated[str, Field(min_length=1)]
+    """By which requests ask for it as their `model`."""
     version: Annotated[str, Field(min_length=1)]
     planner: str
+    """Of `anchorflow train --planner`, or one of your own; the service does not read it."""
     request: RequestEntry
     conditioning: Annotated[
         CostMapEntry | TensorsEntry | VisionLanguageEntry, Field(discriminator="kind")
@@ -165,9 +169,13 @@ class Manifest(Entry):
     time: TimeEntry
     answer: AnswerEntry
     graphs: dict[str, GraphEntry]
+    """By role, which the sampler's kind asks for."""
     files: dict[str, FileEntry] = Field(default_factory=dict)
+    """By role; others in the folder are not read."""
     training: dict[str, Any] = Field(default_factory=dict)
+    """Where the weights come from: told on the card, read by nothing."""
     quality: dict[str, Any] = Field(default_factory=dict)
+    """What a benchmark measured: told likewise."""
 
     @model_validator(mode="after")
     def _parts_fit_together(self) -> Manifest:

@@ -21,15 +21,13 @@ from anchorflow_trajectory.ode.schedule import check_schedule
 
 
 class PriorEntry(Entry):
-    """What turns noise [N,R] into x_0 = mean + noise · basis.
-
-    mean: name of [B,T,S] that encode gives; or of [B,M,T,S] that encode gives or a scene has, the M
-        components of a mixture over which the anchors are dealt out in turn
-    basis: name of [B,R,T*S] that encode gives
-    """
+    """What turns noise [N,R] into x_0 = mean + noise · basis."""
 
     mean: str
+    """Name of [B,T,S] that encode gives; or of [B,M,T,S] that encode gives or a scene has, the M
+    components of a mixture over which the anchors are dealt out in turn."""
     basis: str
+    """Name of [B,R,T*S] that encode gives."""
 
 
 class OdeEntry(Entry):
@@ -37,8 +35,11 @@ class OdeEntry(Entry):
 
     kind: Literal["ode"] = "ode"
     method: Annotated[str, AfterValidator(lambda name: method_named(name).name)]
+    """`euler`, `midpoint`, `rk4`, …."""
     schedule: Annotated[tuple[float, ...], AfterValidator(check_schedule)]
+    """Flow times, rising from 0 to 1."""
     prior: PriorEntry | None = None
+    """Null where a flow begins with the noise itself, [N,T,S]."""
 
     def spec(self) -> OdeSpec:
         """What the card says of it."""
@@ -50,6 +51,7 @@ class VocabularyEntry(Entry):
 
     kind: Literal["vocabulary"] = "vocabulary"
     size: PositiveInt
+    """Anchors a request, at most."""
 
     def spec(self) -> VocabularySpec:
         """What the card says of it."""
@@ -57,11 +59,13 @@ class VocabularyEntry(Entry):
 
 
 class NoiseLevelsEntry(Entry):
-    """Of a whole diffusion; see `NoiseLevels`."""
+    """Variances of a whole diffusion, whose square roots rise evenly (`NoiseLevels`)."""
 
     levels: PositiveInt
     first: PositiveFloat
+    """beta of the first level."""
     last: PositiveFloat
+    """beta of the last, below 1."""
 
     @model_validator(mode="after")
     def _rise(self) -> NoiseLevelsEntry:
@@ -74,26 +78,26 @@ class NoiseLevelsEntry(Entry):
 
 
 class TruncatedDiffusionEntry(Entry):
-    """A diffusion that begins at anchors with a little noise; then the best, coarse to fine.
-
-    anchors: of the graphs; groups: noises that each begins with
-    variants: of each denoised trajectory, the first without noise of its own
-    vocabulary: trajectories that the coarse graph adds to them
-    keep: the best by coarse scores, which are scored finely
-    noise: the diffusion's levels; start: the level at which anchors begin
-    schedules: the levels at which each number of steps denoises; steps: the card's number
-    """
+    """A diffusion that begins at anchors with a little noise; then the best, coarse to fine."""
 
     kind: Literal["truncated_diffusion"] = "truncated_diffusion"
     anchors: PositiveInt
+    """Of the graphs."""
     groups: PositiveInt
+    """Noises that each anchor begins with."""
     variants: PositiveInt
+    """Of each denoised trajectory, the first without noise of its own."""
     vocabulary: NonNegativeInt = 0
+    """Trajectories that the coarse graph adds to them."""
     keep: PositiveInt
+    """The best by coarse scores, which are scored finely."""
     noise: NoiseLevelsEntry
     start: NonNegativeInt
+    """The level at which anchors begin."""
     schedules: Annotated[tuple[tuple[int, ...], ...], Field(min_length=1)]
+    """The levels at which each number of steps denoises."""
     steps: PositiveInt
+    """Of a request that names no number."""
 
     @model_validator(mode="after")
     def _fits(self) -> TruncatedDiffusionEntry:
