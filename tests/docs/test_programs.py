@@ -7,6 +7,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from anchorflow_docs.programs import programs_of
@@ -14,6 +15,7 @@ from anchorflow_docs.programs import programs_of
 DOCS = Path(__file__).parents[2] / "docs"
 ADDRESS = "http://127.0.0.1:8000"
 """That the pages name."""
+ROBOT_RADIUS = 0.25  # m, the default bundle's
 
 
 @pytest.mark.parametrize("name", ["index.md", "clients.md", "planner.md"])
@@ -29,6 +31,38 @@ def test_the_programs_of_a_page_run(name: str, url_of_both: str) -> None:
             exec(code, seen)
         if program.prints is not None:
             assert printed.getvalue() == program.prints, program.place
+
+
+class Arrived(Exception):
+    """The robot is where it wanted to go."""
+
+
+def test_the_control_loop_drives_round_the_obstacle_to_its_goal(url_of_both: str) -> None:
+    """As it stands on the page it ends after 2 s, on its way."""
+    (program,) = programs_of(DOCS / "planner.md")[:1]
+    text = program.text.replace(ADDRESS, url_of_both)
+    for old, new in (
+        ("np.array([12.0, 0.0])", "np.array([4.0, 0.0])"),
+        ("range(40)", "range(600)"),
+        ("time.sleep(tick_s)", "time.sleep(tick_s); tick(state)"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    driven: list[np.ndarray] = []
+
+    def tick(state: np.ndarray) -> None:
+        driven.append(state[:2].copy())
+        if np.linalg.norm(state[:2] - [4.0, 0.0]) < 0.3:
+            raise Arrived
+
+    seen: dict[str, Any] = {"__name__": "__main__", "tick": tick}
+    with pytest.raises(Arrived):
+        exec(compile(text, program.place, "exec"), seen)
+
+    rows, columns = np.nonzero(seen["occupancy"])
+    cells = (np.stack([columns, rows], -1) + 0.5) * 0.08 - 5.12
+    apart = np.abs(np.array(driven)[:, None] - cells) - 0.04
+    assert np.linalg.norm(apart.clip(min=0.0), axis=-1).min() > ROBOT_RADIUS
 
 
 def test_a_program_is_what_stands_under_its_mark(tmp_path: Path) -> None:
