@@ -131,6 +131,14 @@ WALKTHROUGH = (
         ),
     ),
     Session(
+        "drivers on simulated logs",
+        (
+            "pip install -e '.[train,driving,bench]'",
+            "anchorflow data drive --out drive --logs 2",
+            f"anchorflow bench drive --logs drive --bundle {SHIPPED}/goalflow --out runs/drive",
+        ),
+    ),
+    Session(
         "two cameras",
         (
             ".venv/bin/anchorflow data crossings data/crossings --scenes 20",
