@@ -9,7 +9,7 @@ from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from anchorflow_service.cores import usable_cores
+from anchorflow_trajectory.cores import usable_cores
 
 PACKAGES = ("numpy", "onnxruntime", "torch", "ompl")
 

@@ -68,7 +68,7 @@ from anchorflow_cli.options import (
 from anchorflow_client.contract.checks import number
 from anchorflow_client.contract.ranges import A_MAX, GUIDANCE, ROBOT_RADIUS, V_MAX
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
-from anchorflow_service.cores import usable_cores
+from anchorflow_trajectory.cores import usable_cores
 
 app = command_app()
 

@@ -19,7 +19,6 @@ from anchorflow_cli.data_import_log import import_log
 from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app, new_file, new_folder, picture_option
-from anchorflow_service.cores import usable_cores
 from anchorflow_training.data import TrajectoryDataset
 from anchorflow_training.data.imported_scene import SceneOptions
 from anchorflow_training.data.inspection import (
@@ -35,6 +34,7 @@ from anchorflow_training.data.time_step import TimeStepUnknown
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.v2x.dataset import refuse_pairs
+from anchorflow_trajectory.cores import usable_cores
 from anchorflow_trajectory.cost import MotionLimits
 
 app = command_app()

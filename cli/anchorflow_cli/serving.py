@@ -20,7 +20,6 @@ from anchorflow_cli.listening import url_of
 from anchorflow_cli.model_options import described, folders_of
 from anchorflow_cli.serve_options import LogFormat, LogLevel, Provider, TlsFiles
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.cores import usable_cores
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
@@ -35,6 +34,7 @@ from anchorflow_service.repository import (
     open_all,
 )
 from anchorflow_service.repository.folders import RepositoryError
+from anchorflow_trajectory.cores import usable_cores
 
 if TYPE_CHECKING:
     from anchorflow_cli.zenoh_options import ZenohChoice

@@ -14,6 +14,9 @@ from anchorflow_client.contract.inputs import DTYPES, EncodedImage, Input
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
 from anchorflow_client.wire_fields import answer_fields, answer_of, request_fields
 
+COMPACT = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
+"""For small headers; `json.dumps` makes an encoder each time."""
+
 
 class JsonCodec:
     """Reads and writes the JSON of `POST /anchors`.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -11,12 +10,11 @@ from anchorflow_client.contract import ModelCard
 from anchorflow_client.contract.checks import expected, fields_of, integer, number, text
 from anchorflow_client.contract.ranges import BUDGET, Interval
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
-from anchorflow_client.json_codec import parse
+from anchorflow_client.json_codec import COMPACT, parse
 
 _LENGTHS = Interval(0, 2**53)
 _COUNTS = Interval(0, 2**31)
 _TIMES = Interval(0.0, 1e9, "ms")
-_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))  # `json.dumps` makes one each time
 
 
 @dataclass(frozen=True)
@@ -162,7 +160,7 @@ class ReplicaInfo:
 
 
 def _written(value: Mapping[str, Any]) -> bytes:
-    return _JSON.encode(value).encode()
+    return COMPACT.encode(value).encode()
 
 
 def _parsed(data: bytes) -> Mapping[str, Any]:

@@ -234,9 +234,9 @@ def test_a_mirrored_scene_is_the_same_problem(dataset: SceneDataset) -> None:
     for scenes in (batch, mirrored):
         *origin, resolution = scenes["map_geometry"][0]
         field = GridField(scenes["clearance"][0], float(resolution), np.array(origin))
-        scenes["found"] = path_clearance(field, scenes["states"][0], max_step=0.05)
+        scenes["found"] = path_clearance(field, scenes["states"][0])
         route = scenes["route_states"][:1, 0]
-        scenes["way"] = path_clearance(field, route[..., :2], max_step=0.05)
+        scenes["way"] = path_clearance(field, route[..., :2])
     for name in ("found", "way"):
         np.testing.assert_allclose(batch[name], mirrored[name], atol=1e-5)
     mirror(mirrored)

@@ -12,7 +12,6 @@ from anchorflow_training.data.pose_files import PoseTrack, read_poses
 from anchorflow_training.data.pose_trajectories import CutConfig, cut_trajectories
 
 RADIUS, SPEED, DT = 20.0, 5.0, 0.1
-LEFT_TURN = 2.0 * SPEED / RADIUS  # rad in 2 s
 
 
 def circle(count: int = 60, start: float = 0.7) -> np.ndarray:

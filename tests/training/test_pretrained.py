@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from small_configs import BACKBONE as SMALL
 from tiny_diffusiondrive import TINY as TINY_DIFFUSIONDRIVE
 from tiny_diffusiondrive import tiny_diffusiondrive
 from tiny_wote import TINY as TINY_WOTE
@@ -14,12 +15,10 @@ from tiny_wote import tiny_wote
 from torch import nn
 from transformers import ResNetBackbone, ResNetConfig
 
-from anchorflow_models.transfuser import TransfuserBackbone, small_transfuser
+from anchorflow_models.transfuser import TransfuserBackbone
 from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
 from anchorflow_training.pretrained import FIRST, load_resnet, load_sight, sight_of
 from anchorflow_training.settings import ConfigError
-
-SMALL = small_transfuser()
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ def disturbed(stage: Any, ends: Ends, duration: float, *, spread: float = 0.4) -
 
 def test_it_is_its_descents_where_nothing_else_is_asked(stage: Any, cost: TrajectoryCost) -> None:
     splines = disturbed(stage, stage.moving, 5.0)
-    tried, safe = Attempt(8, 0.2).of(cost, splines, stage.moving)
+    tried, safe = Attempt(8, 0.2).run(cost, splines, stage.moving)
     plain = descend(cost, splines, stage.moving, steps=8, rate=0.2)
     np.testing.assert_array_equal(tried.control, plain.control)
     np.testing.assert_allclose(tried.duration, plain.duration, rtol=1e-12)
@@ -49,7 +49,7 @@ def test_slowing_keeps_the_way_and_lasts_no_longer_than_the_limits_ask(
     """From rest to rest a way is the same in any time; the harder of both limits is then met."""
     splines, ends = disturbed(stage, stage.at_rest, 2.0), stage.at_rest
     slow_down = Attempt(steps=0, rate=0.1, slowed_after=True)
-    slowed, _ = slow_down.of(cost, splines, ends)
+    slowed, _ = slow_down.run(cost, splines, ends)
     np.testing.assert_array_equal(slowed.control, splines.control)
     _, velocity, acceleration = stage.basis.states(slowed)
     speed = np.linalg.norm(velocity, axis=-1).max(1) / stage.limits.v_max
@@ -61,7 +61,7 @@ def test_slowing_keeps_the_way_and_lasts_no_longer_than_the_limits_ask(
     assert met.sum() > 10
     np.testing.assert_allclose(np.maximum(speed, push)[met], 1.0, rtol=1e-4)
     sound = Splines(splines.control, 10 * slowed.duration)
-    np.testing.assert_allclose(slow_down.of(cost, sound, ends)[0].duration, sound.duration)
+    np.testing.assert_allclose(slow_down.run(cost, sound, ends)[0].duration, sound.duration)
 
 
 def test_nothing_is_slowed_where_that_leads_farther_from_the_limits(
@@ -75,7 +75,7 @@ def test_nothing_is_slowed_where_that_leads_farther_from_the_limits(
     splines = Splines(control, slow.duration)
     top_speed = np.linalg.norm(stage.basis.states(splines)[1], axis=-1).max(1)
     assert (top_speed > 1.05 * stage.limits.v_max).sum() > 10
-    kept, _ = Attempt(steps=0, rate=0.1, slowed_after=True).of(cost, splines, pushed)
+    kept, _ = Attempt(steps=0, rate=0.1, slowed_after=True).run(cost, splines, pushed)
     np.testing.assert_allclose(kept.duration, splines.duration, rtol=1e-12)
     np.testing.assert_array_equal(kept.control[..., free], control[..., free])
 
@@ -85,7 +85,7 @@ def test_a_way_is_gone_in_the_share_of_its_time_that_costs_least(
 ) -> None:
     ends, shares = stage.moving, (1.0, 0.9, 0.8, 0.7)
     slow, hurry = disturbed(stage, ends, 7.0), Attempt(steps=0, rate=0.1, shares=shares)
-    hurried, _ = hurry.of(cost, slow, ends)
+    hurried, _ = hurry.run(cost, slow, ends)
     costs, free = [], stage.basis.free
     for share in shares:
         control = stage.basis.end_points(ends, slow.duration * share)
@@ -101,7 +101,7 @@ def test_durations_stay_where_the_limits_have_a_horizon(stage: Any, cost: Trajec
     splines = disturbed(stage, stage.moving, 3.0)
     lasting = replace(cost, limits=replace(cost.limits, horizon_s=3.0))
     everything = Attempt(3, 0.2, slowed_before=True, slowed_after=True, shares=(1.0, 0.5))
-    tried, _ = everything.of(lasting, splines, stage.moving)
+    tried, _ = everything.run(lasting, splines, stage.moving)
     np.testing.assert_array_equal(tried.duration, splines.duration)
     assert (tried.control != splines.control).any(axis=(0, 2)).all()
 
@@ -116,8 +116,8 @@ def test_each_gets_the_same_bytes_in_any_part(stage: Any, cost: TrajectoryCost, 
         with ThreadPoolExecutor(3) as pool:
             list(pool.map(work, (0, 7, 80), (7, 80, count)))
 
-    whole, whole_safe = everything.of(cost, splines, given)
-    parts, parts_safe = everything.of(cost, splines, given, spread=in_three)
+    whole, whole_safe = everything.run(cost, splines, given)
+    parts, parts_safe = everything.run(cost, splines, given, spread=in_three)
     assert 0 < whole_safe.sum() < MANY
     assert whole.control.tobytes() == parts.control.tobytes()
     assert whole.duration.tobytes() == parts.duration.tobytes()

@@ -83,6 +83,6 @@ def test_path_clearance_sees_between_the_samples() -> None:
     occupied[20, 20] = True
     field = GridField(clearance_field(occupied, 0.1, 0.2), 0.1, np.zeros(2))
     straddling = np.asarray([[[1.0, 2.05], [3.0, 2.05]], [[1.0, 1.0], [3.0, 1.0]]], np.float32)
-    clearance = path_clearance(field, straddling, max_step=0.02)
+    clearance = path_clearance(field, straddling)
     assert clearance[0] == pytest.approx(-0.25, abs=0.03)
     assert clearance[1] == pytest.approx(0.8, abs=0.002)

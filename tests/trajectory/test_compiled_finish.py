@@ -19,7 +19,7 @@ from anchorflow_trajectory.cost import CostWeights, TrajectoryCost
 from anchorflow_trajectory.descent import descend, whitening
 from anchorflow_trajectory.spline import Ends, Splines
 from anchorflow_trajectory.spline_kernels import LANES
-from anchorflow_trajectory.verify import are_safe, path_clearance, verify
+from anchorflow_trajectory.verify import CHECK_STEP, are_safe, path_clearance, verify
 
 MANY = 2 * LANES + 3
 Found = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -115,11 +115,11 @@ def plain_end_slopes(problem: TrajectoryCost, ends: Ends, duration: np.ndarray) 
     return np.einsum("ke,emd->dmk", problem.basis.ends, orders * ends.in_own_time(duration))
 
 
-def plain_clearance(field: GridField, path: np.ndarray, max_step: float) -> float:
+def plain_clearance(field: GridField, path: np.ndarray) -> float:
     """The smallest along a polyline [T, 2], followed leg by leg."""
     points = [path[-1:]]
     for start, end in pairwise(path):
-        pieces = max(1, int(np.ceil(np.linalg.norm(end - start) / max_step)))
+        pieces = max(1, int(np.ceil(np.linalg.norm(end - start) / CHECK_STEP)))
         share = np.arange(pieces, dtype=np.float32) / np.float32(pieces)
         points.append(start + share[:, None] * (end - start))
     x, y = np.concatenate(points).T
@@ -178,8 +178,8 @@ def test_the_clearance_of_a_path(stage: Any, dtype: type, atol: float) -> None:
     splines = disturbed(stage, 20, dtype, spread=1.5)
     position, _, _ = stage.basis.states(splines)
     field = stage.fields().clearance
-    found = path_clearance(field, position, max_step=0.05)
-    plain = [plain_clearance(field, path, 0.05) for path in position.astype(np.float64)]
+    found = path_clearance(field, position)
+    plain = [plain_clearance(field, path) for path in position.astype(np.float64)]
     np.testing.assert_allclose(found, plain, atol=atol, rtol=0)
 
 

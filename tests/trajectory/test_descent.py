@@ -177,7 +177,7 @@ def test_each_style_is_visible(make_cost: Callable[..., TrajectoryCost], stage: 
         problem = make_cost(style)
         splines = descend(problem, start, stage.at_rest, steps=100, rate=0.3)
         position, _, _ = stage.basis.states(splines)
-        clearance = path_clearance(problem.fields.clearance, position, max_step=0.02)
+        clearance = path_clearance(problem.fields.clearance, position)
         length = np.linalg.norm(np.diff(position, axis=1), axis=-1).sum(1)
         third = splines.control.transpose(1, 0, 2) @ stage.basis.jerk.T
         jerk = np.linalg.norm(third, axis=1).mean(1) / splines.duration**3

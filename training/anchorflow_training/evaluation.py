@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from anchorflow_client.contract import uniform_schedule
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation.integrate import Stage, integrate
 from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
@@ -23,7 +24,7 @@ from anchorflow_training.config import AnchorJudgeConfig, EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ode.schedule import stage_times, uniform_schedule
+from anchorflow_trajectory.ode.schedule import stage_times
 from anchorflow_trajectory.ode.tableau import MIDPOINT
 from anchorflow_trajectory.spline import Ends, SplineBasis, spline_basis
 from anchorflow_trajectory.verify import verify

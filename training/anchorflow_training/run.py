@@ -14,7 +14,7 @@ from contextlib import closing, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from reprlib import repr as shortened
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -43,14 +43,6 @@ SEED_STRIDE = 1_000_003  # between the noise of one seed and of the next
 SEEDS = 2**64  # that torch has
 LARGEST_RATE = 1e37
 """Of learning: AdamW's first step is ten times as long, and has to be a number of float32."""
-
-
-class Objective(Protocol):
-    """An `nn.Module` whose forward is the loss and its terms: (batch, *draws) -> (loss, terms)."""
-
-    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:
-        """What is random in the loss; on the CPU, so alike on every device."""
-        ...
 
 
 class TrainingRun(ABC):
@@ -122,7 +114,11 @@ class TrainingRun(ABC):
 
     @abstractmethod
     def new_objective(self, model: Any) -> nn.Module:
-        """The loss to train the model on, an `Objective`."""
+        """The loss to train the model on, and its terms: (batch, *draws) -> (loss, terms).
+
+        Its draw(scenes, samples, generator) gives the draws, what is random in the loss: on the
+        CPU, so alike on every device.
+        """
 
     @abstractmethod
     def stream(self, indices: Iterable[int]) -> Generator[Batch]:

@@ -58,7 +58,7 @@ class Attempt:
     slowed_after: bool = False
     shares: tuple[float, ...] = ()
 
-    def of(
+    def run(
         self,
         cost: TrajectoryCost,
         splines: Splines,

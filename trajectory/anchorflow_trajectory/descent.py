@@ -36,14 +36,14 @@ STRETCH = 0.3  # of log duration, where a control point moves 1 m
 
 
 @lru_cache(maxsize=32)
-def whitening(basis: SplineBasis, ridge: float = RIDGE) -> FloatArray:
+def whitening(basis: SplineBasis) -> FloatArray:
     """[F, F]: free control points from coordinates in which mean squared acceleration is round.
 
     Standard normal coordinates make a smooth disturbance, of at most 1 m standard deviation.
     """
     free = basis.acceleration[:, basis.free].astype(np.float64)
     hessian = free.T @ free / len(free)
-    hessian += ridge * np.trace(hessian) / len(hessian) * np.eye(len(hessian))
+    hessian += RIDGE * np.trace(hessian) / len(hessian) * np.eye(len(hessian))
     root = np.linalg.inv(np.linalg.cholesky(hessian)).T
     return (root / np.abs(root @ root.T).diagonal().max() ** 0.5).astype(np.float32)
 

@@ -52,10 +52,6 @@ class MapCache:
                 self._bytes -= _size(*self._fields.popitem(last=False))
         return field
 
-    @property
-    def bytes_held(self) -> int:
-        return self._bytes
-
     def __len__(self) -> int:
         return len(self._fields)
 

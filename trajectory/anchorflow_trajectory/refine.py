@@ -266,7 +266,7 @@ class Refiner:
         barrier: ControlBarrier | None,
     ) -> tuple[Splines, BoolArray]:
         """The splines after an attempt, corrected by the barrier; and which are safe."""
-        tried, safe = attempt.of(
+        tried, safe = attempt.run(
             cost, splines, self.scene.ends, certified_margin=certified, spread=self.spread
         )
         return self._corrected(tried, safe, certified, barrier)

@@ -166,19 +166,17 @@ def required_clearance(field: GridField, certified_margin: float) -> float:
     return certified_margin + SHARE_OF_CELL * field.resolution
 
 
-def path_clearance(
-    field: GridField, positions: FloatArray, *, max_step: float = CHECK_STEP
-) -> FloatArray:
+def path_clearance(field: GridField, positions: FloatArray) -> FloatArray:
     """Smallest clearance [m] along each polyline; positions [M, T, D >= 2] -> [M].
 
-    Between two samples the polyline is followed at steps of at most `max_step` metres.
+    Between two samples the polyline is followed at steps of at most CHECK_STEP.
     """
     positions = np.ascontiguousarray(positions)
-    return _path_clearance(Grid.of(field, positions.dtype), positions, max_step)
+    return _path_clearance(Grid.of(field, positions.dtype), positions)
 
 
 @compiled
-def _path_clearance(grid: Grid, positions: FloatArray, max_step: float) -> FloatArray:
+def _path_clearance(grid: Grid, positions: FloatArray) -> FloatArray:
     count, steps, _ = positions.shape
     least = np.empty(count, positions.dtype)
     for m in range(count):
@@ -186,7 +184,7 @@ def _path_clearance(grid: Grid, positions: FloatArray, max_step: float) -> Float
         least[m] = look_up(grid, positions[m, steps - 1, 0], positions[m, steps - 1, 1])[0]
         for t in range(1, steps):
             next_x, next_y = positions[m, t, 0], positions[m, t, 1]
-            least[m] = min(least[m], _leg_clearance(grid, x, y, next_x, next_y, max_step))
+            least[m] = min(least[m], _leg_clearance(grid, x, y, next_x, next_y))
             x, y = next_x, next_y
     return least
 
@@ -225,17 +223,17 @@ def _bent_leg_clearance(grid: Grid, path: FloatArray, t: int, here: int, there: 
     """
     x, y, to_x, to_y = path[t - 1, 0], path[t - 1, 1], path[t, 0], path[t, 1]
     if len(path) < 3:
-        return _leg_clearance(grid, x, y, to_x, to_y, CHECK_STEP)
+        return _leg_clearance(grid, x, y, to_x, to_y)
     b_x, b_y = _second_difference(path, here)
     to_b_x, to_b_y = _second_difference(path, there)
     bulge = np.sqrt(max(b_x * b_x + b_y * b_y, to_b_x * to_b_x + to_b_y * to_b_y)) / 8
     rows, columns = grid.values.shape
     if not BULGE < bulge <= FAR_OUT * (rows + columns) * grid.resolution:
-        return _leg_clearance(grid, x, y, to_x, to_y, CHECK_STEP)
+        return _leg_clearance(grid, x, y, to_x, to_y)
     along_x, along_y = to_x - x, to_y - y
     length = np.sqrt(along_x * along_x + along_y * along_y)
     if not length <= FAR_OUT * (rows + columns) * grid.resolution:
-        return _leg_clearance(grid, x, y, to_x, to_y, CHECK_STEP)
+        return _leg_clearance(grid, x, y, to_x, to_y)
     least = look_up(grid, x, y)[0]
     pieces = np.ceil((length + 2 * bulge) / CHECK_STEP)
     for piece in range(1, int(pieces)):
@@ -254,9 +252,7 @@ def _second_difference(path: FloatArray, t: int) -> tuple[float, float]:
 
 
 @compiled
-def _leg_clearance(
-    grid: Grid, x: float, y: float, to_x: float, to_y: float, max_step: float
-) -> float:
+def _leg_clearance(grid: Grid, x: float, y: float, to_x: float, to_y: float) -> float:
     """The smallest along a straight leg, its end left out."""
     along_x, along_y = to_x - x, to_y - y
     length = np.sqrt(along_x * along_x + along_y * along_y)
@@ -265,7 +261,7 @@ def _leg_clearance(
     if not length <= FAR_OUT * (rows + columns) * grid.resolution:
         # So far out of the map the field falls with every metre: an end lies lowest.
         return min(least, look_up(grid, to_x, to_y)[0]) if np.isfinite(length) else -np.inf
-    pieces = np.ceil(length / max_step)
+    pieces = np.ceil(length / CHECK_STEP)
     for piece in range(1, int(pieces)):
         share = np.float32(piece) / np.float32(pieces)
         least = min(least, look_up(grid, x + share * along_x, y + share * along_y)[0])

@@ -25,7 +25,7 @@ from anchorflow_client.contract.arrays import (
 )
 from anchorflow_client.contract.checks import choice, describe, expected, fields_of, integer, text
 from anchorflow_client.contract.kinds import TensorSpec
-from anchorflow_client.contract.ranges import Interval
+from anchorflow_client.contract.ranges import MAX_AXES, Interval
 from anchorflow_client.errors import InvalidRequest
 
 TEXT = "text"
@@ -38,7 +38,6 @@ IMAGE_FORMATS = ("png", "jpeg")
 INT64 = Interval(-(2**63), 2**63 - 1)
 EXACT = 2.0**53
 """From which on float64 does not hold every whole number."""
-MAX_AXES = 8
 
 
 @dataclass(frozen=True)

@@ -75,6 +75,8 @@ MIN_MAP_CELLS, MAX_MAP_CELLS = 16, 512
 """Least and most cells along a side of the map."""
 MAX_SCHEDULE_STEPS = 100
 MAX_WARM_START_STEPS = 1024
+MAX_AXES = 8
+"""Of a tensor, B among them."""
 MAX_TEXT_LENGTH = 128
 MAX_INPUT_TEXT_LENGTH = 64 * 1024
 """Characters of an input that is a text, such as a prompt."""

@@ -8,6 +8,7 @@ with AnchorClient("http://127.0.0.1:8000") as client:
 client                  what a robot holds
 async_client            its twin for a program on an event loop
 exchange                what is sent, and what the answers mean; knows no socket
+whole_number            the number in a header
 transport               what carries it: sockets, or whatever a test puts in their place
 socket_transport        one connection, kept alive
 async_socket_transport  as many connections as there are requests at the same time

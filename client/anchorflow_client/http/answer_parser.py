@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from anchorflow_client.http.transport import HttpAnswer
+from anchorflow_client.http.whole_number import whole_number
 
 Part = TypeVar("Part")
 Parsing = Generator[None, None, Part]
@@ -22,8 +23,6 @@ MAX_HEAD_LINES = 256
 BLANK = (b"\r\n", b"\n")
 STATUS_LINE = re.compile(rb"HTTP/1\.(\d) ([1-9]\d\d)(?: |\r?\n)")
 NO_BODY = (204, 304)
-MAX_DIGITS = 18
-"""Of a length, which fits 64 bits."""
 
 
 @dataclass(frozen=True)
@@ -175,12 +174,11 @@ def _headers_of(lines: Sequence[bytes]) -> dict[str, str]:
 
 
 def _length_of(headers: Mapping[str, str]) -> int | None:
-    length = headers.get("content-length")
-    if length is None:
-        return None
-    if not (length.isascii() and length.isdecimal() and len(length) <= MAX_DIGITS):
-        raise http.client.HTTPException(f"expected a body's length, got {length!r}")
-    return int(length)
+    told = headers.get("content-length")
+    length = whole_number(told)
+    if told is not None and length is None:
+        raise http.client.HTTPException(f"expected a body's length, got {told!r}")
+    return length
 
 
 def _chunk_size(line: bytes) -> int:

@@ -19,6 +19,7 @@ from anchorflow_client.errors import (
     TimedOut,
 )
 from anchorflow_client.http.transport import HttpAnswer
+from anchorflow_client.http.whole_number import whole_number
 from anchorflow_client.json_codec import parse
 from anchorflow_client.wire_fields import UNREADABLE
 
@@ -26,8 +27,6 @@ Result = TypeVar("Result")
 
 UNHEALTHY = (NotReady, ConnectionFailed, TimedOut)
 """What asking for health meets where the answer is no."""
-MAX_DIGITS = 18
-"""Of a number in a header, which fits 64 bits."""
 PROXY_STATUSES = frozenset({500, 502, 503, 504})
 """With which a proxy says that it does not reach the service; 501 is another program's."""
 
@@ -54,7 +53,7 @@ class Exchange(Generic[Result]):
         status, headers, body = answer
         if status != 200:
             raise _refusal(status, headers, body)
-        length = _whole_number(headers.get("inference-header-content-length"))
+        length = whole_number(headers.get("inference-header-content-length"))
         return self.read(Payload(body, length))
 
 
@@ -118,15 +117,10 @@ def _refusal(status: int, headers: Mapping[str, str], body: bytes) -> RequestErr
         return RequestError.from_dict(
             json.loads(body),
             http_status=status,
-            retry_after_s=_whole_number(headers.get("retry-after")),
+            retry_after_s=whole_number(headers.get("retry-after")),
         )
     except (ValueError, RecursionError, InvalidAnswer) as error:
         if status in PROXY_STATUSES:
             proxy = f"status {status}, not in the service's own words: a proxy before it answers"
             raise ConnectionFailed(proxy) from error
         raise InvalidAnswer(f"status {status} without the contract's error JSON") from error
-
-
-def _whole_number(header: str | None) -> int | None:
-    """The number in a header; None where there is none, or a date as Retry-After may hold."""
-    return int(header) if header and header.isdecimal() and len(header) <= MAX_DIGITS else None

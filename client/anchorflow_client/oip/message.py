@@ -9,7 +9,6 @@ came agree, so that no header asks for more memory than its body holds.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -19,8 +18,9 @@ from numpy.typing import NDArray
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract.checks import choice, expected, fields_of, text
+from anchorflow_client.contract.ranges import MAX_AXES
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.json_codec import parse
+from anchorflow_client.json_codec import COMPACT, parse
 from anchorflow_client.oip.datatypes import (
     BYTES,
     DATATYPES,
@@ -34,8 +34,6 @@ ALIGNMENT = 64
 """Bytes that the padded header is a multiple of, so that the tensors behind it are aligned."""
 MAX_HEADER_BYTES = 64 * 1024
 """Longest header that is parsed; an honest one has one or two KiB."""
-MAX_DIMENSIONS = 8
-_JSON = json.JSONEncoder(allow_nan=False, separators=(",", ":"))  # `json.dumps` makes one each time
 
 Tensors = Mapping[str, NDArray[Any]]
 Datatypes = Mapping[str, Sequence[str]]
@@ -60,7 +58,7 @@ def pack(fields: Mapping[str, Any], role: str, tensors: Tensors) -> Payload:
         }
         for (name, tensor), part in zip(tensors.items(), parts, strict=True)
     ]
-    header = _JSON.encode({**fields, role: entries}).encode()
+    header = COMPACT.encode({**fields, role: entries}).encode()
     header += b" " * (-len(header) % ALIGNMENT)
     return Payload(b"".join([header, *parts]), len(header))
 
@@ -153,8 +151,8 @@ class _Entry(NamedTuple):
 
 def checked_shape(shape: Any, name: str) -> list[int]:
     """The shape that a header gives a tensor. Raises `InvalidRequest`."""
-    if not (isinstance(shape, list) and len(shape) <= MAX_DIMENSIONS):
-        raise expected(name, f"a shape of at most {MAX_DIMENSIONS} axes", shape)
+    if not (isinstance(shape, list) and len(shape) <= MAX_AXES):
+        raise expected(name, f"a shape of at most {MAX_AXES} axes", shape)
     for size in shape:
         if not _is_count(size, at_least=1):
             raise expected(name, "a shape of whole numbers from 1 on", size)

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import OCCUPIED, CostMap
 
 SHARE_OF_CELL = 0.3
-"""Of a cell: what the service asks for beyond the certified margin, for other readers' rounding."""
+"""Of a cell: what the service asks for beyond the certified margin, for other readers' rounding
+(`anchorflow_trajectory.verify`)."""
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

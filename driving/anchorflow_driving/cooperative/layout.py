@@ -90,10 +90,10 @@ def write_recording(
     return len(pairs)
 
 
-def corner_points(box: Array, *, height: float = HEIGHT) -> Array:
+def corner_points(box: Array) -> Array:
     """[8,3]: what a label says of a box [5] on the ground, its lower four corners first."""
     footprint = box_corners(box[:3], box[3:])
-    return np.concatenate([np.c_[footprint, np.full(4, z)] for z in (0.0, height)])
+    return np.concatenate([np.c_[footprint, np.full(4, z)] for z in (0.0, HEIGHT)])
 
 
 def _vehicle_frame(

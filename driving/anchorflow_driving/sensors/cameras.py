@@ -39,9 +39,7 @@ def simulated_camera(view: PlannerView, renderer: Renderer) -> Bytes:
     return stitch_cameras(*camera_images(view, renderer))
 
 
-def roadside_camera(
-    view: PlannerView, *, rows: int = ROWS, columns: int = COLUMNS
-) -> PinholeCamera:
+def roadside_camera(view: PlannerView) -> PinholeCamera:
     """A camera on a pole beside the road ahead, which looks back over the junction at the ego."""
     place = _pole(view)
     aim = np.array([place[0] / 2, 0.0]) - place
@@ -50,9 +48,9 @@ def roadside_camera(
         place=(float(place[0]), float(place[1]), POLE_HEIGHT),
         yaw=float(np.arctan2(aim[1], aim[0])),
         pitch=-float(np.arctan2(POLE_HEIGHT, away)),
-        focal=POLE_FOCAL * columns,
-        rows=rows,
-        columns=columns,
+        focal=POLE_FOCAL * COLUMNS,
+        rows=ROWS,
+        columns=COLUMNS,
     )
 
 

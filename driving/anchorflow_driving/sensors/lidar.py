@@ -1,8 +1,11 @@
-"""A simulated lidar: beams against the others' boxes and the ground."""
+"""A simulated lidar: beams against the others' boxes and the ground.
+
+It spins over the middle of the ego's box.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,60 +18,46 @@ from anchorflow_driving.window import PlannerView
 
 Array = NDArray[np.float64]
 
-
-@dataclass(frozen=True)
-class Lidar:
-    """A spinning lidar over the middle of the ego's box.
-
-    beams: elevations, evenly between `lowest` and `highest`, degrees
-    azimuths: a turn
-    height: m above the ground
-    """
-
-    beams: int = 32
-    lowest: float = -25.0
-    highest: float = 10.0
-    azimuths: int = 900
-    height: float = 1.85
-    reach: float = 60.0
+BEAMS = 32
+LOWEST, HIGHEST = -25.0, 10.0  # degrees, of the beams' elevations, which lie evenly
+AZIMUTHS = 900  # a turn
+HEIGHT = 1.85  # m above the ground
+REACH = 60.0  # m
 
 
-LIDAR = Lidar()
-
-
-def simulated_points(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[np.float32]:
+def simulated_points(view: PlannerView) -> NDArray[np.float32]:
     """Where the beams end: [P, 3] x, y, z above the ground, in the frame of the rear axle, m."""
-    azimuth = 2 * np.pi * np.arange(lidar.azimuths) / lidar.azimuths
-    slope = np.tan(np.deg2rad(np.linspace(lidar.lowest, lidar.highest, lidar.beams)))
-    others = solids(view, reach=lidar.reach + 10.0)
+    azimuth = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+    slope = np.tan(np.deg2rad(np.linspace(LOWEST, HIGHEST, BEAMS)))
+    others = solids(view, reach=REACH + 10.0)
     origin = np.array([view.vehicle.rear_axle, 0.0])
-    distance = np.full((lidar.beams, lidar.azimuths), np.inf)
+    distance = np.full((BEAMS, AZIMUTHS), np.inf)
     with np.errstate(divide="ignore"):
-        ground = np.where(slope < 0, lidar.height / -slope, np.inf)
+        ground = np.where(slope < 0, HEIGHT / -slope, np.inf)
     np.minimum(distance, ground[:, None], out=distance)
     for pose, size in zip(others.poses, others.size, strict=True):
         enter, leave, ray = _crossed(pose, size, origin, azimuth)
         if not len(ray):
             continue
         hit = enter[None]
-        if size[2] < lidar.height:  # what passes over its near edge may come down on its top
-            falls = np.where(slope < 0, (size[2] - lidar.height) / np.minimum(slope, -1e-9), 0.0)
+        if size[2] < HEIGHT:  # what passes over its near edge may come down on its top
+            falls = np.where(slope < 0, (size[2] - HEIGHT) / np.minimum(slope, -1e-9), 0.0)
             hit = np.maximum(hit, falls[:, None])
-        height = lidar.height + slope[:, None] * hit
+        height = HEIGHT + slope[:, None] * hit
         struck = (hit <= leave) & (height >= 0) & (height <= size[2] + 1e-6)
         distance[:, ray] = np.minimum(distance[:, ray], np.where(struck, hit, np.inf))
-    beam, ray = np.nonzero(distance < lidar.reach)
+    beam, ray = np.nonzero(distance < REACH)
     away = distance[beam, ray]
     x, y = origin[0] + away * np.cos(azimuth[ray]), origin[1] + away * np.sin(azimuth[ray])
-    return np.stack([x, y, lidar.height + slope[beam] * away], -1).astype(np.float32)
+    return np.stack([x, y, HEIGHT + slope[beam] * away], -1).astype(np.float32)
 
 
-def simulated_lidar(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[np.float32]:
+def simulated_lidar(view: PlannerView) -> NDArray[np.float32]:
     """The histogram [1, 256, 256] of the simulated points."""
-    return lidar_histogram(simulated_points(view, lidar))
+    return lidar_histogram(simulated_points(view))
 
 
-def simulated_lidar_before(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[np.float32]:
+def simulated_lidar_before(view: PlannerView) -> NDArray[np.float32]:
     """The histogram [1, 256, 256] of what was struck LIDAR_BEFORE_S ago, in the frame of now.
 
     Zeros where the ego was not there yet.
@@ -78,7 +67,7 @@ def simulated_lidar_before(view: PlannerView, lidar: Lidar = LIDAR) -> NDArray[n
     if not np.isfinite(axle).all():
         return lidar_histogram(np.zeros((0, 3)))
     past = replace(view, tracks=states_into_frame(view.tracks[:, : then + 1], axle))
-    return lidar_histogram(simulated_points(past, lidar), pose=axle)
+    return lidar_histogram(simulated_points(past), pose=axle)
 
 
 def _crossed(

@@ -146,19 +146,16 @@ class PinholeCamera:
 class Renderer:
     """Draws windows; keeps the ground of each road that it has drawn, as long as the road is there.
 
-    samples: a pixel; 4 smooth the edges of boxes, for more than twice the time
-
     Raises:
         RenderingUnavailable: there is no EGL here.
     """
 
-    def __init__(self, *, samples: int = 0) -> None:
+    def __init__(self) -> None:
         try:
             self._gl = moderngl.create_context(standalone=True, **BACKEND)
         except Exception as error:
             told = f"no OpenGL context through EGL ({error}); Debian has libegl1, libgl1-mesa-dri"
             raise RenderingUnavailable(told) from error
-        self._samples = samples
         gl = self._gl
         gl.gc_mode = "context_gc"  # what Python has forgotten is released in `draw`
         gl.enable(moderngl.DEPTH_TEST)
@@ -170,7 +167,7 @@ class Renderer:
         self._pictures: WeakKeyDictionary[Road, tuple[moderngl.Texture, GroundPicture]] = (
             WeakKeyDictionary()
         )
-        self._targets: dict[tuple[int, int], tuple[moderngl.Framebuffer, moderngl.Framebuffer]] = {}
+        self._targets: dict[tuple[int, int], moderngl.Framebuffer] = {}
 
     def draw(
         self, view: PlannerView, camera: PinholeCamera, *, with_ego: bool = False
@@ -178,14 +175,13 @@ class Renderer:
         """The camera's picture [rows, columns, 3], red first."""
         with self._gl:  # where there are two in a process, the other's may be the current one
             self._gl.gc()
-            many, single = self._target(camera.rows, camera.columns)
-            many.use()
-            many.clear(*SKY, 1.0, depth=1.0)
+            target = self._target(camera.rows, camera.columns)
+            target.use()
+            target.clear(*SKY, 1.0, depth=1.0)
             matrix = _floats(camera.matrix().T)
             self._draw_ground(view, matrix)
             self._draw_boxes(solids(view, reach=REACH, with_ego=with_ego), matrix)
-            self._gl.copy_framebuffer(single, many)
-            pixels = np.frombuffer(single.read(components=3, alignment=1), np.uint8)
+            pixels = np.frombuffer(target.read(components=3, alignment=1), np.uint8)
         return pixels.reshape(camera.rows, camera.columns, 3)[::-1].copy()
 
     def _draw_ground(self, view: PlannerView, matrix: bytes) -> None:
@@ -222,16 +218,12 @@ class Renderer:
         _set(self._boxes, "sky", _floats(np.array(SKY)))
         array.render(moderngl.TRIANGLES, instances=len(boxes))
 
-    def _target(self, rows: int, columns: int) -> tuple[moderngl.Framebuffer, moderngl.Framebuffer]:
+    def _target(self, rows: int, columns: int) -> moderngl.Framebuffer:
         size = columns, rows
         if size not in self._targets:
             gl = self._gl
-            samples = min(self._samples, gl.max_samples)
-            many = gl.framebuffer(
-                gl.renderbuffer(size, 3, samples=samples),
-                gl.depth_renderbuffer(size, samples=samples),
-            )
-            self._targets[size] = many, gl.framebuffer(gl.renderbuffer(size, 3))
+            colours, depth = gl.renderbuffer(size, 3), gl.depth_renderbuffer(size)
+            self._targets[size] = gl.framebuffer(colours, depth)
         return self._targets[size]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -87,14 +86,7 @@ class Traffic:
         libsumo.simulationStep()
 
 
-def record(
-    net: Path,
-    demand: Demand,
-    *,
-    seed: int,
-    frames: int,
-    progress: Callable[[int], None] = lambda _: None,
-) -> Recording:
+def record(net: Path, demand: Demand, *, seed: int, frames: int) -> Recording:
     """Runs the traffic from its start for so many frames."""
     vehicles: dict[str, VehicleRecord] = {}
     people: dict[str, PersonRecord] = {}
@@ -103,7 +95,6 @@ def record(
             traffic.step()
             _note_vehicles(vehicles, demand, frame)
             _note_people(people, frame)
-            progress(1)
     return Recording(frames, list(vehicles.values()), list(people.values()))
 
 

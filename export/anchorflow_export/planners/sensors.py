@@ -1,4 +1,4 @@
-"""What planners that see by camera and LiDAR are asked with."""
+"""What planners that see by camera and LiDAR are asked with, and what they tell of it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from torch.nn import functional as F
 
 from anchorflow_client.contract import TensorSpec
 from anchorflow_client.sensors import LIDAR_BEFORE_S
+from anchorflow_export.planners.specs import F32
 from anchorflow_export.tracing import random_tensor
-from anchorflow_models.transfuser import LIDAR_BEFORE, MOTION, STATUS, TransfuserConfig
+from anchorflow_models.transfuser import AGENT_STATE, LIDAR_BEFORE, MOTION, STATUS, TransfuserConfig
 from anchorflow_service.bundle import Bundle
 
-F32 = "float32"
 COMMANDS = MOTION.start  # of the ego status
 FASTEST = 60.0  # m/s, and m/s²: what a status may say
 
@@ -44,6 +44,22 @@ def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
             range=(-FASTEST, FASTEST),
         ),
         *([before] if backbone.lidar_before else []),
+    )
+
+
+def perceived(backbone: TransfuserConfig, *, agents: int, classes: int) -> tuple[TensorSpec, ...]:
+    """Of what such a planner has seen: so many agents, and classes of what is on the ground."""
+    reach = backbone.lidar_range
+    return (
+        TensorSpec("agents", F32, ("B", agents, AGENT_STATE), "m, m, rad, m, m"),
+        TensorSpec("agent_scores", F32, ("B", agents), range=(0.0, 1.0)),
+        TensorSpec(
+            "bev_semantics",
+            F32,
+            ("B", classes, *backbone.semantic_size),
+            range=(0.0, 1.0),
+            extent=(0.0, reach, -reach, reach),
+        ),
     )
 
 

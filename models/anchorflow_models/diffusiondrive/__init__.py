@@ -1,6 +1,6 @@
 """DiffusionDriveV2: truncated diffusion from a few anchors, scored coarse to fine."""
 
-from anchorflow_models.diffusiondrive.config import DiffusionDriveConfig, small_diffusiondrive
+from anchorflow_models.diffusiondrive.config import DiffusionDriveConfig
 from anchorflow_models.diffusiondrive.planner import (
     DiffusionDriveV2,
     Perceived,
@@ -12,5 +12,4 @@ __all__ = [
     "DiffusionDriveV2",
     "Perceived",
     "create_diffusiondrive",
-    "small_diffusiondrive",
 ]

@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 
 from anchorflow_models.generation.checks import check
 from anchorflow_models.transfuser import (
-    CAR,
     Places,
     TransfuserConfig,
     foretold_times,
-    small_transfuser,
 )
 from anchorflow_trajectory.ddim import NoiseLevels
 
@@ -152,30 +150,3 @@ class DiffusionDriveConfig:
     def candidates(self) -> int:
         """All that the coarse scorer judges."""
         return self.anchors * self.groups * self.variants + self.vocabulary
-
-
-def small_diffusiondrive() -> DiffusionDriveConfig:
-    """Narrow, over the small backbone: trains on two cores."""
-    return DiffusionDriveConfig(
-        backbone=small_transfuser(),
-        anchors=100,
-        groups=2,
-        width=64,
-        heads=4,
-        hidden=256,
-        query_layers=2,
-        scorer_width=96,
-        scorer_heads=4,
-        scorer_hidden=192,
-        fine_layers=2,
-        value_kernel=1,
-        look_heads=8,
-        ego_motion=True,
-        noise=(4e-6, 8e-4),
-        footprint=CAR,
-        encounters=(*CAR, (5.0, 0.0)),
-        ground_sight=True,
-        driven=True,
-        direction=True,
-        imitation=0.01,
-    )

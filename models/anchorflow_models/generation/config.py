@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
 from anchorflow_models.generation.checks import check
 from anchorflow_trajectory.ode.method import METHODS as SOLVERS
-from anchorflow_trajectory.ode.schedule import (
-    EIGHT_STEP_SCHEDULE,
-    Schedule,
-    check_schedule,
-    uniform_schedule,
-)
+from anchorflow_trajectory.ode.schedule import Schedule, check_schedule
 
 ADAPTIVE = "rk45"
 METHODS = (*SOLVERS, ADAPTIVE)

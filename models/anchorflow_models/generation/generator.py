@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +16,7 @@ from anchorflow_models.generation.checks import check
 from anchorflow_models.generation.clearance_map import ClearanceMap
 from anchorflow_models.generation.config import GeneratorConfig
 from anchorflow_models.generation.flow import Context, FlowPlanner, SceneFlow
-from anchorflow_models.generation.guidance import Cost, Guidance
+from anchorflow_models.generation.guidance import Guidance
 from anchorflow_models.generation.scenes import (
     DEFAULT_MOTION,
     DEFAULT_RESOLUTION,
@@ -126,24 +125,6 @@ class TrajectoryGenerator:
             motion=motion,
         )
         return self.sample(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
-
-    def generate_with_guidance(
-        self,
-        cost_map: Numbers,
-        x_curr: Numbers,
-        x_goal: Numbers,
-        w_style: Numbers | None = None,
-        *,
-        cost_fn: Cost,
-        scale: float,
-        **options: Any,
-    ) -> AnchorTensors:
-        """Anchors [N, T, D] of one scene, drawn as if exp(-scale cost) times as likely.
-
-        cost_fn: of `Guidance`, states [1, N, T, 3D + 1] -> costs [1, N]; options: of `generate`
-        """
-        guidance = Guidance(cost_fn, scale)
-        return self.generate(cost_map, x_curr, x_goal, w_style, guidance=guidance, **options)
 
     @torch.no_grad()
     def sample(

@@ -6,12 +6,10 @@ from anchorflow_models.transfuser.config import (
     LIDAR_BEFORE,
     SEMANTIC_STRIDE,
     TransfuserConfig,
-    small_transfuser,
 )
 from anchorflow_models.transfuser.encounters import FORETOLD_S, Encounters, foretold_times
 from anchorflow_models.transfuser.far_sight import FarSight, with_far
 from anchorflow_models.transfuser.footprint import (
-    CAR,
     Footprint,
     Places,
     driven_by_car,
@@ -32,7 +30,6 @@ from anchorflow_models.transfuser.sweep_motion import Moving, SweepMotion
 __all__ = [
     "AGENT_QUERIES",
     "AGENT_STATE",
-    "CAR",
     "FORETOLD_S",
     "GROUND_WIDTH",
     "LIDAR_BEFORE",
@@ -61,6 +58,5 @@ __all__ = [
     "foretold_times",
     "moved_ahead",
     "placed",
-    "small_transfuser",
     "with_far",
 ]

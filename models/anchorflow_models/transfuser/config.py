@@ -131,21 +131,3 @@ class TransfuserConfig:
         yield "lidar", (1, self.lidar_size, self.lidar_size)
         if self.lidar_before:
             yield LIDAR_BEFORE, (1, self.lidar_size, self.lidar_size)
-
-
-def small_transfuser() -> TransfuserConfig:
-    """Narrow and shallow, over an image of half the height and width: for two cores.
-
-    Two sweeps of the LiDAR, whose finer stages the upscaled BEV sees.
-    """
-    return TransfuserConfig(
-        image_height=128,
-        image_width=512,
-        stem_width=16,
-        widths=(16, 32, 64, 96),
-        depths=(1, 1, 1, 1),
-        fusion_layers=1,
-        bev_channels=32,
-        pyramid_skips=True,
-        lidar_before=True,
-    )

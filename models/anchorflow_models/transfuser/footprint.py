@@ -12,8 +12,6 @@ from anchorflow_models.transfuser.bev_values import bev_places
 
 Places = tuple[tuple[float, float], ...]
 
-CAR: Places = ((0.0, 0.0), (0.0, 1.0), (0.0, -1.0), (3.0, 1.0), (3.0, -1.0))
-"""m ahead and to the left of a pose: the middle of the rear axle, its sides, and the front."""
 CAR_WHEELBASE = 3.1
 """m, of nuPlan's car."""
 

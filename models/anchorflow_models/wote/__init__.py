@@ -1,6 +1,6 @@
 """WoTE: camera and LiDAR in, anchors judged by a latent world model."""
 
-from anchorflow_models.wote.config import RewardWeights, WoteConfig, small_wote
+from anchorflow_models.wote.config import RewardWeights, WoteConfig
 from anchorflow_models.wote.rewards import final_scores
 from anchorflow_models.wote.stages import Judged, Moved, Seen
 from anchorflow_models.wote.wote import WoTE, create_wote
@@ -14,5 +14,4 @@ __all__ = [
     "WoteConfig",
     "create_wote",
     "final_scores",
-    "small_wote",
 ]

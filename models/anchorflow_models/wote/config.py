@@ -7,12 +7,10 @@ from dataclasses import dataclass, field
 from anchorflow_models.generation.checks import check
 from anchorflow_models.transfuser import (
     AGENT_QUERIES,
-    CAR,
     FORETOLD_S,
     Places,
     TransfuserConfig,
     foretold_times,
-    small_transfuser,
 )
 
 LEAST = {
@@ -143,22 +141,3 @@ class WoteConfig:
     def foretold_times(self) -> tuple[float, ...]:
         """s, for which is foretold where others will be, with `encounters`."""
         return foretold_times(self.num_steps, self.dt)
-
-
-def small_wote() -> WoteConfig:
-    """Narrow, and shallow: for training on two cores."""
-    return WoteConfig(
-        kept=64,
-        width=64,
-        heads=4,
-        hidden=128,
-        anchor_layers=1,
-        offset_layers=2,
-        world_layers=1,
-        agent_layers=1,
-        footprint=CAR,
-        encounters=(*CAR, (5.0, 0.0)),
-        ground_sight=True,
-        driven=True,
-        backbone=small_transfuser(),
-    )

@@ -12,13 +12,13 @@ from anchorflow_client.contract import AnchorBatch, ModelCard, ResolvedRequest, 
 from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import Bundle, BundleError
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
-from anchorflow_service.cores import usable_cores
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.finish import FINISHES
 from anchorflow_service.engine.parts import DT, Arrays, Check, ConditionedScene, Sampler
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
 from anchorflow_service.engine.timing import StageClock
+from anchorflow_trajectory.cores import usable_cores
 
 PROBED = 16  # anchors
 

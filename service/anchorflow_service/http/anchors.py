@@ -8,6 +8,7 @@ from starlette.responses import Response
 
 from anchorflow_client.codec import Codec, Payload
 from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.http.whole_number import whole_number
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.http.body import read_body
 from anchorflow_service.http.hang_up import HungUp, to_nobody, unless_hung_up
@@ -19,8 +20,6 @@ from anchorflow_service.planning import Call, PlanningService
 BINARY = OipCodec()
 CODECS: dict[str, Codec] = {codec.content_type: codec for codec in (OrjsonCodec(), BINARY)}
 JSON = OrjsonCodec.content_type
-MAX_DIGITS = 18
-"""Of a length in a header, which fits 64 bits."""
 
 
 def anchors_router(service: PlanningService) -> APIRouter:
@@ -56,12 +55,11 @@ async def answer_to(call: Call, request: Request, service: PlanningService) -> R
 
 def header_length(request: Request) -> int | None:
     """The length of the JSON header, which the binary form alone needs."""
-    length = request.headers.get(HEADER_LENGTH)
-    if length is None:
-        return None
-    if not length.isdecimal() or len(length) > MAX_DIGITS or int(length) < 1:
-        raise InvalidRequest(f"expected a number of bytes, got {length[:40]!r}", HEADER_LENGTH)
-    return int(length)
+    told = request.headers.get(HEADER_LENGTH)
+    length = whole_number(told)
+    if told is not None and not length:
+        raise InvalidRequest(f"expected a number of bytes, got {told[:40]!r}", HEADER_LENGTH)
+    return length
 
 
 def _codec_of(request: Request) -> Codec:

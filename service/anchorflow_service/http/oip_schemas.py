@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from anchorflow_service.http.infer_codec import MAX_ENTRIES
-from anchorflow_service.http.schemas import Text
+from anchorflow_service.http.schemas import Shape, Text
 
 Datatype = Literal["FP32", "FP64", "INT64", "UINT8", "BOOL", "BYTES"]
 Scalar = bool | int | float | str
@@ -48,7 +48,7 @@ class InferInputBody(_Body):
 
     name: Text = Field(description="Of the model's metadata.")
     datatype: Datatype
-    shape: list[Annotated[int, Field(ge=1)]] = Field(max_length=8)
+    shape: Shape
     data: Numbers | list[bool] | list[str] = Field(
         description="In row-major order; numbers, or for BOOL booleans, flat or nested."
     )

@@ -27,6 +27,7 @@ Tensor4 = list[list[list[list[float]]]]
 _SIDE = Field(min_length=1, max_length=ranges.MAX_MAP_CELLS)
 _BATCH = Field(min_length=1, max_length=ranges.MAX_SCENES)
 Text = Annotated[str, Field(min_length=1, max_length=ranges.MAX_TEXT_LENGTH, pattern=r"^[ -~]*$")]
+Shape = Annotated[list[Annotated[int, Field(ge=1)]], Field(max_length=ranges.MAX_AXES)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Grid = Annotated[
     list[Annotated[list[Annotated[list[Share], _SIDE]], _SIDE]],
@@ -131,7 +132,7 @@ class ArrayBody(_Body):
     """A tensor as the bytes that it is, little-endian, in row-major order."""
 
     dtype: Literal["bool", "uint8", "int64", "float32", "float64"]
-    shape: list[Annotated[int, Field(ge=1)]] = Field(max_length=8)
+    shape: Shape
     base64: str
 
 

@@ -18,12 +18,12 @@ from types import TracebackType
 from typing import NamedTuple, TypeVar
 
 from anchorflow_client.errors import NotReady, Overloaded
-from anchorflow_service.cores import usable_cores
 from anchorflow_service.planning.arrival import Arrival
 from anchorflow_service.planning.job import Job, JobCancelled, JobContext
 from anchorflow_service.planning.limits import ServiceLimits
 from anchorflow_service.planning.service_time import ServiceTimeEstimate
 from anchorflow_service.planning.waiting import AnyJob, WaitingLine
+from anchorflow_trajectory.cores import usable_cores
 
 Result = TypeVar("Result")
 

@@ -8,19 +8,18 @@ from typing import Any
 
 import pytest
 import torch
+from small_configs import DIFFUSIONDRIVE as SMALL
 from torch import Tensor
 
 from anchorflow_models.diffusiondrive import (
     DiffusionDriveConfig,
     DiffusionDriveV2,
     create_diffusiondrive,
-    small_diffusiondrive,
 )
 from anchorflow_models.diffusiondrive.config import FORETOLD_TIMES
 from anchorflow_models.diffusiondrive.scorers import Scored, SeenUnder, encounters
 from anchorflow_models.sub_scores import pdm_score
 
-SMALL = small_diffusiondrive()
 OF_SCENE = ("agent_queries", "ego_query")
 
 

@@ -6,10 +6,10 @@ import math
 
 import pytest
 import torch
+from small_configs import DIFFUSIONDRIVE as CONFIG
 from torch import Tensor
 from torch.nn import functional as F
 
-from anchorflow_models.diffusiondrive import small_diffusiondrive
 from anchorflow_models.diffusiondrive.trajectories import (
     MOST,
     TrajectorySpace,
@@ -20,7 +20,6 @@ from anchorflow_models.diffusiondrive.trajectories import (
 from anchorflow_models.layers.lookup import lookup_sum
 from anchorflow_models.transfuser import bev_places
 
-CONFIG = small_diffusiondrive()
 TIMES = 0.5 * torch.arange(1, 9)
 
 

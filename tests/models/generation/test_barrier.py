@@ -10,7 +10,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from anchorflow_models.generation import ClearanceMap, GeneratorConfig, TrajectoryGenerator
+from anchorflow_models.generation import (
+    ClearanceMap,
+    GeneratorConfig,
+    Guidance,
+    TrajectoryGenerator,
+)
 from anchorflow_models.generation.barrier import SLACK, Barrier
 from anchorflow_trajectory.clearance import clearance_field
 
@@ -104,9 +109,8 @@ def test_the_barrier_has_the_last_word_over_guidance(
     generator = TrajectoryGenerator(
         gaussian_flow(), GeneratorConfig(barrier_rate=5.0, num_samples=16, **plain)
     )
-    anchors = generator.generate_with_guidance(
-        *room.ends, seed=0, cost_fn=lambda x: x[..., 1].square().mean(-1), scale=20.0
-    )
+    guidance = Guidance(lambda x: x[..., 1].square().mean(-1), 20.0)
+    anchors = generator.generate(*room.ends, seed=0, guidance=guidance)
     assert float((anchors.clearance > 0).float().mean()) > 0.8
 
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import (
     AnchorTensors,
@@ -21,7 +22,7 @@ from anchorflow_models.generation import (
 from anchorflow_models.generation.scenes import dealt_routes, prior_means
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ode.method import METHODS
-from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times
+from anchorflow_trajectory.ode.schedule import stage_times
 from anchorflow_trajectory.ode.tableau import RK4
 
 SHIFT = torch.tensor([0.0, 0.5, 0.1, 0.0, 0.0, 0.2, 0.1])

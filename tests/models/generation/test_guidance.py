@@ -50,9 +50,8 @@ def test_a_linear_cost_tilts_a_gaussian_as_in_closed_form(
     generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=3, **plain, **settings))
     weight = torch.randn(32, 7, generator=torch.Generator().manual_seed(1))
     free = generator.generate(*free_room.ends, seed=2)
-    guided = generator.generate_with_guidance(
-        *free_room.ends, seed=2, cost_fn=lambda x: (x * weight).sum((-2, -1)), scale=0.3
-    )
+    guidance = Guidance(lambda x: (x * weight).sum((-2, -1)), 0.3)
+    guided = generator.generate(*free_room.ends, seed=2, guidance=guidance)
     scenes = requested_scenes(*free_room.ends, config=flow.config)
     context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
     basis = context["prior_basis"][0]
@@ -69,9 +68,7 @@ def test_a_larger_scale_lowers_the_cost_further(
     costs = [
         miss_of_via(
             states(
-                generator.generate_with_guidance(
-                    *free_room.ends, seed=0, cost_fn=miss_of_via, scale=scale
-                )
+                generator.generate(*free_room.ends, seed=0, guidance=Guidance(miss_of_via, scale))
             )
         )
         for scale in (0.0, 4.0, 16.0)
@@ -88,7 +85,7 @@ def test_a_network_is_guided_and_its_ends_stay(
     generator = TrajectoryGenerator(model, GeneratorConfig(num_samples=8, **plain))
     free = states(generator.generate(*free_room.ends, seed=0))
     guided = states(
-        generator.generate_with_guidance(*free_room.ends, seed=0, cost_fn=miss_of_via, scale=5.0)
+        generator.generate(*free_room.ends, seed=0, guidance=Guidance(miss_of_via, 5.0))
     )
     assert float(miss_of_via(guided).mean()) < 0.8 * float(miss_of_via(free).mean())
     # Not the network's doing, whose ends are free: the difference starts and ends at rest.
@@ -174,11 +171,10 @@ def test_one_anchors_cost_does_not_move_another(
     only_first = torch.tensor([[1.0, 0, 0, 0]])
     free, guided = (
         states(
-            generator.generate_with_guidance(
+            generator.generate(
                 *free_room.ends,
                 seed=0,
-                cost_fn=lambda x, gain=gain: gain * only_first * miss_of_via(x),
-                scale=2.0,
+                guidance=Guidance(lambda x, gain=gain: gain * only_first * miss_of_via(x), 2.0),
             )
         )
         for gain in (0.0, 1.0)
@@ -191,6 +187,6 @@ def test_one_anchors_cost_does_not_move_another(
 def test_what_is_no_cost_is_named(gaussian_flow: Callable, free_room: Any) -> None:
     generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=4))
     with pytest.raises(ValueError, match=r"cost: expected \[B, N\] of the states, got \[\]"):
-        generator.generate_with_guidance(*free_room.ends, cost_fn=Tensor.sum, scale=1.0)
+        generator.generate(*free_room.ends, guidance=Guidance(Tensor.sum, 1.0))
     with pytest.raises(ValueError, match="scale: expected a number of 0 or more, got -1"):
         Guidance(miss_of_via, -1.0)

@@ -11,14 +11,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
 from anchorflow_models.generation.integrate import Stage, integrate, integrate_adaptive
 from anchorflow_trajectory.ode.method import METHODS, Method
-from anchorflow_trajectory.ode.schedule import (
-    EIGHT_STEP_SCHEDULE,
-    Schedule,
-    stage_times,
-    uniform_schedule,
-)
+from anchorflow_trajectory.ode.schedule import Schedule, stage_times
 from anchorflow_trajectory.ode.tableau import ButcherTableau
 
 EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)

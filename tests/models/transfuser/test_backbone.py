@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from small_configs import BACKBONE as SMALL
 from torch import Tensor
 
 from anchorflow_models.transfuser import (
@@ -15,10 +16,7 @@ from anchorflow_models.transfuser import (
     SemanticHead,
     TransfuserBackbone,
     TransfuserConfig,
-    small_transfuser,
 )
-
-SMALL = small_transfuser()
 
 
 def backbone(config: TransfuserConfig = SMALL) -> TransfuserBackbone:

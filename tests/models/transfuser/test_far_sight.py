@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
+from small_configs import BACKBONE as CONFIG
 
-from anchorflow_models.transfuser import FarSight, Moving, small_transfuser, with_far
+from anchorflow_models.transfuser import FarSight, Moving, with_far
 
-CONFIG = small_transfuser()
 ROWS, COLUMNS = CONFIG.far_size
 
 

@@ -6,13 +6,13 @@ import math
 
 import pytest
 import torch
+from small_configs import BACKBONE as CONFIG
 from torch import Tensor
 
 from anchorflow_driving.sensors import cameras as simulated
-from anchorflow_models.transfuser import GROUND_WIDTH, GroundSight, small_transfuser
+from anchorflow_models.transfuser import GROUND_WIDTH, GroundSight
 from anchorflow_models.transfuser.camera_places import AHEAD, CAMERAS, FOCAL, HEIGHT
 
-CONFIG = small_transfuser()
 SIZE = CONFIG.upscaled_size
 FRONT, LEFT, RIGHT = CAMERAS
 

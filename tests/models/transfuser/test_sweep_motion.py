@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
+from small_configs import BACKBONE
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.transfuser import Moving, SweepMotion, small_transfuser
+from anchorflow_models.transfuser import Moving, SweepMotion
 from anchorflow_models.transfuser.sweep_motion import EYES, SEARCHED, correlation, foretold
 
 SIDE = 2 * SEARCHED + 1
@@ -42,7 +43,7 @@ class Struck(nn.Module):
 
 
 def test_a_car_that_came_from_behind_drives_forward() -> None:
-    motion = SweepMotion(small_transfuser())
+    motion = SweepMotion(BACKBONE)
     motion.eyes, motion.key = Struck(4), Struck(2)  # type: ignore[assignment]
     with torch.no_grad():
         for parameter in motion.more.parameters():
@@ -78,7 +79,7 @@ def test_a_cell_is_taken_once_at_most() -> None:
 
 
 def test_later_is_less_certain() -> None:
-    motion = SweepMotion(small_transfuser())
+    motion = SweepMotion(BACKBONE)
     there, velocity = torch.full((1, 64, 64), -20.0), torch.zeros(1, 2, 64, 64)
     there[0, 32, 32] = 20.0
 

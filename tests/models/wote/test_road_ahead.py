@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 import torch
+from small_configs import WOTE
 from tiny_wote import TINY, sensors, tiny_wote
 from torch import Tensor
 
-from anchorflow_models.wote import WoTE, WoteConfig, small_wote
+from anchorflow_models.wote import WoTE, WoteConfig
 
 BACKBONE = replace(
     TINY.backbone, image_height=32, image_width=128, lidar_size=128, lidar_before=True
@@ -187,9 +188,8 @@ def test_a_wrong_field_is_named(wrong: dict[str, Any], message: str) -> None:
         replace(AHEAD, **wrong)
 
 
-def test_the_small_preset_has_all() -> None:
-    config = small_wote()
-    assert config.ground_sight
-    assert config.encounters[:5] == config.footprint
-    assert config.foretold_times[-1] == 5.0
-    assert config.driven
+def test_the_small_one_has_all() -> None:
+    assert WOTE.ground_sight
+    assert WOTE.encounters[:5] == WOTE.footprint
+    assert WOTE.foretold_times[-1] == 5.0
+    assert WOTE.driven

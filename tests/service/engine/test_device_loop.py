@@ -18,7 +18,7 @@ import onnxruntime as ort
 import pytest
 from asked_engine import AS_SAMPLED, Build, assert_same_bytes, plan
 
-from anchorflow_client.contract import SamplerChoice, resolve_for_card
+from anchorflow_client.contract import SamplerChoice, resolve_for_card, uniform_schedule
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.bundle.device import DEVICES, Device
 from anchorflow_service.bundle.providers import PROVIDERS
@@ -26,7 +26,7 @@ from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.samplers.device_loop import ADD_SCALED, DeviceLoop
 from anchorflow_trajectory.ode.method import METHODS, method_named
-from anchorflow_trajectory.ode.schedule import stage_times, uniform_schedule
+from anchorflow_trajectory.ode.schedule import stage_times
 
 THREE_STEPS = {"schedule": {"uniform": 3}}
 STAND_IN = Device("cpu", provider="cpu")

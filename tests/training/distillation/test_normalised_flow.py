@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from anchorflow_client.contract import uniform_schedule
 from anchorflow_training.distillation.normalised_flow import (
     NormalisedFlow,
     drawn,
@@ -12,7 +13,6 @@ from anchorflow_training.distillation.normalised_flow import (
 )
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_training.evaluation import sample
-from anchorflow_trajectory.ode.schedule import uniform_schedule
 from anchorflow_trajectory.ode.tableau import MIDPOINT
 
 Inputs = dict[str, torch.Tensor]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from anchorflow_client.contract import uniform_schedule
 from anchorflow_training.batches import FlowBatchConfig, dealt_routes, encode_inputs, prior_means
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import TeacherConfig
@@ -20,7 +21,6 @@ from anchorflow_training.distillation.pair_batches import PAIRED, PairBatches
 from anchorflow_training.distillation.pairs import PairBank, open_pairs
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_training.settings import ConfigError
-from anchorflow_trajectory.ode.schedule import uniform_schedule
 from anchorflow_trajectory.ode.tableau import HEUN
 
 CONFIG = TeacherConfig(method="heun", steps=3, pairs=4, seed=9)

@@ -5,9 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
 from anchorflow_trajectory.ode.integrate import Array, VectorField, integrate, integrate_in
 from anchorflow_trajectory.ode.method import METHODS, Method
-from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times, uniform_schedule
+from anchorflow_trajectory.ode.schedule import stage_times
 from anchorflow_trajectory.ode.tableau import ButcherTableau
 
 EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from anchorflow_client.contract import uniform_schedule
 from anchorflow_trajectory.ode.multistep import AdamsBashforth
-from anchorflow_trajectory.ode.schedule import uniform_schedule
 
 UNEQUAL = (0.0, 0.1, 0.35, 0.5, 1.0)
 

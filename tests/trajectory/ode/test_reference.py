@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE
 from anchorflow_trajectory.ode.integrate import Array, integrate
 from anchorflow_trajectory.ode.method import METHODS, Method
 from anchorflow_trajectory.ode.reference import integrate_plainly
-from anchorflow_trajectory.ode.schedule import EIGHT_STEP_SCHEDULE, stage_times
+from anchorflow_trajectory.ode.schedule import stage_times
 from anchorflow_trajectory.ode.tableau import RK4
 
 EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)

@@ -5,25 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from anchorflow_client import contract
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
 from anchorflow_trajectory.ode.method import METHODS, Method
-from anchorflow_trajectory.ode.schedule import (
-    EIGHT_STEP_SCHEDULE,
-    check_schedule,
-    remaining,
-    stage_strides,
-    stage_times,
-    uniform_schedule,
-)
+from anchorflow_trajectory.ode.schedule import check_schedule, remaining, stage_strides, stage_times
 from anchorflow_trajectory.ode.tableau import EULER, RK4
 
 EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
-
-
-def test_the_schedules_are_the_contracts() -> None:
-    """The client may not import them, so it says them itself."""
-    assert EIGHT_STEP_SCHEDULE == contract.EIGHT_STEP_SCHEDULE
-    assert uniform_schedule(7) == contract.uniform_schedule(7)
 
 
 def test_rk4_on_eight_steps_has_seventeen_distinct_times() -> None:

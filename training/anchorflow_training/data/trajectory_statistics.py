@@ -24,15 +24,8 @@ class FieldStatistics:
 
     def normalise(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
         """(x - mean) / std of values [..., D]."""
-        return ((values - np.asarray(self.mean)) / self._scale).astype(np.float32)
-
-    def restore(self, values: NDArray[np.floating]) -> NDArray[np.float32]:
-        """The inverse of `normalise`."""
-        return (values * self._scale + np.asarray(self.mean)).astype(np.float32)
-
-    @property
-    def _scale(self) -> NDArray[np.float64]:
-        return np.maximum(np.asarray(self.std), SMALLEST_STD)
+        scale = np.maximum(np.asarray(self.std), SMALLEST_STD)
+        return ((values - np.asarray(self.mean)) / scale).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from anchorflow_trajectory.cost_fields import RISK, TRAVERSABILITY
 from anchorflow_trajectory.cost_kernels import DEEP
 from anchorflow_trajectory.spline import END_ORDERS
 
+WEIGHTS = CostWeights()  # the expert's
 LEAST_SQUARE = 1e-18  # beside a squared size, whose root then has a slope at rest too
 
 
@@ -33,13 +34,10 @@ class AnchorCost(nn.Module):
     stacked: Tensor  # [K, 4T]
     fit: Tensor  # [3T, F]
 
-    def __init__(
-        self, config: L2Config, *, margin: float, weights: CostWeights | None = None
-    ) -> None:
+    def __init__(self, config: L2Config, *, margin: float) -> None:
         super().__init__()
         basis = basis_of(config)
         self.dim, self.free, self.margin = config.dim, basis.free, margin
-        self.weights = weights or CostWeights()
         arrays = {"ends": basis.ends, "stacked": basis.stacked, "fit": basis.fit_matrix.T}
         for name, array in arrays.items():
             tensor = torch.from_numpy(array.copy()).float()
@@ -72,7 +70,7 @@ class AnchorCost(nn.Module):
         self, samples: Tensor, duration: Tensor, inputs: Mapping[str, Tensor], reference_s: Tensor
     ) -> Tensor:
         """J [B, N] of p and its first three derivatives by own time [B, N, D, 4, T]."""
-        w = self.weights
+        w = WEIGHTS
         position, first, second, third = samples.unbind(-2)
         lean = inputs["w_style"] ** w.contrast
         safety, energy, smooth = (lean / lean.sum(-1, keepdim=True)).T[:, :, None, None]
@@ -96,7 +94,7 @@ class AnchorCost(nn.Module):
 
     def _place(self, points: Tensor, safety: Tensor, inputs: Mapping[str, Tensor]) -> Tensor:
         """Cost [B, N, T] of where points [B, N, T, D] lie."""
-        w, geometry = self.weights, inputs["map_geometry"]
+        w, geometry = WEIGHTS, inputs["map_geometry"]
         clearance = ClearanceMap(inputs["clearance_field"], geometry)(points)
         hard = (self.margin - clearance).clamp(min=0)
         lack = (1.0 - clearance / w.comfort).clamp(min=0)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor, nn
 
+from anchorflow_client.contract import uniform_schedule
 from anchorflow_models import L2SafetyCFM
 from anchorflow_training.batches import Batch, batches, prefetched
 from anchorflow_training.cost_map_run import CostMapRun
@@ -30,7 +31,6 @@ from anchorflow_training.evaluation import Evaluator, JudgedScene, scores
 from anchorflow_training.run import Report
 from anchorflow_training.settings import ConfigError
 from anchorflow_trajectory.ode.method import method_named
-from anchorflow_trajectory.ode.schedule import uniform_schedule
 
 
 class Distiller(CostMapRun):

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from anchorflow_client.contract import uniform_schedule
 from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.config import TeacherConfig
@@ -15,7 +16,6 @@ from anchorflow_training.distillation.normalised_flow import NormalisedFlow, sta
 from anchorflow_training.distillation.pairs import PairBank
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_trajectory.ode.method import method_named
-from anchorflow_trajectory.ode.schedule import uniform_schedule
 
 Progress = Callable[[int, int], None]
 

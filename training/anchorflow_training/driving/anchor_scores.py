@@ -16,6 +16,7 @@ from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving.examples import example
 from anchorflow_training.driving.kept_logs import (
+    DIGITS,
     Progress,
     each_log,
     is_fresh,
@@ -29,7 +30,6 @@ Floats = NDArray[np.float32]
 
 HEADING_M = 5.0
 """m that a radian counts for when futures are clustered."""
-DIGITS = 12  # of the anchors' digest, in a file's name
 
 
 def examples_of(logs: Sequence[Path]) -> Floats:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -16,10 +15,12 @@ from numpy.typing import NDArray
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import UNREADABLE, LogError
 from anchorflow_training.whole_file import whole_file
+from anchorflow_trajectory.cores import usable_cores
 
 PLAN_SETTINGS: Mapping[str, Any] = {"num_steps": len(PLAN_TIMES), "dt": float(PLAN_TIMES[0])}
 """What the times of a log's plans fix of a model's configuration."""
 
+DIGITS = 12  # of a digest in a kept file's name
 Progress = Callable[[int, int], None]
 """Told how many of how many logs are done."""
 
@@ -44,11 +45,11 @@ def each_log(
     of: int,
     progress: Progress = lambda *_: None,
 ) -> None:
-    """Do something with every log, on every core; what is done stays done if it is cut off."""
+    """Do something with each log, on each usable core; what is done stays done if it is cut off."""
     progress(of - len(logs), of)
     if not logs:
         return
-    with ProcessPoolExecutor(min(len(logs), os.cpu_count() or 1)) as pool:
+    with ProcessPoolExecutor(min(len(logs), usable_cores())) as pool:
         for done, _ in enumerate(pool.map(keep, logs), start=of - len(logs) + 1):
             progress(done, of)
 

@@ -22,7 +22,7 @@ from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES, TURNS
 from anchorflow_models.goalflow.goalflow import POSE, SETTLED
 from anchorflow_training.driving.kept_logs import (
-    Progress,
+    DIGITS,
     each_log,
     is_fresh,
     opened,
@@ -32,7 +32,6 @@ from anchorflow_training.driving.kept_logs import (
 PER_WAY = 2
 """Trajectories that are drawn to each goal, and to none; ways that no flow moves stand for
 themselves."""
-DIGITS = 12  # of the weights' digest, in a file's name
 
 
 @dataclass(frozen=True)
@@ -45,9 +44,7 @@ class Proposals:
     scores: NDArray[np.float32]
 
 
-def proposals(
-    logs: Sequence[Path], model: GoalFlow, *, progress: Progress = lambda *_: None
-) -> Proposals:
+def proposals(logs: Sequence[Path], model: GoalFlow) -> Proposals:
     """Those of a model in all windows of logs.
 
     Those of each log are made once, on every core, and kept beside it under the digest of the
@@ -57,7 +54,7 @@ def proposals(
     kept = {log: log.with_suffix(f".proposals-{_digest(model)}") for log in logs}
     missing = [log for log in logs if not is_fresh(kept[log], log)]
     keep = partial(keep_proposals, suffix=next(iter(kept.values())).suffix, model=model)
-    each_log(keep, missing, of=len(logs), progress=progress)
+    each_log(keep, missing, of=len(logs))
     trajectories, scores = [], []
     for path in kept.values():
         with opened(path) as part:

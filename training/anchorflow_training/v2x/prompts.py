@@ -28,16 +28,10 @@ def prompt(*, speed: float, turn_rate: float, scene: str) -> str:
     return " ".join(part for part in (scene, f"{state}.", TASK) if part)
 
 
-def seen_scene(boxes: Array, pose: Array, *, visible: NDArray[np.bool_] | None = None) -> str:
-    """How many others there are near a pose [3], of boxes [n,5], and where the nearest ahead is.
-
-    visible: [n], which of them the vehicle itself can see; None: all of them
-    """
+def seen_scene(boxes: Array, pose: Array) -> str:
+    """How many others there are near a pose [3], of boxes [n,5], and where the nearest ahead is."""
     local = into_frame(boxes[:, :2], pose)
-    counted = np.linalg.norm(local, axis=1) < NEAR
-    if visible is not None:
-        counted &= visible
-    near = local[counted]
+    near = local[np.linalg.norm(local, axis=1) < NEAR]
     if not len(near):
         return "No other vehicle is near."
     others = f"{len(near)} other vehicle" + ("s are near" if len(near) > 1 else " is near")

@@ -16,9 +16,6 @@ from anchorflow_trajectory.ode.method import Method
 
 Schedule = tuple[float, ...]
 
-EIGHT_STEP_SCHEDULE: Schedule = (0.0, 0.8, 0.85, 0.9, 0.92, 0.94, 0.96, 0.98, 1.0)
-"""The contract's "8step"."""
-
 
 @dataclass(frozen=True)
 class StageTimes:
@@ -30,11 +27,6 @@ class StageTimes:
 
     times: NDArray[np.float32]
     index: tuple[tuple[int, ...], ...]
-
-
-def uniform_schedule(steps: int) -> Schedule:
-    """`steps` equal strides from 0 to 1."""
-    return tuple(k / steps for k in range(steps + 1))
 
 
 def check_schedule(schedule: Schedule) -> Schedule:

@@ -13,11 +13,13 @@ from torch import Tensor
 
 from anchorflow_client.contract import AnchorRequest, TensorSpec, resolve_for_card
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
-from anchorflow_export.planners.sensors import random_sensors, sensor_inputs
+from anchorflow_export.planners.sensors import perceived, random_sensors, sensor_inputs
+from anchorflow_export.planners.specs import COMPONENTS, F32
 from anchorflow_export.tracing import trace_role
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S
-from anchorflow_models.transfuser import AGENT_QUERIES, AGENT_STATE
+from anchorflow_models.sub_scores import SUB_SCORES
+from anchorflow_models.transfuser import AGENT_QUERIES
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
     AnswerEntry,
@@ -37,7 +39,6 @@ from anchorflow_trajectory.ddim import CLEAN, ddim_step, noised
 Outputs = dict[str, Tensor]
 Told = TypeVar("Told")
 
-F32 = "float32"
 OUTPUTS = {
     "encode": (
         *("anchors", "bev", "values", "agent_queries", "ego_query", "ego_motion", "foretold"),
@@ -83,8 +84,6 @@ class DiffusionDriveAdapter:
         """A planner asked with tensors, a "truncated_diffusion" sampler and no finish."""
         config, levels = self.model.config, self.model.config.noise_levels
         direction = TensorSpec("direction_scores", F32, ("B", "N"), range=(0.0, 1.0))
-        rows, columns = config.backbone.semantic_size
-        reach = config.backbone.lidar_range
         return PlannerParts(
             inputs=sensor_inputs(config.backbone),
             conditioning=TensorsEntry(),
@@ -102,21 +101,13 @@ class DiffusionDriveAdapter:
             finish=NoFinishEntry(),
             time=TimeEntry(steps=POSES, first_s=FIRST_S, dt=STEP_S),
             answer=AnswerEntry(
-                components=("x", "y", "heading"),
+                components=COMPONENTS,
                 arrays=("scores",),
                 extras=(
                     TensorSpec("coarse_scores", F32, ("B", "N"), range=(0.0, 1.0)),
-                    TensorSpec("sub_scores", F32, ("B", "N", 5), range=(0.0, 1.0)),
+                    TensorSpec("sub_scores", F32, ("B", "N", len(SUB_SCORES)), range=(0.0, 1.0)),
                     *((direction,) if config.direction else ()),
-                    TensorSpec("agents", F32, ("B", AGENT_QUERIES, AGENT_STATE), "m, m, rad, m, m"),
-                    TensorSpec("agent_scores", F32, ("B", AGENT_QUERIES), range=(0.0, 1.0)),
-                    TensorSpec(
-                        "bev_semantics",
-                        F32,
-                        ("B", config.classes, rows, columns),
-                        range=(0.0, 1.0),
-                        extent=(0.0, reach, -reach, reach),
-                    ),
+                    *perceived(config.backbone, agents=AGENT_QUERIES, classes=config.classes),
                 ),
             ),
         )

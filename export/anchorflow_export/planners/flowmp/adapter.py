@@ -12,9 +12,7 @@ from torch import Tensor
 from anchorflow_client.contract import OdeSpec, TensorSpec
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
 from anchorflow_export.planners.flowmp.graphs import (
-    F32,
     PRIOR_BASIS,
-    TIMES,
     Context,
     FlowModel,
     context_names,
@@ -23,6 +21,7 @@ from anchorflow_export.planners.flowmp.graphs import (
     unit_of,
 )
 from anchorflow_export.planners.flowmp.scenes import dealt_means, random_scenes, stacked_inputs
+from anchorflow_export.planners.specs import COMPONENTS, F32, TIMES
 from anchorflow_export.tracing import trace_role
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import (
@@ -41,7 +40,6 @@ from anchorflow_trajectory.scene import ROUTE_STATES
 from anchorflow_trajectory.spline import STEEPNESS
 
 F64 = "float64"
-COMPONENTS = ("x", "y", "heading")
 ARRAYS = ("velocities", "accelerations", "scores", "clearance", "safe")
 
 

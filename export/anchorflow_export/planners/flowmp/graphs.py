@@ -9,6 +9,7 @@ from typing import Protocol
 from torch import Tensor
 
 from anchorflow_client.contract import TensorSpec
+from anchorflow_export.planners.specs import F32
 
 Context = dict[str, Tensor]
 
@@ -38,7 +39,6 @@ class FlowModel(Protocol):
 
 PRIOR_BASIS = "prior_basis"
 
-F32 = "float32"
 ENCODE_INPUTS = {
     spec.name: spec
     for spec in (
@@ -51,7 +51,6 @@ ENCODE_INPUTS = {
         TensorSpec("limits", F32, ("B", 4), "m/s, m/s^2, m, s", (0.0, None)),
     )
 }
-TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
 
 
 def encode_inputs(model: FlowModel, *, D: int, channels: int) -> tuple[TensorSpec, ...]:

@@ -12,6 +12,7 @@ from torch import Tensor
 from anchorflow_client.contract import AnchorRequest, OdeSpec, TensorSpec, resolve_for_card
 from anchorflow_client.sensors import ROUTE_POINTS, ROUTE_SPACING_M
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
+from anchorflow_export.planners.specs import COMPONENTS, F32, TIMES
 from anchorflow_export.tracing import trace_role
 from anchorflow_models.goalflow import BevLayout, GoalFlow
 from anchorflow_models.goalflow.goalflow import POSE, STATE, SURROUNDINGS, Context
@@ -28,7 +29,6 @@ from anchorflow_service.bundle.samplers import PriorEntry
 from anchorflow_service.engine.conditioning.tensors import TensorConditioning
 from anchorflow_service.engine.samplers.ode import OdeSampler
 
-F32 = "float32"
 ENCODE_OUTPUTS = (
     "prior_mean",
     "prior_basis",
@@ -39,7 +39,6 @@ ENCODE_OUTPUTS = (
     "course",
     *SURROUNDINGS,
 )
-COMPONENTS = ("x", "y", "heading")
 SIZES = ((1, 7, 3), (3, 5, 1))  # B, N and K of the trials; traced at others
 SAMPLED = 9  # anchors, enough for two slices
 SEED = 11
@@ -54,7 +53,6 @@ STATUS = TensorSpec(
 )
 SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
 ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
-TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
 
 
 def bev_spec(layout: BevLayout) -> TensorSpec:

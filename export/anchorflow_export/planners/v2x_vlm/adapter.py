@@ -22,6 +22,7 @@ from anchorflow_export.adapter import (
     TracedGraph,
 )
 from anchorflow_export.errors import ExportError
+from anchorflow_export.planners.specs import COMPONENTS, F32
 from anchorflow_export.tracing import trace
 from anchorflow_models.v2x_vlm import V2XVLM
 from anchorflow_models.v2x_vlm.network import poses
@@ -93,7 +94,7 @@ class V2XAdapter:
             sampler=VocabularyEntry(size=1),
             finish=NoFinishEntry(),
             time=TimeEntry(steps=config.waypoints, first_s=config.dt, dt=config.dt),
-            answer=AnswerEntry(components=("x", "y", "heading")),
+            answer=AnswerEntry(components=COMPONENTS),
             files={"tokenizer": ("tokenizer.json", self.model.tokenizer)},
         )
 
@@ -161,8 +162,8 @@ class V2XAdapter:
         config = self.model.config
         shape = ("B", config.size.embed_dim[-1], config.cells, config.cells)
         return (
-            TensorSpec(f"{VEHICLE}_features", "float32", shape),
-            TensorSpec(f"{INFRASTRUCTURE}_features", "float32", shape),
+            TensorSpec(f"{VEHICLE}_features", F32, shape),
+            TensorSpec(f"{INFRASTRUCTURE}_features", F32, shape),
             TensorSpec(f"has_{INFRASTRUCTURE}", "bool", ("B",)),
             TensorSpec("tokens", "int64", ("B", "L"), range=(0, config.vocabulary - 1)),
         )

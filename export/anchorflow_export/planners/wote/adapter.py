@@ -17,10 +17,10 @@ from anchorflow_export.adapter import (
     SampleTrial,
     TracedGraph,
 )
-from anchorflow_export.planners.sensors import random_sensors, sensor_inputs
+from anchorflow_export.planners.sensors import perceived, random_sensors, sensor_inputs
+from anchorflow_export.planners.specs import COMPONENTS, F32
 from anchorflow_export.tracing import trace, trace_role
 from anchorflow_models.sub_scores import SUB_SCORES
-from anchorflow_models.transfuser import AGENT_STATE
 from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_models.wote.wote import POSE
 from anchorflow_service.bundle import Bundle
@@ -34,8 +34,6 @@ from anchorflow_service.bundle.manifest import (
 from anchorflow_service.engine.conditioning.tensors import TensorConditioning
 from anchorflow_service.engine.samplers.vocabulary import VocabularySampler
 
-F32 = "float32"
-COMPONENTS = ("x", "y", "heading")
 TOLD = ("agents", "agent_scores", "bev_semantics")
 SCORED = ("trajectories", "scores", "offsets", "im_rewards", "sim_rewards")
 TRIALS = (1, 3)  # B; traced at another
@@ -43,20 +41,11 @@ TRIALS = (1, 3)  # B; traced at another
 
 def answer_extras(config: WoteConfig) -> tuple[TensorSpec, ...]:
     """What is sent along where a request asks for it."""
-    backbone, reach = config.backbone, config.backbone.lidar_range
     return (
         TensorSpec("offsets", F32, ("B", "N", config.num_steps, POSE), "m, m, rad"),
         TensorSpec("im_rewards", F32, ("B", "N"), range=(0.0, 1.0)),
         TensorSpec("sim_rewards", F32, ("B", "N", len(SUB_SCORES)), range=(0.0, 1.0)),
-        TensorSpec("agents", F32, ("B", config.agents, AGENT_STATE), "m, m, rad, m, m"),
-        TensorSpec("agent_scores", F32, ("B", config.agents), range=(0.0, 1.0)),
-        TensorSpec(
-            "bev_semantics",
-            F32,
-            ("B", config.semantic_classes, *backbone.semantic_size),
-            range=(0.0, 1.0),
-            extent=(0.0, reach, -reach, reach),
-        ),
+        *perceived(config.backbone, agents=config.agents, classes=config.semantic_classes),
     )
 
 
@@ -125,7 +114,8 @@ class WoteAdapter:
         sampler = VocabularySampler(bundle, threads=1, provider="cpu")
         resolved = resolve_for_card(request, bundle.card)
         (scene,) = TensorConditioning(bundle.manifest).scenes(resolved)
-        drawn = sampler.sample(scene, sampler.encode(scene, threads=1), threads=1, check=_go_on)
+        encoded = sampler.encode(scene, threads=1)
+        drawn = sampler.sample(scene, encoded, threads=1, check=lambda: None)
         context = self.model.encode(**inputs)
         given = self.model.score(**{name: context[name] for name in self.model.context_for_score})
         states, scores = given["trajectories"][0].numpy(), given["scores"][0].numpy()
@@ -140,7 +130,3 @@ class WoteAdapter:
 def wote_adapter(model: WoTE, _choices: ExportChoices) -> WoteAdapter:
     """The adapter of a network; it has no use for the choices."""
     return WoteAdapter(model)
-
-
-def _go_on() -> None:
-    """Nothing stops a trial."""

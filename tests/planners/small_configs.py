@@ -1,0 +1,14 @@
+"""The small networks that see, as the configuration files of `examples/` have them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from anchorflow_training.config_file import layers
+from anchorflow_training.driving.diffusiondrive_run import DiffusionDriveRunConfig
+from anchorflow_training.driving.wote_run import WoteRunConfig
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+WOTE = layers(WoteRunConfig, {}, EXAMPLES / "wote-small.yaml").model
+DIFFUSIONDRIVE = layers(DiffusionDriveRunConfig, {}, EXAMPLES / "diffusiondrive-small.yaml").model
+BACKBONE = WOTE.backbone

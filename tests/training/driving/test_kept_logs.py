@@ -1,0 +1,31 @@
+"""Something is done with every log, on the cores that this process may use."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from anchorflow_training.driving.kept_logs import each_log
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are held to cores on Linux alone")
+def test_a_process_that_may_use_one_core_has_one_worker(tmp_path: Path) -> None:
+    logs = [tmp_path / f"{number}.npz" for number in range(8)]
+    workers: list[int] = []
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(allowed)})
+    try:
+        each_log(
+            Path.touch,
+            logs,
+            of=len(logs),
+            progress=lambda *_: workers.append(len(multiprocessing.active_children())),
+        )
+    finally:
+        os.sched_setaffinity(0, allowed)
+    assert all(log.exists() for log in logs)
+    assert max(workers) == 1
