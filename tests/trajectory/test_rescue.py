@@ -59,6 +59,33 @@ def test_a_corridor_is_turned_in(turns: int, width: float, size: float) -> None:
     np.testing.assert_allclose(anchors.positions[:, -1], np.tile(goal, (ANCHORS, 1)), atol=1e-4)
 
 
+def serpentine(lanes: int, *, width: float) -> tuple[np.ndarray, ...]:
+    """Lanes of 8 m above one another, joined at their ends by turns."""
+    wall, w, cells = round(0.2 / RESOLUTION), round(width / RESOLUTION), round(9.0 / RESOLUTION)
+    pitch = w + wall
+    occupied = np.zeros((lanes * pitch + wall, cells), np.float32)
+    occupied[:, :wall] = occupied[:, -wall:] = 1.0
+    for lane in range(lanes + 1):
+        occupied[lane * pitch : lane * pitch + wall] = 1.0
+        if 0 < lane < lanes:
+            gap = slice(-wall - w, -wall) if lane % 2 else slice(wall, wall + w)
+            occupied[lane * pitch : lane * pitch + wall, gap] = 0.0
+    low, left = (wall + w / 2) * RESOLUTION, (wall + w / 2) * RESOLUTION
+    high = low + (lanes - 1) * pitch * RESOLUTION
+    return occupied, np.array([left, low]), np.array([9.0 - left if lanes % 2 else left, high])
+
+
+def test_more_corners_than_eighteen_control_points_hold() -> None:
+    occupied, start, goal = serpentine(6, width=1.0)
+
+    anchors = refined(occupied, start, goal, MotionLimits(2.0, 3.0))
+
+    assert anchors.safe.all()
+    assert anchors.positions.shape[1] == 64
+    np.testing.assert_allclose(anchors.positions[:, 0], np.tile(start, (ANCHORS, 1)), atol=1e-4)
+    np.testing.assert_allclose(anchors.positions[:, -1], np.tile(goal, (ANCHORS, 1)), atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("x_curr", "x_goal", "v_max", "a_max"),
     [
@@ -77,6 +104,17 @@ def test_who_is_fast_and_heavy_brakes(
     assert anchors.safe.all()
     velocity = np.pad(np.array(x_curr[2:]), (0, 4 - len(x_curr)))
     np.testing.assert_allclose(anchors.velocities[:, 0], np.tile(velocity, (ANCHORS, 1)), atol=1e-3)
+
+
+def test_who_needs_much_room_takes_long_steps() -> None:
+    """Not stretched until the course that was drawn can be driven: made to swing wider."""
+    free = np.zeros((500, 500), np.float32)
+    sideways = np.array([10.0, 25.0, 0.0, 5.0])
+
+    anchors = refined(free, sideways, np.array([40.0, 25.0]), MotionLimits(5.0, 4.0))
+
+    assert anchors.safe.all()
+    assert anchors.duration.max() < 26.0
 
 
 @pytest.mark.parametrize(

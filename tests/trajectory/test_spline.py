@@ -120,6 +120,22 @@ def test_ends_at_rest_do_not_depend_on_the_duration(basis: SplineBasis) -> None:
     assert (np.ptp(basis.end_points(rest, DURATION), axis=1) == 0.0).all()
 
 
+def test_a_finer_basis_holds_the_same_curves(basis: SplineBasis, splines: Splines) -> None:
+    finer = basis.finer
+    assert finer is not None
+    assert finer.num_control_points - finer.degree == 2 * (basis.num_control_points - basis.degree)
+
+    for found, wanted in zip(
+        finer.states(basis.refined(splines)), basis.states(splines), strict=True
+    ):
+        np.testing.assert_allclose(found, wanted, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_no_basis_is_finer_than_its_samples_tell() -> None:
+    assert spline_basis(57).finer is not None
+    assert spline_basis(56).finer is None
+
+
 def test_rest_curves_have_the_least_jerk(basis: SplineBasis, splines: Splines) -> None:
     rest = basis.rest_curves(ENDS, DURATION)
 

@@ -13,9 +13,9 @@ from anchorflow_trajectory.bisection import bisect_to_safe
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.cost import TrajectoryCost
-from anchorflow_trajectory.rescue import beginnings
+from anchorflow_trajectory.rescue import Beginnings, Rescue, beginnings
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import Splines
+from anchorflow_trajectory.spline import SplineBasis, Splines
 from anchorflow_trajectory.verify import (
     are_safe,
     is_one_motion,
@@ -33,9 +33,13 @@ DESCENT_RATE = 0.3  # m, a first step on the control points
 FURTHER_RATES = (0.15, 0.15)
 STIFFER = 4.0  # by how much obstacles and limits then weigh more, from one to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
-# Where a route still has nothing safe, it is begun on anew and descended for longer.
+# Where a route still has nothing safe, it is begun on anew and descended for longer; then so on a
+# finer basis, on which the nearest of each route are descended for longer still.
 RESCUE_STEPS, RESCUE_RATE = 60, 0.1
-MOST_RESCUED = 4  # anchors of a route, to which the others are then brought back
+LONGER_STEPS, MOST_LONGER = 150, 8
+# Rates are for robots of 2 m/s and 3 m/s^2. How far a first step goes grows with v_max^2 / a_max,
+# the room that a robot needs to turn or brake.
+TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
@@ -119,13 +123,13 @@ class Refiner:
         certified = spec.certified_margin if self._attainable(spec, field) else 0.0
         barrier = self._barrier(field, certified) if spec.barrier else None
         if spec.project:
-            splines = self._project(cost, splines, route, certified, barrier)
+            cost, splines = self._project(cost, splines, route, certified, barrier)
         elif barrier is not None:
-            safe = self._safe(splines, certified)
+            safe = self._safe(splines, cost.basis, certified)
             splines, _ = self._corrected(splines, safe, certified, barrier)
         is_finished = spec.project or spec.smooth or spec.barrier
         if is_finished:
-            found = scene.basis.states(splines)
+            found = cost.basis.states(splines)
         else:
             found = self._as_sampled(states, splines.duration)
         position, velocity, acceleration = (np.ascontiguousarray(s, np.float32) for s in found)
@@ -175,10 +179,13 @@ class Refiner:
         route: NDArray[np.intp],
         certified: float,
         barrier: ControlBarrier | None,
-    ) -> Splines:
-        """Descend, help along its way what has failed, and bring back what then still fails."""
-        scene = self.scene
-        first = Attempt(self.steps, self.rate, shares=HURRIED)
+    ) -> tuple[TrajectoryCost, Splines]:
+        """Descend, help along its way what has failed, and bring back what then still fails.
+
+        The cost comes back on the basis of the splines.
+        """
+        scene, asked, reach = self.scene, cost, self._reach
+        first = Attempt(self.steps, reach * self.rate, shares=HURRIED)
         splines, safe = self._attempted(first, cost, splines, certified, barrier)
         helped = ~safe
         for rate in FURTHER_RATES:
@@ -186,22 +193,24 @@ class Refiner:
                 break
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
             failed = np.flatnonzero(helped)
-            slowly = Attempt(self.steps, rate, slowed_before=True, slowed_after=True)
+            slowly = Attempt(self.steps, reach * rate, slowed_before=True, slowed_after=True)
             tried, gained = self._attempted(slowly, cost, splines[failed], certified, barrier)
             splines = splines.replaced(failed, tried)
             safe[failed] = gained
             helped = ~safe & ~self._has_any(route[safe])[route]
         sound = np.flatnonzero(safe)
-        sound = sound[self._on_route(splines[sound], route[sound])]
+        sound = sound[self._on_route(splines[sound], cost.basis, route[sound])]
         reached = self._has_any(route[sound])
         lost = np.flatnonzero(self._has_any(route) & ~reached)
         if len(lost):
-            splines, safe = self._rescued(cost, splines, safe, route, lost, certified, barrier)
-        return bisect_to_safe(
+            rescue = Rescue(splines, safe.copy(), route, lost)
+            cost = self._rescue(rescue, cost, certified, barrier)
+            splines, safe = rescue.splines, rescue.safe
+        return replace(asked, basis=cost.basis), bisect_to_safe(
             splines,
             safe,
             scene.ends,
-            scene.basis,
+            cost.basis,
             cost.fields.clearance,
             scene.motion,
             route=route,
@@ -209,35 +218,53 @@ class Refiner:
             spread=self.spread,
         )
 
-    def _rescued(
+    @property
+    def _reach(self) -> float:
+        """By how much farther the first step of a descent goes for who needs more room."""
+        motion = self.scene.motion
+        return min(max(motion.v_max**2 / motion.a_max / TURN, 1.0), MOST_REACH)
+
+    def _rescue(
+        self, rescue: Rescue, cost: TrajectoryCost, certified: float, barrier: ControlBarrier | None
+    ) -> TrajectoryCost:
+        """Begin anew on each of the lost routes; the cost, on the basis of the splines by then."""
+        self._begin_anew(rescue, cost, certified, barrier)
+        finer = cost.basis.finer
+        if finer is None or not len(rescue.lost):
+            return cost
+        rescue.refine(cost.basis)
+        cost, barrier = replace(cost, basis=finer), barrier and replace(barrier, basis=finer)
+        self._begin_anew(rescue, cost, certified, barrier)
+        if len(rescue.lost):
+            nearest = rescue.nearest(MOST_LONGER)
+            self._try(rescue, LONGER_STEPS, nearest, cost, certified, barrier)
+        return cost
+
+    def _begin_anew(
+        self, rescue: Rescue, cost: TrajectoryCost, certified: float, barrier: ControlBarrier | None
+    ) -> None:
+        """Try what the lost routes may be begun on, until none is lost."""
+        scene, lost = self.scene, rescue.lost
+        for begun in beginnings(scene, cost.basis, lost, certified_margin=certified):
+            self._try(rescue, RESCUE_STEPS, rescue.of_lost(*begun), cost, certified, barrier)
+            if not len(rescue.lost):
+                break
+
+    def _try(
         self,
+        rescue: Rescue,
+        steps: int,
+        begun: Beginnings,
         cost: TrajectoryCost,
-        splines: Splines,
-        safe: BoolArray,
-        route: NDArray[np.intp],
-        lost: NDArray[np.intp],
         certified: float,
         barrier: ControlBarrier | None,
-    ) -> tuple[Splines, BoolArray]:
-        """Some anchors anew on each of the `lost` routes; and which are safe then."""
-        rescue = Attempt(RESCUE_STEPS, RESCUE_RATE, slowed_after=True)
-        safe = safe.copy()
-        for begun, along in beginnings(self.scene, lost, certified_margin=certified):
-            still = np.isin(along, lost)
-            begun, along = begun[still], along[still]
-            tried, gained = self._attempted(rescue, cost, begun, certified, barrier)
-            gained &= self._on_route(tried, along)
-            for each in np.unique(along[gained]):
-                found = np.flatnonzero(gained & (along == each))
-                cheapest = found[np.argsort(cost.value(tried[found]))][:MOST_RESCUED]
-                own = np.flatnonzero(route == each)
-                places = own[np.argsort(safe[own], kind="stable")][: len(cheapest)]
-                splines = splines.replaced(places, tried[cheapest[: len(places)]])
-                safe[places] = True
-            lost = lost[~np.isin(lost, along[gained])]
-            if not len(lost):
-                break
-        return splines, safe
+    ) -> None:
+        """Descend so many steps, and keep what is safe on its route."""
+        splines, along = begun
+        attempt = Attempt(steps, self._reach * RESCUE_RATE, slowed_after=True)
+        tried, safe = self._attempted(attempt, cost, splines, certified, barrier)
+        gained = safe & self._on_route(tried, cost.basis, along)
+        rescue.take(tried, along, gained, cost.value(tried))
 
     def _has_any(self, route: NDArray[np.intp]) -> BoolArray:
         """Which of the scene's routes are among these: [R]."""
@@ -245,12 +272,12 @@ class Refiner:
         found[route] = True
         return found
 
-    def _on_route(self, splines: Splines, route: NDArray[np.intp]) -> BoolArray:
+    def _on_route(self, splines: Splines, basis: SplineBasis, route: NDArray[np.intp]) -> BoolArray:
         """Which still pass the obstacles on the same sides as their route: [M]."""
         scene = self.scene
         if len(scene.routes) < 2:
             return np.ones(len(splines), np.bool_)
-        positions = splines.control.transpose(1, 0, 2) @ scene.basis.position.T
+        positions = splines.control.transpose(1, 0, 2) @ basis.position.T
         found = scene.rays.signatures(
             positions[:, :2].swapaxes(1, 2), resolution=scene.resolution, origin=scene.origin
         )
@@ -279,15 +306,15 @@ class Refiner:
             return splines, safe
         failed = np.flatnonzero(~safe)
         corrected = barrier.corrected(splines[failed])
-        gained = self._safe(corrected, certified)
+        gained = self._safe(corrected, barrier.basis, certified)
         safe[failed[gained]] = True
         return splines.replaced(failed[gained], corrected[gained]), safe
 
-    def _safe(self, splines: Splines, certified: float) -> BoolArray:
+    def _safe(self, splines: Splines, basis: SplineBasis, certified: float) -> BoolArray:
         scene = self.scene
         return are_safe(
             splines,
-            scene.basis,
+            basis,
             scene.cost_fields.clearance,
             scene.motion,
             certified_margin=certified,

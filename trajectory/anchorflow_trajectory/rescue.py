@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,38 +29,97 @@ BEND = 0.025
 """Of a route's length: the spread about a corner of where that time is spent."""
 ROOM = 0.35
 """m beyond robot_radius that a route keeps which is searched anew, to lead round corners."""
+MOST_RESCUED = 4
+"""Anchors of a route that are begun anew; the others are then brought back to them."""
 REST_STRETCHES = np.geomspace(1.0, 20.0, 48)
 """Likewise, of the smoothest curves between both ends: what is fast and heavy brakes for long."""
 PLACES = 512  # along a route, at which is told how much time has passed
 
 
+@dataclass(eq=False)
+class Rescue:
+    """The anchors of a scene, while the routes that have nothing safe are begun anew.
+
+    route: [N] the place of the route that each follows
+    lost: places of routes that have nothing safe yet
+    """
+
+    splines: Splines
+    safe: NDArray[np.bool_]
+    route: NDArray[np.intp]
+    lost: NDArray[np.intp]
+    _failed: list[tuple[Splines, NDArray[np.intp], FloatArray]] = field(default_factory=list)
+
+    def of_lost(self, begun: Splines, along: NDArray[np.intp]) -> Beginnings:
+        """Those on routes that are still lost."""
+        still = np.isin(along, self.lost)
+        return begun[still], along[still]
+
+    def take(
+        self, tried: Splines, along: NDArray[np.intp], gained: NDArray[np.bool_], cost: FloatArray
+    ) -> None:
+        """Put the cheapest of those that were gained, [M], in the places of their routes' anchors.
+
+        along, cost: [M]
+        """
+        for each in np.unique(along[gained]):
+            found = np.flatnonzero(gained & (along == each))
+            cheapest = found[np.argsort(cost[found])][:MOST_RESCUED]
+            own = np.flatnonzero(self.route == each)
+            places = own[np.argsort(self.safe[own], kind="stable")][: len(cheapest)]
+            self.splines = self.splines.replaced(places, tried[cheapest[: len(places)]])
+            self.safe[places] = True
+        self.lost = self.lost[~np.isin(self.lost, along[gained])]
+        self._failed.append((tried, along, cost))
+
+    def nearest(self, most: int) -> Beginnings:
+        """Of each lost route the cheapest, at most so many, of all that were tried."""
+        tried, along = _joined([(splines, along) for splines, along, _ in self._failed])
+        cost = np.concatenate([cost for *_, cost in self._failed])
+        own = [np.flatnonzero(along == each) for each in self.lost]
+        kept = np.concatenate([places[np.argsort(cost[places])][:most] for places in own])
+        return tried[kept], along[kept]
+
+    def refine(self, basis: SplineBasis) -> None:
+        """Go on with the same curves on a finer basis than theirs.
+
+        basis: theirs
+        """
+        self.splines = basis.refined(self.splines)
+        self._failed.clear()
+
+
 def beginnings(
-    scene: Scene, lost: NDArray[np.intp], *, certified_margin: float
+    scene: Scene, basis: SplineBasis, lost: NDArray[np.intp], *, certified_margin: float
 ) -> Iterator[Beginnings]:
     """What the `lost` routes may be begun on, what is cheaper first: what follows a route that has
     been rescued meanwhile need not be looked at.
 
-    A route's own spline, driven slowly; the smoothest curve between both ends, for who must brake;
-    control points on the route, close together at its corners, since a B-spline lies in the hulls
-    of five in a row; and all that along a route with more room, which does not hug its corners.
+    A route's own spline, driven slowly, where that is on this basis; the smoothest curve between
+    both ends, for who must brake; control points on the route, close together at its corners, since
+    a B-spline lies in the hulls of five in a row; and all that along a route with more room, which
+    does not hug its corners.
+
+    basis: of the splines
 
     certified_margin: m, with which nothing was safe
     """
-    yield _slowed(scene, scene.route_splines[lost], RESCUE_STRETCH), lost
+    if basis is scene.basis:
+        yield _slowed(scene, basis, scene.route_splines[lost], RESCUE_STRETCH), lost
     routes = {int(place): scene.routes[place] for place in lost if place < len(scene.routes)}
-    resting = _resting(scene, certified_margin)
+    resting = _resting(scene, basis, certified_margin)
     rest = np.zeros(len(resting), np.intp)
-    yield _joined([*((resting, rest + place) for place in lost), *_along(scene, routes)])
+    yield _joined([*((resting, rest + place) for place in lost), *_along(scene, basis, routes)])
     roomy = {route.signature: route for route in scene.routes_with(ROOM + certified_margin)}
     found = {place: roomy.get(route.signature) for place, route in routes.items()}
     again = {place: route for place, route in found.items() if route is not None}
     if again:
-        yield _joined([*_paced(scene, again), *_along(scene, again)])
+        yield _joined([*_paced(scene, basis, again), *_along(scene, basis, again)])
 
 
-def _along(scene: Scene, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
+def _along(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
     """Splines whose control points stand on these routes."""
-    basis, duration = scene.basis, _durations(scene, np.array(STRETCHES))
+    duration = _durations(scene, np.array(STRETCHES))
     for place, route in routes.items():
         for dwell in DWELLS:
             splines = basis.rest_curves(scene.ends, duration)
@@ -68,20 +128,20 @@ def _along(scene: Scene, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
             yield splines, np.full(len(splines), place)
 
 
-def _paced(scene: Scene, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
+def _paced(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
     """Splines along these routes as `splines_along` fits them, and the same driven slowly."""
     for place, route in routes.items():
-        splines = splines_along([route], scene.basis, scene.ends, limits=scene.motion)
-        for each in (splines, _slowed(scene, splines, RESCUE_STRETCH)):
+        splines = splines_along([route], basis, scene.ends, limits=scene.motion)
+        for each in (splines, _slowed(scene, basis, splines, RESCUE_STRETCH)):
             yield each, np.array([place])
 
 
-def _slowed(scene: Scene, splines: Splines, factor: float) -> Splines:
+def _slowed(scene: Scene, basis: SplineBasis, splines: Splines, factor: float) -> Splines:
     """The same ways in so many times the duration, where there is no horizon."""
     if scene.motion.horizon_s is not None:
         return splines
-    duration, free = splines.duration * factor, scene.basis.free
-    control = scene.basis.end_points(scene.ends, duration)
+    duration, free = splines.duration * factor, basis.free
+    control = basis.end_points(scene.ends, duration)
     control[..., free] = splines.control[..., free]
     return Splines(control, duration)
 
@@ -107,11 +167,11 @@ def _placed(route: Route, basis: SplineBasis, dwell: float) -> FloatArray:
     return np.stack([np.interp(place, marks, axis) for axis in points.T], -1)
 
 
-def _resting(scene: Scene, certified_margin: float) -> Splines:
+def _resting(scene: Scene, basis: SplineBasis, certified_margin: float) -> Splines:
     """The smoothest curve between both ends, in the least duration in which it is safe; or none."""
-    curves = scene.basis.rest_curves(scene.ends, _durations(scene, REST_STRETCHES))
+    curves = basis.rest_curves(scene.ends, _durations(scene, REST_STRETCHES))
     field = scene.cost_fields.clearance
-    safe = are_safe(curves, scene.basis, field, scene.motion, certified_margin=certified_margin)
+    safe = are_safe(curves, basis, field, scene.motion, certified_margin=certified_margin)
     return curves[np.flatnonzero(safe)[:1]]
 
 

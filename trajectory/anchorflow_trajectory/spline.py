@@ -88,6 +88,7 @@ class SplineBasis:
     position, velocity, acceleration, jerk: [T, K], of the derivatives by s of order 0 to 3
     ends: [K, 5], control points from (p, p', p'') at s = 0 and (p, p') at s = 1 with every free
         point zero
+    degree: of its polynomials
     """
 
     position: FloatArray
@@ -95,6 +96,7 @@ class SplineBasis:
     acceleration: FloatArray
     jerk: FloatArray
     ends: FloatArray
+    degree: int
 
     @property
     def num_samples(self) -> int:
@@ -108,6 +110,30 @@ class SplineBasis:
     def free(self) -> slice:
         """The control points that the ends leave free."""
         return slice(START_POINTS, self.num_control_points - GOAL_POINTS)
+
+    @cached_property
+    def finer(self) -> SplineBasis | None:
+        """The basis with a knot more in the middle of every span; None where fewer than two
+        samples would be left to a span.
+        """
+        spans = 2 * (self.num_control_points - self.degree)
+        if 2 * spans >= self.num_samples:
+            return None
+        return spline_basis(
+            self.num_samples, num_control_points=spans + self.degree, degree=self.degree
+        )
+
+    def refined(self, splines: Splines) -> Splines:
+        """The same curves on the finer basis, which holds all of this one's."""
+        assert self.finer is not None
+        return Splines(splines.control @ self._refinement, splines.duration)
+
+    @cached_property
+    def _refinement(self) -> FloatArray:
+        """[K, K of the finer]"""
+        assert self.finer is not None
+        fine, coarse = (each.position.astype(np.float64) for each in (self.finer, self))
+        return np.linalg.lstsq(fine, coarse, rcond=None)[0].T.astype(np.float32)
 
     @cached_property
     def stacked(self) -> FloatArray:
@@ -225,7 +251,7 @@ def spline_basis(
     times = np.linspace(0.0, 1.0, num_samples)
     orders = [basis_functions(knots, degree, times, derivative=k) for k in range(4)]
     position, velocity, acceleration, jerk = (order.astype(np.float32) for order in orders)
-    return SplineBasis(position, velocity, acceleration, jerk, _ends(orders))
+    return SplineBasis(position, velocity, acceleration, jerk, _ends(orders), degree)
 
 
 def basis_functions(
