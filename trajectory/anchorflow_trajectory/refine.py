@@ -34,11 +34,10 @@ FURTHER_RATES = (0.15, 0.15)
 STIFFER = 4.0  # by how much obstacles and limits then weigh more, from one to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
 # Where a route still has nothing safe, it is begun on anew and descended for longer; then so on a
-# finer basis, on which the nearest of each route are descended for longer still.
+# finer basis, on which the nearest of each route are descended for longer still. The last rate is
+# for a robot of 2 m/s and 3 m/s^2: it grows with v_max^2 / a_max, the room that one needs to turn.
 RESCUE_STEPS, RESCUE_RATE = 60, 0.1
 LONGER_STEPS, MOST_LONGER = 150, 8
-# Rates are for robots of 2 m/s and 3 m/s^2. How far a first step goes grows with v_max^2 / a_max,
-# the room that a robot needs to turn or brake.
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
@@ -184,8 +183,8 @@ class Refiner:
 
         The cost comes back on the basis of the splines.
         """
-        scene, asked, reach = self.scene, cost, self._reach
-        first = Attempt(self.steps, reach * self.rate, shares=HURRIED)
+        scene, asked = self.scene, cost
+        first = Attempt(self.steps, self.rate, shares=HURRIED)
         splines, safe = self._attempted(first, cost, splines, certified, barrier)
         helped = ~safe
         for rate in FURTHER_RATES:
@@ -193,7 +192,7 @@ class Refiner:
                 break
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
             failed = np.flatnonzero(helped)
-            slowly = Attempt(self.steps, reach * rate, slowed_before=True, slowed_after=True)
+            slowly = Attempt(self.steps, rate, slowed_before=True, slowed_after=True)
             tried, gained = self._attempted(slowly, cost, splines[failed], certified, barrier)
             splines = splines.replaced(failed, tried)
             safe[failed] = gained
@@ -218,12 +217,6 @@ class Refiner:
             spread=self.spread,
         )
 
-    @property
-    def _reach(self) -> float:
-        """By how much farther the first step of a descent goes for who needs more room."""
-        motion = self.scene.motion
-        return min(max(motion.v_max**2 / motion.a_max / TURN, 1.0), MOST_REACH)
-
     def _rescue(
         self, rescue: Rescue, cost: TrajectoryCost, certified: float, barrier: ControlBarrier | None
     ) -> TrajectoryCost:
@@ -236,32 +229,33 @@ class Refiner:
         cost, barrier = replace(cost, basis=finer), barrier and replace(barrier, basis=finer)
         self._begin_anew(rescue, cost, certified, barrier)
         if len(rescue.lost):
-            nearest = rescue.nearest(MOST_LONGER)
-            self._try(rescue, LONGER_STEPS, nearest, cost, certified, barrier)
+            motion, nearest = self.scene.motion, rescue.nearest(MOST_LONGER)
+            reach = min(max(motion.v_max**2 / motion.a_max / TURN, 1.0), MOST_REACH)
+            longer = Attempt(LONGER_STEPS, reach * RESCUE_RATE, slowed_after=True)
+            self._try(longer, rescue, nearest, cost, certified, barrier)
         return cost
 
     def _begin_anew(
         self, rescue: Rescue, cost: TrajectoryCost, certified: float, barrier: ControlBarrier | None
     ) -> None:
         """Try what the lost routes may be begun on, until none is lost."""
-        scene, lost = self.scene, rescue.lost
-        for begun in beginnings(scene, cost.basis, lost, certified_margin=certified):
-            self._try(rescue, RESCUE_STEPS, rescue.of_lost(*begun), cost, certified, barrier)
+        scene, attempt = self.scene, Attempt(RESCUE_STEPS, RESCUE_RATE, slowed_after=True)
+        for begun in beginnings(scene, cost.basis, rescue.lost, certified_margin=certified):
+            self._try(attempt, rescue, rescue.of_lost(*begun), cost, certified, barrier)
             if not len(rescue.lost):
                 break
 
     def _try(
         self,
+        attempt: Attempt,
         rescue: Rescue,
-        steps: int,
         begun: Beginnings,
         cost: TrajectoryCost,
         certified: float,
         barrier: ControlBarrier | None,
     ) -> None:
-        """Descend so many steps, and keep what is safe on its route."""
+        """Keep what is safe on its route after the attempt."""
         splines, along = begun
-        attempt = Attempt(steps, self._reach * RESCUE_RATE, slowed_after=True)
         tried, safe = self._attempted(attempt, cost, splines, certified, barrier)
         gained = safe & self._on_route(tried, cost.basis, along)
         rescue.take(tried, along, gained, cost.value(tried))

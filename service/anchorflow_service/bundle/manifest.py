@@ -102,7 +102,7 @@ class SplineEntry(Entry):
     steps: PositiveInt
     """Descents of the projection."""
     rate: PositiveFloat = DESCENT_RATE
-    """m, of the first of them; up to three times that for robots that need more room to turn."""
+    """m, of the first of them."""
     num_control_points: PositiveInt
     degree: PositiveInt
 
