@@ -6,23 +6,37 @@ the same answer.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_client.contract.checks import describe, integer
+from anchorflow_client.contract.ranges import MAX_PIXELS, Interval
+from anchorflow_client.errors import InvalidRequest
+
 Pixels = NDArray[np.uint8]
+
+COLOURS = 3
+SIZE = Interval(1, math.isqrt(MAX_PIXELS))
 
 SHARPNESS = -0.5
 """a of the cubic kernel (Keys 1981), as image libraries have it."""
 
 
 def resized(pixels: Pixels, size: int) -> Pixels:
-    """A picture [...,H,W] as [...,size,size], by cubic interpolation, averaged where it shrinks.
+    """A picture [...,3,H,W] as [...,3,size,size].
 
-    The whole picture is kept and its sides are not in proportion any more, as the vision towers are
-    trained with. A picture of that size comes back as it is.
+    By cubic interpolation, averaged where it shrinks. The whole picture is kept and its sides are
+    not in proportion any more, as the vision towers are trained with. A picture of that size comes
+    back as it is.
+
+    Raises:
+        InvalidRequest: names `pixels` or `size`.
     """
+    _check_picture(pixels)
+    size = integer(size, "size", SIZE)
     height, width = pixels.shape[-2:]
     if (height, width) == (size, size):
         return pixels
@@ -30,6 +44,17 @@ def resized(pixels: Pixels, size: int) -> Pixels:
     columns = _along(flat.transpose(2, 1, 0), size)  # [size,H,C]
     both = _along(columns.transpose(1, 0, 2), size)  # [size,size,C]
     return both.transpose(2, 0, 1).astype(np.uint8).reshape(*pixels.shape[:-2], size, size)
+
+
+def _check_picture(pixels: Any) -> None:
+    is_bytes = isinstance(pixels, np.ndarray) and pixels.dtype == np.uint8
+    shape = pixels.shape if is_bytes and pixels.size else ()
+    if len(shape) >= 3 and shape[-3] == COLOURS:
+        return
+    told = f"expected an array of uint8 [...,3,H,W], none of its sides 0, got {describe(pixels)}"
+    if len(shape) >= 3 and shape[-1] == COLOURS:
+        told += "; np.moveaxis(pixels, -1, -3) puts the colours first"
+    raise InvalidRequest(told, "pixels")
 
 
 def _along(values: NDArray[Any], size: int) -> NDArray[np.float32]:

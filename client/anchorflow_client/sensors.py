@@ -15,7 +15,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anchorflow_client.contract.checks import as_array
+from anchorflow_client.contract.arrays import within
+from anchorflow_client.contract.checks import as_array, choice, integer
+from anchorflow_client.contract.ranges import COORDINATE, MAX_PIXELS, Interval
 from anchorflow_client.contract.route import polyline
 from anchorflow_client.errors import InvalidRequest
 
@@ -25,6 +27,8 @@ Floats = NDArray[np.float32]
 COMMANDS = ("left", "straight", "right", "unknown")
 
 CAMERA_ROWS, CAMERA_COLUMNS = 256, 1024
+SIDE = Interval(1, MAX_PIXELS)
+"""Rows or columns of a picture."""
 CROPPED_ROWS = 28 / 1080
 """Of each image's height, at its top and at its bottom."""
 CROPPED_COLUMNS = 416 / 1920
@@ -34,6 +38,8 @@ LIDAR_RANGE_M = 32.0
 LIDAR_CELLS_PER_M = 4
 LIDAR_LEAST_HEIGHT_M = 0.2
 LIDAR_MOST_POINTS = 5
+FEW_POINTS, MOST_OF_A_POINT = 8, 32
+"""A cloud of so few points with more numbers each lies on its side: no sensor tells as many."""
 LIDAR_BEFORE_S = 0.5
 """Between the two sweeps that a planner may look at: as far apart as NAVSIM's samples."""
 
@@ -60,7 +66,7 @@ def stitch_cameras(
         left, front, right: uint8 [H, W, 3], of one size, red first.
 
     Raises:
-        InvalidRequest: names `camera_left`, `camera_front` or `camera_right`.
+        InvalidRequest: names `camera_left`, `camera_front`, `camera_right`, `rows` or `columns`.
     """
     images = {"left": left, "front": front, "right": right}
     arrays = {name: _image(image, f"camera_{name}") for name, image in images.items()}
@@ -83,9 +89,10 @@ def resize_image(image: ArrayLike, *, rows: int, columns: int) -> Bytes:
     """uint8 [rows, columns, 3] of an image [H, W, 3]: each pixel the mean of what it covers.
 
     Raises:
-        InvalidRequest: names `image`.
+        InvalidRequest: names `image`, `rows` or `columns`.
     """
     pixels = _image(image, "image")
+    rows, columns = integer(rows, "rows", SIDE), integer(columns, "columns", SIDE)
     if pixels.shape[:2] == (rows, columns):
         return pixels
     across = _area_weights(pixels.shape[1], columns)
@@ -113,6 +120,9 @@ def lidar_histogram(points: ArrayLike, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> 
     cloud = as_array(points, "lidar", np.float32)
     if cloud.ndim != 2 or cloud.shape[1] < 3:
         raise InvalidRequest(f"expected shape [P, 3], got {list(cloud.shape)}", "lidar")
+    if len(cloud) <= FEW_POINTS and cloud.shape[1] > MOST_OF_A_POINT:
+        came = f"{list(cloud.shape)}; .T turns a cloud of columns"
+        raise InvalidRequest(f"expected shape [P, 3], got {came}", "lidar")
     if not np.isfinite(cloud[:, :3]).all():
         raise InvalidRequest("expected finite numbers, got NaN or infinity", "lidar")
     cells = round(2 * LIDAR_RANGE_M * LIDAR_CELLS_PER_M)
@@ -138,8 +148,7 @@ def ego_status(*, command: str, velocity: ArrayLike, acceleration: ArrayLike) ->
     Raises:
         InvalidRequest: names `command`, `velocity` or `acceleration`.
     """
-    if command not in COMMANDS:
-        raise InvalidRequest(f"expected one of {', '.join(COMMANDS)}, got {command!r}", "command")
+    choice(command, "command", COMMANDS)
     vectors = {"velocity": velocity, "acceleration": acceleration}
     numbers = {name: as_array(value, name, np.float32) for name, value in vectors.items()}
     for name, value in numbers.items():
@@ -157,12 +166,13 @@ def route_ahead(points: ArrayLike) -> Floats:
     It goes on straight where the polyline ends.
 
     Args:
-        points: [V, 2] m, a polyline in the frame of the rear axle, two points or more.
+        points: [V, 2] m, a polyline in the frame of the rear axle, two points or more, none of
+            them farther away than 10,000 km.
 
     Raises:
         InvalidRequest: names `route`.
     """
-    line = polyline(points)
+    line = within(polyline(points), "route", COORDINATE)
     gaps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     line = line[np.concatenate([[True], gaps > SAME_POINT])]
     if len(line) < 2:

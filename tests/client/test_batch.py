@@ -229,6 +229,17 @@ def test_a_route_that_is_none_is_refused(route: Any, message: str) -> None:
         batch().best_along(route)
 
 
+@pytest.mark.parametrize("within", [-1.0, np.nan, np.inf, "2 m", None])
+def test_along_a_route_within_is_a_distance(within: Any) -> None:
+    with pytest.raises(InvalidRequest, match=r"within: expected a number in \[0, inf\) m, got "):
+        ways().best_along([[0.0, 0.0], [40.0, 0.0]], within=within)
+
+
+def test_what_ends_beyond_a_routes_end_is_beside_it() -> None:
+    short, long = [[0.0, 0.0], [10.0, -5.0]], [[0.0, 0.0], [40.0, -20.0]]
+    assert (ways().best_along(short), ways().best_along(long)) == (ways().best, 3)
+
+
 def test_of_several_scenes_there_is_no_one_route() -> None:
     given = batch()
     arrays = {name: array[None] for name, array in given.arrays.items()}

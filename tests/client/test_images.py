@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from typing import Any
+
 import numpy as np
 import pytest
 from PIL import Image
 
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.images import resized
 
 
@@ -28,3 +32,36 @@ def test_axes_before_are_kept_and_the_size_itself_is_free() -> None:
     assert (both.shape, both.dtype) == ((2, 3, 24, 24), np.uint8)
     np.testing.assert_array_equal(both[1], resized(pixels[1], 24))
     assert resized(both, 24) is both
+
+
+PIXELS = np.zeros((3, 20, 30), np.uint8)
+WRONG: dict[str, tuple[Any, Any, str]] = {
+    "floats": (
+        PIXELS / 255,
+        16,
+        "pixels: expected an array of uint8 [...,3,H,W], none of its sides 0, got an array of "
+        "float64 and shape [3, 20, 30]",
+    ),
+    "floats of that size": (PIXELS[:, :16, :16] / 255, 16, "pixels: expected an array of uint8"),
+    "colours last": (
+        PIXELS.transpose(1, 2, 0),
+        16,
+        "shape [20, 30, 3]; np.moveaxis(pixels, -1, -3) puts the colours first",
+    ),
+    "colours last, of two": (np.zeros((2, 20, 30, 3), np.uint8), 16, "np.moveaxis(pixels, -1, -3)"),
+    "grey": (PIXELS[0], 16, "pixels: expected an array of uint8 [...,3,H,W]"),
+    "no rows": (PIXELS[:, :0], 16, "pixels: expected an array of uint8 [...,3,H,W]"),
+    "no pictures": (PIXELS[None, ..., :0, :0], 16, "none of its sides 0, got an array of uint8"),
+    "lists": (PIXELS.tolist(), 16, "pixels: expected an array of uint8 [...,3,H,W]"),
+    "nothing": (PIXELS, 0, "size: expected an integer from 1 to 4096, got 0"),
+    "less": (PIXELS, -1, "size: expected an integer from 1 to 4096, got -1"),
+    "half a pixel": (PIXELS, 16.0, "size: expected an integer from 1 to 4096, got 16.0"),
+    "more than a picture has": (PIXELS, 2**31, "size: expected an integer from 1 to 4096"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_no_picture_or_no_size_is_refused_by_name(case: str) -> None:
+    pixels, size, message = WRONG[case]
+    with pytest.raises(InvalidRequest, match=re.escape(message)):
+        resized(pixels, size)

@@ -468,3 +468,16 @@ def test_a_warm_start_may_say_how_far_its_samples_lie_apart(fields: dict[str, An
     again = AnchorRequest.from_fields(fields | {"warm_start": request.warm_start}).warm_start
     assert again is not None
     assert again.dt == 0.5
+
+
+@pytest.mark.parametrize(
+    "value",
+    [np.zeros((3, 0, 0), np.uint8), np.zeros((3, 0, 5)), np.zeros(0, object), [], [[], []]],
+    ids=["picture", "floats", "texts", "list", "lists"],
+)
+def test_an_input_without_a_number_is_refused(value: Any) -> None:
+    shape = list(np.shape(value))
+    with pytest.raises(InvalidRequest, match="expected no axis of size 0, got an array") as caught:
+        AnchorRequest.build(inputs={"camera": value})
+    assert caught.value.field == "inputs.camera"
+    assert str(caught.value).endswith(f"and shape {shape}")

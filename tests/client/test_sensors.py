@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -101,12 +102,38 @@ def test_points_are_counted_in_their_cells() -> None:
     assert np.count_nonzero(histogram) == 2
 
 
+@pytest.mark.parametrize(
+    ("wrong", "field"),
+    [({"rows": 0}, "rows"), ({"rows": -1}, "rows"), ({"columns": 1024.0}, "columns")],
+)
+def test_a_wrong_size_is_named(wrong: dict[str, Any], field: str) -> None:
+    quarter = image(0, 270, 480)
+    size = {"rows": 256, "columns": 1024} | wrong
+    came = re.escape(f"{field}: expected an integer from 1 to 16777216, got {size[field]}")
+
+    with pytest.raises(InvalidRequest, match=came):
+        stitch_cameras(quarter, quarter, quarter, **size)
+    with pytest.raises(InvalidRequest, match=came):
+        resize_image(np.zeros((256, 1024, 3), np.uint8), **size)
+
+
 @pytest.mark.parametrize("points", [np.zeros((4, 2)), np.zeros(3), [[0.0, np.nan, 1.0]]])
 def test_a_wrong_cloud_is_named(points: np.ndarray) -> None:
     with pytest.raises(InvalidRequest) as told:
         lidar_histogram(points)
 
     assert told.value.field == "lidar"
+
+
+@pytest.mark.parametrize("numbers", [3, 6])
+def test_a_cloud_of_columns_is_refused_with_what_turns_it(numbers: int) -> None:
+    cloud = np.full((numbers, 100), 1.0)
+    words = f"lidar: expected shape [P, 3], got [{numbers}, 100]; .T turns"
+    with pytest.raises(InvalidRequest, match=re.escape(words)):
+        lidar_histogram(cloud)
+
+    assert lidar_histogram(cloud.T).sum() == 1.0
+    assert lidar_histogram(cloud[:, :18]).sum() > 0  # so many numbers a point a sensor may tell
 
 
 def test_an_earlier_sweep_lies_where_it_is_now() -> None:
@@ -135,6 +162,8 @@ def test_ego_status() -> None:
     ("changed", "field"),
     [
         ({"command": "back"}, "command"),
+        ({"command": np.array(["left", "right"])}, "command"),
+        ({"command": np.array([1, 0, 0, 0])}, "command"),
         ({"velocity": (1.0, 2.0, 3.0)}, "velocity"),
         ({"acceleration": (0.0, np.inf)}, "acceleration"),
     ],
@@ -183,6 +212,10 @@ def test_a_route_that_lies_ahead_begins_with_its_first_place() -> None:
         ([[0.0, 0.0]], "route: expected two or more finite points [V, 2], got shape [1, 2]"),
         ([[0.0, 0.0], [0.0, np.nan]], "route: expected two or more finite points [V, 2], got some"),
         ([[1.0, 0.0], [1.0, 0.0]], "route: expected two or more points apart from each other"),
+        (
+            [[0.0, 0.0], [1e300, 0.0]],
+            "expected numbers in [-1e+07, 1e+07] m, got 1e+300 at route[1][0]",
+        ),
     ],
 )
 def test_what_is_no_route_is_refused(points: object, message: str) -> None:

@@ -10,12 +10,14 @@ import pytest
 import torch
 
 from anchorflow_client.contract import TensorSpec
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.sensors import ego_status
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.planners.goalflow import goalflow_adapter
 from anchorflow_export.tracing import trace_role
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goals import pick
-from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.local import LocalClient
 
 CONFIG = GoalFlowConfig(
@@ -85,6 +87,32 @@ def test_scores_by_the_rules_are_proved() -> None:
 def _axes(name: str, shape: torch.Size) -> tuple[str | int, ...]:
     per_anchor = name in ("x_1", "prior_mean")
     return ("B", "N", *shape[2:]) if per_anchor else ("B", *shape[1:])
+
+
+def test_the_bundle_that_ships_takes_what_the_adapter_says() -> None:
+    adapter = goalflow_adapter(GoalFlow(GoalFlowConfig()), ExportChoices())
+    manifest = load_bundle(DEFAULT_BUNDLE.parent / "goalflow").manifest
+    assert manifest.request.inputs == adapter.inputs
+    assert manifest.graphs["encode"].inputs == adapter.inputs
+
+
+def test_at_the_greatest_speed_it_takes_the_bundle_that_ships_drives_on() -> None:
+    """From 34 m/s on it would sometimes turn in circles."""
+    bev = np.zeros((20, 192, 128), np.uint8)
+    bev[0, :, 52:76] = bev[1, :, 63:65] = 255  # a straight road, and a lane that leads ahead
+    inputs = {"bev": bev, "vehicle_size": np.array([4.6, 1.9], np.float32)}
+
+    def status(speed: float) -> np.ndarray:
+        return ego_status(command="straight", velocity=(speed, 0.0), acceleration=(0.0, 0.0))
+
+    with LocalClient.of(DEFAULT_BUNDLE.parent / "goalflow", threads=1) as client:
+        anchors = client.plan(inputs={**inputs, "ego_status": status(32.0)}, num_samples=64, seed=0)
+        with pytest.raises(InvalidRequest, match=r"got 40\.0 at inputs\.ego_status\[4\]"):
+            client.plan(inputs={**inputs, "ego_status": status(40.0)})
+
+    plan = anchors.trajectories[anchors.best]
+    assert 80.0 < plan[-1, 0] < 140.0
+    assert (np.abs(plan[:, 1:]) < (0.5, 0.05)).all()
 
 
 def test_the_scorer_that_ships_tells_random_scenes_apart() -> None:

@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract.arrays import frozen, read_only
 from anchorflow_client.contract.card import ModelId
+from anchorflow_client.contract.checks import number
+from anchorflow_client.contract.ranges import Interval
 from anchorflow_client.contract.route import beside_route
 
 ARRAY_DTYPES: dict[str, type[np.generic]] = {
@@ -27,6 +29,8 @@ ARRAY_DTYPES: dict[str, type[np.generic]] = {
 """The arrays that any planner may give; `trajectories` alone is always there."""
 MOTIONS = ("trajectories", "velocities", "accelerations")
 """Those of shape [N,T,D]; the others are [N]."""
+WITHIN = Interval(0.0, math.inf, "m", open_high=True)
+"""Of a route that an anchor is to end beside."""
 STANDS = 1.0
 """m; an anchor that gets no farther than this from its beginning stands."""
 NEAR = 128.0
@@ -161,14 +165,19 @@ class AnchorBatch:
         are among them. Where none of these gets away from its beginning by a metre, the best of
         all: to stand beside a route is not to follow it, and who did so would stand for ever.
 
-        route: [V, 2] m, a polyline in the request's frame; within: m
+        Args:
+            route: [V, 2] m, a polyline in the request's frame, as far as the robot can get in the
+                time of an anchor: what ends beyond its end counts as beside it.
+            within: m
 
         Raises:
-            InvalidRequest: the route is none of two or more finite points; names `route`.
+            InvalidRequest: the route is none of two or more finite points, or `within` is negative
+                or not finite; names `route` or `within`.
             ValueError: the answer is of several scenes.
         """
         if self.batched:
             raise ValueError("best_along: expected the answer of one scene, got a B axis")
+        within = number(within, "within", WITHIN)
         strays = beside_route(self.trajectories[:, -1, :2], route)
         ways = self.trajectories[..., :2]
         moves = np.linalg.norm(ways - ways[:, :1], axis=-1).max(-1) > STANDS

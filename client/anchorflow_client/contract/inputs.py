@@ -76,7 +76,9 @@ def read_inputs(value: Any) -> Inputs:
     if not isinstance(value, Mapping):
         raise expected("inputs", "an object of inputs by name", value)
     return {
-        text(name, "inputs"): _read(name, each) for name, each in value.items() if each is not None
+        text(name, "inputs"): _filled(_read(name, each), f"inputs.{name}")
+        for name, each in value.items()
+        if each is not None
     }
 
 
@@ -157,6 +159,13 @@ def _read(name: str, value: Any) -> Input:
             return read_only(np.asarray(integer(value, field, INT64)))
         case _:
             return read_only(exact_numbers(value, field, "numbers"))
+
+
+def _filled(value: Input, field: str) -> Input:
+    """The input itself; one without a number is refused, as on every wire."""
+    if isinstance(value, np.ndarray) and not value.size:
+        raise expected(field, "no axis of size 0", value)
+    return value
 
 
 def _own_array(array: NDArray[Any], field: str) -> NDArray[Any]:

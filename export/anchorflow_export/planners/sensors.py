@@ -15,6 +15,9 @@ from anchorflow_service.bundle import Bundle
 
 COMMANDS = MOTION.start  # of the ego status
 FASTEST = 60.0  # m/s, and m/s²: what a status may say
+STATUS_UNIT = (
+    "command left, straight, right, unknown: 0 or 1; velocity x, y: m/s; acceleration x, y: m/s^2"
+)
 
 
 def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
@@ -39,8 +42,7 @@ def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
             "ego_status",
             F32,
             ("B", STATUS),
-            "command left, straight, right, unknown: 0 or 1; velocity x, y: m/s; "
-            "acceleration x, y: m/s^2",
+            STATUS_UNIT,
             range=(-FASTEST, FASTEST),
         ),
         *([before] if backbone.lidar_before else []),

@@ -193,6 +193,10 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"ego_status": np.full(8, np.nan, np.float32)},
         "expected finite numbers, got nan at inputs.ego_status[0]",
     ),
+    "faster than a street's cars": (
+        {"ego_status": np.array([0, 1, 0, 0, 40, 0, 0, 0], np.float32)},
+        "expected numbers in [-32, 32] command left, straight, right, unknown: 0 or 1; velocity",
+    ),
     "a size below a bicycle's": (
         {"vehicle_size": np.array([4.0, 0.0], np.float32)},
         "expected numbers in [0.3, 30] m, got 0.0 at inputs.vehicle_size[1]",

@@ -12,6 +12,7 @@ from torch import Tensor
 from anchorflow_client.contract import AnchorRequest, OdeSpec, TensorSpec, resolve_for_card
 from anchorflow_client.sensors import ROUTE_POINTS, ROUTE_SPACING_M
 from anchorflow_export.adapter import GraphTrial, PlannerParts, SampleTrial, TracedGraph
+from anchorflow_export.planners.sensors import STATUS_UNIT
 from anchorflow_export.planners.specs import COMPONENTS, F32, TIMES
 from anchorflow_export.tracing import trace_role
 from anchorflow_models.goalflow import BevLayout, GoalFlow
@@ -48,9 +49,9 @@ WIDTHS = (6.0, 16.0)  # m, of random streets
 BLOCK, TAKEN = 8, 0.05  # cells a side of what stands beside a random street; its share
 TURNING = 0.01  # rad more from point to point of random routes, times a normal number
 
-STATUS = TensorSpec(
-    "ego_status", F32, ("B", 8), "command one-hot; m/s, m/s; m/s^2, m/s^2", (-60.0, 60.0)
-)
+MOST_STATUS = 32.0
+"""m/s, and m/s²: logs are of cities, and the ways of faster cars turn in circles."""
+STATUS = TensorSpec("ego_status", F32, ("B", 8), STATUS_UNIT, (-MOST_STATUS, MOST_STATUS))
 SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
 ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
 
