@@ -17,12 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.errors import UNREADABLE, LogError
+from anchorflow_driving.route import SAME_POINT, without_repeats
 
 FRAME_S = 0.1
 HISTORY_FRAMES = 20
 """Recorded before a window's frame, at least."""
 FUTURE_FRAMES = 45
 """Recorded after a window's frame, at least."""
+
+FARTHEST = 1e4
+"""m from the frame's origin in x or y, where float32 has steps of a millimetre."""
 
 VEHICLE, PEDESTRIAN, CYCLIST, STATIC = range(4)
 COMMANDS = ("left", "straight", "right")
@@ -32,6 +36,8 @@ SIMULATED, DRIVEN = "simulated", "driven"
 
 Polylines = tuple[NDArray[np.float64], ...]
 """Each [V, 2]."""
+
+POLYGONS = ("lane", "drivable", "crosswalk")
 
 TEXTS = ("name", "source", "licence", "city")
 # Field: dtype and shape. A letter is alike wherever it stands; n and m are the field's own.
@@ -162,8 +168,9 @@ class DrivingLog:
         if not (len(offsets) and offsets[0] == 0 and offsets[-1] == points):
             ends = list(offsets[[0, -1]]) if len(offsets) else "none"
             raise self.refuse(field, f"offsets from 0 to {points}", ends)
-        if (np.diff(offsets) < 2).any():
-            raise self.refuse(field, "at least two points each", int(np.diff(offsets).min()))
+        least = 3 if field.removesuffix("_offsets") in POLYGONS else 2
+        if (np.diff(offsets) < least).any():
+            raise self.refuse(field, f"at least {least} points each", int(np.diff(offsets).min()))
 
     def _check_values(self) -> None:
         if not np.isclose(self.dt, FRAME_S, atol=1e-6):
@@ -174,18 +181,22 @@ class DrivingLog:
         for field in (name for name in LAYOUT if name.endswith("_points")):
             if not np.isfinite(getattr(self, field)).all():
                 raise self.refuse(field, "finite numbers", "NaN or infinity")
+            self._check_places(field, getattr(self, field))
         if np.isinf(self.track_state).any():
             raise self.refuse("track_state", "finite numbers, or NaN where absent", "infinity")
         absent = np.isnan(self.track_state)
         if (absent.any(-1) != absent.all(-1)).any():
             raise self.refuse("track_state", "NaN in all five numbers or in none", "some")
+        self._check_places("track_state", self.track_state[..., :2])
         self._check_range("track_type", STATIC)
         self._check_range("lane_edges", len(self.lane_intersection) - 1)
 
     def _check_windows(self) -> None:
         self._check_range("window_ego", len(self.track_type) - 1)
         self._check_range("window_command", len(COMMANDS) - 1)
-        last = self.frames - 1 - FUTURE_FRAMES
+        last, least = self.frames - 1 - FUTURE_FRAMES, HISTORY_FRAMES + 1 + FUTURE_FRAMES
+        if self.windows and self.frames < least:
+            raise self.refuse("track_state", f"at least {least} frames for a window", self.frames)
         self._check_range("window_frame", last, least=HISTORY_FRAMES)
         limit = self.window_speed_limit[~np.isnan(self.window_speed_limit)]
         if not ((limit > 0) & np.isfinite(limit)).all():
@@ -195,9 +206,11 @@ class DrivingLog:
                 f"{limit.min()} to {limit.max()}",
             )
         for window, route in enumerate(self.polylines("route")):
-            if not np.ptp(route, axis=0).any():
+            if len(without_repeats(route)) < 2:
                 raise self.refuse(
-                    "route_points", "a route of some length", f"window {window}: none"
+                    "route_points",
+                    "a route of some length",
+                    f"window {window}: no step above {SAME_POINT} m",
                 )
         for window, (ego, frame) in enumerate(zip(self.window_ego, self.window_frame, strict=True)):
             needed = self.track_state[ego, frame - HISTORY_FRAMES : frame + FUTURE_FRAMES + 1]
@@ -208,6 +221,16 @@ class DrivingLog:
                     f" {FUTURE_FRAMES} after",
                     f"NaN in {int(np.isnan(needed).any(-1).sum())} of them",
                 )
+
+    def _check_places(self, field: str, places: NDArray[np.float32]) -> None:
+        far = np.abs(places)
+        far = far[far > FARTHEST]
+        if far.size:
+            raise self.refuse(
+                field,
+                f"x and y within {FARTHEST:g} m of 0, for float32",
+                f"{far.max():.0f} m",
+            )
 
     def _check_range(self, field: str, most: int, *, least: int = 0) -> None:
         values = getattr(self, field)

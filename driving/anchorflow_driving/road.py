@@ -12,6 +12,9 @@ Array = NDArray[np.float64]
 
 CELL = 0.1
 """m, of the grid of the drivable area."""
+TILE_BITS = 9
+TILE = 1 << TILE_BITS
+"""Cells a side of what is worked out at once."""
 
 
 class Road:
@@ -63,44 +66,77 @@ class Road:
 
 
 class DrivableGrid:
-    """Cells whose middles lie inside an odd number of rings."""
+    """Cells whose middles lie inside an odd number of rings.
+
+    Worked out in tiles where somebody first asks, so that a map may be wide.
+    """
 
     def __init__(self, rings: Polylines) -> None:
-        if not rings:
-            self._low, self._cells = np.zeros(2), np.zeros((1, 1), bool)
-            return
-        start = np.concatenate(rings)
-        end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
-        self._low = start.min(0) - 1.0
-        columns, rows = np.ceil((start.max(0) + 1.0 - self._low) / CELL).astype(int)
+        corners = np.concatenate([*rings, np.zeros((0 if rings else 1, 2))])
+        ends = [np.roll(ring, -1, axis=0) for ring in rings]
+        self._low = corners.min(0) - 1.0
+        columns, rows = np.ceil((corners.max(0) + 1.0 - self._low) / CELL).astype(int)
+        self._shape = int(rows), int(columns)
         # In cells, with their middles at whole numbers.
-        start, end = ((ends - self._low) / CELL - 0.5 for ends in (start, end))
-        self._cells = cells_inside(start, end, (rows, columns))
+        self._start, self._end = (
+            (np.concatenate([*each, np.zeros((0, 2))]) - self._low) / CELL - 0.5
+            for each in (rings, ends)
+        )
+        # By a tile's row and column its place among those that there are, or -1; and those.
+        # Replaced as one, since threads may ask at once.
+        place = np.full((-(-rows // TILE), -(-columns // TILE)), -1)
+        self._known = place, np.zeros((0, TILE, TILE), bool)
 
     def holds(self, points: Array) -> NDArray[np.bool_]:
+        """[...] of points [..., 2]."""
         column, row = np.moveaxis(np.floor((points - self._low) / CELL).astype(int), -1, 0)
-        rows, columns = self._cells.shape
+        rows, columns = self._shape
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        return inside & self._cells[np.where(inside, row, 0), np.where(inside, column, 0)]
+        if not inside.any():
+            return inside
+        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+        tile = row >> TILE_BITS, column >> TILE_BITS
+        place, tiles = self._known
+        if (missing := inside & (place[tile] < 0)).any():
+            wanted = np.zeros(place.shape, bool)
+            wanted[tile[0][missing], tile[1][missing]] = True
+            place, tiles = self._known = self._added(place, tiles, wanted)
+        return inside & tiles[place[tile], row & (TILE - 1), column & (TILE - 1)]
+
+    def _added(
+        self, place: NDArray[np.int_], tiles: NDArray[np.bool_], wanted: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
+        """What is known and the tiles that are wanted."""
+        added = [
+            cells_inside(self._start, self._end, (TILE, TILE), first=(row * TILE, column * TILE))
+            for row, column in np.argwhere(wanted).tolist()
+        ]
+        place = place.copy()
+        place[wanted] = len(tiles) + np.arange(len(added))
+        return place, np.concatenate([tiles, *(tile[None] for tile in added)])
 
 
-def cells_inside(start: Array, end: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
+def cells_inside(
+    start: Array, end: Array, shape: tuple[int, int], *, first: tuple[int, int] = (0, 0)
+) -> NDArray[np.bool_]:
     """Cells [rows, columns] inside an odd number of rings, whose edges [E, 2] are given in cells.
 
     Even-odd rule: every edge toggles, in each row that it crosses, all cells to its right. A cell's
     middle has whole numbers.
+
+    first: row and column of the first cell
     """
-    rows, columns = shape
+    (rows, columns), (first_row, first_column) = shape, first
     upward = (start[:, 1] <= end[:, 1])[:, None]
     below, above = np.where(upward, start, end), np.where(upward, end, start)
-    first = np.clip(np.ceil(below[:, 1]), 0, rows).astype(int)
-    last = np.clip(np.ceil(above[:, 1]), 0, rows).astype(int)
-    crossings = last - first
+    lowest = np.clip(np.ceil(below[:, 1]).astype(int) - first_row, 0, rows)
+    crossings = np.clip(np.ceil(above[:, 1]).astype(int) - first_row, 0, rows) - lowest
     edge = np.repeat(np.arange(len(below)), crossings)
     row = np.arange(crossings.sum()) - np.repeat(crossings.cumsum() - crossings, crossings)
-    row += first[edge]
+    row += lowest[edge]
     (x0, y0), (x1, y1) = below[edge].T, above[edge].T
-    column = np.ceil(x0 + (row - y0) / (y1 - y0) * (x1 - x0)).clip(0, columns).astype(int)
+    column = np.ceil(x0 + (row + first_row - y0) / (y1 - y0) * (x1 - x0)).astype(int)
+    column = (column - first_column).clip(0, columns)
     toggles = np.bincount(row * (columns + 1) + column, minlength=rows * (columns + 1))
     toggles = toggles.reshape(rows, columns + 1)[:, :-1].astype(np.uint8) & 1
     return np.bitwise_xor.accumulate(toggles, axis=1).astype(bool)

@@ -12,11 +12,18 @@ Array = NDArray[np.float64]
 
 SPACING = 0.5
 """m between the points that a route is resampled to."""
-_SAME_POINT = 1e-6
+SAME_POINT = 1e-6
+"""m from its predecessor, up to which a point of a route is left out."""
+
+
+def without_repeats(polyline: Array) -> Array:
+    """The points of a polyline [V, 2] that differ from their predecessors."""
+    gaps = np.linalg.norm(np.diff(polyline, axis=0), axis=1)
+    return polyline[np.concatenate([[True], gaps > SAME_POINT])]
 
 
 class Route:
-    """Points and headings along a polyline [V, 2].
+    """Points and headings along a polyline [V, 2], two of which differ.
 
     points: [M, 2], evenly spaced
     arc_length: [M] m
@@ -24,8 +31,7 @@ class Route:
     """
 
     def __init__(self, polyline: Array) -> None:
-        gaps = np.linalg.norm(np.diff(polyline, axis=0), axis=1)
-        kept = polyline[np.concatenate([[True], gaps > _SAME_POINT])]
+        kept = without_repeats(polyline)
         given = np.concatenate([[0.0], np.linalg.norm(np.diff(kept, axis=0), axis=1).cumsum()])
         count = max(2, int(np.ceil(given[-1] / SPACING)) + 1)
         self.arc_length = np.linspace(0.0, given[-1], count)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +17,7 @@ from anchorflow_driving.geometry import (
     points_in_polygon,
     wrap_angle,
 )
-from anchorflow_driving.road import DrivableGrid
+from anchorflow_driving.road import TILE, DrivableGrid, cells_inside
 from anchorflow_driving.route import Route
 from anchorflow_driving.waypoints import waypoint_headings
 
@@ -116,6 +118,38 @@ def test_the_grid_agrees_with_the_polygons_off_their_edges(seed: int) -> None:
     found = DrivableGrid((star,)).holds(points)
 
     assert (found == points_in_polygon(points, star))[clear].all()
+
+
+@given(st.integers(0, 10_000))
+def test_cells_of_a_part_are_those_of_the_whole(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    start = rng.uniform(-20, 80, (30, 2))
+    whole = cells_inside(start, np.roll(start, -1, axis=0), (70, 60))
+    row, column = (int(at) for at in rng.integers(0, 50, 2))
+
+    part = cells_inside(start, np.roll(start, -1, axis=0), (20, 10), first=(row, column))
+
+    np.testing.assert_array_equal(part, whole[row : row + 20, column : column + 10])
+
+
+def test_a_map_of_many_km_is_worked_out_where_it_is_asked() -> None:
+    """As one array its cells would take 10 GB."""
+    grid = DrivableGrid((SQUARE * 1000.0, SQUARE + 4990.0))
+    rim = 0.1 * TILE * np.arange(1, 4) - 1.0  # of tiles
+    points = np.concatenate([np.stack([rim, rim], -1), [[4995.0, 4995.0], [9999.0, -0.5]]])
+
+    assert grid.holds(points).tolist() == [True, True, True, False, False]
+    assert grid.holds(points[3]) == np.False_
+
+
+def test_threads_that_ask_at_once_are_told_alike() -> None:
+    square = SQUARE * 40.0
+    points = np.random.default_rng(0).uniform(-20, 420, (64, 8, 2))
+    expected = DrivableGrid((square,)).holds(points)
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(20):
+            found = np.stack(list(pool.map(DrivableGrid((square,)).holds, points)))
+            np.testing.assert_array_equal(found, expected)
 
 
 @given(s=st.floats(1, 38), left=st.floats(-3, 3))

@@ -12,6 +12,8 @@ import pytest
 
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import LAYOUT, DrivingLog, read_log, read_logs, write_log
+from anchorflow_driving.route import SAME_POINT
+from anchorflow_driving.window import Scenes
 
 Street = Callable[..., DrivingLog]
 
@@ -74,9 +76,15 @@ def with_entry(index: Any, value: float) -> Callable[[np.ndarray], np.ndarray]:
         ("dt", lambda _: np.float64(0.1), "expected float32 [], found float64 []"),
         ("name", lambda _: np.array([1]), "expected str [], found int64 [1]"),
         ("drivable_offsets", lambda a: a[:-1], "expected offsets from 0 to 4"),
-        ("lane_offsets", with_entry(1, 8), "expected at least two points each, found 0"),
+        ("lane_offsets", with_entry(1, 8), "expected at least 3 points each, found 0"),
+        ("lane_offsets", with_entry(1, 2), "expected at least 3 points each, found 2"),
+        ("drivable_offsets", lambda _: np.array([0, 2, 4], np.int32), "at least 3 points each"),
+        ("centre_offsets", with_entry(1, 1), "expected at least 2 points each, found 1"),
         ("lane_intersection", lambda a: a[:1], "with K = 1, F = 80, L = 2, found [1]"),
         ("lane_points", with_entry((0, 0), np.nan), "expected finite numbers"),
+        ("line_points", with_entry((0, 1), 5334e3), "x and y within 10000 m of 0, for float32"),
+        ("track_state", with_entry((0, 0, 0), -10001.0), "x and y within 10000 m of 0, for"),
+        ("track_state", lambda a: a[:, :65], "at least 66 frames for a window, found 65"),
         ("window_speed_limit", with_entry(0, 0.0), "expected m/s above 0, or NaN"),
         ("window_speed_limit", with_entry(0, np.inf), "found inf to inf"),
         ("lane_edges", lambda _: np.array([[0, 2]], np.int32), "expected 0 to 1, found 2"),
@@ -85,6 +93,7 @@ def with_entry(index: Any, value: float) -> Callable[[np.ndarray], np.ndarray]:
         ("window_frame", with_entry(0, 35), "expected 20 to 34, found 35"),
         ("window_command", with_entry(0, 3), "expected 0 to 2, found 3"),
         ("route_points", lambda a: 0 * a, "expected a route of some length, found window 0"),
+        ("route_points", lambda a: 5e-11 * a, "window 0: no step above 1e-06 m"),
         ("route_offsets", lambda a: a[:1], "found [1]"),
     ],
 )
@@ -103,6 +112,22 @@ def test_a_wrong_field_is_named(
 
     assert str(caught.value).startswith(f"{path}: {field}: expected ")
     assert message in str(caught.value)
+
+
+def test_a_crosswalk_of_two_points_is_refused(street: Street) -> None:
+    with pytest.raises(LogError, match="crosswalk_offsets: expected at least 3 points each, found"):
+        street(
+            crosswalk_points=np.array([[10, -2], [10, 2]], np.float32),
+            crosswalk_offsets=np.array([0, 2], np.int32),
+        )
+
+
+def test_the_shortest_route_that_a_log_takes_can_be_driven(street: Street) -> None:
+    short = np.array([[0.0, 0.0], [1.1 * SAME_POINT, 0.0]], np.float32)
+    window = Scenes(street(route_points=short, route_offsets=np.array([0, 2], np.int32)))[0]
+
+    assert np.isfinite(window.view.route.heading).all()
+    assert np.isfinite(window.route.poses(np.array([1.0]))).all()
 
 
 @pytest.mark.parametrize("field", LAYOUT)

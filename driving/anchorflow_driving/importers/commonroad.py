@@ -36,6 +36,8 @@ KINDS = {
     "median_strip": STATIC,
 }
 NOT_DRIVEN = {"crosswalk", "sidewalk", "bicycleLane", "border"}
+FAR = 1000.0
+"""m from zero, beyond which a scenario gets an origin of its own (UTM coordinates)."""
 LEVEL = 0.23
 """Level of `union_rings`: recorded wheels touch the bounds, 0.3 m beside them is road."""
 
@@ -70,6 +72,8 @@ def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
     """The log of a scenario, with every window whose recorded future is good, and what was counted.
 
     States are interpolated to 10 Hz. Obstacles without a trajectory (occupancy sets) are left out.
+    The frame is the scenario's; where the first obstacle begins more than FAR from its zero, that
+    place becomes (0, 0).
 
     Raises:
         LogError: names the file, the field, what was expected and what was found.
@@ -99,6 +103,7 @@ def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
         for lane in incoming.children(way)
     }
     tracks = [_track(obstacle) for obstacle in obstacles]
+    first = tracks[0].poses[0, :2]
     log, chosen = recorded_log(
         tracks,
         _road(lanelets, driven, junctions),
@@ -106,6 +111,7 @@ def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
         source="commonroad",
         licence="the scenario's",
         path=path,
+        origin=first if np.linalg.norm(first) > FAR else None,
     )
     return log, counts + chosen
 

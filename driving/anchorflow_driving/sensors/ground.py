@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.errors import SensorError
 from anchorflow_driving.geometry import points_in_polygon
 from anchorflow_driving.window import PlannerView
 
@@ -15,6 +16,8 @@ Array = NDArray[np.float64]
 
 CELL = 0.125
 """m a pixel."""
+WIDEST = 16384
+"""Pixels a side: what OpenGL takes as one texture."""
 MARGIN = 20.0
 """m of verge around the road."""
 ASPHALT, VERGE, PAINT, STRIPE = (88, 88, 92), (98, 112, 74), (214, 214, 208), (196, 196, 192)
@@ -38,11 +41,20 @@ class GroundPicture:
 
 
 def paint_ground(view: PlannerView) -> GroundPicture:
-    """The ground of a view's whole map, in the log's frame."""
+    """The ground of a view's whole map, in the log's frame.
+
+    Raises:
+        SensorError: the map is wider than WIDEST.
+    """
     rings = view.log_polylines["drivable"]
     corners = np.concatenate(rings) if rings else np.zeros((1, 2))
     low = corners.min(0) - MARGIN
     columns, rows = np.ceil((corners.max(0) + MARGIN - low) / CELL).astype(int)
+    if max(rows, columns) > WIDEST:
+        raise SensorError(
+            f"drivable_points: expected a map of at most {WIDEST * CELL - 2 * MARGIN:g} m to be"
+            f" drawn, got {np.ptp(corners, axis=0).max():.0f} m: crop it"
+        )
     x = low[0] + (np.arange(columns) + 0.5) * CELL
     y = low[1] + (np.arange(rows) + 0.5) * CELL
     drivable = np.stack([view.road.is_drivable(np.stack([x, x * 0 + each], -1)) for each in y])

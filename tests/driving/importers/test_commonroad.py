@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -120,6 +121,27 @@ def test_its_windows_know_the_route_and_the_command(file: Path) -> None:
         assert np.abs(aside).max() < 0.3
         score = PdmScorer(window).score(human(window)[None])
         assert (score.nc, score.dac) == (1.0, 1.0)
+
+
+def moved(text: str, by: dict[str, float]) -> str:
+    """A scenario with all its places so far away, by axis."""
+    return re.sub(r"<([xy])>([^<]*)", lambda at: f"<{at[1]}>{float(at[2]) + by[at[1]]!r}", text)
+
+
+def test_utm_coordinates_are_as_fine_as_others(file: Path) -> None:
+    near, _ = import_commonroad(file)
+    file.write_text(moved(scenario(), {"x": 691_000.0, "y": 5_334_000.0}))
+
+    far, counts = import_commonroad(file)
+
+    assert counts["windows"] == near.windows
+    assert far.track_state[0, 0, :2].tolist() == [0.0, 0.0]
+    start = near.track_state[0, 0, :2]
+    np.testing.assert_allclose(
+        far.track_state[..., :2], near.track_state[..., :2] - start, atol=1e-4
+    )
+    np.testing.assert_allclose(far.centre_points, near.centre_points - start, atol=1e-4)
+    np.testing.assert_allclose(far.route_points, near.route_points - start, atol=1e-3)
 
 
 @pytest.mark.parametrize(

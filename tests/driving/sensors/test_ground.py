@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from driven_bend import bend
 
+from anchorflow_driving.errors import SensorError
 from anchorflow_driving.line_fields import line_fields
 from anchorflow_driving.sensors.ground import CELL, PAINT, STRIPE, paint_ground
 from anchorflow_driving.window import Scenes
@@ -30,3 +31,11 @@ def test_what_leads_beyond_the_road_is_painted_as_far_as_there_is_ground(
         (ground.low[0], ground.low[0] + ground.size[0]), abs=2.0
     )
     assert (y.min(), y.max()) == pytest.approx((0.0, 3.0), abs=0.3)
+
+
+def test_a_map_too_wide_to_be_drawn_is_said() -> None:
+    road = np.array([[0.0, 0.0], [2010.0, 0.0], [2010.0, 9.0]])
+    log = replace(bend(0), **line_fields("drivable", [road]))
+
+    with pytest.raises(SensorError, match="expected a map of at most 2008 m to be drawn, got 2010"):
+        paint_ground(Scenes(log)[0].view)
