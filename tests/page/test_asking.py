@@ -281,3 +281,35 @@ def test_while_the_goal_is_dragged_one_request_is_out_and_the_newest_wins(visit:
     )
     assert 1 <= len(spans) < moves
     assert all(ended <= begun for (_, ended), (begun, _) in pairwise(spans))
+
+
+@pytest.mark.parametrize(
+    ("name", "edge", "key"),
+    [
+        ("goal", (4.8, 4.8), None),
+        ("goal", (4.8, 0.0), None),
+        ("start", (-4.8, 0.0), "Shift+ArrowLeft"),
+    ],
+)
+def test_an_end_comes_back_from_the_edge(
+    visit: Any, artefacts: Path, name: str, edge: tuple[float, float], key: str | None
+) -> None:
+    visit.choose_empty_map()
+    field = {"start": "x_curr", "goal": "x_goal"}[name]
+    away = visit.answer(
+        lambda: visit.drag_end(name, edge),
+        lambda asked: asked[field][:2] == pytest.approx(edge, abs=0.06),
+    )
+    if key:
+        visit.locate(f"[data-handle={name}-velocity]").focus()
+        away = visit.answer(
+            lambda: visit.page.keyboard.press(key), lambda asked: asked[field][2] != 0
+        )
+    visit.page.screenshot(path=artefacts / f"{name}-at-the-edge.png")
+
+    back = visit.answer(
+        lambda: visit.drag_end(name, (1.0, 2.0)), lambda asked: asked[field] != away.asked[field]
+    )
+
+    assert back.asked[field][:2] != away.asked[field][:2]
+    assert back.asked[field][2:4] == away.asked[field][2:4]

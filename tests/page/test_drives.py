@@ -169,6 +169,23 @@ def test_a_planner_that_asks_for_something_else_names_it(
     expect(driving.locate("#summary")).to_contain_text("6 anchors", timeout=PATIENCE_MS)
 
 
+def test_trouble_with_a_drive_is_over_with_the_answer_to_a_change(
+    driving: Any, drive: dict[str, Any], tmp_path: Path
+) -> None:
+    opened(driving, drive, tmp_path)
+    trouble = driving.locate("#drive-trouble")
+    driving.locate("#bundle").select_option("tiny-camera")
+    expect(driving.locate("#summary")).to_contain_text("6 anchors", timeout=PATIENCE_MS)
+    # The page has asked by itself, before anyone could read it.
+    expect(trouble).to_contain_text("camera: the drive has no such input")
+
+    driving.locate("#seed").fill("7")
+    driving.page.keyboard.press("Tab")
+    driving.answer(lambda: driving.locate("#plan").click(), lambda asked: asked["seed"] == 7)
+
+    expect(trouble).to_be_hidden()
+
+
 def test_a_drive_of_other_shapes_is_refused(
     driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:

@@ -245,8 +245,8 @@ def open_scene(visit: Any, folder: Path, **fields: Any) -> Any:
         ({"a.pgm": "P6\n1 1\n255\n..."}, "a.pgm: expected a PGM picture"),
         ({"a.pgm": "P5\n100 100\n255\nshort"}, "100 × 100 pixels, but the file ends before"),
         ({"a.png": "no picture"}, "a.png: expected a PNG picture"),
-        ({"a.json": "{"}, "Expected a scene in JSON"),
-        ({"a.json": '{"x_curr": [1, 2]}'}, "x_curr: expected 6 numbers, got 2 values"),
+        ({"a.json": "{"}, "a.json: Expected a scene in JSON"),
+        ({"a.json": '{"x_curr": [1, 2]}'}, "a.json: x_curr: expected 6 numbers, got 2 values"),
         ({"a.json": scene(x_curr=[0, 0, None, 0, 0, 0])}, "x_curr: expected 6 numbers"),
         ({"a.json": scene(num_samples="8")}, 'num_samples: expected a number, got "8".'),
         ({"a.json": scene(robot_radius=[1])}, "robot_radius: expected a number, got 1 values."),
@@ -261,6 +261,26 @@ def open_scene(visit: Any, folder: Path, **fields: Any) -> Any:
             {"a.json": scene(cost_map={"data": [[[0, "x"]]], "resolution": 0.1})},
             "cost_map.data: expected [C,H,W]",
         ),
+        (
+            {"a.json": '{"format": "anchorflow-drive", "bundle": "goalflow"}'},
+            "a.json is a drive: choose the bundle goalflow first.",
+        ),
+        (
+            {"a.json": '{"format": "anchorflow-drive"}'},
+            "a.json is a drive: choose the bundle that it is for first.",
+        ),
+        (
+            {"a.pgm": "P2\n100000 100000\n255\n0"},
+            "a.pgm: expected at most 16 million pixels, got 100000 × 100000.",
+        ),
+        (
+            {"map.yaml": "# a map\n--- {image: a.pgm,\nresolution: 0.1}\n", "a.pgm": "P2"},
+            "map.yaml: expected a line for each field; a flow mapping, {…}, is not read here.",
+        ),
+        (
+            {"a.pgm": "P2\n4 4\n100\n" + "50 " * 16},
+            "a.pgm: every cell of this map is unknown.",
+        ),
         ({"a.txt": "hello"}, "a.txt: expected .json, .yaml with its picture"),
     ],
 )
@@ -273,6 +293,19 @@ def test_a_file_that_cannot_be_read_is_explained(
     open_files(visit, [tmp_path / name for name in files])
 
     expect(visit.locate("#scene-note")).to_contain_text(message)
+
+
+@pytest.mark.parametrize("side", [4001, 20_000])
+def test_a_picture_that_is_too_large_is_refused_by_its_size(
+    visit: Any, tmp_path: Path, side: int
+) -> None:
+    Image.new("1", (side, 4000), 1).save(tmp_path / "large.png")
+
+    open_files(visit, [tmp_path / "large.png"])
+
+    expect(visit.locate("#scene-note")).to_have_text(
+        f"large.png: expected at most 16 million pixels, got {side} × 4000."
+    )
 
 
 def test_a_saved_scene_is_a_request_and_opens_again(visit: Any, tmp_path: Path) -> None:

@@ -1,11 +1,13 @@
-"""What the page costs: bytes of the first load, and how far the picture is behind the hand.
+"""What the page costs, and how it writes numbers.
 
-Bytes are held to their bound; times are measured, printed and kept as figures.json, not judged.
+The costs are the bytes of the first load, and how far the picture is behind the hand. Bytes are
+held to their bound; times are measured, printed and kept as figures.json, not judged.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,9 @@ import pytest
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
+expect = sync_api.expect
+
+PATIENCE_MS = 60_000
 FIRST_LOAD_BYTES = 300 * 1000
 DRAG_S = 1.0
 MOVE_MS = 16
@@ -72,6 +77,37 @@ def test_how_far_the_picture_is_behind_a_dragged_goal(visit: Any, artefacts: Pat
     )
     assert len(seen) > 1
     assert (beyond > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("value", "scores", "text"),
+    [
+        (1.84e-11, [1.84e-11, 0.0], "1.8e−11"),
+        (0.0, [1.84e-11, 0.0], "0.00"),
+        (-0.00456, [-0.00456, 0.001], "−0.0046"),
+        (0.00456, [0.00456, -0.01], "0.00"),
+        (0.00456, None, "0.00"),
+        (-1.234, [-1.234], "−1.23"),
+    ],
+)
+def test_a_number_has_two_significant_digits_where_all_are_tiny(
+    call: Callable[..., Any], value: float, scores: list[float] | None, text: str
+) -> None:
+    assert call("dom", "(m, [value, all]) => m.figure(value, 2, all)", [value, scores]) == text
+
+
+def test_scores_that_are_all_tiny_are_told_apart(
+    open_page: Callable[..., Any], served_driving: Any, artefacts: Path
+) -> None:
+    """Of GoalFlow on an empty raster."""
+    visit = open_page(served_driving.url)
+    expect(visit.locate("#summary")).to_contain_text("64 anchors", timeout=PATIENCE_MS)
+
+    tiny = re.compile(r"[1-9]\.\de−\d+")
+    expect(visit.locate("#best tbody td:nth-child(2)").first).to_have_text(tiny)
+    expect(visit.locate("#anchor-figures")).to_have_text(tiny)
+    expect(visit.locate("#birds-eye-legend span").last).to_have_text(tiny)
+    visit.page.screenshot(path=artefacts / "tiny-scores.png")
 
 
 def spread(values: np.ndarray) -> dict[str, float]:

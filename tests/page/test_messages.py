@@ -42,6 +42,75 @@ def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any, artefacts: Pat
     visit.forget_errors(REFUSED)
 
 
+SHOWN = "what is shown is its last answer."
+"""How the summary ends where the newest question has no answer."""
+
+
+def test_the_figures_of_an_old_answer_are_told_and_faded(visit: Any, artefacts: Path) -> None:
+    visit.choose_empty_map()
+    spot = visit.at((1.0, 1.0))
+    visit.drag(spot, spot)
+    visit.drag_end("goal", (1.0, 1.0))
+
+    summary = visit.locate("#summary")
+    expect(summary).to_have_text(f"The service refused: {SHOWN}", timeout=PATIENCE_MS)
+    for told in ("#anchor-figures", "#times", "#charts", "#best", "#legend"):
+        expect(visit.locate(told)).to_have_css("opacity", "0.4")
+    visit.locate("#best tbody tr").nth(3).hover()
+    expect(visit.locate("#anchor-name")).to_contain_text(re.compile(r"^Anchor \d+$"))
+    expect(summary).to_have_text(f"The service refused: {SHOWN}")
+    visit.page.screenshot(path=artefacts / "refused.png")
+
+    visit.drag_end("goal", (3.0, 1.0))
+    visit.wait_for_anchors()
+    expect(visit.locate("#best")).to_have_css("opacity", "1")
+    visit.forget_errors(REFUSED)
+
+
+def test_a_change_before_a_planner_without_a_map_fades_the_figures(camera: Any) -> None:
+    camera.locate("#seed").fill("7")
+    camera.page.keyboard.press("Tab")
+    expect(camera.locate("#poses")).to_have_css("opacity", "0.4")
+
+    camera.locate("#plan").click()
+    expect(camera.locate("#poses")).to_have_css("opacity", "1", timeout=PATIENCE_MS)
+
+
+def test_another_bundle_begins_without_the_figures_of_the_one_before(
+    open_page: Callable[..., Any], served_v2x: Any
+) -> None:
+    visit = open_page(served_v2x.url)
+    visit.wait_for_anchors()
+    heads = visit.locate("#best thead th")
+    expect(heads).not_to_have_count(0)
+
+    visit.locate("#bundle").select_option("v2x")
+    expect(heads).to_have_count(0)
+
+    visit.locate("#bundle").select_option("flowmp-small")
+    visit.wait_for_anchors()
+    expect(heads).not_to_have_count(0)
+    assert visit.errors == []
+
+
+def test_a_map_planner_that_refuses_shows_nothing_of_the_one_before(
+    camera: Any, artefacts: Path
+) -> None:
+    refusal = {"error": {"code": "invalid_request", "message": "seed: no"}}
+    camera.page.route("**/anchors", lambda route: route.fulfill(status=422, json=refusal))
+
+    camera.locate("#bundle").select_option("flowmp-small")
+
+    expect(camera.locate("#bubble")).to_contain_text("seed: no", timeout=PATIENCE_MS)
+    expect(camera.locate("#summary")).to_have_text("The service refused.")
+    for told in ("#anchor-figures", "#round-trip", "#times", "#charts", "#best tbody"):
+        expect(camera.locate(told)).to_be_empty()
+    expect(camera.locate("#best thead th")).to_have_count(0)
+    expect(camera.locate("#legend")).to_be_hidden()
+    camera.page.screenshot(path=artefacts / "refused-at-first.png")
+    camera.forget_errors(REFUSED)
+
+
 def test_a_service_that_stops_is_missed_and_taken_up_again(
     visit: Any, served: Any, artefacts: Path
 ) -> None:
@@ -97,6 +166,7 @@ def test_a_service_that_is_overloaded_is_waited_for(visit: Any) -> None:
     banner = visit.locate("#banner-text")
     expect(banner).to_have_text(re.compile(r"^8 requests wait already\. Trying again in \d+ s\.$"))
     expect(visit.locate("#link-text")).to_have_text("Waiting for the service")
+    expect(visit.locate("#summary")).to_have_text(f"Waiting for the service: {SHOWN}")
     visit.page.unroute("**/anchors")
     visit.answer(lambda: visit.locate("#retry").click(), lambda asked: asked["seed"] == 7)
     expect(visit.locate("#link-text")).to_contain_text("flowmp-small")

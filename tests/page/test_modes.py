@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,74 @@ def test_a_robot_drives_and_plans_again(visit: Any, artefacts: Path) -> None:
     assert walled.answered["safe"].count(True) > 0
     visit.locate("#drive").click()
     expect(visit.locate("#drive-note")).to_be_hidden()
+
+
+@pytest.fixture
+def way(visit: Any) -> Callable[[], np.ndarray]:
+    """[K, 3] s, m, m: when and where the robot has been shown until then."""
+    visit.choose_empty_map()
+    visit.locate("#num").fill("16")
+    visit.locate("[data-handle=start]").evaluate("""handle => {
+        window.way = [[0, NaN, NaN]];
+        const note = () => {
+            const [x, y] = handle.ariaLabel.match(/-?\\d+\\.\\d+/g).map(Number);
+            window.way.push([performance.now() / 1e3, x, y]);
+        };
+        new MutationObserver(note).observe(handle, { attributeFilter: ["aria-label"] });
+    }""")
+    return lambda: np.array(visit.page.evaluate("window.way.slice(1)"))
+
+
+def wait_until_it_is(visit: Any, where: Callable[[float], bool]) -> None:
+    """Until the x of the robot is what is waited for."""
+    for _ in range(PATIENCE_MS // 50):
+        if where(visit.page.evaluate("window.way.at(-1)[1]")):
+            return
+        visit.page.wait_for_timeout(50)
+    pytest.fail("the robot does not get there")
+
+
+@pytest.mark.parametrize("late_ms", [300, 700, 1200])
+def test_a_robot_never_jumps_however_late_answers_are(
+    visit: Any, way: Callable[[], np.ndarray], late_ms: int
+) -> None:
+    def delay(route: Any) -> None:
+        visit.page.wait_for_timeout(late_ms)
+        route.continue_()
+
+    visit.page.route("**/anchors", delay)
+    visit.locate("#drive").click()
+    wait_until_it_is(visit, lambda x: x > -3.0)
+    visit.locate("[data-handle=goal]").focus()
+    for _ in range(4):
+        visit.page.keyboard.press("Shift+ArrowUp")
+    wait_until_it_is(visit, lambda x: x > -1.0)
+
+    if late_ms < 1000:
+        expect(visit.locate("[data-handle=goal]")).to_have_attribute(
+            "aria-label", re.compile(r"position -"), timeout=PATIENCE_MS
+        )
+        wait_until_it_is(visit, lambda x: x < 3.0)
+    visit.page.unroute_all(behavior="wait")
+    time, *place = way().T
+    v_max = float(visit.locate("#v_max").input_value())
+    gone = np.hypot(*np.diff(place))
+    assert (gone - 1.05 * v_max * np.diff(time)).max() < 0.1
+
+
+def test_a_robot_that_was_made_slower_drives_on_from_rest(
+    visit: Any, way: Callable[[], np.ndarray]
+) -> None:
+    visit.locate("#drive").click()
+    wait_until_it_is(visit, lambda x: x > -1.0)
+    visit.locate("#v_max").fill("0.6")
+
+    visit.page.wait_for_timeout(500)
+    wait_until_it_is(visit, lambda x: x > 2.0)
+
+    x = way()[:, 1]
+    back = np.maximum.accumulate(x) - x
+    assert back.max() < 0.03
 
 
 def test_the_keyboard_is_enough(visit: Any) -> None:

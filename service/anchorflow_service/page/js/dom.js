@@ -1,6 +1,8 @@
 /** Short ways to the elements of the page. */
 
 const SVG = "http://www.w3.org/2000/svg";
+/** Where no number of a kind is as large, digits behind the point would say 0 of all. */
+const TINY = 0.01;
 
 /** The element with this id. */
 export const byId = (id) => document.getElementById(id);
@@ -20,8 +22,15 @@ export function makeSvg(tag, attributes = {}, text = "") {
   return element;
 }
 
-/** A number with so many digits and a true minus sign, which 0 has none of. */
-export const figure = (value, digits = 2) => Number(value.toFixed(digits)).toFixed(digits).replace("-", "−");
+/**
+ * A number with so many digits and a true minus sign, which 0 has none of; with two significant
+ * digits where `all` numbers of its kind are tiny.
+ */
+export function figure(value, digits = 2, all = null) {
+  const isTiny = value !== 0 && all !== null && all.every((other) => Math.abs(other) < TINY);
+  const text = isTiny ? value.toPrecision(2) : Number(value.toFixed(digits)).toFixed(digits);
+  return text.replaceAll("-", "−");
+}
 
 /** A number with no more digits than it needs, three behind the point at most. */
 export const plain = (value) => String(Number(value.toFixed(3))).replace("-", "−");

@@ -9,7 +9,7 @@ const STRAGGLERS = 0.1;
 /** px from a line at which the pointer means it. */
 const NEAR_PX = 14;
 
-/** What the colours stand for: {low, high, unit, digits}; null where they stand for nothing. */
+/** What the colours stand for: {low, high, unit, digits, all} as `figure` takes them; null where they stand for nothing. */
 export function colourScale(anchors, by) {
   if (by === "speed") return anchors.speeds && { low: 0, high: anchors.limits.v_max, unit: "m/s", digits: Number.isInteger(anchors.limits.v_max) ? 0 : 2 };
   const values = by === "score" ? anchors.scores : anchors.clearance;
@@ -19,7 +19,7 @@ export function colourScale(anchors, by) {
   const sorted = [...shown].sort((a, b) => a - b);
   // A few stragglers would do the same; they share the lowest colour.
   const low = sorted[Math.floor(STRAGGLERS * sorted.length)];
-  return { low, high: sorted.at(-1), unit: by === "clearance" ? "m" : "", digits: 2 };
+  return { low, high: sorted.at(-1), unit: by === "clearance" ? "m" : "", digits: 2, all: by === "score" ? values : null };
 }
 
 /** The colour of a whole anchor. */
@@ -37,8 +37,9 @@ export function showLegend(legend, anchors, by) {
   legend.hidden = !scale;
   if (!scale) return;
   legend.dataset.by = by;
-  legend.firstElementChild.textContent = figure(scale.low, scale.digits);
-  legend.lastElementChild.textContent = `${figure(scale.high, scale.digits)} ${scale.unit}`.trim();
+  const { low, high, unit, digits, all } = scale;
+  legend.firstElementChild.textContent = figure(low, digits, all);
+  legend.lastElementChild.textContent = `${figure(high, digits, all)} ${unit}`.trim();
 }
 
 /** Draws them, worst first so that good ones lie on top. */

@@ -7,7 +7,7 @@ const ROWS = 10;
 const STAGES = { queue: "queue", encode: "encode", sample: "sample", refine: "refine", way: "transfer, drawing" };
 
 const LENGTH = { name: "Length", unit: "m", value: (anchors, n) => anchors.length(n) };
-const SCORE = { name: "Score", unit: "", value: ({ scores }, n) => scores[n] };
+const SCORE = { name: "Score", unit: "", value: ({ scores }, n) => scores[n], all: ({ scores }) => scores };
 const CLEARANCE = { name: "Clear", unit: "m", value: ({ clearance }, n) => clearance[n] };
 const DURATION = { name: "Lasts", unit: "s", value: (anchors, n) => anchors.duration(n) };
 const TOP_SPEED = { name: "Top", unit: "m/s", value: (anchors, n) => anchors.greatest(anchors.speeds, n) };
@@ -22,7 +22,7 @@ export function nameAnchor(anchors, focus) {
   const { best, safe, scores } = anchors;
   const looked = focus ?? best;
   byId("anchor-name").textContent = focus === null ? "Best anchor" : `Anchor ${focus}`;
-  const said = [scores && `score ${number(scores[looked])}`, `${anchors.duration(looked).toFixed(1)} s`];
+  const said = [scores && `score ${number(scores[looked], 2, scores)}`, `${anchors.duration(looked).toFixed(1)} s`];
   byId("anchor-figures").textContent = safe[looked] ? said.filter(Boolean).join(", ") : "not safe";
 }
 
@@ -36,7 +36,17 @@ export function say(text) {
 export function clearAnswer() {
   for (const id of ["anchor-figures", "times", "times-key", "round-trip"]) byId(id).replaceChildren();
   byId("times").removeAttribute("aria-label");
-  byId("best").tBodies[0].replaceChildren();
+  byId("anchor-name").textContent = "Best anchor";
+  const table = byId("best");
+  delete table.dataset.columns;
+  table.tHead.rows[0].replaceChildren();
+  table.tBodies[0].replaceChildren();
+  fadeFigures(false);
+}
+
+/** Whether the figures are of an answer that is no longer the one to what is asked. */
+export function fadeFigures(stale) {
+  byId("layout").toggleAttribute("data-stale", stale);
 }
 
 /** Where the time between asking and seeing went; `screenMs` is all of it. */
@@ -61,8 +71,9 @@ export function showTimes(timing, screenMs) {
 }
 
 /**
- * The table of the best; `columns` of it are {name, unit, value(anchors, n)}. `onLook(n)` is told
- * which anchor is looked at, null for none, `onKeep(n)` a click.
+ * The table of the best; `columns` of it are {name, unit, value(anchors, n), all(anchors)}, where
+ * `all` is left out of those that are never tiny. `onLook(n)` is told which anchor is looked at,
+ * null for none, `onKeep(n)` a click.
  */
 export function showBest(stage, anchors, { columns, by, focus, onLook, onKeep }) {
   const body = bodyFor(columns, onLook, onKeep);
@@ -74,7 +85,7 @@ export function showBest(stage, anchors, { columns, by, focus, onLook, onKeep })
     row.dataset.anchor = n;
     row.className = anchors.safe[n] ? "" : "unsafe";
     row.setAttribute("aria-current", n === focus);
-    columns.forEach(({ value }, k) => { row.cells[k + 1].textContent = number(value(anchors, n)); });
+    columns.forEach(({ value, all }, k) => { row.cells[k + 1].textContent = number(value(anchors, n), 2, all?.(anchors)); });
     const button = row.cells[0].firstChild;
     button.lastChild.data = `${n}`;
     button.setAttribute("aria-label", `Anchor ${n}${anchors.safe[n] ? "" : ", not safe"}`);

@@ -17,6 +17,9 @@ const PATIENCE_MS = 1000;
 /** Near enough to the goal, and slow enough, to turn back. */
 const ARRIVED_M = 0.25;
 const ARRIVED_MPS = 0.35;
+/** A plan that lies farther from the robot by the time it comes is not taken: m, and s at its speed. */
+const NEAR_M = 0.05;
+const NEAR_S = 0.03;
 const TRAIL_POINTS = 600;
 const TAU = 0.8;
 
@@ -58,12 +61,11 @@ export class Drive {
   /** What is asked now: from the robot's own state, starting from its plan where that still holds. */
   question() {
     const at = performance.now();
-    const state = this.#state(at);
-    const body = this.scene.request(state);
+    const body = this.scene.request(this.#state(at));
     if (this.#holds && this.scene.dim === 2) {
       body.warm_start = { ...this.#plan.rest((at - this.#since) / 1e3), tau: TAU };
     }
-    return { body, at, plan: this.#plan, version: this.scene.version };
+    return { body, at, plan: this.#plan, isOver: this.#isOver(at), version: this.scene.version };
   }
 
   /** Whether the plan was made for the scene as it is. */
@@ -83,9 +85,20 @@ export class Drive {
       this.#brake(now);
       return;
     }
-    // Both plans share the state at the moment of asking, so the change is not felt.
-    this.#plan = new Plan(anchors, anchors.best);
-    this.#since = question.at;
+    // What was asked while it braked begins with the braking, and would roll back.
+    if (this.#plan instanceof Stop && !question.isOver) return;
+    const plan = new Plan(anchors, anchors.best);
+    // Whoever has stood since begins now. Else both plans share the state at the moment of asking, so
+    // the change is not felt, unless the answer was so late that they have parted.
+    const since = question.isOver ? now : question.at;
+    const state = this.#state(now);
+    const near = NEAR_M + NEAR_S * Math.hypot(state.vx, state.vy);
+    if (apart(plan.at((now - since) / 1e3), state) > near) {
+      this.#brake(now);
+      return;
+    }
+    this.#plan = plan;
+    this.#since = since;
     this.planned = question.version;
     this.taken++;
   }
@@ -107,13 +120,17 @@ export class Drive {
     return this.#plan.at((now - this.#since) / 1e3);
   }
 
+  #isOver(now) {
+    return this.#plan.isOver((now - this.#since) / 1e3);
+  }
+
   #frame() {
     if (!this.active) return;
     requestAnimationFrame(() => this.#frame());
     const now = performance.now();
     if (now - this.#shown < FRAME_MS) return;
     this.#shown = now;
-    if (now - this.#heard > PATIENCE_MS) this.#brake(now);
+    if (now - this.#heard > PATIENCE_MS || this.#isOver(now)) this.#brake(now);
     const state = this.#state(now);
     this.scene.start = { x: state.x, y: state.y, vx: state.vx, vy: state.vy };
     this.stage.show.robot = state;
@@ -152,3 +169,6 @@ export class Drive {
     return `${speed} m/s · ${this.#answers.length} plans/s · ${this.taken} taken`;
   }
 }
+
+/** m between two states. */
+const apart = (a, b) => Math.hypot(a.x - b.x, a.y - b.y);

@@ -2,6 +2,7 @@
 
 import { byId, make } from "../dom.js";
 import { listenForCopies, toCurl } from "../exchange.js";
+import { FORMAT as DRIVE } from "../tensors/drive_file.js";
 import { readMap } from "./maps.js";
 import { fromRequest, parse, toJson, toPython } from "./scene_json.js";
 
@@ -44,7 +45,8 @@ export class Files {
     try {
       const json = files.find((file) => /\.json$/i.test(file.name));
       if (json) {
-        this.#open(json.name, parse(await json.text()));
+        const text = await json.text();
+        this.#open(json.name, naming(json.name, () => parse(text)));
       } else if (files.some((file) => /\.(pgm|png|ya?ml)$/i.test(file.name))) {
         const { grid, note } = await readMap(files);
         this.#show(grid, undefined, note);
@@ -58,9 +60,10 @@ export class Files {
 
   /** A scene, asked of the bundle that it names; what it does not give is the bundle's own. */
   #open(name, request) {
+    if (request.format === DRIVE) throw new Error(`${name} is a drive: choose ${bundleOf(request)} first.`);
     const named = this.models.like(request.model);
     const card = named ?? this.scene.card;
-    const { grid, ends, options, left } = fromRequest(request, card.answer.components.length);
+    const { grid, ends, options, left } = naming(name, () => fromRequest(request, card.answer.components.length));
     if (request.model && !named) left.push(`model, as no ${request.model} with a map is served`);
     if (card.name === this.scene.card.name) this.scene.useCard(this.scene.card);
     else this.models.choose(card);
@@ -86,4 +89,18 @@ export class Files {
   #say(text) {
     byId("scene-note").textContent = text;
   }
+}
+
+/** What `read()` gives; what it throws names the file. */
+function naming(name, read) {
+  try {
+    return read();
+  } catch (cause) {
+    throw new Error(`${name}: ${cause.message}`, { cause });
+  }
+}
+
+/** In words, which bundle a drive is for. */
+function bundleOf({ bundle }) {
+  return typeof bundle === "string" ? `the bundle ${bundle}` : "the bundle that it is for";
 }

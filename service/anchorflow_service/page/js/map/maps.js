@@ -1,12 +1,15 @@
 /** Maps out of files: map_server's YAML with its picture, or a picture alone. Nothing is uploaded. */
 
 import { FREE, Grid, OCCUPIED, UNKNOWN } from "./grid.js";
-import { readPgm } from "./pgm.js";
+import { checkSize, readPgm } from "./pgm.js";
 import { readYaml } from "./yaml.js";
 
 /** Larger maps have several of their cells in one, which is occupied where one of them is. */
 const MOST_CELLS = 160;
 const LEAST_CELLS = 16;
+/** Of a PNG: its signature, and where its width and height are. */
+const SIGNATURE = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a];
+const [WIDTH_AT, HEIGHT_AT, SIZE_END] = [16, 20, 24];
 /** Of a picture that comes without a YAML file, as `map_saver` writes them. */
 const DEFAULTS = { resolution: 0.05, origin: [0, 0], negate: 0, occupied_thresh: 0.65, free_thresh: 0.25, mode: "trinary" };
 
@@ -18,7 +21,7 @@ export async function readMap(files) {
   const picture = files.find(({ name }) => (yaml ? name === wanted : /\.(pgm|png)$/i.test(name)));
   if (!picture) throw new Error(`${yaml.name} names the picture ${fields.image}: choose both files together.`);
   const shades = /\.pgm$/i.test(picture.name) ? readPgm(new Uint8Array(await picture.arrayBuffer()), picture.name) : await readPng(picture);
-  const grid = pooled(trimmed(toGrid(shades, fields)));
+  const grid = pooled(trimmed(toGrid(shades, fields), picture.name));
   const [width, height] = grid.size.map((metres) => metres.toFixed(1));
   const guess = yaml ? "" : `, taking ${DEFAULTS.resolution} m a pixel for want of a .yaml file`;
   return { grid, note: `${picture.name}: ${width} × ${height} m, ${grid.resolution.toFixed(2)} m a cell${guess}.` };
@@ -26,11 +29,16 @@ export async function readMap(files) {
 
 /** {width, height, shade: [H*W] in [0, 1], opaque: [H*W]} of a PNG, top row first. */
 async function readPng(file) {
+  const wrong = (cause) => new Error(`${file.name}: expected a PNG picture.`, { cause });
+  const head = new Uint8Array(await file.slice(0, SIZE_END).arrayBuffer());
+  if (head.length < SIZE_END || SIGNATURE.some((byte, k) => head[k] !== byte)) throw wrong();
+  const told = new DataView(head.buffer);
+  checkSize(told.getUint32(WIDTH_AT), told.getUint32(HEIGHT_AT), file.name);
   let bitmap;
   try {
     bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
   } catch (cause) {
-    throw new Error(`${file.name}: expected a PNG picture.`, { cause });
+    throw wrong(cause);
   }
   const { width, height } = bitmap;
   const context = new OffscreenCanvas(width, height).getContext("2d");
@@ -71,17 +79,20 @@ function meaning(shade, { mode, negate, occupied_thresh: occupied, free_thresh: 
 }
 
 /** Without the unknown margin that mapping programs leave. */
-function trimmed(grid) {
-  const rows = [];
-  const columns = [];
+function trimmed(grid, name) {
+  const rows = { low: Infinity, high: -1 };
+  const columns = { low: Infinity, high: -1 };
+  const widen = (range, value) => {
+    range.low = Math.min(range.low, value);
+    range.high = Math.max(range.high, value);
+  };
   grid.cells.forEach((cell, k) => {
     if (cell === UNKNOWN) return;
-    rows.push(Math.floor(k / grid.columns));
-    columns.push(k % grid.columns);
+    widen(rows, Math.floor(k / grid.columns));
+    widen(columns, k % grid.columns);
   });
-  if (!rows.length) throw new Error("Every cell of this map is unknown.");
-  const span = (values, most) => {
-    const [low, high] = values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, 0]);
+  if (rows.high < 0) throw new Error(`${name}: every cell of this map is unknown.`);
+  const span = ({ low, high }, most) => {
     const [from, to] = [Math.max(0, low - 2), Math.min(most, high + 3)];
     return [from, Math.max(to - from, LEAST_CELLS)];
   };

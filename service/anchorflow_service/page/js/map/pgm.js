@@ -1,5 +1,13 @@
 /** PGM pictures, P2 (text) and P5 (bytes), 8 or 16 bits a pixel. */
 
+/** Larger pictures would take the page's time and memory for maps that are made coarser anyway. */
+const MOST_PIXELS = 16e6;
+
+/** Throws an Error that names the file where its picture is too large to be read. */
+export function checkSize(width, height, name) {
+  if (width * height > MOST_PIXELS) throw new Error(`${name}: expected at most ${MOST_PIXELS / 1e6} million pixels, got ${width} × ${height}.`);
+}
+
 /** {width, height, shade: [H*W] in [0, 1]}, top row first. Throws an Error that names the file. */
 export function readPgm(bytes, name) {
   const wrong = (expected) => new Error(`${name}: expected ${expected}.`);
@@ -20,6 +28,7 @@ export function readPgm(bytes, name) {
   const [width, height, most] = [word(), word(), word()].map(Number);
   const isSize = (value) => Number.isInteger(value) && value > 0;
   if (!isSize(width) || !isSize(height) || !(most > 0 && most < 65536)) throw wrong("width, height and greatest value");
+  checkSize(width, height, name);
   const size = most < 256 ? 1 : 2;
   if (kind === "P5" && bytes.length - at < width * height * size) {
     throw wrong(`${width} × ${height} pixels, but the file ends before`);

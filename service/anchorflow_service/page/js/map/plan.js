@@ -42,6 +42,11 @@ export class Plan {
     return { trajectory, dt };
   }
 
+  /** Whether nothing is left of it after `seconds`. */
+  isOver(seconds) {
+    return seconds >= (this.steps - 1) * this.dt;
+  }
+
   /** [[x, y]] still to go after `seconds`. */
   way(seconds) {
     const { x, y } = this.at(seconds);
@@ -70,6 +75,11 @@ export class Stop {
     const speed = Math.hypot(state.vx, state.vy);
     const pull = BRAKING * limits.a_max;
     Object.assign(this, { state, speed, pull, seconds: speed / pull });
+  }
+
+  /** Whether it stands still after `seconds`. */
+  isOver(seconds) {
+    return seconds >= this.seconds;
   }
 
   at(seconds) {

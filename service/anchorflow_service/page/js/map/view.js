@@ -3,7 +3,7 @@
 import { Anchors } from "../anchors.js";
 import { byId } from "../dom.js";
 import { pick, showLegend } from "../lines.js";
-import { columnsOf, nameAnchor, say, showBest, showTimes } from "../panels.js";
+import { clearAnswer, columnsOf, fadeFigures, nameAnchor, say, showBest, showTimes } from "../panels.js";
 import { Bubble } from "./bubble.js";
 import { drawCharts } from "./charts.js";
 import { Controls } from "./controls.js";
@@ -67,6 +67,7 @@ export class MapView {
   useCard(card) {
     this.active = true;
     this.#rest();
+    this.#clear();
     this.scene.useCard(card);
     this.controls.show();
     const gives = (...names) => names.every((name) => card.answer.arrays.includes(name));
@@ -104,7 +105,7 @@ export class MapView {
   }
 
   async answered({ question, answer, sentAt }) {
-    if (question.driven !== this.drive.active) return;
+    if (question.card !== this.scene.card || question.driven !== this.drive.active) return;
     this.replay.end();
     const anchors = new Anchors(answer, question.card, question.limits);
     this.shown = question;
@@ -112,6 +113,7 @@ export class MapView {
     if (this.drive.active) this.drive.take(anchors, question);
     if (this.kept >= anchors.count) this.kept = null;
     Object.assign(this.stage.show, { anchors, stale: false, focus: this.kept, step: null });
+    fadeFigures(false);
     this.#showAnchors();
     const shownAt = await this.stage.draw();
     showTimes(anchors.timing, shownAt - sentAt);
@@ -120,23 +122,41 @@ export class MapView {
 
   refused({ error }) {
     if (this.drive.active) this.drive.refused(error.message);
-    this.stage.show.stale = true;
     this.bubble.refuse(error);
+    this.#fade("The service refused");
+  }
+
+  down() {
+    this.#fade("Waiting for the service");
+  }
+
+  /** What is shown is old; `why` begins the sentence that says so. */
+  #fade(why) {
+    const { show } = this.stage;
+    show.stale = true;
+    say(`${why}${show.anchors ? ": what is shown is its last answer" : ""}.`);
+    fadeFigures(true);
     this.stage.draw();
   }
 
-  /** The service is silent: what is shown is old. */
-  down() {
-    this.stage.show.stale = true;
+  /** Nothing has come back of this bundle. */
+  #clear() {
+    this.kept = null;
+    Object.assign(this.stage.show, { anchors: null, stale: false, focus: null, step: null });
+    this.bubble.clear();
+    say("");
+    clearAnswer();
+    byId("charts").replaceChildren();
+    byId("legend").hidden = true;
     this.stage.draw();
   }
 
   /** All figures of the answer that is shown. */
   #showAnchors() {
-    const { anchors, focus, step, colourBy } = this.stage.show;
+    const { anchors, focus, step, stale, colourBy } = this.stage.show;
     if (!anchors || !this.active) return;
     const { count, numSafe, trouble } = anchors;
-    say(numSafe ? `${numSafe} of ${count} anchors are safe, ${anchors.durationsText}.` : `No anchor is safe: ${this.scene.tightEnd || trouble}.`);
+    if (!stale) say(numSafe ? `${numSafe} of ${count} anchors are safe, ${anchors.durationsText}.` : `No anchor is safe: ${this.scene.tightEnd || trouble}.`);
     const looked = focus ?? anchors.best;
     drawCharts(anchors, looked, step);
     nameAnchor(anchors, focus);

@@ -9,7 +9,9 @@ const WORDS = { true: true, yes: true, on: true, false: false, no: false, off: f
 
 /** {image, resolution, origin: [x, y], negate, mode, free_thresh, occupied_thresh}. Throws an Error that names the field. */
 export function readYaml(text, name) {
-  const found = topLevel(text);
+  const lines = linesOf(text);
+  if (/^(---)?\s*\{/.test(lines.join("\n").trim())) throw new Error(`${name}: expected a line for each field; a flow mapping, {…}, is not read here.`);
+  const found = topLevel(lines);
   if (!Object.keys(found).length) throw new Error(`${name}: expected a map_server YAML file with named fields.`);
   const fields = { mode: "trinary", negate: 0, ...found };
   const wrong = (key, expected, came = fields[key]) => new Error(`${name}: ${key}: expected ${expected}, got ${JSON.stringify(came ?? null)}.`);
@@ -31,9 +33,11 @@ export function readYaml(text, name) {
 
 const isNumber = (value) => typeof value === "number";
 
+/** Without comments. */
+const linesOf = (text) => text.replace(/^\ufeff/, "").split(/\r?\n/).map((line) => line.replace(/(^|\s)#.*$/, ""));
+
 /** {key: value} of the keys that are not indented; of their values scalars and lists are read. */
-function topLevel(text) {
-  const lines = text.replace(/^\ufeff/, "").split(/\r?\n/).map((line) => line.replace(/(^|\s)#.*$/, ""));
+function topLevel(lines) {
   const values = {};
   let last;
   for (const line of lines) {

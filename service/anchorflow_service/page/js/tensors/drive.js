@@ -12,10 +12,15 @@ export class Drive {
   held = null;
   #street = null;
   #card = null;
+  /** The version of what was asked when trouble was said. */
+  #saidAt = 0;
 
-  /** `isShown()`: whether the page asks with inputs; `onFilled()`, `onClose()` are called then. */
-  constructor({ inputs, eye, isShown, onFilled, onClose }) {
-    Object.assign(this, { inputs, eye, onFilled, onClose });
+  /**
+   * `isShown()`: whether the page asks with inputs; `version()` counts changes of what is asked;
+   * `onFilled()`, `onClose()` are called then.
+   */
+  constructor({ inputs, eye, isShown, version, onFilled, onClose }) {
+    Object.assign(this, { inputs, eye, version, onFilled, onClose });
     this.player = new DrivePlayer({
       isShown,
       onOpen: (drive) => this.#open(drive),
@@ -46,8 +51,10 @@ export class Drive {
     this.#move(index);
   }
 
-  /** The answer to a question about `held` is drawn next. */
-  answered(held) {
+  /** The answer to a question about `held` is drawn next; trouble from before a change is over. */
+  answered({ held, version }) {
+    // What is asked of itself when a drive is closed takes no trouble away.
+    if (version > this.#saidAt) this.#say(null);
     if (held) this.#paint(held);
   }
 
@@ -109,6 +116,7 @@ export class Drive {
 
   /** Beside the input that does not fit, too. */
   #say(error) {
+    this.#saidAt = this.version();
     byId("drive-trouble").textContent = error?.message ?? "";
     byId("drive-trouble").hidden = !error;
     if (error instanceof InputMismatch) this.inputs.refuse(error);

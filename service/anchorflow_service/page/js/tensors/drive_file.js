@@ -3,7 +3,7 @@
 import { typeText } from "../card.js";
 import { ARRAYS, axesOf, base64 } from "./tensor.js";
 
-const FORMAT = "anchorflow-drive";
+export const FORMAT = "anchorflow-drive";
 const VERSION = 1;
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);

@@ -5,7 +5,7 @@ import { limitsText, typeText } from "../card.js";
 import { byId, make } from "../dom.js";
 import { listenForCopies, toCurl } from "../exchange.js";
 import { pick, showLegend } from "../lines.js";
-import { clearAnswer, columnsOf, nameAnchor, say, showBest, showTimes } from "../panels.js";
+import { clearAnswer, columnsOf, fadeFigures, nameAnchor, say, showBest, showTimes } from "../panels.js";
 import { ask } from "../service.js";
 import { BirdsEye } from "./birds_eye.js";
 import { Drive } from "./drive.js";
@@ -35,6 +35,7 @@ export class TensorView {
       inputs: this.inputs,
       eye: this.eye,
       isShown: () => this.active,
+      version: () => this.version,
       onFilled: () => this.planner.ask(),
       onClose: () => this.planner.ask(),
     });
@@ -103,8 +104,10 @@ export class TensorView {
     const spec = this.card.answer.extras.find(({ name }) => name === RASTER);
     const raster = extras[RASTER] ? new Raster(spec, unnest(extras[RASTER]), this.eye.colours.classes) : null;
     if (this.kept >= anchors.count) this.kept = null;
-    Object.assign(this.eye.show, { anchors, raster, stale: question.version !== this.version, focus: this.kept, step: null });
-    this.drive.answered(question.held);
+    const stale = question.version !== this.version;
+    Object.assign(this.eye.show, { anchors, raster, stale, focus: this.kept, step: null });
+    fadeFigures(stale);
+    this.drive.answered(question);
     this.#showAnchors();
     this.#showExtras(extras, raster);
     const shownAt = await this.eye.request();
@@ -127,6 +130,7 @@ export class TensorView {
 
   #fade() {
     this.eye.show.stale = true;
+    fadeFigures(true);
     this.eye.request();
   }
 
