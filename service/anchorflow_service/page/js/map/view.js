@@ -116,6 +116,7 @@ export class MapView {
     fadeFigures(false);
     this.#showAnchors();
     const shownAt = await this.stage.draw();
+    if (!this.active || question.card !== this.scene.card) return; // another bundle was chosen meanwhile
     showTimes(anchors.timing, shownAt - sentAt);
     this.#measure({ question, sentAt, shownAt, engineMs: anchors.timing.total });
   }

@@ -111,6 +111,7 @@ export class TensorView {
     this.#showAnchors();
     this.#showExtras(extras, raster);
     const shownAt = await this.eye.request();
+    if (!this.active || question.card !== this.card) return; // another bundle was chosen meanwhile
     showTimes(anchors.timing, shownAt - sentAt);
     this.drive.shown(question.held);
   }
