@@ -2,7 +2,6 @@
 
 import { byId, make } from "../dom.js";
 import { listenForCopies, toCurl } from "../exchange.js";
-import { FORMAT as DRIVE } from "../tensors/drive_file.js";
 import { readMap } from "./maps.js";
 import { fromRequest, parse, toJson, toPython } from "./scene_json.js";
 
@@ -60,7 +59,7 @@ export class Files {
 
   /** A scene, asked of the bundle that it names; what it does not give is the bundle's own. */
   #open(name, request) {
-    if (request.format === DRIVE) throw new Error(`${name} is a drive: choose ${bundleOf(request)} first.`);
+    if (typeof request.format === "string") throw new Error(`${name} is no scene but of the format ${request.format}: choose ${bundleOf(request)} first.`);
     const named = this.models.like(request.model);
     const card = named ?? this.scene.card;
     const { grid, ends, options, left } = naming(name, () => fromRequest(request, card.answer.components.length));
@@ -100,7 +99,7 @@ function naming(name, read) {
   }
 }
 
-/** In words, which bundle a drive is for. */
+/** In words, which bundle a file of another format, such as a drive, is for. */
 function bundleOf({ bundle }) {
   return typeof bundle === "string" ? `the bundle ${bundle}` : "the bundle that it is for";
 }
