@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from collections.abc import Callable
@@ -16,6 +17,9 @@ from anchorflow_client import Payload
 # A deadline judges the machine that a test happens to share, not the code.
 settings.register_profile("anchorflow", deadline=None)
 settings.load_profile("anchorflow")
+
+# With torch and onnx loaded every look for garbage is long: ten times fewer of them.
+gc.set_threshold(10_000)
 
 SHARED_DATA = Path(
     os.environ.get(

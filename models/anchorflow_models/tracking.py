@@ -49,55 +49,113 @@ class Driven(NamedTuple):
     speed: Tensor
 
 
+class _Wanted(NamedTuple):
+    """[B, N, 2T] each: where the car should be at every step, and what is asked of it there."""
+
+    x: Tensor
+    y: Tensor
+    heading: Tensor
+    speed: Tensor
+    """m/s, a second later."""
+    bend: Tensor
+    """rad/m, in the second that follows."""
+    shift: Tensor
+    """Twice the metres aside in that second by the square of its way."""
+
+
+class _Steering(NamedTuple):
+    """[B, N, 2T] each: by how much a curvature falls in a step, 1/m, for each unit of an error."""
+
+    aside: Tensor
+    askew: Tensor
+    bend: Tensor
+    shift: Tensor
+
+
 def driven(poses: Tensor, start: Start, *, dt: float) -> Driven:
     """What is driven by who follows poses [B, N, T, 3].
 
     dt: s, from pose to pose
     """
-    count, step = 2 * poses.shape[-2], 0.5 * dt
-    looks = min(max(round(LOOKS_S / step), 1), count)
-    wanted = torch.cat([torch.zeros_like(poses[..., :1, :]), halved(poses)], -2)
-    x_to, y_to, heading_to = wanted.unbind(-1)
-    cos_to, sin_to = heading_to.cos(), heading_to.sin()
-    ways = wanted[..., ::2, :2].diff(dim=-2).square().sum(-1).clamp(min=1e-8).sqrt()
+    step = 0.5 * dt
+    wanted = _wanted(poses, dt=dt)
+    speed, pull, bend, wheelbase = (each[:, None].expand_as(poses[..., 0, 0]) for each in start)
+    pace = _paces(speed, pull, wanted.speed, step=step)
+    before, after = pace[..., :-1], pace[..., 1:]
+    steering = _steering(before, wheelbase[..., None], step=step)
+    own = _steered(wanted, steering, bend, ways=0.5 * step * (before + after))
+    return Driven(own, pace[..., 2::2])
+
+
+def _wanted(poses: Tensor, *, dt: float) -> _Wanted:
+    count = 2 * poses.shape[-2]
+    looks = min(max(round(LOOKS_S / (0.5 * dt)), 1), count)
+    track = torch.cat([torch.zeros_like(poses[..., :1, :]), halved(poses)], -2)
+    ways = track[..., ::2, :2].diff(dim=-2).square().sum(-1).clamp(min=1e-8).sqrt()
     speeds = ways / dt
-    between = 0.5 * (speeds[..., :-1] + speeds[..., 1:])
-    # At steps 1, 2, … of the quarters: halfway between two poses, at a pose, and so on.
-    speed_to = torch.stack([speeds[..., :-1], between], -1).flatten(-2)
-    speed_to = torch.cat([speed_to, speeds[..., -1:]], -1)
-    # How it bends in the second that follows: radians a metre, and metres aside a square metre.
+    between = torch.cat([0.5 * (speeds[..., :-1] + speeds[..., 1:]), speeds[..., -1:]], -1)
+    speed = torch.stack([speeds, between], -1).flatten(-2)
     arc = torch.nn.functional.pad((0.5 * ways).repeat_interleave(2, -1).cumsum(-1), (1, 0))
-    way_then = (arc[..., looks:] - arc[..., :-looks]).clamp(min=_LEAST)
-    dx, dy, turn_then = (wanted[..., looks:, :] - wanted[..., :-looks, :]).unbind(-1)
-    shift_then = dy * cos_to[..., :-looks] - dx * sin_to[..., :-looks]
-    bend_to, shift_to = turn_then / way_then, 2 * SHIFT * shift_then / way_then.square()
-    speed, pull, bend, wheelbase = (each[:, None].expand_as(speeds[..., 0]) for each in start)
-    x = y = heading = torch.zeros_like(speed)
-    last = speed_to.shape[-1] - 1
+    way = (arc[..., looks:] - arc[..., :-looks]).clamp(min=_LEAST)
+    dx, dy, turn = (track[..., looks:, :] - track[..., :-looks, :]).unbind(-1)
+    x, y, heading = track[..., :-1, :].unbind(-1)
+    now = heading[..., : dx.shape[-1]]
+    shift = 2 * (dy * now.cos() - dx * now.sin()) / way.square()
+    ahead = (_with_last(each, count) for each in (speed[..., looks - 1 :], turn / way, shift))
+    return _Wanted(x, y, heading, *ahead)
+
+
+def _with_last(values: Tensor, count: int) -> Tensor:
+    """[..., count], the last one again until there are so many."""
+    more = count - values.shape[-1]
+    return torch.cat([values, values[..., -1:].expand(*values.shape[:-1], more)], -1)
+
+
+def _paces(speed: Tensor, pull: Tensor, wanted: Tensor, *, step: float) -> Tensor:
+    """[B, N, 2T + 1] m/s, now and after every step, of a car that heads for speeds [B, N, 2T]."""
+    share = step / (step + PULL_LAG_S)
+    paces = [speed]
+    for aim in (share * SPEEDING * wanted).unbind(-1):
+        pull = (1 - share) * pull + (aim - share * SPEEDING * paces[-1])
+        paces.append((paces[-1] + step * pull).clamp(min=0.0))
+    return torch.stack(paces, -1)
+
+
+def _steering(speed: Tensor, wheelbase: Tensor, *, step: float) -> _Steering:
+    """What the controller does at speeds [B, N, 2T]: where the errors come to while it looks ahead
+    is weighed against what a steering rate costs.
+    """
+    square = speed.square()
+    turn, shift = TURN_OF_RATE * speed / wheelbase, SHIFT_OF_RATE * square / wheelbase
+    cost = LATERAL * shift.square() + HEADING * turn.square() + 1
+    passed = PASSED_ON * step / (wheelbase * cost)
+    aside, askew = passed * LATERAL * shift, passed * HEADING * turn
+    return _Steering(aside, aside * speed + askew, askew * speed, SHIFT * aside * square)
+
+
+def _steered(wanted: _Wanted, steering: _Steering, bend: Tensor, *, ways: Tensor) -> Tensor:
+    """Poses [B, N, T, 3] of a car that goes ways [B, N, 2T] m and bends so now."""
+    # The steering at a step is linear in the car's pose and curvature there.
+    by_x, by_y = steering.aside * wanted.heading.sin(), -steering.aside * wanted.heading.cos()
+    aim = steering.askew * wanted.heading - by_x * wanted.x - by_y * wanted.y
+    aim = aim + steering.bend * wanted.bend + steering.shift * wanted.shift
+    kept = 1 - steering.bend - steering.shift
+    halves, quarters = 0.5 * ways, 0.25 * ways
+    x = y = heading = torch.zeros_like(bend)
     track = []
-    for now in range(count):
-        aside = (y - y_to[..., now]) * cos_to[..., now] - (x - x_to[..., now]) * sin_to[..., now]
-        askew = heading - heading_to[..., now]
-        then = min(now, bend_to.shape[-1] - 1)
-        askew_then = askew + speed * (bend - bend_to[..., then])
-        shifted = speed.square() * (SHIFT * bend - shift_to[..., then])
-        aside_then = aside + speed * askew + shifted
-        turn = TURN_OF_RATE * speed / wheelbase
-        shift = SHIFT_OF_RATE * speed.square() / wheelbase
-        cost = LATERAL * shift.square() + HEADING * turn.square() + 1
-        rate = -(LATERAL * shift * aside_then + HEADING * turn * askew_then) / cost
-        later = (bend + PASSED_ON * step * rate / wheelbase).clamp(-SHARPEST, SHARPEST)
-        command = SPEEDING * (speed_to[..., min(now + looks - 1, last)] - speed)
-        pull = pull + step / (step + PULL_LAG_S) * (command - pull)
-        after = (speed + step * pull).clamp(min=0.0)
-        way = step * 0.5 * (speed + after)
-        turned = way * 0.5 * (bend + later)
-        x = x + way * (heading + 0.5 * turned).cos()
-        y = y + way * (heading + 0.5 * turned).sin()
-        heading, speed, bend = heading + turned, after, later
-        track.append(torch.stack([x, y, heading, speed], -1))
-    own, fast = torch.stack(track[1::2], -2).split([3, 1], -1)
-    return Driven(own, fast[..., 0])
+    for now in range(ways.shape[-1]):
+        at = (..., now)
+        later = aim[at] + by_x[at] * x + by_y[at] * y
+        later = later - steering.askew[at] * heading + kept[at] * bend
+        later = later.clamp(-SHARPEST, SHARPEST)
+        both = bend + later
+        middle = heading + quarters[at] * both
+        x = x + ways[at] * middle.cos()
+        y = y + ways[at] * middle.sin()
+        heading, bend = heading + halves[at] * both, later
+        if now % 2:
+            track.append(torch.stack([x, y, heading], -1))
+    return torch.stack(track, -2)
 
 
 def curvature_of(motion: Tensor) -> Tensor:

@@ -138,11 +138,17 @@ def secured(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Script], Sock
 
             def run() -> None:
                 for _ in range(2):
-                    connection = theirs.wrap_socket(listener.accept()[0], server_side=True)
-                    with connection:
+                    try:
+                        accepted = listener.accept()[0]
+                    except OSError:  # the test has ended
+                        return
+                    with theirs.wrap_socket(accepted, server_side=True) as connection:
                         script(connection)
 
-            threading.Thread(target=run, daemon=True).start()
+            server = threading.Thread(target=run, daemon=True)
+            server.start()
+            stack.callback(server.join, 5)
+            stack.callback(listener.shutdown, socket.SHUT_RDWR)  # wakes who waits in accept()
             url = f"https://localhost:{listener.getsockname()[1]}"
             transport = SocketTransport(url, connect_timeout_s=5)
             stack.callback(transport.close)
