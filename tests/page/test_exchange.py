@@ -295,6 +295,27 @@ def test_a_file_that_cannot_be_read_is_explained(
     expect(visit.locate("#scene-note")).to_contain_text(message)
 
 
+DROP = """(element, [name, text]) => {
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([text], name));
+  const fire = (type) =>
+    element.dispatchEvent(new DragEvent(type, { dataTransfer, bubbles: true, cancelable: true }));
+  fire("dragover");
+  const said = document.querySelector("#board").hasAttribute("data-drop");
+  return [said, fire("drop"), document.querySelector("#board").hasAttribute("data-drop")];
+}"""
+"""Drops a file; whether the board said so, whether the browser would open it itself, and whether
+the board says so still."""
+
+
+@pytest.mark.parametrize("where", ["#board", "#summary", "#bundle"])
+def test_a_drop_anywhere_on_the_page_opens_the_file(visit: Any, where: str) -> None:
+    outcome = visit.locate(where).evaluate(DROP, ["a.json", '{"x_curr": [1, 2]}'])
+
+    assert outcome == [True, False, False]
+    expect(visit.locate("#scene-note")).to_contain_text("a.json: x_curr: expected 6 numbers")
+
+
 @pytest.mark.parametrize("side", [4001, 20_000])
 def test_a_picture_that_is_too_large_is_refused_by_its_size(
     visit: Any, tmp_path: Path, side: int

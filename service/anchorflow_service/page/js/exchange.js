@@ -1,4 +1,4 @@
-/** Requests for other programs: a line for a shell, the literals of Python, the clipboard. */
+/** In and out: dropped files; requests for other programs, by way of the clipboard. */
 
 import { byId, make } from "./dom.js";
 import { authorization } from "./token.js";
@@ -51,6 +51,28 @@ export function listenForCopies(isShown, write) {
       }
     });
   }
+}
+
+/** `read(files)` gets what is dropped anywhere on the page while `isShown()`; the board says so. */
+export function listenForDrops(board, isShown, read) {
+  const root = document.documentElement;
+  for (const type of ["dragenter", "dragover"]) {
+    root.addEventListener(type, (event) => {
+      if (!isShown() || !event.dataTransfer.types.includes("Files")) return;
+      // An input may take it for itself.
+      board.toggleAttribute("data-drop", !event.defaultPrevented);
+      event.preventDefault();
+    });
+  }
+  root.addEventListener("dragleave", (event) => {
+    if (!event.relatedTarget) board.removeAttribute("data-drop");
+  });
+  root.addEventListener("drop", (event) => {
+    board.removeAttribute("data-drop");
+    if (!isShown() || event.defaultPrevented || !event.dataTransfer.files.length) return;
+    event.preventDefault();
+    read([...event.dataTransfer.files]);
+  });
 }
 
 async function copy(text) {

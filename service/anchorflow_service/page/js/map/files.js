@@ -1,7 +1,7 @@
 /** Open, drop, save and copy scenes. */
 
 import { byId, make } from "../dom.js";
-import { listenForCopies, toCurl } from "../exchange.js";
+import { listenForCopies, listenForDrops, toCurl } from "../exchange.js";
 import { readMap } from "./maps.js";
 import { fromRequest, parse, toJson, toPython } from "./scene_json.js";
 
@@ -19,24 +19,7 @@ export class Files {
       curl: () => toCurl(toJson(scene.request())),
       python: () => toPython(scene.request()),
     });
-    this.#listenForDrops(byId("board"));
-  }
-
-  #listenForDrops(board) {
-    for (const type of ["dragenter", "dragover"]) {
-      board.addEventListener(type, (event) => {
-        event.preventDefault();
-        board.dataset.drop = "";
-      });
-    }
-    board.addEventListener("dragleave", (event) => {
-      if (!board.contains(event.relatedTarget)) delete board.dataset.drop;
-    });
-    board.addEventListener("drop", (event) => {
-      event.preventDefault();
-      delete board.dataset.drop;
-      this.#read([...event.dataTransfer.files]);
-    });
+    listenForDrops(byId("board"), isShown, (files) => this.#read(files));
   }
 
   async #read(files) {

@@ -1,6 +1,7 @@
 /** A drive that is open: its file, the slider over its time, and what plays it. */
 
 import { byId, showFill } from "../dom.js";
+import { listenForDrops } from "../exchange.js";
 import { DriveFile } from "./drive_file.js";
 
 /** s that a frame is looked at at most, where a drive leaves something out. */
@@ -35,7 +36,7 @@ export class DrivePlayer {
       this.#go(Number(this.slider.value));
     });
     document.addEventListener("keydown", (event) => this.#press(event));
-    this.#listenForDrops(byId("look"));
+    listenForDrops(byId("look").querySelector(".board"), isShown, ([file]) => this.#read(file));
   }
 
   get frame() {
@@ -126,23 +127,5 @@ export class DrivePlayer {
     byId("drive-bar").hidden = !this.drive;
     byId("close-drive").hidden = !this.drive;
     byId("look").toggleAttribute("data-drive", Boolean(this.drive));
-  }
-
-  #listenForDrops(stage) {
-    const board = stage.querySelector(".board");
-    for (const type of ["dragenter", "dragover"]) {
-      stage.addEventListener(type, (event) => {
-        event.preventDefault();
-        board.dataset.drop = "";
-      });
-    }
-    stage.addEventListener("dragleave", (event) => {
-      if (!stage.contains(event.relatedTarget)) delete board.dataset.drop;
-    });
-    stage.addEventListener("drop", (event) => {
-      event.preventDefault();
-      delete board.dataset.drop;
-      this.#read(event.dataTransfer.files[0]);
-    });
   }
 }
