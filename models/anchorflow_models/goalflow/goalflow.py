@@ -20,7 +20,14 @@ from anchorflow_client.sensors import ROUTE_POINTS
 from anchorflow_models.goalflow.config import HALTINGS, TURNS, GoalFlowConfig
 from anchorflow_models.goalflow.field import BACKBONES
 from anchorflow_models.goalflow.goals import WayScorer, WayScores, in_units, pick
-from anchorflow_models.goalflow.kinematics import BRAKING, PULLING, SHARPEST, arc_to, roll_out
+from anchorflow_models.goalflow.kinematics import (
+    BRAKING,
+    PULLING,
+    SHARPEST,
+    arc_to,
+    roll_out,
+    sharpest_at,
+)
 from anchorflow_models.goalflow.outcome_scorer import OutcomeScorer, outcome_scores
 from anchorflow_models.goalflow.raster import at_places
 from anchorflow_models.goalflow.route import follows, is_told, ways_along
@@ -159,11 +166,16 @@ class GoalFlow(nn.Module):
         }
 
     def ways_to(self, goals: Tensor, speed: Tensor) -> Tensor:
-        """Arcs [B, P, T, S] that end at goals [B, P, 2] in time, of cars at speeds [B]."""
+        """Arcs [B, P, T, S] that end at goals [B, P, 2] in time, of cars at speeds [B]; at those
+        that are too near for a speed they do not arrive.
+        """
         steps, dt = self.config.num_steps, self.config.dt
         speed = speed[:, None].expand(goals.shape[:2])
-        acceleration, curvature = arc_to(goals, speed, duration=steps * dt)
-        return self._way(speed, acceleration[..., None], curvature[..., None], aimed=1.0)
+        controls = arc_to(goals, speed, duration=steps * dt)
+        acceleration, curvature = (each[..., None].expand(-1, -1, steps) for each in controls)
+        sharpest = sharpest_at(speed, acceleration, dt=dt)
+        curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
+        return self._way(speed, acceleration, curvature, aimed=1.0)
 
     def shadow(self, ego_status: Tensor, speed: Tensor) -> Tensor:
         """The way [B, 1, T, S] that goes on as the ego moves now, to no goal."""
@@ -288,8 +300,10 @@ class GoalFlow(nn.Module):
         tokens = torch.cat([(poses - way) / self.stray, in_units(way), seen, told], -1)
         change = self.flow(tokens, modulation).tanh()
         acceleration = (acceleration + GAINS[0] * change[..., 0]).clamp(-BRAKING, PULLING)
-        curvature = (curvature + GAINS[1] * change[..., 1]).clamp(-SHARPEST, SHARPEST)
         speed = context["speed"][:, None].expand(acceleration.shape[:2])
+        curvature = curvature + GAINS[1] * change[..., 1]
+        sharpest = sharpest_at(speed, acceleration, dt=self.config.dt)
+        curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
         expected = roll_out(speed, acceleration, curvature, dt=self.config.dt)
         return expected if self.training else standing_still(torch.where(settled, way, expected))
 

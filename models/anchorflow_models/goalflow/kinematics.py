@@ -11,6 +11,8 @@ BRAKING, PULLING = 6.0, 2.3
 """m/s², of the acceleration that is drawn."""
 SHARPEST = 0.2
 """1/m, of the curvature."""
+GRIP = 8.0
+"""m/s² to the side, of what is drawn at any speed."""
 _LEAST = 1e-3
 
 
@@ -34,6 +36,13 @@ def roll_out(speed: Tensor, acceleration: Tensor, curvature: Tensor, *, dt: floa
     x, y = ((way * part).cumsum(-1) for part in (course.cos(), course.sin()))
     poses = torch.stack([x, y, heading], -1)
     return poses[..., SUBSTEPS - 1 :: SUBSTEPS, :]
+
+
+def sharpest_at(speed: Tensor, acceleration: Tensor, *, dt: float) -> Tensor:
+    """Curvature [..., T] in 1/m that tyres let a car of speeds [...] drive, by [..., T] m/s²."""
+    after = speed[..., None] + dt * acceleration.cumsum(-1)
+    fastest = torch.maximum(after, after - dt * acceleration).clamp(min=(GRIP / SHARPEST) ** 0.5)
+    return GRIP / fastest.square()
 
 
 def arc_to(goal: Tensor, speed: Tensor, *, duration: float) -> tuple[Tensor, Tensor]:

@@ -25,8 +25,8 @@ _LEAST = 1e-3
 
 
 def is_told(route: Tensor) -> Tensor:
-    """[B], whether there is a route [B, P, 2]: of one that is not, all numbers are 0."""
-    return route.abs().amax((1, 2)) > 0
+    """[B], whether there is a route [B, P, 2]: of one that is not, all places are the same."""
+    return (route - route[:, :1]).abs().amax((1, 2)) > 0
 
 
 def ways_along(

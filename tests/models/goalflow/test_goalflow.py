@@ -9,6 +9,7 @@ from torch import Tensor
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.config import HALTINGS, TURNS
 from anchorflow_models.goalflow.goalflow import LEANING, POSE, SETTLED, Context
+from anchorflow_models.goalflow.kinematics import GRIP
 
 
 def road(batch: int = 1) -> Tensor:
@@ -144,6 +145,20 @@ def test_every_answer_starts_at_the_present_speed(model: GoalFlow) -> None:
     # 0.5 s at 10 m/s, pulling or braking at no more than a car can; a bend shortens the chord.
     first = x_1[0, :, 0, :2].norm(dim=-1)
     assert ((first > 4.1) & (first < 5.0 + 0.3)).all()
+
+
+@torch.no_grad()
+def test_a_fast_car_is_drawn_no_circles(model: GoalFlow) -> None:
+    shaken(model)
+    context = model.encode(road(), statuses(40.0), SIZE)
+    x_1 = sampled(model, context, torch.randn(64, 24), steps=1)
+
+    aimed = context["prior_mean"][0, torch.arange(64) % model.config.ways, 0, POSE] >= 0
+    turned = x_1[0, aimed, :, 2].diff(dim=-1).abs()
+    assert aimed.sum() > 20
+    assert (
+        turned.amax() < 0.5 * GRIP / 16.0
+    )  # a car that brakes for four seconds is as slow as that
 
 
 @torch.no_grad()

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from anchorflow_models.goalflow.kinematics import arc_to, roll_out
+from anchorflow_models.goalflow.kinematics import GRIP, SHARPEST, arc_to, roll_out, sharpest_at
 
 T, DT = 8, 0.5
 TIMES = DT * torch.arange(1, T + 1)
@@ -58,3 +58,16 @@ def test_a_goal_behind_or_here_is_a_halt_not_a_nan() -> None:
     assert torch.isfinite(torch.stack([acceleration, curvature])).all()
     assert goals.grad is not None
     assert torch.isfinite(goals.grad).all()
+
+
+def test_a_fast_car_bends_no_more_than_its_tyres_hold() -> None:
+    speed = torch.tensor([0.0, 5.0, 20.0, 50.0])
+    steady, slowing = (
+        sharpest_at(speed, torch.full((4, T), pull), dt=DT).unbind(-1) for pull in (0.0, -2.0)
+    )
+
+    torch.testing.assert_close(
+        steady[-1], torch.tensor([SHARPEST, SHARPEST, GRIP / 20**2, GRIP / 50**2])
+    )
+    torch.testing.assert_close(slowing[0], steady[0])
+    torch.testing.assert_close(slowing[-1][2:], GRIP / torch.tensor([13.0, 43.0]).square())

@@ -15,6 +15,7 @@ from anchorflow_models.goalflow.route import (
     LEANING,
     SHARPEST,
     follows,
+    is_told,
     strays_from,
     ways_along,
 )
@@ -103,6 +104,13 @@ def test_what_ends_on_the_route_follows_it() -> None:
     told = follows(ends, STRAIGHT[None])[0]
     assert told.tolist() == pytest.approx([1.0, 0.5, 0.0], abs=2e-3)
     assert follows(ends, torch.zeros(1, ROUTE_POINTS, 2)).eq(1.0).all()
+
+
+def test_one_place_forty_times_is_no_route() -> None:
+    same = torch.tensor([5.0, 2.0]).expand(1, ROUTE_POINTS, 2)
+    assert not is_told(same)
+    assert is_told(STRAIGHT[None])
+    assert follows(torch.tensor([[[9.0, -50.0]]]), same).eq(1.0).all()
 
 
 def asked(batch: int) -> tuple[Tensor, Tensor, Tensor]:
