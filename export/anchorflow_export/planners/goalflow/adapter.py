@@ -50,7 +50,7 @@ BLOCK, TAKEN = 8, 0.05  # cells a side of what stands beside a random street; it
 TURNING = 0.01  # rad more from point to point of random routes, times a normal number
 
 MOST_STATUS = 32.0
-"""m/s, and m/s²: logs are of cities, and the ways of faster cars turn in circles."""
+"""m/s, and m/s²: a faster car leaves the raster within four seconds, however it brakes."""
 STATUS = TensorSpec("ego_status", F32, ("B", 8), STATUS_UNIT, (-MOST_STATUS, MOST_STATUS))
 SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
 ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
