@@ -24,9 +24,10 @@ serve: $(VENV)/.service  ## Serve the default bundle at HOST and PORT (127.0.0.1
 
 toolkit: $(VENV)/.toolkit  ## Add what training and export need (torch, onnx) to .venv
 
-# One thread of torch a worker: where each has as many as cores, most of their time is waiting.
+# One thread of torch a worker: where each has as many as cores, most of their time is waiting. And
+# bytecode is kept: the servers that tests start by the dozen would compile every module anew.
 test: $(VENV)/.dev  ## Run every test, on every core
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
+	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: $(VENV)/.dev  ## Check style, import walls and types
 	$(BIN)/ruff check

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
-PRINTED_IN = ("README.md", "CONTRIBUTING.md", "*/**/*.md", "*/**/*.py")
-WITHOUT = ("tests", "site", "data", "runs", "bundles", "artefacts", ".venv")
+PAGES = ("README.md", "CONTRIBUTING.md")
+"""Beside those in the folders."""
+WITHOUT = ("tests", "site", "data", "runs", "bundles", "artefacts")
+"""Folders of which nothing is read, as of hidden ones."""
 BLOCK = re.compile(r"^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE)
 # A heredoc goes to its end; a line that ends in a backslash goes on.
 ONE = re.compile(
@@ -51,9 +53,12 @@ class Command:
 
 def printed() -> list[Command]:
     """All that the project's pages and modules print."""
-    files = {path for pattern in PRINTED_IN for path in ROOT.glob(pattern)}
-    shown = [path for path in files if path.relative_to(ROOT).parts[0] not in WITHOUT]
-    return [command for path in sorted(shown) for command in commands_of(path)]
+    folders = [each for each in ROOT.iterdir() if each.is_dir() and each.name not in WITHOUT]
+    files = [ROOT / name for name in PAGES]
+    for folder in folders:
+        if not folder.name.startswith("."):
+            files += [*folder.rglob("*.md"), *folder.rglob("*.py")]
+    return [command for path in sorted(files) for command in commands_of(path)]
 
 
 def printed_texts() -> dict[str, str]:
