@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
@@ -13,12 +14,15 @@ from anchorflow_client.contract import TensorSpec
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import ego_status
 from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.parity import prove_parity
 from anchorflow_export.planners.goalflow import goalflow_adapter
 from anchorflow_export.tracing import trace_role
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goals import pick
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.local import LocalClient
+from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.restore import restore_model
 
 CONFIG = GoalFlowConfig(
     num_steps=2, goals=16, picked=5, width=16, channels=8, feature_channels=4, layers=1
@@ -94,6 +98,15 @@ def test_the_bundle_that_ships_takes_what_the_adapter_says() -> None:
     manifest = load_bundle(DEFAULT_BUNDLE.parent / "goalflow").manifest
     assert manifest.request.inputs == adapter.inputs
     assert manifest.graphs["encode"].inputs == adapter.inputs
+
+
+def test_the_checkpoint_has_the_weights_of_the_bundle_that_ships() -> None:
+    saved = load_checkpoint(Path(__file__).parents[2] / "checkpoints" / "goalflow.pt")
+    bundle = load_bundle(DEFAULT_BUNDLE.parent / "goalflow")
+    adapter = goalflow_adapter(restore_model(saved), ExportChoices())
+    prove_parity(adapter, bundle, tolerance=1e-4)
+    assert saved.config == bundle.manifest.training["config"]
+    assert saved.step == bundle.manifest.training["steps"]
 
 
 def test_at_the_greatest_speed_it_takes_the_bundle_that_ships_drives_on() -> None:
