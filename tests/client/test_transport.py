@@ -142,6 +142,8 @@ def secured(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Script], Sock
                         accepted = listener.accept()[0]
                     except OSError:  # the test has ended
                         return
+                    # Or a short answer may wait for an acknowledgement, and is lost at a close.
+                    accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                     with theirs.wrap_socket(accepted, server_side=True) as connection:
                         script(connection)
 
