@@ -175,7 +175,7 @@ def test_the_planner_of_this_repository_exports(
         robot_radius=0.3,
         sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE),
     )
-    adapter = flowmp_adapter(untaught(L2Config(layers=1)), choices)
+    adapter = flowmp_adapter(untaught(L2Config()), choices)
     differences = export_bundle(adapter, description, out=tmp_path / "bundle")
     assert max(part.error for part in differences) <= 1e-4
     card = load_bundle(tmp_path / "bundle").card

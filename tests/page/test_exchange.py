@@ -263,11 +263,13 @@ def open_scene(visit: Any, folder: Path, **fields: Any) -> Any:
         ),
         (
             {"a.json": '{"format": "anchorflow-drive", "bundle": "goalflow"}'},
-            "no scene but of the format anchorflow-drive: choose the bundle goalflow first.",
+            "a.json is no scene but of the format anchorflow-drive: "
+            "choose the bundle goalflow first.",
         ),
         (
             {"a.json": '{"format": "anchorflow-drive"}'},
-            "no scene but of the format anchorflow-drive: choose the bundle that it is for first.",
+            "a.json is no scene but of the format anchorflow-drive: "
+            "choose the bundle that it is for first.",
         ),
         (
             {"a.pgm": "P2\n100000 100000\n255\n0"},

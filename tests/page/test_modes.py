@@ -152,7 +152,7 @@ def wait_until_it_is(visit: Any, where: Callable[[float], bool]) -> None:
     pytest.fail("the robot does not get there")
 
 
-@pytest.mark.parametrize("late_ms", [300, 1200])
+@pytest.mark.parametrize("late_ms", [300, 700, 1200])
 def test_a_robot_never_jumps_however_late_answers_are(
     visit: Any, way: Callable[[], np.ndarray], late_ms: int
 ) -> None:

@@ -27,6 +27,7 @@ from anchorflow_models.goalflow.kinematics import (
     arc_to,
     roll_out,
     sharpest_at,
+    within,
 )
 from anchorflow_models.goalflow.outcome_scorer import OutcomeScorer, outcome_scores
 from anchorflow_models.goalflow.raster import at_places
@@ -173,8 +174,7 @@ class GoalFlow(nn.Module):
         speed = speed[:, None].expand(goals.shape[:2])
         controls = arc_to(goals, speed, duration=steps * dt)
         acceleration, curvature = (each[..., None].expand(-1, -1, steps) for each in controls)
-        sharpest = sharpest_at(speed, acceleration, dt=dt)
-        curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
+        curvature = within(curvature, sharpest_at(speed, acceleration, dt=dt))
         return self._way(speed, acceleration, curvature, aimed=1.0)
 
     def shadow(self, ego_status: Tensor, speed: Tensor) -> Tensor:
@@ -198,8 +198,7 @@ class GoalFlow(nn.Module):
         acceleration = acceleration.clamp(-SLOWING, SETTING_OFF)[..., None]
         later = dt * torch.arange(1, steps + 1).to(speed)
         fast = (speed[:, None, None] + acceleration * later).clamp(min=SLOWEST_TURN)
-        sharpest = LEANING / fast.square()
-        curvature = torch.minimum(torch.maximum(bend[None, :, None], -sharpest), sharpest)
+        curvature = within(bend[None, :, None], LEANING / fast.square())
         speed = speed[:, None].expand(curvature.shape[:2])
         return self._way(speed, acceleration, curvature, aimed=SETTLED)
 
@@ -302,8 +301,7 @@ class GoalFlow(nn.Module):
         acceleration = (acceleration + GAINS[0] * change[..., 0]).clamp(-BRAKING, PULLING)
         speed = context["speed"][:, None].expand(acceleration.shape[:2])
         curvature = curvature + GAINS[1] * change[..., 1]
-        sharpest = sharpest_at(speed, acceleration, dt=self.config.dt)
-        curvature = torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
+        curvature = within(curvature, sharpest_at(speed, acceleration, dt=self.config.dt))
         expected = roll_out(speed, acceleration, curvature, dt=self.config.dt)
         return expected if self.training else standing_still(torch.where(settled, way, expected))
 

@@ -45,6 +45,11 @@ def sharpest_at(speed: Tensor, acceleration: Tensor, *, dt: float) -> Tensor:
     return GRIP / fastest.square()
 
 
+def within(curvature: Tensor, sharpest: Tensor) -> Tensor:
+    """Curvatures that bend to either side by no more than the sharpest, 1/m, by broadcasting."""
+    return torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
+
+
 def arc_to(goal: Tensor, speed: Tensor, *, duration: float) -> tuple[Tensor, Tensor]:
     """Constant acceleration and curvature [...] of the arc that ends at goals [..., 2] in time.
 
