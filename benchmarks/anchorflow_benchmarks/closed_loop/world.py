@@ -1,6 +1,6 @@
 """Worlds: a start, a goal and round posts in between, as in the BARN challenge.
 
-BARN: Perille, Truong, Xiao and Stone, "Benchmarking Metric CostFields Navigation" (SSRR 2020).
+BARN: Perille, Truong, Xiao and Stone, "Benchmarking Metric Ground Navigation" (SSRR 2020).
 """
 
 from __future__ import annotations
