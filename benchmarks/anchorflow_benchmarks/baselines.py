@@ -1,32 +1,38 @@
-"""What a bundle has to beat without a network: the expert, noisy lines, a search for routes."""
+"""Planners without a network: the expert's optimiser, noisy lines, a search for routes, RRT."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_benchmarks.anchors import Proposals
-from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.finish import basis_of, finished, unfinished_scene
-from anchorflow_benchmarks.path_splines import driven_along
-from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, limits_of, without_fields
-from anchorflow_benchmarks.routes_planner import DESCENTS, RoutesPlanner
+from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks.planners import (
+    NUM_SAMPLES,
+    Planner,
+    Proposals,
+    driven_along,
+    limits_of,
+    without_fields,
+)
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.route_splines import STRETCH, spread_round, usual_spread
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import SplineBasis, Splines, spline_basis
 
 EXPERT_STEPS = (60, 200)
+DESCENTS = (0, 5, 10, 20, 60)
 
 
 @dataclass(frozen=True)
 class ExpertPlanner:
-    """The expert's optimiser with `num` tries, all of which are answered, good or not."""
+    """The expert's optimiser with `num` tries; all of them are returned, good or not."""
 
     limits: MotionLimits
     steps: int
@@ -45,9 +51,9 @@ class ExpertPlanner:
 
 @dataclass(frozen=True)
 class LinesPlanner:
-    """Straight lines, bent sideways by smooth noise, each driven as quickly as the limits allow.
+    """Straight lines with smooth sideways noise, each as fast as the limits allow.
 
-    spread: m, standard deviation of the first and widest of the bends
+    spread: m, standard deviation of the first and widest bend
     """
 
     limits: MotionLimits
@@ -61,26 +67,32 @@ class LinesPlanner:
         return Proposals.of_spline(basis, self.splines(scene, basis, num=num, seed=seed))
 
     def splines(self, scene: Scene, basis: SplineBasis, *, num: int, seed: int) -> Splines:
-        """What `plan` samples, on another basis."""
+        """Return the splines that `plan` samples, on any basis."""
         start, span = scene.x_curr[:2], scene.x_goal[:2] - scene.x_curr[:2]
         share = np.linspace(0.0, 1.0, NUM_SAMPLES)
         across = np.array([-span[1], span[0]]) / max(1e-6, float(np.linalg.norm(span)))
-        offset = self._bends(share, num, np.random.default_rng(seed))
+        size = bend_sizes(np.random.default_rng(seed), num, spread=self.spread, bends=self.bends)
+        offset = bent_aside(size, share)
         paths = start + share[:, None] * span + offset[..., None] * across
         return driven_along(list(paths), basis, scene.ends, limits=self.limits)
 
-    def _bends(
-        self, along: NDArray[np.float64], num: int, rng: np.random.Generator
-    ) -> NDArray[np.float64]:
-        """Sideways offsets [num, T] in m that vanish at both ends."""
-        order = np.arange(1, self.bends + 1)
-        size = rng.normal(0.0, self.spread / order**2, (num, self.bends))
-        return size @ np.sin(np.pi * order[:, None] * along)
+
+def bend_sizes(
+    rng: np.random.Generator, num: int, *, spread: float, bends: int
+) -> NDArray[np.float64]:
+    """Draw the sizes [num, bends] in m of sine bends; higher orders are smaller."""
+    return rng.normal(0.0, spread / np.arange(1, bends + 1) ** 2, (num, bends))
+
+
+def bent_aside(size: NDArray[np.float64], share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sideways offsets [num, T] in m of bends at shares of the way; 0 at both ends."""
+    order = np.arange(1, size.shape[1] + 1)
+    return size @ np.sin(np.pi * order[:, None] * share)
 
 
 @dataclass(frozen=True)
 class RefinedLinesPlanner:
-    """The same lines, finished as a bundle's anchors are: what its network has to earn."""
+    """The same lines after a bundle's finish: the score that its network has to beat."""
 
     lines: LinesPlanner
     refine: SplineEntry
@@ -88,15 +100,86 @@ class RefinedLinesPlanner:
     evaluations: None = None
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
-        splines = self.lines.splines(scene, basis_of(self.refine), num=num, seed=seed)
+        splines = self.lines.splines(scene, finish_basis(self.refine), num=num, seed=seed)
         scene = unfinished_scene(scene, self.lines.limits, self.refine)
         return finished(splines, np.zeros(num, np.intp), scene, self.refine)
 
 
-def minimum_jerk(num_samples: int) -> NDArray[np.float64]:
-    """Share of the way covered at equal times, at rest at both ends (Flash & Hogan, 1985): [T]."""
-    tau = np.linspace(0.0, 1.0, num_samples)
-    return tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
+@dataclass(frozen=True)
+class RoutesPlanner:
+    """Splines along the scene's routes with a smooth spread, then descents of a bundle's finish.
+
+    This is a bundle without its flow. Each spline lasts as long as its route and style require, or
+    the horizon of the limits. Without a free route the smoothest curve is used.
+    """
+
+    limits: MotionLimits
+    finish: SplineEntry
+    descents: int
+    evaluations: None = None
+
+    @property
+    def name(self) -> str:
+        return f"routes + finish, {self.descents} descents"
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
+        scene = unfinished_scene(scene, self.limits, self.finish)
+        tried = spread_round(
+            scene.route_splines,
+            scene.basis,
+            tries=num,
+            rng=np.random.default_rng(seed),
+            spread=usual_spread(scene.ends),
+            stretch=STRETCH if self.limits.horizon_s is None else 0.0,
+        )
+        finish = with_descents(self.finish, self.descents)
+        return finished(tried.splines, tried.route, scene, finish)
+
+
+def spline_finish(bundle: Bundle) -> SplineEntry:
+    """Return the bundle's finish; raise `BenchmarkError` unless it is a spline."""
+    finish = bundle.manifest.finish
+    if not isinstance(finish, SplineEntry):
+        raise BenchmarkError(
+            f"{bundle.card.name}: expected a bundle whose finish is a spline, got {finish.kind!r}"
+        )
+    return finish
+
+
+def finish_basis(finish: SplineEntry) -> SplineBasis:
+    """Return the spline basis of a manifest's finish."""
+    return spline_basis(
+        NUM_SAMPLES, num_control_points=finish.num_control_points, degree=finish.degree
+    )
+
+
+def with_descents(finish: SplineEntry, descents: int) -> SplineEntry:
+    """Return the finish with another number of descents; with 0 it only smooths."""
+    changes = {"steps": descents} if descents else {"smooth": True, "project": False}
+    return finish.model_copy(update=changes)
+
+
+def unfinished_scene(scene: Scene, limits: MotionLimits, finish: SplineEntry) -> Scene:
+    """Return the scene on the basis of a finish, without its cached fields."""
+    return replace(scene, motion=limits, basis=finish_basis(finish))
+
+
+def finished(
+    splines: Splines, route: NDArray[np.intp], scene: Scene, finish: SplineEntry
+) -> Proposals:
+    """Apply a bundle's finish to splines.
+
+    route: [N] index of the route that each follows
+    """
+    states = scene.basis.own_time_states(splines.control)
+    lasting = np.broadcast_to(np.log(splines.duration)[:, None, None], (*states.shape[:2], 1))
+    refiner = Refiner(scene, finish.steps, finish.rate)
+    refined = refiner.refine(np.concatenate([states, lasting], -1, dtype=np.float32), route, finish)
+    arrays = (refined.positions, refined.velocities, refined.accelerations)
+    position, velocity, acceleration = (array.astype(np.float64) for array in arrays)
+    dt = refined.duration / (NUM_SAMPLES - 1)
+    scores = refined.scores.astype(np.float64)
+    return Proposals(position, velocity, acceleration, dt, refined.safe, scores)
 
 
 def _expert(_: Bundle, limits: MotionLimits) -> list[Planner]:
@@ -104,16 +187,13 @@ def _expert(_: Bundle, limits: MotionLimits) -> list[Planner]:
 
 
 def _lines(bundle: Bundle, limits: MotionLimits) -> list[Planner]:
-    lines = LinesPlanner(limits)
-    finish = bundle.manifest.finish
-    return [
-        lines,
-        *([RefinedLinesPlanner(lines, finish)] if isinstance(finish, SplineEntry) else []),
-    ]
+    lines, finish = LinesPlanner(limits), bundle.manifest.finish
+    refined = [RefinedLinesPlanner(lines, finish)] if isinstance(finish, SplineEntry) else []
+    return [lines, *refined]
 
 
 def _routes(bundle: Bundle, limits: MotionLimits) -> list[Planner]:
-    """None for a bundle whose finish is no spline."""
+    """Return no planner for a bundle whose finish is not a spline."""
     finish = bundle.manifest.finish
     if not isinstance(finish, SplineEntry):
         return []
@@ -121,7 +201,7 @@ def _routes(bundle: Bundle, limits: MotionLimits) -> list[Planner]:
 
 
 def _rrt(_: Bundle, limits: MotionLimits) -> list[Planner]:
-    from anchorflow_benchmarks.rrt_connect import RrtConnectPlanner  # OMPL is not everywhere
+    from anchorflow_benchmarks.rrt_connect import RrtConnectPlanner  # OMPL is optional
 
     return [RrtConnectPlanner(limits)]
 
@@ -137,11 +217,11 @@ BASELINES: dict[str, Callable[[Bundle, MotionLimits], list[Planner]]] = {
 def named_baselines(
     names: Sequence[str], bundle: Bundle, limits: MotionLimits | None = None
 ) -> list[Planner]:
-    """The baselines of these names with the refinement of a bundle, to its limits unless told.
+    """Return the baselines of these names with the finish of a bundle, within its limits.
 
     Raises:
-        BenchmarkError: there is none of that name.
-        ModuleNotFoundError: rrt is asked for and OMPL is not installed.
+        BenchmarkError: a name is unknown.
+        ModuleNotFoundError: rrt needs OMPL, which is not installed.
     """
     if unknown := [name for name in names if name not in BASELINES]:
         raise BenchmarkError(f"expected baselines of {', '.join(BASELINES)}, got {unknown[0]!r}")

@@ -1,4 +1,4 @@
-"""The shortest path on a grid, to which lengths are compared."""
+"""Find the length of the shortest path on a grid, the reference for path lengths."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from anchorflow_trajectory.scene import Scene
 
 Cell = tuple[int, int]
 
-REACH = 2  # cells a move may go along each axis: 24 neighbours, so that lengths are nearly Euclid's
+REACH = 2  # cells per move and axis: with 24 neighbours lengths are nearly Euclidean
 MOVES = [(0, 1), (0, 2)] + [
     (rows, columns) for rows in (1, 2) for columns in range(-REACH, REACH + 1)
 ]
 
 
 def shortest_grid_path(passable: NDArray[np.bool_], start: Cell, goal: Cell) -> float:
-    """Length [cells] of the shortest path over passable cells [H, W]; NaN where there is none.
+    """Return the length in cells of the shortest path over passable cells [H, W]; NaN without one.
 
-    The start's own cell need not be passable, and a move of two cells looks at its end alone.
+    The start cell need not be passable, and a move of two cells only checks its end.
     """
     passable = passable.copy()
     passable[start] = True
@@ -41,7 +41,7 @@ def shortest_grid_path(passable: NDArray[np.bool_], start: Cell, goal: Cell) -> 
 
 
 def shortest_way(scene: Scene) -> float:
-    """m of a scene's shortest grid path that keeps robot_radius; NaN where there is none."""
+    """Return the m of the shortest grid path that keeps robot_radius; NaN without one."""
     occupied, ends = scene.occupied, (scene.x_curr[:2], scene.x_goal[:2])
     cells = [((end - scene.origin) / scene.resolution).astype(int)[::-1] for end in ends]
     if occupied.any():
@@ -54,7 +54,7 @@ def shortest_way(scene: Scene) -> float:
 
 
 def _shifted(grid: NDArray, move: Cell, sign: int) -> NDArray:
-    """The cells from which (sign 1) or to which (sign -1) a move stays on the grid."""
+    """Return the cells from which (sign 1) or to which (sign -1) a move stays on the grid."""
     height, width = grid.shape
     rows, columns = move if sign > 0 else (-move[0], -move[1])
     return grid[

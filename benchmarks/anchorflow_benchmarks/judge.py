@@ -1,15 +1,15 @@
-"""The judge: which anchors of a scene could be driven, and what they offer.
+"""Judge anchors of a scene: could they be driven, and which ways do they offer?
 
 An anchor succeeds when it is
 
-    free      its centre line, looked at every 2 cm, keeps robot_radius from every occupied cell
+    free      its centre line, sampled every 2 cm, keeps robot_radius from every occupied cell
               and stays on the map
     reached   it starts at x_curr within 5 cm and 0.1 m/s, and ends within 10 cm of the goal
     feasible  no sample is faster than 1.05 v_max or accelerates by more than 1.1 a_max
     coherent  rms(v - dp/dt) <= 0.03 v_max and rms(a - dv/dt) <= 0.1 a_max (central differences)
 
-Nothing here is shared with the service: what it calls safe is judged, so it may not be the judge.
-All anchors of a scene are measured together; what depends on the map alone is worked out once.
+The judge shares no code with the service, whose `safe` it checks. A scene's routes are read from a
+file, or searched to the last one within the limits on the judge's own distances.
 """
 
 from __future__ import annotations
@@ -24,25 +24,30 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 from scipy.spatial.distance import cdist
 
-from anchorflow_benchmarks.anchors import Proposals
 from anchorflow_benchmarks.grid_path import shortest_way
-from anchorflow_benchmarks.route_judge import ROUTE_MEASURES, RouteJudge
+from anchorflow_benchmarks.planners import Proposals
+from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ray_signature import Signature
+from anchorflow_trajectory.ray_signature import ObstacleRays, Signature
+from anchorflow_trajectory.routes import find_routes
 from anchorflow_trajectory.scene import Scene
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 SUBCELLS = 4  # of a cell's side, for the distance field
-STEP = 0.02  # m between the points at which distance is looked up
-ON_MAP = 1e-6  # m by which a point on the map's edge may be beyond it
+STEP = 0.02  # m between the points at which the distance is sampled
+ON_MAP = 1e-6  # m, tolerance for points on the map's edge
 START, START_VELOCITY, GOAL = 0.05, 0.1, 0.1  # m, m/s, m
 SPEED, ACCELERATION = 1.05, 1.1  # of v_max and a_max
 VELOCITY_ERROR, ACCELERATION_ERROR = 0.03, 0.1  # of v_max and a_max
-SAME_CLASS = 0.5  # rad by which the angles swept round an obstacle may differ within a class
-DUPLICATE = 0.02  # m rms between two anchors that are one
-NO_OBSTACLE = 99.0  # m, the distance on a map without any
+SAME_CLASS = 0.5  # rad, tolerance of the angles swept round an obstacle within a class
+DUPLICATE = 0.02  # m rms, below which two anchors are duplicates
+NO_OBSTACLE = 99.0  # m, the distance on an empty map
+# The routes of a scene; a planner may search for more of them.
+MAX_ROUTES, STRETCH, SLACK = 8, 1.25, 0.03
+DISTINCT = 0.1  # m rms from which two anchors are distinct
+ROUTE_MEASURES = ("recall", "first", "found", "distinct")
 EIGHT_NEIGHBOURS = np.ones((3, 3))
 
 MEASURES = (
@@ -67,25 +72,28 @@ MEASURES = (
 
 @dataclass(frozen=True)
 class Judgement:
-    """What holds for each of N anchors of a scene, all [N].
+    """The verdict on N anchors of a scene; arrays are [N].
 
     clearance: m beyond robot_radius, smallest along the path; below -robot_radius off the map
     length: m; jerk: mean size in m/s^3; duration: s; peak: greatest speed in m/s
-    measures: the scene's row, by the names of MEASURES; NaN where no anchor succeeds
+    measures: the scene's row, by the names of MEASURES; NaN if no anchor succeeds
 
         success, free, reached, feasible, coherent   shares of the anchors
-        any          1 where at least one succeeds, else 0
+        any          1 if at least one succeeds, else 0
         classes      homology classes among the successes: ways past the obstacles
         length       of the successes on average, over the shortest path on the grid
         jerk, clear  of the successes on average: m/s^3, m
         spread       m, standard deviation of the positions over the anchors, on average
-        duplicates   share of the anchors that have another within 2 cm rms
-        unsafe_called_safe   number of anchors promised to be safe that are not free
-        recall, first, found, distinct   of the successes, as `RouteJudge` tells them
+        duplicates   share of the anchors with another within 2 cm rms
+        unsafe_called_safe   number of anchors with `safe` that are not free
+        recall       share of the routes that a success takes
+        first        1 if one takes the shortest route, else 0
+        found        routes that successes take, listed or not
+        distinct     successes left after dropping one of any two within 10 cm rms
         duration     of the successes on average: s
         haste        of the quickest success: its duration over `least_duration`
 
-    routes: how many the scene has
+    routes: number of routes of the scene
     """
 
     free: BoolArray
@@ -105,11 +113,21 @@ class Judgement:
         return self.free & self.reached & self.feasible & self.coherent
 
 
+@dataclass(frozen=True)
+class JudgedPlan:
+    """A planner's [N] anchors for a scene, their verdict, and the time in ms."""
+
+    scene: FamilyScene
+    anchors: Proposals
+    verdict: Judgement
+    ms: float
+
+
 @dataclass(frozen=True, eq=False)
 class SceneJudge:
     """Judges anchors on one scene.
 
-    routes: the signatures of its routes, the shortest first; None to search for them
+    routes: signatures of its routes, shortest first; None to search for them
     """
 
     scene: Scene
@@ -117,7 +135,7 @@ class SceneJudge:
     routes: Sequence[Signature] | None = None
 
     def judge(self, anchors: Proposals) -> Judgement:
-        """The verdict on all anchors of a plan."""
+        """Judge all anchors of a plan."""
         position, velocity, acceleration = (
             np.asarray(a, np.float64)[..., :2]
             for a in (anchors.positions, anchors.velocities, anchors.accelerations)
@@ -134,7 +152,6 @@ class SceneJudge:
         coherent &= slip <= ACCELERATION_ERROR * self.limits.a_max
         length = np.linalg.norm(np.diff(position, axis=1), axis=-1).sum(1)
         jerk = np.linalg.norm(np.diff(acceleration, axis=1) / dt, axis=-1).mean(1)
-        routes = len(self.of_routes.listed)
         verdict = Judgement(
             free,
             reached,
@@ -146,17 +163,16 @@ class SceneJudge:
             anchors.durations,
             peak,
             {},
-            routes,
+            len(self.listed_routes),
         )
         good = verdict.success
         verdict.measures.update(self._measures(verdict, position, anchors.safe))
-        verdict.measures.update(self.of_routes.measures(position[good]))
+        verdict.measures.update(self._route_measures(position[good]))
         return verdict
 
     def clearance(self, paths: Array) -> Array:
-        """Smallest distance [m] to an obstacle along polylines [N, T, 2], less robot_radius: [N].
-
-        A path that leaves the map counts as one metre inside an obstacle.
+        """Return the smallest distance [N] in m to an obstacle along polylines [N, T, 2], less
+        robot_radius; a path that leaves the map counts as one metre inside an obstacle.
         """
         scene = self.scene
         points, first = points_along(paths, STEP)
@@ -171,7 +187,7 @@ class SceneJudge:
 
     @cached_property
     def _distance(self) -> Array:
-        """m from each subcell's centre to the nearest occupied one's edge: [4H, 4W]."""
+        """[4H, 4W] m from each subcell's centre to the edge of the nearest occupied subcell."""
         fine = self.scene.occupied.repeat(SUBCELLS, axis=0).repeat(SUBCELLS, axis=1)
         if not fine.any():
             return np.full(fine.shape, NO_OBSTACLE)
@@ -179,15 +195,36 @@ class SceneJudge:
         return np.maximum(to_centre - 0.5, 0.0) * self.scene.resolution / SUBCELLS
 
     @cached_property
-    def of_routes(self) -> RouteJudge:
-        """The scene's routes, and which of them anchors take."""
+    def _room(self) -> Array:
+        """[H, W] m beyond robot_radius at cell centres."""
         centres = slice(SUBCELLS // 2, None, SUBCELLS)
-        room = self._distance[centres, centres] - self.scene.robot_radius
-        return RouteJudge(self.scene, room, self.routes)
+        return self._distance[centres, centres] - self.scene.robot_radius
+
+    @cached_property
+    def listed_routes(self) -> Sequence[Signature]:
+        """The signatures of the scene's routes, shortest first."""
+        if self.routes is not None:
+            return self.routes
+        scene = self.scene
+        found = find_routes(
+            self._room,
+            resolution=scene.resolution,
+            origin=scene.origin,
+            start=scene.x_curr[:2].astype(float),
+            goal=scene.x_goal[:2].astype(float),
+            most=MAX_ROUTES,
+            stretch=STRETCH,
+            slack=SLACK,
+        )
+        return [route.signature for route in found]
+
+    @cached_property
+    def _rays(self) -> ObstacleRays:
+        return ObstacleRays.of(self._room)
 
     @cached_property
     def _obstacle_points(self) -> Array:
-        """A point [m] in each connected obstacle: [Q, 2]."""
+        """[Q, 2] m, a point in each connected obstacle."""
         labels, _ = label(self.scene.occupied, EIGHT_NEIGHBOURS)  # type: ignore[misc]
         numbers, first = np.unique(labels, return_index=True)
         rows, columns = np.divmod(first[numbers > 0], self.scene.occupied.shape[1])
@@ -195,7 +232,7 @@ class SceneJudge:
 
     @cached_property
     def _shortest(self) -> float:
-        """m; NaN where the grid has no way."""
+        """m; NaN without a path on the grid."""
         return shortest_way(self.scene)
 
     def _reached(self, position: Array, velocity: Array) -> BoolArray:
@@ -214,7 +251,7 @@ class SceneJudge:
         row |= dict.fromkeys(("length", "jerk", "clear", "duration", "haste"), np.nan)
         if good.any():
             row["classes"] = float(count_classes(position[good], self._obstacle_points))
-            shortest = self._shortest or np.nan  # start and goal in one cell: no ratio
+            shortest = self._shortest or np.nan  # start and goal in one cell have no ratio
             row["length"] = float(verdict.length[good].mean() / shortest)
             row["jerk"] = float(verdict.jerk[good].mean())
             row["clear"] = float(verdict.clearance[good].mean())
@@ -227,9 +264,24 @@ class SceneJudge:
         promised = np.nan if safe is None else float((safe & ~verdict.free).sum())
         return row | {"unsafe_called_safe": promised}
 
+    def _route_measures(self, successes: Array) -> dict[str, float]:
+        """Return ROUTE_MEASURES of successes [M, T, 2]; NaN if the scene has no route."""
+        if not self.listed_routes:
+            return dict.fromkeys(ROUTE_MEASURES, np.nan)
+        scene = self.scene
+        taken = set(
+            self._rays.signatures(successes, resolution=scene.resolution, origin=scene.origin)
+        )
+        return {
+            "recall": float(np.mean([route in taken for route in self.listed_routes])),
+            "first": float(self.listed_routes[0] in taken),
+            "found": float(len(taken)),
+            "distinct": float(count_distinct(successes)),
+        }
+
 
 def least_duration(length: float, limits: MotionLimits) -> float:
-    """s from rest to rest along so many m at the limits: a trapezoid of speed, or a triangle."""
+    """Return the s from rest to rest over a length in m: a trapezoid or triangle of speed."""
     v_max, a_max = limits.v_max, limits.a_max
     if length * a_max > v_max**2:
         return length / v_max + v_max / a_max
@@ -237,9 +289,9 @@ def least_duration(length: float, limits: MotionLimits) -> float:
 
 
 def points_along(paths: Array, step: float) -> tuple[Array, NDArray[np.intp]]:
-    """Equally spaced points at most `step` apart on polylines [N, T, 2].
+    """Place equally spaced points at most `step` apart on polylines [N, T, 2].
 
-    Returns all points [P, 2] path after path, ends included, and where each path's begin [N].
+    Returns all points [P, 2], path after path, ends included, and each path's first index [N].
     """
     chords = np.diff(paths, axis=1)
     legs = np.linalg.norm(chords, axis=-1)
@@ -249,27 +301,27 @@ def points_along(paths: Array, step: float) -> tuple[Array, NDArray[np.intp]]:
     first = np.cumsum(counts) - counts
     path = np.repeat(np.arange(len(paths)), counts)
     at = (np.arange(len(path)) - first[path]) * (total / (counts - 1))[path]
-    # One search for all paths: each is moved behind the end of the one before.
+    # One search for all paths: each is shifted behind the end of the one before.
     behind = np.cumsum(total + 1.0) - (total + 1.0)
     place = np.searchsorted((marks + behind[:, None]).ravel(), at + behind[path], side="right")
     leg = np.clip(place - 1 - path * marks.shape[1], 0, legs.shape[1] - 1)
     share = (at - marks[path, leg]) / np.where(legs > 0, legs, 1.0)[path, leg]
     points = paths[path, leg] + share[:, None] * chords[path, leg]
-    points[first + counts - 1] = paths[:, -1]  # to the last bit: goals lie on edges of cells
+    points[first + counts - 1] = paths[:, -1]  # exactly: goals lie on cell edges
     return points, first
 
 
 def swept_angles(paths: Array, points: Array) -> Array:
-    """Angle [rad] that each path [N, T, 2] sweeps as seen from each point [Q, 2]: [N, Q]."""
+    """Return the angle [N, Q] in rad that each path [N, T, 2] sweeps seen from points [Q, 2]."""
     rays = paths[:, None] - points[:, None]
     angle = np.arctan2(rays[..., 1], rays[..., 0])
     turn = np.diff(angle, axis=-1)
-    # A straight piece sweeps less than half a turn.
+    # A straight segment sweeps less than half a turn.
     return (turn - 2 * np.pi * np.rint(turn / (2 * np.pi))).sum(-1)
 
 
 def count_classes(paths: Array, points: Array) -> int:
-    """Homology classes among paths [N, T, 2] with common ends, round obstacles at [Q, 2]."""
+    """Count homology classes of paths [N, T, 2] with common ends, given obstacles at [Q, 2]."""
     swept, classes = swept_angles(paths, points), 0
     while len(swept):
         other = (np.abs(swept - swept[0]) > SAME_CLASS).any(1)
@@ -278,17 +330,26 @@ def count_classes(paths: Array, points: Array) -> int:
 
 
 def duplicate_share(position: Array) -> float:
-    """Share of anchors [N, T, 2] with another within 2 cm rms; 0 for a single one."""
+    """Return the share of anchors [N, T, 2] with another within 2 cm rms; 0 for one anchor."""
     flat = position.reshape(len(position), -1) / np.sqrt(position.shape[1])
     apart = cdist(flat, flat) + np.diag(np.full(len(flat), np.inf))
     return float((apart.min(1) <= DUPLICATE).mean())
 
 
+def count_distinct(paths: Array) -> int:
+    """Count the paths [M, T, 2] left after dropping, in order, those near one that is kept."""
+    kept = paths[:0]
+    for path in paths:
+        if (((kept - path) ** 2).sum(-1).mean(-1) >= DISTINCT**2).all():
+            kept = np.concatenate([kept, path[None]])
+    return len(kept)
+
+
 def _largest(vectors: Array) -> Array:
-    """Greatest length along each anchor: [N, T, 2] -> [N]."""
+    """Return the greatest norm along each anchor: [N, T, 2] -> [N]."""
     return np.linalg.norm(vectors, axis=-1).max(1)
 
 
 def _rms(errors: Array) -> Array:
-    """Over the inner samples, where differences are central: [N, T, 2] -> [N]."""
+    """Return the rms over the inner samples, whose differences are central: [N, T, 2] -> [N]."""
     return np.sqrt((errors[:, 1:-1] ** 2).sum(-1).mean(1))

@@ -1,4 +1,7 @@
-"""Latency: a whole request in this process, against the plain loops and the machine's floor."""
+"""Time whole requests in this process against plain loops and the machine's floor.
+
+`anchorflow bench latency` prints the stages of a request and their ratios.
+"""
 
 from __future__ import annotations
 
@@ -6,43 +9,61 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import cycle
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 from threadpoolctl import threadpool_limits
 
-from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.operations import PRODUCT_FLOPS, MatrixProduct, count_flops
-from anchorflow_benchmarks.plain_loop import Array, Arrays, OnnxField, sample_plainly
-from anchorflow_benchmarks.planners import request_of
-from anchorflow_benchmarks.report import ResultTable
-from anchorflow_benchmarks.samplers import evaluations, sampler_name
+from anchorflow_benchmarks.options import (
+    RESULTS,
+    BundlesOption,
+    OutOption,
+    SamplersOption,
+    ScenesOption,
+    ThreadsOption,
+    whole_numbers,
+)
+from anchorflow_benchmarks.plain_loops import Arrays, Loop, onnx_loop, torch_loop
+from anchorflow_benchmarks.planners import (
+    bundle_names,
+    evaluations,
+    limits_of,
+    open_bundle,
+    parse_sampler,
+    request_of,
+    sampler_name,
+)
+from anchorflow_benchmarks.report import ResultTable, report, say
+from anchorflow_benchmarks.scene_files import load_scenes
 from anchorflow_benchmarks.turns import p50, p99, take_turns
+from anchorflow_cli.extras import needs_extra
 from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_card
-from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
 from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
 from anchorflow_service.engine.samplers.ode import Beginning, OdeSampler
+from anchorflow_trajectory.cores import usable_cores
 from anchorflow_trajectory.scene import Scene
 
 SEED = 1
 STAGES = ("encode", "sample", "refine", "total")
 REST_S = 0.1
-"""Between two calls: OpenBLAS's threads spin for some 25 ms after a product, onnxruntime's for a
-while too, and a request that begins meanwhile has one core. A robot asks ten times a second."""
+"""Pause before each call. The threads of OpenBLAS and onnxruntime spin for some 25 ms after a call
+and would take a core from the next one."""
 SAME_STATE = {"float32": 1e-2, "int8": 0.5}
-"""m, m/s, m/s^2 by which loops of the same weights may differ at t = 1, by the field's precision: a
-sum's last bit tips the rounding to eight bits, at each of 32 evaluations."""
-
-Loop = Callable[[Arrays, Beginning, OdeSpec], Array]
-"""Inputs of encode, N anchors before the flow and a sampler -> x_1 [N,T,S]."""
+"""m, m/s, m/s^2, tolerance between loops with the same weights at t = 1, by the field's precision:
+the last bit of a sum changes the rounding to eight bits at each of 32 evaluations."""
 
 
 @dataclass(frozen=True)
 class LatencyConfig:
-    """threads: that each contender may keep busy; rounds, budget_s: as `take_turns` takes them
-    providers: execution providers that the engine is also asked on, beside the CPU's
+    """threads: per contender; rounds, budget_s: see `take_turns`
+    providers: execution providers to time beside the CPU's
     """
 
     counts: Sequence[int] = (1, 16, 64, 256)
@@ -54,27 +75,12 @@ class LatencyConfig:
 
 @dataclass(frozen=True)
 class Contest:
-    """One bundle with one sampler, and the loops that it is compared with, by name."""
+    """One bundle with one sampler, and the loops to compare it with, by name."""
 
     name: str
     bundle: Bundle
     sampler: OdeSpec
     loops: dict[str, Loop] = field(default_factory=dict)
-
-
-def onnx_loop(bundle: Bundle, *, threads: int, repeat_inputs: bool = False) -> Loop:
-    """The naive loop over a bundle's own graphs."""
-    graphs = OnnxField(bundle, threads=threads, repeat_inputs=repeat_inputs)
-    return lambda inputs, begun, sampler: sample_plainly(
-        graphs.of(inputs, begun.mean), begun.x, sampler
-    )
-
-
-def torch_loop(checkpoint: Path, *, threads: int) -> Loop:
-    """The plain loop over a checkpoint; torch is loaded for this alone."""
-    from anchorflow_benchmarks.torch_loop import TorchLoop
-
-    return TorchLoop(checkpoint, threads=threads).sample
 
 
 def latency_tables(
@@ -83,11 +89,11 @@ def latency_tables(
     config: LatencyConfig,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[ResultTable]:
-    """Times of a request by stage, and their ratios to the loops and to the floor.
+    """Return the times of a request by stage, and their ratios to the loops and the floor.
 
     Raises:
-        BenchmarkError: a loop's anchors are not the engine's, so it does not do the same work.
-        ProviderError: a provider is not to be had here.
+        BenchmarkError: a loop's anchors differ from the engine's: it does other work.
+        ProviderError: a provider is not available here.
     """
     stages, ratios, elsewhere = [], [], []
     with threadpool_limits(config.threads):
@@ -122,15 +128,15 @@ def latency_tables(
         ResultTable("Against the floor, a 2048³ float32 product and plain loops", ratios, note),
     ]
     if config.providers:
-        told = f"{note}; apart: the most that a position differs from the CPU's"
-        tables.append(ResultTable("The same by execution provider, ms", elsewhere, told))
+        note += "; apart: largest difference of a position from the CPU's"
+        tables.append(ResultTable("The same by execution provider, ms", elsewhere, note))
     return tables
 
 
 @dataclass(frozen=True)
 class Measured:
-    """stages: times in ms by provider and name; loops: by name; product: ms
-    flops: of the field in one sample; apart: m, of anchors from the CPU's, by provider
+    """stages: times in ms by provider and name; loops: ms by name; product: ms
+    flops: of the field for one sample; apart: m between anchors and the CPU's, by provider
     """
 
     stages: dict[str, dict[str, list[float]]]
@@ -180,7 +186,7 @@ def _measure(
     for name, loop in contest.loops.items():
         calls[name] = lambda loop=loop: loop(work.inputs, work.begun, contest.sampler)
     times = take_turns(calls, rounds=config.rounds, budget_s=config.budget_s, rest_s=REST_S)
-    # The total as seen from outside: the request's checks belong to it.
+    # The total includes the request's checks.
     stages = {name: engine.warm() | {"total": times.pop(name)} for name, engine in timed.items()}
     flops = _field_flops(contest.bundle, work, num) * evaluations(contest.sampler)
     apart = {provider: _apart(engines, provider, requests[0]) for provider in config.providers}
@@ -188,7 +194,7 @@ def _measure(
 
 
 class _TimedEngine:
-    """Asks an engine for one request after the other, and keeps its own times."""
+    """Plans requests in a cycle and keeps the times that the engine reports."""
 
     def __init__(self, engine: Engine, requests: Sequence[ResolvedRequest]) -> None:
         self._engine, self._ahead = engine, cycle(requests)
@@ -200,12 +206,12 @@ class _TimedEngine:
             times.append(timing[stage])
 
     def warm(self) -> dict[str, list[float]]:
-        """The times in ms by stage, without the first call's."""
+        """Return the times in ms by stage, without the first call."""
         return {stage: times[1:] for stage, times in self._stages.items()}
 
 
 def _apart(engines: Mapping[str, Engine], provider: str, request: ResolvedRequest) -> float:
-    """m, the most that a position of one provider's anchors differs from the CPU's."""
+    """Return the largest difference in m between positions on a provider and on the CPU."""
     ours, theirs = (
         engines[each].plan(request).trajectories[..., :2] for each in (DEFAULT_PROVIDER, provider)
     )
@@ -214,7 +220,7 @@ def _apart(engines: Mapping[str, Engine], provider: str, request: ResolvedReques
 
 @dataclass(frozen=True)
 class SamplingWork:
-    """What a loop is given, [1,...] and N anchors, and what the engine makes of it."""
+    """Inputs [1,...] and N anchors for a loop, and the engine's context for them."""
 
     inputs: Arrays
     context: Arrays
@@ -232,14 +238,14 @@ def _sampling_work(bundle: Bundle, request: ResolvedRequest) -> SamplingWork:
 
 
 def _check_same_work(contest: Contest, work: SamplingWork) -> None:
-    """A few of the anchors through every loop."""
+    """Run a few anchors through every loop."""
     begun = work.begun
     few = Beginning(begun.x[:2], begun.route[:2], None if begun.mean is None else begun.mean[:2])
     expected = work.flow.integrate(work.context, few, contest.sampler)
     most = SAME_STATE[contest.bundle.manifest.graphs["field"].precision]
     for name, loop in contest.loops.items():
         error = float(np.abs(loop(work.inputs, few, contest.sampler) - expected).max())
-        if not error <= most:  # written so that a NaN fails
+        if not error <= most:  # true for NaN
             raise BenchmarkError(
                 f"{contest.name}: the {name} and the engine differ by {error:.2g} at t = 1; "
                 "are they the same weights?"
@@ -247,7 +253,7 @@ def _check_same_work(contest: Contest, work: SamplingWork) -> None:
 
 
 def _field_flops(bundle: Bundle, work: SamplingWork, num: int) -> int:
-    """Of one evaluation for `num` samples, from those for one and for two."""
+    """Count one evaluation for `num` samples, extrapolated from one and two."""
     graph = bundle.manifest.graphs["field"]
     fixed = {name: work.context[name] for name in graph.input_names if name in work.context}
     width = next(int(spec.shape[-1]) for spec in graph.inputs if spec.name == "modulation")
@@ -262,3 +268,63 @@ def _field_flops(bundle: Bundle, work: SamplingWork, num: int) -> int:
         for n in (1, 2)
     )
     return one + (num - 1) * (two - one)
+
+
+def latency(
+    *,
+    bundle: BundlesOption = None,
+    checkpoint: Annotated[
+        list[Path] | None,
+        typer.Option(help="The bundle's checkpoint, for the torch loop; repeatable, in order."),
+    ] = None,
+    samplers: SamplersOption = "rk4:8step",
+    nums: Annotated[str, typer.Option(metavar="N,N", help="Anchors a request.")] = "1,16,64,256",
+    scenes: ScenesOption = "drawn:4:0",
+    rounds: Annotated[int, typer.Option(min=3, help="Times that each call is timed.")] = 30,
+    budget_s: Annotated[float, typer.Option(help="Seconds after which a slow call rests.")] = 20.0,
+    repeat_inputs: Annotated[
+        bool, typer.Option("--repeat-inputs", help="Also time ONNX with N encodings a call.")
+    ] = False,
+    provider: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="cuda|tensorrt|openvino", help="Also ask the engine there; repeatable."
+        ),
+    ] = None,
+    threads: ThreadsOption = None,
+    out: OutOption = RESULTS,
+) -> None:
+    """Time a request in this process against plain loops and the machine's floor."""
+    bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
+    config = LatencyConfig(
+        counts=whole_numbers(nums, "--nums"),
+        rounds=rounds,
+        budget_s=budget_s,
+        threads=threads or usable_cores(),
+        providers=provider or (),
+    )
+    weights = [*(checkpoint or []), *[None] * len(bundles)]
+    if len(checkpoint or []) > len(bundles):
+        raise BenchmarkError("expected at most one --checkpoint for each --bundle")
+    contests = [
+        Contest(name, one, parse_sampler(text, one.card), loops)
+        for one, name, path in zip(bundles, bundle_names(bundles), weights, strict=False)
+        for loops in [_loops(one, path, config.threads, repeat_inputs=repeat_inputs)]
+        for text in samplers.split(",")
+    ]
+    found = load_scenes(scenes, limits=limits_of(bundles[0]))
+    tables = latency_tables(contests, found, config, progress=say)
+    report("Latency", {"scenes": scenes, "threads": str(config.threads)}, tables, out)
+
+
+def _loops(
+    bundle: Bundle, checkpoint: Path | None, threads: int, *, repeat_inputs: bool
+) -> dict[str, Loop]:
+    """Return the loops to compare with; only a checkpoint loads torch."""
+    loops = {"ONNX loop": onnx_loop(bundle, threads=threads)}
+    if repeat_inputs:
+        loops["ONNX loop, inputs repeated"] = onnx_loop(bundle, threads=threads, repeat_inputs=True)
+    if checkpoint is not None:
+        with needs_extra("train", who="anchorflow bench latency --checkpoint"):
+            loops["torch loop"] = torch_loop(checkpoint, threads=threads)
+    return loops

@@ -1,4 +1,4 @@
-"""The floor: how many operations a graph needs, and how many a second the machine can do."""
+"""Count the operations of a graph, and time a matrix product: the floor of a request's latency."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import onnx
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError
 
 Shape = tuple[int, ...]
 Inputs = Mapping[str, NDArray[np.float32]]
@@ -18,17 +18,17 @@ Inputs = Mapping[str, NDArray[np.float32]]
 PRODUCT_SIDE = 2048
 PRODUCT_FLOPS = 2 * PRODUCT_SIDE**3
 COUNTED = ("MatMul", "Gemm", "Conv")
-NOT_COUNTED = ("Attention", "Einsum")  # as part of an operation's name: products inside, unseen
+NOT_COUNTED = ("Attention", "Einsum")  # parts of names of operations that contain products
 
 
 def count_flops(path: Path, inputs: Inputs) -> int:
-    """Floating-point operations of a graph's matrix products and convolutions on these inputs.
+    """Count the floating-point operations of a graph's matrix products and convolutions.
 
-    A multiplication and an addition are two. What lies between the products is not counted, so
-    that the floor is one that no implementation can be below.
+    A multiply-add is two operations. Nothing else is counted, so no implementation can be below
+    the floor.
 
     Raises:
-        BenchmarkError: the graph has an operation that hides its products.
+        BenchmarkError: the graph has an operation that contains products of its own.
     """
     model = onnx.load(path)
     nodes = [node for node in model.graph.node if node.op_type.endswith(COUNTED)]
@@ -52,7 +52,7 @@ def _node_flops(node: onnx.NodeProto, shapes: Mapping[str, Shape]) -> int:
 
 
 def _shapes(model: onnx.ModelProto, names: list[str], inputs: Inputs) -> dict[str, Shape]:
-    """Shapes of tensors inside a graph: it is run, because its axes are open until then."""
+    """Run the graph, whose axes are symbolic, and return the shapes of its tensors."""
     shapes: dict[str, Shape] = {t.name: tuple(t.dims) for t in model.graph.initializer}
     shapes |= {name: array.shape for name, array in inputs.items()}
     wanted = list(dict.fromkeys(name for name in names if name not in shapes))
@@ -71,7 +71,7 @@ def _shapes(model: onnx.ModelProto, names: list[str], inputs: Inputs) -> dict[st
 
 
 class MatrixProduct:
-    """A float32 product of 2048 × 2048 × 2048, to be called and timed."""
+    """Multiplies two float32 matrices of 2048 × 2048 when called."""
 
     def __init__(self) -> None:
         rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Pictures of what was measured: worst and typical scenes, quality against time."""
+"""Draw worst and typical scenes, quality over time, and cost over time."""
 
 from __future__ import annotations
 
@@ -9,24 +9,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
-from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.quality import JudgedPlan
+from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks.judge import JudgedPlan
 from anchorflow_benchmarks.report import ResultTable, Row
 from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hide_ticks, sheet
 
 PANEL_INCHES = 2.9
 COLUMNS = 4
 GOOD, BAD = "#1f6fb4", "#d1495b"
-COLOURS = 10
-"""Of matplotlib's cycle; rows beyond them have other marks."""
-MARKS = (("o", "^"), ("s", "v"), ("D", "<"))
-"""Of success and of `any`."""
+COLOURS = 10  # of matplotlib's cycle; further rows get other markers
+MARKS = (("o", "^"), ("s", "v"), ("D", "<"))  # for success and `any`
 
 
 def draw_scene_sheet(plans: Sequence[JudgedPlan], path: Path, *, title: str) -> None:
-    """The worst and the typical scene of each family, by the share of anchors that succeed.
+    """Draw the worst and the typical scene of each family by share of successes.
 
-    Successes are blue, the others red. Raises `BenchmarkError` where `path` cannot be written.
+    Successes are blue, failures red. Raises `BenchmarkError` if `path` cannot be written.
     """
     panels = [panel for family in _families(plans) for panel in _telling(plans, family)]
     figure, axes = sheet(len(panels), columns=COLUMNS, inches=PANEL_INCHES, header=0.4)
@@ -37,9 +35,9 @@ def draw_scene_sheet(plans: Sequence[JudgedPlan], path: Path, *, title: str) -> 
 
 
 def draw_quality_over_time(rows: Sequence[Row], path: Path) -> None:
-    """Success and `any` of each row against its median time in ms.
+    """Draw success and `any` of each row over its median time in ms.
 
-    Raises `BenchmarkError` where `path` cannot be written.
+    Raises `BenchmarkError` if `path` cannot be written.
     """
     figure = Figure((9.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
@@ -58,9 +56,9 @@ def draw_quality_over_time(rows: Sequence[Row], path: Path) -> None:
 
 
 def draw_cost_over_time(tables: Sequence[ResultTable], path: Path) -> None:
-    """Mean J of the successes against the median time in ms: a panel a style, a line a source.
+    """Draw the mean J of the successes over the median time in ms, a panel per style.
 
-    Each point is a number of descents. Raises `BenchmarkError` where `path` cannot be written.
+    Each point is a number of descents. Raises `BenchmarkError` if `path` cannot be written.
     """
     figure = Figure((PANEL_INCHES * len(tables), 3.4), layout="constrained")
     panels = figure.subplots(1, len(tables), squeeze=False)[0]
@@ -90,7 +88,7 @@ def _families(plans: Sequence[JudgedPlan]) -> list[str]:
 
 
 def _telling(plans: Sequence[JudgedPlan], family: str) -> list[tuple[str, JudgedPlan]]:
-    """The worst scene of a family and the one in the middle, with what to call them."""
+    """Return the worst and the median scene of a family with their labels."""
     numbered = [(i, plan) for i, plan in enumerate(plans) if plan.scene.family == family]
     ranked = sorted(numbered, key=lambda one: one[1].verdict.measures["success"])
     chosen = {"worst": ranked[0]}

@@ -1,56 +1,111 @@
-"""What is compared: planners that propose anchors for a scene, under one interface."""
+"""The planners that benchmarks compare: one interface, and bundles behind it."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from anchorflow_benchmarks.anchors import Proposals
-from anchorflow_benchmarks.samplers import evaluations, parse_sampler, sampler_name
-from anchorflow_benchmarks.scene_files import CHANNELS
+from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks.scene_files import CHANNELS, load_scenes
 from anchorflow_client.contract import (
+    EIGHT_STEP_SCHEDULE,
     AnchorRequest,
     CostMap,
+    ModelCard,
     OdeSpec,
     RefineChoice,
     ResolvedRequest,
     SamplerChoice,
     resolve_for_card,
+    uniform_schedule,
 )
-from anchorflow_service.bundle import Bundle
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_service.bundle import Bundle, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.route_splines import LEAST_WAY
+from anchorflow_trajectory.routes import polyline_length
 from anchorflow_trajectory.scene import Scene, with_neutral_channels
+from anchorflow_trajectory.spline import Ends, SplineBasis, Splines
+from anchorflow_trajectory.time_law import nominal_duration, ramp_share, time_along
+
+Array = NDArray[np.float64]
 
 NUM_SAMPLES = 64  # T of the baselines' anchors
+COST_MAP = "cost_map"
+CARD = "card"
+SAMPLER_FORM = re.compile(r"(?P<method>\w+):(?:uniform(?P<steps>\d+)|(?P<name>\w+))")
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Anchors of one scene from any planner.
+
+    positions, velocities, accelerations: [N, T, D] in m, m/s, m/s^2
+    dt: s between samples, one for all anchors or [N]
+    safe: [N] the planner's own verdict, None if it has none
+    scores: [N] minus the cost, None if not computed
+    """
+
+    positions: Array
+    velocities: Array
+    accelerations: Array
+    dt: float | Array
+    safe: NDArray[np.bool_] | None = None
+    scores: Array | None = None
+
+    @property
+    def dts(self) -> Array:
+        """[N] s between two samples of each anchor."""
+        return np.broadcast_to(np.asarray(self.dt, np.float64), len(self.positions))
+
+    @property
+    def durations(self) -> Array:
+        """[N] s from the first to the last sample."""
+        return self.dts * (self.positions.shape[1] - 1)
+
+    @staticmethod
+    def of_spline(
+        basis: SplineBasis, splines: Splines, *, safe: NDArray[np.bool_] | None = None
+    ) -> Proposals:
+        """Sample N splines."""
+        position, velocity, acceleration = (
+            state.astype(np.float64) for state in basis.states(splines)
+        )
+        dt = splines.duration / (basis.num_samples - 1)
+        return Proposals(position, velocity, acceleration, dt, safe)
 
 
 class Planner(Protocol):
-    """Proposes `num` anchors for a scene and its style; the same seed brings the same noise."""
+    """Proposes `num` anchors for a scene and its style; equal seeds draw equal noise."""
 
     @property
     def name(self) -> str:
-        """As the tables call it."""
+        """Name in the tables."""
         ...
 
     @property
     def evaluations(self) -> int | None:
-        """Of a vector field for a plan; None where there is no field."""
+        """Evaluations of the vector field per plan; None without a field."""
         ...
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
-        """All that a request costs happens in here: it is what is timed."""
+        """Do all the work of a request: this call is timed."""
         ...
 
 
 @dataclass(frozen=True)
 class EnginePlanner:
-    """A bundle in this process, with one sampler, guided by the cost as far as is asked for.
+    """A bundle in this process with one sampler and one guidance scale.
 
-    limits: of the robot that asks; None: the card's
+    limits: of the robot that asks; None for the card's
     """
 
     name: str
@@ -77,7 +132,7 @@ class EnginePlanner:
 
 
 def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> AnchorRequest:
-    """A scene as a caller asks for it."""
+    """Build the request of a scene."""
     return AnchorRequest.build(
         cost_map=CostMap.build(scene.cost_map, scene.resolution, scene.origin),
         x_curr=scene.x_curr,
@@ -90,9 +145,20 @@ def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> Anchor
     )
 
 
+def requests_on(bundle: Bundle, scenes: str, *, num: int, sampler: str) -> list[AnchorRequest]:
+    """Build a request for each scene of a source.
+
+    Raises:
+        BenchmarkError: the sampler is unknown, or the scenes cannot be read.
+    """
+    spec = parse_sampler(sampler, bundle.card)
+    found = load_scenes(scenes, limits=limits_of(bundle))
+    return [request_of(scene, num=num, seed=1, sampler=spec) for scene in found]
+
+
 def scene_of(request: ResolvedRequest) -> Scene:
-    """What a request for a single scene asks: `request_of` the other way round."""
-    assert request.limits is not None  # of a card with a cost map
+    """Return the scene of a request for one scene: the inverse of `request_of`."""
+    assert request.limits is not None  # the card has a cost map
     cost_map = request.cost_map
     return Scene(
         cost_map=with_neutral_channels(cost_map.data[0], CHANNELS),
@@ -108,8 +174,21 @@ def scene_of(request: ResolvedRequest) -> Scene:
 
 
 def without_fields(scene: Scene, limits: MotionLimits) -> Scene:
-    """The scene for these limits before any of its fields was worked out: every request pays."""
+    """Return the scene for these limits without its cached fields: every request computes them."""
     return replace(scene, motion=limits)
+
+
+def driven_along(
+    paths: Sequence[NDArray[np.floating]], basis: SplineBasis, ends: Ends, *, limits: MotionLimits
+) -> Splines:
+    """Fit a spline to each polyline [P, 2], as fast as the limits allow or within the horizon."""
+    lengths = [max(polyline_length(path), LEAST_WAY) for path in paths]
+    duration = np.array([limits.horizon_s or nominal_duration(way, limits) for way in lengths])
+    timed = [
+        time_along(path, basis.num_samples, ramp=ramp_share(float(lasts), way, limits))
+        for path, lasts, way in zip(paths, duration, lengths, strict=True)
+    ]
+    return basis.fit_positions(np.stack(timed), ends, duration)
 
 
 def engine_planners(
@@ -120,41 +199,89 @@ def engine_planners(
     limits: MotionLimits | None = None,
     threads: int | None = None,
 ) -> list[EnginePlanner]:
-    """Each bundle with each sampler and each scale of guidance; the names say the folder where two
-    models share a name.
+    """Return each bundle with each sampler and guidance scale.
 
     Raises:
         BundleError: a graph of a bundle cannot be opened.
         BenchmarkError: a sampler is unknown.
     """
-    names = bundle_names(bundles)
     return [
         EnginePlanner(
-            f"{name} {sampler_name(sampler)}{_guided(scale)}", engine, sampler, scale, limits
+            f"{name} {sampler_name(sampler)}" + (f" guidance {scale:g}" if scale else ""),
+            engine,
+            sampler,
+            scale,
+            limits,
         )
-        for name, bundle in zip(names, bundles, strict=True)
+        for name, bundle in zip(bundle_names(bundles), bundles, strict=True)
         for engine in [Engine(bundle, threads=threads)]
-        # The card's own may be named beside it.
+        # The card's own sampler may also be listed by name.
         for sampler in dict.fromkeys(parse_sampler(text, bundle.card) for text in samplers)
         for scale in guidance
     ]
 
 
-def _guided(scale: float) -> str:
-    return f" guidance {scale:g}" if scale else ""
+def open_bundle(folder: Path) -> Bundle:
+    """Load a bundle whose planner takes a cost map.
+
+    Raises:
+        BundleError: the bundle is broken.
+        BenchmarkError: the planner takes no cost map, so it has no scene to judge anchors on.
+    """
+    bundle = load_bundle(folder)
+    kind = bundle.card.conditioning.kind
+    if kind != COST_MAP:
+        raise BenchmarkError(
+            f"{bundle.card.name}: expected a planner of cost maps, got conditioning {kind!r}; "
+            "the judge of anchors on a cost map does not apply to it"
+        )
+    return bundle
 
 
 def bundle_names(bundles: Sequence[Bundle]) -> list[str]:
-    """What tells bundles apart: the model's name, or with it the folder's, or the whole path."""
+    """Name bundles apart: by model, by model and folder, or by model and path."""
     names = [bundle.card.name for bundle in bundles]
     paths = [bundle.path.resolve() for bundle in bundles]
-    for told in ([path.name for path in paths], paths):
+    for places in ([path.name for path in paths], paths):
         if len(set(names)) < len(names):
-            names = [f"{b.card.name} ({of})" for b, of in zip(bundles, told, strict=True)]
+            names = [f"{b.card.name} ({at})" for b, at in zip(bundles, places, strict=True)]
     return names
 
 
 def limits_of(bundle: Bundle) -> MotionLimits:
-    """What a bundle's anchors keep."""
+    """Return the default limits of a bundle."""
     limits = bundle.card.cost_map.limits
     return MotionLimits(limits.v_max, limits.a_max, limits.horizon_s)
+
+
+def parse_sampler(text: str, card: ModelCard) -> OdeSpec:
+    """Return the sampler `METHOD:8step` or `METHOD:uniformN`; `card` is the card's own.
+
+    Raises:
+        BenchmarkError: the text has another form, or the contract has no such sampler.
+    """
+    if text == CARD:
+        return card.ode
+    match = SAMPLER_FORM.fullmatch(text)
+    if match is None:
+        raise BenchmarkError(
+            f"expected {CARD}, METHOD:8step or METHOD:uniformN for a sampler, got {text!r}"
+        )
+    schedule = {"uniform": int(match["steps"])} if match["steps"] else match["name"]
+    try:
+        choice = SamplerChoice.from_fields({"method": match["method"], "schedule": schedule})
+    except InvalidRequest as error:
+        raise BenchmarkError(f"sampler {text!r}: {error}") from error
+    return choice.over(card.ode)
+
+
+def sampler_name(sampler: OdeSpec) -> str:
+    """Return the name that `parse_sampler` takes, if the schedule has one."""
+    steps = len(sampler.schedule) - 1
+    schedules = {EIGHT_STEP_SCHEDULE: "8step", uniform_schedule(steps): f"uniform{steps}"}
+    return f"{sampler.method}:{schedules.get(sampler.schedule, f'{steps} steps')}"
+
+
+def evaluations(sampler: OdeSpec) -> int:
+    """Count the field evaluations of one sample."""
+    return method_named(sampler.method).stages * (len(sampler.schedule) - 1)

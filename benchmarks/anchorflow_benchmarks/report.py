@@ -1,32 +1,43 @@
-"""Results: tables on the terminal, the same in JSON and in Markdown."""
+"""Print result tables, and write them as JSON and Markdown with where they were measured."""
 
 from __future__ import annotations
 
 import json
 import math
+import os
+import platform
 import shlex
+import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress
 from rich.table import Table
 
-from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError
+from anchorflow_cli.extras import needs_extra
+from anchorflow_trajectory.cores import usable_cores
 
 Cell = str | float | int | None
 Row = Mapping[str, Cell]
 
-NOTHING = "–"
+MISSING = "–"
 MEASURING_WIDTH = 1000
 PROGRAM = "anchorflow"
+PACKAGES = ("numpy", "onnxruntime", "torch", "ompl")
 
 
 @dataclass(frozen=True)
 class ResultTable:
-    """Rows; a column that a row lacks is empty there."""
+    """Rows of results; a column that a row lacks stays empty."""
 
     title: str
     rows: Sequence[Row]
@@ -64,26 +75,28 @@ class ResultTable:
             f"## {self.title}",
             "",
             *([self.note, ""] if self.note else []),
-            _line(self.columns),
-            _line("---" if self.is_text(column) else "---:" for column in self.columns),
-            *map(_line, self.cells),
+            _markdown_row(self.columns),
+            _markdown_row("---" if self.is_text(column) else "---:" for column in self.columns),
+            *map(_markdown_row, self.cells),
         ]
         return "\n".join(lines)
+
+    def to_json(self) -> dict[str, object]:
+        return {"title": self.title, "note": self.note, "rows": [_json_row(r) for r in self.rows]}
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a benchmark found: how it was run, and its tables."""
+    """The tables of a benchmark run and the settings that it ran with."""
 
-    name: str
     title: str
     about: Mapping[str, str]
     tables: Sequence[ResultTable]
 
     def show(self) -> None:
-        """On standard output; a wide table is never squeezed."""
+        """Print the tables; a wide table is never squeezed."""
         tables = [table.to_rich() for table in self.tables]
-        # Names of files and bundles are text, whatever they look like.
+        # File and bundle names may look like markup.
         wide = Console(width=MEASURING_WIDTH, markup=False, emoji=False)
         console = Console(markup=False, emoji=False)
         console.width = max(console.width, *(wide.measure(table).maximum for table in tables))
@@ -94,42 +107,88 @@ class Report:
             console.print(f"{key}: {value}", highlight=False, style="dim")
 
     def write(self, folder: Path) -> list[Path]:
-        """NAME.json and NAME.md in the folder, which is made.
-
-        Raises:
-            BenchmarkError: a file cannot be written.
-        """
-        texts = {f"{self.name}.json": self.to_json(), f"{self.name}.md": self.to_markdown()}
+        """Write NAME.json and NAME.md to the folder; raise `BenchmarkError` if that fails."""
+        name = self.title.lower().replace(" ", "_")
+        header = dict(self.about)
+        if command := typed_command():
+            header = {"command": command, **header}
+        tables = [table.to_json() for table in self.tables]
+        markdown = [f"# {self.title}", "", *(f"- {key}: {value}" for key, value in header.items())]
+        for table in self.tables:
+            markdown += ["", table.to_markdown()]
+        texts = {
+            f"{name}.json": json.dumps({"about": header, "tables": tables}, indent=1),
+            f"{name}.md": "\n".join(markdown),
+        }
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            for name, text in texts.items():
-                (folder / name).write_text(text)
+            for file, text in texts.items():
+                (folder / file).write_text(text + "\n")
         except OSError as error:
             raise BenchmarkError(f"{error.filename}: {error.strerror}") from error
-        return [folder / name for name in texts]
+        return [folder / file for file in texts]
 
-    @property
-    def header(self) -> dict[str, str]:
-        """What its files begin with: the command that was typed, if one was, and `about`."""
-        command = typed_command()
-        return ({"command": command} if command else {}) | dict(self.about)
 
-    def to_json(self) -> str:
-        tables = [
-            {"title": table.title, "note": table.note, "rows": [_plain(r) for r in table.rows]}
-            for table in self.tables
-        ]
-        return json.dumps({"about": self.header, "tables": tables}, indent=1) + "\n"
+def report(
+    title: str, about: Mapping[str, str], tables: Sequence[ResultTable], folder: Path
+) -> None:
+    """Show the tables and write them to the folder; raise `BenchmarkError` if that fails."""
+    whole = Report(title, {**about, **circumstances()}, tables)
+    whole.show()
+    for path in whole.write(folder):
+        say(str(path))
 
-    def to_markdown(self) -> str:
-        about = [f"- {key}: {value}" for key, value in self.header.items()]
-        tables = [part for table in self.tables for part in ("", table.to_markdown())]
-        return "\n".join([f"# {self.title}", "", *about, *tables]) + "\n"
+
+def record(
+    bundles: Iterable[tuple[str, Path]], about: Mapping[str, str], first: ResultTable
+) -> None:
+    """Write rows of a report's first table into manifests, without times.
+
+    Args:
+        bundles: the name of each in the first column, and its folder.
+        about: the settings of the run, written along.
+        first: the table.
+
+    Raises:
+        BundleError: a manifest cannot be written.
+    """
+    with needs_extra("train", who="--record"):
+        from anchorflow_export.bundle import record_quality
+    key = first.columns[0]
+    for name, folder in bundles:
+        row = next(row for row in first.rows if row[key] == name)
+        figures = {column: _rounded(row[column]) for column in row if column not in (key, "ms")}
+        record_quality(folder, {**about, **figures})
+        say(f"{folder}: recorded")
+
+
+def say(line: str) -> None:
+    """Print to standard error: standard output is for tables."""
+    sys.stderr.write(f"{line}\n")
+
+
+@contextmanager
+def progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a progress bar on standard error; the function yielded advances it."""
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(escape(title), total=total)
+        yield lambda done: bar.advance(task, done)
+
+
+def circumstances() -> dict[str, str]:
+    """Return the date, commit, machine, load and versions that stand beside every result."""
+    return {
+        "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
+        "commit": _commit(),
+        "machine": f"{_processor()}, {usable_cores()} of {os.cpu_count()} cores",
+        "load": ", ".join(f"{mean:.2f}" for mean in os.getloadavg()) + " (1, 5, 15 min)",
+        "versions": f"python {platform.python_version()}, "
+        + ", ".join(f"{name} {_version(name)}" for name in PACKAGES),
+    }
 
 
 def typed_command() -> str | None:
-    """`anchorflow bench …` with its options as given, but for where the files lie; None where
-    another program runs."""
+    """Return `anchorflow bench …` as typed, without --out; None if another program runs."""
     path, *arguments = sys.argv
     if "--out" in arguments:
         place = arguments.index("--out")
@@ -138,9 +197,9 @@ def typed_command() -> str | None:
 
 
 def formatted(value: Cell) -> str:
-    """A cell as text: about three digits that say something."""
+    """Return a cell as text with about three significant digits."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
-        return NOTHING
+        return MISSING
     if isinstance(value, float):
         size = abs(value)
         return f"{value:.{3 if size < 10 else 1 if size < 1000 else 0}f}"
@@ -148,18 +207,55 @@ def formatted(value: Cell) -> str:
 
 
 def tally(counts: Mapping[str, int]) -> str:
-    """Counts as one cell: `deadline_exceeded 4, overloaded 12`, or none."""
+    """Return counts as one cell: `deadline_exceeded 4, overloaded 12`, or none."""
     return ", ".join(f"{name} {n}" for name, n in sorted(counts.items())) or "none"
 
 
-def _line(cells: Iterable[str]) -> str:
+def _markdown_row(cells: Iterable[str]) -> str:
     escaped = (cell.replace("|", r"\|") for cell in cells)
     return f"| {' | '.join(escaped)} |"
 
 
-def _plain(row: Row) -> dict[str, Cell]:
-    """JSON knows no NaN."""
+def _json_row(row: Row) -> dict[str, Cell]:
     return {
         key: None if isinstance(value, float) and math.isnan(value) else value
         for key, value in row.items()
     }
+
+
+def _rounded(figure: Cell) -> Cell:
+    if not isinstance(figure, float):
+        return figure
+    return round(figure, 4) if math.isfinite(figure) else None
+
+
+def _commit() -> str:
+    """Return the commit, with a plus if files differ from it; unknown outside a checkout."""
+    try:
+        head = _git("rev-parse", "--short", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return f"{head}+" if changed else head
+
+
+def _git(*arguments: str) -> str:
+    command, folder = ("git", *arguments), Path(__file__).parent
+    answer = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    return answer.stdout.strip()
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:  # only Linux has it
+        return platform.processor() or platform.machine()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "absent"

@@ -1,7 +1,6 @@
-"""RRT-Connect (Kuffner & LaValle, 2000) from OMPL, its paths smoothed to the same limits.
+"""RRT-Connect (Kuffner & LaValle, 2000) from OMPL as a baseline.
 
-Each path is simplified by OMPL, driven by the time law of the other
-baselines and fitted by the spline that anchors are.
+OMPL simplifies each path; the time law and spline are those of the other baselines.
 """
 
 from __future__ import annotations
@@ -12,30 +11,33 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]  # not everywhere
+from ompl import base, geometric, util  # pyright: ignore[reportMissingImports]  # optional
 
-from anchorflow_benchmarks.anchors import Proposals
-from anchorflow_benchmarks.path_splines import driven_along
-from anchorflow_benchmarks.planners import NUM_SAMPLES, without_fields
+from anchorflow_benchmarks.planners import (
+    NUM_SAMPLES,
+    Proposals,
+    driven_along,
+    without_fields,
+)
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline import spline_basis
 
 FloatArray = NDArray[np.float32]
-State = Any  # two numbers; OMPL's stubs do not say that they can be indexed
+State = Any  # two numbers; OMPL's stubs do not type the index
 
-CHECK_STEP = 0.04  # m between the points of a motion that are checked
-LOOKUP = 0.02  # m, side of the cells of the lookup that stands for the clearance field
-TIMEOUT_S = 0.1  # for one path
-PATIENCE = 3  # paths that may fail in a row before the rest are given up
+CHECK_STEP = 0.04  # m between the points that are checked along a motion
+LOOKUP = 0.02  # m, cell size of the grid that replaces the clearance field
+TIMEOUT_S = 0.1  # per path
+MAX_FAILURES = 3  # in a row, after which no more paths are tried
 
 
 @dataclass(frozen=True)
 class RrtConnectPlanner:
-    """`num` runs of RRT-Connect; a run that finds no path answers the straight line.
+    """`num` runs of RRT-Connect; a run without a path returns the straight line.
 
-    margin: m of clearance asked of the path, because the spline cuts its corners; less where
-        start or goal has less
+    margin: m of clearance of the path, because the spline cuts corners; less if start or goal
+        has less
     """
 
     limits: MotionLimits
@@ -49,7 +51,7 @@ class RrtConnectPlanner:
         space = _space(without_fields(scene, self.limits), self.margin)
         paths, failures = [], 0
         for _ in range(num):
-            path = _solved(space, straight) if failures < PATIENCE else None
+            path = _solved(space, straight) if failures < MAX_FAILURES else None
             failures = 0 if path is not None else failures + 1
             paths.append(straight if path is None else path)
         basis = spline_basis(NUM_SAMPLES)
@@ -62,17 +64,17 @@ _seeded: list[int] = []
 
 
 def seed_generators(seed: int) -> None:
-    """Seed OMPL's generators, which it lets a process do once; later calls do nothing."""
+    """Seed OMPL's generators, which is possible once per process; later calls do nothing."""
     if not _seeded:
         util.setLogLevel(util.LogLevel.LOG_ERROR)
-        util.RNG.setSeed(seed + 1)  # it takes no 0
+        util.RNG.setSeed(seed + 1)  # 0 is not allowed
         _seeded.append(seed)
 
 
 def _space(scene: Scene, margin: float) -> base.SpaceInformation:
-    """The map as OMPL sees it: the square around it, in which points are valid or not."""
+    """Return the square around the map as an OMPL space with a validity checker."""
     size = np.array(scene.occupied.shape[::-1]) * scene.resolution
-    bounds = base.RealVectorBounds(2)  # its bindings set both axes at once
+    bounds = base.RealVectorBounds(2)  # the bindings set both axes at once
     bounds.setLow(float(scene.origin.min()))
     bounds.setHigh(float((scene.origin + size).max()))
     space = base.RealVectorStateSpace(2)
@@ -85,7 +87,7 @@ def _space(scene: Scene, margin: float) -> base.SpaceInformation:
 
 
 def validity(scene: Scene, margin: float) -> Callable[[State], bool]:
-    """Whether a state keeps the margin, looked up in a fine grid: OMPL asks thousands of times."""
+    """Return a check of the margin that reads a fine grid: OMPL calls it thousands of times."""
     field = scene.cost_fields.clearance
     ends = np.stack([scene.x_curr[:2], scene.x_goal[:2]])
     margin = min(margin, float(field.sample(*ends.T).min()) - 1e-3)
@@ -107,7 +109,7 @@ def validity(scene: Scene, margin: float) -> Callable[[State], bool]:
 
 
 def _solved(space: base.SpaceInformation, ends: FloatArray) -> FloatArray | None:
-    """A simplified path [P, 2] between two points [2, 2], if one is found in time."""
+    """Return a simplified path [P, 2] between two points [2, 2], or None if there is no time."""
     problem = base.ProblemDefinition(space)
     problem.setStartAndGoalStates(_state(space, ends[0]), _state(space, ends[1]))
     planner = geometric.RRTConnect(space)
@@ -116,7 +118,7 @@ def _solved(space: base.SpaceInformation, ends: FloatArray) -> FloatArray | None
     planner.solve(base.timedPlannerTerminationCondition(TIMEOUT_S))
     if not problem.hasExactSolution():
         return None
-    path: Any = problem.getSolutionPath()  # geometric, which its type does not say
+    path: Any = problem.getSolutionPath()  # geometric, but typed as base
     simplifier = geometric.PathSimplifier(space)
     simplifier.reduceVertices(path)
     simplifier.partialShortcutPath(path)

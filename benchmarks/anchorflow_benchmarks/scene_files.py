@@ -1,23 +1,24 @@
-"""The scenes that a benchmark runs on: of a file, or drawn by the generator that training uses."""
+"""Read scenes and their routes from files, or draw scenes with the generator of training."""
 
 from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_benchmarks.array_files import read_arrays
-from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError
 from anchorflow_client.contract import DEFAULT_STYLE
+from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.ray_signature import Signature
 from anchorflow_trajectory.scene import with_neutral_channels
 
 Chosen = TypeVar("Chosen")
@@ -25,19 +26,19 @@ Chosen = TypeVar("Chosen")
 DRAWN = "drawn"
 WITHOUT_FILE = f"{DRAWN}:60:0"
 CHANNELS = 3  # occupancy, traversability, risk
-HELD_OUT = 0x5EED  # keeps drawn scenes apart from those of a dataset of the same seed
+HELD_OUT = 0x5EED  # separates drawn scenes from those of a dataset with the same seed
 STYLE = np.array(DEFAULT_STYLE, np.float32)
 ONE_ROBOT = RobotRanges(usual=1.0, fixed=0.0)
 
 
 def default_source() -> str:
-    """scenes_public.npz of the data folder, or drawn scenes where it is missing."""
+    """Return the path of scenes_public.npz, or drawn scenes if it is missing."""
     path = data_folder() / "scenes_public.npz"
     return str(path) if path.exists() else WITHOUT_FILE
 
 
 def data_folder() -> Path:
-    """ANCHORFLOW_SHARED_DATA, or ../shared/data beside the checkout."""
+    """Return ANCHORFLOW_SHARED_DATA, or ../shared/data beside the checkout."""
     beside = Path(__file__).resolve().parents[3] / "shared" / "data"
     return Path(os.environ.get("ANCHORFLOW_SHARED_DATA", beside))
 
@@ -45,10 +46,10 @@ def data_folder() -> Path:
 def load_scenes(
     source: str, *, limits: MotionLimits, limit: int | None = None
 ) -> list[FamilyScene]:
-    """Scenes of a file, or `drawn:COUNT:SEED`; at most `limit` of them, evenly spread.
+    """Load the scenes of a file or of `drawn:COUNT:SEED`; at most `limit`, evenly spread.
 
     Raises:
-        BenchmarkError: the file is none of scenes, or the text is not of that form.
+        BenchmarkError: the file holds no scenes, or the text has another form.
     """
     kind, _, rest = source.partition(":")
     if kind == DRAWN:
@@ -57,18 +58,18 @@ def load_scenes(
 
 
 def spread_evenly(rows: list[Chosen], limit: int | None) -> list[Chosen]:
-    """At most `limit` of them, the first and the last included."""
+    """Return at most `limit` rows, the first and the last included."""
     if limit is None or limit >= len(rows):
         return rows
     return [rows[i] for i in np.linspace(0, len(rows) - 1, limit).astype(int)]
 
 
 def read_scenes(path: Path, *, limits: MotionLimits) -> list[FamilyScene]:
-    """The scenes of a .npz file, each map centred on (0, 0).
+    """Read the scenes of a .npz file, each map centred on (0, 0).
 
     Its keys: occupancy uint8 [S, H, W/8], packed along its last axis, row 0 at the bottom;
-    resolution m/cell; x_curr [S, 6]; x_goal [S, 4]; robot_radius m; family [S]. What follows a
-    slash in a family is left out.
+    resolution m/cell; x_curr [S, 6]; x_goal [S, 4]; robot_radius m; family [S], of which the
+    part before a slash counts.
 
     Raises:
         BenchmarkError: the file cannot be read or lacks a key.
@@ -87,15 +88,64 @@ def read_scenes(path: Path, *, limits: MotionLimits) -> list[FamilyScene]:
         raise BenchmarkError(f"{path}: not a file of scenes ({error})") from error
 
 
+def read_routes(path: Path) -> list[list[Signature]]:
+    """Read the signatures of each scene's routes, shortest first.
+
+    The keys of the .npz file: count [S] routes of each scene; size [R] length of each route's
+    signature; signature, all of them concatenated. Obstacles are in the order of `ObstacleRays`.
+
+    Raises:
+        BenchmarkError: the file cannot be read or lacks a key.
+    """
+    count, size, flat = read_arrays(path, ("count", "size", "signature"), what="routes").values()
+    if count.sum() != len(size) or size.sum() != len(flat):
+        raise BenchmarkError(f"{path}: not a file of routes (its counts do not add up)")
+    signatures = np.split(flat, np.cumsum(size)[:-1])
+    routes = [tuple(signature.tolist()) for signature in signatures]
+    ends = np.cumsum(count).tolist()
+    return [routes[end - n : end] for end, n in zip(ends, count.tolist(), strict=True)]
+
+
+def load_routes(path: Path, *, scenes: int, limit: int | None = None) -> list[list[Signature]]:
+    """Load the routes of the scenes that `load_scenes` returns for the same limit.
+
+    scenes: how many it returned
+
+    Raises:
+        BenchmarkError: the file holds no routes, or those of another number of scenes.
+    """
+    found = spread_evenly(read_routes(path), limit)
+    if len(found) != scenes:
+        raise BenchmarkError(f"{path}: expected the routes of {scenes} scenes, got {len(found)}")
+    return found
+
+
+def read_arrays(path: Path, keys: Sequence[str], *, what: str) -> dict[str, NDArray[Any]]:
+    """Read the arrays of a .npz file that holds `what`.
+
+    Raises:
+        BenchmarkError: the file cannot be read or lacks one of the keys.
+    """
+    try:
+        with np.load(path) as file:
+            for key in keys:
+                if key not in file.files:
+                    raise ValueError(f"expected the key {key!r}, found {', '.join(file.files)}")
+            return {key: file[key] for key in keys}
+    # A .npy file opens as an array, which is no context manager.
+    except (*UNREADABLE, TypeError, AttributeError) as error:
+        raise BenchmarkError(f"{path}: not a file of {what} ({error})") from error
+
+
 def draw_scenes(
     count: int, seed: int, *, limits: MotionLimits, cells: int = 96
 ) -> list[FamilyScene]:
-    """Scenes of every family that training knows, none of which is in a dataset."""
+    """Draw scenes of all training families that are in no dataset."""
     return list(islice(held_out_scenes(seed, limits=limits, cells=cells), count))
 
 
 def held_out_scenes(seed: int, *, limits: MotionLimits, cells: int = 96) -> Iterator[FamilyScene]:
-    """The same without an end."""
+    """Draw such scenes without end."""
     for index in itertools.count():
         rng = np.random.default_rng([HELD_OUT, seed, index])
         while True:
@@ -108,7 +158,7 @@ def held_out_scenes(seed: int, *, limits: MotionLimits, cells: int = 96) -> Iter
 
 
 def count_and_seed(text: str, kind: str = DRAWN) -> tuple[int, int]:
-    """Of `KIND:COUNT:SEED`, without its KIND. Raises `BenchmarkError` where it is not that."""
+    """Parse `COUNT:SEED`; raise `BenchmarkError` if the text has another form."""
     try:
         count, seed = (int(number) for number in text.split(":"))
     except ValueError:
@@ -119,7 +169,7 @@ def count_and_seed(text: str, kind: str = DRAWN) -> tuple[int, int]:
 
 
 def in_style(scene: FamilyScene, style: NDArray[np.floating] | None) -> FamilyScene:
-    """The scene asked with weights [3], of any sum; as it is where none are given."""
+    """Return the scene with style weights [3] of any sum; unchanged without weights."""
     if style is None:
         return scene
     return replace(scene, w_style=(style / style.sum()).astype(np.float32))
@@ -134,7 +184,7 @@ def _scene(
     x_goal: NDArray[np.float32],
     limits: MotionLimits,
 ) -> FamilyScene:
-    """A scene whose ground is neutral but for its obstacles."""
+    """Return a scene whose other channels are neutral."""
     return FamilyScene(
         family=family,
         cost_map=with_neutral_channels(occupied[None].astype(np.float32), CHANNELS),

@@ -1,15 +1,39 @@
-"""What a transport adds: the same requests in this process, over HTTP and over zenoh, by turns."""
+"""Time the same requests in this process, over HTTP and over zenoh: what does a transport add?
+
+Run by `anchorflow bench zenoh`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from itertools import cycle
 from time import perf_counter
+from typing import Annotated
 
-from anchorflow_benchmarks.clients import Ask
-from anchorflow_benchmarks.report import ResultTable, Row
+import typer
+
+from anchorflow_benchmarks.load import Ask, over_http
+from anchorflow_benchmarks.options import (
+    RESULTS,
+    BundleOption,
+    NumOption,
+    OutOption,
+    SamplerOption,
+    ScenesOption,
+)
+from anchorflow_benchmarks.planners import CARD, open_bundle, requests_on
+from anchorflow_benchmarks.programs import Program, free_endpoint, router_command, running, served
+from anchorflow_benchmarks.report import ResultTable, Row, report
 from anchorflow_benchmarks.turns import p50, p99, spare_the_collector, take_turns
+from anchorflow_cli.extras import needs_extra
+from anchorflow_client.base_client import BaseClient
 from anchorflow_client.contract import AnchorRequest
+from anchorflow_client.json_codec import JsonCodec
+from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
+from anchorflow_service.engine import Engine
+from anchorflow_service.http.orjson_codec import OrjsonCodec
+from anchorflow_service.local import LocalClient
 
 ENGINE_STAGES = ("encode", "sample", "refine")
 IN_PROCESS = "in-process"
@@ -22,18 +46,18 @@ def transport_table(
     rounds: int,
     budget_s: float,
 ) -> ResultTable:
-    """Round trips of each way, and what remains of them without the engine's own stages.
+    """Return the round trips of each way, and the time that they spend outside the engine.
 
     Args:
-        ways: how to ask, by name; one of them is `IN_PROCESS`.
-        requests: asked in turn.
-        rounds, budget_s: as `take_turns` takes them.
+        ways: functions that send a request, by name; one of them is `IN_PROCESS`.
+        requests: sent in turn.
+        rounds, budget_s: see `take_turns`.
     """
     beside: dict[str, list[float]] = {name: [] for name in ways}
     calls = {name: _timed(ask, requests, beside[name]) for name, ask in ways.items()}
     with spare_the_collector():
         times = take_turns(calls, rounds=rounds, budget_s=budget_s)
-    # The first call of each is not counted: caches and connections.
+    # The first call of each opens connections and is not counted.
     spare = {name: p50(values[1:]) for name, values in beside.items()}
     rows: list[Row] = [
         {
@@ -65,3 +89,46 @@ def _timed(ask: Ask, requests: Sequence[AnchorRequest], beside: list[float]) -> 
         beside.append(round_trip_ms - sum(timing_ms[stage] for stage in ENGINE_STAGES))
 
     return call
+
+
+def zenoh(
+    *,
+    bundle: BundleOption = DEFAULT_BUNDLE,
+    num: NumOption = 64,
+    sampler: SamplerOption = CARD,
+    scenes: ScenesOption = "drawn:4:0",
+    rounds: Annotated[int, typer.Option(min=3, help="Times that each way is taken.")] = 100,
+    budget_s: Annotated[float, typer.Option(help="Seconds after which a way rests.")] = 60.0,
+    out: OutOption = RESULTS,
+) -> None:
+    """Time a request in this process, over HTTP in each form, over zenoh directly and routed."""
+    opened = open_bundle(bundle)
+    requests = requests_on(opened, scenes, num=num, sampler=sampler)
+    with ExitStack() as stack:
+        ways = _ways(opened, stack)
+        table = transport_table(ways, requests, rounds=rounds, budget_s=budget_s)
+    about = {"model": f"{opened.card.name} {opened.card.version}", "scenes": scenes}
+    about |= {"anchors a request": str(num), "sampler": sampler}
+    report("Zenoh", about, [table], out)
+
+
+def _ways(opened: Bundle, stack: ExitStack) -> dict[str, Ask]:
+    """Return the engine in this process, and the ways to a service in another process."""
+    router, direct = free_endpoint(), free_endpoint()
+    stack.enter_context(running(Program("router", router_command(router))))
+    options = ("--zenoh", "peer", "--zenoh-connect", router, "--zenoh-listen", direct)
+    url = stack.enter_context(served("--bundle", str(opened.path), *options))
+    return {
+        IN_PROCESS: LocalClient(Engine(opened)).plan_request,
+        "HTTP binary": over_http(url)(stack),
+        "HTTP JSON": over_http(url, OrjsonCodec())(stack),
+        "HTTP JSON, standard library": over_http(url, JsonCodec())(stack),
+        "zenoh": stack.enter_context(_client(direct)).plan_request,
+        "zenoh by a router": stack.enter_context(_client(router)).plan_request,
+    }
+
+
+def _client(endpoint: str) -> BaseClient:
+    with needs_extra("zenoh", who="anchorflow bench zenoh"):
+        from anchorflow_client.zenoh_client import ZenohAnchorClient
+    return ZenohAnchorClient(endpoint, timeout_s=20.0)

@@ -1,4 +1,4 @@
-"""Timing by turns: contenders alternate, so that a noisy machine is noisy for all of them."""
+"""Time calls in alternation, so that noise of the machine affects all of them."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from time import perf_counter, sleep
 
 import numpy as np
 
-LEAST = 3  # timed calls of each contender, however slow it is
-SEED = 0  # of the orders
+MIN_ROUNDS = 3
+SEED = 0
 
 
 def take_turns(
     calls: Mapping[str, Callable[[], object]], *, rounds: int, budget_s: float, rest_s: float = 0.0
 ) -> dict[str, list[float]]:
-    """Times [ms] of each call by its name, after one that is not counted.
+    """Return the times in ms of each call by its name, after one warm-up call.
 
-    Each round has an order of its own: whoever always came after the same one would find the caches
-    as that one leaves them. A call that has used up `budget_s` leaves the round, but not before its
-    third turn. Before each the machine rests for `rest_s`, so that nobody is timed beside the idle
-    threads of another.
+    Each round has a random order, because a call affects the caches of the next one. A call that
+    has used `budget_s` rests after MIN_ROUNDS. `rest_s` is the pause before each call.
     """
     times: dict[str, list[float]] = {name: [] for name in calls}
     for call in calls.values():
@@ -32,7 +30,7 @@ def take_turns(
         shuffled.shuffle(order)
         for name, call in order:
             spent = times[name]
-            if len(spent) >= LEAST and sum(spent) > budget_s * 1e3:
+            if len(spent) >= MIN_ROUNDS and sum(spent) > budget_s * 1e3:
                 continue
             sleep(rest_s)
             start = perf_counter()
@@ -43,10 +41,9 @@ def take_turns(
 
 @contextmanager
 def spare_the_collector() -> Iterator[None]:
-    """Within it the garbage collector does not look at what was imported and made before.
+    """Hide all objects so far from the garbage collector, which slows the timing of clients.
 
-    For timings of a client, which does not have to carry a benchmark's own modules. What stayed
-    frozen would outlive the interpreter, and bindings that count their references say so.
+    They are unfrozen at the end: bindings that count references warn of objects left at exit.
     """
     gc.collect()
     gc.freeze()
@@ -61,5 +58,5 @@ def p50(values: list[float]) -> float:
 
 
 def p99(values: list[float]) -> float:
-    """The 99th percentile; of fewer than a hundred values, nearly the largest."""
+    """Return the 99th percentile; nearly the largest of fewer than a hundred values."""
     return float(np.percentile(values, 99))

@@ -40,4 +40,4 @@ class LogError(AnchorFlowError):
 
 
 class SensorError(AnchorFlowError):
-    """A planner asks for what no log tells."""
+    """A planner takes inputs that no log has, or plans poses that no log can judge."""

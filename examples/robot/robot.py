@@ -23,7 +23,7 @@ from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, Run, Tic
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
-from anchorflow_benchmarks.closed_loop.world_sources import load_worlds
+from anchorflow_benchmarks.closed_loop.worlds import load_worlds
 from anchorflow_client import AnchorClient, AnchorFlowError, Planner
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.contract.styles import STYLES

@@ -15,7 +15,7 @@ from matplotlib.patches import Circle
 from PIL import Image
 
 from anchorflow_benchmarks.closed_loop.drive import Tick
-from anchorflow_benchmarks.closed_loop.world import World
+from anchorflow_benchmarks.closed_loop.worlds import World
 
 SIZE_INCHES, DPI = (4.2, 8.4), 75
 MARGIN = 1.0  # m round start, goal and posts

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from anchorflow_benchmarks.options import STUDENT
 from anchorflow_benchmarks.programs import served
-from anchorflow_cli.bench_options import STUDENT
 from anchorflow_cli.main import main
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
@@ -142,6 +142,6 @@ def test_what_cannot_be_measured_is_one_line(
 
 
 def test_a_server_of_another_model_is_not_compared() -> None:
-    with served() as server, pytest.raises(SystemExit) as caught:
-        main(["bench", "load", "--url", server.url, "--bundle", str(STUDENT)])
+    with served() as url, pytest.raises(SystemExit) as caught:
+        main(["bench", "load", "--url", url, "--bundle", str(STUDENT)])
     assert "expected a server of flowmp-small-student" in str(caught.value.code)

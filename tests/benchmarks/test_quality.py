@@ -1,4 +1,4 @@
-"""How verdicts become tables, and pictures."""
+"""Verdicts as tables and pictures, styles, and requests of other robots."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from anchorflow_benchmarks import pictures
-from anchorflow_benchmarks.anchors import Proposals
-from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError, pictures
 from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
-from anchorflow_benchmarks.planners import engine_planners
-from anchorflow_benchmarks.quality import judge_planners, quality_tables
-from anchorflow_benchmarks.samplers import sampler_name
+from anchorflow_benchmarks.planners import Proposals, engine_planners, sampler_name
+from anchorflow_benchmarks.quality import (
+    RequestedRobot,
+    judge_planners,
+    quality_tables,
+    style_tables,
+)
+from anchorflow_client.contract.styles import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits
@@ -134,3 +137,78 @@ def test_every_row_is_told_apart_in_the_picture(
 
     points = [line for line in figures[0].axes[0].lines if line.get_marker() != "None"]
     assert len(points) == len({(line.get_color(), line.get_marker()) for line in points}) == 50
+
+
+SceneMaker = Callable[..., FamilyScene]
+
+
+@dataclass
+class Styled:
+    """One anchor from end to end; it bows to one side for safety and hurries for energy."""
+
+    name: str = "styled"
+    evaluations: None = None
+
+    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:  # noqa: ARG002
+        safety, energy, _ = (float(weight) for weight in scene.w_style)
+        basis = spline_basis(64)
+        splines = basis.rest_curves(scene.ends, np.full(num, 8.0 - 4.0 * energy))
+        side = splines.control[1, :, basis.free]
+        side += safety * np.sin(np.linspace(0.0, np.pi, side.shape[1]))
+        return Proposals.of_spline(basis, splines)
+
+
+@pytest.fixture
+def styled_scenes(scene: SceneMaker) -> list[FamilyScene]:
+    """One that can be crossed past a post below the way, one that cannot."""
+    blocked, aside = np.zeros((32, 32), bool), np.zeros((32, 32), bool)
+    blocked[:, 16] = True
+    aside[10, 16] = True
+    return [scene(aside), scene(blocked)]
+
+
+def test_a_row_a_style_and_what_the_names_promise(
+    styled_scenes: list[FamilyScene], limits: MotionLimits
+) -> None:
+    rows, ratios = style_tables([Styled()], styled_scenes, limits=limits, num=3)
+
+    assert [row["style"] for row in rows.rows] == list(STYLES)
+    assert {row["scenes"] for row in rows.rows} == {1}  # the wall is never passed
+    assert {row["success"] for row in rows.rows} == {0.5}
+    durations = {str(row["style"]): row["duration"] for row in rows.rows}
+    assert durations == pytest.approx(
+        {"conservative": 7.6, "balanced": 6.8, "efficient": 4.8, "comfortable": 7.6}, abs=1e-3
+    )
+    (row,) = ratios.rows
+    assert row["duration, efficient / conservative"] == pytest.approx(4.8 / 7.6, abs=1e-3)
+    assert float(row["peak, efficient / conservative"] or 0.0) > 1.3
+    assert float(row["clear, conservative / efficient"] or 0.0) > 1.25
+    assert float(row["jerk, comfortable / efficient"] or 9.0) < 0.3  # by the third power of time
+
+
+def test_without_a_scene_that_all_styles_solve_there_are_no_figures(
+    styled_scenes: list[FamilyScene], limits: MotionLimits
+) -> None:
+    rows, ratios = style_tables([Styled()], styled_scenes[1:], limits=limits, num=2)
+
+    assert all(np.isnan(float(row["duration"] or 0.0)) for row in rows.rows)
+    assert ratios.rows[0]["scenes"] == 0
+
+
+SceneMaker = Callable[..., FamilyScene]
+
+
+def test_a_slower_robot_starts_slower(scene: SceneMaker, limits: MotionLimits) -> None:
+    moving = replace(
+        scene(np.zeros((32, 32), bool)),
+        x_curr=np.array([-2, 0, 1.0, 0.5, 0.6, 0.3], np.float32),
+        x_goal=np.array([2, 0, 0.5, 0.0], np.float32),
+    )
+    slow = RequestedRobot(v_max=0.5, a_max=1.0, radius=0.4).scene(moving, limits)
+    fast = RequestedRobot(v_max=5.0).scene(moving, limits)
+
+    assert slow.x_curr == pytest.approx([-2, 0, 0.25, 0.125, 0.2, 0.1])
+    assert slow.x_goal == pytest.approx([2, 0, 0.125, 0.0])
+    assert (slow.robot_radius, fast.robot_radius) == (0.4, 0.25)
+    assert fast.x_curr == pytest.approx(moving.x_curr)
+    assert RequestedRobot(v_max=5.0).limits(limits) == replace(limits, v_max=5.0)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.machine import circumstances
-from anchorflow_benchmarks.report import Cell, Report, ResultTable, formatted
+from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks.report import Cell, Report, ResultTable, circumstances, formatted
 
 TABLE = ResultTable(
     "Speed", [{"who": "a", "ms": 1.23456, "N": 3}, {"who": "b", "ms": float("nan"), "N": None}]
@@ -44,7 +43,7 @@ def test_a_column_that_a_row_lacks_is_empty_there() -> None:
 
 
 def test_both_files_are_written(tmp_path: Path) -> None:
-    report = Report("speed", "Speed", {"commit": "abc"}, [TABLE])
+    report = Report("Speed", {"commit": "abc"}, [TABLE])
     paths = report.write(tmp_path / "results")
 
     assert [path.name for path in paths] == ["speed.json", "speed.md"]
@@ -59,7 +58,7 @@ def test_both_files_say_first_what_was_typed(
 ) -> None:
     options = ["bench", "quality", "--bundle", "my bundles/a", "--samplers", "card,rk4:8step"]
     monkeypatch.setattr(sys, "argv", [".venv/bin/anchorflow", *options, "--out", "results"])
-    report = Report("speed", "Speed", {"commit": "abc"}, [TABLE])
+    report = Report("Speed", {"commit": "abc"}, [TABLE])
     of_json, of_markdown = report.write(tmp_path)
 
     command = "anchorflow bench quality --bundle 'my bundles/a' --samplers card,rk4:8step"
@@ -70,7 +69,7 @@ def test_both_files_say_first_what_was_typed(
 
 def test_a_wide_table_is_not_squeezed(capsys: pytest.CaptureFixture[str]) -> None:
     wide = ResultTable("Wide", [{f"a long name {k}": 1.0 for k in range(20)}])
-    Report("wide", "Wide", {}, [wide]).show()
+    Report("Wide", {}, [wide]).show()
 
     heading = capsys.readouterr().out.splitlines()[2]
     assert all(f"a long name {k}" in heading for k in range(20))
@@ -79,7 +78,7 @@ def test_a_wide_table_is_not_squeezed(capsys: pytest.CaptureFixture[str]) -> Non
 def test_names_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
     name = "a[red]b[/c]:car:"
     table = ResultTable(f"of {name}", [{name: 1, "bundle": f"its {name}"}], f"beside {name}")
-    Report("names", "Names", {"file": name}, [table]).show()
+    Report("Names", {"file": name}, [table]).show()
 
     shown = capsys.readouterr().out
     for line in (f"of {name}", f"its {name}", f"beside {name}", f"file: {name}"):
@@ -92,7 +91,7 @@ def test_names_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchmarkError, match="file"):
-        Report("speed", "Speed", {}, [TABLE]).write(tmp_path / "file")
+        Report("Speed", {}, [TABLE]).write(tmp_path / "file")
 
 
 def test_the_circumstances_say_when_and_on_what() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.scene_files import (
     ONE_ROBOT,
     WITHOUT_FILE,

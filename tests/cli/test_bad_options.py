@@ -76,7 +76,7 @@ def test_a_place_that_cannot_be_written(
         "data drive --out x --seconds inf",
         "data frames log.npz --bundle x --out x.json --every nan",
         "data frames log.npz --bundle x --out x.json --every inf",
-        "bench serving --scenes none.npz --budget-ms nan",
+        "bench load --scenes none.npz --seconds nan",
         "bench drive-closed-loop --drivers nobody --seconds inf",
         "serve --bundle none --drain-s inf",
     ],
@@ -85,12 +85,6 @@ def test_a_number_without_an_end(command: str, capsys: pytest.CaptureFixture[str
     *words, option, number = command.split()
     said = refused(capsys, *words, option, number)
     assert f"'{option}': expected a finite number, got {number}" in said
-
-
-def test_a_budget_below_0(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--budget-ms: expected a number" in refused(
-        capsys, "bench", "serving", "--scenes", "none.npz", "--budget-ms", "-5"
-    )
 
 
 @pytest.mark.parametrize("url", ["nonsense", "127.0.0.1", "http://127.0.0.1:abc", ""])

@@ -53,7 +53,8 @@ def test_what_takes_too_long_has_options_that_there_are(name: str) -> None:
     _, first, *rest = shlex.split(name)
     command = typer.main.get_command(import_module(COMMANDS[first].module).app)
     while isinstance(command, TyperGroup):
-        command = command.commands[rest.pop(0)]
+        command = command.get_command(typer.Context(command), rest.pop(0))
+        assert command is not None
 
     command.make_context(first, rest)
 

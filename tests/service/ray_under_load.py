@@ -10,13 +10,16 @@ import json
 import socket
 import sys
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import ray  # pyright: ignore[reportMissingImports] - an extra that not every venv has
 from ray import serve  # pyright: ignore[reportMissingImports]
 
-from anchorflow_benchmarks.clients import Outcomes, asking, retrying
+from anchorflow_benchmarks.load import Ask, asking
 from anchorflow_client.contract import AnchorRequest, CostMap
+from anchorflow_client.http import AnchorClient
+from anchorflow_client.retry import RetryingClient
 from anchorflow_service.ray_app import RaySettings, app
 
 CALLERS = 3
@@ -44,8 +47,11 @@ def main() -> None:
     serve.start(http_options={"host": "127.0.0.1", "port": port})
     serve.run(app(RaySettings(min_replicas=2, max_replicas=2)))
     before = replicas()
-    url, attempts = f"http://127.0.0.1:{port}", Outcomes()
-    connect = retrying(url, attempts, timeout_s=20.0, patience_s=PATIENCE_S)
+
+    def connect(stack: ExitStack) -> Ask:
+        client = AnchorClient(f"http://127.0.0.1:{port}", timeout_s=20.0)
+        return stack.enter_context(RetryingClient(client, patience_s=PATIENCE_S)).plan_request
+
     with asking(connect, [REQUEST], callers=CALLERS, seconds=BEFORE_S + AFTER_S) as outcomes:
         time.sleep(BEFORE_S)
         ray.kill(ray.get_actor(before[0], namespace="serve"))

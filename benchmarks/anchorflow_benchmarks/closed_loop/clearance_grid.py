@@ -1,4 +1,4 @@
-"""How much room there is round the robot, for a controller: a grid that torch looks up."""
+"""A grid of clearances round the robot that torch interpolates for the controller."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class ClearanceGrid:
         robot_radius: float,
         surface: NDArray[np.floating] | None = None,
     ) -> ClearanceGrid:
-        """Of a local map [H, W]: its edge is no obstacle, what lies beyond is not known.
+        """Build the grid of a local map [H, W], whose edge is no obstacle.
 
-        surface: [H, W, 2] m, the place in each occupied cell that counts; None: its whole square
+        surface: [H, W, 2] m, the obstacle's place in each occupied cell; None for the whole cell
         """
         most = max(occupied.shape) * resolution
         if surface is None:
@@ -48,7 +48,7 @@ class ClearanceGrid:
         )
 
     def at(self, x: Tensor, y: Tensor) -> Tensor:
-        """m at points of any shape, bilinear; beyond the map as on its edge."""
+        """Return the m at points of any shape, bilinear; beyond the map as on its edge."""
         rows = len(self.values) // self.columns
         u = ((x - self.origin[0]) / self.resolution - 0.5).clamp(0.0, self.columns - 1.001)
         v = ((y - self.origin[1]) / self.resolution - 0.5).clamp(0.0, rows - 1.001)
@@ -68,7 +68,7 @@ def _distance_to_places(
     resolution: float,
     origin: NDArray[np.floating],
 ) -> NDArray[np.floating]:
-    """[H, W] m from each cell's centre to the place [H, W, 2] in the nearest occupied cell."""
+    """Return [H, W] m from cell centres to the place [H, W, 2] in the nearest occupied cell."""
     if not occupied.any():
         return np.full(occupied.shape, np.inf)
     indices = distance_transform_edt(~occupied, return_distances=False, return_indices=True)

@@ -1,7 +1,11 @@
-"""A contest: the same worlds and seeds for MPPI alone and with the anchors of others."""
+"""A contest on the same worlds and seeds: MPPI alone, and with the anchors of several sources.
+
+Run by `anchorflow bench closed-loop`.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -10,9 +14,12 @@ from functools import lru_cache, partial
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import Annotated
 
 import torch
+import typer
 
+from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.closed_loop.anchor_sources import (
     LinesSource,
     LossySource,
@@ -20,24 +27,45 @@ from anchorflow_benchmarks.closed_loop.anchor_sources import (
 )
 from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
+from anchorflow_benchmarks.closed_loop.results import Result, RunKey, RunLog, contest_tables
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
-from anchorflow_benchmarks.closed_loop.run_log import RunKey, RunLog
-from anchorflow_benchmarks.closed_loop.scoring import Result
 from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, SimulatedTime
-from anchorflow_benchmarks.closed_loop.world import World
-from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_benchmarks.closed_loop.worlds import World, load_worlds
+from anchorflow_benchmarks.options import (
+    RESULTS,
+    BundleOption,
+    NumOption,
+    OutOption,
+    SamplerOption,
+    ThreadsOption,
+    first_card,
+    whole_numbers,
+)
+from anchorflow_benchmarks.planners import open_bundle, parse_sampler
+from anchorflow_benchmarks.report import progress, report
+from anchorflow_cli.options import StyleOption, file_option, style_text, url_option
+from anchorflow_client.contract import ModelCard
 from anchorflow_client.http import AnchorClient
 from anchorflow_client.planner import AnchorSource, Planner
-from anchorflow_service.bundle import Bundle, load_bundle
+from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.local import LocalClient
+
+WORLDS = "FILE|drawn:N:SEED|forests:N:SEED"
+HASH_DIGITS = 12
+SOURCES = {
+    "": None,
+    " + straight lines": "lines",
+    " + routes and finish": "routes",
+    " + served anchors": "served",
+}
 
 
 @dataclass(frozen=True)
 class Contender:
-    """name: as the table calls it; anchors: None, "lines", "routes" or "served"
+    """name: in the table; anchors: None, "lines", "routes" or "served"
 
-    samples: motions that MPPI may roll out a tick, anchors included
+    samples: motions that MPPI rolls out per tick, anchors included
     """
 
     name: str
@@ -46,37 +74,31 @@ class Contender:
 
 
 def contenders_of(motions: Sequence[int], *, anchors: int) -> list[Contender]:
-    """MPPI alone, with lines, with routes and a finish, with served anchors; by number of motions.
+    """Return MPPI alone and with each source of anchors, for each number of motions.
 
     Raises:
-        BenchmarkError: the motions do not hold the anchors and one more.
+        BenchmarkError: there are fewer motions than anchors and two more.
     """
     if few := [count for count in motions if count < anchors + 2]:
         raise BenchmarkError(
             f"motions: expected at least {anchors + 2}, for {anchors} anchors a request, "
             f"got {few[0]}"
         )
-    helped = {
-        "": None,
-        " + straight lines": "lines",
-        " + routes and finish": "routes",
-        " + served anchors": "served",
-    }
     return [
         Contender(f"MPPI{by}, {count} motions", source, count)
         for count in motions
-        for by, source in helped.items()
+        for by, source in SOURCES.items()
     ]
 
 
 @dataclass(frozen=True)
 class ContestConfig:
-    """What all contenders share.
+    """Settings that all contenders share.
 
-    bundle: of the served anchors, and of the finish of routes
-    url: of a service that answers in place of the bundle
-    threads: of a request to the bundle's engine
-    latency_ms: of an answer in simulated time; None: as long as it took, see `run_contest`
+    bundle: serves the anchors, and finishes routes
+    url: of a service that replaces the bundle
+    threads: per request to the bundle's engine
+    latency_ms: of an answer in simulated time; None for the measured time, see `run_contest`
     lost: share of the answers that never arrive
     """
 
@@ -92,7 +114,7 @@ class ContestConfig:
 
 @dataclass(frozen=True)
 class Heat:
-    """One run to be made."""
+    """One run of a contender in a world."""
 
     contender: Contender
     world: World
@@ -100,7 +122,6 @@ class Heat:
 
     @property
     def key(self) -> RunKey:
-        """What tells it from the others of a contest."""
         return self.contender.name, self.world.name, self.seed
 
 
@@ -114,13 +135,11 @@ def run_contest(
     progress: Callable[[int], None] = lambda _: None,
     log: RunLog | None = None,
 ) -> list[Result]:
-    """Every contender's run in every world, seed by seed; `progress` gets 1 a finished run.
+    """Run every contender in every world with every seed; `progress` gets 1 per finished run.
 
-    What `log` holds already is not driven again.
-
-    Each worker is a process with a single thread for torch. An engine's answer takes the time that
-    this process keeps cores busy with it, so that a machine that others share makes no robot slow;
-    a service's takes what the wall clock says.
+    Runs in `log` are not repeated. Each worker is a process with one thread for torch. The latency
+    of an engine is its processor time, so that other load on the machine does not slow the robot;
+    that of a service is wall time.
 
     Raises:
         BundleError: the bundle cannot be opened.
@@ -149,7 +168,7 @@ def run_contest(
 
 
 def run_heat(heat: Heat, config: ContestConfig) -> Result:
-    """One run, on this process's threads."""
+    """Make one run in this process."""
     clock, contender = SimulatedTime(), heat.contender
     robot = ROBOTS[config.robot]()
     mppi = replace(config.mppi, samples=contender.samples)
@@ -184,7 +203,7 @@ def _source(contender: Contender, config: ContestConfig) -> Iterator[AnchorSourc
     elif contender.anchors == "lines":
         yield LinesSource(config.drive.horizon_s)
     elif contender.anchors == "routes":
-        yield RoutesSource.of(_bundle(config.bundle))
+        yield RoutesSource(_bundle(config.bundle))
     elif config.url is None:
         yield LocalClient(_engine(config.bundle, config.threads))
     else:
@@ -196,10 +215,94 @@ def _source(contender: Contender, config: ContestConfig) -> Iterator[AnchorSourc
 
 @lru_cache(maxsize=1)
 def _engine(bundle: Path, threads: int | None) -> Engine:
-    """A worker opens its bundle once."""
     return Engine(_bundle(bundle), threads=threads)
 
 
 @lru_cache(maxsize=1)
 def _bundle(folder: Path) -> Bundle:
     return load_bundle(folder)
+
+
+def closed_loop(
+    worlds: Annotated[
+        str, typer.Argument(metavar=WORLDS, help="Worlds: a .npz file (scenes too), or drawn ones.")
+    ],
+    *,
+    limit: Annotated[int, typer.Option(min=1, help="Worlds at most, evenly spread.")] = 50,
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each contender in a world.")] = 1,
+    motions: Annotated[
+        str, typer.Option(metavar="K,K", help="That MPPI rolls out a tick, anchors included.")
+    ] = "512",
+    num: NumOption = 64,
+    sampler: SamplerOption = "midpoint:uniform2",
+    bundle: BundleOption = DEFAULT_BUNDLE,
+    url: Annotated[
+        str | None, url_option("A service that answers in place of the bundle's engine.")
+    ] = None,
+    style: StyleOption = None,
+    latency_ms: Annotated[
+        float | None,
+        typer.Option(min=0, help="Of an answer in simulated time.", show_default="as it took"),
+    ] = None,
+    lost: Annotated[float, typer.Option(min=0, max=1, help="Share of the answers.")] = 0.0,
+    noise: Annotated[float, typer.Option(min=0, help="Of the lidar's ranges, m.")] = 0.01,
+    robot: Annotated[str, typer.Option(help="unicycle or double-integrator.")] = "unicycle",
+    limit_s: Annotated[float, typer.Option(min=0.1, help="Simulated time of a run.")] = 50.0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes, one run each at a time.")] = 1,
+    threads: ThreadsOption = None,
+    log: Annotated[
+        Path | None, file_option("A file that takes down each run, to go on from.")
+    ] = None,
+    out: OutOption = RESULTS,
+) -> None:
+    """Drive a robot by MPPI alone, with lines, with routes and a finish, with served anchors."""
+    if robot not in ROBOTS:
+        raise BenchmarkError(f"--robot: expected {' or '.join(ROBOTS)}, got {robot!r}")
+    opened = open_bundle(bundle)
+    anchors = f"{num} a request, {sampler}"
+    if url is not None:
+        # Checked now: refusals of a service without a model would be timed as answers.
+        anchors += f", of {_version(first_card(url))} at {url}"
+    spec = parse_sampler(sampler, opened.card)
+    contenders = contenders_of(whole_numbers(motions, "--motions"), anchors=num)
+    drive = DriveConfig(
+        limit_s=limit_s,
+        lidar_noise=noise,
+        horizon_s=opened.card.cost_map.limits.horizon_s,
+        options={
+            "w_style": style,
+            "num_samples": num,
+            "sampler": {"method": spec.method, "schedule": list(spec.schedule)},
+        },
+    )
+    config = ContestConfig(bundle, url, threads, latency_ms, lost, robot, drive=drive)
+    found = load_worlds(worlds, limit=limit)
+    source, narrowest = Path(worlds), min(world.to_spare for world in found)
+    file = f" ({_digest(source.read_bytes())})" if source.is_file() else ""
+    measured = "as measured" + ("" if threads is None else f", {threads} threads")
+    about = {  # everything that changes a run
+        "worlds": f"{source.name}{file}, {len(found)} driven, {seeds} runs each; at least "
+        f"{narrowest:.2f} m to spare on the widest way",
+        "robot": f"{robot}, {1 / drive.tick_s:g} commands a second, "
+        f"lidar noise {noise:g} m, {limit_s:g} s a run at most",
+        "bundle": _version(opened.card),
+        "anchors": anchors,
+        "style": style_text(style),
+        "latency": measured if latency_ms is None else f"{latency_ms:g} ms",
+        "answers lost": f"{100 * lost:g}%",
+    }
+    known = None if log is None else RunLog(log, about)
+    with progress("driving", len(found) * seeds * len(contenders)) as advance:
+        results = run_contest(
+            contenders, found, config, seeds=seeds, workers=workers, progress=advance, log=known
+        )
+    tables = contest_tables(results, [contender.name for contender in contenders])
+    report("Closed loop", about, tables, out)
+
+
+def _version(card: ModelCard) -> str:
+    return f"{card.name} {card.version} ({card.sha256[:HASH_DIGITS]})"
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:HASH_DIGITS]

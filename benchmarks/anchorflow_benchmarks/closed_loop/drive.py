@@ -1,4 +1,4 @@
-"""The loop: look, map, ask for anchors, decide, move; until goal, collision or the time is up."""
+"""The control loop: scan, map, request anchors, decide and move until the run ends."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
-from anchorflow_benchmarks.closed_loop.lidar import Lidar
-from anchorflow_benchmarks.closed_loop.local_map import LocalMap
+from anchorflow_benchmarks.closed_loop.lidar_mapping import Lidar, LocalMap
 from anchorflow_benchmarks.closed_loop.mppi import MppiController
 from anchorflow_benchmarks.closed_loop.path_following import timed_paths
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
-from anchorflow_benchmarks.closed_loop.world import GOAL_TOLERANCE, World
+from anchorflow_benchmarks.closed_loop.worlds import GOAL_TOLERANCE, World
 from anchorflow_client.planner import Planner, PlannerConfig
 from anchorflow_client.planner.plan import Plan
 
-SUBSTEPS = 5  # of a tick: how finely motion is simulated and collisions are looked for
-SLOWEST = 4.0  # times slower than it is, as which a robot may ask
-OWN_DISC = 0.8  # of the robot's radius: hits within it are noise, the robot stands there
+SUBSTEPS = 5  # of a tick, for the simulated motion and collision checks
+MAX_SLOWDOWN = 4.0  # of time in a request
+OWN_DISC = 0.8  # of the robot's radius; hits within it are noise
 PERIOD_MS = 200.0
-GOAL_CLEARANCE = 0.45  # m: local goals that are passed at speed want more room than the robot
-OFF_ROUTE = 1.5  # m by which ways count as longer that are not on the planner's route
-SLOW_THROUGH = 0.6  # m/s at local goals, which are passed in slow motion too
+GOAL_CLEARANCE = 0.45  # m round local goals, which are passed at speed
+OFF_ROUTE = 1.5  # m added to the length of anchors off the planner's route
+SLOW_THROUGH = 0.6  # m/s at local goals in slow motion
 
 
 class End(Enum):
-    """How a run ended."""
+    """The end of a run."""
 
     GOAL = "goal"
     COLLISION = "collision"
@@ -41,7 +40,7 @@ class End(Enum):
 
 @dataclass(frozen=True)
 class Run:
-    """time_s: until it ended; clearance: m, smallest to any post; ticks_braked: without a plan."""
+    """time_s: duration; clearance: m, smallest to any post; ticks_braked: without a plan."""
 
     end: End
     time_s: float
@@ -52,10 +51,10 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Tick:
-    """What a viewer may show of one tick.
+    """The state of one tick, for a viewer.
 
-    pose: [3]; occupied: [H, W] with its resolution and origin; ahead: [T, 2] m, what the robot is
-    about to do; plan: None where nobody is asked for anchors
+    pose: [3]; occupied: [H, W] with its resolution and origin; ahead: [T, 2] m, the planned
+    motion; plan: None without a planner
     """
 
     time_s: float
@@ -71,9 +70,9 @@ class Tick:
 class DriveConfig:
     """tick_s: between two commands; options: further fields of each request for anchors.
 
-    horizon_s: that all anchors last; None: each has its own duration
+    horizon_s: duration of all anchors; None if each has its own
     lidar_noise: m, standard deviation of a range
-    cruise: m/s at which anchors that all last as long are driven, and others pass local goals
+    cruise: m/s along anchors of equal duration, and past the local goals of others
     """
 
     tick_s: float = 0.1
@@ -86,7 +85,7 @@ class DriveConfig:
     options: Mapping[str, Any] = field(default_factory=dict)
 
     def asking(self, margin: float) -> PlannerConfig:
-        """How anchors are asked for that keep a margin in m, as the controller does."""
+        """Return the planner's settings for anchors with the controller's margin in m."""
         through_speed = self.cruise if self.horizon_s is None else SLOW_THROUGH
         return PlannerConfig(
             period_ms=PERIOD_MS,
@@ -97,7 +96,7 @@ class DriveConfig:
 
 
 class Drive:
-    """One robot on its way through one world; only its scans tell it of the posts."""
+    """One robot on its way through one world, which it knows only from its scans."""
 
     def __init__(
         self,
@@ -109,16 +108,16 @@ class Drive:
         config: DriveConfig = DriveConfig(),
         seed: int = 0,
     ) -> None:
-        """Stands at the start.
+        """Place the robot at the start.
 
         Args:
-            world: where.
-            controller: decides, for the robot that it is made for.
-            planner: brings anchors; None: MPPI is alone. Without a usable plan the robot brakes.
-            clock: is advanced tick by tick; the planner's, where it lives in simulated time.
-            config: ticks, map, requests.
-            seed: of the lidar's noise, of each request for anchors, and of MPPI's samples, through
-                torch's global generator.
+            world: with its start and goal.
+            controller: of the robot.
+            planner: provides anchors; None for MPPI alone. Without a usable plan the robot brakes.
+            clock: advanced tick by tick; share it with a planner in simulated time.
+            config: of ticks, map and requests.
+            seed: of the lidar's noise, of requests, and of MPPI's samples through torch's global
+                generator.
         """
         self.world, self.config = world, config
         self.robot = controller.robot
@@ -135,7 +134,7 @@ class Drive:
         torch.manual_seed(seed)
 
     def run(self, on_tick: Callable[[Tick], None] | None = None) -> Run:
-        """Drive to the end; `on_tick` sees every tick before its command is carried out."""
+        """Drive to the end; `on_tick` gets every tick before its command is executed."""
         start = self._clock.now
         while self._clock.now - start < self.config.limit_s - 1e-6:
             command, plan = self._decide()
@@ -146,7 +145,7 @@ class Drive:
         return self._ended(End.TIMEOUT, self.config.limit_s)
 
     def _decide(self) -> tuple[Tensor, Plan | None]:
-        """The control [U] for this tick, from what the lidar has shown so far."""
+        """Return the control [U] for this tick, and the plan behind it."""
         robot, local = self.robot, self._map
         pose = robot.pose(self.state)
         local.add(self._lidar.scan(self.world, pose, self._rng))
@@ -177,7 +176,7 @@ class Drive:
             self._controller.rest()
             self._ticks_braked += 1
             return robot.braking(self.state, self.config.tick_s), plan
-        assert plan.on_route is not None  # a usable plan has one
+        assert plan.on_route is not None  # the plan is usable
         if plan.stuck:
             self._controller.rest()
         paths, paces = timed_paths(plan, period_s=self._controller.config.dt)
@@ -194,22 +193,21 @@ class Drive:
         return command, plan
 
     def _in_slow_motion(self, x_curr: NDArray[np.floating]) -> NDArray[np.floating]:
-        """A state [6] whose anchors, driven faster than they were asked for, are at cruise.
+        """Return the state [6] in slowed time, if all anchors have the same duration.
 
-        An anchor that takes the whole horizon to the goal, however near that is, would send a fast
-        robot on detours. So it asks as if its time ran slower; the way is the same. Where each
-        anchor has its own duration, the state is as it is.
+        Such an anchor takes the whole horizon to the goal, however near, which would send a fast
+        robot on detours. In slowed time the way is the same, and it is driven at cruise speed.
         """
         config, place = self.config, x_curr[:2]
         if config.horizon_s is None:
             return x_curr
         beside = 0.5 * config.map_cells * config.map_resolution
         way = min(float(np.linalg.norm(self.world.goal - place)), beside)
-        slower = np.clip(config.horizon_s * config.cruise / way, 1.0, SLOWEST)
+        slower = np.clip(config.horizon_s * config.cruise / way, 1.0, MAX_SLOWDOWN)
         return np.concatenate([place, x_curr[2:4] / slower, x_curr[4:] / slower**2])
 
     def _move(self, command: Tensor) -> End | None:
-        """Carry a command out for a tick."""
+        """Execute a command for a tick."""
         step_s = self.config.tick_s / SUBSTEPS
         for _ in range(SUBSTEPS):
             before = self.robot.pose(self.state)[:2]

@@ -1,10 +1,9 @@
-"""MPPI (Williams et al., 2017) from the `pytorch_mppi` package, helped by anchors or alone.
+"""MPPI (Williams et al., 2017) from the `pytorch_mppi` package, alone or with anchors.
 
-Anchors are warm starts: the robot's model drives along the shortest clear ones, and where one of
-these motions costs less than the plan that is held, MPPI goes on from it. What MPPI then makes of
-it is taken where it is no worse. Every such motion takes the place of one of MPPI's samples, so
-that each tick rolls out the same number with and without. Clear anchors also tell the way that is
-left beyond the horizon (`ways_left`).
+Anchors are warm starts: the robot's model drives along the shortest clear ones. If such a motion
+costs less than the current plan, MPPI continues from it, and its result is kept if it is no worse.
+Each of these motions replaces one of MPPI's samples, so that every tick rolls out the same number.
+Clear anchors also measure the cost to go beyond the horizon.
 """
 
 from __future__ import annotations
@@ -18,23 +17,27 @@ from pytorch_mppi.mppi import SpecificActionSampler
 from torch import Tensor
 
 from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
-from anchorflow_benchmarks.closed_loop.navigation_cost import NavigationCost, rollout
+from anchorflow_benchmarks.closed_loop.cost_to_go import (
+    CostToGo,
+    NavigationCost,
+    clear_paths,
+    rollout,
+)
 from anchorflow_benchmarks.closed_loop.path_following import motions_along
 from anchorflow_benchmarks.closed_loop.robots import Robot
-from anchorflow_benchmarks.closed_loop.ways_left import WaysLeft, clear_ways
 
-STANDING = 2  # motions that need no anchor: the plan that is held, and braking
-TRIED_SHARE = 0.25  # of the motions of a tick, that may be along anchors
-KEPT_S = 2.0  # for which clear ways count, where the next answers have none
-BLOCKED_WAY = 100.0  # m by which one that is not clear counts as longer
+STANDING = 2  # motions without an anchor: the current plan and braking
+ANCHOR_SHARE = 0.25  # of the motions of a tick, at most
+KEPT_S = 2.0  # that the cost to go is kept if the next answers have no clear anchor
+BLOCKED_COST = 100.0  # m added to the length of an anchor that is not clear
 
 
 @dataclass(frozen=True)
 class MppiConfig:
-    """samples: motions rolled out a tick, anchors included; steps of dt s: how far they look ahead.
+    """samples: motions per tick, anchors included, of `steps` of dt s each.
 
     temperature: lambda of MPPI; noise: standard deviation of the controls, as a share of their
-    limits; cruise: share of v_max at which anchors without a time law of their own are driven
+    limits; cruise: share of v_max along anchors without a time law of their own
     """
 
     samples: int = 512
@@ -47,9 +50,9 @@ class MppiConfig:
 
 
 class HeldPlan(SpecificActionSampler):
-    """The controls [T, U] that MPPI goes on from, also one of its samples.
+    """The current plan [T, U], which is also one of MPPI's samples.
 
-    Without it, an update may leave a good plan for the best of many bad disturbances of it.
+    Without it, an update may replace a good plan by the best of many bad disturbances.
     """
 
     def __init__(self, plan: Tensor) -> None:
@@ -62,10 +65,10 @@ class HeldPlan(SpecificActionSampler):
 
 
 class MppiController:
-    """Controls of one robot on its way; draws from torch's global generator."""
+    """Controls one robot; draws from torch's global generator."""
 
     def __init__(self, robot: Robot, config: MppiConfig, *, tick_s: float) -> None:
-        """tick_s: between two commands; a plan's own steps may be longer."""
+        """tick_s: between two commands; the steps of a plan may be longer."""
         self.robot, self.config = robot, config
         self._tick_s = tick_s
         limit = robot.control_limit
@@ -86,8 +89,8 @@ class MppiController:
         )
         self._grid: ClearanceGrid
         self._goal: Tensor
-        self._ways: WaysLeft | None = None
-        self._ways_kept = 0
+        self._to_go: CostToGo | None = None
+        self._ticks_kept = 0
 
     def command(
         self,
@@ -99,17 +102,16 @@ class MppiController:
         paces: Tensor | None = None,
         handicap: Tensor | None = None,
     ) -> tuple[Tensor, int | None]:
-        """The control [U] for a state [X], and which path it goes on from.
+        """Return the control [U] for a state [X], and the index of the path it follows or None.
 
-        grid: of what is known; goal: [2] m; paths: [M, S, 2] m, anchors from where the robot is;
-        paces: [M, S] m/s at which they want to be driven, None for the cruise of MppiConfig;
-        handicap: [M] m by which each counts as longer than it is. The second is None where MPPI
-        keeps the plan that it has.
+        grid: of the known obstacles; goal: [2] m; paths: [M, S, 2] m, anchors from the robot's
+        place; paces: [M, S] m/s along them, None for the cruise of MppiConfig; handicap: [M] m
+        added to the length of each.
         """
         self._grid, self._goal = grid, goal
-        self._ways_kept -= 1
-        if self._ways_kept <= 0:
-            self._ways = None
+        self._ticks_kept -= 1
+        if self._ticks_kept <= 0:
+            self._to_go = None
         self._shift()
         plans, motions = self._standing_plans(state)
         tried: list[int] = []
@@ -126,7 +128,7 @@ class MppiController:
         self._mppi.command(state, shift_nominal_trajectory=False)
         improved = self._mppi.get_action_sequence()
         assert improved is not None
-        # The mean of good motions past both sides of a post is a bad one.
+        # The mean of motions past both sides of a post is a bad motion.
         motion = rollout(self.robot, state, improved[None], self.config.dt)
         if float(self._cost(motion[None], improved[None, None])) < float(costs[best]):
             self._held.plan = improved
@@ -134,21 +136,21 @@ class MppiController:
         return self._held.plan[0], tried[chosen] if chosen >= 0 else None
 
     def rest(self) -> None:
-        """Forget the plan: the robot brakes."""
+        """Drop the plan, so that the robot brakes."""
         self._held.plan = torch.zeros_like(self._held.plan)
 
     def planned(self, state: Tensor) -> Tensor:
-        """States [T, X] ahead of [X] as they are planned."""
+        """Return the planned states [T, X] after [X]."""
         return rollout(self.robot, state, self._held.plan[None], self.config.dt)[0]
 
     def _shift(self) -> None:
-        """Let a tick of the plan pass; what comes in at its end is rest."""
+        """Advance the plan by a tick; zero controls are appended."""
         plan, share = self._held.plan, self._tick_s / self.config.dt
         later = torch.cat([plan[1:], torch.zeros_like(plan[:1])])
         self._held.plan = (1.0 - share) * plan + share * later
 
     def _standing_plans(self, state: Tensor) -> tuple[Tensor, Tensor]:
-        """The plan that is held and that of braking: controls [2, T, U], states [2, T, X]."""
+        """Return the current plan and braking: controls [2, T, U], states [2, T, X]."""
         robot, config = self.robot, self.config
         held = self._held.plan[None]
         now, controls, states = state[None], [], []
@@ -163,18 +165,18 @@ class MppiController:
         )
 
     def _worth_trying(self, paths: Tensor, handicap: Tensor | None) -> list[int]:
-        """Paths that are driven along, the shortest clear ones first; takes note of the ways left.
+        """Return the indices of paths to drive along, the shortest clear ones first.
 
-        Where none is clear the last clear ones count for a while, and then the goal's distance.
+        Clear paths also update the cost to go, which is kept for KEPT_S without a clear path.
         """
-        clear = clear_ways(paths, self._grid, self.config.cost.margin)
+        clear = clear_paths(paths, self._grid, self.config.cost.margin)
         extra = torch.zeros(len(paths)) if handicap is None else handicap
         if bool(clear.any()):
-            self._ways = WaysLeft.along(paths[clear], self._goal, extra[clear])
-            self._ways_kept = round(KEPT_S / self._tick_s)
+            self._to_go = CostToGo.along(paths[clear], self._goal, extra[clear])
+            self._ticks_kept = round(KEPT_S / self._tick_s)
         lengths = torch.diff(paths, dim=1).norm(dim=-1).sum(1) + extra
-        order = (lengths + BLOCKED_WAY * ~clear).argsort()
-        return order[: int(TRIED_SHARE * self.config.samples)].tolist()
+        order = (lengths + BLOCKED_COST * ~clear).argsort()
+        return order[: int(ANCHOR_SHARE * self.config.samples)].tolist()
 
     def _along(self, state: Tensor, paths: Tensor, paces: Tensor | None) -> tuple[Tensor, Tensor]:
         config = self.config
@@ -192,11 +194,11 @@ class MppiController:
         return self.robot.step(state, control, self.config.dt)
 
     def _no_running_cost(self, state: Tensor, _: Tensor) -> Tensor:
-        """All is in the cost of the whole motion: one look at the map for all its steps."""
+        """Return zeros: `_cost` samples the map once for all steps."""
         return torch.zeros(len(state))
 
     def _cost(self, states: Tensor, controls: Tensor) -> Tensor:
-        """J [K] of what pytorch_mppi calls the terminal cost: [1, K, T, X] and [1, K, T, U]."""
+        """Return J [K] of motions [1, K, T, X] under [1, K, T, U], the package's terminal cost."""
         return self.config.cost.of(
             self.robot,
             states[0],
@@ -204,5 +206,5 @@ class MppiController:
             grid=self._grid,
             goal=self._goal,
             dt=self.config.dt,
-            ways=self._ways,
+            to_go=self._to_go,
         )

@@ -1,4 +1,4 @@
-"""Anchors as motions: the robot's own model drives along every path at once."""
+"""Turn anchors into motions: the robot's model follows all paths at once."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from anchorflow_benchmarks.closed_loop.robots import BRAKING_SHARE, Robot
 from anchorflow_client import resample
 from anchorflow_client.planner import Plan
 
-AHEAD_M, AHEAD_S = 0.25, 0.25  # the carrot is that far ahead at rest, and that much more by speed
-WINDOW = 4  # samples of the path by which a step may get further along it
+AHEAD_M, AHEAD_S = 0.25, 0.25  # distance of the carrot at rest, and per speed
+WINDOW = 4  # samples of the path that a step may advance
 
 
 def timed_paths(plan: Plan, *, period_s: float) -> tuple[Tensor, Tensor]:
-    """A usable plan's anchors from now on at a controller's period, each in its own time.
+    """Resample a usable plan's anchors from now on at a controller's period.
 
-    Returns [M, S, 2] m and speeds [M, S] m/s, S as the longest needs; shorter ones stay at their
-    ends.
+    Returns [M, S, 2] m and speeds [M, S] m/s with S for the longest anchor; shorter ones stay at
+    their ends.
     """
     batch, states = plan.batch, plan.states()
-    assert batch is not None  # it is usable
+    assert batch is not None  # the plan is usable
     dts = batch.durations / (states.shape[1] - 1)
     timed = [
         resample(*np.split(anchor, 3, axis=-1), dt=float(dt), period_s=period_s)
@@ -48,14 +48,11 @@ def motions_along(
     speed: float,
     paces: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """Controls [M, steps, U] with which a robot at [X] follows paths [M, S, 2] in m, and states.
+    """Return the controls [M, steps, U] and states [M, steps, X] of a robot along paths [M, S, 2].
 
-    The states [M, steps, X] are those after each control.
-
-    It chases a point a little ahead on each path, as fast as bends allow it, and slows down before
-    the path's end. `paces` [M, S] m/s are the anchors' own speeds; without them it drives at
-    `speed` m/s, because anchors that all last as long have no time law to go by, however near
-    their goal is.
+    From state [X] it chases a carrot on each path, as fast as bends allow, and brakes before the
+    path's end. `paces` [M, S] m/s are the anchors' own speeds; without them it drives at `speed`
+    m/s.
     """
     count, samples, _ = paths.shape
     lengths = torch.zeros(count, samples)
@@ -70,7 +67,7 @@ def motions_along(
         ahead = done + AHEAD_M + AHEAD_S * robot.speed(states).abs()
         carrot = (lengths < ahead[:, None]).sum(1).clamp(max=samples - 1)
         left = (lengths[:, -1] - done).clamp(min=0.0)
-        # At rest the speed of what is ahead counts, before the end that of where it is.
+        # At rest the speed at the carrot counts, near the end that at the robot's place.
         own = None if paces is None else torch.maximum(paces[rows, reached], paces[rows, carrot])
         wanted = torch.full_like(left, speed) if own is None else own.clamp(max=robot.v_max)
         pace = torch.minimum((braking * left).sqrt(), wanted)
@@ -82,7 +79,7 @@ def motions_along(
 
 
 def _nearest(paths: Tensor, places: Tensor, reached: Tensor, window: int) -> Tensor:
-    """[M], the sample of each path [M, S, 2] nearest to [M, 2], at most `window` further on."""
+    """Return the sample [M] of each path nearest to [M, 2], at most `window` further on."""
     index = torch.arange(paths.shape[1])
     square = ((paths - places[:, None]) ** 2).sum(-1)
     out = (index < reached[:, None]) | (index > reached[:, None] + window)

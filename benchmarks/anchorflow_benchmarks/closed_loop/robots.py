@@ -1,6 +1,6 @@
-"""Two robots in torch: one step for the simulation and for MPPI's samples alike.
+"""Two robots in torch, for the simulation and for MPPI's samples.
 
-States and controls carry any leading axes; the last one holds the fields named in each class.
+States and controls have any leading axes; the last axis holds the fields named in each class.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 FULL_SPEED_TURN = 0.8  # rad off its course from which a unicycle turns on the spot
 TURN_GAIN = 4.0  # 1/s, yaw rate per rad off course while it turns on the spot
-SIDE_ACCELERATION = 2.0  # m/s^2 that a unicycle allows itself in a bend
-BRAKING_SHARE = 0.5  # of a_max that is planned for coming to a stop
+SIDE_ACCELERATION = 2.0  # m/s^2 of a unicycle in a bend
+BRAKING_SHARE = 0.5  # of a_max, for planned stops
 
 
 class Robot(Protocol):
@@ -30,7 +30,7 @@ class Robot(Protocol):
 
     @property
     def radius(self) -> float:
-        """m, of the disc that it takes up."""
+        """m, of the robot's disc."""
         ...
 
     @property
@@ -54,31 +54,31 @@ class Robot(Protocol):
         ...
 
     def start(self, pose: Array) -> Tensor:
-        """[X], at rest at a pose [3]."""
+        """Return the state [X] at rest at a pose [3]."""
         ...
 
     def step(self, state: Tensor, control: Tensor, dt: float) -> Tensor:
-        """[..., X] after dt s of [..., U]."""
+        """Return [..., X] after dt s of controls [..., U]."""
         ...
 
     def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
-        """[M, U]: controls of [M, X] towards carrots [M, 2] m at speeds [M] m/s."""
+        """Return controls [M, U] of [M, X] towards carrots [M, 2] m at speeds [M] m/s."""
         ...
 
     def braking(self, state: Tensor, dt: float) -> Tensor:
-        """[U]: as fast to a standstill as it can."""
+        """Return the control [U] of the hardest braking."""
         ...
 
     def speed(self, state: Tensor) -> Tensor:
-        """[...] m/s; below 0 where it drives backwards."""
+        """Return [...] m/s, negative backwards."""
         ...
 
     def pose(self, state: Tensor) -> Array:
-        """[3] x, y in m, yaw of its lidar in rad."""
+        """Return [3] x, y in m, yaw of the lidar in rad."""
         ...
 
     def x_curr(self, state: Tensor) -> Array:
-        """[6] position, velocity, acceleration, as a request holds them."""
+        """Return [6] position, velocity, acceleration of a request."""
         ...
 
 
@@ -106,7 +106,7 @@ class Unicycle:
         return torch.tensor([*pose, 0.0, 0.0], dtype=torch.float32)
 
     def step(self, state: Tensor, control: Tensor, dt: float) -> Tensor:
-        """Both rates change evenly, so that a long step ends where many short ones do."""
+        """Change both rates linearly, so that a long step ends where many short ones do."""
         x, y, yaw, speed, yaw_rate = state.unbind(-1)
         push, twist = control.unbind(-1)
         later = (speed + dt * push.clamp(-self.a_max, self.a_max)).clamp(self.v_min, self.v_max)
@@ -117,7 +117,7 @@ class Unicycle:
         return torch.stack([*place, yaw + 0.5 * dt * (yaw_rate + turning), later, turning], -1)
 
     def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
-        """Pure pursuit (Coulter, 1992); far off its course it turns on the spot."""
+        """Follow by pure pursuit (Coulter, 1992); far off course turn on the spot."""
         way = carrot - state[:, :2]
         off = _wrapped(torch.atan2(way[:, 1], way[:, 0]) - state[:, 2])
         curvature = 2.0 * torch.sin(off) / way.norm(dim=1).clamp(min=0.05)
@@ -139,7 +139,7 @@ class Unicycle:
         return state[:3].double().numpy()
 
     def x_curr(self, state: Tensor) -> Array:
-        """In a bend it is drawn aside: an anchor that began straight would leave the bend."""
+        """Include the centripetal acceleration: an anchor without it would leave the bend."""
         x, y, yaw, speed, yaw_rate = state.double().numpy()
         along, aside = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
         pull = np.clip(speed * yaw_rate, -self.a_max, self.a_max)
@@ -148,7 +148,7 @@ class Unicycle:
 
 @dataclass(frozen=True)
 class DoubleIntegrator:
-    """State x, y [m], vx, vy [m/s]; control: the acceleration. Its lidar looks all round."""
+    """State x, y [m], vx, vy [m/s]; control: the acceleration. Its lidar sees all round."""
 
     state_size: ClassVar[int] = 4
     radius: float = 0.25
@@ -200,5 +200,5 @@ def _within(control: Tensor, limit: Tensor) -> Tensor:
 
 
 def _wrapped(angle: Tensor) -> Tensor:
-    """In [-pi, pi)."""
+    """Wrap to [-pi, pi)."""
     return torch.remainder(angle + pi, tau) - pi

@@ -1,4 +1,4 @@
-"""Simulated time, and answers that arrive in it as late as they took to work out."""
+"""A simulated clock, and an executor whose results arrive after their measured latency."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 
 from anchorflow_client.errors import AnchorFlowError
 
-SAME_MOMENT = 1e-9  # s, by which sums of ticks may differ
+TOLERANCE_S = 1e-9  # of sums of ticks
 
 
 class SimulatedTime:
-    """A clock that stands still until it is told to go on: `clock()` is the time in s."""
+    """A clock that only `advance` moves: `clock()` returns the time in s."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -25,22 +25,22 @@ class SimulatedTime:
     def __call__(self) -> float:
         return self.now
 
-    def at(self, moment: float, happen: Callable[[], None]) -> None:
-        """Call `happen` once the clock has reached a moment."""
-        heapq.heappush(self._due, (moment, next(self._order), happen))
+    def at(self, moment: float, callback: Callable[[], None]) -> None:
+        """Call `callback` once the clock has reached a moment."""
+        heapq.heappush(self._due, (moment, next(self._order), callback))
 
     def advance(self, seconds: float) -> None:
-        """Go on, and let happen what is due by then."""
+        """Advance the clock and run the callbacks that are due."""
         self.now += seconds
-        while self._due and self._due[0][0] <= self.now + SAME_MOMENT:
+        while self._due and self._due[0][0] <= self.now + TOLERANCE_S:
             heapq.heappop(self._due)[2]()
 
 
 class LatencyExecutor(Executor):
-    """Runs what is submitted at once; in simulated time it is done as much later as it took.
+    """Runs tasks at once and completes their futures after the measured time, in simulated time.
 
-    stopwatch: s, by which that is measured
-    fixed_s: takes the place of the time that was measured, so that a run can be repeated exactly
+    stopwatch: measures the time in s
+    fixed_s: replaces the measured time, so that a run can be repeated exactly
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class LatencyExecutor(Executor):
         self._fixed_s = fixed_s
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Blocks while it runs; an `AnchorFlowError` is the future's."""
+        """Run the function now; an `AnchorFlowError` becomes the future's."""
         future: Future[Any] = Future()
         start = self._stopwatch()
         result, failed = None, None

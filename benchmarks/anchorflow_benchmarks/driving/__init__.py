@@ -1,1 +1,1 @@
-"""Driving planners on recorded logs."""
+"""Measure planners that drive, on recorded logs and in simulated traffic."""

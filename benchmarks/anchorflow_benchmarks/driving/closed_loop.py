@@ -1,4 +1,7 @@
-"""Drivers in SUMO's traffic, closed loop: the others react to what is driven."""
+"""Let drivers and bundles drive in SUMO's traffic, closed loop: the others react.
+
+Run by `anchorflow bench drive-closed-loop`.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,23 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from statistics import fmean, median
+from typing import Annotated
 
-from anchorflow_benchmarks.report import ResultTable, Row
+import typer
+
+from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks.driving.bundles import open_drivers
+from anchorflow_benchmarks.options import (
+    RESULTS,
+    AlongRouteOption,
+    DrivingBundlesOption,
+    NumOption,
+    OutOption,
+    ThreadsOption,
+    comma_separated,
+)
+from anchorflow_benchmarks.report import ResultTable, Row, progress, report
+from anchorflow_cli.options import folder_option
 from anchorflow_driving.drivers import DRIVERS, Driver
 from anchorflow_driving.log import DrivingLog, write_log
 from anchorflow_driving.simulation.closed_loop import (
@@ -17,9 +35,7 @@ from anchorflow_driving.simulation.closed_loop import (
     drive_route,
 )
 
-BASELINES = ("idm", "route_constant_speed", "constant_velocity", "stop")
-"""`human` is none: nobody drove here before."""
-
+BASELINES = ("idm", "route_constant_speed", "constant_velocity", "stop")  # there is no record
 NOTE = (
     "A route ends with the first of: its length; a collision at fault, as the PDM score has it; a"
     " corner off the road; 10 m beside the route; its time. progress: share of the routes that was"
@@ -31,10 +47,6 @@ NOTE = (
 )
 
 
-def baselines(names: Sequence[str]) -> dict[str, Driver]:
-    return {name: DRIVERS[name] for name in names}
-
-
 def drive_routes(
     drivers: Mapping[str, Driver],
     config: ClosedLoopConfig,
@@ -43,9 +55,9 @@ def drive_routes(
     keep: Path | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> dict[str, list[RouteResult]]:
-    """Every driver on routes 0, 1, …; `progress` hears of each.
+    """Let every driver drive routes 0, 1, …; `progress` gets 1 per route.
 
-    keep: folder where every drive is kept as a log
+    keep: folder that every drive is written to as a log
     """
     driven: dict[str, list[RouteResult]] = {name: [] for name in drivers}
     for index in range(routes):
@@ -86,3 +98,43 @@ def _row(name: str, results: Sequence[RouteResult], length_m: float) -> Row:
         "s": median(finished) if finished else None,
         "ms": median(ms for result in results for ms in result.plan_ms),
     }
+
+
+def drive_closed_loop(
+    *,
+    drivers: Annotated[
+        str,
+        typer.Option(
+            metavar="A,B", help="Who drives; none for none.", show_default="the baselines"
+        ),
+    ] = ",".join(BASELINES),
+    bundle: DrivingBundlesOption = None,
+    along_route: AlongRouteOption = False,
+    num: NumOption = 64,
+    threads: ThreadsOption = None,
+    routes: Annotated[int, typer.Option(min=1, help="How many, each on a net of its own.")] = 20,
+    length: Annotated[float, typer.Option(min=50.0, help="Of a route [m].")] = 300.0,
+    seconds: Annotated[float, typer.Option(min=5.0, help="Until a route is given up.")] = 90.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of nets and traffic.")] = 2000,
+    keep: Annotated[
+        Path | None,
+        folder_option("Folder where every drive is kept as a log, to learn from."),
+    ] = None,
+    out: OutOption = RESULTS,
+) -> None:
+    """Let drivers and bundles drive in SUMO's traffic; a table of what happened."""
+    chosen: dict[str, Driver] = {}
+    for name in comma_separated(drivers):
+        if name not in BASELINES:
+            raise BenchmarkError(f"expected drivers among {', '.join(BASELINES)}, got {name!r}")
+        chosen[name] = DRIVERS[name]
+    for driver in open_drivers(bundle or [], num=num, threads=threads):
+        for each in (driver, driver.along_route()) if along_route else (driver,):
+            chosen[each.name] = each
+    if keep is not None:
+        keep.mkdir(parents=True, exist_ok=True)
+    config = ClosedLoopConfig(seed=seed, length_m=length, seconds=seconds)
+    with progress("driving", routes * len(chosen)) as advance:
+        driven = drive_routes(chosen, config, routes=routes, keep=keep, progress=advance)
+    about = {"traffic": f"SUMO, seed {seed}, right-hand, no traffic lights"}
+    report("Drive closed loop", about, [routes_table(driven, config)], out)

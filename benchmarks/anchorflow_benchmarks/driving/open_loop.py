@@ -1,4 +1,7 @@
-"""Drivers on every window of some logs, open loop: nobody reacts to what they plan."""
+"""Score drivers on every window of recorded logs, open loop: the traffic does not react.
+
+`anchorflow bench drive` prints tables by source, command and log, and writes the plans.
+"""
 
 from __future__ import annotations
 
@@ -7,45 +10,68 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean, median
 from time import perf_counter
+from typing import Annotated
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
+from scipy.stats import rankdata
 
-from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals
-from anchorflow_benchmarks.driving.proposals import (
-    GOALS_NOTE,
-    OF_GOALS,
-    PROPOSALS_NOTE,
-    proposal_figures,
+from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks.driving.bundles import open_drivers
+from anchorflow_benchmarks.options import (
+    RESULTS,
+    AlongRouteOption,
+    DrivingBundlesOption,
+    NumOption,
+    OutOption,
+    RecordOption,
+    SamplersOption,
+    ThreadsOption,
+    comma_separated,
 )
-from anchorflow_benchmarks.driving.rewards import choice_figures, choices_table, heads_table
-from anchorflow_benchmarks.driving.seeds import seeds_table
-from anchorflow_benchmarks.errors import BenchmarkError
-from anchorflow_benchmarks.report import ResultTable, Row
+from anchorflow_benchmarks.planners import CARD
+from anchorflow_benchmarks.report import ResultTable, Row, progress, record, report, say
+from anchorflow_cli.options import folder_option
+from anchorflow_driving.bundle_driver import BundleDriver, WindowProposals
 from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, Driver
-from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog
+from anchorflow_driving.geometry import out_of_frame
+from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog, read_logs
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
 from anchorflow_driving.waypoints import collides
 from anchorflow_driving.window import Scenes, Window
 
 Array = NDArray[np.float64]
 
+TOP_GOALS, NEAR_M = 5, 3.0
+MOVING_M = 2.0  # m to the recorded end, from which a window counts as moving
+GOAL_FIGURES = ("top 5", "top 5 by score", "off-road score")
 NOTE = (
     "Shares and scores from 0 to 1, distances in m. against: driven in lanes that lead the other"
     " way; ADE and FDE over the 8 poses of 4 s; hit: share of plans whose box, as 45 waypoints and"
     " untracked, overlaps another within 4.5 s; ms: median time of a plan."
 )
+PROPOSALS_NOTE = (
+    "oracle: the best PDMS of N proposals; minADE: m, of the nearest to the record; rank: Spearman"
+    " correlation of score and PDMS where these differ; ms: medians, of drawing what the bundle is"
+    " shown, of its flow and scores, and of a plan in all."
+)
+GOALS_NOTE = (
+    f"Shares of the windows that move {MOVING_M:g} m whose recorded end lies within {NEAR_M:g} m of"
+    f" one of {TOP_GOALS} goals: the first that trajectories are drawn to, and those with the"
+    " highest scores; and the mean score of goals off the road."
+)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """Who is judged, at which poses: 8, or all 40 that a driver has; or a bundle's proposals."""
+    """A driver, and the times of the poses it is judged at: 8, or all 40 that it plans."""
 
     driver: Driver | BundleDriver
     times: Array = field(default_factory=lambda: PLAN_TIMES)
 
 
-# PDM-Closed plans 40 poses; as 8, it is what a planner of 8 could have answered.
+# PDM-Closed plans 40 poses; its 8 poses compare with planners of 8.
 ENTRIES = {
     **{name: Entry(driver) for name, driver in DRIVERS.items()},
     "idm_40_poses": Entry(DRIVERS["idm"], DENSE_TIMES),
@@ -64,16 +90,14 @@ class Judged:
     waypoints: Array | None  # [45, 2], of drivers that plan 4.5 s
     figures: Mapping[str, float]
     ms: float
-    proposals: Proposals | None = None  # of a bundle
-    choices: Mapping[str, float] = field(default_factory=dict)  # that it could have made
-    sub_scores: Array | None = None  # [N, 5] of its proposals
+    proposals: WindowProposals | None = None  # of a bundle
 
 
 def named_drivers(names: Sequence[str]) -> dict[str, Entry]:
-    """Rule-based drivers by name.
+    """Return rule-based drivers by name.
 
     Raises:
-        BenchmarkError: one is unknown.
+        BenchmarkError: a name is unknown.
     """
     for name in names:
         if name not in ENTRIES:
@@ -87,7 +111,7 @@ def judge_drivers(
     *,
     progress: Callable[[int], None] = lambda _: None,
 ) -> dict[str, list[Judged]]:
-    """Every driver's plan of every window, judged; `progress` hears of each window."""
+    """Judge every driver's plan of every window; `progress` gets 1 per window."""
     judged: dict[str, list[Judged]] = {name: [] for name in drivers}
     for log in logs:
         for window in Scenes(log):
@@ -98,7 +122,7 @@ def judge_drivers(
 
 
 def drive_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
-    """All windows, by source, by command, and the PDMS by log."""
+    """Return tables of all windows, by source, by command, of bundles, and the PDMS by log."""
     everything = next(iter(judged.values()), [])
     sources = sorted({verdict.source for verdict in everything})
     commands = [name for name in COMMANDS if any(v.command == name for v in everything)]
@@ -114,10 +138,10 @@ def drive_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
 
 
 def write_plans(judged: Mapping[str, Sequence[Judged]], folder: Path) -> list[Path]:
-    """plans_DRIVER.npz of 8 poses and, of drivers that plan 4.5 s, waypoints_DRIVER.npz.
+    """Write plans_DRIVER.npz of 8 poses and, for drivers that plan 4.5 s, waypoints_DRIVER.npz.
 
     Keys: log [W] file name without suffix, window [W], trajectories [W, 8, 3] or [W, 45, 2]; of
-    bundles proposals [W, N, 8, 3] and, where it scores them, scores [W, N] too.
+    bundles also proposals [W, N, 8, 3] and, if the bundle has scores, scores [W, N].
 
     Raises:
         BenchmarkError: a file cannot be written.
@@ -162,28 +186,51 @@ def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Jud
             ms=ms,
         )
         if proposals:
-            verdict = _of_bundle(verdict, proposals, window=window, scorer=scorer)
+            figures = proposal_figures(window, proposals, scorer)
+            verdict = replace(verdict, figures={**verdict.figures, **figures}, proposals=proposals)
         judged[name] = verdict
     return judged
 
 
-def _of_bundle(
-    verdict: Judged, proposals: Proposals, *, window: Window, scorer: PdmScorer
-) -> Judged:
-    """The verdict on a bundle's plan, with what all that it proposed is worth."""
-    scores = scorer.score(proposals.trajectories)
-    figures = proposal_figures(window, proposals, pdms=scores.pdms)
-    return replace(
-        verdict,
-        figures={**verdict.figures, **figures},
-        proposals=proposals,
-        choices=choice_figures(window, proposals, pdms=scores.pdms, scorer=scorer),
-        sub_scores=scores.sub_scores,
-    )
+def proposal_figures(
+    window: Window, proposals: WindowProposals, scorer: PdmScorer
+) -> dict[str, float]:
+    """Return oracle, minADE, rank, and GOAL_FIGURES if there are goals; NaN without a value."""
+    pdms = scorer.score(proposals.trajectories).pdms
+    driven = window.recorded(PLAN_TIMES)
+    away = np.linalg.norm(proposals.trajectories[..., :2] - driven[:, :2], axis=-1)
+    return {
+        "oracle": float(pdms.max()),
+        "minADE": float(away.mean(-1).min()),
+        "rank": _rank(proposals.scores, pdms),
+        **_goal_figures(window, proposals),
+    }
+
+
+def _rank(scores: Array | None, pdms: Array) -> float:
+    if scores is None or np.ptp(pdms) == 0 or np.ptp(scores) == 0:
+        return float("nan")
+    return float(np.corrcoef(rankdata(scores), rankdata(pdms))[0, 1])
+
+
+def _goal_figures(window: Window, proposals: WindowProposals) -> dict[str, float]:
+    goals, scores = proposals.goals, proposals.goal_scores
+    if goals is None or scores is None:
+        return {}
+    end = window.recorded(PLAN_TIMES)[-1, :2]
+    near = np.linalg.norm(goals - end, axis=-1) < NEAR_M
+    best = np.argsort(-scores, kind="stable")[:TOP_GOALS]
+    moves = bool(np.linalg.norm(end) > MOVING_M)
+    off_road = ~window.road.is_drivable(out_of_frame(goals, window.state.pose))
+    return {
+        "top 5": float(near[:TOP_GOALS].any()) if moves else float("nan"),
+        "top 5 by score": float(near[best].any()) if moves else float("nan"),
+        "off-road score": float(scores[off_road].mean()) if off_road.any() else float("nan"),
+    }
 
 
 def _waypoints(driver: Driver | BundleDriver, window: Window) -> Array | None:
-    """[45, 2] of a driver that plans 4.5 s."""
+    """Return [45, 2] of a driver that plans 4.5 s."""
     if isinstance(driver, BundleDriver):
         return None
     waypoints = driver(window, WAYPOINT_TIMES)[:, :2]
@@ -202,20 +249,20 @@ def _distances(window: Window, plan: Array, times: Array) -> dict[str, float]:
 
 
 def _row(name: str, verdicts: Sequence[Judged]) -> Row:
-    keys = [key for key in (verdicts[0].figures if verdicts else ()) if key not in OF_GOALS]
+    keys = [key for key in (verdicts[0].figures if verdicts else ()) if key not in GOAL_FIGURES]
     ms = median(v.ms for v in verdicts) if verdicts else None
     return {"driver": name, **_means(verdicts, keys), "ms": ms}
 
 
 def _means(verdicts: Sequence[Judged], keys: Iterable[str]) -> dict[str, float]:
-    """Of the windows that have the figure; NaN where none has."""
+    """Average each figure over the windows that have it; NaN without one."""
     values = {key: [v.figures[key] for v in verdicts] for key in keys}
     there = {key: [one for one in all_ if one == one] for key, all_ in values.items()}
     return {key: fmean(all_) if all_ else float("nan") for key, all_ in there.items()}
 
 
 def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
-    """What bundles propose, in what time, and how good their goals and forecasts are."""
+    """Return the quality and times of bundles' proposals, and the quality of their goals."""
     rows, of_goals = [], []
     for name, verdicts in judged.items():
         proposed = [verdict.proposals for verdict in verdicts if verdict.proposals]
@@ -228,43 +275,13 @@ def bundle_tables(judged: Mapping[str, Sequence[Judged]]) -> list[ResultTable]:
             "ms": median(verdict.ms for verdict in verdicts),
         }
         rows.append({"driver": name, "N": len(proposed[0].trajectories), **mean, **times})
-        if OF_GOALS[0] in verdicts[0].figures:
-            of_goals.append({"driver": name, **_means(verdicts, OF_GOALS)})
+        if GOAL_FIGURES[0] in verdicts[0].figures:
+            of_goals.append({"driver": name, **_means(verdicts, GOAL_FIGURES)})
     tables = [
-        ResultTable("Proposals", rows, PROPOSALS_NOTE) if rows else None,
-        ResultTable("Goals", of_goals, GOALS_NOTE) if of_goals else None,
-        choices_table(
-            {
-                name: [{**v.choices, "PDMS": v.figures["PDMS"]} for v in all_]
-                for name, all_ in judged.items()
-            }
-        ),
-        heads_table(_foretold(judged)),
-        seeds_table(
-            {name: [v.figures["PDMS"] for v in verdicts] for name, verdicts in judged.items()}
-        ),
+        ResultTable("Proposals", rows, PROPOSALS_NOTE),
+        ResultTable("Goals", of_goals, GOALS_NOTE),
     ]
-    return [table for table in tables if table]
-
-
-def _foretold(judged: Mapping[str, Sequence[Judged]]) -> dict[str, tuple[Array, Array]]:
-    """Sub-scores [M, 5] as they were foretold and as they were, of all windows, by driver."""
-    pairs = {
-        name: [
-            (v.proposals.foretold, v.sub_scores)
-            for v in verdicts
-            if v.proposals and v.proposals.foretold is not None and v.sub_scores is not None
-        ]
-        for name, verdicts in judged.items()
-    }
-    return {
-        name: (
-            np.concatenate([told for told, _ in each]),
-            np.concatenate([true for _, true in each]),
-        )
-        for name, each in pairs.items()
-        if each
-    }
+    return [table for table in tables if table.rows]
 
 
 def _by_log(judged: Mapping[str, Sequence[Judged]]) -> ResultTable:
@@ -294,8 +311,53 @@ def _write(path: Path, verdicts: Sequence[Judged], trajectories: Sequence[Array]
 
 
 def _proposed(verdicts: Sequence[Judged]) -> dict[str, Array]:
-    """All proposals and their scores, of a bundle."""
+    """Return all proposals and scores of a bundle."""
     proposed = [verdict.proposals for verdict in verdicts if verdict.proposals]
     scores = [each.scores for each in proposed if each.scores is not None]
     found = {"proposals": [each.trajectories for each in proposed], "scores": scores}
     return {name: np.stack(arrays) for name, arrays in found.items() if arrays}
+
+
+def drive(
+    *,
+    logs: Annotated[Path, typer.Option(help="Folder of driving logs (*.npz).")],
+    drivers: Annotated[
+        str, typer.Option(metavar="A,B", help="Who drives; none for none.", show_default="all")
+    ] = ",".join(ENTRIES),
+    bundle: DrivingBundlesOption = None,
+    along_route: AlongRouteOption = False,
+    num: NumOption = 64,
+    samplers: SamplersOption = CARD,
+    seeds: Annotated[
+        list[int] | None,
+        typer.Option("--seed", help="Of a bundle's noise; repeatable.", show_default="0", min=0),
+    ] = None,
+    threads: ThreadsOption = None,
+    plans: Annotated[
+        Path | None,
+        folder_option("Folder that plans_*.npz are written to.", show_default="that of --out"),
+    ] = None,
+    recorded: RecordOption = False,
+    out: OutOption = RESULTS,
+) -> None:
+    """Score drivers and bundles on recorded logs with the PDM score; tables and plans."""
+    found = read_logs(logs)
+    chosen = named_drivers(comma_separated(drivers))
+    asked = samplers.split(",")
+    ours = open_drivers(bundle or [], num=num, samplers=asked, threads=threads)
+    for driver in ours:
+        ways = (driver, driver.along_route()) if along_route else (driver,)
+        seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
+        chosen |= {each.name: Entry(each) for each in seeded}
+    windows = sum(log.windows for log in found)
+    with progress("driving", windows) as advance:
+        judged = judge_drivers(chosen, found, progress=advance)
+    about = {"logs": f"{logs.name}: {len(found)} files, {windows} windows"}
+    tables = drive_tables(judged)
+    report("Drive", about, tables, out)
+    if recorded:
+        firsts = ours[:: len(asked)]
+        names = [driver.seeded((seeds or [0])[0]).name for driver in firsts]
+        record(zip(names, bundle or [], strict=True), about, tables[0])
+    for path in write_plans(judged, plans or out):
+        say(str(path))

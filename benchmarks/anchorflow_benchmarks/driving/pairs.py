@@ -1,31 +1,34 @@
-"""V2X-VLM's bundles on pairs that they have not seen: L2 and collisions, beside constant velocity.
+"""Judge V2X-VLM bundles on unseen pairs of pictures: L2 and collisions beside constant velocity.
 
-On drawn crossings it is known who is hidden from the car, so those are counted apart: there the
-roadside picture alone shows who comes.
+Drawn crossings know who is hidden from the car. Those pairs get a table of their own, because only
+the roadside picture shows who comes. Run by `anchorflow bench pairs`.
 """
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from time import perf_counter
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
 
-from anchorflow_benchmarks.report import ResultTable, Row
+from anchorflow_benchmarks.options import RESULTS, OutOption, RecordOption, ThreadsOption
+from anchorflow_benchmarks.report import ResultTable, Row, progress, record, report
+from anchorflow_client.contract import VisionLanguageSpec
 from anchorflow_driving.cooperative.crossings import draw_crossing
 from anchorflow_driving.cooperative.layout import CooperativeFrame, write_recording
 from anchorflow_service.local import LocalClient
-from anchorflow_training.v2x.dataset import PairDataset, make_pairs
+from anchorflow_training.v2x.dataset import PairDataset, make_pairs, open_pairs
 from anchorflow_training.v2x.evaluation import HORIZONS_S, baselines, judge
 from anchorflow_training.v2x.prompts import UNTOLD
 
-UNSEEN = 90_000
-"""The first seed of the crossings that are judged; `anchorflow data crossings` is far from it."""
+UNSEEN_SEED = 90_000  # of the first crossing; `anchorflow data crossings` stays far below
 NOTE = (
     "L2 to the recorded way, m; collision: share of plans whose box overlaps the box of another at "
     "that frame, up to that time. driven: the record itself. ms: median of a request."
@@ -34,15 +37,15 @@ NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """title: of a table; indices: the pairs of a dataset that it counts"""
+    """title: of a table; indices: its pairs of a dataset"""
 
     title: str
     indices: NDArray[np.int64]
 
 
 def judged_crossings(folder: Path, *, scenes: int, image_size: int) -> tuple[PairDataset, list]:
-    """Unseen crossings as pairs in an empty folder, and their groups: all, and those hidden."""
-    drawn = [draw_crossing(UNSEEN + number) for number in range(scenes)]
+    """Write unseen crossings as pairs to an empty folder; return all pairs and the hidden ones."""
+    drawn = [draw_crossing(UNSEEN_SEED + number) for number in range(scenes)]
     names = [f"{number:06d}" for number in range(scenes)]
     drives: list[tuple[str, list[CooperativeFrame]]] = [
         (name, crossing.frames) for name, crossing in zip(names, drawn, strict=True)
@@ -68,10 +71,10 @@ def pair_tables(
     *,
     progress: Callable[[int], object] = lambda _: None,
 ) -> list[ResultTable]:
-    """A table a group: baselines, and each bundle with everything, without the roadside picture,
-    and without text.
+    """Return a table per group: baselines, and each bundle with all inputs, without the roadside
+    picture, and without text.
 
-    clients: of bundles, by what the tables call them
+    clients: of bundles, by their names in the tables
     """
     everything = np.unique(np.concatenate([group.indices for group in groups]))
     plans: dict[str, NDArray[np.float64]] = {**baselines(dataset, everything)}
@@ -113,3 +116,46 @@ def _row(name: str, figures: dict[str, float], ms: float | None) -> Row:
         row |= {f"{what} {each} s": figures[f"{key}_{each}s"] for each in HORIZONS_S}
         row[f"{what} mean"] = figures[f"{key}_mean"]
     return {**row, "ms": ms}
+
+
+def pairs(
+    bundles: Annotated[list[Path], typer.Argument(help="Folders of V2X-VLM bundles.")],
+    *,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder of pairs; those held out are judged.", show_default="drawn"),
+    ] = None,
+    crossings: Annotated[int, typer.Option(min=2, help="Scenes drawn, without --data.")] = 200,
+    threads: ThreadsOption = None,
+    recorded: RecordOption = False,
+    out: OutOption = RESULTS,
+) -> None:
+    """Judge V2X-VLM bundles by L2 and collisions, with and without the roadside picture."""
+    asked = [LocalClient.of(bundle, threads=threads) for bundle in bundles]
+    sizes = {client.engine.card.name: _image_size(client) for client in asked}
+    if len({*sizes.values()}) > 1:
+        raise typer.BadParameter(f"expected bundles asked with pictures of one size, got {sizes}")
+    clients = {client.engine.card.name: client for client in asked}
+    if len(clients) < len(bundles):
+        raise typer.BadParameter(f"expected bundles of different names, got {', '.join(clients)}")
+    with tempfile.TemporaryDirectory() as scratch:
+        if data is None:
+            (size,) = {*sizes.values()}
+            dataset, groups = judged_crossings(Path(scratch), scenes=crossings, image_size=size)
+        else:
+            dataset = open_pairs(data)
+            groups = [Group("Held out", dataset.indices(held_out=True))]
+        with progress("pairs", 3 * len(clients) * len(groups[0].indices)) as advance:
+            tables = pair_tables(clients, dataset, groups, progress=advance)
+    judged = data.name if data else f"{crossings} drawn crossings"
+    report("Pairs", {"bundles": ", ".join(clients), "pairs": judged}, tables, out)
+    if recorded:
+        record(zip(clients, bundles, strict=True), {"pairs": judged}, tables[0])
+
+
+def _image_size(client: LocalClient) -> int:
+    card = client.engine.card
+    if not isinstance(card.conditioning, VisionLanguageSpec):
+        kind = card.conditioning.kind
+        raise typer.BadParameter(f"{card.name}: expected a bundle asked with pictures, got {kind}")
+    return card.conditioning.image_size

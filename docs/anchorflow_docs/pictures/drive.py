@@ -13,7 +13,7 @@ from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, Tick
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import Unicycle
 from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, SimulatedTime
-from anchorflow_benchmarks.closed_loop.world import World, draw_world
+from anchorflow_benchmarks.closed_loop.worlds import World, draw_world
 from anchorflow_client.planner import Planner
 from anchorflow_docs.pictures.scenes import QUICK, Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme

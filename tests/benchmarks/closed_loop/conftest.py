@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_benchmarks.closed_loop.world import World
+from anchorflow_benchmarks.closed_loop.worlds import World
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,7 @@ from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, End, Tic
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import DoubleIntegrator, Robot, Unicycle
 from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, SimulatedTime
-from anchorflow_benchmarks.closed_loop.world import World
+from anchorflow_benchmarks.closed_loop.worlds import World
 from anchorflow_client import AnchorBatch, AnchorRequest, ConnectionFailed
 from anchorflow_client.planner import AnchorSource, Planner, PlannerConfig
 from anchorflow_client.planner.plan import PlanState

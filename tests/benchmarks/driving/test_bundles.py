@@ -1,4 +1,4 @@
-"""Bundles that drive, judged with what they propose."""
+"""Bundles that drive, judged with their proposals."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ import pytest
 from driven_bend import bend
 from image_planner import write_image_bundle
 
-from anchorflow_benchmarks.driving import bundle_driver
-from anchorflow_benchmarks.driving.bundle_driver import BundleDriver, Proposals, open_drivers
-from anchorflow_benchmarks.driving.open_loop import Entry, drive_tables, judge_drivers, write_plans
-from anchorflow_benchmarks.driving.proposals import proposal_figures
-from anchorflow_benchmarks.driving.rewards import (
-    area_under_curve,
-    choice_figures,
-    heads_table,
+from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks.driving.bundles import open_drivers
+from anchorflow_benchmarks.driving.open_loop import (
+    Entry,
+    drive_tables,
+    judge_drivers,
+    proposal_figures,
+    write_plans,
 )
-from anchorflow_benchmarks.errors import BenchmarkError
+from anchorflow_driving import bundle_driver
+from anchorflow_driving.bundle_driver import BundleDriver, WindowProposals
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.pdm import PdmScorer, PdmScores
@@ -32,8 +33,13 @@ GOALFLOW = DEFAULT_BUNDLE.parent / "goalflow"
 N = 16
 
 
+def opened(folder: Path = GOALFLOW, *, num: int = N, sampler: str = "card") -> BundleDriver:
+    (driver,) = open_drivers([folder], num=num, samplers=[sampler], threads=1)
+    return driver
+
+
 def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
-    driver = BundleDriver(GOALFLOW, num=N, sampler="euler:uniform2", threads=1)
+    driver = opened(sampler="euler:uniform2")
     judged = judge_drivers({driver.name: Entry(driver)}, [bend(0)])
 
     tables = {table.title: table.rows for table in drive_tables(judged)}
@@ -53,27 +59,17 @@ def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plans["trajectories"], chosen)
 
 
-def test_other_seeds_make_other_proposals_and_a_table_of_their_spread() -> None:
-    drivers = [*map(BundleDriver(GOALFLOW, num=N, threads=1).seeded, (0, 1))]
-    assert [driver.name for driver in drivers] == ["goalflow", "goalflow_seed1"]
-    judged = judge_drivers({driver.name: Entry(driver) for driver in drivers}, [bend(0)])
-    tables = {table.title: table.rows for table in drive_tables(judged)}
+def test_other_seeds_draw_other_proposals() -> None:
+    window = Scenes(bend(0))[0]
+    zero, one = (opened().seeded(seed) for seed in (0, 1))
 
-    zero, one = (each[0].proposals for each in judged.values())
-    assert zero is not None
-    assert one is not None
-    assert not np.array_equal(zero.trajectories, one.trajectories)
-    of_each = [float(str(row["PDMS"])) for row in tables["Proposals"]]
-    (row,) = tables["PDMS by seed"]
-    assert (row["driver"], row["seeds"]) == ("goalflow", 2)
-    spread = (row["least"], row["most"])
-    assert spread == pytest.approx((min(of_each), max(of_each)), rel=1e-12)
-    assert row["PDMS"] == pytest.approx(np.mean(of_each))
+    assert (zero.name, one.name) == ("goalflow", "goalflow_seed1")
+    assert not np.array_equal(zero.propose(window).trajectories, one.propose(window).trajectories)
 
 
 def test_who_takes_a_route_is_told_it_and_others_are_chosen_by_it() -> None:
     window = Scenes(bend(0))[0]
-    driver = BundleDriver(GOALFLOW, num=N, threads=1)
+    driver = opened()
     told = driver.along_route()
     assert told.name == "goalflow_along_route"
     alone, along = driver.propose(window), told.propose(window)
@@ -88,14 +84,14 @@ def test_who_takes_a_route_is_told_it_and_others_are_chosen_by_it() -> None:
 
 
 def test_who_draws_no_noise_has_one_name_for_all_seeds() -> None:
-    driver = BundleDriver(GOALFLOW.parent / "wote", num=N, threads=1)
+    driver = opened(GOALFLOW.parent / "wote")
     assert driver.seeded(1) is driver
 
 
 def test_who_chooses_among_fewer_proposes_all_of_them() -> None:
     bundle = DEFAULT_BUNDLE.parent / "diffusiondrive"
     most = load_bundle(bundle).card.sampler.size  # type: ignore[union-attr]
-    driver = BundleDriver(bundle, num=most + 1, threads=1)
+    driver = opened(bundle, num=most + 1)
     window = Scenes(bend(0))[0]
     shapes = {"camera": (3, 128, 512), "lidar": (1, 256, 256), "ego_status": (8,)}
     types = {"camera": np.uint8}
@@ -105,8 +101,6 @@ def test_who_chooses_among_fewer_proposes_all_of_them() -> None:
         patch.setattr(bundle_driver, "draw_inputs", lambda *_: drawn)
         proposals = driver.propose(window)
     assert len(proposals.trajectories) == most
-    assert proposals.foretold is not None
-    assert {*proposals.choices} == {"coarse_scores"}
 
 
 def test_figures_of_known_proposals() -> None:
@@ -114,57 +108,22 @@ def test_figures_of_known_proposals() -> None:
     driven = window.recorded(PLAN_TIMES)
     away = np.add(driven, (0.0, 2.5, 0.0))
     end = driven[-1, :2]
-    proposals = Proposals(
+    proposals = WindowProposals(
         trajectories=np.stack([away, driven]),
         scores=np.array([0.2, 0.9]),
-        foretold=None,
-        choices={},
-        offsets=None,
         goals=np.stack([*[end + 50.0] * 5, end]),
         goal_scores=np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.9]),
         best=1,
         drawing_ms=1.0,
         flow_ms=1.0,
     )
-    pdms = PdmScorer(window).score(proposals.trajectories).pdms
-    figures = proposal_figures(window, proposals, pdms=pdms)
+    figures = proposal_figures(window, proposals, PdmScorer(window))
 
     assert figures["minADE"] == pytest.approx(0.0)
     assert figures["oracle"] == pytest.approx(1.0, abs=0.1)
     assert figures["rank"] == pytest.approx(1.0)
     assert (figures["top 5"], figures["top 5 by score"]) == (0.0, 1.0)
     assert figures["off-road score"] == pytest.approx(np.mean([0.5, 0.4, 0.3, 0.2, 0.1]))
-
-
-def test_what_else_it_could_have_chosen_by() -> None:
-    window = Scenes(bend(0))[0]
-    driven = window.recorded(PLAN_TIMES)
-    off_road = np.add(driven, (0.0, 60.0, 0.0))
-    proposals = Proposals(
-        trajectories=np.stack([off_road, driven]),
-        scores=np.array([0.2, 0.9]),
-        foretold=np.array([[0.6, 0.1, 0.5, 0.9, 0.9], [0.7, 0.8, 0.5, 0.9, 0.9]]),
-        choices={"im_rewards": np.array([0.7, 0.3])},
-        offsets=np.stack([off_road - driven, driven - off_road]),
-        goals=None,
-        goal_scores=None,
-        best=1,
-        drawing_ms=1.0,
-        flow_ms=1.0,
-    )
-    scorer = PdmScorer(window)
-    true = scorer.score(proposals.trajectories)
-    figures = choice_figures(window, proposals, pdms=true.pdms, scorer=scorer)
-    best = float(scorer.score(driven[None]).pdms[0])
-    assert figures["by im_rewards"] == 0.0
-    assert (figures["plain PDMS"], figures["plain oracle"]) == (0.0, pytest.approx(best))
-    assert figures["plain minADE"] == pytest.approx(0.0, abs=1e-6)
-
-    assert proposals.foretold is not None
-    table = heads_table({"wote": (proposals.foretold, true.sub_scores)})
-    assert table is not None
-    (row,) = table.rows
-    assert (row["DAC"], row["DAC passed"]) == (1.0, 0.5)
 
 
 def test_a_window_s_proposals_are_scored_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,23 +134,16 @@ def test_a_window_s_proposals_are_scored_once(monkeypatch: pytest.MonkeyPatch) -
         return judge(self, motion)
 
     monkeypatch.setattr(PdmScorer, "judge", counting)
-    driver = BundleDriver(GOALFLOW, num=N, threads=1)
+    driver = opened()
     judged = judge_drivers({driver.name: Entry(driver)}, [bend(0)])[driver.name]
 
     assert judged_plans == [1, N] * len(judged)
 
 
-def test_a_bundle_without_windows_has_no_choices() -> None:
+def test_a_bundle_without_windows_has_no_table() -> None:
     titles = [table.title for table in drive_tables({"wote": []})]
 
     assert titles == ["All windows (0)", "PDMS by log"]
-
-
-def test_the_area_is_the_share_of_pairs_in_their_order() -> None:
-    told = np.array([0.1, 0.4, 0.35, 0.8])
-    assert area_under_curve(told, np.array([0.0, 0.5, 1.0, 1.0])) == pytest.approx(0.75)
-    assert area_under_curve(np.full(4, 0.3), np.array([0, 0, 1, 1.0])) == pytest.approx(0.5)
-    assert np.isnan(area_under_curve(told, np.ones(4)))
 
 
 def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(
@@ -200,12 +152,12 @@ def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(
     known = {name: sensor for name, sensor in SENSORS.items() if name != "camera"}
     monkeypatch.setattr("anchorflow_driving.sensors.by_name.SENSORS", known)
     with pytest.raises(SensorError, match=r"expected inputs among bev, .* got camera"):
-        BundleDriver(write_image_bundle(tmp_path), num=4)
+        opened(write_image_bundle(tmp_path))
 
 
 def test_a_sampler_that_there_is_not_is_named() -> None:
     with pytest.raises(BenchmarkError, match="METHOD:uniformN"):
-        BundleDriver(GOALFLOW, num=4, sampler="often")
+        opened(sampler="often")
 
 
 def test_bundles_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:

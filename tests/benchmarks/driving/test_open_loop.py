@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.driving.open_loop import drive_tables, judge_drivers, named_drivers
-from anchorflow_benchmarks.errors import BenchmarkError
 from anchorflow_cli.main import main
 from anchorflow_driving.log import VEHICLE, DrivingLog, write_log
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle

@@ -2,30 +2,79 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import queue
 import signal
 import sys
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from anchorflow_benchmarks.failover import (
-    FailoverConfig,
-    failover,
-    kill_in_mid_answer,
-    witness,
-)
 from anchorflow_benchmarks.programs import Program, router_command, running
-from anchorflow_client import AnchorRequest, ConnectionFailed, TimedOut
+from anchorflow_client import AnchorBatch, AnchorRequest, ConnectionFailed, TimedOut
 from anchorflow_client.zenoh_client import ZenohAnchorClient
 
 REPLICA = Path(__file__).parent / "programs" / "replica.py"
 SECONDS = float(os.environ.get("ANCHORFLOW_FAILOVER_SECONDS", "4"))
-"""Of the run with a kill and a return; 60 for the whole of what is promised."""
+"""Duration of the run with a kill and a return."""
+HZ, KILL_AT, BACK_AT = 20, 0.3, 0.5  # shares of the run
+CLIENT_LOG = "anchorflow_client.zenoh_client.failover"
+
+
+class Witness(logging.Handler):
+    """Counts requests, answers and failures of each replica in the client's log."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.DEBUG)
+        self.asked: Counter[str] = Counter()
+        self.answered: Counter[str] = Counter()
+        self.silent: Counter[str] = Counter()
+        self.on_asking: Callable[[str], None] = lambda _: None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        words, args = str(record.msg), record.args
+        if not isinstance(args, tuple) or len(args) < 2:
+            return
+        name = str(args[1])
+        if "asking" in words:
+            self.asked[name] += 1
+            self.on_asking(name)
+        elif "answered in" in words:
+            self.answered[name] += 1
+        elif "nothing came" in words:
+            self.silent[name] += 1
+
+
+@contextmanager
+def witness() -> Iterator[Witness]:
+    """Read the client's log while the block runs."""
+    log, seen = logging.getLogger(CLIENT_LOG), Witness()
+    level = log.level
+    log.addHandler(seen)
+    log.setLevel(logging.DEBUG)
+    try:
+        yield seen
+    finally:
+        log.removeHandler(seen)
+        log.setLevel(level)
+
+
+def kill_in_mid_answer(by_name: Mapping[str, Program], seen: Witness, *, after_s: float) -> str:
+    """Wait for a request to a replica, and kill the replica `after_s` later."""
+    asked: queue.SimpleQueue[str] = queue.SimpleQueue()
+    seen.on_asking = asked.put
+    victim = asked.get()
+    seen.on_asking = lambda _: None
+    time.sleep(after_s)
+    by_name[victim].kill()
+    return victim
 
 
 def replica(name: str, endpoint: str, answer_s: float) -> Program:
@@ -54,16 +103,36 @@ def request_(fields: dict[str, Any]) -> AnchorRequest:
 def test_no_request_is_lost_while_a_replica_is_killed_and_comes_back(
     two: list[Program], endpoint: str, request_: AnchorRequest
 ) -> None:
-    config = FailoverConfig(hz=20, seconds=SECONDS, mid_answer_s=0.01)
-    with ZenohAnchorClient(endpoint, timeout_s=20) as client:
-        outcome = failover(client, two, request_, config)
+    by_name = {replica.name: replica for replica in two}
+    with (
+        ZenohAnchorClient(endpoint, timeout_s=20) as client,
+        witness() as seen,
+        ThreadPoolExecutor(64) as pool,
+        ThreadPoolExecutor(1) as clock,
+    ):
+        client.plan_request(request_)  # connect
 
-    assert outcome.outcomes.errors == {}
-    assert len(outcome.outcomes.ms) == int(config.hz * config.seconds)
-    assert outcome.seen.silent[outcome.killed] >= 1  # it was asked, and died over it
-    assert outcome.after_return[outcome.killed] >= 1  # it answers again
-    (other,) = {"a", "b"} - {outcome.killed}
-    assert outcome.seen.answered[other] >= 1
+        def ask_by_the_clock() -> list[Future[AnchorBatch]]:
+            """Send a request every tick, whether the one before is answered or not."""
+            start, answers = time.monotonic(), []
+            for tick in range(int(HZ * SECONDS)):
+                time.sleep(max(0.0, start + tick / HZ - time.monotonic()))
+                answers.append(pool.submit(client.plan_request, request_))
+            return answers
+
+        asking = clock.submit(ask_by_the_clock)
+        time.sleep(KILL_AT * SECONDS)
+        killed = kill_in_mid_answer(by_name, seen, after_s=0.01)
+        time.sleep((BACK_AT - KILL_AT) * SECONDS)
+        by_name[killed].start()
+        before = Counter(seen.answered)
+        for answer in asking.result():
+            answer.result()  # no request is lost
+
+    assert seen.silent[killed] >= 1  # it was asked, and died over it
+    assert (seen.answered - before)[killed] >= 1  # it answers again
+    (other,) = {"a", "b"} - {killed}
+    assert seen.answered[other] >= 1
 
 
 def test_a_budget_holds_for_the_failover_too(
