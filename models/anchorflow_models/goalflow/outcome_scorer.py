@@ -11,7 +11,7 @@ LEARNT = ("nc", "dac", "ep", "ttc")
 POSE = 4 + 3  # x, y, direction; speed, acceleration, yaw rate
 NC_POWER = 3
 """A collision forfeits all else, and a mean over what may come takes it for half a loss; set on
-simulated windows (docs/decisions/0032-cars-that-turn.md)."""
+simulated windows (docs/goalflow-bundle.md)."""
 
 
 class OutcomeScorer(nn.Module):
