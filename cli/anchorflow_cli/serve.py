@@ -1,17 +1,14 @@
-"""`anchorflow serve`: bundles over HTTP, and over zenoh where that is asked."""
+"""`anchorflow serve`: bundles over HTTP, and over zenoh if asked."""
 
 from __future__ import annotations
 
-import logging
-import socket
-import ssl
-from contextlib import suppress
 from dataclasses import replace
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
-from anchorflow_cli.listening import is_loopback, listen
+from anchorflow_cli.listening import within_open_files
 from anchorflow_cli.model_options import (
     BatchOption,
     BatchWaitOption,
@@ -20,36 +17,68 @@ from anchorflow_cli.model_options import (
     ThreadsOption,
     WaitingOption,
 )
-from anchorflow_cli.options import command_app
-from anchorflow_cli.serve_open_files import within_open_files
-from anchorflow_cli.serve_options import (
-    BodyOption,
-    CertificateOption,
-    ClientCaOption,
-    ConnectionsOption,
-    DrainOption,
-    KeyOption,
-    LogFormatOption,
-    LogLevelOption,
-    NoticeOption,
-    PerAddressOption,
-    ProviderOption,
-    TlsFiles,
-    TokensOption,
-    TracesOption,
-    WorkersOption,
-)
-from anchorflow_cli.serve_workers import check_workers, serve_by_workers
-from anchorflow_cli.serving import Opened, ServeChoice, open_service, serving_line, tell
+from anchorflow_cli.options import command_app, url_option
+from anchorflow_cli.serving import LogFormat, LogLevel, Provider, ServeChoice, serve_until_stopped
 from anchorflow_cli.zenoh_options import ZenohChoice, with_zenoh_options
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.http.connections import ConnectionLimits
-from anchorflow_service.http.lifecycle import AnchorServer, Draining
+from anchorflow_service.http.lifecycle import Draining, TlsFiles
 from anchorflow_service.observability.logs import set_up_logging
 from anchorflow_service.planning import ServiceLimits
 
 app = command_app()
-logger = logging.getLogger(__name__)
+
+
+def option(help_text: str, *names: str, least: float | None = None, shown: bool = True) -> Any:
+    """Return an option with a help text, a smallest value, and its default in the help or not."""
+    return typer.Option(*names, help=help_text, min=least, show_default=shown)
+
+
+HostOption = Annotated[str, option("Address to listen on.")]
+PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")]
+ProviderOption = Annotated[Provider, option("Where onnxruntime runs the graphs.")]
+TokensOption = Annotated[
+    Path | None, option("File of bearer tokens; `anchorflow token` makes one.", shown=False)
+]
+CertificateOption = Annotated[
+    Path | None, option("PEM file: serve over TLS.", "--tls-cert", shown=False)
+]
+KeyOption = Annotated[Path | None, option("PEM file of its key.", "--tls-key", shown=False)]
+ClientCaOption = Annotated[
+    Path | None,
+    option(
+        "PEM file: callers must show a certificate of this authority.",
+        "--tls-client-ca",
+        shown=False,
+    ),
+]
+ConnectionsOption = Annotated[
+    int, option("Connections at a time; beyond, one that is idle is closed for each.", least=1)
+]
+PerAddressOption = Annotated[
+    int | None,
+    option(
+        "Connections of one address at a time; three quarters of --max-connections unless given.",
+        least=1,
+        shown=False,
+    ),
+]
+BodyOption = Annotated[int, option("Longest body of a request [bytes].", least=1)]
+WorkersOption = Annotated[
+    int, option("Processes that answer on the port, each with its own models.", least=1)
+]
+NoticeOption = Annotated[
+    float, option("Time [s] from readiness turning false to the closing of the port.", least=0)
+]
+DrainOption = Annotated[float, option("Longest wait [s] for running requests on SIGTERM.", least=0)]
+LogFormatOption = Annotated[LogFormat, option("Form of the log on stderr.")]
+LogLevelOption = Annotated[LogLevel, option("From `info` on every request is a line.")]
+TracesOption = Annotated[
+    str | None,
+    url_option(
+        "OTLP collector to send traces to: http://127.0.0.1:4318/v1/traces.", show_default=False
+    ),
+]
 
 
 @app.command()
@@ -58,8 +87,8 @@ def serve(
     *,
     bundle: BundlesOption = None,
     repository: RepositoryOption = None,
-    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")] = 8000,
+    host: HostOption = "127.0.0.1",
+    port: PortOption = 8000,
     provider: ProviderOption = DEFAULT_PROVIDER,
     tokens: TokensOption = None,
     tls_cert: CertificateOption = None,
@@ -81,6 +110,7 @@ def serve(
     zenoh: ZenohChoice | None,
 ) -> None:
     """Serve bundles over HTTP, and with --zenoh over zenoh too, until interrupted."""
+    set_up_logging(log_format, log_level)
     choice = ServeChoice(
         bundles=bundle,
         repository=repository,
@@ -93,45 +123,7 @@ def serve(
         traces=traces,
         log_format=log_format,
         log_level=log_level,
+        workers=workers,
     )
-    set_up_logging(log_format, log_level)
     choice = replace(choice, connections=within_open_files(choice.connections))
-    if workers > 1:
-        check_workers(zenoh)
-        choice = choice.for_one_of(workers)
-    tls, token_file = choice.tls.context(), choice.token_file
-    with listen(host, port) as listener:
-        if tokens is None and not is_loopback(listener):
-            logger.warning("everybody who reaches this address may ask: there is no --tokens")
-        if workers > 1:
-            serve_by_workers(choice, listener, workers)
-        else:
-            opened = open_service(choice, token_file, zenoh=zenoh)
-            _serve_alone(opened, choice, listener, tls=tls, zenoh=zenoh)
-
-
-def _serve_alone(
-    opened: Opened,
-    choice: ServeChoice,
-    listener: socket.socket,
-    *,
-    tls: ssl.SSLContext | None,
-    zenoh: ZenohChoice | None,
-) -> None:
-    """In this process, until it is interrupted."""
-
-    def say() -> None:
-        tell(serving_line(opened.models, choice, listener))
-        if zenoh is not None and opened.zenoh is not None:
-            tell(f"zenoh replica {opened.zenoh.replica} ({zenoh.settings.describe()})")
-
-    server = AnchorServer(
-        opened.app,
-        opened.service,
-        limits=choice.connections,
-        draining=choice.draining,
-        tls=tls,
-        say=say,
-    )
-    with suppress(KeyboardInterrupt):  # uvicorn has shut down when it raises the signal again
-        server.run(sockets=[listener])
+    serve_until_stopped(choice, host, port, zenoh=zenoh)

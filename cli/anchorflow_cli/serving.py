@@ -1,39 +1,45 @@
-"""`anchorflow serve`: from what was chosen to an application that can be served."""
+"""`anchorflow serve`: opens the service that was chosen, and runs it in one process or in several."""
 
 from __future__ import annotations
 
 import gc
 import logging
+import os
+import signal
 import socket
-from collections.abc import Sequence
-from contextlib import AbstractAsyncContextManager
+import sys
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
-from typing import TYPE_CHECKING
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
+import uvicorn
 from fastapi import FastAPI
 from starlette.middleware import Middleware
+from uvicorn.config import STARTUP_FAILURE
+from uvicorn.supervisors import Multiprocess
 
 from anchorflow_cli.extras import needs_extra
-from anchorflow_cli.listening import url_of
+from anchorflow_cli.listening import is_loopback, listen, url_of
 from anchorflow_cli.model_options import described, folders_of
-from anchorflow_cli.serve_options import LogFormat, LogLevel, Provider, TlsFiles
+from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
-from anchorflow_service.http.lifecycle import Draining
+from anchorflow_service.http.lifecycle import Draining, GracefulExit, TlsFiles, uvicorn_config
 from anchorflow_service.http.tokens import TokenFile
-from anchorflow_service.observability.metrics import reserve_shared_files
+from anchorflow_service.observability.logs import set_up_logging
+from anchorflow_service.observability.metrics import SHARED_FOLDER, reserve_shared_files
 from anchorflow_service.planning import PlanningService, ServiceLimits
-from anchorflow_service.repository import (
-    BundleFolders,
-    FixedRepository,
-    Repository,
-    open_all,
-)
-from anchorflow_service.repository.folders import RepositoryError
+from anchorflow_service.repository import FixedRepository, Repository, open_all
 from anchorflow_trajectory.cores import usable_cores
 
 if TYPE_CHECKING:
@@ -41,10 +47,23 @@ if TYPE_CHECKING:
     from anchorflow_service.observability.spans import Tracing
     from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
-logger = logging.getLogger(__name__)
+# Literals, because typer reads its choices from the annotation.
+LogFormat = Literal["text", "json"]
+LogLevel = Literal["debug", "info", "warning", "error"]
+Provider = Literal["cpu", "cuda", "tensorrt", "openvino"]
 
 ZENOH_WAIT_S = 5.0
-"""How long a router may take to be there when the service starts."""
+"""Time for a router to appear when the service starts."""
+
+logger = logging.getLogger(__name__)
+
+
+class ServeOptionError(AnchorFlowError):
+    """The options do not go together."""
+
+
+class WorkerError(AnchorFlowError):
+    """A worker cannot start."""
 
 
 @dataclass(frozen=True)
@@ -62,100 +81,120 @@ class ServeChoice:
     traces: str | None
     log_format: LogFormat
     log_level: LogLevel
+    workers: int = 1
 
     @property
     def token_file(self) -> TokenFile | None:
-        """Opened anew. Raises `TokenFileError` where it cannot be used."""
+        """Read the tokens. Raises `TokenFileError` if they cannot be used."""
         return None if self.tokens is None else TokenFile(self.tokens)
 
-    @property
-    def folders(self) -> BundleFolders:
-        """Where the bundles lie. Raises `RepositoryError` where that is no folder."""
-        return folders_of(self.bundles, self.repository)
-
-    def for_one_of(self, workers: int) -> ServeChoice:
-        """The same for a worker among so many; threads that are not named are shared out."""
-        threads = self.limits.threads or max(1, usable_cores() // workers)
+    def with_shared_threads(self) -> ServeChoice:
+        """Return the choice of one worker: the cores are shared out, unless threads are given."""
+        threads = self.limits.threads or max(1, usable_cores() // self.workers)
         return replace(self, limits=replace(self.limits, threads=threads))
 
 
-@dataclass(frozen=True)
-class Opened:
-    """A service whose models are loaded; it answers once a server runs its application."""
+def serve_until_stopped(
+    choice: ServeChoice, host: str, port: int, *, zenoh: ZenohChoice | None
+) -> None:
+    """Listen, open the service and answer until a signal arrives.
 
-    app: FastAPI
-    service: PlanningService
-    models: str
-    """Names and versions."""
-    zenoh: ZenohEndpoint | None
+    Raises:
+        AnchorFlowError: the service cannot start.
+    """
+    if choice.workers > 1:
+        _check_workers(zenoh)
+    if choice.tls:
+        choice.tls.context()
+    token_file = choice.token_file
+    with listen(host, port) as listener:
+        if token_file is None and not is_loopback(listener):
+            logger.warning("everybody who reaches this address may ask: there is no --tokens")
+        if choice.workers > 1:
+            _serve_with_workers(choice.with_shared_threads(), listener)
+            return
+        app = open_service(choice, partial(_announce, choice, listener), zenoh=zenoh)
+        server = uvicorn.Server(uvicorn_config(app, draining=choice.draining, tls=choice.tls))
+        with suppress(KeyboardInterrupt):  # uvicorn raises the signal again after it has shut down
+            server.run(sockets=[listener])
 
 
 def open_service(
     choice: ServeChoice,
-    tokens: TokenFile | None,
+    announce: Callable[[str], None],
     *,
     zenoh: ZenohChoice | None = None,
-    one_of_several: bool = False,
-    models: tuple[str, ...] = (),
-) -> Opened:
-    """Load the bundles and put the application together.
+) -> FastAPI:
+    """Load the bundles and return the application.
 
     Args:
         choice: what is served.
-        tokens: who may ask; None: everybody.
-        zenoh: the network to join too; None: none.
-        one_of_several: among processes that count together.
-        models: names that have to be among those served, the default first; empty: any.
+        announce: called with the models' names and versions once requests are answered.
+        zenoh: a network to join too.
 
     Raises:
-        AnchorFlowError: a bundle cannot be served, or there is no way to the zenoh network.
+        AnchorFlowError: a bundle cannot be served, or the zenoh network cannot be joined.
     """
 
     def open_engine(folder: Path) -> Engine:
         return Engine(load_bundle(folder), threads=choice.limits.threads, provider=choice.provider)
 
-    folders = choice.folders
+    folders = folders_of(choice.bundles, choice.repository)
     engines = open_all(folders, open_engine)
-    lacking = [name for name in models if name not in engines]
-    if lacking:
-        raise RepositoryError(f"expected {', '.join(lacking)}, which others serve, got no bundle")
-    default = models[0] if models else next(iter(engines))
-    service = PlanningService(engines, default=default, limits=choice.limits)
-    endpoint = None if zenoh is None else zenoh_endpoint(service, zenoh)
-    tracing = None if choice.traces is None else traced(service, choice.traces)
-    repository = FixedRepository if one_of_several else Repository
-    if one_of_several:
+    service = PlanningService(engines, default=next(iter(engines)), limits=choice.limits)
+    endpoints: list[AbstractAsyncContextManager[object]] = [GracefulExit(service, choice.draining)]
+    middleware = []
+    if choice.traces is not None:
+        tracing = _tracing(service, choice.traces)
+        endpoints.append(tracing)
+        middleware.append(Middleware(tracing.middleware))
+    message = described(engines)
+    if zenoh is not None:
+        endpoint = _zenoh_endpoint(service, zenoh)
+        endpoints.append(endpoint)
+        replica = f"zenoh replica {endpoint.replica} ({zenoh.settings.describe()})"
+        endpoints.append(_at_start(lambda: announce(message), lambda: print_line(replica)))
+    else:
+        endpoints.append(_at_start(lambda: announce(message)))
+    if choice.workers > 1:
         reserve_shared_files()
-    both: Sequence[AbstractAsyncContextManager[object] | None] = (tracing, endpoint)
+    repository = FixedRepository if choice.workers > 1 else Repository
     app = create_app(
         service,
-        endpoints=[each for each in both if each is not None],
-        tokens=tokens,
+        connections=choice.connections,
+        endpoints=endpoints,
+        tokens=choice.token_file,
         repository=repository(service.engines, folders, open_engine),
-        middleware=[] if tracing is None else [Middleware(tracing.middleware)],
+        middleware=middleware,
     )
-    # All of it stays as long as the process does: the collector need not look at it again.
+    # All of this lives as long as the process: the garbage collector need not visit it again.
     gc.collect()
     gc.freeze()
-    return Opened(app, service, described(engines), endpoint)
+    return app
 
 
-def serving_line(models: str, choice: ServeChoice, listener: socket.socket) -> str:
-    """What is told of a service once it answers."""
-    url = url_of(listener, tls=choice.tls.certificate is not None)
-    return f"{models} at {url} ({choice.folders})"
+@asynccontextmanager
+async def _at_start(*calls: Callable[[], None]) -> AsyncIterator[None]:
+    for call in calls:
+        call()
+    yield
 
 
-def tell(line: str) -> None:
-    """Print it; a service whose output goes nowhere serves all the same."""
+def print_line(line: str) -> None:
+    """Print a line; the service goes on if standard output cannot be written."""
     try:
         typer.echo(line)
     except OSError as error:
         logger.warning("standard output cannot be written: %s", error.strerror)
 
 
-def traced(service: PlanningService, url: str) -> Tracing:
-    """Traces of the service, sent to the collector at the URL."""
+def _announce(choice: ServeChoice, listener: socket.socket, models: str) -> None:
+    folders = folders_of(choice.bundles, choice.repository)
+    workers = f", {choice.workers} workers" if choice.workers > 1 else ""
+    print_line(f"{models} at {url_of(listener, tls=bool(choice.tls))} ({folders}){workers}")
+
+
+def _tracing(service: PlanningService, url: str) -> Tracing:
     with needs_extra("otel", who="anchorflow serve --traces"):
         from anchorflow_service.observability.spans import tracing_to
     tracing = tracing_to(url)
@@ -163,10 +202,67 @@ def traced(service: PlanningService, url: str) -> Tracing:
     return tracing
 
 
-def zenoh_endpoint(service: PlanningService, choice: ZenohChoice) -> ZenohEndpoint:
-    """The service on a zenoh network, joined here, so that what is wrong there is one line."""
+def _zenoh_endpoint(service: PlanningService, choice: ZenohChoice) -> ZenohEndpoint:
+    """Join the network here, so that a failure is one line."""
     with needs_extra("zenoh", who="anchorflow serve --zenoh"):
         from anchorflow_client.zenoh_client.session import open_session
         from anchorflow_service.zenoh_endpoint import ZenohEndpoint
     session = open_session(choice.settings, wait_s=ZENOH_WAIT_S)
     return ZenohEndpoint(service, session, replica=choice.replica)
+
+
+def _check_workers(zenoh: ZenohChoice | None) -> None:
+    """Raise `ServeOptionError` if there can be only one worker."""
+    if sys.platform == "win32":
+        raise ServeOptionError("--workers: expected 1 on Windows")
+    if zenoh is not None:
+        raise ServeOptionError(
+            "--workers: expected 1 with --zenoh, whose replicas are services of their own; "
+            "start one for each"
+        )
+
+
+def _serve_with_workers(choice: ServeChoice, listener: socket.socket) -> None:
+    """Run uvicorn's supervisor of processes. Raises `WorkerError` if a worker cannot start."""
+    started = get_context("spawn").Value("i", 0)
+    worker = partial(_worker_app, choice, listener, started)
+    config = uvicorn_config(
+        worker, factory=True, workers=choice.workers, draining=choice.draining, tls=choice.tls
+    )
+    with TemporaryDirectory(prefix="anchorflow-metrics-") as folder:
+        # Workers inherit it; prometheus_client reads it when it is imported.
+        os.environ[SHARED_FOLDER] = folder
+        supervisor = Multiprocess(config, [listener])
+        supervisor.run()
+    if any(each.exitcode == STARTUP_FAILURE for each in supervisor.processes):
+        raise WorkerError("a worker cannot start")
+
+
+def _worker_app(choice: ServeChoice, listener: socket.socket, started: Any) -> FastAPI:
+    """Return the application of a worker's process.
+
+    started: number of workers that have started so far
+    """
+    set_up_logging(choice.log_format, choice.log_level)
+    threading.Thread(target=_exit_with_supervisor, daemon=True).start()
+
+    def count_start(models: str) -> None:
+        with started.get_lock():
+            started.value += 1
+            is_last = started.value == choice.workers
+        if is_last:
+            _announce(choice, listener, models)
+
+    try:
+        return open_service(choice, count_start)
+    except AnchorFlowError as error:
+        logger.error("a worker cannot start: %s", error)  # noqa: TRY400 - one line
+        # uvicorn stops all workers after a failure to start, and replaces one that exits otherwise.
+        raise SystemExit(STARTUP_FAILURE if started.value < choice.workers else 1) from error
+
+
+def _exit_with_supervisor() -> None:
+    supervisor = parent_process()
+    assert supervisor is not None
+    wait([supervisor.sentinel])
+    os.kill(os.getpid(), signal.SIGTERM)

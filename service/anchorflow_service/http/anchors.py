@@ -11,10 +11,14 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.http.whole_number import whole_number
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.http.body import read_body
-from anchorflow_service.http.hang_up import HungUp, to_nobody, unless_hung_up
 from anchorflow_service.http.openapi import ANCHORS_DOCUMENTATION, HEADER_LENGTH
 from anchorflow_service.http.orjson_codec import OrjsonCodec
-from anchorflow_service.http.plain_route import PlainRoute
+from anchorflow_service.http.responses import (
+    Disconnected,
+    PlainRoute,
+    cancel_on_disconnect,
+    disconnected_response,
+)
 from anchorflow_service.planning import Call, PlanningService
 
 BINARY = OipCodec()
@@ -42,9 +46,9 @@ def anchors_router(service: PlanningService) -> APIRouter:
 async def answer_to(call: Call, request: Request, service: PlanningService) -> Response:
     """The answer in the form that the call's codec gives it; no answer to who has hung up."""
     try:
-        answer = await unless_hung_up(request, service.answer(call))
-    except HungUp:
-        return to_nobody()
+        answer = await cancel_on_disconnect(request, service.answer(call))
+    except Disconnected:
+        return disconnected_response()
     finally:  # the log and the header of a refusal carry the request's own id too
         request.state.request_id = call.request_id
     length = answer.header_length

@@ -1,30 +1,35 @@
-"""The application: routes, error handling and the service behind them put together."""
+"""The application: routes, middleware, error handling and the service behind them."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from typing import Any
 
 from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 from anchorflow_service.http.anchors import anchors_router
-from anchorflow_service.http.errors import install_error_handlers
-from anchorflow_service.http.guard import Guard
-from anchorflow_service.http.guard_documentation import document_guard
-from anchorflow_service.http.health_alone import HealthAlone
+from anchorflow_service.http.connections import (
+    SLOTS,
+    ConnectionLimits,
+    ConnectionSlots,
+    OverloadGuard,
+)
+from anchorflow_service.http.exchanges import Exchanges
 from anchorflow_service.http.images import ignore_warnings_of_pillow
-from anchorflow_service.http.leave_to_send import LeaveToSend
-from anchorflow_service.http.metrics import metrics_router
 from anchorflow_service.http.oip_models import models_router
 from anchorflow_service.http.openapi import document
 from anchorflow_service.http.page import page_router
-from anchorflow_service.http.repository import repository_router
-from anchorflow_service.http.request_id import RequestIds
-from anchorflow_service.http.server import server_router, server_version
-from anchorflow_service.http.tokens import TokenFile
-from anchorflow_service.http.turns import Turns
-from anchorflow_service.observability.exchanges import Exchanges, log_exchange
+from anchorflow_service.http.responses import install_error_handlers
+from anchorflow_service.http.routes import (
+    metrics_router,
+    repository_router,
+    server_router,
+    server_version,
+)
+from anchorflow_service.http.tokens import TokenFile, TokenGuard, document_tokens
+from anchorflow_service.observability.logs import log_exchange
 from anchorflow_service.observability.metrics import Metrics
 from anchorflow_service.planning import PlanningService
 from anchorflow_service.repository import Repository
@@ -33,34 +38,35 @@ from anchorflow_service.repository import Repository
 def create_app(
     service: PlanningService,
     *,
+    connections: ConnectionLimits | None = None,
     endpoints: Sequence[AbstractAsyncContextManager[object]] = (),
     tokens: TokenFile | None = None,
     repository: Repository | None = None,
     middleware: Sequence[Middleware] = (),
 ) -> FastAPI:
-    """An ASGI application over the service.
+    """Return an ASGI application over the service.
 
-    It is ready inside its lifespan, which opens the service, and whose end waits for the engine
-    calls that still run.
+    Its lifespan opens the service, and ends after the engine calls that still run.
 
     Args:
-        service: what answers; no other application may open it.
-        endpoints: other transports of the same service, open as long as it is.
+        service: plans; no other application may open it.
+        connections: bounds under `uvicorn_config`; other servers have their own.
+        endpoints: entered in the lifespan, such as another transport of the same service.
         tokens: who may ask; None: everybody.
-        repository: bundles that may be loaded; None: there are no routes to do so.
-        middleware: around all routes, refusals included; each sees the request's id.
+        repository: bundles that may be loaded; None: there are no routes for it.
+        middleware: around all routes and refusals; the request's id is known.
     """
     metrics = Metrics(service)
     listeners = [metrics.exchanged, log_exchange]
 
     @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(_: FastAPI) -> AsyncIterator[dict[str, Any]]:
         ignore_warnings_of_pillow()
         async with AsyncExitStack() as stack:
             stack.enter_context(service)
             for endpoint in endpoints:
                 await stack.enter_async_context(endpoint)
-            yield
+            yield {SLOTS: ConnectionSlots(connections or ConnectionLimits(), listeners)}
 
     app = FastAPI(
         title="AnchorFlow",
@@ -72,16 +78,12 @@ def create_app(
         redoc_url=None,
         # From the outside in.
         middleware=[
-            Middleware(LeaveToSend),
-            Middleware(Turns),
-            Middleware(RequestIds),
-            *middleware,
             Middleware(Exchanges, listeners=listeners),
-            Middleware(HealthAlone),
-            *([] if tokens is None else [Middleware(Guard, tokens=tokens)]),
+            Middleware(OverloadGuard),
+            *middleware,
+            *([] if tokens is None else [Middleware(TokenGuard, tokens=tokens)]),
         ],
     )
-    app.state.exchange_listeners = listeners
     app.include_router(anchors_router(service))
     app.include_router(server_router(service))
     app.include_router(models_router(service))
@@ -92,5 +94,5 @@ def create_app(
     install_error_handlers(app)
     document(app)
     if tokens is not None:
-        document_guard(app)
+        document_tokens(app)
     return app

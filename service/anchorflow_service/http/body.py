@@ -8,7 +8,6 @@ from contextlib import suppress
 from starlette.requests import ClientDisconnect, Request
 
 from anchorflow_client.errors import InvalidRequest, TooLarge
-from anchorflow_service.http.leave_to_send import waits_for_leave
 
 # An ordinary client sends its whole body before it looks for the answer; one that is refused in
 # mid-send sees a reset connection instead of the reason. So the rest is taken and thrown away.
@@ -45,8 +44,6 @@ async def read_body(request: Request, max_bytes: int) -> bytes:
 
 async def discard_body(request: Request) -> None:
     """Take the rest of a body without keeping it, within bounds of size and time."""
-    if waits_for_leave(request.headers):
-        return
 
     async def take() -> None:
         size = 0

@@ -1,368 +1,342 @@
-"""What a connection may cost before a request stands on it: how many, how long, how large a head.
+"""Bounds on connections: how many there are, and how long each may take to send and to receive.
 
-uvicorn's own limit on concurrency answers health checks with its plain-text refusal too, and it
-waits for a request's bytes for ever. Both are decided here, and refusals are the contract's.
+uvicorn's `limit_concurrency` refuses health checks too, and it waits for a request's bytes without
+a timeout. `AnchorProtocol` is uvicorn's HTTP protocol (its `http` setting) with both bounds: it
+overrides callbacks of `asyncio.Protocol` and uvicorn's plain-text refusal of invalid HTTP, and
+calls public methods of the transport. `OverloadGuard` is the middleware that tells a connection
+when a request begins and ends. They find each other through the state of ASGI's lifespan, which
+uvicorn passes to every connection, and the connection to every request.
 """
 
 from __future__ import annotations
 
 import asyncio
-import json
+import ipaddress
 import math
+import re
 import uuid
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
-from functools import partial
-from typing import cast
+from typing import Any
 
-import httptools
-from uvicorn.protocols.http.httptools_impl import (
-    STATUS_LINE,
-    HttpToolsProtocol,
-    RequestResponseCycle,
-)
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.http.joined_head import JoinedHead
-from anchorflow_service.http.places import ConnectionPlaces, source_of
-from anchorflow_service.http.request_id import HEADER
-from anchorflow_service.http.second_half import SecondHalf
-from anchorflow_service.http.unsent import held, untaken
-from anchorflow_service.observability.exchanges import OTHER, REFUSED, Exchange, Listener
+from anchorflow_client.errors import InvalidRequest, Overloaded, RequestError
+from anchorflow_service.http.body import discard_body
+from anchorflow_service.http.exchanges import REQUEST_ID
+from anchorflow_service.http.responses import error_response
+from anchorflow_service.http.tokens import HEALTH
+from anchorflow_service.observability.logs import UNROUTED, Exchange, Listener
 
 RESERVE = 64
-"""Connections beyond the limit that are still heard, so that a probe gets through a crowd."""
-RESERVED = "is_in_reserve"
-"""In a request's state: its connection is one of those."""
-SHARE = 0.75
-"""Of the connections, for one address."""
-MOST_AHEAD = 32
-"""Requests that one connection may send before the first is answered."""
-MOST_BYTES_AHEAD = 64 * 2**10
-"""Of the bodies of those requests."""
-NO_REQUEST = "Invalid HTTP request received."
-LOOKS = 4
-"""At what a client has taken, in the time in which it has to take something."""
-SEPARATORS = len(b":\r\n")
-"""Bytes of a header beside its name and its value; white space around that is not counted."""
-FRAMING = (b"content-length", b"transfer-encoding")
-"""Headers that say how long a body is."""
+"""Connections beyond the limit that are accepted, so that health checks get through a crowd."""
+SHARE_OF_AN_ADDRESS = 0.75
+MAX_PIPELINED_BYTES = 64 * 2**10
+"""Bytes that a client may send ahead while its request is being answered."""
+IPV6_NETWORK_BITS = 64
+"""A machine may use any address of such a network, so all of them count as one."""
+SLOTS, CONNECTION = "connection_slots", "connection"
+"""Keys in the state of the lifespan and of a request."""
+UPGRADE = re.compile(rb"\r\nupgrade:[^\r\n]*", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
 class ConnectionLimits:
-    """Bounds on sockets and on what has come over them."""
+    """Bounds on connections and on what they send."""
 
     max_connections: int = 512
-    """At a time. Where all of them have a request, those on further ones are `overloaded`, health
-    excepted; otherwise the one that has waited longest without a request is closed."""
+    """If all of these have a request, requests on further ones are `overloaded`, except health;
+    otherwise the connection that has been idle longest is closed for a new one."""
     max_per_address: int | None = None
-    """Of those, for one address; None: three quarters."""
+    """Of these, for one address; None: three quarters."""
     max_head_bytes: int = 16 * 2**10
-    """Of a request's target and its headers together."""
+    """Of a request line and its headers."""
     head_s: float = 10.0
-    """For a request line and headers to come in; then the connection is closed."""
+    """Time for the request line and headers to arrive; then the connection is closed."""
     receive_s: float = 60.0
-    """For the body after them; then the connection is closed."""
+    """Time for the body after them; then the connection is closed."""
     send_s: float = 60.0
-    """In which a client has to take something of what is written for it, however little; then the
+    """Time in which a client must take some of a response that fills the buffers; then the
     connection is closed."""
 
-    def places(self) -> ConnectionPlaces[LimitedConnection]:
-        """Empty ones."""
-        share = math.ceil(SHARE * self.max_connections)
-        most = share if self.max_per_address is None else self.max_per_address
-        return ConnectionPlaces(
-            places=self.max_connections,
-            per_source=most,
-            reserve=RESERVE,
-            may_close=LimitedConnection.has_sent_all,
-        )
+
+class ConnectionSlots:
+    """Decides which connections stay: those in a slot, and a few in a reserve.
+
+    A connection without a request is idle and loses little by being closed. A new connection takes
+    the slot of the one that has been idle longest: among those of its own address if that has its
+    share, else among all. If none is idle, the new one goes to the reserve.
+    """
+
+    def __init__(self, limits: ConnectionLimits, listeners: Sequence[Listener] = ()) -> None:
+        """listeners: called for refusals of what is not a request."""
+        self.limits = limits
+        self.listeners = listeners
+        share = math.ceil(SHARE_OF_AN_ADDRESS * limits.max_connections)
+        self._max_per_source = share if limits.max_per_address is None else limits.max_per_address
+        self._slots: dict[AnchorProtocol, str | None] = {}
+        """The source of each."""
+        self._reserve: dict[AnchorProtocol, None] = {}
+        self._idle: dict[AnchorProtocol, None] = {}
+        """The one that has been idle longest comes first."""
+
+    def enter(self, connection: AnchorProtocol, source: str | None) -> bool:
+        """Add a new, idle connection; return whether it has a slot.
+
+        source: see `source_of`; None: no share applies
+        """
+        same = {each for each, other in self._slots.items() if other == source}
+        if source is not None and len(same) >= self._max_per_source:
+            has_slot = self._close_idle(same)
+        elif len(self._slots) >= self.limits.max_connections:
+            has_slot = self._close_idle(self._slots)
+        else:
+            has_slot = True
+        if has_slot:
+            self._slots[connection] = source
+        else:
+            if len(self._reserve) >= RESERVE and not self._close_idle(self._reserve):
+                self._close(next(iter(self._reserve)))
+            self._reserve[connection] = None
+        self._idle[connection] = None
+        return has_slot
+
+    def mark_busy(self, connection: AnchorProtocol) -> None:
+        """Note that the connection has a request, so that it is not closed for another one."""
+        self._idle.pop(connection, None)
+
+    def mark_idle(self, connection: AnchorProtocol) -> None:
+        """Note that its request is over."""
+        if connection in self._slots or connection in self._reserve:
+            self._idle[connection] = None
+
+    def leave(self, connection: AnchorProtocol) -> None:
+        """Remove a closed connection; it may have been removed before."""
+        for group in (self._slots, self._reserve, self._idle):
+            group.pop(connection, None)
+
+    def _close_idle(self, among: Collection[AnchorProtocol]) -> bool:
+        idle = (each for each in self._idle if each in among and each.has_sent_all)
+        if (first := next(idle, None)) is None:
+            return False
+        self._close(first)
+        return True
+
+    def _close(self, connection: AnchorProtocol) -> None:
+        self.leave(connection)
+        connection.abort()
 
 
-class Stage(Enum):
-    """What of the latest request has come."""
+class Phase(Enum):
+    """What a connection waits for."""
 
     HEAD = auto()
-    """Less than its head; of a new connection nothing at all."""
+    """A request, or the rest of its line and headers."""
     BODY = auto()
-    """Its head, and not all of its body."""
-    WHOLE = auto()
+    """The rest of a body."""
+    RESPONSE = auto()
+    """The response."""
 
 
-class LimitedConnection(HttpToolsProtocol):
-    """One connection of a server; `limited` makes the class, with the limits and the places."""
+class AnchorProtocol(HttpToolsProtocol):
+    """A connection that closes itself when it breaks the limits."""
 
-    limits: ConnectionLimits
-    places: ConnectionPlaces[LimitedConnection]
-    listeners: Sequence[Listener]
-    """Told of answers that are none of the application's."""
-    _stage = Stage.HEAD
-    _num_heads = 0
-    """That began, the one on its way included."""
-    _head_bytes = 0
-    """Of the one on its way, in its target and headers."""
-    _head_came = 0
-    """Of the one on its way, in all that came of it."""
-    _is_refused = False
-    """Nothing that comes from now on is read."""
-    _receiving: asyncio.TimerHandle | None = None
-    _receives_body = False
-    _sending: asyncio.TimerHandle | None = None
+    def __init__(self, *, app_state: dict[str, Any], **options: Any) -> None:
+        super().__init__(app_state={**app_state, CONNECTION: self}, **options)
+        self._bounds: ConnectionSlots = app_state[SLOTS]
+        self._phase = Phase.HEAD
+        self._unparsed = 0
+        """Bytes that arrived since the last complete request."""
+        self._close_after_response = False
+        self._receive_timer: asyncio.TimerHandle | None = None
+        self._send_timer: asyncio.TimerHandle | None = None
+        self.has_slot = True
+
+    @property
+    def has_sent_all(self) -> bool:
+        """Whether nothing of a response is left in this process."""
+        return not self.transport.get_write_buffer_size()
+
+    @property
+    def expects_body(self) -> bool:
+        """Whether the body of the current request is incomplete."""
+        return self._phase is Phase.BODY
+
+    def abort(self) -> None:
+        """Close the connection now."""
+        self.transport.abort()
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Serve it, or hear it and refuse, by how many there are."""
+        """Take a slot or a place in the reserve, and wait for the first request."""
         super().connection_made(transport)
-        self._unanswered: deque[RequestResponseCycle] = deque()
-        source = None if self.client is None else source_of(self.client[0])
-        has_place, evicted = self.places.enter(self, source)
-        if evicted is not None:
-            evicted.transport.abort()
-        if not has_place:
-            self.app_state = {**self.app_state, RESERVED: True}
-        self._watch()
+        peer = transport.get_extra_info("peername")
+        source = source_of(peer[0]) if isinstance(peer, tuple) else None
+        self.has_slot = self._bounds.enter(self, source)
+        self._limit_receiving(self._bounds.limits.head_s)
 
     def data_received(self, data: bytes) -> None:
-        """Take what came, and wait for the rest no longer than the limit."""
-        if self._is_refused:
-            return
-        before, heads = self._stage, self._num_heads
-        self._unset_keepalive_if_required()
-        self._feed(data)
-        if self._stage is Stage.HEAD:
-            self._note_half_a_head(data, before, heads)
-        self._watch()
-
-    def on_message_begin(self) -> None:
-        """A head begins."""
-        super().on_message_begin()
-        self._stage, self._head_bytes = Stage.HEAD, 0
-        self._num_heads += 1
-
-    def on_url(self, url: bytes) -> None:
-        """Part of the target."""
-        self._note_head(len(url))
-        super().on_url(url)
-
-    def on_header(self, name: bytes, value: bytes) -> None:
-        """A header; what comes after a body in chunks, as a trailer, is none."""
-        self._note_head(len(name) + len(value) + SEPARATORS)
-        if self._stage is Stage.HEAD:
-            super().on_header(name, value)
-
-    def on_headers_complete(self) -> None:
-        """Begin the request."""
-        hosts = sum(name == b"host" for name, _ in self.headers)
-        assert self.parser is not None
-        if hosts > 1 or (not hosts and self.parser.get_http_version() == "1.1"):
-            raise ValueError(f"expected one Host, got {hosts}")
-        if len(self.pipeline) >= MOST_AHEAD:
-            raise ValueError(f"expected at most {MOST_AHEAD} requests before an answer")
-        self._stage = Stage.BODY
-        super().on_headers_complete()
-        joined = JoinedHead(self.transport)
-        self.cycle.transport = cast("asyncio.Transport", joined)
-        self.cycle.on_response = partial(self._end_response, joined)
-        self._unanswered.append(self.cycle)
-        # uvicorn reads no further where an answer is still due, and would not see the caller leave.
-        self.flow.resume_reading()
-
-    def on_body(self, body: bytes) -> None:
-        """Part of a body, which is kept until the request's turn comes."""
-        if self.pipeline:
-            ahead = len(body) + sum(len(cycle.body) for cycle, _ in self.pipeline)
-            if ahead > MOST_BYTES_AHEAD:
-                raise ValueError(f"expected at most {MOST_BYTES_AHEAD} bytes before an answer")
-        super().on_body(body)
-
-    def on_message_complete(self) -> None:
-        """All of a request is there."""
-        self._stage = Stage.WHOLE
-        super().on_message_complete()
-
-    def on_response_complete(self) -> None:
-        """Wait for the next request, or take it up where it has come already."""
-        super().on_response_complete()
-        if self._stage is Stage.WHOLE:
-            self._stop_watching()  # uvicorn limits the wait for the first byte
-        else:
-            self._watch()
-        self._note_place()
-        self._watch_sending()
+        """Parse what arrived, within the bounds on time and on size."""
+        limits = self._bounds.limits
+        if self._phase is Phase.HEAD:
+            if not self._unparsed:
+                data = _without_upgrade(data, limits.max_head_bytes)
+            if self._receive_timer is None:
+                self._limit_receiving(limits.head_s)
+        if self._phase is not Phase.BODY:
+            self._unparsed += len(data)
+        super().data_received(data)
+        if self._phase is Phase.HEAD and self._unparsed > limits.max_head_bytes:
+            # A request that is complete has begun by then.
+            asyncio.get_running_loop().call_soon(self._check_head)
+        elif self._phase is Phase.RESPONSE and self._unparsed > MAX_PIPELINED_BYTES:
+            self.abort()
 
     def pause_writing(self) -> None:
-        """The client is slower than what is written for it."""
+        """Limit the time in which the client takes nothing of a response."""
         super().pause_writing()
-        self._watch_sending()
+        self._limit_sending(math.inf)
 
-    def timeout_keep_alive_handler(self) -> None:
-        """Close it; where an answer is still on its way, which asyncio would break off over TLS
-        30 s later, look again.
-        """
-        if not held(self.transport):
-            super().timeout_keep_alive_handler()
-            return
-        self.timeout_keep_alive_task = self.loop.call_later(
-            self.timeout_keep_alive, self.timeout_keep_alive_handler
-        )
+    def resume_writing(self) -> None:
+        """Lift that limit: the buffer is all but empty."""
+        super().resume_writing()
+        if self._send_timer is not None:
+            self._send_timer.cancel()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Give the place back, stop waiting, and tell whoever works on an answer."""
-        self.places.leave(self)
-        self._stop_watching()
-        self._stop_watching_sending()
-        self.pipeline.clear()
-        for cycle in self._unanswered:  # uvicorn tells the latest alone, which may not have begun
-            cycle.disconnected = True
-            cycle.message_event.set()
+        """Give the slot back."""
+        self._bounds.leave(self)
+        for timer in (self._receive_timer, self._send_timer):
+            if timer is not None:
+                timer.cancel()
         super().connection_lost(exc)
 
     def send_400_response(self, msg: str) -> None:
-        """The refusal of what is no HTTP, or too long a head, as the contract writes it."""
-        self._is_refused = True
-        if self._stage is Stage.BODY and self.pipeline:  # its turn will not come
-            self.pipeline.popleft()
-            self._unanswered.pop()
-            self.cycle, self._stage = self._unanswered[-1], Stage.WHOLE
-        cycle = self.cycle
-        if cycle is not None and not cycle.response_complete:
-            if self._stage is not Stage.BODY:
-                cycle.keep_alive = False  # what came before it is answered, and no more
-                return
-            if cycle.response_started:  # no other answer may come between
-                self.transport.abort()
-                return
-        most = self.limits.max_head_bytes
-        said = f"{msg} Expected HTTP/1.1 with a head of at most {most} bytes"
-        error = InvalidRequest(said, http_status=400)
-        body = json.dumps(error.to_dict()).encode()
-        head = (
-            f"content-type: application/json\r\ncontent-length: {len(body)}\r\n"
-            f"{HEADER}: {self._note_refusal(error.http_status)}\r\nconnection: close\r\n\r\n"
-        )
-        self.transport.write(STATUS_LINE[error.http_status] + head.encode() + body)
-        self.transport.close()
-        self._watch_sending()
-
-    def has_sent_all(self) -> bool:
-        """Whether the client has what was written for it, as far as can be told from here."""
-        return not held(self.transport)
-
-    def _feed(self, data: bytes) -> None:
-        assert self.parser is not None
-        try:
-            self.parser.feed_data(data)
-        except httptools.HttpParserUpgrade as upgrade:
-            self._go_on(data[upgrade.args[0] :])
-        except httptools.HttpParserError:
-            self.send_400_response(NO_REQUEST)
-
-    def _go_on(self, data: bytes) -> None:
-        """With a request that would rather be of another protocol, and is answered in this one.
-
-        The parser has left its body and all that follows to that protocol.
-        """
-        framing = [each for each in self.headers if each[0] in FRAMING]
-        if framing:
-            self._stage, self.cycle.more_body = Stage.BODY, True
-            self.cycle.message_event.clear()
-            head = b"".join(b"%b: %b\r\n" % each for each in framing)
-            data = b"POST / HTTP/1.1\r\n%b\r\n%b" % (head, data)
-        self.parser = httptools.HttpRequestParser(SecondHalf(self) if framing else self)
-        self._feed(data)
-
-    def _end_response(self, joined: JoinedHead) -> None:
-        joined.flush()
-        self._unanswered.popleft()
-        self.on_response_complete()
-
-    def _note_head(self, size: int) -> None:
-        self._head_bytes += size
-        if self._head_bytes > self.limits.max_head_bytes:
-            raise ValueError("head too long")  # it is refused as what is no HTTP
-
-    def _note_half_a_head(self, data: bytes, before: Stage, heads: int) -> None:
-        """A header is counted once it is there; one that goes on and on is refused before."""
-        if self._num_heads == heads:
-            self._head_came += len(data)
-        else:  # unless something else came with it, all of this is its beginning
-            is_alone = self._num_heads == heads + 1 and (before is Stage.WHOLE or not heads)
-            self._head_came = len(data) if is_alone else 0
-        if self._head_came > self.limits.max_head_bytes and not self._is_refused:
-            self.send_400_response(NO_REQUEST)
-
-    def _watch(self) -> None:
-        """Limit the time while a head or a body is still coming in."""
-        self._note_place()
-        receives_body = self._stage is Stage.BODY
-        is_answering = self.cycle is not None and not self.cycle.response_complete
-        if self._stage is Stage.WHOLE or (is_answering and not receives_body):
-            self._stop_watching()
+        """Refuse what is not valid HTTP as the contract does; a response under way comes first."""
+        if self._phase is Phase.RESPONSE:
+            self._close_after_response = True
             return
-        if self._receiving is not None and receives_body == self._receives_body:
-            return
-        self._stop_watching()
-        limit_s = self.limits.receive_s if receives_body else self.limits.head_s
-        self._receives_body = receives_body
-        self._receiving = self.loop.call_later(limit_s, self.transport.abort)
-
-    def _stop_watching(self) -> None:
-        if self._receiving is not None:
-            self._receiving.cancel()
-            self._receiving = None
-
-    def _watch_sending(self) -> None:
-        """Limit the time in which the client takes nothing of what is written for it."""
-        self._stop_watching_sending()
-        self._look_at_sending(math.inf, self.loop.time())
-
-    def _look_at_sending(self, before: float, since: float) -> None:
-        """before: bytes that it still had to take at the time `since` [s]"""
-        self._sending = None
-        if not held(self.transport):
-            return
-        now, left = self.loop.time(), untaken(self.transport)
-        if left < before:
-            before, since = left, now
-        elif now - since >= self.limits.send_s:
-            self.transport.abort()
-            return
-        self._sending = self.loop.call_later(
-            self.limits.send_s / LOOKS, self._look_at_sending, before, since
-        )
-
-    def _stop_watching_sending(self) -> None:
-        if self._sending is not None:
-            self._sending.cancel()
-            self._sending = None
-
-    def _note_refusal(self, status: int) -> str:
-        """Have it counted once; the request's id, of its own where the application has none."""
-        if self.cycle is not None and not self.cycle.response_complete:
-            state = self.cycle.scope.get("state", {})
-            state[REFUSED] = status  # the application is at work on it, and will be counted
-            return state.get("request_id") or uuid.uuid4().hex
         request_id = uuid.uuid4().hex
-        for listener in self.listeners:
-            listener(Exchange("-", "-", OTHER, status, 0.0, request_id, None))
-        return request_id
+        error = _invalid_head(msg, self._bounds.limits.max_head_bytes)
+        refusal = error_response(error, {REQUEST_ID: request_id, "Connection": "close"})
+        head = b"".join(b"%b: %b\r\n" % header for header in refusal.raw_headers)
+        self.transport.write(b"HTTP/1.1 400 Bad Request\r\n%b\r\n%b" % (head, refusal.body))
+        self.transport.close()
+        if self._phase is Phase.HEAD:  # else the request's own exchange is counted
+            for listener in self._bounds.listeners:
+                listener(Exchange("-", "-", UNROUTED, 400, 0.0, request_id, None))
 
-    def _note_place(self) -> None:
-        """Whether it has a request is what its place depends on."""
-        if self.cycle is None or self.cycle.response_complete:
-            self.places.begin_waiting(self)
-        else:
-            self.places.begin_request(self)
+    def begin_request(self, *, has_body: bool) -> None:
+        """Note that the head of a request is complete."""
+        self._bounds.mark_busy(self)
+        self._limit_receiving(self._bounds.limits.receive_s if has_body else None)
+        self._phase, self._unparsed = Phase.BODY if has_body else Phase.RESPONSE, 0
+
+    def end_body(self) -> None:
+        """Note that its body is complete."""
+        self._phase = Phase.RESPONSE
+        self._limit_receiving(None)
+
+    def end_request(self) -> None:
+        """Note that its response is complete; uvicorn limits the wait for the next request."""
+        if self._close_after_response or self.expects_body:
+            self.transport.close()
+        self._bounds.mark_idle(self)
+        self._phase, self._unparsed = Phase.HEAD, 0
+
+    def refusal(self, scope: Scope) -> RequestError | None:
+        """Return why the request is not answered on this connection, if it is not."""
+        most = self._bounds.limits.max_head_bytes
+        target = len(scope["raw_path"]) + len(scope["query_string"])
+        if target + sum(len(name) + len(value) + 4 for name, value in scope["headers"]) > most:
+            return _invalid_head("The head is too long.", most)
+        if self.has_slot or scope["path"].startswith(HEALTH):
+            return None
+        return Overloaded("too many connections; try again in 1 s", retry_after_s=1)
+
+    def _check_head(self) -> None:
+        if self._phase is Phase.HEAD and not self.transport.is_closing():
+            self.send_400_response("The head is too long.")
+
+    def _limit_receiving(self, limit_s: float | None) -> None:
+        if self._receive_timer is not None:
+            self._receive_timer.cancel()
+        loop = asyncio.get_running_loop()
+        self._receive_timer = None if limit_s is None else loop.call_later(limit_s, self.abort)
+
+    def _limit_sending(self, left_before: float) -> None:
+        left = self.transport.get_write_buffer_size()
+        if left >= left_before:
+            self.abort()
+            return
+        self._send_timer = asyncio.get_running_loop().call_later(
+            self._bounds.limits.send_s, self._limit_sending, left
+        )
 
 
-def limited(
-    limits: ConnectionLimits, listeners: Sequence[Listener] = ()
-) -> type[LimitedConnection]:
-    """The protocol of one server for `uvicorn.Config(http=…)`, within these limits.
+class OverloadGuard:
+    """Middleware: on a connection in the reserve only health is answered, the rest `overloaded`."""
 
-    listeners: told of what is refused before it is a request
-    """
-    attributes = {"limits": limits, "places": limits.places(), "listeners": listeners}
-    return type("LimitedConnection", (LimitedConnection,), attributes)
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on or refuse it, and tell its connection how far it is."""
+        connection = scope.get("state", {}).get(CONNECTION)
+        if scope["type"] != "http" or connection is None:  # another server's connection
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        has_body = headers.get("content-length", "0") != "0" or "transfer-encoding" in headers
+        connection.begin_request(has_body=has_body)
+
+        async def receive_body() -> Message:
+            message = await receive()
+            if has_body and message["type"] == "http.request" and not message.get("more_body"):
+                connection.end_body()
+            return message
+
+        async def send_after_body(message: Message) -> None:
+            # Most clients look for the response only after they have sent the whole body.
+            if connection.expects_body and message["type"] == "http.response.start":
+                await discard_body(Request(scope, receive_body))
+            await send(message)
+
+        try:
+            error = connection.refusal(scope)
+            if error is None:
+                await self._app(scope, receive_body, send_after_body)
+            else:
+                refused = error_response(error, {"Connection": "close"})
+                await refused(scope, receive_body, send_after_body)
+        finally:
+            connection.end_request()
+
+
+def source_of(address: str) -> str:
+    """Return what an address counts as: itself, or its network in IPv6."""
+    try:
+        ip = ipaddress.ip_address(address)
+    except ValueError:
+        return address
+    if ip.version == 4:
+        return str(ip)
+    if ip.ipv4_mapped is not None:
+        return str(ip.ipv4_mapped)
+    return str(ipaddress.ip_network((int(ip), IPV6_NETWORK_BITS), strict=False))
+
+
+def _invalid_head(reason: str, max_bytes: int) -> InvalidRequest:
+    expected = f"Expected HTTP/1.1 with a head of at most {max_bytes} bytes"
+    return InvalidRequest(f"{reason} {expected}", http_status=400)
+
+
+def _without_upgrade(data: bytes, max_head_bytes: int) -> bytes:
+    """Remove an Upgrade header, as Java's client sends: the parser would leave the body unread."""
+    if UPGRADE.search(data, 0, max_head_bytes) is None:
+        return data
+    head, end, body = data.partition(b"\r\n\r\n")
+    return UPGRADE.sub(b"", head) + end + body

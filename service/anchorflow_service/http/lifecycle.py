@@ -1,114 +1,173 @@
-"""The server's life: opened before it listens, and on SIGTERM out of sight before it stops."""
+"""uvicorn's settings for this service, TLS, and a graceful exit: not ready before it stops."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-import socket
+import signal
 import ssl
-import time
+import threading
 from collections.abc import Callable
-from contextlib import AsyncExitStack
 from dataclasses import dataclass
+from multiprocessing import parent_process
+from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import uvicorn
-from fastapi import FastAPI
 
-from anchorflow_service.http.connections import ConnectionLimits, limited
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_service.http.connections import AnchorProtocol
 from anchorflow_service.planning import PlanningService
 
-ACCEPTED_AT_A_TIME = 32
-"""Connections that are accepted before those accepted before them are looked at again: so many more
-files than the limit on connections are open at most, whatever crowd comes."""
-QUEUED = 2048
-"""Connections that the kernel keeps until they are accepted."""
+BACKLOG = 128
+"""Connections that the kernel queues, and that asyncio accepts at a time: as many files beyond the
+limit on connections may be open for a moment."""
 CANCELLING_S = 1.0
-"""For those whose requests are cancelled to be told so."""
+"""Time for requests that are cancelled at the end to be answered."""
+WORKER_HEALTHCHECK_S = 60
+"""A worker that answers its supervisor no sooner is replaced; a start takes seconds."""
+
+
+class TlsError(AnchorFlowError):
+    """A certificate, a key or an authority cannot be used."""
+
+
+@dataclass(frozen=True)
+class TlsFiles:
+    """PEM files for TLS; none of them: plain HTTP."""
+
+    certificate: Path | None = None
+    """Of the server, with what it is signed by."""
+    key: Path | None = None
+    """Its private key, not encrypted."""
+    client_ca: Path | None = None
+    """Of authorities; clients must show a certificate that one of them signed."""
+
+    def context(self, *_: object) -> ssl.SSLContext:
+        """Return the context of a server that speaks TLS 1.2 or later.
+
+        Raises:
+            TlsError: naming the file that cannot be used.
+        """
+        if self.certificate is None or self.key is None:
+            raise TlsError("TLS needs --tls-cert and --tls-key, both of them")
+        for path in filter(None, (self.certificate, self.key, self.client_ca)):
+            _check_readable(path)
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        try:
+            # OpenSSL would ask for the password of an encrypted key at the terminal.
+            context.load_cert_chain(self.certificate, self.key, password=_no_password)
+        except ssl.SSLError as error:
+            files = f"{self.certificate} with {self.key}"
+            reason = error.reason or "not PEM"
+            raise TlsError(f"{files}: no certificate and its key: {reason}") from error
+        if self.client_ca is not None:
+            try:
+                context.load_verify_locations(self.client_ca)
+            except ssl.SSLError as error:
+                raise TlsError(f"{self.client_ca}: no PEM certificate of an authority") from error
+            context.verify_mode = ssl.CERT_REQUIRED
+        return context
+
+    def __bool__(self) -> bool:
+        return any((self.certificate, self.key, self.client_ca))
 
 
 @dataclass(frozen=True)
 class Draining:
-    """How a server goes."""
+    """How a service stops."""
 
     notice_s: float = 0.0
-    """Requests are still taken so long after readiness has turned false, for balancers to see."""
+    """Time from readiness turning false to the closing of the port, for load balancers to see."""
     drain_s: float = 10.0
-    """Longest wait for requests that run; what then still runs is `not_ready`."""
+    """Longest wait for running requests; then they are answered `not_ready`."""
 
 
-class AnchorServer(uvicorn.Server):
-    """uvicorn with the application opened by itself and with a notice before it goes.
+class GracefulExit:
+    """Delays uvicorn's exit on a signal by the notice, and ends requests that outlast the drain.
 
-    The application's lifespan is entered here and not by uvicorn, so that what fails in it is
-    raised as it is. A second signal ends the notice at once.
-
-    Args:
-        say: called when it answers and heeds signals; whoever hears of it may stop it at once.
+    Entered in the application's lifespan, after uvicorn has installed its signal handlers. A second
+    signal ends the notice, except in a worker, whose supervisor may repeat the first.
     """
 
-    def __init__(
-        self,
-        app: FastAPI,
-        service: PlanningService,
-        *,
-        limits: ConnectionLimits | None = None,
-        draining: Draining | None = None,
-        tls: ssl.SSLContext | None = None,
-        say: Callable[[], None] = lambda: None,
-    ) -> None:
-        self._app = app
+    def __init__(self, service: PlanningService, draining: Draining) -> None:
         self._service = service
-        self._draining = draining or Draining()
-        self._say = say
-        self._opened = AsyncExitStack()
-        self._leaving_since: float | None = None
-        limits = limits or ConnectionLimits()
-        super().__init__(
-            uvicorn.Config(
-                app,
-                http=limited(limits, getattr(app.state, "exchange_listeners", ())),
-                ws="none",
-                lifespan="off",
-                log_config=None,
-                access_log=False,
-                server_header=False,
-                proxy_headers=False,
-                backlog=ACCEPTED_AT_A_TIME,
-                # What is cancelled by then is still answered.
-                timeout_graceful_shutdown=math.ceil(self._draining.drain_s + CANCELLING_S),
-                ssl_context_factory=None if tls is None else (lambda *_: tls),
-            )
-        )
+        self._draining = draining
+        self.exit_handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
+        """uvicorn's, by signal."""
+        self._is_leaving = False
 
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Open the application, then listen, then say so."""
-        await self._opened.enter_async_context(self._app.router.lifespan_context(self._app))
-        await super().startup(sockets)
-        for listener in sockets or ():
-            listener.listen(QUEUED)  # asyncio takes one number for the queue and for the tick
-        self._say()
+    async def __aenter__(self) -> GracefulExit:
+        self._loop = asyncio.get_running_loop()
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                handler = signal.getsignal(number)
+                if callable(handler):
+                    self.exit_handlers[number] = handler
+                    signal.signal(number, self.handle)
+        return self
 
-    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen no more, answer what came, close the application."""
-        loop = asyncio.get_running_loop()
-        loop.call_later(self._draining.drain_s, self._service.queue.cancel_all)
-        await super().shutdown(sockets)
-        await self._opened.aclose()
+    async def __aexit__(self, *_: object) -> None:
+        """Nothing is left to do: uvicorn restores the handlers."""
 
-    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """A signal: readiness turns false now, the rest follows after the notice."""
+    def handle(self, number: int, frame: FrameType | None = None) -> None:
+        """Turn readiness false now, and exit after the notice."""
         self._service.leave()
-        if self._leaving_since is None and self._draining.notice_s > 0:
-            self._leaving_since = time.monotonic()
-            self._captured_signals.append(sig)
-        else:
-            super().handle_exit(sig, frame)
+        notice_s, is_first = self._draining.notice_s, not self._is_leaving
+        self._is_leaving = True
+        if is_first and notice_s > 0:
+            self._later(notice_s, self._stop, number, frame)
+        elif is_first or parent_process() is None:
+            self._stop(number, frame)
 
-    async def on_tick(self, counter: int) -> bool:
-        """Whether it is time to go."""
-        stopping = await super().on_tick(counter)
-        since = self._leaving_since
-        return stopping or (
-            since is not None and time.monotonic() - since >= self._draining.notice_s
-        )
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        self._later(self._draining.drain_s, self._service.queue.cancel_all)
+        if number in self.exit_handlers:
+            self.exit_handlers[number](number, frame)
+
+    def _later(self, delay_s: float, call: Callable[..., object], *arguments: object) -> None:
+        # A signal handler may interrupt the event loop anywhere.
+        self._loop.call_soon_threadsafe(self._loop.call_later, delay_s, call, *arguments)
+
+
+def uvicorn_config(
+    app: Callable[..., Any],
+    *,
+    draining: Draining | None = None,
+    tls: TlsFiles | None = None,
+    workers: int = 1,
+    factory: bool = False,
+) -> uvicorn.Config:
+    """Return uvicorn's settings; `create_app` makes the application, or `app` does as a factory."""
+    drain_s = (draining or Draining()).drain_s
+    return uvicorn.Config(
+        app,
+        http=AnchorProtocol,
+        ws="none",
+        lifespan="on",
+        factory=factory,
+        workers=workers,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        backlog=BACKLOG,
+        # Requests that are cancelled after the drain are still answered.
+        timeout_graceful_shutdown=math.ceil(drain_s + CANCELLING_S),
+        timeout_worker_healthcheck=WORKER_HEALTHCHECK_S,
+        ssl_context_factory=tls.context if tls else None,
+    )
+
+
+def _no_password() -> str:
+    raise TlsError("the private key is encrypted; expected one that is not")
+
+
+def _check_readable(path: Path) -> None:
+    try:
+        with path.open("rb"):
+            pass
+    except OSError as error:
+        raise TlsError(f"{path}: cannot be read: {error.strerror}") from error

@@ -19,7 +19,6 @@ from anchorflow_client.errors import UnknownModel
 from anchorflow_client.oip.datatypes import datatype_of
 from anchorflow_client.oip_codec import TIME_STEP
 from anchorflow_service.http.anchors import answer_to, header_length
-from anchorflow_service.http.answers import json_answer
 from anchorflow_service.http.body import read_body
 from anchorflow_service.http.infer_codec import InferCodec
 from anchorflow_service.http.openapi import (
@@ -27,6 +26,7 @@ from anchorflow_service.http.openapi import (
     METADATA_DOCUMENTATION,
     MODEL_READY_DOCUMENTATION,
 )
+from anchorflow_service.http.responses import json_response
 from anchorflow_service.planning import Call, PlanningService
 
 PLATFORM = "anchorflow_onnx"
@@ -48,7 +48,7 @@ def models_router(service: PlanningService) -> APIRouter:
     @router.get("/{name}/versions/{version}", **METADATA_DOCUMENTATION)
     async def metadata(name: str, version: str | None = None) -> Response:
         """The tensors that a model takes and gives, for a batch of scenes."""
-        return json_answer(_metadata(card_of(name, version)))
+        return json_response(_metadata(card_of(name, version)))
 
     @router.get("/{name}/ready", **MODEL_READY_DOCUMENTATION)
     @router.get("/{name}/versions/{version}/ready", **MODEL_READY_DOCUMENTATION)
@@ -56,7 +56,7 @@ def models_router(service: PlanningService) -> APIRouter:
         """Whether a model takes requests now."""
         card_of(name, version)
         service.check_ready()
-        return json_answer({"name": name, "ready": True})
+        return json_response({"name": name, "ready": True})
 
     @router.post("/{name}/infer", **INFER_DOCUMENTATION)
     @router.post("/{name}/versions/{version}/infer", **INFER_DOCUMENTATION)

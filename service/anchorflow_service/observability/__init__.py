@@ -1,8 +1,6 @@
-"""What the service tells of itself: metrics, traces and logs.
+"""Metrics, traces and logs of the service.
 
-metrics     counts and durations, as Prometheus reads them
-collector   what is read off the service at the moment of asking
-exchanges   HTTP requests and what became of them
-spans       OpenTelemetry spans; imported only where they are asked for
-logs        one line a record, as text or as JSON
+metrics  counts, durations and load, for Prometheus
+logs     log lines as text or JSON, one per HTTP exchange
+spans    OpenTelemetry spans; imported only if they are asked for
 """

@@ -1,42 +1,45 @@
-"""Counts and durations for Prometheus: of calls on every transport, and of HTTP exchanges."""
+"""Metrics for Prometheus: counts and durations of calls and HTTP exchanges, and current load."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector
+from prometheus_client.core import GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.exposition import generate_latest
 from prometheus_client.multiprocess import MultiProcessCollector
+from prometheus_client.registry import Collector
 
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_service.observability.collector import ServiceCollector
-from anchorflow_service.observability.exchanges import Exchange
+from anchorflow_service.observability.logs import Exchange
 from anchorflow_service.planning import ANSWERED, Call, Observer, PlanningService
 
 SECONDS = (0.001, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15, 0.25, 0.5, 1.0, 2.5, 10.0)
 SIZES = (1, 2, 4, 8, 16, 32, 64)
 STAGES = ("encode", "sample", "refine")
 SHARED_FOLDER = "PROMETHEUS_MULTIPROC_DIR"
-"""prometheus_client's variable: the folder of the files in which processes count together."""
+"""prometheus_client's variable: the folder of files in which processes count together."""
 SHARED_BYTES = 512 * 2**10
-"""Of each of a process's two files there; a service of a hundred models fills half."""
+"""Size of each of a process's two files there; a service of a hundred models fills half."""
+TASKS = Path("/proc/self/task")
+"""A folder for each thread of this process, on Linux."""
 
 
 class SharedFolderError(AnchorFlowError):
-    """There is no room to count in, or the folder is another user's."""
+    """The folder of counts cannot be written, or belongs to another user."""
 
 
 class Metrics(Observer):
     """The metrics of one service, in registries of their own.
 
-    Where prometheus_client counts in files that several processes share, which its variable
-    `PROMETHEUS_MULTIPROC_DIR` says, counts and histograms are those of all of them; what is read
-    off the service at the moment of asking is this process's.
+    If `PROMETHEUS_MULTIPROC_DIR` is set, counts and histograms are sums over all processes that
+    share that folder; gauges are this process's own.
 
-    No label takes its value from a caller, whose inventions would fill the memory.
+    No label takes its value from a caller, so the number of series is bounded.
     """
 
     def __init__(self, service: PlanningService) -> None:
@@ -71,12 +74,12 @@ class Metrics(Observer):
             registry=registry,
         )
         seen.register(ServiceCollector(service))
-        # Its own numbers only: the interpreter's version is nobody's business.
+        # Without the collector that would reveal the interpreter's version.
         ProcessCollector(registry=seen)
         service.watch(self)
 
     def ended(self, call: Call, outcome: str) -> None:
-        """Count it, and its times where it was answered."""
+        """Count a call, and its durations if it was answered."""
         model = call.model_id.name if call.model_id else ""
         self._requests.labels(call.transport, model, outcome).inc()
         if outcome == ANSWERED:
@@ -86,25 +89,25 @@ class Metrics(Observer):
                 seconds.observe(call.timing_ms.get(stage, 0.0) / 1e3)
 
     def batch_planned(self, requests: int) -> None:
-        """Count it."""
+        """Count a micro-batch."""
         self._batch.observe(requests)
 
     def exchanged(self, exchange: Exchange) -> None:
-        """Count an HTTP answer."""
+        """Count an HTTP response."""
         self._exchanges.labels(exchange.route, str(exchange.status)).inc()
 
     def render(self) -> bytes:
-        """All of them, in Prometheus's text format 0.0.4."""
+        """Return all metrics in Prometheus's text format 0.0.4."""
         return b"".join(map(generate_latest, self._rendered))
 
 
 def reserve_shared_files() -> None:
-    """Take from the disk what this process counts in, and make the folder anew where it is gone.
+    """Allocate the files in which this process counts; make the folder if it is missing.
 
-    It counts in memory that is mapped to its files: a disk that is full only then ends the process.
+    The files are mapped into memory: a disk that becomes full later would kill the process.
 
     Raises:
-        SharedFolderError: saying what is wrong.
+        SharedFolderError: the folder cannot be written, or is another user's.
     """
     folder = Path(os.environ[SHARED_FOLDER])
     try:
@@ -125,3 +128,45 @@ def _seconds(
     return Histogram(
         f"anchorflow_{name}_seconds", description, labels, buckets=SECONDS, registry=registry
     )
+
+
+class ServiceCollector(Collector):
+    """Reads readiness, load, threads and bundles off a service at every scrape."""
+
+    def __init__(self, service: PlanningService) -> None:
+        self._service = service
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield the families of metrics."""
+        queue = self._service.queue
+        yield GaugeMetricFamily(
+            "anchorflow_ready", "1 while requests are taken.", float(self._service.is_ready)
+        )
+        yield GaugeMetricFamily(
+            "anchorflow_in_flight", "Requests that wait or are planned.", queue.in_flight
+        )
+        yield GaugeMetricFamily(
+            "anchorflow_oldest_wait_seconds",
+            "Age of the first in the queue; 0 where nobody waits.",
+            queue.oldest_wait_s,
+        )
+        yield GaugeMetricFamily("anchorflow_workers", "Engine calls at a time.", queue.num_lanes)
+        yield GaugeMetricFamily(
+            "anchorflow_threads", "Threads of the process, the engines' own included.", threads()
+        )
+        yield self._bundles()
+
+    def _bundles(self) -> Metric:
+        family = InfoMetricFamily("anchorflow_bundle", "Bundles that are served.")
+        for card in self._service.engines.cards():
+            labels = {"model": card.name, "version": card.version, "sha256": card.sha256}
+            family.add_metric([], labels)
+        return family
+
+
+def threads() -> int:
+    """Return the number of threads of this process; without Linux, those that Python knows."""
+    try:
+        return sum(1 for _ in TASKS.iterdir())
+    except OSError:
+        return threading.active_count()

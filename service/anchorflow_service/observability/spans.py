@@ -1,5 +1,6 @@
-"""OpenTelemetry traces: a span for each HTTP exchange, and one for each planning call with its
-stages, whatever transport it came by. Sent over OTLP (HTTP); nothing here runs unless asked for.
+"""OpenTelemetry traces, sent over OTLP (HTTP): a span per HTTP exchange and per planning call.
+
+Only `anchorflow serve --traces` imports this module.
 """
 
 from __future__ import annotations
@@ -21,23 +22,22 @@ from opentelemetry.trace import SpanKind, StatusCode, Tracer, set_span_in_contex
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from anchorflow_service.observability.exchanges import FAILED
 from anchorflow_service.planning import ANSWERED, Call, Observer
 
 STAGES = ("queue", "encode", "sample", "refine")
 NS_PER_MS = 1_000_000
 SENDING_S = 3.0
-"""For what is left at the end; a collector that does not answer would take ten."""
+"""Limit on sending the rest at the end; OpenTelemetry waits 10 s for an unreachable collector."""
 
 logger = logging.getLogger(__name__)
 
 
 class Tracing(Observer):
-    """Spans of one service; what is left of them is sent when its `async with` block ends.
+    """Spans of one service; the end of its `async with` block sends the rest.
 
     Args:
         processor: takes the spans.
-        sending_s: longest wait for what is left; then it is dropped.
+        sending_s: longest wait for the rest; then it is dropped.
     """
 
     def __init__(self, processor: SpanProcessor, *, sending_s: float = SENDING_S) -> None:
@@ -48,7 +48,7 @@ class Tracing(Observer):
         self._tracer = self._provider.get_tracer("anchorflow_service")
 
     def middleware(self, app: ASGIApp) -> ASGIApp:
-        """The application with a span around each HTTP exchange."""
+        """Wrap the application in a span for each HTTP exchange."""
         return TracedExchanges(app, tracer=self._tracer)
 
     async def __aenter__(self) -> Tracing:
@@ -60,7 +60,7 @@ class Tracing(Observer):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        # A daemon, for which nothing waits at the end of the process either.
+        # A daemon thread, so that the process does not wait for it either.
         sending = threading.Thread(target=self._provider.shutdown, daemon=True)
         sending.start()
         await asyncio.to_thread(sending.join, self._sending_s)
@@ -71,9 +71,9 @@ class Tracing(Observer):
             )
 
     def ended(self, call: Call, outcome: str) -> None:
-        """A span for the call, under the one it was made in, with its stages one after the other.
+        """Record a span for the call with one for each stage, under the current span.
 
-        Its times are known once it is over, so all spans are drawn then.
+        The durations are known only now, so the spans get their start times afterwards.
         """
         now = time.time_ns()
         arrived = now - round(call.arrival.elapsed_ms * NS_PER_MS)
@@ -93,7 +93,7 @@ class Tracing(Observer):
         span.end(now)
 
     def _stages(self, parent: Context, timing_ms: Mapping[str, float], *, end: int) -> None:
-        # Laid out backwards from the answer: what comes first, decoding, has no time of its own.
+        # Place the stages backwards from the end: how long decoding took before them is unknown.
         lengths = [round(timing_ms.get(stage, 0.0) * NS_PER_MS) for stage in STAGES]
         start = end - sum(lengths)
         for stage, length in zip(STAGES, lengths, strict=True):
@@ -103,7 +103,7 @@ class Tracing(Observer):
 
 
 class TracedExchanges:
-    """Middleware: a span for each HTTP exchange, under the caller's where it names one."""
+    """Middleware: a span for each HTTP exchange, under the caller's if its headers name one."""
 
     def __init__(self, app: ASGIApp, *, tracer: Tracer) -> None:
         self._app = app
@@ -130,7 +130,7 @@ class TracedExchanges:
             await self._app(scope, receive, send_noted)
         except Exception as error:
             span.record_exception(error)
-            span.set_attribute("http.response.status_code", FAILED)
+            span.set_attribute("http.response.status_code", 500)
             raise
         finally:
             detach(token)
@@ -142,9 +142,9 @@ class TracedExchanges:
 
 
 def tracing_to(endpoint: str) -> Tracing:
-    """Spans sent to an OTLP collector, such as http://127.0.0.1:4318/v1/traces.
+    """Send spans to an OTLP collector, such as http://127.0.0.1:4318/v1/traces.
 
-    OpenTelemetry's own environment variables (OTEL_SERVICE_NAME, OTEL_EXPORTER_OTLP_HEADERS, …)
-    hold for the rest.
+    OpenTelemetry's environment variables (OTEL_SERVICE_NAME, OTEL_EXPORTER_OTLP_HEADERS, …) set
+    the rest.
     """
     return Tracing(BatchSpanProcessor(OTLPSpanExporter(endpoint=endpoint)))

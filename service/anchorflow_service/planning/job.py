@@ -1,4 +1,4 @@
-"""A job: work on its way through the queue, for as long as somebody waits for its result."""
+"""Jobs: work that waits in line and runs on a lane, as long as somebody waits for its result."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from collections.abc import Callable, Hashable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import partial
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_service.planning.arrival import Arrival
+from anchorflow_service.planning.call import Arrival
 
 Result = TypeVar("Result")
 
 
 class JobCancelled(AnchorFlowError):
-    """Nobody waits for this work any more; it ends the work and reaches no caller."""
+    """Ends work whose result nobody waits for; no caller sees it."""
 
 
 @dataclass(frozen=True)
 class JobContext:
-    """What the work is told when it begins."""
+    """Arguments of the work when it begins."""
 
     queue_ms: float
-    """How long it waited."""
+    """Time in the queue."""
     threads: int
-    """That it may keep busy."""
+    """Number of threads that the work may use."""
     check: Callable[[], None]
-    """To be called between steps; raises where nobody waits for the result any more."""
+    """Call this between steps; it raises if nobody waits for the result any more."""
 
 
 class Job(Generic[Result]):
-    """Work that waits, is done by a lane or is cancelled; whichever comes first ends the job.
+    """Work that ends with a result, an error or its cancellation, whichever comes first.
 
     Args:
         work: the function to run, on a lane's thread.
-        arrival: when the caller asked.
-        budget_ms: from then on; None: the caller waits as long as it takes.
-        key: jobs of the same key may make up a batch; None: this one is alone.
-        deliver: takes the result first, on the lane's thread; not called once the job has ended.
+        arrival: when the request arrived.
+        budget_ms: time from then on; None: no limit.
+        key: jobs of the same key may form a batch; None: this one never does.
+        deliver: takes the result first, on the lane's thread, unless the job has ended.
     """
 
     def __init__(
@@ -56,26 +56,26 @@ class Job(Generic[Result]):
         self.key = key
         self.result: Future[Result] = Future()
         self.has_ended = False
-        """Whether there is a result, or an error in its place."""
+        """Whether there is a result or an error."""
         self.submitted = 0.0  # s, by the queue's clock
         self._work, self._deliver = work, deliver
         self._lock = threading.Lock()
         self._stage = "in the queue"
-        # Else whoever stops waiting for the future would end it before `cancel` can.
+        # Otherwise cancelling the future would end it before `cancel` can.
         self.result.set_running_or_notify_cancel()
 
     def check(self) -> None:
-        """Raises `JobCancelled`, `DeadlineExceeded` where nobody waits for the result any more."""
+        """Raise `JobCancelled` or `DeadlineExceeded` if nobody waits for the result any more."""
         if self.has_ended:
             raise JobCancelled
         self.arrival.check(self.budget_ms, self._stage)
 
     def cancel(self, error: Exception) -> None:
-        """End it with the error, unless it has ended; its work stops at the next check."""
+        """End the job with the error, unless it has ended; its work stops at the next check."""
         self._end(partial(self.result.set_exception, error))
 
     def expire(self) -> None:
-        """Cancel it because its budget is spent."""
+        """Cancel the job because its budget is spent."""
         assert self.budget_ms is not None
         self.cancel(self.arrival.exceeded(self.budget_ms, self._stage))
 
@@ -86,15 +86,15 @@ class Job(Generic[Result]):
         threads: int,
         freed: Callable[[bool], None] = lambda _: None,
     ) -> bool:
-        """Do the work; whether it was completed.
+        """Do the work; return whether it was completed.
 
-        freed: told the same before anybody hears what came of it, who may ask for more at once
+        freed: called with the same before the result is set, whose receiver may submit a next job
         """
         try:
             self.check()
             self._stage = "while planning"
             result = self._work(JobContext(queue_ms, threads, self.check))
-        except BaseException as error:  # noqa: BLE001 - raised again by whoever asks for the result
+        except BaseException as error:  # noqa: BLE001 - raised by the future
             freed(False)
             self._end(partial(self.result.set_exception, error))
             return False
@@ -106,7 +106,7 @@ class Job(Generic[Result]):
         try:
             if self._deliver is not None:
                 self._deliver(result)
-        except BaseException as error:  # noqa: BLE001 - raised again by whoever asks for the result
+        except BaseException as error:  # noqa: BLE001 - raised by the future
             self.result.set_exception(error)
         else:
             self.result.set_result(result)
@@ -116,4 +116,60 @@ class Job(Generic[Result]):
             if self.has_ended:
                 return
             self.has_ended = True
-        settle()  # what others do with the result keeps nobody waiting who would end it too
+        settle()  # outside the lock, since callbacks of the future may take long
+
+
+AnyJob = Job[Any]
+
+
+class WaitingLine:
+    """Waiting jobs in the order of their arrival. Not thread-safe."""
+
+    def __init__(self) -> None:
+        self._jobs: list[AnyJob] = []
+
+    def count(self, *, but: AnyJob | None = None) -> int:
+        """Count the jobs that have not ended, except `but`."""
+        return sum(not job.has_ended and job is not but for job in self._jobs)
+
+    @property
+    def first(self) -> AnyJob | None:
+        """Return the oldest job, or None."""
+        return self._jobs[0] if self._jobs else None
+
+    def add(self, job: AnyJob) -> None:
+        """Add a job at the end."""
+        self._jobs.append(job)
+
+    def discard(self, job: AnyJob) -> None:
+        """Remove a job, if it is in the line."""
+        if job in self._jobs:
+            self._jobs.remove(job)
+
+    def batch(self, most: int) -> list[AnyJob]:
+        """Return the oldest job and those of its key behind it, up to `most` in all.
+
+        They stay in the line. Jobs that have ended are dropped, and so are those whose budget is
+        spent, which end here.
+        """
+        self._jobs = [job for job in self._jobs if _still_counts(job)]
+        if not self._jobs:
+            return []
+        first, *others = self._jobs
+        alike = [other for other in others if first.key is not None and other.key == first.key]
+        return [first, *alike[: most - 1]]
+
+    def remove(self, batch: list[AnyJob]) -> None:
+        """Remove a batch."""
+        self._jobs = [job for job in self._jobs if job not in batch]
+
+    def clear(self) -> list[AnyJob]:
+        """Remove and return all jobs."""
+        jobs, self._jobs = self._jobs, []
+        return jobs
+
+
+def _still_counts(job: AnyJob) -> bool:
+    if job.budget_ms is not None and not job.arrival.left_ms(job.budget_ms):
+        job.expire()
+    return not job.has_ended

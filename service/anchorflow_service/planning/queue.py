@@ -1,31 +1,81 @@
-"""The queue in front of the engines: admission, micro-batches, and the lanes that work on them.
+"""The queue in front of the engines: admission, micro-batches, and the lanes that run them.
 
-A lane is a thread that works on one job at a time; nothing blocks the event loop. A lane that
-becomes free takes the oldest waiting job and with it, as a batch, those of the same key. The lanes
-share a batch, one job each; a job that finds other lanes idle has their threads too.
+A lane is a thread that runs one job at a time; nothing blocks the event loop. A free lane takes the
+oldest waiting job and, as a micro-batch, those of the same key. The lanes share a batch, one job
+each; if other lanes are idle, a job gets their threads too.
 """
 
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
 from typing import NamedTuple, TypeVar
 
 from anchorflow_client.errors import NotReady, Overloaded
-from anchorflow_service.planning.arrival import Arrival
-from anchorflow_service.planning.job import Job, JobCancelled, JobContext
-from anchorflow_service.planning.limits import ServiceLimits
-from anchorflow_service.planning.service_time import ServiceTimeEstimate
-from anchorflow_service.planning.waiting import AnyJob, WaitingLine
+from anchorflow_service.planning.call import Arrival
+from anchorflow_service.planning.job import AnyJob, Job, JobCancelled, JobContext, WaitingLine
 from anchorflow_trajectory.cores import usable_cores
 
 Result = TypeVar("Result")
+
+SMOOTHING = 0.2
+"""Weight of the latest request in the running mean of the service time."""
+
+
+@dataclass(frozen=True)
+class ServiceLimits:
+    """Bounds on memory, on waiting and on concurrent work."""
+
+    max_body_bytes: int = 16 * 2**20
+    """A longer body is `too_large`."""
+    max_waiting: int = 64
+    """Requests that may wait; one more is `overloaded`."""
+    max_batch: int = 16
+    """Requests in a micro-batch; 1: one at a time, each on all threads."""
+    batch_wait_ms: float = 0.0
+    """Time that the first request of a micro-batch waits for others to join."""
+    threads: int | None = None
+    """Shared by the requests that are planned at a time; None: this process's cores."""
+
+    def __post_init__(self) -> None:
+        """Raises `ValueError` for a bound that is too low."""
+        for name, least in (("max_body_bytes", 1), ("max_waiting", 0), ("max_batch", 1)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}: expected at least {least}, got {getattr(self, name)}")
+        if not 0.0 <= self.batch_wait_ms < float("inf"):
+            raise ValueError(f"batch_wait_ms: expected 0 or more, got {self.batch_wait_ms}")
+        if self.threads is not None and self.threads < 1:
+            raise ValueError(f"threads: expected at least 1, got {self.threads}")
+
+
+class ServiceTimeEstimate:
+    """The running mean of the time that a request occupies a lane, and the wait it implies."""
+
+    def __init__(self, lanes: int) -> None:
+        self._lanes = lanes
+        self.mean_s = 0.0
+        """0 before the first request."""
+
+    def observe(self, service_s: float) -> None:
+        """Add the service time of a request to the mean."""
+        mean = self.mean_s or service_s
+        self.mean_s = mean + SMOOTHING * (service_s - mean)
+
+    def wait_s(self, ahead: int) -> float:
+        """Estimate the time until a lane is free behind so many requests, running or waiting."""
+        return self.mean_s * ahead / self._lanes
+
+    def retry_after_s(self, ahead: int) -> int:
+        """Return that in whole seconds, at least one, as Retry-After needs it."""
+        return max(1, math.ceil(self.wait_s(ahead)))
 
 
 class _Assignment(NamedTuple):
@@ -34,14 +84,14 @@ class _Assignment(NamedTuple):
 
 
 class PlanningQueue:
-    """Works on as many jobs at a time as it has lanes, lets so many wait, refuses the rest.
+    """Runs as many jobs at a time as it has lanes, lets some wait and refuses the rest.
 
-    Open inside its `with` block only.
+    It takes jobs inside its `with` block only.
 
     Args:
         limits: bounds on waiting and on batches.
         clock: seconds, for the time in the queue and the service time.
-        on_batch: told the size of every batch, on a lane's thread.
+        on_batch: called with the size of every batch, on a lane's thread.
     """
 
     def __init__(
@@ -56,11 +106,11 @@ class PlanningQueue:
         self._clock = clock
         self._num_threads = limits.threads or usable_cores()
         self.num_lanes = min(self._num_threads, limits.max_batch)
-        """Jobs that are worked on at a time."""
+        """Jobs that run at a time."""
         self.in_flight = 0
-        """Requests that hold a place: read, wait, or are worked on."""
+        """Requests that are read, wait or run."""
         self._service_time = ServiceTimeEstimate(self.num_lanes)
-        # Guards all that follows; lanes wait on it for jobs.
+        # Guards all attributes below; lanes wait on it for jobs.
         self._changed = threading.Condition()
         self._line = WaitingLine()
         self._batch: deque[_Assignment] = deque()
@@ -72,23 +122,23 @@ class PlanningQueue:
 
     @property
     def is_open(self) -> bool:
-        """Whether it takes jobs."""
+        """Return whether the queue takes jobs."""
         return self._takes_jobs
 
     @property
     def mean_service_s(self) -> float:
-        """Running mean of the time that a request takes a lane; 0 before the first."""
+        """Return the running mean of a request's time on a lane; 0 before the first."""
         return self._service_time.mean_s
 
     @contextmanager
     def place(self, *, beyond: int = 0) -> Iterator[None]:
-        """One of the places of those who wait or are worked on, as long as the block lasts.
+        """Hold a place among the requests that wait or run, for the length of the block.
 
-        beyond: so many more may be inside, to be read and perhaps refused by `submit`
+        beyond: additional places, for requests that `submit` may still refuse
 
         Raises:
             NotReady: the queue takes no jobs.
-            Overloaded: no place is free, with the time until one likely is.
+            Overloaded: no place is free; `retry_after_s` estimates when one is.
         """
         if not self._takes_jobs:
             raise NotReady("the service is starting or stopping")
@@ -103,15 +153,15 @@ class PlanningQueue:
 
     @property
     def num_waiting(self) -> int:
-        """Jobs that somebody waits for and no lane has taken."""
+        """Return the number of jobs that no lane has taken."""
         with self._changed:
             return self._count_waiting()
 
     @property
     def oldest_wait_s(self) -> float:
-        """How long the oldest that no lane has taken has waited; 0 where nobody waits."""
+        """Return the age of the oldest job that no lane has taken; 0 if there is none."""
         with self._changed:
-            # A batch stood before all that is in the line.
+            # Jobs of a batch came before those in the line.
             first = next(self._left_in_batch(), self._line.first)
             return 0.0 if first is None else self._clock() - first.submitted
 
@@ -122,12 +172,12 @@ class PlanningQueue:
         arrival: Arrival | None = None,
         budget_ms: float | None = None,
     ) -> Result:
-        """What work that is no request returns; it has a lane to itself.
+        """Run a function on a lane of its own and return its result.
 
         Args:
-            work: the function to run, on a lane's thread.
-            arrival: when the caller asked; None: now.
-            budget_ms: from then on; None: the caller waits as long as it takes.
+            work: the function.
+            arrival: when the request arrived; None: now.
+            budget_ms: time from then on; None: no limit.
 
         Raises:
             NotReady, Overloaded, DeadlineExceeded: as `submit`.
@@ -136,11 +186,11 @@ class PlanningQueue:
         return await self.submit(Job(work, arrival, budget_ms=budget_ms))
 
     async def submit(self, job: Job[Result]) -> Result:
-        """What the job's work returns; whoever cancels this cancels the job.
+        """Run a job and return its result; cancelling this cancels the job.
 
         Raises:
             NotReady: the queue is closing.
-            Overloaded: too many wait, or likely take longer than the job's budget.
+            Overloaded: too many wait, or the wait likely exceeds the job's budget.
             DeadlineExceeded: the budget ran out.
         """
         with self.admitted(job):
@@ -148,9 +198,9 @@ class PlanningQueue:
 
     @contextmanager
     def admitted(self, job: Job[Result], *, in_place_of: AnyJob | None = None) -> Iterator[None]:
-        """The job has a place in the line, or on a lane, as long as the block lasts.
+        """Keep the job in the line or on a lane, for the length of the block.
 
-        in_place_of: a job that is to be cancelled inside; it does not count as one ahead
+        in_place_of: a job that is cancelled inside the block; it does not count as ahead
 
         Raises:
             NotReady, Overloaded: as `submit`.
@@ -176,7 +226,7 @@ class PlanningQueue:
                 self._awaited.discard(job)
 
     async def result_of(self, job: Job[Result]) -> Result:
-        """What an admitted job's work returns. Raises `DeadlineExceeded`: the budget ran out."""
+        """Return the result of an admitted job. Raises `DeadlineExceeded` past its budget."""
         loop = asyncio.get_running_loop()
         budget_ms = job.budget_ms
         alarm = (
@@ -191,7 +241,7 @@ class PlanningQueue:
                 alarm.cancel()
 
     def cancel_all(self) -> None:
-        """Refuse all that waits, all that is worked on and all that comes, as `not_ready`."""
+        """End all jobs that wait or run, and refuse new ones, as `not_ready`."""
         with self._changed:
             self._takes_jobs = False
             awaited = list(self._awaited)
@@ -214,7 +264,7 @@ class PlanningQueue:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Refuse what waits, and wait for what is worked on."""
+        """Refuse waiting jobs, and wait for those that run."""
         with self._changed:
             self._is_open = self._takes_jobs = False
             left = [*self._line.clear(), *(assignment.job for assignment in self._batch)]
@@ -226,7 +276,7 @@ class PlanningQueue:
             lane.join()
 
     def _work_on(self) -> None:
-        """What a lane does, until the queue closes."""
+        """Run jobs on this lane until the queue closes."""
         while (assignment := self._next()) is not None:
             job, threads = assignment
             began = self._clock()
@@ -234,14 +284,14 @@ class PlanningQueue:
             job.run(queue_ms=wait_ms, threads=threads, freed=partial(self._free, began))
 
     def _free(self, began: float, was_done: bool) -> None:
-        """A lane is free that was taken at that time [s]."""
+        """Mark a lane as free that was taken at that time [s]."""
         with self._changed:
             self._busy_lanes -= 1
             if was_done:
                 self._service_time.observe(self._clock() - began)
 
     def _next(self) -> _Assignment | None:
-        """The next job for a lane; None once the queue is closed."""
+        """Wait for the next job of a lane; return None once the queue is closed."""
         with self._changed:
             while not self._batch:
                 if not self._is_open:
@@ -253,7 +303,7 @@ class PlanningQueue:
             return self._batch.popleft()
 
     def _form_batch(self) -> float | None:
-        """Make the head of the line the batch; or say how long [s] others may still join it."""
+        """Form a batch from the head of the line, or return how long [s] others may still join."""
         jobs = self._line.batch(self._limits.max_batch)
         if not jobs:
             return None
@@ -265,7 +315,7 @@ class PlanningQueue:
         idle_lanes = self.num_lanes - self._busy_lanes
         threads = idle_lanes * self._num_threads // (self.num_lanes * len(jobs))
         self._batch.extend(_Assignment(job, max(1, threads)) for job in jobs)
-        # One for each job that this lane leaves, and one for what still waits.
+        # Wake a lane for each other job, and one for the line.
         self._changed.notify(len(jobs) - 1 + (self._line.first is not None))
         return None
 
@@ -274,19 +324,19 @@ class PlanningQueue:
         return self._line.count(but=but) + left
 
     def _left_in_batch(self) -> Iterator[AnyJob]:
-        """Jobs of the batch that no lane has taken yet."""
+        """Yield the jobs of the batch that no lane has taken."""
         return (each.job for each in self._batch if not each.job.has_ended)
 
     def _check_room(self, held: int, max_waiting: int | None = None) -> None:
-        """Raises `Overloaded` where so many already hold all places."""
+        """Raise `Overloaded` if no place is free."""
         waiting = held - self.num_lanes
         if waiting >= (self._limits.max_waiting if max_waiting is None else max_waiting):
             raise self._overloaded(f"{waiting} requests wait already", held)
 
     def _check_worth_waiting(self, job: AnyJob, *, ahead: int) -> None:
-        """Raises `Overloaded` where those ahead and the job itself likely outlast its budget.
+        """Raise `Overloaded` if the jobs ahead and the job itself likely outlast its budget.
 
-        A job with nobody ahead is never refused: it is what the estimate learns from.
+        A job with none ahead is never refused: the estimate learns from it.
         """
         if job.budget_ms is None or not ahead:
             return

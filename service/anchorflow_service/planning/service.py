@@ -1,4 +1,4 @@
-"""The way from a request's bytes to its answer's."""
+"""The path from a request's bytes to its answer's."""
 
 from __future__ import annotations
 
@@ -13,35 +13,78 @@ from types import TracebackType
 from typing import TypeVar
 
 from anchorflow_client.codec import Payload
-from anchorflow_client.contract import (
-    AnchorRequest,
-    ResolvedRequest,
-    resolve_for_card,
+from anchorflow_client.contract import AnchorRequest, ResolvedRequest, resolve_for_card
+from anchorflow_client.errors import (
+    InternalError,
+    InvalidRequest,
+    NotReady,
+    RequestError,
+    Superseded,
 )
-from anchorflow_client.errors import InternalError, InvalidRequest, NotReady, RequestError
-from anchorflow_service.planning.arrival import Arrival
-from anchorflow_service.planning.call import Call
+from anchorflow_service.planning.call import ANSWERED, CANCELLED, Arrival, Call, Observer
 from anchorflow_service.planning.engines import EngineRegistry, PlanningEngine
-from anchorflow_service.planning.job import Job, JobContext
-from anchorflow_service.planning.latest_per_robot import LatestPerRobot
-from anchorflow_service.planning.limits import ServiceLimits
-from anchorflow_service.planning.observer import ANSWERED, CANCELLED, Observer
-from anchorflow_service.planning.queue import PlanningQueue
+from anchorflow_service.planning.job import AnyJob, Job, JobContext
+from anchorflow_service.planning.queue import PlanningQueue, ServiceLimits
 
 Result = TypeVar("Result")
 
 QUICK_BYTES = 256 * 2**10
-"""Of a request: to read so many takes milliseconds; in binary less than to hand them to a thread
-and back."""
+"""A smaller binary request is decoded faster than it is passed to a thread and back."""
+
+
+class LatestPerRobot:
+    """The newest job of each robot while it waits or runs; a newer one cancels it.
+
+    Not thread-safe: it belongs to the event loop.
+    """
+
+    def __init__(self) -> None:
+        self._newest: dict[str, AnyJob] = {}
+
+    def __len__(self) -> int:
+        """Return the number of robots that wait for an answer."""
+        return len(self._newest)
+
+    def standing(self, robot_id: str | None, job: AnyJob) -> AnyJob | None:
+        """Return the robot's older job, which this one would replace.
+
+        Raises:
+            Superseded: this job is the older one; reading it took longer.
+        """
+        if robot_id is None:
+            return None
+        standing = self._newest.get(robot_id)
+        if standing is not None and standing.arrival.is_after(job.arrival):
+            raise _superseded(robot_id)
+        return standing
+
+    @contextmanager
+    def registered(self, robot_id: str | None, job: AnyJob) -> Iterator[None]:
+        """Register the job for its robot inside the block, and cancel the older one.
+
+        Raises:
+            Superseded: as `standing`.
+        """
+        if robot_id is None:
+            yield
+            return
+        if (standing := self.standing(robot_id, job)) is not None:
+            standing.cancel(_superseded(robot_id))
+        self._newest[robot_id] = job
+        try:
+            yield
+        finally:
+            if self._newest.get(robot_id) is job:
+                del self._newest[robot_id]
 
 
 class PlanningService:
-    """Plans what calls ask for, off the event loop; open inside its `with` block only.
+    """Answers calls with anchors, off the event loop; open inside its `with` block only.
 
     Args:
-        engines: by the name that a request's `model` gives.
-        default: the name that stands in where a request gives none.
-        limits: bounds on memory, on waiting and on what is done at a time.
+        engines: by model name.
+        default: the model of requests that name none.
+        limits: bounds on memory, on waiting and on concurrent work.
         clock: seconds, for arrivals and for the time in the queue.
 
     Raises:
@@ -63,43 +106,43 @@ class PlanningService:
         self._is_leaving = False
         self._latest = LatestPerRobot()
         self._clock = clock
-        # Parsing holds the interpreter's lock: more readers would only get in each other's way.
+        # Parsing holds the interpreter's lock, so more readers would be no faster.
         self._reader: ThreadPoolExecutor | None = None
         self._large_reader: ThreadPoolExecutor | None = None
 
     def arrival(self) -> Arrival:
-        """A request comes in now."""
+        """Note that a request arrives now."""
         return Arrival(clock=self._clock)
 
     @property
     def is_ready(self) -> bool:
-        """Whether new callers should come."""
+        """Return whether new requests should be sent here."""
         return self.queue.is_open and not self._is_leaving
 
     def check_ready(self) -> None:
-        """Raises `NotReady` where new callers should not come."""
+        """Raise `NotReady` if new requests should not be sent here."""
         if not self.is_ready:
             raise NotReady("the service is starting or stopping")
 
     def leave(self) -> None:
-        """Tell whoever asks that it is not ready; requests that come are still answered."""
+        """Turn `is_ready` false; requests are still answered."""
         self._is_leaving = True
 
     def watch(self, observer: Observer) -> None:
-        """From now on it hears what becomes of every call."""
+        """Add an observer of all calls."""
         self._observers.append(observer)
 
     async def answer(self, call: Call) -> Payload:
-        """The answer's bytes, in the form of the request's.
+        """Return the answer's bytes, in the form of the request.
 
-        A caller who leaves cancels this: what waits is dropped, and what is planned ends within
-        one step of the solver. So does what runs out of its budget or is superseded.
+        Cancel this if the caller disconnects: a waiting request is dropped, and one that is being
+        planned ends within one step of the solver, as if its budget ran out or it was superseded.
 
         Raises:
             RequestError: the request is refused, or its budget is spent.
         """
-        # A place first: whom the service has no room for costs it no reading. Unless robots are
-        # named: one of them may be inside already, and its older request makes room for this one.
+        # Take a place before reading, so that a refused request costs nothing. If robots are known,
+        # read it anyway: it may replace an older request of the same robot.
         beyond = self.limits.max_waiting if self._latest else 0
         with self._observed(call), self.queue.place(beyond=beyond):
             engine, request = await self.reading(call.payload, partial(self._read, call))
@@ -113,7 +156,7 @@ class PlanningService:
             )
             robot_id = request.robot_id
             older = self._latest.standing(robot_id, job)
-            # Admitted first: what is refused supersedes nobody.
+            # Admit it first: a refused request supersedes none.
             with (
                 self.queue.admitted(job, in_place_of=older),
                 self._latest.registered(robot_id, job),
@@ -121,9 +164,7 @@ class PlanningService:
                 return await self.queue.result_of(job)
 
     async def reading(self, payload: Payload, read: Callable[[], Result]) -> Result:
-        """What reading a payload gives: off the event loop unless that is quick, and no small one
-        behind a large one.
-        """
+        """Decode a payload, off the event loop unless that is quick; small ones overtake large."""
         is_small = len(payload.body) <= QUICK_BYTES
         if is_small and payload.header_length is not None:
             return read()
@@ -168,9 +209,7 @@ class PlanningService:
             observer.batch_planned(requests)
 
     def _read(self, call: Call) -> tuple[PlanningEngine, ResolvedRequest]:
-        """What a call asks, of whom. Megabytes of numbers, or numbers in words, take a while to
-        check, against the card too: off the event loop with them.
-        """
+        """Decode a call, choose its engine, and resolve the request for the engine's card."""
         asked = call.codec.decode_request(call.payload)
         call.request_id = asked.request_id or call.request_id
         engine = self.engines.choose(_model(call, asked))
@@ -181,7 +220,7 @@ class PlanningService:
 def _plan(
     engine: PlanningEngine, request: ResolvedRequest, call: Call, context: JobContext
 ) -> Payload:
-    """What a lane does: plan, and write the answer too, which may hold millions of numbers."""
+    """Plan and encode the answer, on a lane: it may hold millions of numbers."""
     batch = engine.plan(request, threads=context.threads, check=context.check)
     context.check()
     timing_ms = {**batch.timing_ms, "queue": context.queue_ms, "total": call.arrival.elapsed_ms}
@@ -191,7 +230,7 @@ def _plan(
 
 
 def _batch_key(engine: PlanningEngine, request: ResolvedRequest) -> Hashable:
-    """Requests of the same key take about as long: same bundle, sampler, anchors and scenes."""
+    """Return a key that is equal for requests that take about equally long."""
     tau = request.warm_start and request.warm_start.tau
     return (id(engine), request.sampler, tau, request.num_samples, request.num_scenes)
 
@@ -205,3 +244,7 @@ def _model(call: Call, asked: AnchorRequest) -> str | None:
 def _with_call(resolved: ResolvedRequest, call: Call) -> ResolvedRequest:
     budget_ms = resolved.budget_ms if call.budget_ms is None else call.budget_ms
     return replace(resolved, request_id=call.request_id, budget_ms=budget_ms)
+
+
+def _superseded(robot_id: str) -> Superseded:
+    return Superseded(f"a newer request of robot_id {robot_id!r} took this one's place", "robot_id")

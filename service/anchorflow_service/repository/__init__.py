@@ -1,14 +1,28 @@
 """Bundles that come and go while the service runs.
 
-folders     where bundles lie, and which models they hold
-opening     the models with which a service starts
-repository  load, unload, and what is known of every bundle
-fixed       one that is looked at alone
+folders     the folders of bundles, and the models in them
+repository  the models at the start, loading and unloading
 """
 
-from anchorflow_service.repository.fixed import FixedRepository
-from anchorflow_service.repository.folders import BundleFolders
-from anchorflow_service.repository.opening import open_all
-from anchorflow_service.repository.repository import LoadError, ModelState, Repository
+from anchorflow_service.repository.folders import BundleFolders, RepositoryError
+from anchorflow_service.repository.repository import (
+    READY,
+    UNAVAILABLE,
+    FixedRepository,
+    LoadError,
+    ModelState,
+    Repository,
+    open_all,
+)
 
-__all__ = ["BundleFolders", "FixedRepository", "LoadError", "ModelState", "Repository", "open_all"]
+__all__ = [
+    "READY",
+    "UNAVAILABLE",
+    "BundleFolders",
+    "FixedRepository",
+    "LoadError",
+    "ModelState",
+    "Repository",
+    "RepositoryError",
+    "open_all",
+]

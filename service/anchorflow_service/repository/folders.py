@@ -1,9 +1,8 @@
-"""Where bundles lie: single folders, and a repository of them.
+"""The folders that hold bundles: single bundles, and a repository of several.
 
 A repository is a folder of bundles, `FOLDER/flowmp/manifest.json`, or of bundles by version,
-`FOLDER/flowmp/0.2.0/manifest.json`. What a bundle is called stands in its manifest, not in the
-names of folders. The folders are looked through at every question, so that a bundle which was just
-copied there is found.
+`FOLDER/flowmp/0.2.0/manifest.json`. A bundle's manifest names its model; names of folders do not
+matter. Every call searches the folders again, so a bundle that was just copied there is found.
 """
 
 from __future__ import annotations
@@ -20,28 +19,28 @@ from anchorflow_service.bundle.reader import read_file
 
 
 class RepositoryError(AnchorFlowError):
-    """The folders hold no bundle, or two that cannot be told apart."""
+    """The folders hold no bundle, or two of the same model and version."""
 
 
 @dataclass(frozen=True)
 class FoundBundle:
-    """A folder with a manifest; its graphs have not been looked at."""
+    """A folder with a manifest; its graphs have not been read."""
 
     path: Path
     name: str
-    """The model's. Where the manifest cannot be read, that of the versions beside it, or the
+    """The model's name. If the manifest is invalid, that of the versions beside it, or the
     folder's."""
     version: str
-    """Where the manifest cannot be read, the folder's name if it lies among versions, or empty."""
+    """If the manifest is invalid, the folder's name if it lies among versions, or empty."""
     fault: BundleError | None = None
-    """Why the manifest cannot be read."""
+    """Why the manifest is invalid."""
 
 
 class BundleFolders:
     """The bundles of single folders and of a repository.
 
     Raises:
-        RepositoryError: the repository is no folder.
+        RepositoryError: the repository is not a folder.
     """
 
     def __init__(self, bundles: Sequence[Path] = (), *, repository: Path | None = None) -> None:
@@ -55,22 +54,22 @@ class BundleFolders:
         return ", ".join([*(f"bundle {path}" for path in self.single), *repository])
 
     def found(self) -> list[FoundBundle]:
-        """All bundles, the newest version of each model first; those that are broken are marked."""
+        """Return all bundles, valid or not, the newest version of each model first."""
         found = self._by_model([_look_at(path) for path in self._paths()])
         found.sort(key=lambda bundle: _version_order(bundle.version), reverse=True)
         found.sort(key=lambda bundle: bundle.name)
         return found
 
     def find(self, name: str, version: str | None = None) -> FoundBundle | None:
-        """The bundle of a model, of that version or the newest; None where there is none.
+        """Return the bundle of a model, of that version or the newest; None if there is none.
 
         Raises:
             RepositoryError: two folders hold that version.
-            BundleError: its manifest cannot be read.
+            BundleError: its manifest is invalid.
         """
         same_name = [bundle for bundle in self.found() if bundle.name == name]
         matching = [bundle for bundle in same_name if version in (None, bundle.version)]
-        # A manifest that cannot be read, in no folder of versions, may be of any version.
+        # An invalid manifest outside a folder of versions may be of any version.
         matching += [bundle for bundle in same_name if bundle.fault and not bundle.version]
         if not matching:
             return None
@@ -83,7 +82,7 @@ class BundleFolders:
         return first
 
     def _by_model(self, found: list[FoundBundle]) -> list[FoundBundle]:
-        """The same; a broken one among versions is named after the model that lies beside it."""
+        """Name an invalid bundle among versions after the model beside it."""
         names: dict[Path, set[str]] = {}
         for bundle in found:
             if bundle.fault is None:
@@ -100,10 +99,10 @@ class BundleFolders:
         return [named(bundle) for bundle in found]
 
     def _paths(self) -> Iterator[Path]:
-        """Each folder once, although a single one may lie in the repository."""
+        """Yield each folder once; a single one may lie in the repository."""
         paths = [*self.single]
         if self._repository is not None:
-            # What begins with a dot is being written: an export proves it there.
+            # A folder whose name begins with a dot is being written by an export.
             for pattern in (f"[!.]*/{FILE_NAME}", f"[!.]*/[!.]*/{FILE_NAME}"):
                 paths += [manifest.parent for manifest in sorted(self._repository.glob(pattern))]
         return iter({path.resolve(): path for path in paths}.values())
@@ -123,13 +122,11 @@ def _look_at(path: Path) -> FoundBundle:
 
 
 def _version_order(version: str) -> list[tuple[int, int, str]]:
-    """Sorts 0.10.0 behind 0.9.1, and 1.0.0 behind 1.0.0-rc1, which is what comes before it."""
+    """Return a key that sorts 0.10.0 behind 0.9.1, and 1.0.0 behind 1.0.0-rc1."""
     return [*map(_part_order, re.findall(r"[0-9]+|[a-zA-Z]+", version)), (1, 0, "")]
 
 
 def _part_order(part: str) -> tuple[int, int, str]:
-    """Words below the end of a version, numbers above it, those by their digits: none is too long
-    for that.
-    """
+    """Sort words below the end of a version and numbers, of any length, above it."""
     digits = part.lstrip("0")
     return (2, len(digits), digits) if part.isdecimal() else (0, 0, part)

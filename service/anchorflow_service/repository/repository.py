@@ -1,4 +1,4 @@
-"""The repository: bundles loaded and unloaded while requests come."""
+"""The models at the start, and bundles that are loaded and unloaded while requests arrive."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 from anchorflow_client.contract import ModelCard
-from anchorflow_client.errors import AnchorFlowError, UnknownModel
+from anchorflow_client.errors import AnchorFlowError, InvalidRequest, UnknownModel
 from anchorflow_service.bundle import BundleError
 from anchorflow_service.bundle.providers import ProviderError
 from anchorflow_service.planning import EngineRegistry, PlanningEngine
@@ -22,32 +23,72 @@ logger = logging.getLogger(__name__)
 
 
 class LoadError(AnchorFlowError):
-    """A bundle was not taken; what served before still serves. The message tells no path."""
+    """A bundle was refused; the previous one still serves. The message contains no path."""
+
+
+def open_all(
+    folders: BundleFolders, open_engine: Callable[[Path], PlanningEngine]
+) -> dict[str, PlanningEngine]:
+    """Open an engine for every model, by name: those of single folders first, in their order.
+
+    Of a model with several versions in the repository, the newest valid one is opened; invalid
+    bundles there are skipped, and the log says why.
+
+    Raises:
+        BundleError: the bundle of a single folder is invalid.
+        RepositoryError: two single folders hold the same model, or there is nothing to serve.
+    """
+    engines: dict[str, PlanningEngine] = {}
+    for path in folders.single:
+        engine = open_engine(path)
+        if engine.card.name in engines:
+            raise RepositoryError(f"expected one bundle of {engine.card.name}, got two")
+        engines[engine.card.name] = engine
+    for found in folders.found():
+        if found.path in folders.single or found.name in engines:
+            continue
+        if engine := _opened(found, open_engine):
+            engines[found.name] = engine
+    if not engines:
+        raise RepositoryError("the repository holds no bundle that can be served")
+    return engines
+
+
+def _opened(
+    found: FoundBundle, open_engine: Callable[[Path], PlanningEngine]
+) -> PlanningEngine | None:
+    try:
+        if found.fault is not None:
+            raise found.fault
+        return open_engine(found.path)
+    except BundleError as error:
+        logger.warning("passed over: %s", error)
+        return None
 
 
 @dataclass(frozen=True)
 class ModelState:
-    """What is known of one version of a model, in the words of the protocol's extension."""
+    """The state of one version of a model, in the terms of the protocol's extension."""
 
     name: str
     version: str
     state: str
     """READY or UNAVAILABLE."""
     reason: str
-    """Why it is not ready, or why the newer bundle of the same version was not taken."""
+    """Why it is not ready, or why a newer bundle of the same version was refused."""
 
 
 class Repository:
-    """Loads bundles into the engines of a service, and takes them out.
+    """Loads bundles into the engines of a service, and unloads them.
 
-    A bundle is opened, checked and warmed up beside the one that serves, and takes its place in
-    one step; where anything is wrong with it, the other stays. Blocking, and safe to call from
-    several threads; one bundle is loaded at a time.
+    A bundle is opened, checked and warmed up beside the one that serves, and replaces it in one
+    step; if anything is wrong with it, the other stays. Methods block and are thread-safe; one
+    bundle is loaded at a time.
 
     Args:
-        engines: that requests choose from.
-        folders: where bundles lie.
-        open_engine: opens and warms up the bundle of a folder; `BundleError` where it is broken.
+        engines: the engines that requests choose from.
+        folders: where the bundles are.
+        open_engine: opens and warms up the bundle of a folder; `BundleError` if it is invalid.
     """
 
     def __init__(
@@ -61,16 +102,16 @@ class Repository:
         self._open_engine = open_engine
         self._loading = threading.Lock()
         self._faults: dict[tuple[str, str], str] = {}
-        """By model and version: why it was not taken when it was loaded last."""
+        """By model and version: why the last load was refused."""
 
     def load(self, name: str, version: str | None = None) -> ModelCard:
-        """Read the bundle of a model from its folder, and serve it from now on.
+        """Read the bundle of a model from its folder, and serve it.
 
-        version: None: the newest there is
+        version: None: the newest
 
         Raises:
             UnknownModel: no folder holds that model, or that version of it.
-            LoadError: its bundle is broken.
+            LoadError: its bundle is invalid.
         """
         with self._loading:
             found = self._find(name, version)
@@ -81,7 +122,7 @@ class Repository:
         return engine.card
 
     def unload(self, name: str) -> None:
-        """Serve a model no longer; requests that have been taken are still answered.
+        """Stop serving a model; requests that chose it are still answered.
 
         Raises:
             UnknownModel: it is not served.
@@ -90,7 +131,7 @@ class Repository:
         logger.info("model %s is unloaded", name)
 
     def index(self) -> list[ModelState]:
-        """Every version of every model that lies in a folder or is served."""
+        """Return every version of every model that is in a folder or is served."""
         found = self._folders.found()
         unreadable = {(each.name, each.version): each.fault.reason for each in found if each.fault}
         faults = self._faults | unreadable
@@ -127,3 +168,22 @@ class Repository:
             self._faults[found.name, found.version] = reason
             raise LoadError(reason) from error
         return engine
+
+
+class FixedRepository(Repository):
+    """The repository of one worker among several: it can be listed but not changed."""
+
+    def load(self, name: str, version: str | None = None) -> ModelCard:  # noqa: ARG002 - refused
+        """Raises `InvalidRequest`."""
+        _refuse_change()
+
+    def unload(self, name: str) -> None:  # noqa: ARG002 - refused
+        """Raises `InvalidRequest`."""
+        _refuse_change()
+
+
+def _refuse_change() -> NoReturn:
+    raise InvalidRequest(
+        "expected a service of one worker: this one has several, each with models of its own, "
+        "which change when they are restarted"
+    )

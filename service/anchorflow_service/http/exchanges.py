@@ -1,0 +1,87 @@
+"""The outermost middleware: a request id for every exchange, and listeners told of its outcome."""
+
+from __future__ import annotations
+
+import logging
+import time
+import uuid
+from collections.abc import Sequence
+from urllib.parse import quote
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from anchorflow_client.contract.checks import text
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_service.http.responses import error_response
+from anchorflow_service.observability.logs import (
+    CLIENT_DISCONNECTED,
+    UNROUTED,
+    Exchange,
+    Listener,
+)
+from anchorflow_service.planning import internal_error
+
+REQUEST_ID = "X-Request-Id"
+
+logger = logging.getLogger(__name__)
+
+
+class Exchanges:
+    """Middleware: gives each request an id, answers unexpected exceptions, tells the listeners.
+
+    The id is the caller's or a random one. It stands in the request's `state.request_id`, where an
+    endpoint may put another, and in the `X-Request-Id` header of every response.
+    """
+
+    def __init__(self, app: ASGIApp, *, listeners: Sequence[Listener]) -> None:
+        self._app = app
+        self._listeners = listeners
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass the request on; turn an unexpected exception into `internal`."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        began = time.perf_counter()
+        state = scope.setdefault("state", {})
+        state["request_id"] = _requested_id(Headers(scope=scope)) or uuid.uuid4().hex
+        status = None
+
+        async def send_with_id(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                MutableHeaders(scope=message)[REQUEST_ID] = state["request_id"]
+            await send(message)
+
+        try:
+            await self._app(scope, receive, send_with_id)
+        except Exception:
+            request_id = state["request_id"]
+            logger.exception("request %s failed", request_id, extra={"request_id": request_id})
+            if status is not None:
+                status = 500
+                raise
+            await error_response(internal_error(request_id))(scope, receive, send_with_id)
+        finally:
+            exchange = Exchange(
+                method=scope["method"],
+                path=quote(scope["path"]),
+                route=getattr(scope.get("route"), "path", UNROUTED),
+                status=status or CLIENT_DISCONNECTED,
+                seconds=time.perf_counter() - began,
+                request_id=state["request_id"],
+                caller=state.get("caller"),
+            )
+            for listener in self._listeners:
+                listener(exchange)
+
+
+def _requested_id(headers: Headers) -> str | None:
+    """Return the caller's own id, if it can be echoed."""
+    header = headers.get(REQUEST_ID)
+    try:
+        return header and text(header, REQUEST_ID)
+    except InvalidRequest:
+        return None
