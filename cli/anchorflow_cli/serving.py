@@ -1,4 +1,4 @@
-"""`anchorflow serve`: opens the service that was chosen, and runs it in one process or in several."""
+"""`anchorflow serve`: opens the chosen service, and runs it in one process or in several."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ def _worker_app(choice: ServeChoice, listener: socket.socket, started: Any) -> F
     try:
         return open_service(choice, count_start)
     except AnchorFlowError as error:
-        logger.error("a worker cannot start: %s", error)  # noqa: TRY400 - one line
+        logger.error("a worker cannot start: %s", error)
         # uvicorn stops all workers after a failure to start, and replaces one that exits otherwise.
         raise SystemExit(STARTUP_FAILURE if started.value < choice.workers else 1) from error
 

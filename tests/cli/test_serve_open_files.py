@@ -8,17 +8,17 @@ import textwrap
 
 import pytest
 
-from anchorflow_cli.serve_open_files import OTHER_FILES
+from anchorflow_cli.listening import OTHER_FILES
 from anchorflow_service.http.connections import RESERVE
-from anchorflow_service.http.lifecycle import ACCEPTED_AT_A_TIME
+from anchorflow_service.http.lifecycle import BACKLOG
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="has no such limits")
 
-BESIDE = RESERVE + ACCEPTED_AT_A_TIME + OTHER_FILES
+BESIDE = RESERVE + BACKLOG + OTHER_FILES
 # In a process of its own: a hard limit is never raised again.
 PROGRAM = """
     import logging, resource, sys
-    from anchorflow_cli.serve_open_files import within_open_files
+    from anchorflow_cli.listening import within_open_files
     from anchorflow_service.http.connections import ConnectionLimits
 
     logging.basicConfig(format="%(message)s")

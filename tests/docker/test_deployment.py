@@ -12,7 +12,7 @@ import typer
 import yaml
 
 from anchorflow_cli import serve
-from anchorflow_service.http.guard import scopes_for
+from anchorflow_service.http.tokens import scopes_for
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCKER = ROOT / "docker"

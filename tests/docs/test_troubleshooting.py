@@ -35,12 +35,11 @@ from anchorflow_client.http.transport import HttpAnswer
 from anchorflow_docs.messages import messages_of, wording
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
-from anchorflow_service.http.guard import Guard
-from anchorflow_service.http.tokens import TokenFile, token_line
+from anchorflow_service.http.tokens import TokenFile, TokenGuard, token_line
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
 from anchorflow_service.planning.job import Job
-from anchorflow_service.planning.latest_per_robot import LatestPerRobot
+from anchorflow_service.planning.service import LatestPerRobot
 
 PAGE = Path(__file__).parents[2] / "docs" / "troubleshooting.md"
 MESSAGES = messages_of(PAGE)
@@ -239,7 +238,7 @@ def test_no_answer(name: str, capfd: pytest.CaptureFixture[str]) -> None:
 def no_token(folder: Path) -> None:
     file = folder / "tokens"
     file.write_text(token_line("robot", ("infer",), "secret"))
-    guard = Guard(lambda *_: pytest.fail("it was let through"), tokens=TokenFile(file))
+    guard = TokenGuard(lambda *_: pytest.fail("it was let through"), tokens=TokenFile(file))
 
     async def ask() -> httpx.Response:
         transport = httpx.ASGITransport(app=guard)

@@ -258,7 +258,8 @@ class AnchorProtocol(HttpToolsProtocol):
         return Overloaded("too many connections; try again in 1 s", retry_after_s=1)
 
     def _check_head(self) -> None:
-        if self._phase is Phase.HEAD and not self.transport.is_closing():
+        is_too_long = self._unparsed > self._bounds.limits.max_head_bytes
+        if self._phase is Phase.HEAD and is_too_long and not self.transport.is_closing():
             self.send_400_response("The head is too long.")
 
     def _limit_receiving(self, limit_s: float | None) -> None:

@@ -18,7 +18,7 @@ from fastapi import FastAPI
 from anchorflow_cli.listening import listen as listen_at
 from anchorflow_cli.listening import url_of
 from anchorflow_service.http import create_app
-from anchorflow_service.http.lifecycle import AnchorServer
+from anchorflow_service.http.lifecycle import uvicorn_config
 from anchorflow_service.planning import PlanningService
 
 
@@ -87,37 +87,14 @@ def run() -> Iterator[Run]:
         yield start
 
 
-@pytest.fixture
-def listen() -> Iterator[Callable[[FastAPI], str]]:
-    """Starts applications under uvicorn on a free port of this machine; gives their URL."""
-    stops: list[tuple[uvicorn.Server, threading.Thread]] = []
-
-    def start(app: FastAPI) -> str:
-        server = uvicorn.Server(uvicorn.Config(app, log_level="warning", ws="none"))
-        listener = listen_at("127.0.0.1", 0)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
-        thread.start()
-        stops.append((server, thread))
-        while not server.started:
-            assert thread.is_alive()
-            time.sleep(0.01)
-        return url_of(listener)
-
-    yield start
-    for server, thread in stops:
-        server.should_exit = True
-        thread.join(20)
-        assert not thread.is_alive()
-
-
 class Served:
-    """A server of ours on a thread, listening on a free port of this machine."""
+    """An application under uvicorn on a thread, on a free port of this machine."""
 
-    def __init__(self, server: AnchorServer) -> None:
-        self.server = server
+    def __init__(self, app: FastAPI, **settings: Any) -> None:
+        self.server = server = uvicorn.Server(uvicorn_config(app, **settings))
         listener = listen_at("127.0.0.1", 0)
         self.port = listener.getsockname()[1]
-        self.url = f"http://127.0.0.1:{self.port}"
+        self.url = url_of(listener)
         self._thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         self._thread.start()
         while not server.started:
@@ -133,22 +110,28 @@ class Served:
 class Serve(Protocol):
     """Starts a server and stops it when the test ends."""
 
-    def __call__(self, server: AnchorServer) -> Served: ...
+    def __call__(self, app: FastAPI, **settings: Any) -> Served: ...
 
 
 @pytest.fixture
 def serve() -> Iterator[Serve]:
-    """Starts servers with the limits, the TLS and the drain that they were made with."""
+    """Starts applications with settings of `uvicorn_config`."""
     started: list[Served] = []
 
-    def start(server: AnchorServer) -> Served:
-        started.append(Served(server))
+    def start(app: FastAPI, **settings: Any) -> Served:
+        started.append(Served(app, **settings))
         return started[-1]
 
     yield start
     for each in started:
         each.server.should_exit = True
         assert each.has_stopped()
+
+
+@pytest.fixture
+def listen(serve: Serve) -> Callable[[FastAPI], str]:
+    """Starts applications and returns their URL."""
+    return lambda app: serve(app).url
 
 
 @pytest.fixture

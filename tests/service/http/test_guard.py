@@ -12,8 +12,7 @@ from starlette.routing import BaseRoute, Route
 
 from anchorflow_client import AnchorClient, Unauthorized
 from anchorflow_service.http import create_app
-from anchorflow_service.http.guard import scopes_for
-from anchorflow_service.http.tokens import TokenFile, token_line
+from anchorflow_service.http.tokens import TokenFile, scopes_for, token_line
 from anchorflow_service.planning import PlanningService
 
 TOKENS = {"robot": ("infer",), "chief": ("admin",), "both": ("infer", "admin")}

@@ -13,10 +13,6 @@ from typing import Any
 import pytest
 from fastapi import FastAPI
 
-from anchorflow_service.http.connections import ConnectionLimits
-from anchorflow_service.http.lifecycle import AnchorServer
-from anchorflow_service.planning import PlanningService
-
 resource = pytest.importorskip("resource", reason="sets the limit on open files")
 
 CONNECTIONS = 1500
@@ -95,12 +91,8 @@ def is_ready(url: str) -> bool:
 
 
 @pytest.mark.usefixtures("many_files")
-def test_a_probe_gets_through(
-    app: FastAPI,
-    planning: PlanningService,
-    serve: Callable[[AnchorServer], Any],
-) -> None:
-    served = serve(AnchorServer(app, planning, limits=ConnectionLimits()))
+def test_a_probe_gets_through(app: FastAPI, serve: Callable[..., Any]) -> None:
+    served = serve(app)
     answered: list[bool] = []
     took_ms: list[float] = []
     with HalfHeads(served.port):

@@ -1,35 +1,39 @@
-"""The server's life: what fails at its start, and how it goes."""
+"""How the service stops: not ready, then no port, then no requests."""
 
 from __future__ import annotations
 
-import asyncio
 import signal
-import socket
 import threading
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from typing import Any
 
 import pytest
-from fastapi import FastAPI
 
 from anchorflow_client import AnchorClient, ConnectionFailed, NotReady
 from anchorflow_service.http import create_app
-from anchorflow_service.http.lifecycle import AnchorServer, Draining
+from anchorflow_service.http.lifecycle import Draining, GracefulExit
 from anchorflow_service.planning import PlanningService
 
 Start = Callable[[Draining], Any]
 
 
 @pytest.fixture
-def start(app: FastAPI, planning: PlanningService, serve: Callable[[AnchorServer], Any]) -> Start:
-    """Starts the application, to go in that way."""
-    return lambda draining: serve(AnchorServer(app, planning, draining=draining))
+def start(planning: PlanningService, serve: Callable[..., Any]) -> Start:
+    """Starts the application, to stop in that way."""
+
+    def run(draining: Draining) -> Any:
+        graceful = GracefulExit(planning, draining)
+        running = serve(create_app(planning, endpoints=[graceful]), draining=draining)
+        graceful.exit_handlers[signal.SIGTERM] = running.server.handle_exit
+        running.graceful = graceful
+        return running
+
+    return run
 
 
 def tell_to_stop(running: Any) -> None:
-    """As the signal would: a thread cannot have it."""
-    running.server.handle_exit(signal.SIGTERM, None)
+    """As the signal would, which a thread cannot receive."""
+    running.graceful.handle(signal.SIGTERM)
 
 
 def test_readiness_turns_false_before_requests_are_refused(
@@ -103,19 +107,3 @@ def test_what_outlasts_the_drain_is_told_so(
     assert isinstance(said[0], NotReady)
     assert "stopping" in said[0].message
     assert running.has_stopped()
-
-
-def test_what_fails_at_the_start_is_raised_as_it_is(planning: PlanningService) -> None:
-    @asynccontextmanager
-    async def nowhere() -> AsyncIterator[None]:
-        await asyncio.sleep(0)
-        raise ConnectionFailed("no such place")
-        yield
-
-    app = create_app(planning, endpoints=[nowhere()])
-    with (
-        socket.create_server(("127.0.0.1", 0)) as listener,
-        pytest.raises(ConnectionFailed, match="no such place"),
-    ):
-        AnchorServer(app, planning).run(sockets=[listener])
-    assert not planning.is_ready

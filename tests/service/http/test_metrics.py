@@ -196,7 +196,7 @@ def test_threads_are_those_of_the_process() -> None:
     # In a process of its own: here, what other tests began may end between two counts.
     program = textwrap.dedent("""
         import threading
-        from anchorflow_service.observability.collector import threads
+        from anchorflow_service.observability.metrics import threads
 
         go = threading.Event()
         before = threads()

@@ -13,8 +13,6 @@ import pytest
 from fastapi import FastAPI
 
 import anchorflow_service
-from anchorflow_service.http.lifecycle import AnchorServer
-from anchorflow_service.planning import PlanningService
 
 REQUESTS = [
     ("GET", "/", b""),
@@ -79,10 +77,8 @@ def test_a_failure_says_nothing_of_itself(
     assert "secret" not in answer.text
 
 
-def test_the_head_of_an_answer_names_no_server(
-    app: FastAPI, planning: PlanningService, serve: Callable[[AnchorServer], Any]
-) -> None:
-    port = serve(AnchorServer(app, planning)).port
+def test_the_head_of_an_answer_names_no_server(app: FastAPI, serve: Callable[..., Any]) -> None:
+    port = serve(app).port
     with socket.create_connection(("127.0.0.1", port)) as connection:
         connection.sendall(b"GET /v2 HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
         connection.settimeout(20)

@@ -18,8 +18,12 @@ from anchorflow_client.contract import METHODS, AnchorRequest, resolve_for_card
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
-from anchorflow_service.http.flow_replay import MAX_ANCHORS, MAX_STEPS
-from anchorflow_service.http.page import FOLDER, page_files
+from anchorflow_service.http.page import (
+    FOLDER,
+    MAX_REPLAYED_ANCHORS,
+    MAX_REPLAYED_STEPS,
+    page_files,
+)
 from anchorflow_service.planning import PlanningService
 
 FILES = dict(page_files())
@@ -254,11 +258,15 @@ def test_the_last_state_is_what_the_answer_is_made_of(
 @pytest.mark.parametrize(
     ("change", "field", "expected"),
     [
-        ({"num_samples": MAX_ANCHORS + 1}, "num_samples", f"at most {MAX_ANCHORS}"),
         (
-            {"sampler": {"schedule": {"uniform": MAX_STEPS + 1}}},
+            {"num_samples": MAX_REPLAYED_ANCHORS + 1},
+            "num_samples",
+            f"at most {MAX_REPLAYED_ANCHORS}",
+        ),
+        (
+            {"sampler": {"schedule": {"uniform": MAX_REPLAYED_STEPS + 1}}},
             "sampler.schedule",
-            f"at most {MAX_STEPS} steps",
+            f"at most {MAX_REPLAYED_STEPS} steps",
         ),
         ({"x_goal": [[3.0, 2.0, 0.0, 0.0]] * 2}, "x_curr", "one scene"),
         ({"x_goal": [3.0, -2.0, 0.0, 0.0]}, "x_goal", "occupancy below 0.5"),
@@ -289,7 +297,7 @@ def test_what_a_flow_is_asked_for_is_read_by_the_services_reader(
         threads.append(threading.current_thread().name.partition("_")[0])
         return resolve_for_card(*given)
 
-    monkeypatch.setattr("anchorflow_service.http.flow_replay.resolve_for_card", resolve)
+    monkeypatch.setattr("anchorflow_service.http.page.resolve_for_card", resolve)
 
     assert post_flow(flowing, flow_fields).status_code == 200
     assert threads == ["reading"]

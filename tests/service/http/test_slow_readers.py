@@ -1,28 +1,28 @@
-"""Callers who read their answers slowly or not at all, with and without TLS."""
+"""Clients that read a response slowly or not at all, with and without TLS."""
 
 from __future__ import annotations
 
-import asyncio.constants
 import socket
 import ssl
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import pytest
 import trustme
-from fastapi import FastAPI
 from starlette.requests import Request
 from starlette.responses import Response
 
+from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
-from anchorflow_service.http.lifecycle import AnchorServer
+from anchorflow_service.http.lifecycle import TlsFiles
 from anchorflow_service.planning import PlanningService
 
 PATIENCE_S = 20
 LARGE = 16 * 2**20
-"""Bytes of an answer that no system takes at once."""
+"""Bytes of a response that no system takes at once."""
 PART = 2**19
 
 Connect = Callable[[], socket.socket]
@@ -32,29 +32,30 @@ Within = Callable[..., Connect]
 @pytest.fixture(params=["plain", "tls"])
 def within(
     request: pytest.FixtureRequest,
-    app: FastAPI,
     planning: PlanningService,
-    serve: Callable[[AnchorServer], Any],
+    serve: Callable[..., Any],
+    tmp_path: Path,
 ) -> Iterator[Within]:
-    """Serves large answers within limits; gives what connects with little room to receive."""
+    """Serves large responses within limits; gives what connects with little room to receive."""
 
     async def large(_: Request) -> Response:
         return Response(bytes(LARGE))
 
-    app.add_route("/large", large)
     ours = theirs = None
     if request.param == "tls":
         authority = trustme.CA()
-        ours = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        authority.issue_cert("localhost").configure_cert(ours)
+        ours = TlsFiles(tmp_path / "both.pem", tmp_path / "both.pem")
+        authority.issue_cert("localhost").private_key_and_cert_chain_pem.write_to_path(
+            tmp_path / "both.pem"
+        )
         theirs = ssl.create_default_context()
         authority.configure_trust(theirs)
     with ExitStack() as stack:
 
-        def start(limits: ConnectionLimits, *, keep_alive_s: float = 5.0) -> Connect:
-            server = AnchorServer(app, planning, limits=limits, tls=ours)
-            server.config.timeout_keep_alive = keep_alive_s  # pyright: ignore[reportAttributeAccessIssue] - uvicorn says whole seconds
-            port = serve(server).port
+        def start(limits: ConnectionLimits) -> Connect:
+            app = create_app(planning, connections=limits)
+            app.add_route("/large", large)
+            port = serve(app, tls=ours).port
 
             def connect() -> socket.socket:
                 connection = stack.enter_context(socket.socket())
@@ -76,7 +77,7 @@ def ask(connection: socket.socket, path: str, more: bytes = b"") -> None:
 
 
 @pytest.mark.parametrize("more", [b"", b"Connection: close\r\n"], ids=["kept", "closed"])
-def test_who_takes_nothing_of_an_answer_loses_the_place(
+def test_a_client_that_takes_nothing_of_a_response_loses_its_slot(
     within: Within, until: Any, more: bytes
 ) -> None:
     connect = within(ConnectionLimits(max_connections=1, send_s=0.4))
@@ -92,19 +93,15 @@ def test_who_takes_nothing_of_an_answer_loses_the_place(
     until(is_heard)
 
 
-def test_an_answer_may_take_longer_as_long_as_some_of_it_is_taken(
-    within: Within, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Over TLS longer than asyncio waits for a connection to be closed, too."""
-    monkeypatch.setattr(asyncio.constants, "SSL_SHUTDOWN_TIMEOUT", 0.5, raising=False)
-    connection = within(ConnectionLimits(send_s=1.0), keep_alive_s=0.5)()
+def test_a_response_may_take_longer_as_long_as_some_of_it_is_taken(within: Within) -> None:
+    connection = within(ConnectionLimits(send_s=1.0))()
     ask(connection, "/large")
 
-    began, came = time.monotonic(), 0
-    while came < LARGE:
+    began, received = time.monotonic(), 0
+    while received < LARGE:
         part = connection.recv(PART)
         assert part
-        came += len(part)
+        received += len(part)
         time.sleep(3.0 * len(part) / LARGE)
 
     assert time.monotonic() - began > 2.0

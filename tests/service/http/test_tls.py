@@ -6,6 +6,7 @@ import asyncio
 import http.client
 import ssl
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,11 +16,9 @@ import trustme
 from fastapi import FastAPI
 
 from anchorflow_client import AnchorBatch, AnchorClient, AsyncAnchorClient, ConnectionFailed
-from anchorflow_service.http.lifecycle import AnchorServer
-from anchorflow_service.http.tls import TlsError, tls_context
-from anchorflow_service.planning import PlanningService
+from anchorflow_service.http.lifecycle import TlsError, TlsFiles
 
-Behind = Callable[[ssl.SSLContext], int]
+Behind = Callable[[TlsFiles], int]
 
 
 class Files(NamedTuple):
@@ -44,9 +43,9 @@ def files(tmp_path: Path) -> Files:
 
 
 @pytest.fixture
-def behind(app: FastAPI, planning: PlanningService, serve: Callable[[AnchorServer], Any]) -> Behind:
+def behind(app: FastAPI, serve: Callable[..., Any]) -> Behind:
     """Starts the application behind TLS; gives its port."""
-    return lambda context: serve(AnchorServer(app, planning, tls=context)).port
+    return lambda tls: serve(app, tls=tls).port
 
 
 def status_of_health(port: int, context: ssl.SSLContext) -> int:
@@ -59,7 +58,7 @@ def status_of_health(port: int, context: ssl.SSLContext) -> int:
 
 
 def test_a_caller_who_trusts_the_authority_is_served(files: Files, behind: Behind) -> None:
-    port = behind(tls_context(files.certificate, files.key))
+    port = behind(TlsFiles(files.certificate, files.key))
     trusting = ssl.create_default_context(cafile=str(files.ca))
 
     assert status_of_health(port, trusting) == 200
@@ -70,7 +69,7 @@ def test_a_caller_who_trusts_the_authority_is_served(files: Files, behind: Behin
 def test_our_clients_trust_whom_the_system_trusts(
     files: Files, behind: Behind, monkeypatch: pytest.MonkeyPatch, fields: dict[str, Any]
 ) -> None:
-    url = f"https://localhost:{behind(tls_context(files.certificate, files.key))}"
+    url = f"https://localhost:{behind(TlsFiles(files.certificate, files.key))}"
 
     async def ask() -> AnchorBatch:
         async with AsyncAnchorClient(url, timeout_s=20) as client:
@@ -88,7 +87,7 @@ def test_our_clients_trust_whom_the_system_trusts(
 
 
 def test_old_versions_of_tls_are_refused(files: Files) -> None:
-    context = tls_context(files.certificate, files.key)
+    context = TlsFiles(files.certificate, files.key).context()
 
     assert context.minimum_version is ssl.TLSVersion.TLSv1_2
 
@@ -96,7 +95,7 @@ def test_old_versions_of_tls_are_refused(files: Files) -> None:
 def test_callers_need_a_certificate_where_an_authority_is_given(
     files: Files, behind: Behind
 ) -> None:
-    port = behind(tls_context(files.certificate, files.key, client_ca=files.ca))
+    port = behind(TlsFiles(files.certificate, files.key, client_ca=files.ca))
     nobody = ssl.create_default_context(cafile=str(files.ca))
     somebody = ssl.create_default_context(cafile=str(files.ca))
     files.authority.issue_cert("robot@example.com").configure_cert(somebody)
@@ -106,20 +105,26 @@ def test_callers_need_a_certificate_where_an_authority_is_given(
         status_of_health(port, nobody)
 
 
-def test_what_cannot_be_used_is_named(files: Files, tmp_path: Path) -> None:
-    absent, nonsense = tmp_path / "absent.pem", tmp_path / "nonsense.pem"
-    nonsense.write_text("nonsense")
-    stranger = tmp_path / "stranger.pem"
-    trustme.CA().issue_cert("localhost").private_key_pem.write_to_path(stranger)
+@pytest.mark.parametrize(
+    ("changes", "match"),
+    [
+        ({"certificate": "absent"}, r"absent\.pem: cannot be read: No such file"),
+        ({"certificate": "nonsense"}, r"nonsense\.pem with .*key\.pem: no certificate"),
+        ({"key": "stranger"}, r"stranger\.pem: no certificate and its key"),
+        ({"client_ca": "nonsense"}, r"nonsense\.pem: no PEM certificate of an authority"),
+        ({"key": None}, "TLS needs --tls-cert and --tls-key, both of them"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named(
+    files: Files, tmp_path: Path, changes: dict[str, str | None], match: str
+) -> None:
+    (tmp_path / "nonsense.pem").write_text("nonsense")
+    stranger = trustme.CA().issue_cert("localhost").private_key_pem
+    stranger.write_to_path(tmp_path / "stranger.pem")
+    paths = {name: each and tmp_path / f"{each}.pem" for name, each in changes.items()}
 
-    with pytest.raises(TlsError, match=r"absent\.pem: cannot be read: No such file"):
-        tls_context(absent, files.key)
-    with pytest.raises(TlsError, match=r"nonsense\.pem with .*key\.pem: no certificate"):
-        tls_context(nonsense, files.key)
-    with pytest.raises(TlsError, match=r"stranger\.pem: no certificate and its key"):
-        tls_context(files.certificate, stranger)
-    with pytest.raises(TlsError, match=r"nonsense\.pem: no PEM certificate of an authority"):
-        tls_context(files.certificate, files.key, client_ca=nonsense)
+    with pytest.raises(TlsError, match=match):
+        replace(TlsFiles(files.certificate, files.key), **paths).context()
 
 
 def test_an_encrypted_key_is_refused_and_asks_nobody(files: Files, tmp_path: Path) -> None:
@@ -134,4 +139,4 @@ def test_an_encrypted_key_is_refused_and_asks_nobody(files: Files, tmp_path: Pat
     )
 
     with pytest.raises(TlsError, match="the private key is encrypted"):
-        tls_context(files.certificate, encrypted)
+        TlsFiles(files.certificate, encrypted).context()

@@ -13,8 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_service.observability.exchanges import Exchange, log_exchange
-from anchorflow_service.observability.logs import JsonFormatter, set_up_logging
+from anchorflow_service.observability.logs import (
+    Exchange,
+    JsonFormatter,
+    log_exchange,
+    set_up_logging,
+)
 
 EXCHANGE = Exchange(
     method="POST",

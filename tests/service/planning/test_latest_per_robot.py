@@ -7,7 +7,7 @@ import pytest
 from anchorflow_client import Superseded
 from anchorflow_service.planning import Arrival
 from anchorflow_service.planning.job import Job
-from anchorflow_service.planning.latest_per_robot import LatestPerRobot
+from anchorflow_service.planning.service import LatestPerRobot
 
 
 def job(arrived: float = 7.0) -> Job[None]:

@@ -12,7 +12,7 @@ import pytest
 from anchorflow_client import Overloaded
 from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
 from anchorflow_service.planning.job import Job
-from anchorflow_service.planning.service_time import ServiceTimeEstimate
+from anchorflow_service.planning.queue import ServiceTimeEstimate
 
 PATIENCE_S = 20
 

@@ -6,8 +6,7 @@ from collections.abc import Hashable
 
 from anchorflow_client import DeadlineExceeded
 from anchorflow_service.planning import Arrival
-from anchorflow_service.planning.job import Job, JobCancelled
-from anchorflow_service.planning.waiting import WaitingLine
+from anchorflow_service.planning.job import Job, JobCancelled, WaitingLine
 
 
 def job(key: Hashable = None, *, budget_ms: float | None = None) -> Job[None]:
