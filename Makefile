@@ -10,8 +10,14 @@ TORCH ?= torch==2.13.0
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
-# Once, so that the first start does not have to.
-COMPILE := $(BIN)/python -m anchorflow_trajectory.warm_up
+COMMA := ,
+# Installs packages, and compiles numba's loops meanwhile, so that the first start need not. pip's own
+# bytecode would cost ten seconds more; Python makes it for the modules that are imported.
+define install_and_compile
+	$(PIP) install --no-compile numba
+	PYTHONPATH=trajectory $(BIN)/python -m anchorflow_trajectory.warm_up & loops=$$!; \
+	$(PIP) install --no-compile $(1) && wait $$loops
+endef
 
 .DEFAULT_GOAL := help
 .PHONY: help serve toolkit test lint format bench docs walkthrough image clean
@@ -61,14 +67,12 @@ $(VENV)/.created:
 	touch $@
 
 $(VENV)/.service: pyproject.toml $(VENV)/.created
-	$(PIP) install --editable '.[service,language]'
-	$(COMPILE)
+	$(call install_and_compile,--editable '.[service$(COMMA)language]')
 	touch $@
 
 $(VENV)/.toolkit: pyproject.toml $(VENV)/.created
 	$(PIP) install '$(TORCH)'
-	$(PIP) install --editable '.[service,train,plot]'
-	$(COMPILE)
+	$(call install_and_compile,--editable '.[service$(COMMA)train$(COMMA)plot]')
 	touch $@
 
 $(VENV)/.docs: pyproject.toml $(VENV)/.created
@@ -77,6 +81,5 @@ $(VENV)/.docs: pyproject.toml $(VENV)/.created
 
 $(VENV)/.dev: pyproject.toml $(VENV)/.created
 	$(PIP) install '$(TORCH)'
-	$(PIP) install --editable '.[dev]'
-	$(COMPILE)
+	$(call install_and_compile,--editable '.[dev]')
 	touch $@

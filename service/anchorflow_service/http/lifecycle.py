@@ -25,8 +25,8 @@ BACKLOG = 128
 limit on connections may be open for a moment."""
 CANCELLING_S = 1.0
 """Time for requests that are cancelled at the end to be answered."""
-WORKER_HEALTHCHECK_S = 60
-"""A worker that answers its supervisor no sooner is replaced; a start takes seconds."""
+WORKER_HEALTHCHECK_S = 20
+"""A worker that does not answer its supervisor in this time is replaced; importing takes seconds."""
 
 
 class TlsError(AnchorFlowError):

@@ -14,7 +14,12 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from anchorflow_client import AnchorRequest, DeadlineExceeded
 from anchorflow_client.json_codec import JsonCodec
-from anchorflow_service.observability.metrics import Metrics
+from anchorflow_service.observability.metrics import (
+    SHARED_FOLDER,
+    Metrics,
+    SharedFolderError,
+    reserve_shared_files,
+)
 from anchorflow_service.planning import Call, PlanningService
 
 Samples = dict[tuple[str, frozenset[tuple[str, str]]], float]
@@ -209,3 +214,14 @@ def test_threads_are_those_of_the_process() -> None:
         [sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=120
     )
     assert int(run.stdout) == 5
+
+
+def test_without_room_for_shared_counts_a_worker_does_not_start(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A disk that becomes full later would kill the process."""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv(SHARED_FOLDER, str(tmp_path / "file"))
+
+    with pytest.raises(SharedFolderError, match="file: cannot be written: File exists"):
+        reserve_shared_files()
