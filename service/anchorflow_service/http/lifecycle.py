@@ -26,7 +26,7 @@ limit on connections may be open for a moment."""
 CANCELLING_S = 1.0
 """Time for requests that are cancelled at the end to be answered."""
 WORKER_HEALTHCHECK_S = 20
-"""A worker that does not answer its supervisor in this time is replaced; importing takes seconds."""
+"""Time for a worker to answer its supervisor, or it is replaced; importing takes seconds."""
 
 
 class TlsError(AnchorFlowError):
