@@ -1,4 +1,4 @@
-"""AnchorFlow's contract and client: what a robot installs. numpy and the standard library alone.
+"""AnchorFlow's contract and clients, for robots: needs numpy and the standard library alone.
 
 from anchorflow_client import AnchorClient
 

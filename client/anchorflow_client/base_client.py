@@ -1,4 +1,4 @@
-"""What every client of a service can do, whatever carries its requests: blocking or async."""
+"""The interface that every client implements, in a blocking and an async form."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ AsyncClient = TypeVar("AsyncClient", bound="BaseAsyncClient")
 
 
 class BaseClient(PlanKeywords[AnchorBatch]):
-    """Asks a service for anchors.
+    """Requests anchors from a service.
 
-    Every method raises a `RequestError` where the service refuses and a `TransportError` where no
-    answer of the contract comes; see `anchorflow_client.errors`.
+    Every method raises a `RequestError` if the service refuses, and a `TransportError` if there is
+    no valid answer; see `anchorflow_client.errors`.
     """
 
     @abstractmethod
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """`plan` for a request that was built before."""
+        """Return anchors for a request that was built before."""
 
     @abstractmethod
     def models(self) -> tuple[ModelCard, ...]:
-        """The cards of all bundles that are served, the default first."""
+        """Return the cards of all served bundles, the default first."""
 
     @abstractmethod
     def live(self) -> bool:
-        """Whether a service answers; False where nobody listens."""
+        """Return whether a service answers; False if there is no listener."""
 
     @abstractmethod
     def ready(self) -> bool:
-        """Whether it takes requests now; False while it starts or stops, or nobody listens."""
+        """Return whether the service takes requests now; False while it starts or stops."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
 
     def __enter__(self: Client) -> Client:
         return self
@@ -57,31 +57,31 @@ class BaseClient(PlanKeywords[AnchorBatch]):
 
 
 class BaseAsyncClient(PlanKeywords[Coroutine[Any, Any, AnchorBatch]]):
-    """The same for a program on an event loop, which may ask many things at the same time.
+    """The same methods for a program on an event loop, with concurrent requests.
 
-    Where the task that awaits an answer is cancelled, nothing of its request goes on here. A client
-    belongs to the event loop that it is first used on.
+    Cancelling the task that awaits an answer ends its request on this side. A client belongs to
+    the event loop on which it is first used.
     """
 
     @abstractmethod
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """`plan` for a request that was built before."""
+        """Return anchors for a request that was built before."""
 
     @abstractmethod
     async def models(self) -> tuple[ModelCard, ...]:
-        """The cards of all bundles that are served, the default first."""
+        """Return the cards of all served bundles, the default first."""
 
     @abstractmethod
     async def live(self) -> bool:
-        """Whether a service answers; False where nobody listens."""
+        """Return whether a service answers; False if there is no listener."""
 
     @abstractmethod
     async def ready(self) -> bool:
-        """Whether it takes requests now; False while it starts or stops, or nobody listens."""
+        """Return whether the service takes requests now; False while it starts or stops."""
 
     @abstractmethod
     async def aclose(self) -> None:
-        """Let go of the connections."""
+        """Close the connections."""
 
     async def __aenter__(self: AsyncClient) -> AsyncClient:
         return self

@@ -1,4 +1,4 @@
-"""Another client, asked again where that may help.
+"""Clients that retry another client's transient errors.
 
 with RetryingClient(AnchorClient("http://127.0.0.1:8000"), patience_s=5.0) as client:
     anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
@@ -8,162 +8,144 @@ from __future__ import annotations
 
 import random
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from anchorflow_client.base_client import BaseAsyncClient, BaseClient
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
-from anchorflow_client.patience import RETRIED, Attempts, Patience
+from anchorflow_client.retry_policy import RETRIED, Attempts, RetryPolicy
 
 Answer = TypeVar("Answer")
+Inner = TypeVar("Inner")
+Slept = TypeVar("Slept")
 
 
-class RetryingClient(BaseClient):
-    """Asks another client, and asks again after errors that pass: planning is idempotent.
-
-    After `Overloaded` it waits for as long as the service said, after `NotReady`,
-    `ConnectionFailed` and `TimedOut` for a pause that doubles from one attempt to the next. It
-    begins no attempt after `patience_s`, nor after the request's `budget_ms`, and then raises the
-    last error; every other error it raises at once.
-
-    The budget that is sent shrinks by what has passed. An attempt that has begun is not cut short:
-    without a budget it lasts as long as the client beneath waits for it.
-
-    Several threads may share it where they may share the client beneath.
-    """
+class _Retrying(ABC, Generic[Inner, Slept]):
+    """The constructor of both clients."""
 
     def __init__(
         self,
-        client: BaseClient,
+        client: Inner,
         *,
         patience_s: float = 10.0,
         first_pause_s: float = 0.1,
         longest_pause_s: float = 2.0,
         clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], object] = time.sleep,
+        sleep: Callable[[float], Slept] | None = None,
         draw: Callable[[], float] = random.random,
     ) -> None:
-        """Asks nothing yet.
+        """Set the policy; nothing is sent yet.
 
         Args:
-            client: answers; it is closed with this one.
-            patience_s: from the first attempt to the beginning of the last, at most.
+            client: the client to call; it is closed with this one.
+            patience_s: longest time from the first attempt to the beginning of the last.
             first_pause_s: longest pause after the first attempt.
-            longest_pause_s: where the pauses stop to grow.
-            clock: the time in s.
-            sleep: waits for so many s.
-            draw: from 0 to 1; a pause is from half its length to all of it, so that clients that
-                failed together do not come back together.
+            longest_pause_s: upper bound of the growing pauses.
+            clock: returns the time in s.
+            sleep: waits for a number of s; by default `time.sleep` or `asyncio.sleep`.
+            draw: returns a number from 0 to 1. A pause lasts from half its length to all of it, so
+                that clients that failed together do not retry together.
 
         Raises:
             ValueError: a time is not above 0.
         """
         self._client = client
-        self._patience = Patience(
+        self._policy = RetryPolicy(
             patience_s=patience_s,
             first_pause_s=first_pause_s,
             longest_pause_s=longest_pause_s,
             clock=clock,
             draw=draw,
         )
-        self._sleep = sleep
+        self._sleep = sleep or self._default_sleep
+
+    @abstractmethod
+    def _default_sleep(self, seconds: float, /) -> Slept: ...
+
+
+class RetryingClient(_Retrying[BaseClient, object], BaseClient):
+    """Calls another client, and retries transient errors: planning is idempotent.
+
+    After `Overloaded` it waits for as long as the service said; after `NotReady`,
+    `ConnectionFailed` and `TimedOut` for a pause that doubles from one attempt to the next. It
+    begins no attempt after `patience_s`, nor after the request's `budget_ms`, and then raises the
+    last error. Every other error is raised at once.
+
+    The budget that is sent shrinks by the time that has passed. An attempt that has begun is not
+    cut short: without a budget it lasts as long as the inner client waits.
+
+    Several threads may share it if they may share the inner client.
+    """
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Anchors for a request that was built before."""
-        attempts = self._patience.attempts(request.budget_ms)
-        return self._patiently(
-            lambda: self._client.plan_request(attempts.what_is_left_of(request)), attempts
-        )
+        """Return anchors for a request that was built before."""
+        attempts = self._policy.attempts(request.budget_ms)
+        return self._retry(lambda: self._client.plan_request(attempts.remaining(request)), attempts)
 
     def models(self) -> tuple[ModelCard, ...]:
-        """The cards of all bundles that are served, the default first."""
-        return self._patiently(self._client.models, self._patience.attempts())
+        """Return the cards of all served bundles, the default first."""
+        return self._retry(self._client.models, self._policy.attempts())
 
     def live(self) -> bool:
-        """Whether a service answers now; False where nobody listens."""
+        """Return the inner client's `live`, without a retry."""
         return self._client.live()
 
     def ready(self) -> bool:
-        """Whether it takes requests now; False while it starts or stops, or nobody listens."""
+        """Return the inner client's `ready`, without a retry."""
         return self._client.ready()
 
     def close(self) -> None:
-        """Close the client beneath."""
+        """Close the inner client."""
         self._client.close()
 
-    def _patiently(self, attempt: Callable[[], Answer], attempts: Attempts) -> Answer:
+    def _retry(self, call: Callable[[], Answer], attempts: Attempts) -> Answer:
         while True:
             try:
-                return attempt()
+                return call()
             except RETRIED as error:  # noqa: PERF203 - an attempt takes longer than the try
-                self._sleep(attempts.pause_s_after(error))
-                attempts.go_on(error)
+                self._sleep(attempts.pause_after(error))
+                attempts.resume(error)
+
+    def _default_sleep(self, seconds: float, /) -> object:
+        return time.sleep(seconds)
 
 
-class AsyncRetryingClient(BaseAsyncClient):
-    """`RetryingClient` over an async client. A task that is cancelled asks no more."""
-
-    def __init__(
-        self,
-        client: BaseAsyncClient,
-        *,
-        patience_s: float = 10.0,
-        first_pause_s: float = 0.1,
-        longest_pause_s: float = 2.0,
-        clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], Awaitable[object]] | None = None,
-        draw: Callable[[], float] = random.random,
-    ) -> None:
-        """Asks nothing yet; the arguments are those of `RetryingClient`.
-
-        Raises:
-            ValueError: a time is not above 0.
-        """
-        self._client = client
-        self._patience = Patience(
-            patience_s=patience_s,
-            first_pause_s=first_pause_s,
-            longest_pause_s=longest_pause_s,
-            clock=clock,
-            draw=draw,
-        )
-        self._sleep = sleep or _sleep
+class AsyncRetryingClient(_Retrying[BaseAsyncClient, Awaitable[object]], BaseAsyncClient):
+    """`RetryingClient` over an async client. Cancelling the task ends the retries."""
 
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Anchors for a request that was built before."""
-        attempts = self._patience.attempts(request.budget_ms)
-        return await self._patiently(
-            lambda: self._client.plan_request(attempts.what_is_left_of(request)), attempts
+        """Return anchors for a request that was built before."""
+        attempts = self._policy.attempts(request.budget_ms)
+        return await self._retry(
+            lambda: self._client.plan_request(attempts.remaining(request)), attempts
         )
 
     async def models(self) -> tuple[ModelCard, ...]:
-        """The cards of all bundles that are served, the default first."""
-        return await self._patiently(self._client.models, self._patience.attempts())
+        """Return the cards of all served bundles, the default first."""
+        return await self._retry(self._client.models, self._policy.attempts())
 
     async def live(self) -> bool:
-        """Whether a service answers now; False where nobody listens."""
+        """Return the inner client's `live`, without a retry."""
         return await self._client.live()
 
     async def ready(self) -> bool:
-        """Whether it takes requests now; False while it starts or stops, or nobody listens."""
+        """Return the inner client's `ready`, without a retry."""
         return await self._client.ready()
 
     async def aclose(self) -> None:
-        """Close the client beneath."""
+        """Close the inner client."""
         await self._client.aclose()
 
-    async def _patiently(
-        self, attempt: Callable[[], Awaitable[Answer]], attempts: Attempts
-    ) -> Answer:
+    async def _retry(self, call: Callable[[], Awaitable[Answer]], attempts: Attempts) -> Answer:
         while True:
             try:
-                return await attempt()
+                return await call()
             except RETRIED as error:  # noqa: PERF203 - an attempt takes longer than the try
-                await self._sleep(attempts.pause_s_after(error))
-                attempts.go_on(error)
+                await self._sleep(attempts.pause_after(error))
+                attempts.resume(error)
 
+    async def _default_sleep(self, seconds: float, /) -> object:
+        import asyncio  # here, so that a blocking robot does not load it
 
-async def _sleep(seconds: float) -> None:
-    import asyncio  # here, so that a blocking robot does not load it
-
-    await asyncio.sleep(seconds)
+        return await asyncio.sleep(seconds)

@@ -1,4 +1,4 @@
-"""A client without a service: a bundle in this process, asked as one asks a server."""
+"""A client without a server: it runs a bundle in this process."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from anchorflow_service.engine import Engine
 
 
 class LocalClient(BaseClient):
-    """Plans on the caller's thread. Decodes no pictures: an `EncodedImage` is refused.
+    """Plans on the caller's thread. It decodes no images: an `EncodedImage` is refused.
 
     with LocalClient.of(bundle) as client:
         anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
@@ -23,27 +23,27 @@ class LocalClient(BaseClient):
 
     @classmethod
     def of(cls, bundle: Path | str = DEFAULT_BUNDLE, *, threads: int | None = None) -> LocalClient:
-        """Over a bundle's folder. Raises `BundleError`."""
+        """Load a bundle's folder. Raises `BundleError`."""
         return cls(Engine(load_bundle(bundle), threads=threads))
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Anchors for a request that was built before."""
+        """Return anchors for a request that was built before."""
         batch = self.engine.plan(resolve_for_card(request, self.engine.card))
         if not batch.is_finite:
             raise InternalError("the answer holds numbers that are not finite")
         return batch
 
     def models(self) -> tuple[ModelCard, ...]:
-        """The bundle's card."""
+        """Return the bundle's card."""
         return (self.engine.card,)
 
     def live(self) -> bool:
-        """Always."""
+        """Return True."""
         return True
 
     def ready(self) -> bool:
-        """Always."""
+        """Return True."""
         return True
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing."""

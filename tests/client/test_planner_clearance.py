@@ -13,7 +13,7 @@ from staged_planner import Stage, batch_for
 
 from anchorflow_client import AnchorBatch, AnchorRequest, CostMap
 from anchorflow_client.planner import PlannerConfig
-from anchorflow_client.planner.clearance import SHARE_OF_CELL, start_clearance
+from anchorflow_client.planner.local_goal import SHARE_OF_CELL, start_clearance
 from anchorflow_trajectory import verify
 from anchorflow_trajectory.clearance import GridField, clearance_field
 

@@ -21,8 +21,7 @@ from anchorflow_client import (
 )
 from anchorflow_client.contract.kinds import TensorsSpec
 from anchorflow_client.planner import Planner, PlannerConfig
-from anchorflow_client.planner.clearance import SHARE_OF_CELL, obstacle_distance
-from anchorflow_client.planner.local_goal import local_goal
+from anchorflow_client.planner.local_goal import SHARE_OF_CELL, local_goal, obstacle_distance
 
 RESOLUTION = 0.25
 HERE = np.zeros(2)

@@ -10,11 +10,9 @@ import pytest
 from staged_planner import Stage
 
 from anchorflow_client import AnchorBatch, CostMap, ModelId, PlannerConfig
-from anchorflow_client.planner.commitment import Commitment
 from anchorflow_client.planner.plan import why_unsafe
-from anchorflow_client.planner.progress import Progress
 from anchorflow_client.planner.request import AnchorInUse
-from anchorflow_client.planner.routes import Routes, landmarks, signatures
+from anchorflow_client.planner.routes import Commitment, Progress, Routes, landmarks, signatures
 
 STEPS = 33
 RESOLUTION = 0.1
@@ -132,7 +130,7 @@ def test_a_robot_that_stays_in_place_is_stuck_after_a_while() -> None:
     assert not at(0.0, 0.0)
     assert not at(4.9, 0.4)
     assert at(5.0, -0.4)
-    progress.next_step(5.0)
+    progress.restart(5.0)
     assert not at(9.9, 0.0)
     assert at(10.0, 0.0)
     assert not at(10.1, 0.6)  # it moves again

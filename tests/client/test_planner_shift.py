@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anchorflow_client.planner.shift import shifted
+from anchorflow_client.planner.plan import shifted
 
 DT = 0.1
 

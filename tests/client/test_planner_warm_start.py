@@ -10,8 +10,7 @@ from staged_planner import DT, ByHand, Stage, batch_for
 
 from anchorflow_client import AnchorBatch, AnchorRequest, InvalidRequest, Overloaded
 from anchorflow_client.planner import Planner, PlannerConfig
-from anchorflow_client.planner.plan import PlanState
-from anchorflow_client.planner.shift import shifted, states_of
+from anchorflow_client.planner.plan import PlanState, shifted, states_of
 
 
 def test_the_next_request_starts_from_the_anchor_in_use(stage: Stage) -> None:

@@ -18,9 +18,8 @@ import trustme
 
 from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut
 from anchorflow_client.http.answer_parser import AnswerParser
-from anchorflow_client.http.async_socket_transport import AsyncSocketTransport
-from anchorflow_client.http.socket_transport import SocketTransport
-from anchorflow_client.http.transport import Address
+from anchorflow_client.http.async_transport import AsyncSocketTransport
+from anchorflow_client.http.transport import Address, SocketTransport
 
 OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\nX-Kind: test\r\n\r\nok"
 HEAD = len(
@@ -201,7 +200,7 @@ def test_a_refusal_under_tls_is_heard_though_the_body_is_not_taken(
 FORKS = """
 import os
 import sys
-from anchorflow_client.http.socket_transport import SocketTransport
+from anchorflow_client.http.transport import SocketTransport
 
 transport = SocketTransport(f"http://127.0.0.1:{sys.argv[1]}", connect_timeout_s=5)
 

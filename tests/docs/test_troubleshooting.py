@@ -30,8 +30,7 @@ from anchorflow_client import (
     TransportError,
 )
 from anchorflow_client.contract import resolve_for_card
-from anchorflow_client.http.socket_transport import SocketTransport
-from anchorflow_client.http.transport import HttpAnswer
+from anchorflow_client.http.transport import HttpAnswer, SocketTransport
 from anchorflow_docs.messages import messages_of, wording
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine

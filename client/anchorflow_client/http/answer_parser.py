@@ -1,6 +1,6 @@
-"""One HTTP/1 answer, out of bytes as they come (RFC 9112). Knows no socket.
+"""Parse one HTTP/1 answer from bytes as they arrive (RFC 9112). Does no I/O.
 
-`http.client` would read heads as e-mail, which takes longer than all else that a client does.
+`http.client` would parse heads as e-mail, which takes longer than the rest of a client's work.
 """
 
 from __future__ import annotations
@@ -8,28 +8,26 @@ from __future__ import annotations
 import http.client
 import re
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
-from anchorflow_client.http.transport import HttpAnswer
-from anchorflow_client.http.whole_number import whole_number
-
+HttpAnswer = tuple[int, Mapping[str, str], bytes]
+"""Status, headers with their names in lower case, body."""
 Part = TypeVar("Part")
 Parsing = Generator[None, None, Part]
-"""Goes on when there are more bytes, or none will come."""
+"""A parser that yields when it needs more bytes, and is resumed when they arrived or ended."""
 
 MAX_LINE = 65536
 MAX_HEAD_LINES = 256
+MAX_DIGITS = 18  # which fit 64 bits
 BLANK = (b"\r\n", b"\n")
 STATUS_LINE = re.compile(rb"HTTP/1\.(\d) ([1-9]\d\d)(?: |\r?\n)")
 NO_BODY = (204, 304)
 
 
-@dataclass(frozen=True)
-class _Head:
-    """What stands before a body.
+class _Head(NamedTuple):
+    """The head of an answer.
 
-    length: of the body; None: it is in chunks, or goes on to the end of the connection
+    length: bytes of the body; None: it is chunked, or ends with the connection
     """
 
     status: int
@@ -40,11 +38,11 @@ class _Head:
 
 
 class AnswerParser:
-    """Used once. Its errors are those of `http.client`."""
+    """Parses one answer. Its errors are those of `http.client`."""
 
     def __init__(self) -> None:
         self.answer: HttpAnswer | None = None
-        """The answer, once it is complete."""
+        """The answer, as soon as it is complete."""
         self.keeps_alive = False
         """Whether the connection may carry another request after it."""
         self._has_begun = False
@@ -54,32 +52,30 @@ class AnswerParser:
         next(self._parsing)
 
     def feed(self, data: bytes | memoryview) -> None:
-        """The next bytes.
-
-        Raises:
-            HTTPException: they are not HTTP's.
-        """
+        """Parse the next bytes. Raises `HTTPException` if they are not HTTP."""
         self._buffer += data
         self._has_begun, self.keeps_alive = True, False
-        self._go_on()
+        self._resume()
 
     def end(self) -> None:
-        """No more bytes will come.
+        """Note that the connection has ended.
 
         Raises:
-            RemoteDisconnected: none came.
-            HTTPException: the answer breaks off.
+            RemoteDisconnected: no byte arrived.
+            HTTPException: the answer is incomplete.
         """
         self._has_ended = True
-        self._go_on()
+        self._resume()
 
-    def _go_on(self) -> None:
+    def _resume(self) -> None:
         if self.answer is None:
             next(self._parsing, None)
 
     def _parse(self) -> Parsing[None]:
         yield
         head = yield from self._head()
+        while head.status < 200:  # such as 100 Continue: the final answer follows
+            head = yield from self._head()
         body = yield from self._body(head)
         self.keeps_alive = head.keeps_alive and not self._buffer
         self.answer = head.status, head.headers, body
@@ -92,10 +88,7 @@ class AnswerParser:
             if len(lines) > MAX_HEAD_LINES:
                 raise http.client.HTTPException(f"a head of more than {MAX_HEAD_LINES} lines")
             lines.append((yield from self._line()))
-        head = _head_of(lines)
-        if head.status < 200:  # such as 100 Continue: the answer proper is still to come
-            return (yield from self._head())
-        return head
+        return _parse_head(lines)
 
     def _body(self, head: _Head) -> Parsing[bytes]:
         if head.is_chunked:
@@ -136,33 +129,38 @@ class AnswerParser:
             raise http.client.RemoteDisconnected("the connection was closed without an answer")
 
     def _take(self, size: int) -> bytes:
-        with memoryview(self._buffer) as buffer:  # a slice of the buffer itself is a copy more
+        with memoryview(self._buffer) as buffer:  # slicing the bytearray would copy twice
             taken = bytes(buffer[:size])
         del self._buffer[:size]
         return taken
 
 
-def _head_of(lines: Sequence[bytes]) -> _Head:
-    """A head out of its lines, the blank one included. Raises `HTTPException`."""
+def whole_number(header: str | None) -> int | None:
+    """Parse a whole number in a header; None for none, or a date as in Retry-After."""
+    return int(header) if header and header.isdecimal() and len(header) <= MAX_DIGITS else None
+
+
+def _parse_head(lines: Sequence[bytes]) -> _Head:
+    """Parse a head's lines, the blank one included. Raises `HTTPException`."""
     begin = STATUS_LINE.match(lines[0])
     if begin is None:
         raise http.client.BadStatusLine(repr(lines[0]))
     status = int(begin[2])
-    headers = _headers_of(lines[1:-1])
+    headers = _parse_headers(lines[1:-1])
     is_chunked = headers.get("transfer-encoding", "").lower() == "chunked"
-    length = 0 if status < 200 or status in NO_BODY else _length_of(headers)
+    length = 0 if status < 200 or status in NO_BODY else _content_length(headers)
     has_end = is_chunked or length is not None
     closes = begin[1] == b"0" or "close" in headers.get("connection", "").lower()
     return _Head(status, headers, is_chunked, length, has_end and not closes)
 
 
-def _headers_of(lines: Sequence[bytes]) -> dict[str, str]:
-    """By name in lower case; what is said twice is one list."""
+def _parse_headers(lines: Sequence[bytes]) -> dict[str, str]:
+    """Return headers by their names in lower case; repeated ones are joined by commas."""
     headers: dict[str, str] = {}
     name = ""
     for line in lines:
         text = line.decode("latin-1")
-        if text[0] in " \t" and name:  # the last one goes on
+        if text[0] in " \t" and name:  # a folded line continues the previous header
             headers[name] += f" {text.strip()}"
             continue
         name, colon, value = text.partition(":")
@@ -173,19 +171,19 @@ def _headers_of(lines: Sequence[bytes]) -> dict[str, str]:
     return headers
 
 
-def _length_of(headers: Mapping[str, str]) -> int | None:
-    told = headers.get("content-length")
-    length = whole_number(told)
-    if told is not None and length is None:
-        raise http.client.HTTPException(f"expected a body's length, got {told!r}")
+def _content_length(headers: Mapping[str, str]) -> int | None:
+    value = headers.get("content-length")
+    length = whole_number(value)
+    if value is not None and length is None:
+        raise http.client.HTTPException(f"expected a body's length, got {value!r}")
     return length
 
 
 def _chunk_size(line: bytes) -> int:
     digits = line.partition(b";")[0].strip()
-    if not digits.isalnum():  # int() would take a sign, or an underscore
-        raise http.client.HTTPException(f"expected a chunk's size, got {line!r}")
     try:
-        return int(digits, 16)
-    except ValueError as error:
-        raise http.client.HTTPException(f"expected a chunk's size, got {line!r}") from error
+        if digits.isalnum():  # int() would accept a sign, or an underscore
+            return int(digits, 16)
+    except ValueError:
+        pass
+    raise http.client.HTTPException(f"expected a chunk's size, got {line!r}")

@@ -1,4 +1,4 @@
-"""What a client sends over HTTP, and what the answers mean. Knows no socket."""
+"""Requests to send over HTTP, and how to read their answers. Does no I/O."""
 
 from __future__ import annotations
 
@@ -18,37 +18,41 @@ from anchorflow_client.errors import (
     RequestError,
     TimedOut,
 )
-from anchorflow_client.http.transport import HttpAnswer
-from anchorflow_client.http.whole_number import whole_number
+from anchorflow_client.http.answer_parser import HttpAnswer, whole_number
 from anchorflow_client.json_codec import parse
 from anchorflow_client.wire_fields import UNREADABLE
 
 Result = TypeVar("Result")
 
 UNHEALTHY = (NotReady, ConnectionFailed, TimedOut)
-"""What asking for health meets where the answer is no."""
+"""Errors of a health request that mean "no"."""
 PROXY_STATUSES = frozenset({500, 502, 503, 504})
-"""With which a proxy says that it does not reach the service; 501 is another program's."""
+"""Statuses of a proxy that cannot reach the service; a 501 is from another program."""
 
 
 @dataclass(frozen=True)
 class Exchange(Generic[Result]):
-    """A request, and the way to read its answer."""
+    """A request, and the function that reads its answer."""
 
     method: str
     path: str
     headers: Mapping[str, str]
     body: bytes | None
     read: Callable[[Payload], Result]
-    """Of an answer of status 200. Raises `InvalidAnswer`."""
+    """Reads an answer of status 200. Raises `InvalidAnswer`."""
+
+    @property
+    def request(self) -> tuple[str, str, Mapping[str, str], bytes | None]:
+        """Return the first arguments of a transport's `send`."""
+        return self.method, self.path, self.headers, self.body
 
     def result(self, answer: HttpAnswer) -> Result:
-        """What the service says.
+        """Read the answer.
 
         Raises:
-            RequestError: it refuses.
-            ConnectionFailed: a proxy answers, which has no way to it.
-            InvalidAnswer: what came is not the contract's.
+            RequestError: the service refuses.
+            ConnectionFailed: a proxy answers that cannot reach the service.
+            InvalidAnswer: the answer breaks the contract.
         """
         status, headers, body = answer
         if status != 200:
@@ -58,13 +62,13 @@ class Exchange(Generic[Result]):
 
 
 class Exchanges:
-    """All that a service can be asked."""
+    """All requests that a service answers."""
 
     def __init__(self, url: str, *, codec: Codec, token: str | None) -> None:
-        """For a service at a URL, whose path stands before every path of the contract.
+        """Prefix every path of the contract with the path of the service's URL.
 
         Raises:
-            ValueError: no header can carry the token; what it is is not repeated.
+            ValueError: the token cannot be sent in a header; the message does not repeat it.
         """
         if token is not None and not (token.isascii() and token.isprintable()):
             raise ValueError("token: expected printable ASCII, got other characters too")
@@ -73,25 +77,24 @@ class Exchanges:
         self._authorization = {} if token is None else {"Authorization": f"Bearer {token}"}
 
     def plan(self, request: AnchorRequest) -> Exchange[AnchorBatch]:
-        """Anchors, in the codec's form."""
+        """Encode a request for anchors with the codec."""
         payload = self._codec.encode_request(request)
         form = self._codec.content_type
         headers = {"Accept": form, **self._authorization, "Content-Type": form}
         if payload.header_length is not None:
             headers["Inference-Header-Content-Length"] = str(payload.header_length)
-        path = f"{self._base_path}/anchors"
 
         def read(answer: Payload) -> AnchorBatch:
             return answer_to(request, self._codec.decode_answer(answer))
 
-        return Exchange("POST", path, headers, payload.body, read)
+        return Exchange("POST", f"{self._base_path}/anchors", headers, payload.body, read)
 
     def models(self) -> Exchange[tuple[ModelCard, ...]]:
-        """The cards of all bundles that are served, the default first."""
-        return self._get("/v2/models", _cards)
+        """Request the cards of all served bundles, the default first."""
+        return self._get("/v2/models", _read_cards)
 
     def health(self, kind: Literal["live", "ready"]) -> Exchange[bool]:
-        """True; where the answer is no, one of `UNHEALTHY` is met."""
+        """Request the service's health: the result is True, or one of `UNHEALTHY` is raised."""
         return self._get(f"/v2/health/{kind}", lambda _: True)
 
     def _get(self, path: str, read: Callable[[Payload], Result]) -> Exchange[Result]:
@@ -99,7 +102,7 @@ class Exchanges:
         return Exchange("GET", self._base_path + path, headers, None, read)
 
 
-def _cards(answer: Payload) -> tuple[ModelCard, ...]:
+def _read_cards(answer: Payload) -> tuple[ModelCard, ...]:
     try:
         return tuple(map(ModelCard.from_dict, parse(answer.body)["models"]))
     except (*UNREADABLE, InvalidRequest) as error:
@@ -107,12 +110,7 @@ def _cards(answer: Payload) -> tuple[ModelCard, ...]:
 
 
 def _refusal(status: int, headers: Mapping[str, str], body: bytes) -> RequestError:
-    """The service's own words.
-
-    Raises:
-        ConnectionFailed: they are those of a proxy, which has no way to the service.
-        InvalidAnswer: they are not the contract's in another way.
-    """
+    """Return the service's error. Raises as `Exchange.result` if the JSON is not the contract's."""
     try:
         return RequestError.from_dict(
             json.loads(body),

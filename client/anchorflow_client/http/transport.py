@@ -1,26 +1,34 @@
-"""What carries HTTP: a socket, or whatever a test puts in its place."""
+"""Transports move HTTP's bytes: the interfaces, the service's address, and one blocking socket."""
 
 from __future__ import annotations
 
 import http.client
+import os
 import re
+import socket
 import ssl
-from collections.abc import Mapping
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 from urllib.parse import urlsplit
 
 from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut, TransportError
-
-HttpAnswer = tuple[int, Mapping[str, str], bytes]
-"""Status, headers with their names in lower case, body."""
+from anchorflow_client.http.answer_parser import AnswerParser, HttpAnswer
 
 PORTS = {"http": http.client.HTTP_PORT, "https": http.client.HTTPS_PORT}
-"""By the schemes of URLs that are known."""
+"""Default ports of the supported URL schemes."""
+RECEIVE_BYTES = 256 * 2**10
+"""Size of the receive buffer."""
+CLOSED_BY_PEER = (ConnectionError, ssl.SSLEOFError, ssl.SSLZeroReturnError)
+"""Errors on a connection that the service has closed."""
+EXPECTED_URL = "expected http://host[:port] or https://host[:port], got"
 
 
 class Transport(Protocol):
-    """Carries one HTTP request at a time."""
+    """Sends one HTTP request at a time."""
 
     def send(
         self,
@@ -30,16 +38,16 @@ class Transport(Protocol):
         body: bytes | None,
         timeout_s: float,
     ) -> HttpAnswer:
-        """The answer of whatever status. Raises `TransportError` where there is none."""
+        """Return the answer, whatever its status. Raises `TransportError` if there is none."""
         ...
 
     def close(self) -> None:
-        """Let go of what it holds."""
+        """Close the connection."""
         ...
 
 
 class AsyncTransport(Protocol):
-    """Carries HTTP requests, several at the same time."""
+    """Sends HTTP requests, several at the same time."""
 
     async def send(
         self,
@@ -49,47 +57,44 @@ class AsyncTransport(Protocol):
         body: bytes | None,
         timeout_s: float,
     ) -> HttpAnswer:
-        """The answer of whatever status. Raises `TransportError` where there is none."""
+        """Return the answer, whatever its status. Raises `TransportError` if there is none."""
         ...
 
     async def aclose(self) -> None:
-        """Let go of what it holds."""
+        """Close the connections."""
         ...
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where a service listens."""
+    """The address of a service."""
 
     host: str
     port: int
     authority: str
-    """Host and port as a request names them."""
+    """Host and port for the Host header."""
     is_secure: bool
 
     @classmethod
     def of(cls, url: str) -> Address:
-        """The address in a service's URL.
+        """Parse a service's URL.
 
         Raises:
-            ValueError: `url` is not http://host[:port] or https://host[:port], its host is no name
-                of one, its port is 0, a user stands before it, or a path follows that no request
-                could carry.
+            ValueError: `url` is not http://host[:port] or https://host[:port], its host or port is
+                invalid, it names a user, or its path cannot be sent in a request.
         """
         if "@" in re.split(r"[/?#]", f"{url}".partition("//")[2] or f"{url}")[0]:
             raise ValueError(  # without the URL, which may hold a password
-                "expected http://host[:port] or https://host[:port], got one with a user before "
-                "the host; a bearer token is given as token=…"
+                f"{EXPECTED_URL} one with a user before the host; a bearer token is given as "
+                "token=…"
             )
         try:
             parts = urlsplit(url)
             port = parts.port
         except ValueError as error:
-            raise ValueError(
-                f"expected http://host[:port] or https://host[:port], got {url!r}: {error}"
-            ) from error
+            raise ValueError(f"{EXPECTED_URL} {url!r}: {error}") from error
         if parts.scheme not in PORTS or not parts.hostname:
-            raise ValueError(f"expected http://host[:port] or https://host[:port], got {url!r}")
+            raise ValueError(f"{EXPECTED_URL} {url!r}")
         if not (parts.path.isascii() and parts.path.isprintable()) or " " in parts.path:
             raise ValueError(f"expected a path of printable ASCII without spaces, got {url!r}")
         try:
@@ -100,11 +105,11 @@ class Address:
             ) from error
         if port == 0:
             raise ValueError(f"expected a port from 1 to 65535, got {url!r}")
-        named = parts.netloc if parts.netloc.isascii() else parts.netloc.encode("idna").decode()
-        return cls(parts.hostname, port or PORTS[parts.scheme], named, parts.scheme == "https")
+        authority = parts.netloc if parts.netloc.isascii() else parts.netloc.encode("idna").decode()
+        return cls(parts.hostname, port or PORTS[parts.scheme], authority, parts.scheme == "https")
 
     def tls(self) -> ssl.SSLContext | None:
-        """What a connection is secured with, if it is: the system's authorities, HTTP/1.1."""
+        """Return a context with the system's authorities for HTTP/1.1; None for plain HTTP."""
         if not self.is_secure:
             return None
         context = ssl.create_default_context()
@@ -112,17 +117,17 @@ class Address:
         return context
 
     def head(self, method: str, path: str, headers: Mapping[str, str], body: bytes | None) -> bytes:
-        """The head of a request.
+        """Return the head of a request.
 
         Raises:
-            ValueError: a header is not printable ASCII; what it is, which may be a token, is not
-                repeated.
+            ValueError: a header is not printable ASCII; the message does not repeat its value,
+                which may be a token.
         """
-        told = {"Host": self.authority, "Accept-Encoding": "identity", **headers}
-        if body is not None:
-            told["Content-Length"] = str(len(body))
         lines = [f"{method} {path} HTTP/1.1"]
-        for name, value in told.items():
+        all_headers = {"Host": self.authority, "Accept-Encoding": "identity", **headers}
+        if body is not None:
+            all_headers["Content-Length"] = str(len(body))
+        for name, value in all_headers.items():
             if not (value.isascii() and value.isprintable()):
                 raise ValueError(f"{name}: expected printable ASCII, got other characters too")
             lines.append(f"{name}: {value}")
@@ -130,12 +135,9 @@ class Address:
 
 
 def translated(error: Exception, url: str, *, timeout_s: float) -> TransportError:
-    """What went wrong on an open connection, in the contract's words.
+    """Translate an `OSError` or `HTTPException` of an open connection into the contract's error.
 
-    Args:
-        error: an `OSError` or an `http.client.HTTPException`.
-        url: of the service.
-        timeout_s: how long its next bytes were waited for.
+    timeout_s: the longest wait for the service's next bytes, for the message
     """
     match error:
         case TimeoutError():
@@ -147,5 +149,121 @@ def translated(error: Exception, url: str, *, timeout_s: float) -> TransportErro
 
 
 def unreachable(url: str, *, timeout_s: float) -> TimedOut:
-    """No connection came about in that time."""
+    """Return the error for a connection that could not be opened in time."""
     return TimedOut(f"{url} could not be reached within {timeout_s:g} s")
+
+
+class SocketTransport:
+    """One kept-alive connection, reopened once if the service had closed it while it was idle.
+
+    Threads may share it, and take turns. After a fork each process has a connection of its own.
+    """
+
+    def __init__(self, url: str, *, connect_timeout_s: float) -> None:
+        """Parse the URL; the first `send` connects. Raises `ValueError` if the URL is invalid."""
+        self._url = url
+        self._address = Address.of(url)
+        self._connect_timeout_s = float(connect_timeout_s)
+        self._locks: dict[int, threading.Lock] = {}
+        self._socket: socket.socket | None = None
+        self._pid = os.getpid()
+        # Reused: the system would allocate and free a buffer of this size for every answer.
+        self._received = memoryview(bytearray(RECEIVE_BYTES))
+
+    def send(
+        self,
+        method: str,
+        path: str,
+        headers: Mapping[str, str],
+        body: bytes | None,
+        timeout_s: float,
+    ) -> HttpAnswer:
+        """Send a request and return its answer; `timeout_s` bounds each wait for more bytes."""
+        head = self._address.head(method, path, headers, body)
+        with self._turn(), self._translated_errors(timeout_s):
+            if self._socket is not None:
+                try:
+                    return self._exchange(self._socket, head, body, timeout_s)
+                except CLOSED_BY_PEER:  # while it was idle
+                    self._disconnect()
+            return self._exchange(self._connect(), head, body, timeout_s)
+
+    def close(self) -> None:
+        """Close the connection; a later `send` opens it again."""
+        with self._turn():
+            self._disconnect()
+
+    @contextmanager
+    def _turn(self) -> Iterator[None]:
+        """Lock the connection for one thread, and drop it if another process opened it."""
+        pid = os.getpid()
+        # A lock for each process: one that another thread held at a fork stays locked in the child.
+        with self._locks.setdefault(pid, threading.Lock()):
+            if self._pid != pid:
+                self._disconnect()  # the child's copy; the parent's stays open
+                self._pid = pid
+            yield
+
+    def _exchange(
+        self, connection: socket.socket, head: bytes, body: bytes | None, timeout_s: float
+    ) -> HttpAnswer:
+        connection.settimeout(timeout_s)
+        # A service that refuses a large body stops reading it: its answer may be here already.
+        with suppress(*CLOSED_BY_PEER):
+            _send_all(connection, head, body or b"")
+        parser = AnswerParser()
+        while parser.answer is None:
+            if size := connection.recv_into(self._received):
+                parser.feed(self._received[:size])
+            else:
+                parser.end()
+        if not parser.keeps_alive:
+            self._disconnect()
+        return parser.answer
+
+    def _connect(self) -> socket.socket:
+        address = self._address
+        try:
+            connection = socket.create_connection(
+                (address.host, address.port), self._connect_timeout_s
+            )
+            self._socket = connection  # so that it is closed if the rest fails
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if self._tls is not None:
+                connection = self._tls.wrap_socket(connection, server_hostname=address.host)
+        except TimeoutError as error:
+            raise unreachable(self._url, timeout_s=self._connect_timeout_s) from error
+        self._socket = connection
+        return connection
+
+    @cached_property
+    def _tls(self) -> ssl.SSLContext | None:
+        return self._address.tls()
+
+    def _disconnect(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    @contextmanager
+    def _translated_errors(self, timeout_s: float) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, http.client.HTTPException) as error:
+            self._disconnect()
+            raise translated(error, self._url, timeout_s=timeout_s) from error
+        except BaseException:  # a signal handler's too
+            self._disconnect()
+            raise
+
+
+def _send_all(connection: socket.socket, head: bytes, body: bytes) -> None:
+    """Send both with one system call if possible, which wakes the service once, without a copy."""
+    if isinstance(connection, ssl.SSLSocket) or not hasattr(connection, "sendmsg"):
+        connection.sendall(head + body)
+        return
+    sent = connection.sendmsg([head, body])
+    for part in (head, body):
+        if rest := memoryview(part)[sent:]:
+            connection.sendall(rest)
+        sent = max(0, sent - len(part))

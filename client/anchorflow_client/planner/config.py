@@ -1,4 +1,4 @@
-"""What may be set of a `Planner`."""
+"""The settings of a `Planner`, and when they let it send a request."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from anchorflow_client.contract import ranges
 from anchorflow_client.contract.checks import is_number
 from anchorflow_client.contract.ranges import Interval
+from anchorflow_client.errors import AnchorFlowError, InvalidRequest
+from anchorflow_client.retry_policy import at_least_retry_after, exponential_backoff
 
 PERIOD = Interval(0.0, math.inf, "ms", open_low=True, open_high=True)
 INTERVALS = {
@@ -23,43 +25,43 @@ INTERVALS = {
     "through_speed": Interval(0.0, ranges.VELOCITY.high, "m/s"),
     "warm_tau": ranges.INSIDE_UNIT,
 }
-"""What each number of a `PlannerConfig` may be."""
+"""The range of each number of a `PlannerConfig`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerConfig:
-    """How often to ask, how old a plan may grow, and what is added to what the loop sees."""
+    """How often to send requests, how old a plan may grow, and how requests are completed."""
 
     max_age_ms: float = 1000.0
-    """From when a plan is expired and a request is given up; also each request's budget_ms."""
+    """Age at which a plan expires and a request is given up; also each request's budget_ms."""
     period_ms: float = 100.0
-    """Least time between two requests."""
+    """Shortest time between two requests."""
     first_retry_ms: float = 100.0
     """Wait after a failure; it doubles from one failure to the next."""
     longest_retry_ms: float = 500.0
     margin_m: float = 0.0
-    """Beyond the robot's radius, that what follows the anchors asks for. It is sent as
-    `refine.certified_margin`, so that an anchor is safe where the robot may drive along it; less
-    of it where the robot already stands nearer to an obstacle."""
+    """Clearance beyond the robot's radius that the controller needs. It is sent as
+    `refine.certified_margin`, so that an anchor is safe only if the robot may drive along it; less
+    is sent if the robot already stands nearer to an obstacle."""
     switch_gain: float = 0.15
     """Share of its cost by which another route has to be better than the one in use."""
     stuck_s: float = 5.0
-    """From when a robot with a plan that stays within `stuck_m` m of a place is stuck."""
+    """Time after which a robot with a plan that stays within `stuck_m` m of a place is stuck."""
     stuck_m: float = 0.5
     """m; for a slow robot no more than a tenth of what it drives in `stuck_s` at its `v_max`."""
     goal_clearance_m: float = 0.35
-    """m from the local goal to the centres of occupied cells and to the map's edge; more where the
-    service asks for more of a robot of that radius, as the request or the card says it."""
+    """m from the local goal to the centres of occupied cells and to the map's edge; more if the
+    service requires more for a robot of that radius, given by the request or the card."""
     through_speed: float = 1.0
-    """m/s at a local goal that stands in for one beyond the map; at most the request's `v_max` or,
-    where it says none, the one on the model's card. 0 within 1 m of where nothing was safe."""
+    """m/s at a local goal that replaces one beyond the map; at most the request's `v_max` or, if
+    it has none, the one on the model's card. 0 within 1 m of a place where nothing was safe."""
     warm_tau: float = ranges.DEFAULT_TAU
     """Flow time at which a warm start enters, in (0, 1)."""
     cold_every: int = 3
     """Every how many requests one starts from noise, to find other ways; 1: every request."""
 
     def __post_init__(self) -> None:
-        """Raises `ValueError` where a setting is out of range."""
+        """Raise `ValueError` if a setting is out of range."""
         for name, interval in INTERVALS.items():
             value = getattr(self, name)
             if not is_number(value) or not interval.holds(value):
@@ -67,3 +69,32 @@ class PlannerConfig:
             object.__setattr__(self, name, float(value))  # float32 rounds the time in s to minutes
         if not isinstance(self.cold_every, int) or self.cold_every < 1:
             raise ValueError(f"cold_every: expected an integer from 1, got {self.cold_every!r}")
+
+
+class Pacing:
+    """Decides when the next request is due, in s of the planner's clock."""
+
+    def __init__(self, config: PlannerConfig) -> None:
+        self._config = config
+        self._not_before = -float("inf")
+        self.answered()
+
+    def is_due(self, now: float) -> bool:
+        """Return whether a request may be sent now."""
+        return now >= self._not_before
+
+    def sent(self, at: float) -> None:
+        """Note that a request was sent for an observation of that time."""
+        self._not_before = at + 1e-3 * self._config.period_ms
+
+    def answered(self) -> None:
+        """Note an answer: the next failure is the first."""
+        config = self._config
+        self._pauses_ms = exponential_backoff(config.first_retry_ms, config.longest_retry_ms)
+
+    def failed(self, error: AnchorFlowError, now: float) -> None:
+        """Note a failed request."""
+        if isinstance(error, InvalidRequest):
+            return  # the service works, and the next observation may be valid
+        wait_s = at_least_retry_after(1e-3 * next(self._pauses_ms), error)
+        self._not_before = max(self._not_before, now + wait_s)

@@ -1,4 +1,4 @@
-"""The plan: what a `Planner` hands to its control loop, and how good it still is."""
+"""The plan that a `Planner` hands to its control loop, and how it looks as time passes."""
 
 from __future__ import annotations
 
@@ -6,67 +6,73 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_client.planner.shift import shifted, states_of
+
+Array = NDArray[np.float64]
+
+STEP_ROUNDING = 1e-9
+"""Steps past the last sample that are rounding errors."""
 
 
 class PlanState(Enum):
-    """What the loop may do with a plan."""
+    """What the control loop may do with a plan."""
 
     WAITING = "waiting"
-    """No answer has come yet: stand still."""
+    """No answer has arrived yet: stand still."""
     FRESH = "fresh"
-    """The last request was answered, and the answer is young enough: follow what is safe."""
+    """The last request was answered, and the answer is young enough: follow safe anchors."""
     HELD = "held"
-    """A request has failed since; the last good answer is young enough: follow what is safe."""
+    """A request has failed since; the last answer is young enough: follow safe anchors."""
     EXPIRED = "expired"
-    """The last good answer is older than the limit, or than its anchors last: brake."""
+    """The last answer is older than the limit, or than its anchors last: brake."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """The newest finished batch, as old as it is now."""
+    """The newest finished batch, and its age."""
 
     state: PlanState
     batch: AnchorBatch | None = None
-    """None while waiting and once expired: what is too old cannot be followed by mistake."""
+    """None while waiting and once expired, so that an old batch cannot be followed by mistake."""
     age_ms: float = float("inf")
-    """Since the loop saw the state from which the batch starts; infinite while waiting."""
+    """Time since the loop observed the state from which the batch starts; infinite while waiting.
+    """
     request_id: str | None = None
-    """Of the request that the newest good answer belongs to, expired or not."""
+    """The request of the newest answer, expired or not."""
     last_error: AnchorFlowError | None = None
-    """Why the last request failed, or none could be made; None where it was answered."""
+    """Why the last request failed, or could not be made; None if it was answered."""
     best: int | None = None
     """The anchor to follow: the best on the route in use, unless another route is better by far."""
     on_route: NDArray[np.bool_] | None = None
     """[N], the anchors that take the same route as `best`."""
     stuck: bool = False
-    """The robot gets nowhere: the route was just given up, the next request tries another one."""
+    """The robot does not move on: its route was just given up, and the next request tries another.
+    """
     reason: str | None = None
-    """Why there is nothing safe to follow; None where there is."""
+    """Why no anchor is safe to follow; None if one is."""
 
     @property
     def usable(self) -> bool:
-        """Whether there is a batch that is young enough, safe or not."""
+        """Return whether there is a batch that is young enough, safe or not."""
         return self.batch is not None
 
     @property
     def followable(self) -> bool:
-        """Whether `best` may be followed: it is usable and, where the planner tells, safe."""
+        """Return whether `best` may be followed: it is usable and not known to be unsafe."""
         return self.usable and self.reason is None
 
     @property
     def expired(self) -> bool:
-        """Whether there was a batch and it is too old now."""
+        """Return whether there was a batch that is too old now."""
         return self.state is PlanState.EXPIRED
 
-    def states(self, *, ahead_s: float = 0.0) -> NDArray[np.float64]:
-        """[N,T,3D] position, velocity, acceleration of the anchors from `ahead_s` after now on.
+    def states(self, *, ahead_s: float = 0.0) -> Array:
+        """Return [N,T,3D] position, velocity, acceleration of the anchors from `ahead_s` from now.
 
-        Each is sampled at its own `batch.dt`; one that has come to its end goes on at its last
+        Each is sampled at its own `batch.dt`; an anchor that has ended continues at its last
         velocity.
 
         Raises:
@@ -78,27 +84,65 @@ class Plan:
         return shifted(states, dt=self.batch.dt, elapsed_s=1e-3 * self.age_ms + ahead_s)
 
 
+def states_of(batch: AnchorBatch) -> Array:
+    """Return [N,T,3D] position, velocity and acceleration of every anchor."""
+    fields = (batch.trajectories, batch.velocities, batch.accelerations)
+    return np.concatenate(fields, axis=-1, dtype=np.float64)
+
+
+def shifted(
+    states: Array, *, dt: ArrayLike, elapsed_s: float, later_dt: ArrayLike | None = None
+) -> Array:
+    """Return the rest of states [...,T,3D] `elapsed_s` later, resampled at T steps.
+
+    Between samples they are interpolated linearly. Past the last sample the motion continues at its
+    last velocity without acceleration.
+
+    Args:
+        states: position, velocity and acceleration.
+        dt: s between two samples, one number, or [...] for motions with their own durations.
+        elapsed_s: s that have passed.
+        later_dt: s between two samples of the result; by default `dt`.
+    """
+    steps, dim = states.shape[-2], states.shape[-1] // 3
+    step = np.asarray(dt, dtype=np.float64)[..., None]
+    later_step = step if later_dt is None else np.asarray(later_dt, dtype=np.float64)[..., None]
+    at = np.arange(steps) * (later_step / step) + elapsed_s / step
+    at = np.broadcast_to(at, states.shape[:-1])
+    low = np.minimum(at.astype(int), steps - 2)
+    share = np.minimum(at - low, 1.0)[..., None]
+    before, after = (np.take_along_axis(states, k[..., None], axis=-2) for k in (low, low + 1))
+    later = (1.0 - share) * before + share * after
+    beyond = np.maximum(at - (steps - 1), 0.0)[..., None]
+    later[..., :dim] += beyond * step[..., None] * states[..., -1:, dim : 2 * dim]
+    later[beyond[..., 0] > STEP_ROUNDING, 2 * dim :] = 0.0
+    return later
+
+
 def why_unsafe(
     batch: AnchorBatch, margin_m: float, *, start_m: float = float("inf"), share_m: float = 0.0
 ) -> str | None:
-    """Why no anchor of a batch is safe; None where one is, or where the planner does not say.
+    """Return why no anchor is safe; None if one is, or if the batch has no `safe`.
 
-    margin_m: that is asked for
+    margin_m: the margin of the request
     start_m: clearance of the start in m
-    share_m: m beyond the margin that the service wants kept of it
+    share_m: m that the service requires beyond the margin
     """
     safe, clearance = batch.arrays.get("safe"), batch.arrays.get("clearance")
     if safe is None or safe.any():
         return None
-    told = f"none of {len(safe)} anchors is safe"
+    none_safe = f"none of {len(safe)} anchors is safe"
     if start_m < margin_m + share_m:
         return (
-            f"{told}: the start keeps {start_m:.3f} m of the {margin_m:.3f} m that are asked for "
-            f"and {share_m:.3f} m for the width of a cell"
+            f"{none_safe}: the start keeps {start_m:.3f} m of the {margin_m:.3f} m that are asked "
+            f"for and {share_m:.3f} m for the width of a cell"
         )
     if clearance is None:
-        return told
+        return none_safe
     widest = float(clearance.max())
     if widest >= margin_m:
-        return f"{told}: those that have room break a limit or keep the margin only just"
-    return f"{told}: the widest way keeps {widest:.3f} m of the {margin_m:.3f} m that are asked for"
+        return f"{none_safe}: those that have room break a limit or keep the margin only just"
+    return (
+        f"{none_safe}: the widest way keeps {widest:.3f} m of the {margin_m:.3f} m that are asked "
+        "for"
+    )

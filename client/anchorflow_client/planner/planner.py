@@ -1,4 +1,4 @@
-"""A planner for control loops: it asks in the background and never makes the loop wait.
+"""A planner for control loops: it sends requests in the background and never blocks the loop.
 
     with AnchorClient("http://127.0.0.1:8000", timeout_s=1.0) as client, Planner(client) as planner:
         while driving:
@@ -17,13 +17,14 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent import futures
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from anchorflow_client.codec import answer_to
 from anchorflow_client.contract import (
+    AnchorBatch,
     CostMap,
     RefineChoice,
     SamplerChoice,
@@ -40,33 +41,62 @@ from anchorflow_client.errors import (
     TimedOut,
 )
 from anchorflow_client.plan_keywords import map_fields
-from anchorflow_client.planner.clearance import SHARE_OF_CELL, start_clearance
-from anchorflow_client.planner.commitment import Commitment
-from anchorflow_client.planner.config import PlannerConfig
-from anchorflow_client.planner.in_flight import AnchorSource, Answer, Judged, RequestInFlight
-from anchorflow_client.planner.pacing import Pacing
+from anchorflow_client.planner.config import Pacing, PlannerConfig
+from anchorflow_client.planner.local_goal import SHARE_OF_CELL, start_clearance
 from anchorflow_client.planner.plan import Plan, PlanState, why_unsafe
-from anchorflow_client.planner.progress import Progress
 from anchorflow_client.planner.request import (
     AnchorInUse,
+    AnchorSource,
     Array,
+    LimitsSource,
     Observation,
     build_request,
-    margin_asked,
-    states_seen,
+    read_own_states,
+    requested_margin,
 )
-from anchorflow_client.planner.robot_limits import LimitsSource
-from anchorflow_client.planner.routes import Routes
+from anchorflow_client.planner.routes import Commitment, Progress, Routes
 
-CAUTIOUS_M = 1.0  # m from where nothing was safe, within which local goals are not passed at speed
-MAX_IN_FLIGHT = 2  # a request that hangs may be given up once before there is an answer again
+CAUTIOUS_M = 1.0
+"""m from a place where nothing was safe, within which the robot stops at local goals."""
+MAX_IN_FLIGHT = 2
+"""Pending requests: one may hang, and is given up, before the next is sent."""
+
+
+class _Judged(NamedTuple):
+    """An answer, and what its request says about it."""
+
+    batch: AnchorBatch
+    routes: Routes
+    v_max: float
+    """m/s, of the robot; infinite if unknown."""
+    reason: str | None
+    """Why nothing is safe; None if something is."""
+
+
+class _InFlight(NamedTuple):
+    """A pending request."""
+
+    request_id: str
+    seen_at: float
+    place: Array
+    """[2] m, of the robot."""
+    future: futures.Future[_Judged]
+
+
+class _Answer(NamedTuple):
+    """The newest answer, and which of its anchors to follow."""
+
+    request_id: str
+    seen_at: float
+    judged: _Judged
+    best: int
 
 
 class Planner:
-    """Asks a client for anchors in the background and hands out the newest finished batch.
+    """Requests anchors in the background and returns the newest finished batch.
 
-    `counts` says how many requests were asked, answered, failed, and dropped because their answer
-    came too late, and how often the robot was stuck.
+    `counts` holds how many requests were asked, answered, failed, and dropped because their answer
+    was too late, and how often the robot was stuck.
     """
 
     def __init__(
@@ -77,13 +107,13 @@ class Planner:
         clock: Callable[[], float] = time.monotonic,
         executor: futures.Executor | None = None,
     ) -> None:
-        """Asks nothing yet.
+        """Set up the planner; the first `update` sends a request.
 
         Args:
-            client: answers; it should itself give up after about `max_age_ms`.
-            config: ages and periods; the defaults unless told.
-            clock: the time in s; where it goes back, all is forgotten as by `reset`.
-            executor: where requests wait for their answer; a pool of two threads unless told.
+            client: answers requests; its own timeout should be about `max_age_ms`.
+            config: ages and periods.
+            clock: returns the time in s; if it goes back, the planner resets itself.
+            executor: runs the requests; by default a pool of two threads.
         """
         self.counts: Counter[str] = Counter()
         self._client = client
@@ -97,9 +127,9 @@ class Planner:
             MAX_IN_FLIGHT, thread_name_prefix="anchorflow-planner"
         )
         self._run = secrets.token_hex(4)
-        self._in_flight: RequestInFlight | None = None
-        self._given_up: list[RequestInFlight] = []
-        self._answer: Answer | None = None
+        self._in_flight: _InFlight | None = None
+        self._given_up: list[_InFlight] = []
+        self._answer: _Answer | None = None
         self._unsafe_at: Array | None = None
         self._commitment = Commitment(self._config)
         self._progress = Progress(stuck_s=self._config.stuck_s, stuck_m=self._config.stuck_m)
@@ -129,20 +159,19 @@ class Planner:
         robot_id: str | None = None,
         outputs: Sequence[str] | None = None,
     ) -> Plan:
-        """Show what the loop sees now and take the newest plan; returns at once.
+        """Pass the loop's current observation and return the newest plan, without waiting.
 
-        What is seen becomes a request where none is on its way and it is time for one; otherwise it
-        is forgotten. What is not told of here is as in `AnchorClient.plan`.
+        The observation becomes a request if none is pending and one is due; otherwise it is
+        dropped. Other arguments: see `AnchorClient.plan`.
 
         Args:
             cost_map: as in `AnchorClient.plan`; it may end before the goal.
             x_curr: [3D] position, velocity, acceleration in m, m/s, m/s^2.
             x_goal: [2D] position, velocity; may lie beyond the map.
-            warm_start: to start from in place of the anchor in use.
-            budget_ms: of the request, in place of `max_age_ms`.
+            warm_start: replaces the anchor in use as the start.
+            budget_ms: replaces `max_age_ms` as the request's budget.
 
-        Nothing that is wrong with what is seen or with a request is raised: it is the plan's
-        `last_error`.
+        Errors in the observation or of a request are not raised: they are the plan's `last_error`.
         """
         now = self._now()
         self._collect(now)
@@ -150,7 +179,7 @@ class Planner:
             self._last_error = ConnectionFailed("the planner is closed, and asks no more")
         stuck = False
         try:
-            start, goal = states_seen(x_curr, x_goal)
+            start, goal = read_own_states(x_curr, x_goal)
             stuck = self._is_stuck(now, start[:2], goal[:2])
             if self._is_due(now):
                 options = {
@@ -173,23 +202,26 @@ class Planner:
                 seen = Observation.copied(now, view, x_curr=start, x_goal=goal, options=options)
                 self._ask(seen)
         except InvalidRequest as error:
-            self._last_error = error  # the next view of the world may be better
+            self._last_error = error  # the next observation may be valid
         return self._plan(now, stuck=stuck)
 
     def follow(self, index: int) -> None:
-        """Say which anchor of the plan handed out last is driven along, where it is not its best.
+        """Set the anchor of the last plan that the robot follows, if it is not `best`.
 
-        Its route is the one in use, and the next request starts from it.
+        Its route becomes the one in use, and the next request starts from it.
 
         Raises:
             InvalidRequest: there is no anchor of that index.
         """
         if self._answer is not None:
-            index = integer(index, "index", Interval(0, len(self._answer.batch.trajectories) - 1))
-            self._commitment.in_use = AnchorInUse(self._answer.batch, index, self._answer.seen_at)
+            index = integer(
+                index, "index", Interval(0, len(self._answer.judged.batch.trajectories) - 1)
+            )
+            batch, seen_at = self._answer.judged.batch, self._answer.seen_at
+            self._commitment.in_use = AnchorInUse(batch, index, seen_at)
 
     def wait(self, timeout_s: float) -> Plan:
-        """Wait for the request on its way, at most so long: before the robot starts to move."""
+        """Wait for the pending request, as before the robot starts to move, and return the plan."""
         if self._in_flight is not None:
             futures.wait([self._in_flight.future], timeout=timeout_s)
         now = self._now()
@@ -197,7 +229,7 @@ class Planner:
         return self._plan(now)
 
     def reset(self) -> None:
-        """Forget the plan and the request on its way: another goal, or another place."""
+        """Forget the plan and the pending request: for another goal, or after a move by hand."""
         self._give_up()
         self._answer = self._last_error = self._unsafe_at = None
         self._commitment.reset()
@@ -205,9 +237,9 @@ class Planner:
         self._pacing = Pacing(self._config)
 
     def close(self) -> None:
-        """Ask no more, which plans then have as their `last_error`.
+        """Send no more requests; later plans have a `ConnectionFailed` as their `last_error`.
 
-        The client stays open; a request on its way ends by itself.
+        The client stays open; a pending request ends by itself.
         """
         self._is_closed = True
         if self._own_executor:
@@ -225,7 +257,7 @@ class Planner:
         self.close()
 
     def _now(self) -> float:
-        """The time; where it went back, nothing of before is left."""
+        """Return the time; reset if it went back."""
         now = self._clock()
         if now < self._last_now:
             self.reset()
@@ -242,17 +274,17 @@ class Planner:
         cold = self.counts["asked"] % self._config.cold_every == 0
         in_use = None if cold else self._commitment.in_use
         self.counts["asked"] += 1
-        self._pacing.asked(seen.seen_at)
+        self._pacing.sent(seen.seen_at)
         place = seen.x_curr[:2]
         unsafe_at = self._unsafe_at
         stop = unsafe_at is not None and float(np.linalg.norm(place - unsafe_at)) < CAUTIOUS_M
         future = self._executor.submit(self._answered, seen, request_id, in_use, stop)
-        self._in_flight = RequestInFlight(request_id, seen.seen_at, place, future)
+        self._in_flight = _InFlight(request_id, seen.seen_at, place, future)
 
     def _answered(
         self, seen: Observation, request_id: str, in_use: AnchorInUse | None, stop: bool
-    ) -> Judged:
-        """Runs in the background: the answer to what was seen. Raises `AnchorFlowError`."""
+    ) -> _Judged:
+        """Return the answer to an observation, in the background. Raises `AnchorFlowError`."""
         limits = self._limits.of(seen.options)
         request = build_request(
             seen,
@@ -272,32 +304,33 @@ class Planner:
         place, radius = seen.x_curr[:2], limits.radius
         reason = why_unsafe(
             batch,
-            margin_asked(seen, self._config),
+            requested_margin(seen, self._config),
             start_m=math.inf if radius is None else start_clearance(cost_map, place, radius),
             share_m=SHARE_OF_CELL * cost_map.resolution,
         )
-        return Judged(batch, Routes.among(batch, cost_map), limits.v_max, reason)
+        return _Judged(batch, Routes.among(batch, cost_map), limits.v_max, reason)
 
     def _seed(self, seed: int) -> int:
-        """The next one each time that the robot was stuck."""
+        """Return the seed, advanced by one for each time that the robot was stuck."""
         return integer(seed, "seed", SEED) + self.counts["stuck"]
 
     def _is_stuck(self, now: float, place: Array, goal: Array) -> bool:
-        """Whether the robot gets nowhere; its route is given up then."""
+        """Return whether the robot is stuck, and give its route up then."""
         driving = self._answer is not None and not self._expired(self._answer, now)
-        v_max = math.inf if self._answer is None else self._answer.v_max
+        v_max = math.inf if self._answer is None else self._answer.judged.v_max
         if not self._progress.is_stuck(now, place, goal, driving=driving, v_max=v_max):
             return False
         self.counts["stuck"] += 1
-        self._progress.next_step(now)
+        self._progress.restart(now)
         self._commitment.give_up()
         if (answer := self._answer) is not None:
-            best = self._commitment.choose(answer.batch, answer.routes, answer.seen_at)
+            judged = answer.judged
+            best = self._commitment.choose(judged.batch, judged.routes, answer.seen_at)
             self._answer = answer._replace(best=best)
         return True
 
     def _collect(self, now: float) -> None:
-        """Take the answer that has come, or give up the request that has taken too long."""
+        """Take the answer that has arrived, or give up the request if it is too old."""
         hanging = [given_up for given_up in self._given_up if not given_up.future.done()]
         self.counts["dropped"] += len(self._given_up) - len(hanging)
         self._given_up = hanging
@@ -311,7 +344,7 @@ class Planner:
             finished, self._in_flight = self._in_flight, None
             self._finish(finished, now)
 
-    def _finish(self, finished: RequestInFlight, now: float) -> None:
+    def _finish(self, finished: _InFlight, now: float) -> None:
         try:
             judged = finished.future.result()
         except AnchorFlowError as error:
@@ -319,7 +352,7 @@ class Planner:
             return
         self.counts["answered"] += 1
         best = self._commitment.choose(judged.batch, judged.routes, finished.seen_at)
-        self._answer = Answer(finished.request_id, finished.seen_at, *judged, best)
+        self._answer = _Answer(finished.request_id, finished.seen_at, judged, best)
         if judged.reason is not None:
             self._unsafe_at = finished.place
         self.follow(best)
@@ -339,27 +372,28 @@ class Planner:
     def _too_old(self, seen_at: float, now: float) -> bool:
         return 1e3 * (now - seen_at) > self._config.max_age_ms
 
-    def _expired(self, answer: Answer, now: float) -> bool:
-        over = now - answer.seen_at >= float(answer.batch.durations.max())
+    def _expired(self, answer: _Answer, now: float) -> bool:
+        over = now - answer.seen_at >= float(answer.judged.batch.durations.max())
         return over or self._too_old(answer.seen_at, now)
 
     def _plan(self, now: float, *, stuck: bool = False) -> Plan:
         answer = self._answer
         if answer is None:
             return Plan(PlanState.WAITING, last_error=self._last_error, reason="no answer has come")
-        told = {
+        common: dict[str, Any] = {
             "age_ms": 1e3 * (now - answer.seen_at),
             "request_id": answer.request_id,
             "last_error": self._last_error,
             "stuck": stuck,
         }
         if self._expired(answer, now):
-            return Plan(PlanState.EXPIRED, **told, reason="the last answer is too old")
+            return Plan(PlanState.EXPIRED, **common, reason="the last answer is too old")
+        judged, best = answer.judged, answer.best
         return Plan(
             PlanState.FRESH if self._last_error is None else PlanState.HELD,
-            batch=answer.batch,
-            best=answer.best,
-            on_route=answer.routes.of == answer.routes.of[answer.best],
-            reason=answer.reason,
-            **told,
+            batch=judged.batch,
+            best=best,
+            on_route=judged.routes.of == judged.routes.of[best],
+            reason=judged.reason,
+            **common,
         )

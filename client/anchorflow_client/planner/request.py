@@ -1,10 +1,11 @@
-"""From what a control loop sees to the request that is sent: local goal, warm start, budget."""
+"""Turn a control loop's observation into a request: local goal, warm start, limits and budget."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,35 +14,45 @@ from anchorflow_client.contract import (
     AnchorBatch,
     AnchorRequest,
     CostMap,
+    CostMapSpec,
+    ModelCard,
     RefineChoice,
     SamplerChoice,
     WarmStart,
 )
 from anchorflow_client.contract.arrays import MAX_DIMENSIONS, unshared, wrong_shape
-from anchorflow_client.contract.checks import as_array, number
+from anchorflow_client.contract.checks import as_array, number, text
 from anchorflow_client.contract.ranges import (
     DIMENSIONS,
     GOAL_FIELDS,
     HORIZON,
+    ROBOT_RADIUS,
     STATE_FIELDS,
+    V_MAX,
 )
 from anchorflow_client.contract.request import read_states
-from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.planner.clearance import SHARE_OF_CELL, start_clearance
+from anchorflow_client.errors import AnchorFlowError, InvalidRequest
 from anchorflow_client.planner.config import PlannerConfig
-from anchorflow_client.planner.local_goal import local_goal
-from anchorflow_client.planner.robot_limits import RobotLimits
-from anchorflow_client.planner.shift import shifted, states_of
+from anchorflow_client.planner.local_goal import SHARE_OF_CELL, local_goal, start_clearance
+from anchorflow_client.planner.plan import shifted, states_of
 
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-3
-"""m that anchors may come nearer to an obstacle than their start, where that is too near to it."""
+"""m by which anchors may come nearer to an obstacle than a start that is too near to it."""
+
+
+class AnchorSource(Protocol):
+    """Answers requests: `AnchorClient`, or another client of the same interface."""
+
+    def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+        """Block until there is an answer. Raises `AnchorFlowError` if there is none."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What the loop saw at one moment; a copy, which it may not change any more."""
+    """A copy of the loop's inputs at one moment, which the loop cannot change any more."""
 
     seen_at: float
     """s, on the planner's clock."""
@@ -63,10 +74,10 @@ class Observation:
         x_goal: Array,
         options: Mapping[str, Any],
     ) -> Observation:
-        """With copies of the loop's own map and options; options that are None are left out.
+        """Copy the loop's own map and options; options that are None are left out.
 
         Raises:
-            InvalidRequest: there is no map, or what should be an array is none.
+            InvalidRequest: there is no map, or a field cannot be read as an array.
         """
         if cost_map is None:
             raise InvalidRequest("expected a map to plan on, got none", "cost_map")
@@ -83,45 +94,102 @@ class AnchorInUse:
     batch: AnchorBatch
     index: int
     seen_at: float
-    """s, when the state from which it starts was seen."""
+    """s, the time of the state from which it starts."""
 
     def left(self, now: float) -> Array | None:
-        """[T,3D], what is left of it at `now` at its own time step; None where nothing is."""
-        duration_s = float(self.batch.durations[self.index])
-        if now - self.seen_at >= duration_s:
+        """Return [T,3D], the rest of it at `now` with its own duration; None if it has ended."""
+        if now - self.seen_at >= self._duration_s:
             return None
-        states = states_of(self.batch)[self.index]
-        dt = duration_s / (len(states) - 1)
-        left_dt = dt - (now - self.seen_at) / (len(states) - 1)
-        return shifted(states, dt=dt, elapsed_s=now - self.seen_at, later_dt=left_dt)
+        dt = self._duration_s / self._strides
+        return self._rest(now, dt - (now - self.seen_at) / self._strides)
 
     def warm_start(
         self, now: float, tau: float, *, horizon_s: float | None = None
     ) -> WarmStart | None:
-        """What is left of it at `now`; None where nothing is.
+        """Return the rest of it at `now` as a warm start; None if it has ended.
 
-        It lasts as long as the next anchors will: for the horizon that is asked for, else for that
-        of its own batch, else, where each anchor has its own duration, until its own end.
+        It lasts as long as the next anchors will: the request's horizon, else the horizon of its
+        own batch, else, if each anchor has its own duration, until its own end.
         """
-        states = states_of(self.batch)[self.index]
-        strides, duration_s = len(states) - 1, float(self.batch.durations[self.index])
-        left_s = duration_s - (now - self.seen_at)
+        left_s = self._duration_s - (now - self.seen_at)
         if left_s <= 0.0:
             return None
-        own_s = left_s if np.ndim(self.batch.dt) else duration_s
+        own_s = left_s if np.ndim(self.batch.dt) else self._duration_s
         lasts_s = own_s if horizon_s is None else number(horizon_s, "horizon_s", HORIZON)
-        left = shifted(
-            states,
-            dt=duration_s / strides,
-            elapsed_s=now - self.seen_at,
-            later_dt=lasts_s / strides,
+        dt = lasts_s / self._strides
+        rest = self._rest(now, dt)
+        return WarmStart.from_fields(
+            {"trajectory": rest, "tau": tau, "dt": dt}, dim=rest.shape[-1] // 3
         )
-        fields = {"trajectory": left, "tau": tau, "dt": lasts_s / strides}
-        return WarmStart.from_fields(fields, dim=left.shape[-1] // 3)
+
+    @property
+    def _duration_s(self) -> float:
+        return float(self.batch.durations[self.index])
+
+    @property
+    def _strides(self) -> int:
+        return self.batch.trajectories.shape[-2] - 1
+
+    def _rest(self, now: float, later_dt: float) -> Array:
+        """Return [T,3D], its states from `now` on, `later_dt` s apart."""
+        return shifted(
+            states_of(self.batch)[self.index],
+            dt=self._duration_s / self._strides,
+            elapsed_s=now - self.seen_at,
+            later_dt=later_dt,
+        )
 
 
-def states_seen(x_curr: ArrayLike, x_goal: ArrayLike) -> tuple[Array, Array]:
-    """[3D] and [2D], copies. Raises `InvalidRequest` where they are not those of one robot."""
+class RobotLimits(NamedTuple):
+    """v_max: m/s, infinite if unknown; radius: m, None if unknown."""
+
+    v_max: float
+    radius: float | None
+
+
+class LimitsSource:
+    """Reads limits from a request's options or, if they lack them, from its model's card."""
+
+    def __init__(self, client: AnchorSource) -> None:
+        self._client = client
+        self._cards: tuple[ModelCard, ...] = ()
+
+    def of(self, options: Mapping[str, Any]) -> RobotLimits:
+        """Return the limits for a request with these options.
+
+        Raises:
+            InvalidRequest: the `v_max`, `robot_radius` or `model` among the options is invalid.
+        """
+        v_max, radius = options.get("v_max"), options.get("robot_radius")
+        v_max = None if v_max is None else number(v_max, "v_max", V_MAX)
+        radius = None if radius is None else number(radius, "robot_radius", ROBOT_RADIUS)
+        if v_max is None or radius is None:
+            model = options.get("model")
+            card = self._card(None if model is None else text(model, "model"))
+            if card is not None and isinstance(card.conditioning, CostMapSpec):
+                own = card.conditioning.limits
+                v_max = own.v_max if v_max is None else v_max
+                radius = own.robot_radius if radius is None else radius
+        return RobotLimits(math.inf if v_max is None else v_max, radius)
+
+    def _card(self, model: str | None) -> ModelCard | None:
+        """Return the card of that name, or the default's for None; fetch cards it lacks."""
+        if (known := _named(model, self._cards)) is not None:
+            return known
+        if models := getattr(self._client, "models", None):
+            try:
+                self._cards = models()
+            except AnchorFlowError:  # the request that follows does without, or fails likewise
+                return None
+        return _named(model, self._cards)
+
+
+def _named(model: str | None, cards: tuple[ModelCard, ...]) -> ModelCard | None:
+    return next((card for card in cards if model in (None, card.name)), None)
+
+
+def read_own_states(x_curr: ArrayLike, x_goal: ArrayLike) -> tuple[Array, Array]:
+    """Return copies [3D] and [2D]. Raises `InvalidRequest` if they are not those of one robot."""
     start = _state(x_curr, "x_curr", STATE_FIELDS, *DIMENSIONS)
     return start, _state(x_goal, "x_goal", GOAL_FIELDS, len(start) // STATE_FIELDS)
 
@@ -136,20 +204,20 @@ def build_request(
     in_use: AnchorInUse | None,
     stop: bool = False,
 ) -> AnchorRequest:
-    """The request; what `seen.options` says goes before what is added here.
+    """Build the request; `seen.options` override the fields that are added here.
 
-    limits: how fast a local goal is passed at most, and what it has to keep from obstacles
-    in_use: to start from; None: from noise
-    stop: plan to stand at a local goal that would be passed
+    limits: the highest speed at a local goal, and the radius that keeps from obstacles
+    in_use: the anchor to start from; None: from noise
+    stop: stop at a local goal that would be passed
 
     Raises:
-        InvalidRequest: what was seen breaks the contract, or the map has no room for a goal.
+        InvalidRequest: the observation breaks the contract, or the map has no room for a goal.
     """
     cost_map = CostMap.from_fields(seen.cost_map)
     if cost_map.data.ndim != 3:
         raise wrong_shape("cost_map.data", "[C,H,W]", cost_map.data)
     place, share = seen.x_curr[:2], SHARE_OF_CELL * cost_map.resolution
-    margin, passage_m = margin_asked(seen, config), None
+    margin, passage_m = requested_margin(seen, config), None
     if limits.radius is not None:
         passage_m = limits.radius + margin + share
     goal = local_goal(
@@ -166,7 +234,7 @@ def build_request(
     added = {"budget_ms": budget_ms, "warm_start": warm_start} | dict(seen.options)
     refine = RefineChoice.from_fields(added.get("refine", {}))
     if config.margin_m > 0.0 and refine.certified_margin is None:
-        if limits.radius is not None:  # where the start keeps less, no anchor keeps it
+        if limits.radius is not None:  # no anchor can keep more than its start
             room = start_clearance(cost_map, place, limits.radius) - share - ROUNDING
             margin = min(margin, max(room, 0.0))
         added["refine"] = replace(refine, certified_margin=margin)
@@ -175,14 +243,14 @@ def build_request(
     )
 
 
-def margin_asked(seen: Observation, config: PlannerConfig) -> float:
-    """m beyond the robot's radius: the request's own or, where it says none, the planner's."""
+def requested_margin(seen: Observation, config: PlannerConfig) -> float:
+    """Return m beyond the robot's radius: the request's own or, if it has none, the planner's."""
     own = RefineChoice.from_fields(seen.options.get("refine", {})).certified_margin
     return config.margin_m if own is None else own
 
 
 def _copied(value: Any, field: str, depth: int = 1 + MAX_DIMENSIONS) -> Any:
-    """The same, of which its owner can change nothing; what is nested deeper is refused later."""
+    """Copy a field, so that its owner cannot change it; deeper nesting is refused later."""
     if not depth or isinstance(value, np.generic):
         return value
     if isinstance(value, CostMap | WarmStart | SamplerChoice | RefineChoice):

@@ -1,4 +1,4 @@
-"""Routes of an answer: which anchors pass the obstacles on the same sides."""
+"""Routes: which anchors pass obstacles on the same sides, and when to leave the one in use."""
 
 from __future__ import annotations
 
@@ -8,17 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import OCCUPIED, AnchorBatch, CostMap
+from anchorflow_client.planner.config import PlannerConfig
+from anchorflow_client.planner.request import AnchorInUse
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 BLOCK = 0.1  # m: obstacles nearer to each other than that count as one
-FAR = 0.5  # m, mean distance from which on a path is on none of the routes
+FAR = 0.5  # m: a path is on none of the routes from that mean distance on
+MIN_PROGRESS = 0.1  # share of v_max at which a robot that is not stuck drives at least
 
 
 @dataclass(frozen=True, eq=False)
 class Routes:
-    """What tells the anchors of one answer apart.
+    """The routes of one answer's anchors.
 
     points: [M, 2] m, at least one in each obstacle
     paths: [N, T, 2] m; of: [N], the route of each, numbered from 0
@@ -32,17 +35,17 @@ class Routes:
 
     @classmethod
     def among(cls, batch: AnchorBatch, cost_map: CostMap) -> Routes:
-        """Of the anchors of one scene, on the map [C,H,W] that they were asked for."""
+        """Group the anchors of one scene on the map [C,H,W] of their request."""
         points = landmarks(cost_map)
         paths = batch.trajectories[..., :2].astype(np.float64)
         found, of = np.unique(signatures(paths, points), axis=0, return_inverse=True)
         return cls(points, paths, of.reshape(-1), found)
 
     def route_of(self, path: Array) -> int | None:
-        """The route that a path [K, 2] in m takes, which may begin and end a little elsewhere.
+        """Return the route of a path [K, 2] in m, whose ends may differ a little.
 
-        The one with its signature or, where none has that, the one of the nearest anchor; None
-        where that is further than FAR away in the mean.
+        It is the route with the path's signature or, if there is none, the route of the nearest
+        anchor; None if that is further than FAR away in the mean.
         """
         joined = np.concatenate([self.paths[0, :1], path, self.paths[0, -1:]])
         same = (self.signatures == signatures(joined[None], self.points)).all(1)
@@ -57,7 +60,7 @@ class Routes:
 
 
 def landmarks(cost_map: CostMap) -> Array:
-    """[M, 2] m, the lower left corners of the obstacles: every obstacle has one at least."""
+    """Return [M, 2] m, the lower left corners of the obstacles: at least one for each obstacle."""
     side = max(1, round(BLOCK / cost_map.resolution))
     occupied = cost_map.occupancy >= OCCUPIED
     rows, columns = (-(-size // side) for size in occupied.shape)
@@ -71,7 +74,7 @@ def landmarks(cost_map: CostMap) -> Array:
 
 
 def signatures(paths: Array, points: Array) -> NDArray[np.int8]:
-    """[N, M]: how often each path [N, T, 2] crosses the ray that goes up from each point [M, 2].
+    """Return [N, M]: how often each path [N, T, 2] crosses the ray up from each point [M, 2].
 
     From left to right counts 1, from right to left -1. Of two paths with the same ends, one can be
     bent into the other past the points where all these numbers are the same.
@@ -88,12 +91,100 @@ def signatures(paths: Array, points: Array) -> NDArray[np.int8]:
 
 
 def _lengths(paths: Array) -> Array:
-    """[N, T] m from the beginning of paths [N, T, 2]."""
+    """Return [N, T] m from the beginning of paths [N, T, 2]."""
     steps = np.linalg.norm(np.diff(paths, axis=1), axis=-1)
     return np.pad(steps.cumsum(1), ((0, 0), (1, 0)))
 
 
 def _along(path: Array, at: Array) -> Array:
-    """[K, 2] m, a path [T, 2] at lengths [K] in m from its beginning."""
+    """Return [K, 2] m, a path [T, 2] at lengths [K] in m from its beginning."""
     length = _lengths(path[None])[0]
     return np.stack([np.interp(at, length, path[:, axis]) for axis in range(2)], 1)
+
+
+class Commitment:
+    """Keeps the robot on its route until another one is better by a margin.
+
+    It holds the anchor in use, and the route that was given up last because the robot got stuck.
+    """
+
+    def __init__(self, config: PlannerConfig) -> None:
+        self.in_use: AnchorInUse | None = None
+        self._barred: AnchorInUse | None = None
+        self._config = config
+
+    def choose(self, batch: AnchorBatch, routes: Routes, seen_at: float) -> int:
+        """Return the index of the anchor to follow: the best one on the route in use.
+
+        Another route is chosen if no anchor on it is safe, or if the other's best costs less by
+        `switch_gain`. The route that was given up is the last choice.
+        """
+        costs = costs_of(batch)
+        safe = batch.arrays.get("safe", np.ones(len(costs), np.bool_))
+        eligible = safe if safe.any() else np.ones_like(safe)
+        barred = self._route(self._barred, routes, seen_at)
+        if barred is not None and (eligible & (routes.of != barred)).any():
+            eligible = eligible & (routes.of != barred)
+        best = _least(costs, eligible)
+        kept = self._route(self.in_use, routes, seen_at)
+        own = eligible & (routes.of == kept)
+        if not own.any():
+            return best
+        stays = _least(costs, own)
+        worth = costs[best] < costs[stays] - self._config.switch_gain * abs(costs[stays])
+        return best if worth else stays
+
+    def give_up(self) -> None:
+        """Bar the route in use, and start the next request from noise."""
+        self._barred, self.in_use = self.in_use, None
+
+    def reset(self) -> None:
+        """Forget the route in use and the barred one."""
+        self._barred = self.in_use = None
+
+    @staticmethod
+    def _route(anchor: AnchorInUse | None, routes: Routes, now: float) -> int | None:
+        left = None if anchor is None else anchor.left(now)
+        return None if left is None else routes.route_of(left[:, :2])
+
+
+def costs_of(batch: AnchorBatch) -> NDArray[np.floating]:
+    """Return [N], minus the scores or, if there are none, lengths in m."""
+    if "scores" in batch.arrays:
+        return -batch.scores.astype(np.float64)
+    return np.linalg.norm(np.diff(batch.trajectories[..., :2], axis=1), axis=-1).sum(1)
+
+
+def _least(costs: NDArray[np.floating], eligible: BoolArray) -> int:
+    return int(np.where(eligible, costs, np.inf).argmin())
+
+
+class Progress:
+    """Watches whether a robot with a plan is stuck; times are in s of the planner's clock."""
+
+    def __init__(self, *, stuck_s: float, stuck_m: float) -> None:
+        self._stuck_s, self._stuck_m = stuck_s, stuck_m
+        self.reset()
+
+    def reset(self) -> None:
+        """Start anew: the robot was carried, or has another goal."""
+        self._left: Array | None = None
+        self._since = 0.0
+
+    def is_stuck(
+        self, now: float, place: Array, goal: Array, *, driving: bool, v_max: float = np.inf
+    ) -> bool:
+        """Return whether it has stayed about one place [2] in m, away from its goal, with a plan.
+
+        v_max: m/s; a slow robot stays nearer to a place that it leaves than `stuck_m`
+        """
+        about = min(self._stuck_m, MIN_PROGRESS * v_max * self._stuck_s)
+        stays = self._left is not None and float(np.linalg.norm(place - self._left)) < about
+        there = float(np.linalg.norm(goal - place)) < self._stuck_m
+        if not stays or there or not driving:
+            self._left, self._since = place, now
+        return now - self._since >= self._stuck_s
+
+    def restart(self, now: float) -> None:
+        """Give the robot its time again, after its route was changed."""
+        self._since = now

@@ -1,24 +1,27 @@
-"""The client: asks services for anchors over zenoh."""
+"""The clients over zenoh: a blocking one, and an async one that runs it on threads."""
 
 from __future__ import annotations
 
+import asyncio
 import uuid
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import TypeVar
 
-from anchorflow_client.base_client import BaseClient
-from anchorflow_client.cancellation import Cancellation
+from anchorflow_client.base_client import BaseAsyncClient, BaseClient
+from anchorflow_client.cancellation import Cancellation, Deadline
 from anchorflow_client.codec import answer_to
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.errors import Cancelled, ConnectionFailed, TimedOut
 from anchorflow_client.oip_codec import OipCodec
-from anchorflow_client.patience import LONGEST_S, check_times
-from anchorflow_client.zenoh_client.attempt import Question
-from anchorflow_client.zenoh_client.connection import Connection
-from anchorflow_client.zenoh_client.deadline import Deadline
-from anchorflow_client.zenoh_client.failover import Failover
-from anchorflow_client.zenoh_client.network import Network
-from anchorflow_client.zenoh_client.settings import ZenohSettings
+from anchorflow_client.retry_policy import MAX_WAIT_S, check_times
+from anchorflow_client.zenoh_client.failover import EncodedRequest, Failover
+from anchorflow_client.zenoh_client.network import Connection, Network
+from anchorflow_client.zenoh_client.session import ZenohSettings
 from anchorflow_client.zenoh_messages import ReplicaInfo
+
+Result = TypeVar("Result")
 
 
 class ZenohAnchorClient(BaseClient):
@@ -29,17 +32,17 @@ class ZenohAnchorClient(BaseClient):
                 cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal, budget_ms=80
             )
 
-    The replica that is likely the first to answer is asked, by the load that replicas report. Where
-    it dies, or is full, another is asked within the same time.
+    A request is sent to the replica with the shortest expected time, by the load that replicas
+    report. If that replica dies or is overloaded, another is queried within the same time.
 
     Errors:
-        ConnectionFailed: nobody is there: no router, no service, or TLS fails.
+        ConnectionFailed: there is no router or no service, or TLS fails.
         Unauthorized: the user or password is wrong, or access control denies the key.
-        TimedOut: no answer came within `budget_ms`, or `timeout_s` without one; or a service is
+        TimedOut: no answer arrived within `budget_ms`, or `timeout_s` without one; or a service is
             alive and does not answer.
-        Cancelled: the request was taken back, or the client was closed meanwhile.
-        InvalidAnswer: what came is not the contract's.
-        RequestError: the service refuses, in the same words as over HTTP.
+        Cancelled: the request was cancelled, or the client was closed meanwhile.
+        InvalidAnswer: the answer breaks the contract.
+        RequestError: the service refuses, with the same errors as over HTTP.
     """
 
     def __init__(
@@ -48,18 +51,21 @@ class ZenohAnchorClient(BaseClient):
         *,
         timeout_s: float = 30.0,
     ) -> None:
-        """Opens nothing yet.
+        """Check the arguments; the first call connects.
 
         Args:
             where: endpoints to connect to, such as tcp/127.0.0.1:7447, or settings.
-            timeout_s: longest wait for an answer, and the budget that the service is told, where
-                the request brings none.
+            timeout_s: longest wait for an answer, and the budget that is sent to the service, if
+                the request has none.
 
         Raises:
             ValueError: `timeout_s` is not above 0, or over 10⁶ s.
         """
-        check_times(LONGEST_S, timeout_s=timeout_s)
-        self._connection = Connection(_settings(where))
+        check_times(MAX_WAIT_S, timeout_s=timeout_s)
+        if not isinstance(where, ZenohSettings):
+            endpoints = (where,) if isinstance(where, str) else tuple(where)
+            where = ZenohSettings(mode="client", connect=endpoints)
+        self._connection = Connection(where)
         self._timeout_s = float(timeout_s)
         self._codec = OipCodec()
         self._closing = Cancellation()
@@ -67,25 +73,25 @@ class ZenohAnchorClient(BaseClient):
     def plan_request(
         self, request: AnchorRequest, *, cancellation: Cancellation | None = None
     ) -> AnchorBatch:
-        """Anchors for a request that was built before.
+        """Return anchors for a request that was built before.
 
         Args:
             request: its `budget_ms` bounds the whole call, connecting and failover included.
-            cancellation: takes the request back, from any thread.
+            cancellation: cancels the request, from any thread.
         """
         deadline = self._deadline(cancellation, request.budget_ms)
-        question = Question(
+        encoded = EncodedRequest(
             payload=self._codec.encode_request(request),
             content_type=self._codec.content_type,
             request_id=request.request_id or uuid.uuid4().hex,
             model=request.model,
             deadline=deadline,
         )
-        payload = Failover(self._settled(deadline), question).run()
+        payload = Failover(self._settled(deadline), encoded).run()
         return answer_to(request, self._codec.decode_answer(payload))
 
     def models(self, *, cancellation: Cancellation | None = None) -> tuple[ModelCard, ...]:
-        """The cards of all bundles that are served, the default first."""
+        """Return the cards of all served bundles, the default first."""
         cards: dict[str, ModelCard] = {}
         for info in self._infos(cancellation):
             for card in info.models:
@@ -93,7 +99,7 @@ class ZenohAnchorClient(BaseClient):
         return tuple(cards.values())
 
     def live(self, *, cancellation: Cancellation | None = None) -> bool:
-        """Whether a service is there; False where there is none, or no way to it."""
+        """Return whether a replica is alive; False if none can be reached."""
         try:
             network = self._settled(self._deadline(cancellation))
         except (ConnectionFailed, TimedOut, Cancelled):
@@ -101,14 +107,14 @@ class ZenohAnchorClient(BaseClient):
         return bool(network.replicas.alive())
 
     def ready(self, *, cancellation: Cancellation | None = None) -> bool:
-        """Whether a replica takes requests now; False while all start or stop, or none is there."""
+        """Return whether a replica takes requests now; False while all start or stop."""
         try:
             return any(info.ready for info in self._infos(cancellation))
         except (ConnectionFailed, TimedOut, Cancelled):
             return False
 
     def close(self) -> None:
-        """Leave the network; requests that wait for an answer are taken back."""
+        """Leave the network and cancel pending requests."""
         self._closing.cancel()
         self._connection.close()
 
@@ -129,8 +135,71 @@ class ZenohAnchorClient(BaseClient):
         return self._connection.network(deadline).infos(deadline)
 
 
-def _settings(where: str | Sequence[str] | ZenohSettings) -> ZenohSettings:
-    if isinstance(where, ZenohSettings):
-        return where
-    endpoints = (where,) if isinstance(where, str) else tuple(where)
-    return ZenohSettings(mode="client", connect=endpoints)
+class AsyncZenohAnchorClient(BaseAsyncClient):
+    """`ZenohAnchorClient` on threads of its own, because zenoh's Python calls block.
+
+        async with AsyncZenohAnchorClient("tcp/127.0.0.1:7447") as client:
+            anchors = await client.plan(**scene, budget_ms=80)
+
+    Cancelling the task that awaits an answer cancels its request. Zenoh does not notify the
+    replica, which drops the request when its budget is over. Errors are those of
+    `ZenohAnchorClient`.
+    """
+
+    def __init__(
+        self,
+        where: str | Sequence[str] | ZenohSettings,
+        *,
+        timeout_s: float = 30.0,
+        max_threads: int = 64,
+    ) -> None:
+        """Check the arguments; the first call connects.
+
+        Args:
+            where: endpoints to connect to, such as tcp/127.0.0.1:7447, or settings.
+            timeout_s: longest wait for an answer, and the budget that is sent to the service, if
+                the request has none.
+            max_threads: concurrent requests; further ones wait for a free thread, and their
+                budgets begin after that wait.
+
+        Raises:
+            ValueError: `timeout_s` is not above 0 or is over 10⁶ s, or there is no thread.
+        """
+        self._client = ZenohAnchorClient(where, timeout_s=timeout_s)
+        self._threads: ThreadPoolExecutor | None = ThreadPoolExecutor(
+            max_threads, thread_name_prefix="anchorflow-zenoh"
+        )
+
+    async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+        """Return anchors for a request that was built before."""
+        return await self._in_thread(partial(self._client.plan_request, request))
+
+    async def models(self) -> tuple[ModelCard, ...]:
+        """Return the cards of all served bundles, the default first."""
+        return await self._in_thread(self._client.models)
+
+    async def live(self) -> bool:
+        """Return whether a replica is alive; False if none can be reached."""
+        return await self._in_thread(self._client.live)
+
+    async def ready(self) -> bool:
+        """Return whether a replica takes requests now; False while all start or stop."""
+        return await self._in_thread(self._client.ready)
+
+    async def aclose(self) -> None:
+        """Leave the network and cancel pending requests."""
+        await asyncio.to_thread(self._client.close)  # our own threads may all be busy
+        threads, self._threads = self._threads, None
+        if threads is not None:
+            threads.shutdown(wait=False)
+
+    async def _in_thread(self, call: Callable[..., Result]) -> Result:
+        loop, cancellation = asyncio.get_running_loop(), Cancellation()
+        try:
+            # After `aclose` the loop's own threads: the closed client raises at once.
+            return await loop.run_in_executor(
+                self._threads, partial(call, cancellation=cancellation)
+            )
+        except asyncio.CancelledError:
+            cancellation.cancel()
+            raise

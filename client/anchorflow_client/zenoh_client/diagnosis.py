@@ -1,4 +1,4 @@
-"""Why a connection did not come about. Zenoh says only that it did not; so knock once by hand."""
+"""Find out why a connection failed: zenoh does not say, so connect once with plain TCP or TLS."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 from anchorflow_client.errors import ConnectionFailed, TransportError, Unauthorized
 
-KNOCK_S = 1.0
-"""Longest wait for an endpoint to be reached."""
+CONNECT_TIMEOUT_S = 1.0
 NOBODY = "nobody listens at"
-"""How the words begin where nobody could be reached."""
+"""How the message begins if no endpoint could be reached."""
 ALERT_S = 0.25
-"""How long after the handshake a listener may take to say that it wants another certificate."""
+"""Time after the handshake in which a listener may reject this node's certificate."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +21,7 @@ class Approach:
     """How a node tried to connect."""
 
     endpoints: tuple[str, ...]
-    """As zenoh writes them: protocol/host:port."""
+    """In zenoh's form: protocol/host:port."""
     root_ca: str | None = None
     certificate: str | None = None
     private_key: str | None = None
@@ -31,15 +30,18 @@ class Approach:
 
 
 class _Untrusted(Exception):
-    """The TLS handshake fails."""
+    """The TLS handshake failed."""
 
 
 def explain(approach: Approach) -> TransportError | Unauthorized:
-    """The likeliest reason: nobody is there, TLS fails, or the node is not let in."""
+    """Return the likeliest reason: no listener, a failed handshake, or a rejected node."""
     faults = [(endpoint, _fault(endpoint, approach)) for endpoint in approach.endpoints]
-    if open_to_all := [endpoint for endpoint, fault in faults if fault is None]:
-        who = ", ".join(open_to_all)
-        return Unauthorized(f"{who} does not let this node in: {_of_user(approach.user)}")
+    if reachable := [endpoint for endpoint, fault in faults if fault is None]:
+        if approach.user is None:
+            hint = "it wants a user and a password (or is no zenoh node)"
+        else:
+            hint = f"the user {approach.user!r} or its password is wrong (or it is no zenoh node)"
+        return Unauthorized(f"{', '.join(reachable)} does not let this node in: {hint}")
     if untrusted := [f"{end}: {why}" for end, why in faults if isinstance(why, _Untrusted)]:
         return ConnectionFailed("; ".join(untrusted))
     if faults:
@@ -49,26 +51,20 @@ def explain(approach: Approach) -> TransportError | Unauthorized:
 
 
 def _fault(endpoint: str, approach: Approach) -> Exception | None:
-    """Why nothing can be said to an endpoint; None where it listens."""
+    """Return why an endpoint cannot be reached; None if it accepts connections."""
     try:
-        _knock(endpoint, approach)
+        _try_to_connect(endpoint, approach)
     except (OSError, ValueError, _Untrusted) as error:
         return error
     return None
 
 
-def _of_user(user: str | None) -> str:
-    if user is None:
-        return "it wants a user and a password (or is no zenoh node)"
-    return f"the user {user!r} or its password is wrong (or it is no zenoh node)"
-
-
-def _knock(endpoint: str, approach: Approach) -> None:
-    """Connect and hang up.
+def _try_to_connect(endpoint: str, approach: Approach) -> None:
+    """Connect and disconnect.
 
     Raises:
-        OSError: nobody is there.
-        ValueError: the host cannot be a name.
+        OSError: there is no listener.
+        ValueError: the host is not a valid name.
         _Untrusted: TLS fails.
     """
     protocol, _, rest = endpoint.partition("/")
@@ -76,7 +72,7 @@ def _knock(endpoint: str, approach: Approach) -> None:
     if protocol not in ("tcp", "tls") or not port.isdecimal():
         raise OSError(f"could not be connected to over {protocol}")
     address = (host.strip("[]"), int(port))
-    with socket.create_connection(address, timeout=KNOCK_S) as connection:
+    with socket.create_connection(address, timeout=CONNECT_TIMEOUT_S) as connection:
         if protocol == "tls":
             _shake_hands(connection, address[0], approach)
         elif _speaks_tls(connection):
@@ -94,17 +90,13 @@ def _shake_hands(connection: socket.socket, host: str, approach: Approach) -> No
             secured.recv(1)
     except ssl.SSLCertVerificationError as error:
         raise _Untrusted(f"TLS: its certificate is refused: {error.verify_message}") from error
-    except ssl.SSLError as error:
-        raise _Untrusted(f"TLS: {_reason(error)}") from error
+    except ssl.SSLError as error:  # TLSV13_ALERT_CERTIFICATE_REQUIRED becomes words
+        reason = (error.reason or str(error)).replace("_", " ").lower()
+        raise _Untrusted(f"TLS: {reason}") from error
     except TimeoutError:
-        return  # it waits for the first word, so the handshake is done
+        return  # the listener waits for the first message, so the handshake is complete
     except OSError as error:
         raise _Untrusted(f"TLS: the handshake breaks off: {error}") from error
-
-
-def _reason(error: ssl.SSLError) -> str:
-    """`TLSV13_ALERT_CERTIFICATE_REQUIRED` as words."""
-    return (error.reason or str(error)).replace("_", " ").lower()
 
 
 def _speaks_tls(connection: socket.socket) -> bool:
@@ -114,5 +106,5 @@ def _speaks_tls(connection: socket.socket) -> bool:
     try:
         with context.wrap_socket(connection):
             return True
-    except OSError:  # a zenoh node hangs up, or waits for the rest of what it took for a length
+    except OSError:  # a zenoh node disconnects, or waits for more bytes
         return False

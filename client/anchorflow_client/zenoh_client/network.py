@@ -1,14 +1,18 @@
-"""A session on the network, and who is alive on it."""
+"""Join a zenoh network in the background, and watch which replicas are alive on it."""
 
 from __future__ import annotations
 
 import logging
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
+from typing import Generic, TypeVar
 
 import zenoh
 
+from anchorflow_client.cancellation import Deadline
 from anchorflow_client.errors import (
     AnchorFlowError,
     ConnectionFailed,
@@ -17,63 +21,161 @@ from anchorflow_client.errors import (
     Unauthorized,
 )
 from anchorflow_client.keys import ALL_INFO, ALL_REPLICAS, info_key, replica_of
-from anchorflow_client.zenoh_client.background import Background
-from anchorflow_client.zenoh_client.deadline import Deadline
 from anchorflow_client.zenoh_client.replicas import FRESH_S, Replicas
+from anchorflow_client.zenoh_client.session import (
+    ZenohSettings,
+    check_not_forked,
+    config_of,
+    is_forked,
+    open_session,
+    why_alone,
+)
 from anchorflow_client.zenoh_messages import ReplicaInfo
 
 DISCOVERY_S = 0.5
-"""How long after the connection a service may take to be seen."""
+"""Time after connecting in which a replica may become visible."""
 INFO_S = 2.0
-"""How long a replica may take to tell of itself."""
+"""Timeout for a replica's info."""
+KEPT_S = 5.0
+"""How long the outcome of a background call is kept for the next caller."""
 TIMEOUT = b"Timeout"
-"""What zenoh itself replies when a query takes too long."""
+"""Zenoh's own error reply to a query that timed out."""
 
+Result = TypeVar("Result")
 logger = logging.getLogger(__name__)
 
 
-class Network:
-    """Watches the replicas' liveliness tokens, and has each tell its cards and its load.
+class Background(Generic[Result]):
+    """Runs a slow function on a thread, one call at a time, for callers with deadlines."""
 
-    Args:
-        session: open, and closed with this.
-        explaining: finds out why the session has nobody to talk to.
-    """
+    def __init__(self, function: Callable[[], Result], *, name: str) -> None:
+        self._function = function
+        self._name = name
+        self._lock = threading.Lock()
+        self._running: Future[Result] | None = None
+        self._ended = float("inf")
 
-    def __init__(self, session: zenoh.Session, explaining: Background[AnchorFlowError]) -> None:
-        self.session = session
-        self.replicas = Replicas()
-        self._explaining = explaining
-        self._seen_by = time.monotonic() + DISCOVERY_S
-        self._was_let_in = bool(session.info.transports())
-        # A bare callable would get a thread of its own, for which a program that ends waits.
-        see = zenoh.handlers.Callback(self._see, indirect=False)
-        session.liveliness().declare_subscriber(ALL_REPLICAS, see, history=True)
-
-    def settle(self, deadline: Deadline) -> None:
-        """Returns when a replica is known that can be asked, or none is to be expected."""
-        self._refresh()
-        early_s = max(0.0, self._seen_by - time.monotonic())
-        self.replicas.wait_until_known(deadline, somebody_s=early_s)
-
-    def hear_anew(self, deadline: Deadline) -> None:
-        """Has every replica tell of itself now: models come and go."""
-        self._refresh(fresh_s=0.0)
-        self.replicas.wait_until_told(deadline)
-
-    def infos(self, deadline: Deadline) -> list[ReplicaInfo]:
-        """What the replicas tell of themselves now; those that say nothing are left out.
+    def result(self, deadline: Deadline) -> Result:
+        """Return the result of the running call, which is started if there is none.
 
         Raises:
-            ConnectionFailed: nobody is there.
-            Unauthorized: replicas are alive, and none may be asked.
+            TimedOut: the call is not done by the deadline, and continues for the next caller.
+            Cancelled: the caller was cancelled; the call continues.
+            Exception: whatever the function raises.
+        """
+        running = self._current()
+        if not deadline.wait_until_done(running):
+            raise TimedOut(f"{self._name}: not done within {deadline.timeout_s * 1e3:.0f} ms")
+        with self._lock:
+            if self._running is running:
+                self._running = None
+        return running.result()
+
+    def _current(self) -> Future[Result]:
+        with self._lock:
+            if self._running is None or time.monotonic() - self._ended > KEPT_S:
+                self._running, self._ended = Future(), float("inf")
+                # Not a daemon: Python would abort if it ended while a thread is inside zenoh.
+                threading.Thread(target=self._run, args=(self._running,), name=self._name).start()
+            return self._running
+
+    def _run(self, future: Future[Result]) -> None:
+        try:
+            result = self._function()
+        except Exception as error:  # noqa: BLE001 - raised again by `result`
+            self._ended = time.monotonic()
+            future.set_exception(error)
+        else:
+            self._ended = time.monotonic()
+            future.set_result(result)
+
+
+class Connection:
+    """Joins the network for the first caller. Zenoh itself reconnects after a later failure."""
+
+    def __init__(self, settings: ZenohSettings) -> None:
+        self._settings = settings
+        self._lock = threading.Lock()
+        self._network: Network | None = None
+        self._is_closed = False
+        self._joining = Background(self._join, name="connecting")
+        self._explaining = Background(lambda: why_alone(config_of(settings)), name="diagnosis")
+
+    def network(self, deadline: Deadline) -> Network:
+        """Return the network.
+
+        Raises:
+            TimedOut, Cancelled: it is not joined yet; joining continues.
+            ConnectionFailed, Unauthorized, ZenohConfigError: it cannot be joined.
+        """
+        check_not_forked()
+        if self._is_closed:
+            raise ConnectionFailed("the client is closed")
+        return self._network or self._joining.result(deadline)
+
+    def close(self) -> None:
+        """Leave the network, at once or as soon as it is joined."""
+        with self._lock:
+            self._is_closed, network = True, self._network
+        if network is not None and not is_forked():
+            network.session.close()
+
+    def _join(self) -> Network:
+        if self._network is not None:  # an earlier call joined it meanwhile
+            return self._network
+        network = Network(open_session(self._settings), self._explaining.result)
+        with self._lock:
+            self._network = network
+            is_closed = self._is_closed
+        if is_closed:
+            network.session.close()
+        return network
+
+
+class Network:
+    """Watches the replicas' liveliness tokens, and queries each for its cards and its load.
+
+    Args:
+        session: an open session.
+        explain: returns why the session is connected to no other node.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, explain: Callable[[Deadline], AnchorFlowError]
+    ) -> None:
+        self.session = session
+        self.replicas = Replicas()
+        self._explain = explain
+        self._visible_by = time.monotonic() + DISCOVERY_S
+        self._was_connected = bool(session.info.transports())
+        # A bare callable would get a thread of its own, for which a program that ends waits.
+        on_token = zenoh.handlers.Callback(self._on_token, indirect=False)
+        session.liveliness().declare_subscriber(ALL_REPLICAS, on_token, history=True)
+
+    def settle(self, deadline: Deadline) -> None:
+        """Wait until a replica can be queried, or none is expected to appear."""
+        self._refresh()
+        appear_s = max(0.0, self._visible_by - time.monotonic())
+        self.replicas.wait_until_known(deadline, appear_s=appear_s)
+
+    def query_again(self, deadline: Deadline) -> None:
+        """Query every replica for its info now, because models may have been loaded or unloaded."""
+        self._refresh(fresh_s=0.0)
+        self.replicas.wait_for_queries(deadline)
+
+    def infos(self, deadline: Deadline) -> list[ReplicaInfo]:
+        """Return the current info of all replicas that answer.
+
+        Raises:
+            ConnectionFailed: no replica is alive.
+            Unauthorized: replicas are alive, and access control denies all of them.
             TimedOut: replicas are alive, and none answers in time.
-            InvalidAnswer: what they tell cannot be read.
-            Cancelled: the caller gives up.
+            InvalidAnswer: no replica's info can be read.
+            Cancelled: the caller was cancelled.
         """
         self.settle(deadline)
         timeout_s = min(INFO_S, max(deadline.left_s, 1e-3))
-        token, told = zenoh.CancellationToken(), []
+        token, infos = zenoh.CancellationToken(), []
         with translated(deadline), deadline.watched_by(token.cancel):
             replies = self.session.get(
                 ALL_INFO,
@@ -83,19 +185,19 @@ class Network:
             )
             for reply in replies:
                 with suppress(TimedOut, InvalidAnswer):
-                    told.append(_info(reply))
+                    infos.append(_read_info(reply))
         deadline.check()
-        if not told:
+        if not infos:
             raise self.why_nobody(deadline)
-        return told
+        return infos
 
     def why_nobody(self, deadline: Deadline) -> AnchorFlowError:
-        """Why there is no replica that can be asked."""
-        # Who is late may answer yet; who tells what cannot be read is not denied.
+        """Return why there is no replica to query."""
+        # A late replica may still answer, and one with unreadable info is not denied.
         for kind in (TimedOut, InvalidAnswer, Unauthorized):
             if alike := [why for why in self.replicas.silences() if isinstance(why, kind)]:
                 return kind("; ".join(map(str, alike)))
-        if quiet := self.replicas.unheard() or self.replicas.alive():
+        if quiet := self.replicas.unknown() or self.replicas.alive():
             return TimedOut(f"{', '.join(quiet)} is alive and has not told yet what it serves")
         info = self.session.info
         if info.transports():
@@ -103,24 +205,20 @@ class Network:
             seen = "no service is alive there that this node may see"
             return ConnectionFailed(f"connected to {nodes}: {seen}")
         try:
-            reason = self._explaining.result(deadline)
+            reason = self._explain(deadline)
         except TimedOut:
             return ConnectionFailed("not connected to any zenoh node")
-        if self._was_let_in and isinstance(reason, Unauthorized):
-            # Who was started again listens for a while before zenoh has mended the connection.
+        if self._was_connected and isinstance(reason, Unauthorized):
+            # A restarted node listens for a while before zenoh has reconnected.
             return ConnectionFailed(f"the connection broke and is not mended yet, or {reason}")
         return reason
 
-    def close(self) -> None:
-        """Leave the network."""
-        self.session.close()
-
-    def _see(self, sample: zenoh.Sample) -> None:
-        """A replica's liveliness token came or went."""
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        """Handle a replica's liveliness token that appeared or vanished."""
         name = replica_of(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.PUT:
             logger.info("replica %s is alive", name)
-            self._was_let_in = True
+            self._was_connected = True
             self.replicas.appear(name)
             self._refresh()
         else:
@@ -128,20 +226,17 @@ class Network:
             self.replicas.vanish(name)
 
     def _refresh(self, *, fresh_s: float = FRESH_S) -> None:
-        """Has those tell of themselves whose word is old; waits for none of them."""
-        for name in self.replicas.to_be_asked(fresh_s=fresh_s):
-            self._have_told(name)
-
-    def _have_told(self, name: str) -> None:
-        hearing = _Hearing(self.replicas, name)
-        handler = zenoh.handlers.Callback(hearing.hear, hearing.end, indirect=False)
-        with suppress(zenoh.ZError):  # the session was closed meanwhile
-            self.session.get(info_key(name), handler, timeout=INFO_S)
+        """Query the replicas whose info is old, without waiting for the replies."""
+        for name in self.replicas.to_be_queried(fresh_s=fresh_s):
+            query = _InfoQuery(self.replicas, name)
+            handler = zenoh.handlers.Callback(query.on_reply, query.on_end, indirect=False)
+            with suppress(zenoh.ZError):  # the session was closed meanwhile
+                self.session.get(info_key(name), handler, timeout=INFO_S)
 
 
 @contextmanager
 def translated(deadline: Deadline) -> Iterator[None]:
-    """Zenoh's own errors, which a session that was closed raises, as the contract's."""
+    """Translate zenoh's error for a closed session into the contract's."""
     try:
         yield
     except zenoh.ZError as error:
@@ -149,40 +244,40 @@ def translated(deadline: Deadline) -> Iterator[None]:
         raise ConnectionFailed(f"the connection is closed: {error}") from error
 
 
-class _Hearing:
-    """One replica is asked to tell of itself."""
+class _InfoQuery:
+    """A pending query for one replica's info."""
 
     def __init__(self, replicas: Replicas, name: str) -> None:
         self._replicas = replicas
         self._name = name
-        self._has_told = False
+        self._has_info = False
         self._why: AnchorFlowError = Unauthorized(
             f"{name} is alive, and nothing comes from its info key: "
             "access control denies it to this node"
         )
 
-    def hear(self, reply: zenoh.Reply) -> None:
+    def on_reply(self, reply: zenoh.Reply) -> None:
         try:
-            info = _info(reply)
+            info = _read_info(reply)
             if info.replica != self._name:
                 raise InvalidAnswer(f"expected what it tells of itself, got {info.replica}'s")
         except (TimedOut, InvalidAnswer) as error:
             self._why = type(error)(f"{self._name} is alive, and its info key: {error}")
         else:
-            self._has_told = True
+            self._has_info = True
             self._replicas.learn(info)
 
-    def end(self) -> None:
-        if not self._has_told:
-            self._replicas.hear_nothing(self._name, self._why)
+    def on_end(self) -> None:
+        if not self._has_info:
+            self._replicas.note_silence(self._name, self._why)
 
 
-def _info(reply: zenoh.Reply) -> ReplicaInfo:
-    """What a reply tells.
+def _read_info(reply: zenoh.Reply) -> ReplicaInfo:
+    """Read a reply.
 
     Raises:
-        TimedOut: it is zenoh's own, as nothing came in time.
-        InvalidAnswer: it cannot be read, which the log tells too.
+        TimedOut: the replica did not reply in time.
+        InvalidAnswer: the reply cannot be read, which is logged too.
     """
     if reply.ok is not None:
         try:
@@ -190,7 +285,7 @@ def _info(reply: zenoh.Reply) -> ReplicaInfo:
         except InvalidAnswer as error:
             logger.warning("%s: %s", reply.ok.key_expr, error)
             raise
-    said = b"" if reply.err is None else reply.err.payload.to_bytes()
-    if said == TIMEOUT:
+    data = b"" if reply.err is None else reply.err.payload.to_bytes()
+    if data == TIMEOUT:
         raise TimedOut(f"nothing came within {INFO_S:g} s")
-    raise InvalidAnswer(f"expected what a replica tells of itself, got an error: {said[:80]!r}")
+    raise InvalidAnswer(f"expected what a replica tells of itself, got an error: {data[:80]!r}")

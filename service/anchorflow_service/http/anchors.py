@@ -8,7 +8,7 @@ from starlette.responses import Response
 
 from anchorflow_client.codec import Codec, Payload
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.http.whole_number import whole_number
+from anchorflow_client.http.answer_parser import whole_number
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.http.body import read_body
 from anchorflow_service.http.openapi import ANCHORS_DOCUMENTATION, HEADER_LENGTH

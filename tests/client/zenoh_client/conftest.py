@@ -12,7 +12,6 @@ import zenoh
 from anchorflow_client import ConnectionFailed, Overloaded
 from anchorflow_client.keys import info_key, replica_anchors_key, replica_key
 from anchorflow_client.zenoh_client import ZenohSettings
-from anchorflow_client.zenoh_client.background import Background
 from anchorflow_client.zenoh_client.network import Network
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_client.zenoh_messages import AnswerAttachment, Load, ReplicaInfo
@@ -98,6 +97,6 @@ def network(peer: Peer, endpoint: str) -> Iterator[Network]:
     """What a client sees of that peer."""
     assert peer.asked == []
     session = open_session(ZenohSettings(connect=(endpoint,)))
-    network = Network(session, Background(lambda: ConnectionFailed("alone"), name="diagnosis"))
+    network = Network(session, lambda _: ConnectionFailed("alone"))
     yield network
-    network.close()
+    session.close()

@@ -8,8 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from anchorflow_client import Cancellation, Cancelled, ConnectionFailed, TimedOut
-from anchorflow_client.zenoh_client.background import Background
-from anchorflow_client.zenoh_client.deadline import Deadline
+from anchorflow_client.cancellation import Deadline
+from anchorflow_client.zenoh_client.network import Background
 
 PATIENCE_S = 20
 

@@ -24,9 +24,9 @@ from anchorflow_client import (
     ModelCard,
     TimedOut,
 )
+from anchorflow_client.cancellation import Deadline
 from anchorflow_client.zenoh_client import AsyncZenohAnchorClient, ZenohAnchorClient, ZenohSettings
-from anchorflow_client.zenoh_client.connection import Connection
-from anchorflow_client.zenoh_client.deadline import Deadline
+from anchorflow_client.zenoh_client.network import Connection
 from anchorflow_client.zenoh_messages import Load, ReplicaInfo
 
 PATIENCE_S = 20.0

@@ -23,10 +23,9 @@ from anchorflow_client import (
     TimedOut,
     Unauthorized,
 )
+from anchorflow_client.cancellation import Deadline
 from anchorflow_client.zenoh_client import ZenohAnchorClient
-from anchorflow_client.zenoh_client.attempt import Question
-from anchorflow_client.zenoh_client.deadline import Deadline
-from anchorflow_client.zenoh_client.failover import Failover
+from anchorflow_client.zenoh_client.failover import EncodedRequest, Failover
 from anchorflow_client.zenoh_client.network import Network
 from anchorflow_client.zenoh_messages import AnswerAttachment, Load, ReplicaInfo
 
@@ -40,7 +39,7 @@ def info(name: str, *cards: ModelCard, mean_service_ms: float = 10.0) -> Replica
 
 def ask(network: Network, deadline: Deadline) -> bytes:
     """Anchors of the default model."""
-    question = Question(Payload(b"", 0), "application/octet-stream", "r1", None, deadline)
+    question = EncodedRequest(Payload(b"", 0), "application/octet-stream", "r1", None, deadline)
     return Failover(network, question).run().body
 
 
@@ -53,7 +52,7 @@ def test_who_refuses_in_the_place_of_a_silent_one_is_followed_by_another(
         {"a": peer.hold, "b": refuse, "c": peer.answer}.items(), start=1
     ):
         peer.play(info(name, card, mean_service_ms=milliseconds), answer)
-    until(lambda: len(network.replicas.alive()) == 3 and not network.replicas.unheard())
+    until(lambda: len(network.replicas.alive()) == 3 and not network.replicas.unknown())
 
     assert ask(network, Deadline(2.0)) == b"anchorflow/v1/replica/c/anchors/lines"
     assert peer.asked == ["a", "b", "c"]
@@ -72,7 +71,7 @@ def test_who_has_not_told_yet_is_waited_for_before_the_default_is_given_up(
 
     peer.play(info("a", replace(card, name="bows")), peer.refuse)
     peer.play(told, peer.answer, tell=tell_late)
-    until(lambda: len(network.replicas.alive()) == 2 and network.replicas.unheard() == ("b",))
+    until(lambda: len(network.replicas.alive()) == 2 and network.replicas.unknown() == ("b",))
     with pytest.raises(TimedOut, match=r"^b is alive and has not told yet what it serves"):
         ask(network, Deadline(0.2))
     with ThreadPoolExecutor(1) as executor:
@@ -133,7 +132,7 @@ def test_what_was_taken_back_before_is_not_asked(
     peer: Any, network: Network, card: ModelCard, until: Any
 ) -> None:
     peer.play(info("a", card), peer.answer)
-    until(lambda: network.replicas.alive() and not network.replicas.unheard())
+    until(lambda: network.replicas.alive() and not network.replicas.unknown())
     cancellation = Cancellation()
     cancellation.cancel()
 

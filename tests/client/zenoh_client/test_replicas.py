@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from anchorflow_client import Cancellation, Cancelled, ModelCard, TimedOut, UnknownModel
-from anchorflow_client.zenoh_client.deadline import Deadline
+from anchorflow_client.cancellation import Deadline
 from anchorflow_client.zenoh_client.replicas import Replicas
 from anchorflow_client.zenoh_messages import Load, ReplicaInfo
 
@@ -184,7 +184,7 @@ def test_who_is_not_ready_comes_last(replicas: Replicas, card: ModelCard) -> Non
 
 
 def test_who_says_nothing_comes_last(replicas: Replicas, card: ModelCard) -> None:
-    replicas.hear_nothing("a", why := TimedOut("nothing came"))
+    replicas.note_silence("a", why := TimedOut("nothing came"))
     replicas.learn(info("b", card, in_flight=50))
 
     assert replicas.silences() == (why,)
@@ -194,25 +194,25 @@ def test_who_says_nothing_comes_last(replicas: Replicas, card: ModelCard) -> Non
 def test_who_told_long_ago_is_asked_to_tell_again(
     replicas: Replicas, clock: Clock, card: ModelCard
 ) -> None:
-    assert replicas.to_be_asked() == []
+    assert replicas.to_be_queried() == []
     clock.now += 1.5
-    assert replicas.to_be_asked() == ["a", "b"]
-    assert replicas.to_be_asked() == []
+    assert replicas.to_be_queried() == ["a", "b"]
+    assert replicas.to_be_queried() == []
     replicas.learn(info("a", card))
     clock.now += 0.5
-    assert replicas.to_be_asked() == []
-    assert replicas.to_be_asked(fresh_s=0.0) == ["a"]
+    assert replicas.to_be_queried() == []
+    assert replicas.to_be_queried(fresh_s=0.0) == ["a"]
 
 
 def test_it_is_waited_for_those_who_are_being_asked(
     replicas: Replicas, clock: Clock, card: ModelCard
 ) -> None:
-    replicas.wait_until_told(Deadline(0.0))
+    replicas.wait_for_queries(Deadline(0.0))
     clock.now += 1.5
-    assert replicas.to_be_asked() == ["a", "b"]
-    replicas.hear_nothing("a", TimedOut("nothing came"))
+    assert replicas.to_be_queried() == ["a", "b"]
+    replicas.note_silence("a", TimedOut("nothing came"))
     threading.Timer(0.05, replicas.learn, [info("b", replace(card, name="bows"))]).start()
-    replicas.wait_until_told(Deadline(20.0))
+    replicas.wait_for_queries(Deadline(20.0))
 
     assert chosen(replicas, "bows") == "b"
 
@@ -220,7 +220,7 @@ def test_it_is_waited_for_those_who_are_being_asked(
 def test_nobody_is_waited_for_no_longer_than_told() -> None:
     start = time.monotonic()
 
-    Replicas().wait_until_known(Deadline(10.0), somebody_s=0.05)
+    Replicas().wait_until_known(Deadline(10.0), appear_s=0.05)
 
     assert 0.05 <= time.monotonic() - start < 5
 
@@ -230,7 +230,7 @@ def test_somebody_who_has_not_told_is_waited_for(card: ModelCard) -> None:
     replicas.appear("a")
     threading.Timer(0.05, replicas.learn, [info("a", card)]).start()
 
-    replicas.wait_until_known(Deadline(20.0), somebody_s=0.0)
+    replicas.wait_until_known(Deadline(20.0), appear_s=0.0)
 
     assert chosen(replicas) == "a"
 
@@ -239,7 +239,7 @@ def test_the_wait_has_an_end(replicas: Replicas) -> None:
     alone = Replicas()
     alone.appear("a")
     start = time.monotonic()
-    alone.wait_until_known(Deadline(0.05), somebody_s=10.0)
+    alone.wait_until_known(Deadline(0.05), appear_s=10.0)
     assert time.monotonic() - start < 5
 
     assert replicas.wait_until_gone(["a", "z"], Deadline(0.01)) == ["a"]
@@ -248,9 +248,9 @@ def test_the_wait_has_an_end(replicas: Replicas) -> None:
 
 
 WAITS: dict[str, Callable[[Replicas, Deadline], object]] = {
-    "known": lambda replicas, deadline: replicas.wait_until_known(deadline, somebody_s=0.0),
-    "told": Replicas.wait_until_told,
-    "word": lambda replicas, deadline: replicas.wait_for_word((), deadline),
+    "known": lambda replicas, deadline: replicas.wait_until_known(deadline, appear_s=0.0),
+    "told": Replicas.wait_for_queries,
+    "word": lambda replicas, deadline: replicas.wait_for_change((), deadline),
     "gone": lambda replicas, deadline: replicas.wait_until_gone("a", deadline),
 }
 
@@ -259,7 +259,7 @@ WAITS: dict[str, Callable[[Replicas, Deadline], object]] = {
 def test_who_takes_his_request_back_waits_no_longer(wait: str) -> None:
     replicas, cancellation = Replicas(), Cancellation()
     replicas.appear("a")
-    assert replicas.to_be_asked() == ["a"]
+    assert replicas.to_be_queried() == ["a"]
     threading.Timer(0.05, cancellation.cancel).start()
 
     with pytest.raises(Cancelled):

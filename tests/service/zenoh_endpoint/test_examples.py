@@ -13,8 +13,7 @@ import pytest
 
 from anchorflow_client import Unauthorized, UnknownModel
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-from anchorflow_client.zenoh_client.session import config_of
-from anchorflow_client.zenoh_client.settings import RETRY
+from anchorflow_client.zenoh_client.session import RETRY, config_of
 from anchorflow_service.planning import PlanningService
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples" / "zenoh"

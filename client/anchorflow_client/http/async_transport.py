@@ -1,4 +1,4 @@
-"""HTTP over sockets on an event loop, a connection for each request on its way."""
+"""The transport on an event loop: one connection for each concurrent request."""
 
 from __future__ import annotations
 
@@ -9,27 +9,22 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-from anchorflow_client.http.answer_parser import AnswerParser
-from anchorflow_client.http.transport import Address, HttpAnswer, translated, unreachable
+from anchorflow_client.http.answer_parser import AnswerParser, HttpAnswer
+from anchorflow_client.http.transport import Address, translated, unreachable
 
 
 class AsyncSocketTransport:
-    """Connections that are kept alive, the one used last first.
+    """Keeps connections alive and reuses the one that was used last.
 
-    Where the service had closed an idle one, a new one is opened, once. Where the task that waits
-    for an answer is cancelled, its connection is closed: the service sees its caller leave.
+    If the service had closed an idle connection, a new one is opened, once. Cancelling the task
+    that awaits an answer closes its connection, so that the service sees its client leave.
     """
 
     def __init__(self, url: str, *, connect_timeout_s: float, max_connections: int) -> None:
-        """Opens nothing yet.
-
-        Args:
-            url: of the service.
-            connect_timeout_s: longest wait for a connection.
-            max_connections: requests on their way at the same time; others wait for a place.
+        """Check the arguments; `send` connects.
 
         Raises:
-            ValueError: `url` is no address of a service, or there is no place for any request.
+            ValueError: `url` is invalid, or `max_connections` is not a whole number from 1.
         """
         self._address = Address.of(url)
         if type(max_connections) is not int or max_connections < 1:
@@ -38,7 +33,7 @@ class AsyncSocketTransport:
             )
         self._url = url
         self._connect_timeout_s = float(connect_timeout_s)
-        self._places = asyncio.Semaphore(max_connections)
+        self._slots = asyncio.Semaphore(max_connections)
         self._idle: list[_Connection] = []
         self._open: set[_Connection] = set()
         self._connecting: set[asyncio.Future[Any]] = set()
@@ -52,19 +47,19 @@ class AsyncSocketTransport:
         body: bytes | None,
         timeout_s: float,
     ) -> HttpAnswer:
-        """Send and wait; `timeout_s` bounds each wait for the service's next bytes."""
+        """Send a request and return its answer; `timeout_s` bounds each wait for more bytes."""
         head = self._address.head(method, path, headers, body)
-        # CPython 3.12's `writelines` is never done with an empty part.
+        # CPython 3.12's `writelines` never finishes with an empty part.
         request = [head, body] if body else [head]
         times_closed = self._times_closed
         try:
-            async with self._places:
+            async with self._slots:
                 return await self._exchange(request, timeout_s, times_closed)
         except (OSError, http.client.HTTPException) as error:
             raise translated(error, self._url, timeout_s=timeout_s) from error
 
     async def aclose(self) -> None:
-        """Close all connections; requests on their way fail, and a later `send` opens a new one."""
+        """Close all connections; pending requests fail, and a later `send` opens a new one."""
         self._times_closed += 1
         connections, connecting = list(self._open), list(self._connecting)
         for attempt in connecting:
@@ -78,20 +73,22 @@ class AsyncSocketTransport:
     async def _exchange(
         self, request: Sequence[bytes], timeout_s: float, times_closed: int
     ) -> HttpAnswer:
-        if idle := self._take_idle():
-            try:
-                return await self._ask(idle, request, timeout_s)
-            except ConnectionError:  # The service closed it while it was idle.
-                pass
+        while self._idle:
+            connection = self._idle.pop()
+            if connection.is_reusable:
+                try:
+                    return await self._send_on(connection, request, timeout_s)
+                except ConnectionError:  # The service closed it while it was idle.
+                    break
         if times_closed != self._times_closed:
             raise _closed()
-        return await self._ask(await self._connect(), request, timeout_s)
+        return await self._send_on(await self._connect(), request, timeout_s)
 
-    async def _ask(
+    async def _send_on(
         self, connection: _Connection, request: Sequence[bytes], timeout_s: float
     ) -> HttpAnswer:
         try:
-            answer = await connection.ask(request, timeout_s)
+            answer = await connection.send(request, timeout_s)
         except BaseException:  # cancellation too
             connection.abort()
             raise
@@ -100,13 +97,6 @@ class AsyncSocketTransport:
         else:
             connection.abort()
         return answer
-
-    def _take_idle(self) -> _Connection | None:
-        while self._idle:
-            connection = self._idle.pop()
-            if connection.is_reusable:
-                return connection
-        return None
 
     async def _connect(self) -> _Connection:
         connection = _Connection(self._open)
@@ -139,7 +129,7 @@ class AsyncSocketTransport:
 
 
 class _Connection(asyncio.Protocol):
-    """One connection, which carries one request at a time; it is in `opened` while it is open."""
+    """One connection, which carries one request at a time; a member of `opened` while open."""
 
     def __init__(self, opened: set[_Connection]) -> None:
         self._opened = opened
@@ -153,7 +143,7 @@ class _Connection(asyncio.Protocol):
 
     @property
     def is_reusable(self) -> bool:
-        """Whether the service keeps it open, and nothing of an earlier request is on its way."""
+        """Return whether it is open and no byte of an earlier request or answer is pending."""
         transport = self._transport
         return (
             transport is not None
@@ -162,12 +152,12 @@ class _Connection(asyncio.Protocol):
             and self._parser.keeps_alive
         )
 
-    async def ask(self, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
-        """The answer.
+    async def send(self, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
+        """Send a request and return its answer.
 
         Raises:
-            OSError: the connection broke, or nothing was heard for so long.
-            HTTPException: what came is not HTTP's.
+            OSError: the connection broke, or no byte arrived for `timeout_s`.
+            HTTPException: the answer is not HTTP.
         """
         if self._transport is None or self._transport.is_closing():
             raise _closed()
@@ -175,56 +165,56 @@ class _Connection(asyncio.Protocol):
         self._answer = self._loop.create_future()
         try:
             self._transport.writelines(request)
-            self._wait_on()
+            self._restart_timer()
             await self._answer
         finally:
             self._answer = None
-            self._stop_waiting()
+            self._stop_timer()
         assert self._parser.answer is not None
         return self._parser.answer
 
     def abort(self) -> None:
-        """Close it at once."""
+        """Close the connection at once."""
         if self._transport is not None:
             self._transport.abort()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
-        transport.set_write_buffer_limits(high=0)  # so that `resume_writing` says: all is sent
+        transport.set_write_buffer_limits(high=0)  # so that `resume_writing` means: all is sent
         self._transport = transport
         self._opened.add(self)
 
     def resume_writing(self) -> None:
-        self._wait_on()
+        self._restart_timer()
 
     def data_received(self, data: bytes) -> None:
-        if self._answer is None:  # nobody asked
+        if self._answer is None:  # no request is pending
             self.abort()
             return
-        self._wait_on()
+        self._restart_timer()
         try:
             self._parser.feed(data)
         except http.client.HTTPException as error:
-            self._settle(error)
+            self._finish(error)
         else:
             if self._parser.answer is not None:
-                self._settle()
+                self._finish()
 
     def eof_received(self) -> None:
         try:
             self._parser.end()
         except (OSError, http.client.HTTPException) as error:
-            self._settle(error)
+            self._finish(error)
         else:
-            self._settle()
+            self._finish()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._opened.discard(self)
-        self._settle(exc or _closed())
+        self._finish(exc or _closed())
         self.closed.set_result(None)
 
-    def _settle(self, error: Exception | None = None) -> None:
-        """Ends the wait for the answer, where it goes on."""
+    def _finish(self, error: Exception | None = None) -> None:
+        """Resolve the pending request, if there is one."""
         if self._answer is None or self._answer.done():
             return
         if error is None:
@@ -232,13 +222,13 @@ class _Connection(asyncio.Protocol):
         else:
             self._answer.set_exception(error)
 
-    def _wait_on(self) -> None:
-        """The service was heard, or has heard: it has so long from now."""
-        self._stop_waiting()
+    def _restart_timer(self) -> None:
+        """Start the timeout anew, because bytes were received or all bytes were sent."""
+        self._stop_timer()
         if self._answer is not None:
-            self._timer = self._loop.call_later(self._timeout_s, self._settle, TimeoutError())
+            self._timer = self._loop.call_later(self._timeout_s, self._finish, TimeoutError())
 
-    def _stop_waiting(self) -> None:
+    def _stop_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from anchorflow_client import ConnectionFailed, TimedOut
-from anchorflow_client.http.async_socket_transport import AsyncSocketTransport, _Connection
+from anchorflow_client.http.async_transport import AsyncSocketTransport, _Connection
 from anchorflow_client.http.transport import HttpAnswer
 
 OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok"
@@ -142,11 +142,11 @@ def test_a_head_is_that_of_the_blocking_client() -> None:
 
 def test_nothing_empty_is_handed_to_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """`writelines` of CPython 3.12 is never done with it: a loop that waits would turn for ever."""
-    ask, requests = _Connection.ask, list[Sequence[bytes]]()
+    send, requests = _Connection.send, list[Sequence[bytes]]()
 
     async def asked(self: _Connection, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
         requests.append(request)
-        return await ask(self, request, timeout_s)
+        return await send(self, request, timeout_s)
 
     async def test() -> None:
         async with serving() as (server, transport):
@@ -154,7 +154,7 @@ def test_nothing_empty_is_handed_to_the_event_loop(monkeypatch: pytest.MonkeyPat
             await get(transport)
             await transport.send("POST", "/", {}, b"", 20)
 
-    monkeypatch.setattr(_Connection, "ask", asked)
+    monkeypatch.setattr(_Connection, "send", asked)
     run(test)
     assert len(requests) == 2
     assert all(part for request in requests for part in request)

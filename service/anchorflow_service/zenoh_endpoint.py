@@ -1,8 +1,9 @@
-"""A replica's keys, declared as long as the service is open, and the answers on them."""
+"""The service on a zenoh network: one replica, which answers from the same queue as HTTP."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import logging
 import threading
 import uuid
@@ -25,20 +26,18 @@ from anchorflow_client.zenoh_messages import (
     RequestAttachment,
 )
 from anchorflow_service.planning import Arrival, Call, PlanningService, internal_error
-from anchorflow_service.zenoh_endpoint.replies import refuse, reply
 
 logger = logging.getLogger(__name__)
 
 
 class RefusingCodec(OipCodec):
-    """Reads nothing: so a query that is wrong as such is counted like any other call."""
+    """Raises an error in place of reading, so that an invalid query is counted as a request."""
 
     def __init__(self, error: RequestError) -> None:
         super().__init__()
         self._error = error
 
     def decode_request(self, payload: Payload) -> AnchorRequest:  # noqa: ARG002
-        """Raises the error."""
         raise self._error
 
 
@@ -46,12 +45,12 @@ class ZenohEndpoint:
     """Answers queries on the event loop on which it is entered.
 
     Args:
-        service: plans; open as long as this is.
-        session: on the network; closed with this.
-        replica: this replica's name, one of its own on the network; the session's id unless told.
+        service: answers the requests; it stays open longer than this.
+        session: an open session, closed with this.
+        replica: this replica's name, unique on the network; by default the session's id.
 
     Raises:
-        InvalidRequest: the replica or a model has a name that cannot stand in a key.
+        InvalidRequest: the name of the replica or of a model is not allowed in a key.
     """
 
     def __init__(
@@ -62,7 +61,7 @@ class ZenohEndpoint:
         self._session = session
         self._codec = OipCodec()
         self._models: dict[str, str] = {}
-        """The model of every key that there was, served still or not."""
+        """The model of every key that was ever declared."""
         for card in service.engines.cards():
             self._models |= self._keys_of(card.name)
         self._queryables: dict[str, zenoh.Queryable[None]] = {}
@@ -74,11 +73,11 @@ class ZenohEndpoint:
 
     async def __aenter__(self) -> ZenohEndpoint:
         loop = asyncio.get_running_loop()
-        self._declare(info_key(self.replica), self._tell)
+        self._declare(info_key(self.replica), self._reply_info)
         following = self._service.engines.followed_by(partial(self._follow, loop))
         self._following.enter_context(following)
         self._follow(loop)
-        # Last, so that whoever sees it can be answered.
+        # Last, so that a client that sees the token gets an answer.
         self._token = self._session.liveliness().declare_token(replica_key(self.replica))
         return self
 
@@ -88,20 +87,20 @@ class ZenohEndpoint:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Take no more queries, answer those that came, leave the network."""
+        """Accept no more queries, answer those that have arrived, and leave the network."""
         self._following.close()
         if self._token is not None:
             self._token.undeclare()
-        with self._changing:  # a change that is under way comes before or has no effect
+        with self._changing:  # a later change has no effect
             self._is_leaving, queryables = True, list(self._queryables.values())
         for queryable in queryables:
             await asyncio.to_thread(queryable.undeclare)
-        await asyncio.sleep(0)  # what was received is on the loop now
+        await asyncio.sleep(0)  # received queries have become tasks now
         await asyncio.gather(*self._answering)
         await asyncio.to_thread(self._session.close)
 
     def _follow(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Have the keys of the models that are served now, and no others; from any thread."""
+        """Declare the keys of the models that are served now, and no others; from any thread."""
         with self._changing:
             if self._is_leaving:
                 return
@@ -116,7 +115,7 @@ class ZenohEndpoint:
                 served |= keys.keys()
             for key in served - self._queryables.keys():
                 receive = partial(self._receive, loop, key)
-                # On the thread that reads from the network: another one would have to wake first.
+                # On zenoh's reading thread: another one would have to wake first.
                 self._declare(key, zenoh.handlers.Callback(receive, indirect=False))
             for key in self._queryables.keys() - served:
                 self._queryables.pop(key).undeclare()
@@ -126,11 +125,11 @@ class ZenohEndpoint:
         return dict.fromkeys(keys, model)
 
     def _declare(self, key: str, answer: Callable[[zenoh.Query], None]) -> None:
-        # Complete: replicas that share a key get one query each, and not all of them every one.
+        # Complete: a query on a key that replicas share is routed to one of them.
         self._queryables[key] = self._session.declare_queryable(key, answer, complete=True)
 
     def _receive(self, loop: asyncio.AbstractEventLoop, key: str, query: zenoh.Query) -> None:
-        """On zenoh's own thread, which must not wait: note the time and hand the query over."""
+        """Note the time on zenoh's thread, which must not block, and start a task on the loop."""
         arrival = self._service.arrival()
 
         def start() -> None:
@@ -150,19 +149,19 @@ class ZenohEndpoint:
                 await self._service.answer(call)
                 logger.debug("request %s answered in %.1f ms", call.request_id, arrival.elapsed_ms)
             except RequestError as error:
-                refuse(query, error)
+                _refuse(query, error)
             except Exception:
                 failed = request_id if call is None else call.request_id
                 logger.exception("request %s failed", failed, extra={"request_id": failed})
-                refuse(query, internal_error(failed))
+                _refuse(query, internal_error(failed))
 
     def _reply(self, query: zenoh.Query, key: str, call: Call, answer: Payload) -> None:
         load = self._load(answered=1)
         attachment = AnswerAttachment(answer.header_length, call.request_id, self.replica, load)
-        reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
+        _send_reply(query, key, answer.body, attachment.to_bytes(), self._codec.content_type)
 
     def _call(self, query: zenoh.Query, key: str, arrival: Arrival, request_id: str) -> Call:
-        """What a query asks; where that is wrong, one that is refused when it is read."""
+        """Return the query as a call; an invalid one raises its error when it is decoded."""
         call = Call(
             payload=Payload(b"", 0),
             codec=self._codec,
@@ -173,8 +172,8 @@ class ZenohEndpoint:
         )
         try:
             attached = None if query.attachment is None else query.attachment.to_bytes()
-            said = RequestAttachment.from_bytes(attached)
-            call.request_id, call.budget_ms = said.request_id or request_id, said.budget_ms
+            sent = RequestAttachment.from_bytes(attached)
+            call.request_id, call.budget_ms = sent.request_id or request_id, sent.budget_ms
             size, most = len(query.payload or b""), self._service.limits.max_body_bytes
             if size > most:
                 raise TooLarge(f"expected a body of at most {most} bytes, got {size}", "body")
@@ -182,11 +181,11 @@ class ZenohEndpoint:
             call.codec = RefusingCodec(error)
         else:
             body = b"" if query.payload is None else query.payload.to_bytes()
-            call.payload = Payload(body, said.header_length)
+            call.payload = Payload(body, sent.header_length)
         return call
 
-    def _tell(self, query: zenoh.Query) -> None:
-        """Cards and load, from zenoh's own thread: nothing here waits."""
+    def _reply_info(self, query: zenoh.Query) -> None:
+        """Reply with the cards and the load, on zenoh's thread: nothing here blocks."""
         info = ReplicaInfo(
             replica=self.replica,
             ready=self._service.is_ready,
@@ -195,9 +194,28 @@ class ZenohEndpoint:
             default=self._service.engines.default,
         )
         with query:
-            reply(query, info_key(self.replica), info.to_bytes(), None, "application/json")
+            _send_reply(query, info_key(self.replica), info.to_bytes(), None, "application/json")
 
     def _load(self, *, answered: int = 0) -> Load:
-        """answered: requests that still hold a place, and whose answer leaves now"""
+        """Return the load without the `answered` requests, whose answers are being sent."""
         queue = self._service.queue
         return Load(queue.in_flight - answered, queue.num_lanes, queue.mean_service_s * 1e3)
+
+
+def _send_reply(
+    query: zenoh.Query, key: str, payload: bytes, attachment: bytes | None, encoding: str
+) -> None:
+    """Reply under the queryable's key; the client may have left meanwhile."""
+    try:
+        query.reply(key, payload, encoding=encoding, attachment=attachment, express=True)
+    except zenoh.ZError as error:
+        logger.warning("a reply on %s could not be sent: %s", key, error)
+
+
+def _refuse(query: zenoh.Query, error: RequestError) -> None:
+    """Reply with the contract's error JSON."""
+    body = json.dumps(error.to_dict(), ensure_ascii=False, separators=(",", ":"))
+    try:
+        query.reply_err(body.encode(errors="replace"), encoding="application/json")
+    except zenoh.ZError as failure:
+        logger.warning("a refusal could not be sent: %s", failure)
