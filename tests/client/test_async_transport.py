@@ -1,4 +1,4 @@
-"""What the async transport does beyond the blocking one: several requests at the same time."""
+"""The async transport with concurrent requests, which the blocking one does not have."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OK = b"HTTP/1.1 200 OK\r\nContent-Length: 2\r\n\r\nok"
 
 
 class Server:
-    """Answers every request when the test lets it, and counts connections."""
+    """Answers requests once the test allows it, and counts connections."""
 
     def __init__(self) -> None:
         self.asked = asyncio.Semaphore(0)
@@ -72,34 +72,24 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(bounded())
 
 
-def test_a_connection_for_each_request_and_all_are_kept() -> None:
+@pytest.mark.parametrize("max_connections", [8, 2])
+def test_each_request_has_a_kept_connection_up_to_the_limit(max_connections: int) -> None:
+    expected = min(max_connections, 4)
+
     async def test() -> None:
-        async with serving() as (server, transport):
-            asked = asyncio.gather(*(get(transport) for _ in range(4)))
-            for _ in range(4):
+        async with serving(max_connections) as (server, transport):
+            pending = asyncio.gather(*(get(transport) for _ in range(4)))
+            for _ in range(expected):
                 await server.asked.acquire()
             server.may_answer.set()
-            assert await asked == [b"ok"] * 4
+            assert await pending == [b"ok"] * 4
             assert await asyncio.gather(*(get(transport) for _ in range(4))) == [b"ok"] * 4
-            assert server.connections == 4
+            assert server.connections == expected
 
     run(test)
 
 
-def test_no_more_connections_than_places() -> None:
-    async def test() -> None:
-        async with serving(max_connections=2) as (server, transport):
-            asked = asyncio.gather(*(get(transport) for _ in range(6)))
-            for _ in range(2):
-                await server.asked.acquire()
-            server.may_answer.set()
-            assert await asked == [b"ok"] * 6
-            assert server.connections == 2
-
-    run(test)
-
-
-def test_a_place_that_is_given_up_is_free() -> None:
+def test_a_cancelled_request_frees_its_slot() -> None:
     async def test() -> None:
         async with serving(max_connections=1) as (server, transport):
             first = asyncio.ensure_future(get(transport))
@@ -115,7 +105,7 @@ def test_a_place_that_is_given_up_is_free() -> None:
     run(test)
 
 
-def test_a_place_whose_request_times_out_is_free() -> None:
+def test_a_request_that_times_out_frees_its_slot() -> None:
     async def test() -> None:
         async with serving(max_connections=1) as (server, transport):
             with pytest.raises(TimedOut, match=r"within 0\.05 s"):
@@ -133,15 +123,19 @@ def test_a_head_is_that_of_the_blocking_client() -> None:
             await transport.send("POST", "/a", {"X-Kind": "test"}, b"", 20)
             first, *rest = server.heads[0].decode().rstrip().split("\r\n")
             assert first == "POST /a HTTP/1.1"
-            told = dict(line.split(": ", 1) for line in rest)
-            assert told.pop("Host").startswith("127.0.0.1:")
-            assert told == {"Accept-Encoding": "identity", "Content-Length": "0", "X-Kind": "test"}
+            headers = dict(line.split(": ", 1) for line in rest)
+            assert headers.pop("Host").startswith("127.0.0.1:")
+            assert headers == {
+                "Accept-Encoding": "identity",
+                "Content-Length": "0",
+                "X-Kind": "test",
+            }
 
     run(test)
 
 
-def test_nothing_empty_is_handed_to_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`writelines` of CPython 3.12 is never done with it: a loop that waits would turn for ever."""
+def test_no_empty_part_reaches_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CPython 3.12's `writelines` never finishes with one: the loop would spin."""
     send, requests = _Connection.send, list[Sequence[bytes]]()
 
     async def asked(self: _Connection, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
@@ -161,18 +155,18 @@ def test_nothing_empty_is_handed_to_the_event_loop(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("turns", range(1, 12))
-def test_what_is_on_its_way_fails_when_all_is_closed(turns: int) -> None:
-    """At whatever turn of the loop: before a connection, while it is opened, or after that."""
+def test_pending_requests_fail_at_close(turns: int) -> None:
+    """At any turn of the loop: before a connection, while it is opened, or after that."""
 
     async def test() -> None:
         async with serving(max_connections=1) as (server, transport):
-            asked = [asyncio.ensure_future(get(transport)) for _ in range(2)]
+            pending = [asyncio.ensure_future(get(transport)) for _ in range(2)]
             for _ in range(turns):
                 await asyncio.sleep(0)
             await transport.aclose()
             assert not transport._open
             server.may_answer.set()
-            for each in asked:
+            for each in pending:
                 with pytest.raises(ConnectionFailed, match="closed"):
                     await each
             assert await get(transport) == b"ok"
@@ -180,7 +174,7 @@ def test_what_is_on_its_way_fails_when_all_is_closed(turns: int) -> None:
     run(test)
 
 
-def test_a_request_over_a_kept_connection_fails_when_all_is_closed() -> None:
+def test_a_request_on_a_kept_connection_fails_at_close() -> None:
     async def test() -> None:
         async with serving() as (server, transport):
             server.may_answer.set()
@@ -208,8 +202,8 @@ def test_a_header_cannot_end_its_line() -> None:
     run(test)
 
 
-def test_a_connection_whose_body_is_still_on_its_way_is_not_kept() -> None:
-    """What is left of it would be taken for the head of the next request."""
+def test_a_connection_with_unsent_bytes_is_not_kept() -> None:
+    """The service would read the rest of the body as the head of the next request."""
 
     async def test() -> None:
         heard, hung_up = asyncio.Event(), asyncio.Event()

@@ -1,13 +1,14 @@
-"""The planner in a control loop: it asks, waits, ages its plans and hands out the newest."""
+"""The planner in a control loop: it sends requests, ages its plans and returns the newest."""
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from staged_planner import Stage, batch_for
+from staged_planner import VIEW, Stage, batch_for
 
 from anchorflow_client import (
     AnchorBatch,
@@ -18,7 +19,7 @@ from anchorflow_client import (
     Overloaded,
     WarmStart,
 )
-from anchorflow_client.planner import PlannerConfig
+from anchorflow_client.planner import Planner, PlannerConfig
 from anchorflow_client.planner.plan import PlanState
 
 
@@ -31,43 +32,31 @@ def test_before_the_first_answer_the_loop_waits(stage: Stage) -> None:
     assert stage.requests == []  # nothing was asked on the loop's own thread
 
 
-def test_an_answer_is_handed_at_the_next_update(stage: Stage) -> None:
+def test_an_answer_is_returned_by_the_next_update(stage: Stage) -> None:
     stage.update()
+    stage.now += 0.3
     stage.answer()
-    stage.now += 0.05
+    stage.now += 0.2
     plan = stage.update()
 
     assert plan.state is PlanState.FRESH
     assert plan.batch is not None
     assert plan.request_id == stage.requests[0].request_id == plan.batch.request_id
+    assert plan.age_ms == pytest.approx(500.0)  # since the observation, not since the answer
+    assert stage.requests[0].budget_ms == 1000.0  # no longer than its plan is usable
 
 
-def test_age_counts_from_what_was_seen_not_from_the_answer(stage: Stage) -> None:
-    stage.update()
-    stage.now += 0.3
+def test_the_states_of_a_plan_start_at_the_robots_present_position(stage: Stage) -> None:
+    with pytest.raises(ValueError, match="usable plan, got one that is waiting"):
+        stage.update().states()
     stage.answer()
-    stage.now += 0.2
-
-    assert stage.update().age_ms == pytest.approx(500.0)
-
-
-def test_the_states_of_a_plan_start_where_the_robot_should_be_now(stage: Stage) -> None:
-    plan = stage.cycle(seconds=0.75)
+    stage.now += 0.75
+    plan = stage.planner.wait(0.0)
 
     expected = np.array([[0.75, 0, 1, 0, 0, 0], [1.5, 0, 2, 0, 0, 0]])
     np.testing.assert_allclose(plan.states()[:, 0], expected)
-
-
-def test_the_states_of_a_plan_may_start_a_tick_later(stage: Stage) -> None:
-    plan = stage.cycle(0.3)
-
     ahead = plan.states(ahead_s=0.05)[1, 0]
-    np.testing.assert_allclose(ahead, [0.7, 0.0, 2.0, 0.0, 0.0, 0.0], atol=1e-6)
-
-
-def test_a_plan_without_a_batch_has_no_states(stage: Stage) -> None:
-    with pytest.raises(ValueError, match="usable plan, got one that is waiting"):
-        stage.update().states()
+    np.testing.assert_allclose(ahead, [1.6, 0.0, 2.0, 0.0, 0.0, 0.0], atol=1e-6)
 
 
 def test_one_request_at_a_time_and_no_two_within_the_period(stage: Stage) -> None:
@@ -83,30 +72,26 @@ def test_one_request_at_a_time_and_no_two_within_the_period(stage: Stage) -> Non
     assert len(stage.waiting) == 1
 
 
-def test_what_the_loop_changes_afterwards_is_not_sent(stage: Stage) -> None:
+def test_a_request_holds_copies_of_the_loops_arrays(stage: Stage) -> None:
     grid, state = np.zeros((16, 16)), np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    stage.update(cost_map=grid, x_curr=state)
-    grid[:], state[:] = 1.0, 9.0
-    stage.answer()
-
-    assert stage.requests[0].cost_map.data.max() == 0.0
-    assert stage.requests[0].x_curr[0, 0] == 0.0
-
-
-def test_no_other_array_that_the_loop_changes_afterwards_is_sent(stage: Stage) -> None:
     origin, style, path = np.array([-4.0, -4.0]), np.array([1.0, 0.0, 0.0]), np.zeros((4, 2))
     schedule = [0.0, 0.5, 1.0]
     stage.update(
+        cost_map=grid,
+        x_curr=state,
         origin=origin,
         w_style=style,
         warm_start=WarmStart(path, 0.5),
         sampler={"method": "euler", "schedule": schedule},
     )
+    grid[:], state[:] = 1.0, 9.0
     origin[:], style[:], path[:] = -3.0, [0.0, 0.0, 1.0], 9.0
     schedule.insert(1, 0.25)
     stage.answer()
 
     (sent,) = stage.requests
+    assert sent.cost_map.data.max() == 0.0
+    assert sent.x_curr[0, 0] == 0.0
     np.testing.assert_array_equal(sent.cost_map.origin, [-4.0, -4.0])
     np.testing.assert_array_equal(sent.w_style, [[1.0, 0.0, 0.0]])
     assert sent.warm_start is not None
@@ -115,7 +100,7 @@ def test_no_other_array_that_the_loop_changes_afterwards_is_sent(stage: Stage) -
     assert sent.sampler.schedule == (0.0, 0.5, 1.0)
 
 
-def test_a_map_that_holds_the_loops_own_array_is_copied(stage: Stage) -> None:
+def test_a_cost_map_object_is_copied_too(stage: Stage) -> None:
     grid = np.zeros((1, 16, 16), np.float32)
     stage.update(cost_map=CostMap(grid, 0.5, np.array([-4.0, -4.0])), resolution=None)
     grid[:] = 1.0
@@ -131,11 +116,6 @@ def test_further_fields_go_into_the_request(stage: Stage) -> None:
     assert (sent.num_samples, sent.budget_ms) == (8, 40.0)
     assert sent.sampler is not None
     assert sent.sampler.method == "euler"
-
-
-def test_a_request_is_worth_no_more_time_than_its_plan(stage: Stage) -> None:
-    stage.cycle()
-    assert stage.requests[0].budget_ms == 1000.0
 
 
 def test_an_old_plan_is_expired_and_has_no_batch(stage: Stage) -> None:
@@ -216,7 +196,7 @@ def test_after_a_reset_nothing_old_comes_back(stage: Stage) -> None:
     assert stage.requests[-1].warm_start is None
 
 
-def test_after_a_reset_is_asked_at_once(stage: Stage) -> None:
+def test_after_a_reset_a_request_is_due(stage: Stage) -> None:
     stage.cycle()
     stage.update()
     stage.fail(Overloaded("full", retry_after_s=60.0))
@@ -228,7 +208,7 @@ def test_after_a_reset_is_asked_at_once(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("asked", [False, True])
-def test_where_the_clock_goes_back_it_begins_anew(stage: Stage, asked: bool) -> None:
+def test_a_clock_that_goes_back_resets_the_planner(stage: Stage, asked: bool) -> None:
     stage.cycle()
     if asked:
         stage.update()
@@ -303,3 +283,28 @@ def test_a_setting_out_of_range_is_named(setting: str, value: object) -> None:
     settings: dict[str, Any] = {setting: value}
     with pytest.raises(ValueError, match=f"^{setting}: expected"):
         PlannerConfig(**settings)
+
+
+def test_the_loop_continues_while_the_client_hangs() -> None:
+    """With real threads."""
+    gate, entered, threads = threading.Event(), threading.Event(), list[threading.Thread]()
+
+    class Gated:
+        def plan_request(self, request: AnchorRequest) -> AnchorBatch:
+            threads.append(threading.current_thread())
+            entered.set()
+            assert gate.wait(30)
+            return batch_for(request)
+
+    with Planner(Gated(), PlannerConfig(max_age_ms=1e6)) as planner:
+        assert planner.wait(0.0).state is PlanState.WAITING  # no request is pending
+        planner.update(**VIEW)
+        assert entered.wait(30)
+        # An update that waited for the client would block here: the gate is closed.
+        assert {planner.update(**VIEW).state for _ in range(100)} == {PlanState.WAITING}
+        assert planner.wait(0.0).state is PlanState.WAITING
+        gate.set()
+        assert planner.wait(30).state is PlanState.FRESH
+        assert planner.counts["asked"] == 1
+    assert threads != [threading.current_thread()]
+    assert isinstance(planner.update(**VIEW).last_error, ConnectionFailed)  # it is closed

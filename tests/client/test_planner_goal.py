@@ -1,4 +1,4 @@
-"""The local goal: on the map it stays, beyond it the way towards it is cut off."""
+"""The local goal, for goals on the map and beyond it."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from staged_planner import ByHand, Stage, batch_for
+from staged_planner import ByHand, Stage, batch_for, nothing_safe
 
 from anchorflow_client import (
-    AnchorBatch,
-    AnchorRequest,
     CostMap,
     InvalidRequest,
     ModelCard,
@@ -28,7 +26,7 @@ HERE = np.zeros(2)
 
 
 def empty_map() -> np.ndarray:
-    """[1,H,W] of 8 m by 8 m round (0, 0)."""
+    """Return [1,H,W], 8 m by 8 m round (0, 0)."""
     return np.zeros((1, 32, 32), np.float32)
 
 
@@ -42,23 +40,22 @@ def goal_on(data: np.ndarray, goal: list[float], clearance_m: float = 0.3) -> np
     )
 
 
-def test_a_goal_on_free_ground_stays() -> None:
-    np.testing.assert_array_equal(
-        goal_on(empty_map(), [2.1, -1.3, 0.4, 0.2]), [2.1, -1.3, 0.4, 0.2]
-    )
+SLANT = 1.5 / np.sqrt(5)
 
 
-def test_a_far_goal_is_cut_off_inside_the_map_and_passed_towards() -> None:
-    goal = goal_on(empty_map(), [30.0, 0.0, 0.0, 0.0])
-
-    np.testing.assert_allclose(goal, [3.7, 0.0, 1.5, 0.0], atol=1e-9)
-
-
-def test_a_far_goal_aslant_keeps_its_direction() -> None:
-    goal = goal_on(empty_map(), [20.0, 10.0, 0.0, 0.0])
-
-    np.testing.assert_allclose(goal[:2], [3.7, 1.85], atol=1e-9)
-    np.testing.assert_allclose(goal[2:], 1.5 * np.array([2, 1]) / np.sqrt(5), atol=1e-9)
+@pytest.mark.parametrize(
+    ("goal", "expected"),
+    [
+        ([2.1, -1.3, 0.4, 0.2], [2.1, -1.3, 0.4, 0.2]),
+        ([30.0, 0.0, 0.0, 0.0], [3.7, 0.0, 1.5, 0.0]),  # passed, inside the map
+        ([20.0, 10.0, 0.0, 0.0], [3.7, 1.85, 2 * SLANT, SLANT]),
+        ([30.0, 0.0, 0.7, 0.0, 0.0, 0.1], [3.7, 0.0, 0.7, 1.5, 0.0, 0.1]),  # keeps its heading
+    ],
+)
+def test_a_goal_on_a_free_map_is_kept_or_cut_off_at_its_edge(
+    goal: list[float], expected: list[float]
+) -> None:
+    np.testing.assert_allclose(goal_on(empty_map(), goal), expected, atol=1e-9)
 
 
 def test_a_goal_in_an_obstacle_moves_to_the_nearest_free_cell_and_is_stopped_at() -> None:
@@ -68,12 +65,6 @@ def test_a_goal_in_an_obstacle_moves_to_the_nearest_free_cell_and_is_stopped_at(
 
     # The last column of cells before the wall whose centre is more than 0.3 m from its first.
     np.testing.assert_allclose(goal, [0.625, 0.125, 0.0, 0.0], atol=1e-9)
-
-
-def test_a_heading_is_left_as_it_is() -> None:
-    goal = goal_on(empty_map(), [30.0, 0.0, 0.7, 0.0, 0.0, 0.1])
-
-    np.testing.assert_allclose(goal, [3.7, 0.0, 0.7, 1.5, 0.0, 0.1], atol=1e-9)
 
 
 def test_a_map_without_room_is_refused() -> None:
@@ -105,22 +96,22 @@ def test_the_local_goal_keeps_its_distance(
 
 
 class Carded(Stage):
-    """Its client tells cards too."""
+    """A stage whose client has cards, too."""
 
     def __init__(self, *cards: ModelCard, lost: bool = False) -> None:
         super().__init__(PlannerConfig(through_speed=1.0))
         self.cards, self.lost = cards, lost
-        self.told = 0
+        self.fetched = 0
 
     def models(self) -> tuple[ModelCard, ...]:
-        self.told += 1
+        self.fetched += 1
         if self.lost:
             raise Unauthorized("not for you")
         return self.cards
 
 
 def through_speed(stage: Stage, **options: Any) -> float:
-    """m/s at the goal that is sent for one beyond the map."""
+    """Return m/s at the local goal of one beyond the map."""
     stage.cycle(x_goal=[50.0, 0.0, 0.0, 0.0], **options)
     return round(float(np.linalg.norm(stage.requests[-1].x_goal[0, 2:])), 9)
 
@@ -140,7 +131,7 @@ def test_a_far_goal_is_passed_no_faster_than_the_robot_drives(
     carded = Carded(slow(card, 0.5), replace(slow(card, 0.3), name="crawler"))
     assert [through_speed(carded) for _ in range(2)] == [0.5, 0.5]
     assert through_speed(carded, model="crawler") == 0.3
-    assert carded.told == 1
+    assert carded.fetched == 1
     assert through_speed(carded, model="crawler", v_max=0.8) == 0.8
     assert through_speed(Carded(card)) == 1.0
 
@@ -169,7 +160,7 @@ def test_a_goal_in_a_pocket_is_not_taken_where_another_place_can_be_reached() ->
 
 
 @given(seed=st.integers(0, 2**32 - 1), goal=st.tuples(st.floats(-6, 6), st.floats(-6, 6)))
-def test_the_local_goal_keeps_what_the_service_asks_for(
+def test_the_local_goal_keeps_the_clearance_that_the_service_requires(
     seed: int, goal: tuple[float, float]
 ) -> None:
     data = (np.random.default_rng(seed).random((1, 32, 32)) < 0.05).astype(np.float32)
@@ -187,7 +178,7 @@ def test_the_local_goal_keeps_what_the_service_asks_for(
     assert distance >= 0.2 + 0.05 + SHARE_OF_CELL * RESOLUTION
 
 
-def test_the_radius_of_the_card_counts_where_a_request_says_none(card: ModelCard) -> None:
+def test_the_cards_radius_is_the_default(card: ModelCard) -> None:
     data = np.zeros((64, 64), np.float32)
     data[31:33, 40:] = 1.0  # the goal lies 0.3 m beside it
     wide = replace(card.cost_map, limits=replace(card.cost_map.limits, robot_radius=0.5))
@@ -202,12 +193,7 @@ def test_the_radius_of_the_card_counts_where_a_request_says_none(card: ModelCard
         assert kept <= obstacle_distance(CostMap.build(data[None], 0.1), goal[:2]) < kept + 0.2
 
 
-def nothing_safe(request: AnchorRequest) -> AnchorBatch:
-    batch = batch_for(request)
-    return replace(batch, arrays={**batch.arrays, "safe": np.zeros(2, bool)})
-
-
-def test_where_nothing_is_safe_a_far_goal_is_stopped_at(stage: Stage) -> None:
+def test_after_an_unsafe_answer_the_robot_stops_at_a_local_goal(stage: Stage) -> None:
     assert through_speed(stage) == 1.0
     stage.reply = nothing_safe
     assert through_speed(stage) == 1.0
@@ -219,10 +205,11 @@ def test_where_nothing_is_safe_a_far_goal_is_stopped_at(stage: Stage) -> None:
 
 
 def goal_from(data: np.ndarray, y: float, goal_y: float, *, clearance_m: float) -> np.ndarray:
-    """[2] m, the local goal of a robot that asks for 0.3 m."""
+    """Return [2] m, the local goal of a robot that needs 0.3 m."""
     cost_map, here, goal = CostMap.build(data, 0.1), np.array([0.0, y]), [0.0, goal_y, 0.0, 0.0]
-    told: dict[str, float] = {"clearance_m": clearance_m, "through_speed": 1.0, "passage_m": 0.3}
-    return local_goal(cost_map, here, np.array(goal), **told)[:2]
+    return local_goal(
+        cost_map, here, np.array(goal), clearance_m=clearance_m, through_speed=1.0, passage_m=0.3
+    )[:2]
 
 
 def test_a_place_across_a_wall_is_not_reached() -> None:

@@ -19,14 +19,14 @@ RESOLUTION = 0.1
 
 
 def wall_map() -> CostMap:
-    """8 m by 8 m round (0, 0) with a block in the middle, 1 m a side."""
+    """Return a map of 8 m by 8 m round (0, 0) with a block of 1 m in the middle."""
     data = np.zeros((1, 80, 80), np.float32)
     data[0, 35:45, 35:45] = 1.0
     return CostMap.build(data, RESOLUTION)
 
 
 def bent(sides: Sequence[float]) -> np.ndarray:
-    """[N, T, 2] from (-3, 0) to (3, 0), each as far to the side in the middle as it says."""
+    """Return [N, T, 2] from (-3, 0) to (3, 0), bent by `sides` m in the middle."""
     share = np.linspace(0.0, 1.0, STEPS)
     along = np.broadcast_to(6.0 * share - 3.0, (len(sides), STEPS))
     return np.stack([along, np.multiply.outer(sides, np.sin(np.pi * share))], -1)

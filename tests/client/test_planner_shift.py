@@ -18,15 +18,11 @@ def falling(times: np.ndarray) -> np.ndarray:
     return np.stack([t, t**2, zero + 1, 2 * t, zero, zero + 2], axis=-1)
 
 
-def test_no_time_changes_nothing() -> None:
-    states = falling(DT * np.arange(9))
-    np.testing.assert_array_equal(shifted(states, dt=DT, elapsed_s=0.0), states)
-
-
-def test_whole_steps_move_the_samples_up() -> None:
+@pytest.mark.parametrize("steps", [0, 5])
+def test_whole_steps_move_the_samples_up(steps: int) -> None:
     times = DT * np.arange(20)
-    later = shifted(falling(times), dt=DT, elapsed_s=5 * DT)
-    np.testing.assert_allclose(later[:15], falling(times + 5 * DT)[:15], atol=1e-12)
+    later = shifted(falling(times), dt=DT, elapsed_s=steps * DT)
+    np.testing.assert_allclose(later[:15], falling(times + steps * DT)[:15], atol=1e-12)
 
 
 @given(st.floats(0.0, 0.9))
@@ -45,19 +41,12 @@ def test_past_its_end_the_motion_goes_on_straight() -> None:
     np.testing.assert_allclose(later[-1], [2.5, 4.0, 1, 2, 0, 0], atol=1e-12)
 
 
-def test_every_anchor_of_a_batch_is_shifted_like_one_alone() -> None:
+@pytest.mark.parametrize("own", [DT, np.array([0.03, 0.1, 0.7])])
+def test_anchors_of_a_batch_are_shifted_one_by_one(own: float | np.ndarray) -> None:
     states = np.random.default_rng(0).normal(size=(3, 12, 6))
-    together = shifted(states, dt=DT, elapsed_s=0.37)
-    for one, shifted_one in zip(states, together, strict=True):
-        np.testing.assert_array_equal(shifted(one, dt=DT, elapsed_s=0.37), shifted_one)
-
-
-def test_every_anchor_of_a_batch_is_shifted_by_its_own_time_step() -> None:
-    states = np.random.default_rng(0).normal(size=(3, 12, 6))
-    own = np.array([0.03, 0.1, 0.7])
     together = shifted(states, dt=own, elapsed_s=0.37)
-    for one, dt, shifted_one in zip(states, own, together, strict=True):
-        np.testing.assert_array_equal(shifted(one, dt=dt, elapsed_s=0.37), shifted_one)
+    for one, dt, alone in zip(states, np.broadcast_to(own, 3), together, strict=True):
+        np.testing.assert_array_equal(shifted(one, dt=dt, elapsed_s=0.37), alone)
 
 
 def test_what_is_left_may_be_sampled_up_to_its_end() -> None:
@@ -69,7 +58,7 @@ def test_what_is_left_may_be_sampled_up_to_its_end() -> None:
 
 @given(st.integers(2, 64), st.floats(1e-3, 10.0), st.floats(0.0, 0.999))
 def test_the_end_keeps_its_acceleration(steps: int, dt: float, share: float) -> None:
-    """However the times are rounded: nothing there is past the end."""
+    """However the times are rounded, no sample is past the end."""
     states = falling(dt * np.arange(steps))
     elapsed_s = share * dt * (steps - 1)
     later_dt = (dt * (steps - 1) - elapsed_s) / (steps - 1)

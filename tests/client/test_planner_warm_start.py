@@ -1,4 +1,4 @@
-"""What the planner's next request starts from, and when an anchor in use is over."""
+"""The start of the planner's next request, and the end of an anchor in use."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ OWN_DT = np.array([1.0, 0.25])
 
 
 def own_times(request: AnchorRequest) -> AnchorBatch:
-    """The same anchors, of which the first lasts 4 s, the second 1 s."""
+    """Return the same anchors: the first lasts 4 s, the second 1 s."""
     return replace(batch_for(request), dt=OWN_DT)
 
 
@@ -107,24 +107,17 @@ def test_a_plan_whose_anchors_are_all_over_is_expired(stage: Stage) -> None:
     assert stage.planner.wait(0.0).state is PlanState.EXPIRED
 
 
-def test_without_a_word_from_the_loop_it_starts_from_the_best(stage: Stage) -> None:
-    stage.cycle()
-    stage.cycle()
-
-    warm_start = stage.requests[1].warm_start
-    assert warm_start is not None
-    assert warm_start.trajectory[0, 2] == 2.0  # m/s: the second anchor
-
-
-def test_every_third_request_starts_from_noise(stage: Stage) -> None:
+def test_requests_start_from_the_best_and_every_third_from_noise(stage: Stage) -> None:
     for _ in range(7):
         stage.cycle()
 
-    cold = [request.warm_start is None for request in stage.requests]
-    assert cold == [True, False, False, True, False, False, True]
+    starts = [request.warm_start for request in stage.requests]
+    assert [start is None for start in starts] == [True, False, False, True, False, False, True]
+    assert starts[1] is not None
+    assert starts[1].trajectory[0, 2] == 2.0  # m/s: the second anchor, which is the best
 
 
-def test_an_anchor_that_is_used_up_starts_nothing(stage: Stage) -> None:
+def test_an_anchor_that_has_ended_starts_no_request(stage: Stage) -> None:
     stage.cycle()
     stage.now += 5.0  # it lasted 2 s
     stage.cycle()

@@ -1,4 +1,4 @@
-"""The retrying clients over a service that fails as the test says, at the test's own time."""
+"""The retrying clients over a service whose failures and clock the test controls."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from staged_planner import ANSWER
 
 from anchorflow_client import (
     AnchorClient,
@@ -37,23 +38,9 @@ from anchorflow_client.http.transport import HttpAnswer
 Retrying = Callable[..., Any]
 Sleep = Callable[[float], None]
 
-ANSWER = {
-    "trajectories": [[[0.0, 0.0], [1.0, 0.0]]],
-    "velocities": [[[0.0, 0.0], [0.0, 0.0]]],
-    "accelerations": [[[0.0, 0.0], [0.0, 0.0]]],
-    "scores": [1.0],
-    "clearance": [0.5],
-    "safe": [True],
-    "dt": 1.0,
-    "seed": 3,
-    "model": {"name": "lines", "version": "1", "sha256": "ab"},
-    "timing_ms": {"total": 1.0},
-    "request_id": "r1",
-}
-
 
 class Stage:
-    """A transport that fails so many times in one way, and the clock, which an attempt moves on."""
+    """A transport that fails a number of times, and the clock, which attempts advance."""
 
     def __init__(self, error: AnchorFlowError, failures: int = 1, takes_s: float = 0.0) -> None:
         self.now = 100.0
@@ -81,8 +68,8 @@ class Stage:
         if not isinstance(self._error, RequestError):
             raise self._error
         retry_after_s = getattr(self._error, "retry_after_s", None)
-        told = {} if retry_after_s is None else {"retry-after": str(retry_after_s)}
-        return self._error.http_status, told, json.dumps(self._error.to_dict()).encode()
+        retry = {} if retry_after_s is None else {"retry-after": str(retry_after_s)}
+        return self._error.http_status, retry, json.dumps(self._error.to_dict()).encode()
 
     def close(self) -> None:
         self.closed = True
@@ -98,7 +85,7 @@ def retrying(
     blocking: Callable[[Any], Any],
     async_twin: Callable[[Transport], AsyncTransport],
 ) -> Retrying:
-    """Makes the retrying client over a stage, at its time, and another time the async one."""
+    """Makes the blocking or the async retrying client over a stage, with its clock."""
 
     def make(stage: Stage, *, draw: float = 1.0, sleep: Sleep | None = None, **options: Any) -> Any:
         slept = sleep or stage.sleep
@@ -117,7 +104,7 @@ def retrying(
 
 
 @pytest.mark.parametrize("kind", [Overloaded, NotReady, ConnectionFailed, TimedOut])
-def test_what_passes_is_asked_again(
+def test_a_transient_error_is_retried(
     retrying: Retrying, kind: type[AnchorFlowError], fields: dict[str, Any]
 ) -> None:
     stage = Stage(kind("a moment"), failures=3)
@@ -139,7 +126,7 @@ def test_what_passes_is_asked_again(
         UnknownModel,
     ],
 )
-def test_what_does_not_pass_is_raised_at_once(
+def test_another_error_is_raised_at_once(
     retrying: Retrying, kind: type[AnchorFlowError], fields: dict[str, Any]
 ) -> None:
     stage = Stage(kind("no"))
@@ -149,11 +136,11 @@ def test_what_does_not_pass_is_raised_at_once(
     assert (len(stage.sent), stage.slept) == (1, [])
 
 
-def test_a_proxys_words_are_asked_again(retrying: Retrying, fields: dict[str, Any]) -> None:
+def test_a_proxys_error_is_retried(retrying: Retrying, fields: dict[str, Any]) -> None:
     class Proxy(Stage):
-        def send(self, *told: Any, **_: Any) -> HttpAnswer:
-            super().send(*told)
-            return (502, {}, b"<html>") if len(self.sent) == 1 else (200, {}, _answer())
+        def send(self, *sent: Any, **_: Any) -> HttpAnswer:
+            answer = super().send(*sent)
+            return (502, {}, b"<html>") if len(self.sent) == 1 else answer
 
     stage = Proxy(NotReady(""), failures=0)
 
@@ -161,27 +148,16 @@ def test_a_proxys_words_are_asked_again(retrying: Retrying, fields: dict[str, An
     assert len(stage.sent) == 2
 
 
-def _answer() -> bytes:
-    return json.dumps(ANSWER).encode()
-
-
-def test_pauses_double_up_to_the_longest(retrying: Retrying, fields: dict[str, Any]) -> None:
-    stage = Stage(NotReady("a moment"), failures=6)
-
-    retrying(stage, first_pause_s=0.1, longest_pause_s=1.0).plan(**fields)
-
-    assert stage.slept == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.0, 1.0])
-
-
 @pytest.mark.parametrize("draw", [0.0, 0.5, 1.0])
-def test_a_pause_is_from_half_its_length_to_all_of_it(
+def test_pauses_double_up_to_the_longest_and_are_drawn_from_their_upper_half(
     retrying: Retrying, draw: float, fields: dict[str, Any]
 ) -> None:
-    stage = Stage(NotReady("a moment"), failures=2)
+    stage = Stage(NotReady("a moment"), failures=6)
 
-    retrying(stage, draw=draw).plan(**fields)
+    retrying(stage, draw=draw, first_pause_s=0.1, longest_pause_s=1.0).plan(**fields)
 
-    assert stage.slept == pytest.approx([0.1 * (0.5 + 0.5 * draw), 0.2 * (0.5 + 0.5 * draw)])
+    pauses = np.array([0.1, 0.2, 0.4, 0.8, 1.0, 1.0])
+    assert stage.slept == pytest.approx(pauses * (0.5 + 0.5 * draw))
 
 
 def test_times_of_numpy_are_slept_as_numbers(retrying: Retrying, fields: dict[str, Any]) -> None:
@@ -198,27 +174,19 @@ def test_patience_may_be_endless(retrying: Retrying, fields: dict[str, Any]) -> 
     stage = Stage(NotReady("a moment"), failures=2000)
 
     assert retrying(stage, patience_s=float("inf")).plan(**fields).seed == 3
+    assert all(each.get("budget_ms") is None for each in stage.sent)
 
 
-def test_an_overloaded_service_says_how_long_to_wait(
-    retrying: Retrying, fields: dict[str, Any]
-) -> None:
+def test_an_overloaded_service_sets_the_pause(retrying: Retrying, fields: dict[str, Any]) -> None:
     stage = Stage(Overloaded("full", retry_after_s=3), failures=2)
-
     retrying(stage).plan(**fields)
-
     assert stage.slept == [3, 3]
 
-
-def test_it_does_not_wait_for_a_place_beyond_its_patience(
-    retrying: Retrying, fields: dict[str, Any]
-) -> None:
     stage = Stage(Overloaded("full", retry_after_s=7))
-
     with pytest.raises(Overloaded, match="full") as caught:
         retrying(stage, patience_s=5.0).plan(**fields)
     assert caught.value.retry_after_s == 7
-    assert stage.slept == []
+    assert stage.slept == []  # the pause would exceed the patience
 
 
 def test_patience_ends_with_the_last_error(retrying: Retrying, fields: dict[str, Any]) -> None:
@@ -241,7 +209,7 @@ def test_the_budget_that_is_sent_shrinks_by_what_has_passed(
     assert [each["budget_ms"] for each in stage.sent] == pytest.approx([1000, 850, 600])
 
 
-def test_nothing_is_asked_beyond_the_budget(retrying: Retrying, fields: dict[str, Any]) -> None:
+def test_nothing_is_sent_beyond_the_budget(retrying: Retrying, fields: dict[str, Any]) -> None:
     stage = Stage(NotReady("a moment"), failures=1000, takes_s=0.05)
 
     with pytest.raises(NotReady):
@@ -250,7 +218,7 @@ def test_nothing_is_asked_beyond_the_budget(retrying: Retrying, fields: dict[str
     assert stage.now - 100.0 <= 0.5
 
 
-def test_who_sleeps_too_long_does_not_ask_with_a_spent_budget(
+def test_a_pause_that_takes_too_long_ends_the_attempts(
     retrying: Retrying, fields: dict[str, Any]
 ) -> None:
     stage = Stage(NotReady("a moment"), failures=1)
@@ -263,18 +231,13 @@ def test_who_sleeps_too_long_does_not_ask_with_a_spent_budget(
     assert len(stage.sent) == 1
 
 
-def test_a_request_without_a_budget_gets_none(retrying: Retrying, fields: dict[str, Any]) -> None:
-    stage = Stage(NotReady("a moment"), failures=2)
-
-    retrying(stage).plan(**fields)
-
-    assert all(each.get("budget_ms") is None for each in stage.sent)
-
-
-def test_cards_are_asked_for_again_and_health_is_not(retrying: Retrying) -> None:
+def test_models_is_retried_and_health_is_not(retrying: Retrying) -> None:
     stage = Stage(ConnectionFailed("nobody listens"))
-    assert retrying(stage).models() == ()
-    assert len(stage.sent) == 2
+    with retrying(stage) as client:
+        assert client.models() == ()
+        assert len(stage.sent) == 2
+        assert not stage.closed
+    assert stage.closed
 
     class Health(Stage):
         def send(self, *_: Any, **__: Any) -> HttpAnswer:
@@ -287,16 +250,8 @@ def test_cards_are_asked_for_again_and_health_is_not(retrying: Retrying) -> None
     assert len(down.sent) == 2
 
 
-def test_leaving_the_block_closes_the_client_beneath(retrying: Retrying) -> None:
-    stage = Stage(NotReady(""))
-
-    with retrying(stage):
-        assert not stage.closed
-    assert stage.closed
-
-
 @pytest.mark.parametrize("name", ["patience_s", "first_pause_s", "longest_pause_s"])
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])
-def test_a_time_that_is_none_is_refused(retrying: Retrying, name: str, seconds: float) -> None:
+def test_a_time_not_above_zero_is_refused(retrying: Retrying, name: str, seconds: float) -> None:
     with pytest.raises(ValueError, match=f"{name}: expected a number above 0"):
         retrying(Stage(NotReady("")), **{name: seconds})

@@ -1,9 +1,10 @@
-"""A planner over a client whose answers come, fail or hang as the test says, at its own time."""
+"""Stages for the clients: an answer in JSON, and a planner whose answers the test controls."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,23 @@ VIEW: dict[str, Any] = {
     "x_goal": [2.0, 0.0, 0.0, 0.0],
 }
 DT = 0.5
+ANSWER: dict[str, Any] = {
+    "trajectories": [[[0.0, 0.0], [1.0, 0.0]]],
+    "velocities": [[[0.0, 0.0], [0.0, 0.0]]],
+    "accelerations": [[[0.0, 0.0], [0.0, 0.0]]],
+    "scores": [1.0],
+    "clearance": [0.5],
+    "safe": [True],
+    "dt": 1.0,
+    "seed": 3,
+    "model": {"name": "lines", "version": "1", "sha256": "ab"},
+    "timing_ms": {"total": 1.0},
+    "request_id": "r1",
+}
 
 
 def batch_for(request: AnchorRequest) -> AnchorBatch:
-    """Two anchors of five steps along x, at 1 and at 2 m/s; the second is the best."""
+    """Return two anchors of five steps along x, at 1 and at 2 m/s; the second is the best."""
     times, speeds = DT * np.arange(5), np.array([1.0, 2.0], np.float32)
     paths = np.zeros((2, 5, 2), np.float32)
     paths[..., 0] = speeds[:, None] * times
@@ -45,8 +59,14 @@ def batch_for(request: AnchorRequest) -> AnchorBatch:
     )
 
 
+def nothing_safe(request: AnchorRequest) -> AnchorBatch:
+    """Return the same anchors, none of them safe."""
+    batch = batch_for(request)
+    return replace(batch, arrays={**batch.arrays, "safe": np.zeros(2, bool)})
+
+
 class Stage:
-    """A planner, its clock, and the requests that wait until the test lets them be answered."""
+    """A planner, its clock, and its pending requests, which the test answers."""
 
     def __init__(self, config: PlannerConfig) -> None:
         self.now = 100.0
@@ -63,17 +83,17 @@ class Stage:
         return self.planner.update(**VIEW | view)
 
     def answer(self, which: int = 0) -> None:
-        """Let a request through: the oldest that waits unless told."""
+        """Let a request through, by default the oldest."""
         self.waiting.pop(which)()
 
     def fail(self, error: AnchorFlowError) -> None:
-        """Let the oldest request that waits fail."""
+        """Let the oldest pending request fail."""
         self.reply = raising(error)
         self.answer()
         self.reply = batch_for
 
     def cycle(self, seconds: float = 0.1, **view: Any) -> Plan:
-        """Ask, be answered, and take the plan `seconds` after what was seen."""
+        """Send a request, answer it, and return the plan `seconds` after the observation."""
         self.update(**view)
         self.answer()
         self.now += seconds
@@ -81,7 +101,7 @@ class Stage:
 
 
 class ByHand(Executor):
-    """Runs nothing by itself."""
+    """Keeps the calls until the test runs them."""
 
     def __init__(self, waiting: list[Callable[[], None]]) -> None:
         self._waiting = waiting
