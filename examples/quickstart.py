@@ -1,11 +1,11 @@
-"""From nothing to anchors: make data, train a small planner, draw anchors, look at them.
+"""Make data, train a small planner, draw anchors, and plot them.
 
     python examples/quickstart.py --out runs/quickstart
 
 takes about two minutes on two cores. It leaves a dataset, a checkpoint and `quickstart.png`, whose
-rows show four new scenes: anchors of the untrained planner, anchors of the trained one, both as the
-flow draws them, and the latter finished as every answer is. So short a training leaves much to the
-finish; look at the loss and at the middle row for what it taught.
+rows show four new scenes: anchors of the untrained planner, anchors of the trained one, both
+without the finish, and the latter with the finish of every answer. After so short a training the
+finish still does much of the work; the loss and the middle row show what the training did.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def whole(least: int) -> Callable[[str], int]:
-    """Reads a whole number that is not below another."""
+    """Return a parser of whole numbers from `least`."""
 
     def read(text: str) -> int:
         if not text.isdecimal() or int(text) < least:
@@ -83,13 +83,13 @@ def whole(least: int) -> Callable[[str], int]:
 
 
 def make_data(path: Path, scenes: int, seed: int) -> SceneDataset:
-    """Random scenes with the expert's trajectories; `anchorflow data make` does the same."""
+    """Make random scenes with the expert's trajectories, as `anchorflow data make` does."""
     make_dataset(path, DataConfig(scenes=scenes, seed=seed), workers=os.cpu_count() or 1)
     return open_dataset(path)
 
 
 def training(steps: int, seed: int) -> TrainerConfig:
-    """A short course: small batches, an average of the weights that keeps up with them."""
+    """Return a short training: small batches, and a fast moving average of the weights."""
     return TrainerConfig(
         steps=steps,
         warmup=min(50, steps),
@@ -106,10 +106,10 @@ def report(step: int, row: dict[str, float]) -> None:
 
 
 def new_scenes(count: int, *, limits: MotionLimits, seed: int) -> list[Scene]:
-    """Scenes that the training has not seen, and that the expert finds ways through."""
+    """Draw scenes outside the training data that the expert can solve."""
     rng, scenes = np.random.default_rng(seed), []
     while len(scenes) < count:
-        with suppress(SceneError):  # no room for a start and a goal: another is drawn
+        with suppress(SceneError):  # no room for a start and a goal: draw another
             scene = draw_scene(rng, limits=limits)
             if solve(scene, config=ExpertConfig(), rng=rng).good.any():
                 scenes.append(scene)
@@ -137,7 +137,7 @@ def anchors_in(
 
 
 def draw(scenes: Sequence[Scene], rows: dict[str, list[AnchorTensors]], path: Path) -> None:
-    """A row a planner, a column a scene; green anchors are safe."""
+    """Draw a row for each planner, a column for each scene; green anchors are safe."""
     size = 3.0 * len(scenes), 3.1 * len(rows)
     figure = Figure(figsize=size, layout="constrained")
     grid = figure.subplots(len(rows), len(scenes), squeeze=False)

@@ -1,10 +1,10 @@
-"""A robot that asks a service for anchors while it drives, through a world it knows only by lidar.
+"""A robot that requests anchors while it drives through a world that it sees only by lidar.
 
     anchorflow serve                                      # in another terminal
     python examples/robot/robot.py --record robot.gif      # or --view, or neither
 
 Everything about the robot, its lidar, its map and MPPI is `anchorflow_benchmarks.closed_loop`;
-this program joins it to a client in real time.
+this program connects it to a client in real time.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class PacedTime(SimulatedTime):
 
 
 class ErrorLog:
-    """Prints why requests fail or bring nothing safe, each reason once in a row."""
+    """Prints why requests fail or return nothing safe, without repeating a reason."""
 
     def __init__(self) -> None:
-        self._told = ""
+        self._printed = ""
 
     def __call__(self, tick: Tick) -> None:
         plan = tick.plan
@@ -55,9 +55,9 @@ class ErrorLog:
             print(f"{tick.time_s:5.1f} s  stuck: another route, or another seed")
         error = plan.last_error
         reason = f"{type(error).__name__}: {error}" if error else plan.reason or ""
-        if reason not in ("", self._told):
+        if reason not in ("", self._printed):
             print(f"{tick.time_s:5.1f} s  {reason}")
-        self._told = reason or self._told
+        self._printed = reason or self._printed
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
-    """One run, as the options say."""
+    """Drive once, with the command's options."""
     worlds = load_worlds(options.worlds)
     world = worlds[options.world % len(worlds)]
     client = None if options.alone else stack.enter_context(connect(options))
@@ -92,7 +92,7 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
     controller = MppiController(robot, MppiConfig(), tick_s=config.tick_s)
     planner = None
     if client is not None:
-        # The world stands still while this program is late, and with it the age of a plan.
+        # The world and the age of a plan pause while this program is late.
         asking = replace(config.asking(controller.config.cost.margin), max_age_ms=options.max_age)
         planner = stack.enter_context(Planner(client, asking, clock=clock))
     watchers: list[Callable[[Tick], None]] = [ErrorLog()]
@@ -110,7 +110,7 @@ def drive(options: argparse.Namespace, stack: ExitStack) -> Run:
 
 
 def horizon_of(client: BaseClient) -> float | None:
-    """How long all anchors last; None where each has its own duration, or nobody tells."""
+    """Return the duration of all anchors; None if each has its own, or the card is unknown."""
     try:
         return client.models()[0].cost_map.limits.horizon_s
     except AnchorFlowError:
@@ -118,7 +118,7 @@ def horizon_of(client: BaseClient) -> float | None:
 
 
 def connect(options: argparse.Namespace) -> BaseClient:
-    """A client over zenoh where it is asked for, else over HTTP."""
+    """Return a client over zenoh if the option is given, else over HTTP."""
     timeout_s = 1e-3 * options.max_age
     if options.zenoh is None:
         try:
@@ -138,7 +138,7 @@ def positive(text: str) -> float:
 
 
 def whole(least: int) -> Callable[[str], int]:
-    """Reads a whole number that is no less."""
+    """Return a parser of whole numbers from `least`."""
 
     def read(text: str) -> int:
         if text.isdecimal() and (value := int(text)) >= least:

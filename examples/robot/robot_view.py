@@ -1,4 +1,4 @@
-"""What the robot sees and is about to do: live, or as a GIF."""
+"""Draw what the robot sees and plans, in a window or as a GIF."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PLAN_COLOR = {"fresh": "tab:green", "held": "tab:orange", "expired": "tab:red"}
 
 
 class Picture:
-    """A figure of one world that is brought up to date tick by tick."""
+    """A figure of one world, updated at every tick."""
 
     def __init__(self, figure: Figure, world: World, robot_radius: float) -> None:
         self.figure = figure
@@ -46,7 +46,7 @@ class Picture:
         self._robot = self.axes.add_patch(Circle((0, 0), robot_radius, color="tab:blue", zorder=5))
 
     def show(self, tick: Tick) -> None:
-        """Posts grey, as far as they are mapped red; anchors coloured by the state of the plan."""
+        """Draw posts grey, mapped cells red, and anchors in the colour of the plan's state."""
         x, y, yaw = tick.pose
         self._way.append(np.array([x, y]))
         rows, columns = np.nonzero(tick.occupied)
@@ -81,7 +81,7 @@ class LiveView:
 
 
 class Recorder:
-    """A GIF of the run, written when it is left."""
+    """Writes a GIF of the run at the end of its block."""
 
     def __init__(self, world: World, robot_radius: float, path: Path) -> None:
         self._path = path

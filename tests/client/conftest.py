@@ -1,4 +1,4 @@
-"""A good request and a card, from which the tests depart; async clients as blocking ones."""
+"""A valid request and a card, which the tests change, and async clients as blocking ones."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from blocking_twin import Blocking
 from staged_planner import Stage
 
 from anchorflow_client import (
@@ -30,7 +31,7 @@ from anchorflow_client.planner import PlannerConfig
 
 @pytest.fixture
 def fields() -> dict[str, Any]:
-    """The JSON fields of a request over a free map of 16 x 20 cells, 0.5 m each."""
+    """Return the JSON fields of a request on a free map of 16 x 20 cells, 0.5 m each."""
     return {
         "cost_map": {"data": np.zeros((1, 16, 20)).tolist(), "resolution": 0.5},
         "x_curr": [-3.0, 0.5, 0.0, 0.0, 0.0, 0.0],
@@ -40,7 +41,7 @@ def fields() -> dict[str, Any]:
 
 @pytest.fixture
 def card() -> ModelCard:
-    """A card that lets robot_radius change, and nothing else."""
+    """Return a card that lets only robot_radius change."""
     return ModelCard(
         name="lines",
         version="1.2.3",
@@ -64,7 +65,7 @@ def card() -> ModelCard:
 
 @pytest.fixture
 def free(card: ModelCard) -> ModelCard:
-    """A card whose anchors have their own durations, and which lets every limit be set."""
+    """Return a card whose anchors have their own durations, and whose limits can all be set."""
     own = card.cost_map
     ranges = {
         "robot_radius": (0.1, 0.6),
@@ -78,43 +79,20 @@ def free(card: ModelCard) -> ModelCard:
 
 @pytest.fixture
 def stage() -> Stage:
-    """A planner over answers that come as the test says."""
+    """Return a planner whose answers the test controls."""
     return Stage(PlannerConfig(max_age_ms=1000.0, period_ms=100.0, cold_every=3))
-
-
-class Blocking:
-    """An async client or transport with the methods of its blocking twin."""
-
-    def __init__(self, twin: Any, loop: asyncio.AbstractEventLoop) -> None:
-        self._twin = twin
-        self._loop = loop
-
-    def __getattr__(self, name: str) -> Any:
-        method = getattr(self._twin, {"close": "aclose"}.get(name, name))
-
-        def call(*told: Any, **options: Any) -> Any:
-            return self._loop.run_until_complete(method(*told, **options))
-
-        return call
-
-    def __enter__(self) -> Any:
-        assert self._loop.run_until_complete(self._twin.__aenter__()) is self._twin
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._loop.run_until_complete(self._twin.__aexit__(*error))
 
 
 @pytest.fixture
 def blocking() -> Iterator[Callable[[Any], Any]]:
-    """Runs an async client or transport on a loop that stands still between its calls."""
+    """Runs an async client or transport on a loop, one call at a time."""
     loop = asyncio.new_event_loop()
     yield lambda twin: Blocking(twin, loop)
     loop.close()
 
 
 class AsyncTwin:
-    """A blocking transport, where an async one is wanted."""
+    """A blocking transport with the interface of an async one."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
@@ -135,13 +113,13 @@ class AsyncTwin:
 
 @pytest.fixture
 def async_twin() -> Callable[[Transport], AsyncTwin]:
-    """Makes an async transport of a blocking one that never waits."""
+    """Wraps a blocking transport that never waits."""
     return AsyncTwin
 
 
 @pytest.fixture(params=["blocking", "async"])
 def make_client(request: pytest.FixtureRequest, blocking: Callable[[Any], Any]) -> Any:
-    """Makes the client of a blocking transport, and another time its async twin."""
+    """Makes the blocking or the async client of a blocking transport."""
 
     def make(url: str, *, transport: Any, **options: Any) -> Any:
         if request.param == "blocking":

@@ -1,4 +1,4 @@
-"""A zenoh network on this machine, with replicas that say what a test has them say."""
+"""A zenoh network on this machine, with replicas that a test scripts."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 
-from anchorflow_client import ConnectionFailed, Overloaded
+from anchorflow_client import ConnectionFailed, ModelCard, Overloaded
 from anchorflow_client.keys import info_key, replica_anchors_key, replica_key
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.network import Network
@@ -20,22 +20,22 @@ Reply = Callable[[zenoh.Query], object]
 
 
 class Peer:
-    """A peer on which replicas are played, each of which serves its default."""
+    """A peer with scripted replicas, each of which serves its default."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self.asked: list[str] = []
-        """Who got a request, in turn."""
+        """The replicas that received a request, in turn."""
         self.held: list[zenoh.Query] = []
         self._tokens: list[zenoh.LivelinessToken] = []
 
     def play(self, info: ReplicaInfo, answer: Reply, *, tell: Reply | None = None) -> None:
-        """Puts a replica on the network.
+        """Put a replica on the network.
 
         Args:
-            info: what it tells of itself.
-            answer: gets every request.
-            tell: gets every question for `info`, if told.
+            info: its reply on its info key.
+            answer: receives every request.
+            tell: receives every query on the info key, in place of a reply with `info`.
         """
 
         def note(query: zenoh.Query) -> None:
@@ -53,12 +53,12 @@ class Peer:
         self._tokens.append(token)
 
     def hold(self, query: zenoh.Query) -> None:
-        """Say nothing, and do not hang up."""
+        """Keep the query open without a reply."""
         self.held.append(query)
 
     @staticmethod
     def answer(query: zenoh.Query) -> None:
-        """Give the replica's key as the answer."""
+        """Reply with the replica's key."""
         payload = str(query.key_expr).encode()
         said = AnswerAttachment(len(payload), "r1", "any", Load()).to_bytes()
         with query:
@@ -66,37 +66,54 @@ class Peer:
 
     @staticmethod
     def refuse(query: zenoh.Query) -> None:
-        """Be full."""
+        """Reply that the replica is overloaded."""
         with query:
             query.reply_err(json.dumps(Overloaded("full").to_dict()).encode())
 
 
 @pytest.fixture
 def endpoint() -> str:
-    """Where nobody listens yet."""
+    """Return an endpoint without a listener."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
 
 
 @pytest.fixture
 def silent() -> Iterator[str]:
-    """An endpoint that lets everybody connect and says nothing."""
+    """Return an endpoint that accepts connections and sends nothing."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         yield f"tcp/127.0.0.1:{listener.getsockname()[1]}"
 
 
 @pytest.fixture
 def peer(endpoint: str) -> Iterator[Peer]:
-    """Listens at `endpoint`."""
+    """Listen at `endpoint`."""
     with open_session(ZenohSettings(listen=(endpoint,))) as session:
         yield Peer(session)
 
 
 @pytest.fixture
 def network(peer: Peer, endpoint: str) -> Iterator[Network]:
-    """What a client sees of that peer."""
+    """Connect a client's network to that peer."""
     assert peer.asked == []
     session = open_session(ZenohSettings(connect=(endpoint,)))
     network = Network(session, lambda _: ConnectionFailed("alone"))
     yield network
     session.close()
+
+
+def info_of(
+    name: str,
+    *cards: ModelCard,
+    in_flight: int = 0,
+    mean_service_ms: float = 10.0,
+    ready: bool = True,
+) -> ReplicaInfo:
+    load = Load(in_flight, 1, mean_service_ms)
+    return ReplicaInfo(name, ready=ready, load=load, models=cards, default="lines")
+
+
+@pytest.fixture
+def info() -> Callable[..., ReplicaInfo]:
+    """Makes a replica's info; its default is "lines"."""
+    return info_of

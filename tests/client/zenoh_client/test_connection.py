@@ -1,4 +1,4 @@
-"""A client connects: in the background, to be given up at any time, and only once."""
+"""A client connects in the background, once, and its callers may give up at any time."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,17 +27,17 @@ from anchorflow_client import (
 )
 from anchorflow_client.cancellation import Deadline
 from anchorflow_client.zenoh_client import AsyncZenohAnchorClient, ZenohAnchorClient, ZenohSettings
-from anchorflow_client.zenoh_client.network import Connection
-from anchorflow_client.zenoh_messages import Load, ReplicaInfo
+from anchorflow_client.zenoh_client.network import Background, Connection
+from anchorflow_client.zenoh_messages import ReplicaInfo
 
 PATIENCE_S = 20.0
 AT_ONCE_S = 4.0
-"""Below the time after which zenoh gives up."""
+"""Less than zenoh's own timeout."""
 
 
 @pytest.fixture
 def at_once() -> Any:
-    """Fails where what is left behind took long."""
+    """Fail if the test took long."""
     start = time.monotonic()
     yield
     assert time.monotonic() - start < AT_ONCE_S
@@ -48,31 +49,24 @@ def calls(client: ZenohAnchorClient, fields: dict[str, Any]) -> dict[str, Callab
 
 
 @pytest.mark.usefixtures("at_once")
-@pytest.mark.parametrize("call", ["plan", "models"])
+@pytest.mark.parametrize("call", ["plan", "models", "live", "ready"])
 @pytest.mark.parametrize("how", ["cancel", "close"])
-def test_who_gives_up_while_it_connects_is_let_go(
+def test_a_caller_that_gives_up_while_connecting_returns(
     silent: str, fields: dict[str, Any], call: str, how: str
 ) -> None:
     cancellation = Cancellation()
     with ZenohAnchorClient(silent, timeout_s=PATIENCE_S) as client:
         give_up = client.close if how == "close" else cancellation.cancel
         threading.Timer(0.2, give_up).start()
-        with pytest.raises(Cancelled):
-            calls(client, fields)[call](cancellation=cancellation)
-
-
-@pytest.mark.usefixtures("at_once")
-@pytest.mark.parametrize("call", ["live", "ready"])
-def test_a_client_that_is_closed_while_it_connects_has_no_way_to_a_service(
-    silent: str, call: str
-) -> None:
-    with ZenohAnchorClient(silent, timeout_s=PATIENCE_S) as client:
-        threading.Timer(0.2, client.close).start()
-        assert getattr(client, call)() is False
+        if call in ("live", "ready"):
+            assert getattr(client, call)(cancellation=cancellation) is False
+        else:
+            with pytest.raises(Cancelled):
+                calls(client, fields)[call](cancellation=cancellation)
 
 
 @pytest.mark.parametrize("call", ["plan", "models"])
-def test_closing_while_nobody_is_seen_takes_the_request_back(
+def test_closing_while_no_replica_is_seen_cancels_the_request(
     peer: Any, endpoint: str, fields: dict[str, Any], call: str
 ) -> None:
     assert peer.asked == []
@@ -83,30 +77,29 @@ def test_closing_while_nobody_is_seen_takes_the_request_back(
 
 
 @pytest.mark.parametrize("how", ["cancel", "close"])
-def test_who_gives_up_while_the_cards_are_told_is_let_go(
-    peer: Any, endpoint: str, card: ModelCard, how: str
+def test_a_caller_that_gives_up_while_infos_arrive_returns(
+    peer: Any, endpoint: str, card: ModelCard, info: Callable[..., ReplicaInfo], how: str
 ) -> None:
-    """It told them when it was seen first, and not a second time."""
-    info = ReplicaInfo("a", ready=True, load=Load(), models=(card,), default="lines")
-    told: list[zenoh.Query] = []
+    """The replica replies to the first query for its info, and not to the second."""
+    queries: list[zenoh.Query] = []
     cancellation = Cancellation()
     client = ZenohAnchorClient(endpoint, timeout_s=PATIENCE_S)
 
     def tell_once(query: zenoh.Query) -> None:
-        told.append(query)
-        if len(told) == 1:
+        queries.append(query)
+        if len(queries) == 1:
             with query:
-                query.reply(query.key_expr, info.to_bytes())
+                query.reply(query.key_expr, info("a", card).to_bytes())
         else:
             (client.close if how == "close" else cancellation.cancel)()
 
-    peer.play(info, peer.answer, tell=tell_once)
+    peer.play(info("a", card), peer.answer, tell=tell_once)
     with client, pytest.raises(Cancelled):
         client.models(cancellation=cancellation)
 
 
 @pytest.mark.parametrize("call", ["plan", "models", "live", "ready"])
-def test_a_task_that_is_cancelled_while_it_connects_frees_its_place(
+def test_a_task_that_is_cancelled_while_connecting_frees_its_thread(
     silent: str, fields: dict[str, Any], call: str
 ) -> None:
     async def ask() -> float:
@@ -139,9 +132,7 @@ with ZenohAnchorClient(settings, timeout_s=0.3) as client:
 def test_a_program_may_end_while_its_client_connects(tmp_path: Path) -> None:
     file = tmp_path / "impatient.json5"
     file.write_text("{transport: {unicast: {open_timeout: 1500}}}")
-    command = [sys.executable, "-c", ENDS_WHILE_IT_CONNECTS, str(file)]
-
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    ended = run(ENDS_WHILE_IT_CONNECTS, file)
 
     assert (ended.returncode, ended.stderr) == (0, "")
 
@@ -157,17 +148,19 @@ raise LookupError("of the program")
 
 
 @pytest.fixture
-def alive(peer: Any, endpoint: str, card: ModelCard) -> str:
-    """The endpoint at which a replica is alive."""
-    info = ReplicaInfo("a", ready=True, load=Load(), models=(card,), default="lines")
-    peer.play(info, peer.answer)
+def alive(peer: Any, endpoint: str, card: ModelCard, info: Callable[..., ReplicaInfo]) -> str:
+    """The endpoint of a replica that is alive."""
+    peer.play(info("a", card), peer.answer)
     return endpoint
 
 
-def test_a_program_that_fails_ends_though_its_client_is_open(alive: str) -> None:
-    command = [sys.executable, "-c", RAISES_WITH_AN_OPEN_CLIENT, alive]
+def run(program: str, argument: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", program, str(argument)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
 
-    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+def test_a_program_that_fails_ends_though_its_client_is_open(alive: str) -> None:
+    ended = run(RAISES_WITH_AN_OPEN_CLIENT, alive)
 
     assert ended.returncode == 1
     assert "LookupError: of the program" in ended.stderr
@@ -197,10 +190,8 @@ with ZenohAnchorClient(sys.argv[1]) as client:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
-def test_a_forked_process_is_told_that_it_has_no_session(alive: str) -> None:
-    command = [sys.executable, "-c", FORKS, alive]
-
-    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+def test_a_forked_process_has_no_session(alive: str) -> None:
+    ended = run(FORKS, alive)
 
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.count("zenoh does not survive a fork") == 2
@@ -220,7 +211,7 @@ def test_an_async_client_that_is_closed_says_so(alive: str, fields: dict[str, An
     asyncio.run(ask())
 
 
-def test_who_looked_before_it_was_joined_gets_the_same_network(peer: Any, endpoint: str) -> None:
+def test_concurrent_callers_get_the_same_network(peer: Any, endpoint: str) -> None:
     assert peer.asked == []
     connection = Connection(ZenohSettings(connect=(endpoint,)))
     late, joined = threading.Event(), threading.Event()
@@ -242,3 +233,53 @@ def test_who_looked_before_it_was_joined_gets_the_same_network(peer: Any, endpoi
     connection.close()
 
     assert networks[0] is networks[1]
+
+
+def test_the_next_caller_gets_an_unclaimed_result() -> None:
+    opened, calls = threading.Event(), []
+
+    def slow() -> int:
+        calls.append(1)
+        assert opened.wait(PATIENCE_S)
+        return len(calls)
+
+    background = Background(slow, name="slow")
+    for _ in range(2):
+        with pytest.raises(TimedOut, match="slow: not done within 10 ms"):
+            background.result(Deadline(0.01))
+    opened.set()
+
+    assert background.result(Deadline(PATIENCE_S)) == 1
+    assert background.result(Deadline(PATIENCE_S)) == 2
+
+
+def test_an_error_is_raised_for_the_caller() -> None:
+    def fail() -> None:
+        raise ConnectionFailed("nobody is there")
+
+    background = Background(fail, name="failing")
+    for _ in range(2):
+        with pytest.raises(ConnectionFailed, match="nobody is there"):
+            background.result(Deadline(PATIENCE_S))
+
+
+def test_concurrent_callers_share_one_call_and_may_give_up() -> None:
+    opened, calls, cancellation = threading.Event(), [], Cancellation()
+
+    def slow() -> int:
+        calls.append(1)
+        assert opened.wait(PATIENCE_S)
+        return len(calls)
+
+    background = Background(slow, name="slow")
+    with ThreadPoolExecutor(5) as executor:
+        waiting = [executor.submit(background.result, Deadline(PATIENCE_S)) for _ in range(4)]
+        given_up = executor.submit(background.result, Deadline(PATIENCE_S, cancellation))
+        with pytest.raises(TimedOut):
+            background.result(Deadline(0.05))
+        cancellation.cancel()
+        with pytest.raises(Cancelled):
+            given_up.result()
+        assert calls == [1]
+        opened.set()
+        assert 1 in {each.result(PATIENCE_S) for each in waiting}

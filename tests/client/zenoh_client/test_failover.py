@@ -1,8 +1,9 @@
-"""Whom one request is asked of, by replicas that are played."""
+"""The replicas that one request is sent to, with scripted replicas."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -30,22 +31,18 @@ from anchorflow_client.zenoh_client.network import Network
 from anchorflow_client.zenoh_messages import AnswerAttachment, Load, ReplicaInfo
 
 PATIENCE_S = 20.0
-
-
-def info(name: str, *cards: ModelCard, mean_service_ms: float = 10.0) -> ReplicaInfo:
-    load = Load(0, 1, mean_service_ms)
-    return ReplicaInfo(name, ready=True, load=load, models=cards, default="lines")
+Info = Callable[..., ReplicaInfo]
 
 
 def ask(network: Network, deadline: Deadline) -> bytes:
-    """Anchors of the default model."""
+    """Return the answer's bytes of the default model."""
     question = EncodedRequest(Payload(b"", 0), "application/octet-stream", "r1", None, deadline)
     return Failover(network, question).run().body
 
 
 @pytest.mark.parametrize("refusal", ["refuse", "hang up"])
-def test_who_refuses_in_the_place_of_a_silent_one_is_followed_by_another(
-    peer: Any, network: Network, card: ModelCard, until: Any, refusal: str
+def test_a_refusal_of_the_second_replica_leads_to_the_third(
+    peer: Any, network: Network, card: ModelCard, info: Info, until: Any, refusal: str
 ) -> None:
     refuse = peer.refuse if refusal == "refuse" else zenoh.Query.drop
     for milliseconds, (name, answer) in enumerate(
@@ -58,19 +55,19 @@ def test_who_refuses_in_the_place_of_a_silent_one_is_followed_by_another(
     assert peer.asked == ["a", "b", "c"]
 
 
-def test_who_has_not_told_yet_is_waited_for_before_the_default_is_given_up(
-    peer: Any, network: Network, card: ModelCard, until: Any
+def test_a_pending_info_is_awaited_before_the_default_is_given_up(
+    peer: Any, network: Network, card: ModelCard, info: Info, until: Any
 ) -> None:
     opened = threading.Event()
-    told = info("b", card)
+    late = info("b", card)
 
     def tell_late(query: zenoh.Query) -> None:
         with query:
             assert opened.wait(PATIENCE_S)
-            query.reply(query.key_expr, told.to_bytes())
+            query.reply(query.key_expr, late.to_bytes())
 
     peer.play(info("a", replace(card, name="bows")), peer.refuse)
-    peer.play(told, peer.answer, tell=tell_late)
+    peer.play(late, peer.answer, tell=tell_late)
     until(lambda: len(network.replicas.alive()) == 2 and network.replicas.unknown() == ("b",))
     with pytest.raises(TimedOut, match=r"^b is alive and has not told yet what it serves"):
         ask(network, Deadline(0.2))
@@ -80,18 +77,15 @@ def test_who_has_not_told_yet_is_waited_for_before_the_default_is_given_up(
         assert asked.result() == b"anchorflow/v1/replica/b/anchors/lines"
 
 
-def say_nothing(query: zenoh.Query) -> None:
-    query.drop()
-
-
 def tell_rubbish(query: zenoh.Query) -> None:
     with query:
         query.reply(query.key_expr, b"rubbish")
 
 
 def tell_of_another(query: zenoh.Query) -> None:
+    another = ReplicaInfo("b", ready=True, load=Load(), models=(), default="lines")
     with query:
-        query.reply(query.key_expr, info("b").to_bytes())
+        query.reply(query.key_expr, another.to_bytes())
 
 
 def refuse_to_tell(query: zenoh.Query) -> None:
@@ -103,14 +97,24 @@ def refuse_to_tell(query: zenoh.Query) -> None:
     ("tell", "kind", "words"),
     [
         (None, TimedOut, "a is alive, and its info key: nothing came within 2 s"),
-        (say_nothing, Unauthorized, "nothing comes from its info key: access control denies it"),
+        (
+            zenoh.Query.drop,
+            Unauthorized,
+            "nothing comes from its info key: access control",
+        ),
         (tell_rubbish, InvalidAnswer, "its info key: not what a replica tells of itself"),
         (tell_of_another, InvalidAnswer, "expected what it tells of itself, got b's"),
         (refuse_to_tell, InvalidAnswer, "got an error: b'no'"),
     ],
 )
-def test_why_a_replica_does_not_tell_what_it_serves(
-    peer: Any, network: Network, until: Any, tell: Any, kind: type[Exception], words: str
+def test_why_a_replicas_info_is_unknown(
+    peer: Any,
+    network: Network,
+    info: Info,
+    until: Any,
+    tell: Any,
+    kind: type[Exception],
+    words: str,
 ) -> None:
     peer.play(info("a"), peer.answer, tell=tell or peer.hold)
     until(network.replicas.silences)
@@ -120,7 +124,9 @@ def test_why_a_replica_does_not_tell_what_it_serves(
     assert isinstance(network.why_nobody(Deadline(PATIENCE_S)), kind)
 
 
-def test_a_client_of_a_replica_that_hangs_is_not_ready(peer: Any, endpoint: str) -> None:
+def test_a_client_of_a_replica_that_hangs_is_not_ready(
+    peer: Any, endpoint: str, info: Info
+) -> None:
     peer.play(info("a"), peer.answer, tell=peer.hold)
 
     with ZenohAnchorClient(endpoint, timeout_s=PATIENCE_S) as client:
@@ -128,8 +134,8 @@ def test_a_client_of_a_replica_that_hangs_is_not_ready(peer: Any, endpoint: str)
         assert not client.ready()
 
 
-def test_what_was_taken_back_before_is_not_asked(
-    peer: Any, network: Network, card: ModelCard, until: Any
+def test_a_cancelled_request_is_not_sent(
+    peer: Any, network: Network, card: ModelCard, info: Info, until: Any
 ) -> None:
     peer.play(info("a", card), peer.answer)
     until(lambda: network.replicas.alive() and not network.replicas.unknown())
@@ -143,7 +149,7 @@ def test_what_was_taken_back_before_is_not_asked(
 
 
 def test_the_answer_to_another_request_is_refused(
-    peer: Any, endpoint: str, card: ModelCard, fields: dict[str, Any]
+    peer: Any, endpoint: str, card: ModelCard, info: Info, fields: dict[str, Any]
 ) -> None:
     model = ModelId(card.name, card.version, card.sha256)
     arrays = {"trajectories": np.zeros((2, 3, 2), np.float32)}

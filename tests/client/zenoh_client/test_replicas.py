@@ -1,4 +1,4 @@
-"""Who is asked next: the replica that likely answers first."""
+"""The next replica to query: the one with the shortest expected time."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from anchorflow_client import Cancellation, Cancelled, ModelCard, TimedOut, Unkn
 from anchorflow_client.cancellation import Deadline
 from anchorflow_client.zenoh_client.replicas import Replicas
 from anchorflow_client.zenoh_messages import Load, ReplicaInfo
+
+Info = Callable[..., ReplicaInfo]
 
 
 class Clock:
@@ -32,8 +34,8 @@ def clock() -> Clock:
 
 
 @pytest.fixture
-def replicas(clock: Clock, card: ModelCard) -> Replicas:
-    """Idle "a" and "b", each of which serves "lines" and takes 10 ms."""
+def replicas(clock: Clock, card: ModelCard, info: Info) -> Replicas:
+    """Return idle replicas "a" and "b", which serve "lines" in 10 ms."""
     replicas = Replicas(clock=clock)
     for name in "ab":
         replicas.appear(name)
@@ -41,18 +43,21 @@ def replicas(clock: Clock, card: ModelCard) -> Replicas:
     return replicas
 
 
-def info(name: str, *cards: ModelCard, in_flight: int = 0, ready: bool = True) -> ReplicaInfo:
-    return ReplicaInfo(
-        name, ready=ready, load=Load(in_flight, 1, 10.0), models=cards, default="lines"
-    )
-
-
 def chosen(replicas: Replicas, model: str | None = None, *tried: str) -> str | None:
     choice = replicas.choose(model, tried)
     return choice and choice.replica
 
 
-def test_the_idle_one_is_asked(replicas: Replicas, card: ModelCard) -> None:
+def test_the_idle_one_is_chosen_by_all_that_is_known_of_loads(
+    replicas: Replicas, card: ModelCard, info: Info
+) -> None:
+    first = replicas.begin(chosen(replicas) or "")  # one's own requests count at once
+    assert chosen(replicas) != first.name
+    replicas.end(first, Load(0, 1, 10.0))
+    assert chosen(replicas) == first.name
+    replicas.end(replicas.begin("a"), Load(4, 1, 10.0))  # as an answer reports it
+    assert chosen(replicas) == "b"
+
     replicas.learn(info("a", card, in_flight=1))
     assert chosen(replicas) == "b"
     replicas.learn(info("b", card, in_flight=2))
@@ -61,24 +66,11 @@ def test_the_idle_one_is_asked(replicas: Replicas, card: ModelCard) -> None:
     assert (choice.replica, choice.model, choice.expected_ms) == ("a", "lines", 20.0)
 
 
-def test_ones_own_requests_count_at_once(replicas: Replicas) -> None:
-    first = replicas.begin(chosen(replicas) or "")
-    assert chosen(replicas) != first.name
-    replicas.end(first, Load(0, 1, 10.0))
-    assert chosen(replicas) == first.name
-
-
-def test_an_answer_tells_the_load(replicas: Replicas) -> None:
-    replicas.end(replicas.begin("a"), Load(4, 1, 10.0))
-
-    assert chosen(replicas) == "b"
-
-
-def test_who_has_not_answered_yet_is_tried_but_not_flooded(
-    replicas: Replicas, card: ModelCard
+def test_one_without_a_mean_is_tried_but_not_flooded(
+    replicas: Replicas, card: ModelCard, info: Info
 ) -> None:
     replicas.appear("c")
-    replicas.learn(ReplicaInfo("c", ready=True, load=Load(), models=(card,), default="lines"))
+    replicas.learn(info("c", card, mean_service_ms=0.0))
 
     asked = []
     for _ in range(6):
@@ -89,30 +81,25 @@ def test_who_has_not_answered_yet_is_tried_but_not_flooded(
     assert sorted(asked) == ["a", "a", "b", "b", "c", "c"]
 
 
-def test_who_was_tried_is_not_asked_again(replicas: Replicas) -> None:
-    assert chosen(replicas, None, "a") == "b"
-    assert chosen(replicas, None, "a", "b") is None
-
-
-def test_who_failed_comes_last_for_a_while(replicas: Replicas, clock: Clock) -> None:
+def test_one_that_failed_comes_last_for_a_while_and_a_tried_or_lost_one_never(
+    replicas: Replicas, clock: Clock
+) -> None:
     replicas.end(replicas.begin("a"), None, failed=True)
     replicas.end(replicas.begin("b"), Load(9, 1, 10.0))
     assert chosen(replicas) == "b"
     assert chosen(replicas, None, "b") == "a"
+    assert chosen(replicas, None, "a", "b") is None
     clock.now += 3
     assert chosen(replicas) == "a"
 
-
-def test_who_vanished_is_not_asked(replicas: Replicas) -> None:
     replicas.vanish("a")
     replicas.end(replicas.begin("a"), None, failed=True)
-
     assert replicas.alive() == ("b",)
     assert chosen(replicas) == "b"
 
 
-def test_who_comes_back_is_not_counted_the_requests_that_it_lost(
-    replicas: Replicas, card: ModelCard
+def test_one_that_reappears_is_not_charged_the_requests_that_it_lost(
+    replicas: Replicas, card: ModelCard, info: Info
 ) -> None:
     lost = [replicas.begin("a") for _ in range(2)]
     replicas.vanish("a")
@@ -127,7 +114,9 @@ def test_who_comes_back_is_not_counted_the_requests_that_it_lost(
     assert choice.expected_ms == 20.0  # behind the one that is outstanding
 
 
-def test_only_who_serves_the_model_is_asked(replicas: Replicas, card: ModelCard) -> None:
+def test_only_one_that_serves_the_model_is_chosen(
+    replicas: Replicas, card: ModelCard, info: Info
+) -> None:
     replicas.learn(info("b", replace(card, name="bows"), in_flight=9))
 
     assert chosen(replicas, "bows") == "b"
@@ -136,8 +125,8 @@ def test_only_who_serves_the_model_is_asked(replicas: Replicas, card: ModelCard)
         replicas.choose("nobody")
 
 
-def test_without_a_name_the_default_is_asked_and_no_other_in_its_place(
-    replicas: Replicas, card: ModelCard
+def test_without_a_name_the_default_is_chosen_and_no_other_in_its_place(
+    replicas: Replicas, card: ModelCard, info: Info
 ) -> None:
     bows = replace(card, name="bows")
     replicas.learn(info("a", bows))
@@ -151,7 +140,7 @@ def test_without_a_name_the_default_is_asked_and_no_other_in_its_place(
         replicas.choose(None)
 
 
-def test_where_all_models_are_gone_it_says_so(replicas: Replicas) -> None:
+def test_an_error_says_if_all_models_are_gone(replicas: Replicas, info: Info) -> None:
     for name in "ab":
         replicas.learn(info(name))
     for model in (None, "lines"):
@@ -161,38 +150,34 @@ def test_where_all_models_are_gone_it_says_so(replicas: Replicas) -> None:
     assert replicas.has_dropped("a", "lines")
 
 
-def test_who_has_not_told_or_is_gone_has_dropped_nothing(replicas: Replicas) -> None:
+def test_one_without_info_may_serve_any_model_by_name_and_has_dropped_none(
+    replicas: Replicas,
+) -> None:
     replicas.appear("c")
-    replicas.vanish("b")
-
-    assert not any(replicas.has_dropped(name, "lines") for name in "abc")
-
-
-def test_who_has_not_told_may_serve_any_model_by_name(replicas: Replicas) -> None:
-    replicas.appear("c")
-
     assert chosen(replicas, "nobody") == "c"
     assert chosen(replicas, None, "a", "b") is None
 
+    replicas.vanish("b")
+    assert not any(replicas.has_dropped(name, "lines") for name in "abc")
 
-def test_who_is_not_ready_comes_last(replicas: Replicas, card: ModelCard) -> None:
-    replicas.learn(info("a", card, ready=False))
+
+@pytest.mark.parametrize("doubt", ["not ready", "silent"])
+def test_a_doubtful_one_comes_last(
+    replicas: Replicas, card: ModelCard, info: Info, doubt: str
+) -> None:
+    if doubt == "silent":
+        replicas.note_silence("a", why := TimedOut("nothing came"))
+        assert replicas.silences() == (why,)
+    else:
+        replicas.learn(info("a", card, ready=False))
     replicas.learn(info("b", card, in_flight=50))
 
     assert chosen(replicas) == "b"
     assert chosen(replicas, None, "b") == "a"
 
 
-def test_who_says_nothing_comes_last(replicas: Replicas, card: ModelCard) -> None:
-    replicas.note_silence("a", why := TimedOut("nothing came"))
-    replicas.learn(info("b", card, in_flight=50))
-
-    assert replicas.silences() == (why,)
-    assert chosen(replicas) == "b"
-
-
-def test_who_told_long_ago_is_asked_to_tell_again(
-    replicas: Replicas, clock: Clock, card: ModelCard
+def test_old_infos_are_queried_again(
+    replicas: Replicas, clock: Clock, card: ModelCard, info: Info
 ) -> None:
     assert replicas.to_be_queried() == []
     clock.now += 1.5
@@ -204,8 +189,8 @@ def test_who_told_long_ago_is_asked_to_tell_again(
     assert replicas.to_be_queried(fresh_s=0.0) == ["a"]
 
 
-def test_it_is_waited_for_those_who_are_being_asked(
-    replicas: Replicas, clock: Clock, card: ModelCard
+def test_pending_queries_are_awaited(
+    replicas: Replicas, clock: Clock, card: ModelCard, info: Info
 ) -> None:
     replicas.wait_for_queries(Deadline(0.0))
     clock.now += 1.5
@@ -217,7 +202,7 @@ def test_it_is_waited_for_those_who_are_being_asked(
     assert chosen(replicas, "bows") == "b"
 
 
-def test_nobody_is_waited_for_no_longer_than_told() -> None:
+def test_the_wait_for_a_replica_to_appear_ends() -> None:
     start = time.monotonic()
 
     Replicas().wait_until_known(Deadline(10.0), appear_s=0.05)
@@ -225,7 +210,7 @@ def test_nobody_is_waited_for_no_longer_than_told() -> None:
     assert 0.05 <= time.monotonic() - start < 5
 
 
-def test_somebody_who_has_not_told_is_waited_for(card: ModelCard) -> None:
+def test_a_pending_info_is_awaited(card: ModelCard, info: Info) -> None:
     replicas = Replicas()
     replicas.appear("a")
     threading.Timer(0.05, replicas.learn, [info("a", card)]).start()
@@ -256,7 +241,7 @@ WAITS: dict[str, Callable[[Replicas, Deadline], object]] = {
 
 
 @pytest.mark.parametrize("wait", WAITS)
-def test_who_takes_his_request_back_waits_no_longer(wait: str) -> None:
+def test_a_cancelled_request_waits_no_longer(wait: str) -> None:
     replicas, cancellation = Replicas(), Cancellation()
     replicas.appear("a")
     assert replicas.to_be_queried() == ["a"]

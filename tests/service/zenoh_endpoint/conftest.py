@@ -1,7 +1,8 @@
-"""Replicas and routers of a zenoh network on this machine, in this process or in their own."""
+"""Replicas and routers of a zenoh network on this machine, in this process or in others."""
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 import socket
 import subprocess
@@ -13,8 +14,9 @@ from typing import Any
 
 import pytest
 from anyio.from_thread import start_blocking_portal
+from blocking_twin import Blocking
 
-from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
+from anchorflow_client.zenoh_client import AsyncZenohAnchorClient, ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.planning import PlanningService
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
@@ -29,14 +31,14 @@ Start = Callable[..., subprocess.Popen[str]]
 
 @pytest.fixture
 def endpoint() -> str:
-    """Where nobody listens yet."""
+    """Return an endpoint without a listener."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
 
 
 @pytest.fixture
 def serve(planning: PlanningService) -> Iterator[Serve]:
-    """Opens a service and puts it on the network that the settings name."""
+    """Opens a service and joins it to the network of the settings."""
     with ExitStack() as stack:
 
         def start(
@@ -52,7 +54,7 @@ def serve(planning: PlanningService) -> Iterator[Serve]:
 
 @pytest.fixture
 def replica(serve: Serve, endpoint: str) -> ZenohEndpoint:
-    """The service as replica "a", a peer that listens at `endpoint`."""
+    """Serve as replica "a", a peer that listens at `endpoint`."""
     return serve(ZenohSettings(listen=(endpoint,)), replica="a")
 
 
@@ -62,6 +64,22 @@ def client(replica: ZenohEndpoint, endpoint: str) -> Iterator[ZenohAnchorClient]
     assert replica.replica == "a"
     with ZenohAnchorClient(endpoint, timeout_s=20) as client:
         yield client
+
+
+@pytest.fixture(params=["blocking", "async"])
+def any_client(
+    request: pytest.FixtureRequest, replica: ZenohEndpoint, endpoint: str
+) -> Iterator[Any]:
+    """A blocking client of that replica, or an async one with a blocking interface."""
+    assert replica.replica == "a"
+    if request.param == "blocking":
+        with ZenohAnchorClient(endpoint, timeout_s=20) as client:
+            yield client
+    else:
+        loop = asyncio.new_event_loop()
+        with Blocking(AsyncZenohAnchorClient(endpoint, timeout_s=20), loop) as client:
+            yield client
+        loop.close()
 
 
 @pytest.fixture
@@ -86,7 +104,7 @@ def start() -> Iterator[Start]:
 
 
 class Authority:
-    """Signs certificates for this machine in a folder, with the openssl command."""
+    """Signs certificates for this machine in a folder, by the openssl command."""
 
     def __init__(self, folder: Path, name: str = "ca") -> None:
         self.folder = folder
@@ -99,11 +117,11 @@ class Authority:
 
     @property
     def certificate(self) -> Path:
-        """What those have to trust who trust this."""
+        """The certificate to trust."""
         return self.folder / f"{self.name}.pem"
 
     def sign(self, name: str, *, host: str = "IP:127.0.0.1") -> tuple[Path, Path]:
-        """A certificate and its key: `name`.pem and `name`.key."""
+        """Return a certificate and its key: `name`.pem and `name`.key."""
         request, extensions = self.folder / f"{name}.csr", self.folder / f"{name}.ext"
         extensions.write_text(f"subjectAltName={host}\nextendedKeyUsage=serverAuth,clientAuth\n")
         key = self.folder / f"{name}.key"
@@ -120,7 +138,7 @@ class Authority:
 
 @pytest.fixture
 def authority(tmp_path: Path) -> Callable[..., Authority]:
-    """Makes an authority in a folder of its own, certificates/ unless told."""
+    """Makes an authority in a folder, by default certificates/."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl, which makes the certificates, is not installed")
 

@@ -1,9 +1,8 @@
-"""The endpoint as any zenoh program sees it: keys, attachments, errors, life and death."""
+"""The endpoint as any zenoh program sees it: keys, attachments, errors, joining and leaving."""
 
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -26,7 +25,7 @@ PATIENCE_S = 20
 
 @pytest.fixture
 def session(replica: ZenohEndpoint, endpoint: str) -> Iterator[zenoh.Session]:
-    """Another program on the network of replica "a"."""
+    """Open a session of another program on replica "a"'s network."""
     assert replica.replica == "a"
     settings = ZenohSettings(mode="client", connect=(endpoint,))
     with open_session(settings) as session:
@@ -41,7 +40,7 @@ def ask(
     attachment: dict[str, Any] | bytes | None = None,
     payload: bytes | None = None,
 ) -> list[zenoh.Reply]:
-    """All replies to a request; its attachment says what it should unless told."""
+    """Return all replies to a request, by default with a valid attachment."""
     sent = CODEC.encode_request(AnchorRequest.from_fields(fields))
     if attachment is None:
         attachment = {"header_length": sent.header_length, "request_id": "r1"}
@@ -57,16 +56,16 @@ def ask(
 
 
 def answer_of(reply: zenoh.Reply) -> tuple[AnchorBatch, dict[str, Any]]:
-    """An answer and its attachment."""
+    """Return an answer and its attachment."""
     assert reply.ok is not None
     assert reply.ok.attachment is not None
-    said = json.loads(reply.ok.attachment.to_bytes())
-    payload = Payload(reply.ok.payload.to_bytes(), said["header_length"])
-    return CODEC.decode_answer(payload), said
+    attachment = json.loads(reply.ok.attachment.to_bytes())
+    payload = Payload(reply.ok.payload.to_bytes(), attachment["header_length"])
+    return CODEC.decode_answer(payload), attachment
 
 
 def error_of(replies: list[zenoh.Reply]) -> dict[str, Any]:
-    """The only reply, which is the contract's error."""
+    """Return the contract's error in the only reply."""
     (reply,) = replies
     assert reply.err is not None
     assert str(reply.err.encoding) == "application/json"
@@ -79,14 +78,14 @@ def test_a_query_is_answered_on_both_keys(
 ) -> None:
     (reply,) = ask(session, key, fields)
 
-    batch, said = answer_of(reply)
+    batch, attachment = answer_of(reply)
     assert reply.ok is not None
     assert str(reply.ok.key_expr) == key
     assert str(reply.ok.encoding) == "application/octet-stream"
     assert (batch.model.name, batch.seed, batch.request_id) == ("lines", 1, "r1")
-    assert (said["request_id"], said["replica"]) == ("r1", "a")
-    assert set(said["load"]) == {"in_flight", "workers", "mean_service_ms"}
-    assert said["load"]["in_flight"] == 0  # itself not counted: it is answered
+    assert (attachment["request_id"], attachment["replica"]) == ("r1", "a")
+    assert set(attachment["load"]) == {"in_flight", "workers", "mean_service_ms"}
+    assert attachment["load"]["in_flight"] == 0  # itself not counted: it is answered
 
 
 def test_a_key_with_a_wildcard_reaches_every_model(
@@ -101,18 +100,18 @@ def test_a_key_with_a_wildcard_reaches_every_model(
     }
 
 
-def test_it_tells_its_cards_and_its_load(session: zenoh.Session, engine: Any) -> None:
+def test_its_info_holds_its_cards_and_its_load(session: zenoh.Session, engine: Any) -> None:
     (reply,) = session.get("anchorflow/v1/replica/*/info", timeout=float(PATIENCE_S))
 
     assert reply.ok is not None
     assert str(reply.ok.key_expr) == "anchorflow/v1/replica/a/info"
-    told = json.loads(reply.ok.payload.to_bytes())
-    assert (told["replica"], told["ready"]) == ("a", True)
-    assert told["load"]["in_flight"] == 0
-    assert told["load"]["mean_service_ms"] == 0.0
-    assert told["load"]["workers"] >= 1
-    assert [card["name"] for card in told["models"]] == ["lines", "bows"]
-    assert told["models"][0]["sha256"] == engine.card.sha256
+    info = json.loads(reply.ok.payload.to_bytes())
+    assert (info["replica"], info["ready"]) == ("a", True)
+    assert info["load"]["in_flight"] == 0
+    assert info["load"]["mean_service_ms"] == 0.0
+    assert info["load"]["workers"] >= 1
+    assert [card["name"] for card in info["models"]] == ["lines", "bows"]
+    assert info["models"][0]["sha256"] == engine.card.sha256
 
 
 BAD_ATTACHMENTS: dict[str, tuple[Any, str]] = {
@@ -144,25 +143,29 @@ def test_a_bad_attachment_is_refused_by_name(
     assert ask(session, LINES, fields)[0].ok is not None
 
 
-def test_bytes_that_are_no_request_are_refused(
+BAD_QUERIES: dict[str, tuple[dict[str, Any], dict[str, Any], tuple[str, str]]] = {
+    "no header": (
+        {},
+        {"attachment": {"header_length": 4}, "payload": b"\0" * 8},
+        ("invalid_request", "header"),
+    ),
+    "another model than the key's": ({"model": "bows"}, {}, ("invalid_request", "model")),
+}
+
+
+@pytest.mark.parametrize("case", BAD_QUERIES)
+def test_a_bad_query_is_refused_by_name(
+    session: zenoh.Session, fields: dict[str, Any], case: str
+) -> None:
+    changes, sent, expected = BAD_QUERIES[case]
+    error = error_of(ask(session, LINES, fields | changes, **sent))
+
+    assert (error["code"], error["field"]) == expected
+
+
+def test_the_attachments_budget_overrides_the_bodys(
     session: zenoh.Session, fields: dict[str, Any]
 ) -> None:
-    attachment = {"header_length": 4}
-
-    error = error_of(ask(session, LINES, fields, attachment=attachment, payload=b"\0" * 8))
-
-    assert (error["code"], error["field"]) == ("invalid_request", "header")
-
-
-def test_the_key_and_the_body_must_name_one_model(
-    session: zenoh.Session, fields: dict[str, Any]
-) -> None:
-    error = error_of(ask(session, LINES, fields | {"model": "bows"}))
-
-    assert (error["code"], error["field"]) == ("invalid_request", "model")
-
-
-def test_the_budget_beside_the_body_rules(session: zenoh.Session, fields: dict[str, Any]) -> None:
     sent = CODEC.encode_request(AnchorRequest.from_fields(fields | {"budget_ms": 60_000}))
     attachment = {"header_length": sent.header_length, "budget_ms": 1e-6}
 
@@ -200,39 +203,29 @@ def test_behind_a_router_replicas_of_one_key_get_one_query_each(
     assert len(engine.seen) == 1
 
 
-def test_a_service_that_leaves_answers_what_came_and_is_gone(
-    planning: PlanningService, engine: Any, endpoint: str, fields: dict[str, Any]
+def test_a_service_that_leaves_answers_the_pending_requests_and_is_gone(
+    planning: PlanningService, gate: Any, endpoint: str, fields: dict[str, Any]
 ) -> None:
-    reached, opened = threading.Event(), threading.Event()
-
-    def hold(batch: AnchorBatch) -> AnchorBatch:
-        reached.set()
-        assert opened.wait(PATIENCE_S)
-        return batch
-
-    engine.before_answer = hold
     settings = ZenohSettings(mode="client", connect=(endpoint,))
     with start_blocking_portal() as portal, planning, ThreadPoolExecutor(2) as executor:
         joined = ZenohEndpoint(planning, open_session(ZenohSettings(listen=(endpoint,))))
         portal.call(joined.__aenter__)
         with open_session(settings) as session:
             asked = executor.submit(ask, session, LINES, fields)
-            assert reached.wait(PATIENCE_S)
+            assert gate.reached.wait(PATIENCE_S)
             leaving = executor.submit(portal.call, joined.__aexit__, None, None, None)
-            opened.set()
+            gate.opened.set()
             assert answer_of(asked.result(PATIENCE_S)[0])[0].seed == 1
             leaving.result(PATIENCE_S)
             assert ask(session, LINES, fields) == []
 
 
-def test_a_model_whose_name_no_key_can_hold_is_refused(engine: Any, endpoint: str) -> None:
-    service = PlanningService({"a/b": _renamed(engine, "a/b")}, default="a/b")
+def test_a_model_name_that_is_not_allowed_in_a_key_is_refused(engine: Any, endpoint: str) -> None:
+    service = PlanningService(
+        {"a/b": type(engine)(replace(engine.card, name="a/b"))}, default="a/b"
+    )
     with (
         open_session(ZenohSettings(listen=(endpoint,))) as session,
         pytest.raises(InvalidRequest, match="model: expected a name without spaces"),
     ):
         ZenohEndpoint(service, session)
-
-
-def _renamed(engine: Any, name: str) -> Any:
-    return type(engine)(replace(engine.card, name=name))

@@ -1,4 +1,4 @@
-"""The configurations that ship open as they are, and do what their comments say."""
+"""The example configurations open as they are, and do what their comments say."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONFIGS = sorted(path.name for path in EXAMPLES.glob("*.json5"))
 
 
 def example(name: str, **over: Any) -> ZenohSettings:
-    """A file that ships; only where it listens or connects to is another port here."""
+    """Return an example's settings, with another endpoint."""
     return ZenohSettings(config_file=EXAMPLES / name, **over)
 
 
@@ -37,43 +37,40 @@ def test_nothing_is_reached_beyond_this_machine(name: str) -> None:
 
 def _list(config: Any, key: str) -> list[str]:
     value = json.loads(config.get_json(key))
-    # Zenoh's own default, one list for each mode, where a file says nothing.
+    # Zenoh's own default has a list for each mode.
     return [] if isinstance(value, dict) else value
 
 
 @pytest.mark.parametrize("name", [name for name in CONFIGS if name.startswith("client")])
-def test_who_connects_tries_again_as_soon_as_without_a_file(name: str) -> None:
+def test_clients_reconnect_as_soon_as_without_a_file(name: str) -> None:
     tries = json.loads(config_of(example(name)).get_json("connect/retry"))
 
     assert tries["period_max_ms"] == RETRY["period_max_ms"]
 
 
-def test_a_robot_reaches_a_peer(serve: Any, endpoint: str, fields: dict[str, Any]) -> None:
-    serve(example("peer.json5", listen=(endpoint,)))
-
-    with ZenohAnchorClient(example("client.json5", connect=(endpoint,))) as client:
-        assert client.plan(**fields).seed == 1
-
-
-def test_a_robot_reaches_a_service_behind_a_router(
-    start: Any, serve: Any, endpoint: str, fields: dict[str, Any]
+@pytest.mark.parametrize(
+    ("service", "robot"),
+    [
+        ("peer.json5", "client.json5"),
+        ("router.json5", None),  # a service may be the router
+        ("behind router.json5", "client.json5"),
+    ],
+)
+def test_a_robot_reaches_a_service(
+    start: Any, serve: Any, endpoint: str, fields: dict[str, Any], service: str, robot: str | None
 ) -> None:
-    start("router.py", endpoint, EXAMPLES / "router.json5")
-    client_settings = example("client.json5", connect=(endpoint,))
-    serve(client_settings)
+    client = endpoint if robot is None else example(robot, connect=(endpoint,))
+    if service.startswith("behind "):
+        start("router.py", endpoint, EXAMPLES / service.removeprefix("behind "))
+        serve(client)
+    else:
+        serve(example(service, listen=(endpoint,)))
 
-    with ZenohAnchorClient(client_settings) as client:
-        assert client.plan(**fields).seed == 1
-
-
-def test_a_service_may_be_the_router(serve: Any, endpoint: str, fields: dict[str, Any]) -> None:
-    serve(example("router.json5", listen=(endpoint,)))
-
-    with ZenohAnchorClient(endpoint) as client:
-        assert client.plan(**fields).seed == 1
+    with ZenohAnchorClient(client) as it:
+        assert it.plan(**fields).seed == 1
 
 
-def test_both_ends_prove_who_they_are(
+def test_both_ends_show_a_certificate(
     start: Any,
     serve: Any,
     authority: Callable[..., Any],
@@ -95,7 +92,7 @@ def test_both_ends_prove_who_they_are(
         assert client.plan(**fields).seed == 1
 
 
-def test_each_user_may_do_his_own_part(
+def test_each_user_has_its_own_rights(
     start: Any, serve: Any, engine: Any, tmp_path: Path, endpoint: str, fields: dict[str, Any]
 ) -> None:
     shutil.copy(EXAMPLES / "users.txt", tmp_path)
@@ -112,7 +109,7 @@ def test_each_user_may_do_his_own_part(
         assert guest.live()
         with pytest.raises(Unauthorized, match="a is alive, and nothing comes"):
             guest.plan(**fields)
-    # A robot may not pass for a replica, whatever it declares.
+    # A robot may not act as a replica, whatever it declares.
     traps = type(engine)(replace(engine.card, name="traps"))
     impostor = PlanningService({"traps": traps}, default="traps")
     serve(user("robot", "replace me too"), impostor, replica="impostor")

@@ -1,4 +1,4 @@
-"""Replicas that die, hang or are full: the client asks another within the same time."""
+"""Replicas that die, hang or are overloaded: the client queries another in the same time."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def router(endpoint: str) -> Iterator[Program]:
 
 @pytest.fixture
 def two(router: Program, endpoint: str) -> Iterator[list[Program]]:
-    """Replicas "a" and "b" behind the router, each of which takes 40 ms."""
+    """Replicas "a" and "b" behind the router, with 40 ms for an answer."""
     assert router.name == "router"
     with ExitStack() as stack:
         yield [stack.enter_context(running(replica(name, endpoint, 0.04))) for name in "ab"]
@@ -129,7 +129,7 @@ def test_no_request_is_lost_while_a_replica_is_killed_and_comes_back(
         for answer in asking.result():
             answer.result()  # no request is lost
 
-    assert seen.silent[killed] >= 1  # it was asked, and died over it
+    assert seen.silent[killed] >= 1  # it was queried, and died
     assert (seen.answered - before)[killed] >= 1  # it answers again
     (other,) = {"a", "b"} - {killed}
     assert seen.answered[other] >= 1
@@ -138,7 +138,7 @@ def test_no_request_is_lost_while_a_replica_is_killed_and_comes_back(
 def test_a_budget_holds_for_the_failover_too(
     router: Program, endpoint: str, fields: dict[str, Any], until: Any
 ) -> None:
-    """The first replica dies over the request, the second has not the time for it."""
+    """The first replica dies during the request, and the second has too little time."""
     assert router.name == "router"
     with ExitStack() as stack:
         slow = [stack.enter_context(running(replica(name, endpoint, 60.0))) for name in "ab"]
@@ -157,14 +157,14 @@ def test_a_budget_holds_for_the_failover_too(
 def test_a_replica_that_hangs_is_not_waited_for_alone(
     two: list[Program], endpoint: str, fields: dict[str, Any]
 ) -> None:
-    """Stopped, it keeps its connection and its token, and answers nothing."""
+    """A stopped process keeps its connection and its token, and does not answer."""
     request = AnchorRequest.from_fields(fields | {"budget_ms": 6000})
     with ZenohAnchorClient(endpoint) as client, witness() as seen, ThreadPoolExecutor(4) as pool:
         client.plan_request(request)
         seen.asked.clear()
         two[0].signal(signal.SIGSTOP)
         try:
-            # More at a time than one replica is given while the other seems idle.
+            # More than one replica gets while the other seems idle.
             answers = list(pool.map(client.plan_request, [request] * 4))
         finally:
             two[0].signal(signal.SIGCONT)
@@ -173,7 +173,7 @@ def test_a_replica_that_hangs_is_not_waited_for_alone(
     assert seen.asked["a"] >= 1
 
 
-def test_with_nobody_left_it_says_so(
+def test_without_any_replica_left_the_connection_fails(
     two: list[Program], endpoint: str, fields: dict[str, Any]
 ) -> None:
     with ZenohAnchorClient(endpoint, timeout_s=20) as client:

@@ -1,4 +1,4 @@
-"""Queries are counted beside HTTP's requests, through the service that both share."""
+"""Queries are counted beside HTTP's requests, by the service that both share."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_query_is_counted_under_its_transport(
     assert 'anchorflow_request_seconds_count{transport="zenoh"} 1.0' in text
 
 
-def test_what_is_refused_before_it_is_read_is_counted_too(
+def test_a_request_that_is_refused_before_it_is_read_is_counted(
     planning: PlanningService, replica: ZenohEndpoint, endpoint: str
 ) -> None:
     metrics = Metrics(planning)

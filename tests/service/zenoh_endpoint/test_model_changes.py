@@ -1,4 +1,4 @@
-"""Models that come and go while a replica is on the network, and a client has long been there."""
+"""Models that are loaded and unloaded while a replica and a client are connected."""
 
 from __future__ import annotations
 
@@ -21,36 +21,29 @@ PATIENCE_S = 20
 
 
 def named(engine: Any, name: str, version: str = "1.2.3") -> Any:
-    """Another engine of the same kind."""
+    """Return another engine of the same kind."""
     return type(engine)(replace(engine.card, name=name, version=version))
 
 
-def test_a_model_that_comes_is_answered_at_once(
+def test_a_model_is_answered_as_soon_as_it_is_loaded_or_swapped(
     client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
 ) -> None:
     with pytest.raises(UnknownModel):
         client.plan(**fields, model="arcs")
     planning.engines.put(named(engine, "arcs"))
-
-    assert client.plan(**fields, model="arcs").model.name == "arcs"
+    assert client.plan(**fields, model="arcs").model.version == "1.2.3"
     assert "arcs" in [card.name for card in client.models()]
 
-
-def test_a_model_that_is_swapped_answers_with_its_new_version(
-    client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
-) -> None:
-    assert client.plan(**fields, model="lines").model.version == "1.2.3"
-    planning.engines.put(named(engine, "lines", "2.0"))
-
-    assert client.plan(**fields, model="lines").model.version == "2.0"
+    planning.engines.put(named(engine, "arcs", "2.0"))
+    assert client.plan(**fields, model="arcs").model.version == "2.0"
 
 
-def test_a_model_that_goes_is_unknown_and_not_denied_and_may_come_back(
+def test_an_unloaded_model_is_unknown_and_not_denied_and_may_come_back(
     client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
 ) -> None:
     assert client.plan(**fields, model="bows").model.name == "bows"
     planning.engines.remove("bows")
-    for _ in range(2):  # by what the client heard before, and by what it has heard since
+    for _ in range(2):  # by the old info, and by the new one
         with pytest.raises(UnknownModel, match=r"is served \(lines\), got 'bows'"):
             client.plan(**fields, model="bows")
     assert client.plan(**fields).model.name == "lines"
@@ -59,10 +52,10 @@ def test_a_model_that_goes_is_unknown_and_not_denied_and_may_come_back(
     assert client.plan(**fields, model="bows").model.name == "bows"
 
 
-def test_a_default_that_goes_is_replaced_by_no_other(
+def test_an_unloaded_default_is_replaced_by_no_other(
     client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
 ) -> None:
-    """As over HTTP, where who names no model is refused too."""
+    """As over HTTP, a request without a model is refused then."""
     assert client.plan(**fields).model.name == "lines"
     planning.engines.remove("lines")
     with pytest.raises(UnknownModel, match=r"is served \(bows\), got the default"):
@@ -76,7 +69,7 @@ def test_a_default_that_goes_is_replaced_by_no_other(
     assert client.plan(**fields).model.name == "lines"
 
 
-def test_a_model_that_goes_in_one_place_is_asked_for_in_the_other(
+def test_after_an_unload_at_one_replica_the_other_is_queried(
     start: Any, serve: Any, endpoint: str, engine: Any, fields: dict[str, Any]
 ) -> None:
     start("router.py", endpoint)
@@ -97,13 +90,13 @@ def test_a_model_that_goes_in_one_place_is_asked_for_in_the_other(
     assert answered == {"b"}
 
 
-def test_a_request_whose_model_goes_before_it_is_read_is_told_so(
+def test_a_model_that_is_unloaded_before_the_request_is_read_is_unknown(
     client: ZenohAnchorClient,
     planning: PlanningService,
     fields: dict[str, Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """In the service's own words, over the query that is open."""
+    """The service itself refuses, over the open query."""
     assert client.plan(**fields, model="bows").model.name == "bows"
     choose = planning.engines.choose
 
@@ -117,14 +110,14 @@ def test_a_request_whose_model_goes_before_it_is_read_is_told_so(
         client.plan(**fields, model="bows")
 
 
-def test_a_request_that_is_planned_when_its_model_goes_is_still_answered(
+def test_a_request_that_is_planned_while_its_model_is_unloaded_is_answered(
     client: ZenohAnchorClient,
     planning: PlanningService,
     fields: dict[str, Any],
     caplog: pytest.LogCaptureFixture,
     until: Any,
 ) -> None:
-    """Even where the client has heard of it, and would ask somebody else by now."""
+    """Even if the client knows it, and would query another replica by now."""
     reached, opened = threading.Event(), threading.Event()
 
     def hold(batch: AnchorBatch) -> AnchorBatch:
@@ -146,7 +139,7 @@ def test_a_request_that_is_planned_when_its_model_goes_is_still_answered(
         assert asked.result(PATIENCE_S).model.name == "bows"
 
 
-def test_many_changes_at_a_time_leave_the_keys_of_what_is_served(
+def test_concurrent_changes_leave_the_keys_of_the_served_models(
     client: ZenohAnchorClient, planning: PlanningService, engine: Any, fields: dict[str, Any]
 ) -> None:
     def come_and_go(name: str) -> None:
@@ -166,7 +159,7 @@ def test_many_changes_at_a_time_leave_the_keys_of_what_is_served(
     assert [client.plan(**fields, model=name).model.name for name in "xyz"] == ["x", "y", "z"]
 
 
-def test_a_change_under_way_when_the_replica_leaves_fails_nobody(
+def test_a_change_while_the_replica_leaves_is_no_error(
     planning: PlanningService, engine: Any, endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     followers: list[Any] = []
@@ -185,7 +178,7 @@ def test_a_change_under_way_when_the_replica_leaves_fails_nobody(
     late()  # its session is closed: to declare a key there would be an error
 
 
-def test_a_model_whose_name_is_no_key_is_served_over_http_alone(
+def test_a_model_whose_name_is_not_allowed_in_a_key_is_served_over_http_alone(
     client: ZenohAnchorClient,
     planning: PlanningService,
     engine: Any,

@@ -28,7 +28,7 @@ PATIENCE_S = 20
 
 
 class Outcomes(Observer):
-    """What became of every call."""
+    """Records the outcome of every call."""
 
     def __init__(self) -> None:
         self.seen: list[str] = []
@@ -37,44 +37,33 @@ class Outcomes(Observer):
         self.seen.append(outcome)
 
 
-def test_the_answer_is_what_the_engine_planned(
-    client: ZenohAnchorClient, engine: Any, fields: dict[str, Any]
+def test_answers_cards_and_refusals_are_the_services(
+    any_client: Any, engine: Any, fields: dict[str, Any]
 ) -> None:
-    anchors = client.plan(**fields)
+    assert any_client.live()
+    assert any_client.ready()
+    cards = any_client.models()
+    assert [card.name for card in cards] == ["lines", "bows"]
+    assert cards[0] == engine.card
 
+    anchors = any_client.plan(**fields, request_id="r1")
     planned = engine.plan(engine.seen[0])
     for name in ARRAY_DTYPES:
         np.testing.assert_array_equal(getattr(anchors, name), getattr(planned, name))
     assert (anchors.dt, anchors.seed, anchors.model) == (planned.dt, 1, engine.card.id)
     assert set(anchors.timing_ms) == {"queue", "encode", "sample", "refine", "total"}
+    assert anchors.request_id == "r1"
+    assert len(any_client.plan(**fields).request_id or "") == 32
 
-
-def test_a_service_tells_what_it_is(client: ZenohAnchorClient, engine: Any) -> None:
-    assert client.live()
-    assert client.ready()
-    cards = client.models()
-    assert [card.name for card in cards] == ["lines", "bows"]
-    assert cards[0] == engine.card
-
-
-def test_another_model_answers_by_name(client: ZenohAnchorClient, fields: dict[str, Any]) -> None:
-    assert client.plan(**fields, model="bows").model.name == "bows"
+    assert any_client.plan(**fields, model="bows").model.name == "bows"
     with pytest.raises(UnknownModel, match=r"is served \(bows, lines\), got 'nobody'"):
-        client.plan(**fields, model="nobody")
-
-
-def test_the_request_id_is_echoed(client: ZenohAnchorClient, fields: dict[str, Any]) -> None:
-    assert client.plan(**fields, request_id="r1").request_id == "r1"
-    assert len(client.plan(**fields).request_id or "") == 32
-
-
-def test_refusals_are_those_of_http(client: ZenohAnchorClient, fields: dict[str, Any]) -> None:
+        any_client.plan(**fields, model="nobody")
     with pytest.raises(InvalidRequest, match="expected 2 m/s, which lines") as caught:
-        client.plan(**fields, v_max=9.0)
+        any_client.plan(**fields, v_max=9.0)
     assert (caught.value.field, caught.value.http_status) == ("v_max", 422)
 
 
-def test_a_failure_is_internal_and_tells_nothing(
+def test_a_failure_is_internal_without_its_details(
     client: ZenohAnchorClient, engine: Any, fields: dict[str, Any], caplog: Any
 ) -> None:
     def explode(_: AnchorBatch) -> AnchorBatch:
@@ -89,24 +78,18 @@ def test_a_failure_is_internal_and_tells_nothing(
     assert "secret detail" in caplog.text
 
 
-def test_the_service_is_told_the_time_that_is_left(
-    client: ZenohAnchorClient, engine: Any, fields: dict[str, Any]
+def test_the_request_carries_the_time_left(
+    client: ZenohAnchorClient, endpoint: str, engine: Any, fields: dict[str, Any]
 ) -> None:
     client.plan(**fields, budget_ms=60_000)
     assert 50_000 < engine.seen[-1].budget_ms < 60_000
 
-    client.plan(**fields)  # no budget: the time after which this client gives up
+    client.plan(**fields)  # no budget: this client's timeout
     assert 10_000 < engine.seen[-1].budget_ms < 20_000
 
-
-def test_a_patience_beyond_any_budget_is_sent_as_the_longest(
-    replica: Any, endpoint: str, engine: Any, fields: dict[str, Any]
-) -> None:
-    assert replica.replica == "a"
-    with ZenohAnchorClient(endpoint, timeout_s=1e6) as client:
-        client.plan(**fields)
-
-    assert engine.seen[-1].budget_ms == 1e7
+    with ZenohAnchorClient(endpoint, timeout_s=1e6) as endless:
+        endless.plan(**fields)
+    assert engine.seen[-1].budget_ms == 1e7  # the largest budget
 
 
 def test_a_budget_bounds_the_wait(
@@ -114,13 +97,13 @@ def test_a_budget_bounds_the_wait(
 ) -> None:
     assert client.live()
 
-    # The gate stays shut: who waited on would hear of that, 20 s later, and not of the time.
+    # The gate stays closed: a call without this bound would fail 20 s later, with another error.
     with pytest.raises(TimedOut, match="no answer within 1000 ms; asked a"):
         client.plan(**fields, budget_ms=1000)
     gate.opened.set()
 
 
-def test_a_request_can_be_taken_back(
+def test_a_request_can_be_cancelled(
     client: ZenohAnchorClient, engine: Any, gate: Any, fields: dict[str, Any]
 ) -> None:
     cancellation = Cancellation()
@@ -136,10 +119,10 @@ def test_a_request_can_be_taken_back(
     with pytest.raises(Cancelled):
         client.plan_request(request, cancellation=cancellation)
     assert client.plan(**fields).seed == 1
-    assert len(engine.seen) == 2  # what was taken back before was never sent
+    assert len(engine.seen) == 2  # the one that was cancelled before was never sent
 
 
-def test_what_nobody_waits_for_is_dropped_by_the_services_own_clock(
+def test_an_abandoned_request_is_dropped_by_the_services_own_clock(
     client: ZenohAnchorClient,
     endpoint: str,
     planning: PlanningService,
@@ -148,7 +131,7 @@ def test_what_nobody_waits_for_is_dropped_by_the_services_own_clock(
     fields: dict[str, Any],
     until: Any,
 ) -> None:
-    """Zenoh does not tell it of a client that gave up, was killed, or took its request back."""
+    """Zenoh does not report a client that gave up, was killed, or cancelled its request."""
     cancellation = Cancellation()
     request = AnchorRequest.from_fields(fields)
     with ThreadPoolExecutor(2) as executor, ZenohAnchorClient(endpoint, timeout_s=1) as hasty:
@@ -169,7 +152,7 @@ def test_what_nobody_waits_for_is_dropped_by_the_services_own_clock(
     assert len(engine.seen) == 1
 
 
-def test_a_newer_request_of_a_robot_ends_the_one_that_was_taken_back(
+def test_a_newer_request_of_a_robot_ends_the_cancelled_one(
     client: ZenohAnchorClient,
     planning: PlanningService,
     gate: Any,
@@ -194,7 +177,7 @@ def test_a_newer_request_of_a_robot_ends_the_one_that_was_taken_back(
         assert newer.result(PATIENCE_S).seed == occupied.result(PATIENCE_S).seed == 1
 
 
-def test_closing_takes_back_what_waits(
+def test_closing_cancels_pending_requests(
     client: ZenohAnchorClient, gate: Any, fields: dict[str, Any]
 ) -> None:
     with ThreadPoolExecutor(1) as executor:
@@ -216,12 +199,14 @@ def test_threads_may_share_a_client(client: ZenohAnchorClient, fields: dict[str,
     assert answers == list(range(40))
 
 
-def test_nobody_listens(endpoint: str, fields: dict[str, Any]) -> None:
-    with ZenohAnchorClient(endpoint) as client:
-        assert not client.live()
-        assert not client.ready()
-        with pytest.raises(ConnectionFailed, match=f"nobody listens at {endpoint}"):
-            client.plan(**fields)
+def test_no_listener(endpoint: str, fields: dict[str, Any]) -> None:
+    peer = ZenohSettings(mode="peer", connect=(endpoint,))
+    for where, words in ((endpoint, f"nobody listens at {endpoint}"), (peer, "nobody")):
+        with ZenohAnchorClient(where) as client:
+            assert not client.live()
+            assert not client.ready()
+            with pytest.raises(ConnectionFailed, match=words):
+                client.plan(**fields)
 
 
 def test_a_router_without_a_service(start: Any, endpoint: str, fields: dict[str, Any]) -> None:
@@ -232,16 +217,10 @@ def test_a_router_without_a_service(start: Any, endpoint: str, fields: dict[str,
             client.plan(**fields)
 
 
-def test_a_peer_that_is_connected_to_nobody(endpoint: str, fields: dict[str, Any]) -> None:
-    settings = ZenohSettings(mode="peer", connect=(endpoint,))
-    with ZenohAnchorClient(settings) as client, pytest.raises(ConnectionFailed, match="nobody"):
-        client.plan(**fields)
-
-
 def test_the_queue_is_the_services(
     serve: Any, endpoint: str, engine: Any, gate: Any, fields: Any
 ) -> None:
-    """One request too many is refused over zenoh, however the others came."""
+    """A request beyond the limit is refused, over whatever transport the others arrived."""
     service = PlanningService(
         {"lines": engine}, default="lines", limits=ServiceLimits(max_waiting=0, threads=1)
     )

@@ -1,4 +1,4 @@
-"""A wrong certificate, a wrong password and a denied key: refused, and the error says which."""
+"""A wrong certificate, a wrong password and a denied key are refused, and the error says which."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ USERS = {"service": "one", "robot": "two", "guest": "three"}
 
 @pytest.fixture
 def tls(authority: Callable[..., Any], serve: Any, endpoint: str) -> ZenohSettings:
-    """A service behind TLS; the settings of a client that trusts it."""
+    """Serve over TLS, and return the settings of a client that trusts it."""
     ca = authority()
     certificate, key = ca.sign("service")
     where = endpoint.replace("tcp/", "tls/")
@@ -35,19 +35,21 @@ def refusal(settings: ZenohSettings, fields: dict[str, Any]) -> Exception:
         return caught.value
 
 
-def test_a_trusted_certificate_is_let_in(tls: ZenohSettings, fields: dict[str, Any]) -> None:
+def test_tls_needs_a_trusted_certificate(
+    tls: ZenohSettings, authority: Callable[..., Any], fields: dict[str, Any]
+) -> None:
     with ZenohAnchorClient(tls) as client:
         assert client.plan(**fields).seed == 1
 
-
-def test_a_certificate_of_somebody_else_is_refused(
-    tls: ZenohSettings, authority: Callable[..., Any], fields: dict[str, Any]
-) -> None:
     error = refusal(replace(tls, tls_ca=authority("others").certificate), fields)
-
     assert isinstance(error, ConnectionFailed)
     assert "TLS: its certificate is refused" in str(error)
     assert tls.connect[0] in str(error)
+
+    plain = tls.connect[0].replace("tls/", "tcp/")
+    error = refusal(ZenohSettings(mode="client", connect=(plain,)), fields)
+    assert isinstance(error, ConnectionFailed)
+    assert "it speaks TLS; expected an endpoint tls/" in str(error)
 
 
 def test_a_certificate_of_another_host_is_refused(
@@ -60,15 +62,6 @@ def test_a_certificate_of_another_host_is_refused(
     error = refusal(ZenohSettings(mode="client", connect=(where,), tls_ca=ca.certificate), fields)
 
     assert "its certificate is refused: IP address mismatch" in str(error)
-
-
-def test_without_tls_nobody_enters_there(tls: ZenohSettings, fields: dict[str, Any]) -> None:
-    plain = tls.connect[0].replace("tls/", "tcp/")
-
-    error = refusal(ZenohSettings(mode="client", connect=(plain,)), fields)
-
-    assert isinstance(error, ConnectionFailed)
-    assert "it speaks TLS; expected an endpoint tls/" in str(error)
 
 
 def test_mutual_tls_wants_a_certificate(
@@ -119,12 +112,16 @@ def test_a_wrong_password_is_refused(
         assert "three" not in str(error)
     error = refusal(replace(robot, user=None, password=None), fields)
     assert "it wants a user and a password" in str(error)
+    # A peer's session opens without any connection, and continues to try.
+    error = refusal(replace(robot, mode="peer", password="no"), fields)
+    assert isinstance(error, Unauthorized)
+    assert "'robot' or its password is wrong" in str(error)
 
 
-def test_who_was_let_in_before_is_not_said_to_be_denied(
+def test_a_node_that_was_connected_before_is_not_called_unauthorized(
     start: Any, endpoint: str, fields: dict[str, Any], until: Any
 ) -> None:
-    """A service that is started again listens before zenoh has mended the connection."""
+    """A restarted service listens before zenoh has reconnected."""
     service = start("replica.py", endpoint, "a", 0.0, "listen")
     port = int(endpoint.rpartition(":")[2])
     with ZenohAnchorClient(endpoint, timeout_s=20) as client:
@@ -137,22 +134,8 @@ def test_who_was_let_in_before_is_not_said_to_be_denied(
                 client.plan(**fields)
 
 
-def test_a_peer_with_a_wrong_password_is_told_so_too(
-    serve: Any, users: Path, endpoint: str, fields: dict[str, Any]
-) -> None:
-    """A peer's session opens without any connection, and goes on trying."""
-    serve(ZenohSettings(listen=(endpoint,), users_file=users))
-
-    error = refusal(
-        ZenohSettings(mode="peer", connect=(endpoint,), user="robot", password="no"), fields
-    )
-
-    assert isinstance(error, Unauthorized)
-    assert "'robot' or its password is wrong" in str(error)
-
-
 def rules(*denied: str) -> dict[str, Any]:
-    """Access control: guests may not query the keys."""
+    """Return access control rules by which guests may not query the keys."""
     deny = {
         "id": "denied",
         "permission": "deny",
@@ -173,7 +156,7 @@ def rules(*denied: str) -> dict[str, Any]:
 def guarded(
     start: Any, serve: Any, users: Path, endpoint: str, tmp_path: Path
 ) -> Callable[..., Callable[[str], ZenohSettings]]:
-    """A service behind a router that denies keys to guests; gives a user's settings."""
+    """Serve behind a router that denies keys to guests, and return users' settings."""
 
     def build(*denied: str) -> Callable[[str], ZenohSettings]:
         config = {
@@ -210,7 +193,7 @@ def test_a_denied_key_is_refused_and_the_others_are_not(
         assert robot.plan(**fields, model="bows").model.name == "bows"
 
 
-def test_who_may_ask_nothing_is_told_that_somebody_is_there(
+def test_a_node_without_any_rights_still_sees_the_replica(
     guarded: Callable[..., Any], fields: dict[str, Any]
 ) -> None:
     settings = guarded("anchorflow/v1/**")

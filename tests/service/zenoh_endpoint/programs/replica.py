@@ -1,4 +1,4 @@
-"""A replica whose engine takes its time.
+"""A replica with a slow engine.
 
 Arguments: an endpoint, the name, seconds, and "listen" to be a peer there, not a router's client.
 """
@@ -27,7 +27,7 @@ from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 
 class Sleeper:
-    """Answers that every anchor stands still."""
+    """Answers with anchors that stand still."""
 
     card = ModelCard(
         name="sleeper",
@@ -67,7 +67,7 @@ class Sleeper:
 
 
 async def serve(settings: ZenohSettings, name: str, seconds: float) -> None:
-    """Until the process ends."""
+    """Serve until the process ends."""
     session = open_session(settings, wait_s=10)
     with PlanningService({"sleeper": Sleeper(seconds)}, default="sleeper") as service:
         async with ZenohEndpoint(service, session, replica=name):
