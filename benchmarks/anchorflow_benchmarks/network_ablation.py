@@ -41,7 +41,7 @@ from anchorflow_benchmarks.quality import Plans, judge_planners, mean_of, qualit
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_benchmarks.scene_files import default_source, in_style, load_scenes
 from anchorflow_cli.extras import needs_extra
-from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.contract.fields import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_training.scenes import FamilyScene

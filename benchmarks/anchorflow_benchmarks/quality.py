@@ -45,8 +45,7 @@ from anchorflow_benchmarks.scene_files import default_source, in_style, load_rou
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import AMaxOption, RadiusOption, StyleOption, VMaxOption, style_text
 from anchorflow_client.contract.checks import number
-from anchorflow_client.contract.ranges import A_MAX, GUIDANCE, ROBOT_RADIUS, V_MAX
-from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.contract.fields import A_MAX, GUIDANCE, ROBOT_RADIUS, STYLES, V_MAX
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits

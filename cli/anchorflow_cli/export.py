@@ -12,7 +12,7 @@ import typer
 
 from anchorflow_cli.options import command_app, folder_option
 from anchorflow_client.contract import SamplerChoice
-from anchorflow_client.contract.request import LIMIT_INTERVALS
+from anchorflow_client.contract.fields import LIMITS
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners import adapter_of, check_used
@@ -133,7 +133,7 @@ def _limits(checkpoint: Checkpoint) -> dict[str, Any]:
     if data.get("limits"):
         ranges = data.get("ranges") or {}
         told["limits"] = MotionLimits(**data["limits"])
-        told["ranges"] = {n: tuple(ranges[n]) for n in LIMIT_INTERVALS if n in ranges}
+        told["ranges"] = {n: tuple(ranges[n]) for n in LIMITS if n in ranges}
     return told
 
 

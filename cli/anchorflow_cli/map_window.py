@@ -6,7 +6,7 @@ import numpy as np
 
 from anchorflow_cli.options import Vector
 from anchorflow_cli.ros_map import RosMap
-from anchorflow_client.contract.ranges import MAX_MAP_CELLS, MIN_MAP_CELLS
+from anchorflow_client.contract.fields import MAX_MAP_CELLS, MIN_MAP_CELLS
 from anchorflow_client.errors import AnchorFlowError
 
 MARGIN_M = 3.0

@@ -13,8 +13,8 @@ import typer
 from numpy.typing import NDArray
 from typer.core import TyperCommand
 
-from anchorflow_client.contract.ranges import COORDINATE, NUM_STYLE, VELOCITY, Interval
-from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.contract.checks import Interval
+from anchorflow_client.contract.fields import COORDINATE, NUM_STYLE, STYLES, VELOCITY
 from anchorflow_client.http.transport import Address
 
 Vector = NDArray[np.float64]

@@ -19,7 +19,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from anchorflow_client.contract.ranges import COORDINATE, RESOLUTION
+from anchorflow_client.contract.fields import COORDINATE, RESOLUTION
 from anchorflow_client.errors import AnchorFlowError
 
 

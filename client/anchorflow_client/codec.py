@@ -1,4 +1,4 @@
-"""The codec: how a request and an answer become bytes, whatever carries them.
+"""How a request and an answer become bytes, whatever carries them: the fields of both on the wire.
 
 Clients and services hold a `Codec` and never look inside, so that another form of the contract, or
 a faster writer of the same form, is one more class.
@@ -6,11 +6,27 @@ a faster writer of the same form, is one more class.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, ModelId, WarmStart
+from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.fields import given
 from anchorflow_client.errors import InvalidAnswer
+
+# What walking through fields of another shape than expected raises.
+UNREADABLE = (
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
 
 
 @dataclass(frozen=True)
@@ -65,3 +81,93 @@ def answer_to(request: AnchorRequest, answer: AnchorBatch) -> AnchorBatch:
         wanted, came = request.request_id, answer.request_id
         raise InvalidAnswer(f"request_id: expected the answer to {wanted}, got that to {came}")
     return answer
+
+
+def request_fields(request: AnchorRequest) -> dict[str, Any]:
+    """A request's fields, arrays as numpy holds them; those left to the card are omitted."""
+    fields = request.field_values()
+    del fields["num_scenes"]
+    batched, scenes = fields.pop("batched"), fields.pop("map_scenes")
+    if scenes is not None:
+        fields["cost_map"] = _map_fields(scenes.cost_map, batched=batched)
+        for name in ("x_curr", "x_goal", "w_style"):
+            array = getattr(scenes, name)
+            fields[name] = array if batched else array[0]
+    fields["sampler"] = request.sampler and given(request.sampler)
+    fields["refine"] = request.refine and given(request.refine)
+    fields["warm_start"] = request.warm_start and _warm_start_fields(request.warm_start)
+    fields["inputs"] = request.inputs or None
+    fields["outputs"] = list(request.outputs) or None
+    return {name: value for name, value in fields.items() if value is not None}
+
+
+def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
+    """An answer's fields, arrays as numpy holds them."""
+    absent = {"absent_inputs": ",".join(batch.absent_inputs)} if batch.absent_inputs else {}
+    return dict(batch.arrays) | {
+        "dt": batch.dt,
+        "first_s": batch.first_s,
+        "seed": batch.seed,
+        "model": {**vars(batch.model)},
+        "timing_ms": dict(batch.timing_ms),
+        "request_id": batch.request_id,
+        **absent,
+    }
+
+
+def answer_of(fields: Any, arrays: Mapping[str, Any] | None = None) -> AnchorBatch:
+    """An answer out of untrusted fields.
+
+    arrays: where they came apart from the fields; None: all lists among the fields are arrays,
+        but for dt, which is a number or a list
+
+    Raises:
+        InvalidAnswer: they are not the contract's, or hold numbers that are not finite.
+    """
+    try:
+        if arrays is None:
+            lists = {name: value for name, value in fields.items() if isinstance(value, list)}
+            arrays = {name: value for name, value in lists.items() if name != "dt"}
+        batch = _answer(fields, arrays)
+        finite = batch.is_finite
+    except UNREADABLE as error:
+        raise InvalidAnswer(f"not an answer of the contract: {error!r}") from error
+    if not finite:
+        raise InvalidAnswer("the answer holds numbers that are not finite")
+    return batch
+
+
+def _map_fields(cost_map: CostMap, *, batched: bool) -> dict[str, Any]:
+    # One map broadcast over a batch, which numpy tells by a stride of 0, is sent once.
+    shared = not batched or cost_map.data.strides[0] == 0
+    data: NDArray[np.float32] = cost_map.data[0] if shared else cost_map.data
+    return {"data": data, "resolution": cost_map.resolution, "origin": cost_map.origin}
+
+
+def _warm_start_fields(warm_start: WarmStart) -> dict[str, Any]:
+    return {name: value for name, value in vars(warm_start).items() if value is not None}
+
+
+def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch:
+    model = fields["model"]
+    names = (model["name"], model["version"], model["sha256"])
+    if not all(isinstance(name, str) for name in names):
+        raise TypeError(f"expected strings in model, got {names!r:.200}")
+    return AnchorBatch(
+        arrays={name: _array(name, value) for name, value in arrays.items()},
+        dt=_array("dt", fields["dt"]),
+        first_s=float(fields.get("first_s", 0.0)),
+        seed=int(fields["seed"]),
+        model=ModelId(*names),
+        timing_ms={str(stage): float(ms) for stage, ms in fields["timing_ms"].items()},
+        request_id=fields.get("request_id"),
+        absent_inputs=tuple(name for name in fields.get("absent_inputs", "").split(",") if name),
+    )
+
+
+def _array(name: str, value: Any) -> NDArray[Any]:
+    array = np.asarray(value)
+    own = name in ARRAY_DTYPES or name == "dt"
+    if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and own):
+        raise TypeError(f"expected numbers in {name}, got {array.dtype}")
+    return array

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from anchorflow_client.codec import Payload
+from anchorflow_client.codec import Payload, answer_fields, answer_of, request_fields
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
-from anchorflow_client.contract.inputs import DTYPES, EncodedImage, Input
+from anchorflow_client.contract.checks import DTYPES
+from anchorflow_client.contract.inputs import EncodedImage, Input
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
-from anchorflow_client.wire_fields import answer_fields, answer_of, request_fields
 
 COMPACT = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 """For small headers; `json.dumps` makes an encoder each time."""

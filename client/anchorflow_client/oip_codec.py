@@ -14,37 +14,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.codec import Payload
+from anchorflow_client.codec import Payload, answer_fields, answer_of, request_fields
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
-from anchorflow_client.contract.arrays import wrong_shape
 from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.contract.checks import boolean, expected, fields_of, text
+from anchorflow_client.contract.checks import boolean, expected, fields_of, text, wrong_shape
+from anchorflow_client.contract.fields import REQUEST
 from anchorflow_client.contract.inputs import EncodedImage
+from anchorflow_client.contract.rows import tensor_paths
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
-from anchorflow_client.oip.datatypes import FLOATS, name_of
-from anchorflow_client.oip.message import Datatypes, pack, unpack_header, unpack_tensors
-from anchorflow_client.oip.parameters import (
+from anchorflow_client.oip_message import (
+    FLOATS,
+    Datatypes,
     check_binary_output,
     check_in_binary,
     flatten,
+    name_of,
     nest,
+    pack,
     scalars,
+    unpack_header,
+    unpack_tensors,
 )
-from anchorflow_client.wire_fields import answer_fields, answer_of, request_fields
 
 GEOMETRY = "map_geometry"
 """[3] or [B,3]: origin x and y in m, resolution in m/cell; FP64, as maps may lie far from zero."""
 TIME_STEP = "dt"
 """Of an answer: a parameter where it is one number, a tensor FP64 [N] where each has its own."""
 
-PATH_OF_INPUT = {
-    "x_curr": "x_curr",
-    "x_goal": "x_goal",
-    "w_style": "w_style",
-    "warm_start": "warm_start.trajectory",
-    "schedule": "sampler.schedule",
-    "cost_map": "cost_map.data",
-}
+PATH_OF_INPUT = tensor_paths(REQUEST)
+"""The JSON paths of the fields that are tensors here, by the name of the tensor."""
 RESERVED = {**dict.fromkeys(PATH_OF_INPUT, FLOATS), GEOMETRY: FLOATS}
 """Datatypes of the tensors that are fields of a request; any other is one of its `inputs`."""
 OUTPUTS: Datatypes = {

@@ -1,29 +1,69 @@
-"""What `plan` takes, spelled out once for blocking and async clients."""
+"""The keywords of `plan`, for blocking and async clients, made from the table of request fields."""
 
 from __future__ import annotations
 
+import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic, TypeVar
+from collections.abc import Callable, Mapping
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anchorflow_client.contract import (
-    AnchorRequest,
-    CostMap,
-    RefineChoice,
-    SamplerChoice,
-    WarmStart,
-)
+from anchorflow_client.contract import AnchorRequest, CostMap
+from anchorflow_client.contract.fields import RequestOptions
+from anchorflow_client.contract.rows import rows_of
 from anchorflow_client.errors import InvalidRequest
 
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
 Answer = TypeVar("Answer")
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def spelled_out(kind: type) -> Callable[[Method], Method]:
+    """Return a decorator for a method whose `**options: Unpack[kind]` are rows of the table.
+
+    Type checkers and editors complete such keywords. The decorator adds them to the signature and
+    to the docstring, for `help` and notebooks, and raises `TypeError` for any other.
+    """
+    rows = rows_of(kind)
+    keywords = [
+        inspect.Parameter(
+            name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=None,
+            annotation=kind.__annotations__[name].__origin__,
+        )
+        for name in rows
+    ]
+
+    def spell(method: Method) -> Method:
+        signature = inspect.signature(method)
+        own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
+        known = {each.name for each in (*own, *keywords)}
+
+        @wraps(method)
+        def checked(self: Any, **given: Any) -> Any:
+            for name in given:
+                if name not in known:
+                    raise TypeError(f"{method.__name__}() got an unexpected keyword {name!r}")
+            return method(self, **given)
+
+        told = [f"            {name}: {row.meaning}" for name, row in rows.items()]
+        checked.__doc__ = (method.__doc__ or "").replace("            **options:", "\n".join(told))
+        vars(checked)["__signature__"] = signature.replace(parameters=[*own, *keywords])
+        return cast(Method, checked)
+
+    return spell
 
 
 class PlanKeywords(ABC, Generic[Answer]):
-    """Has `plan`; its `Answer` is a batch, or for an async client a batch to be awaited."""
+    """Declares `plan`; its `Answer` is a batch, or for an async client a batch to be awaited."""
 
+    @spelled_out(RequestOptions)
     def plan(
         self,
         *,
@@ -32,26 +72,12 @@ class PlanKeywords(ABC, Generic[Answer]):
         x_goal: ArrayLike | None = None,
         resolution: float | None = None,
         origin: ArrayLike | None = None,
-        w_style: str | ArrayLike | None = None,
-        num_samples: int | None = None,
-        robot_radius: float | None = None,
-        v_max: float | None = None,
-        a_max: float | None = None,
-        horizon_s: float | None = None,
-        model: str | None = None,
-        seed: int | None = None,
-        sampler: SamplerChoice | Mapping[str, Any] | None = None,
-        refine: RefineChoice | Mapping[str, Any] | None = None,
-        warm_start: WarmStart | Mapping[str, Any] | None = None,
-        budget_ms: float | None = None,
-        robot_id: str | None = None,
-        request_id: str | None = None,
-        inputs: Mapping[str, Any] | None = None,
-        outputs: Sequence[str] | None = None,
+        **options: Unpack[RequestOptions],
     ) -> Answer:
-        """Anchors: from a state to a goal on a map, or for the inputs that the model's card lists.
+        """Plan anchors from a state to a goal on a map, or for the inputs that the card lists.
 
-        None leaves a field to the service or the card.
+        None leaves a field to the service or the card. Ranges, units and defaults of all fields
+        are in the reference.
 
         Args:
             cost_map: a CostMap, {"data", "resolution", "origin"}, or an array [H,W], [C,H,W] or
@@ -62,57 +88,23 @@ class PlanKeywords(ABC, Generic[Answer]):
             x_goal: [2D] or [B,2D] position, velocity.
             resolution: m/cell, with an array.
             origin: [2] m, outer corner of cell (0, 0), with an array; None centres the map.
-            w_style: "conservative", "balanced", "efficient" or "comfortable"; or [3] or [B,3]
-                weights of safety, energy and smoothness from 0, made to sum to 1.
-            num_samples: N, anchors a scene.
-            robot_radius: m. This and the next three inside the ranges that the card tells.
-            v_max: m/s.
-            a_max: m/s^2.
-            horizon_s: s from the first to the last time step of every anchor; None: the card's or,
-                where that has none, each anchor's own.
-            model: name of the bundle that answers.
-            seed: of the noise; the answer echoes it, and the same seed gives the same anchors.
-            sampler: {"method", "schedule"}, the flow's solver and the times it visits.
-            refine: {"smooth", "project", "safety_margin", "guidance", "barrier",
-                "certified_margin"}, how samples are finished.
-            warm_start: {"trajectory", "tau", "dt"}, a trajectory [T,D] to [T,3D] to start from, the
-                flow time at which it enters, and the s between two of its samples.
-            budget_ms: time left to the caller; who cannot answer within it drops the request.
-            robot_id: who asks; a newer request of the same robot supersedes one that still waits.
-            request_id: echoed in the answer, and in the service's log.
-            inputs: what a planner without a cost map is asked with, by the names of its card.
-            outputs: names of extras of the card to be sent along.
+            **options:
 
         Raises:
-            InvalidRequest: before anything is sent, where a field breaks the contract.
+            InvalidRequest: before anything is sent, if a field breaks the contract.
         """
         return self._plan_built(
             lambda: AnchorRequest.build(
                 cost_map=map_fields(cost_map, resolution, origin),
                 x_curr=x_curr,
                 x_goal=x_goal,
-                w_style=w_style,
-                num_samples=num_samples,
-                robot_radius=robot_radius,
-                v_max=v_max,
-                a_max=a_max,
-                horizon_s=horizon_s,
-                model=model,
-                seed=seed,
-                sampler=sampler,
-                refine=refine,
-                warm_start=warm_start,
-                budget_ms=budget_ms,
-                robot_id=robot_id,
-                request_id=request_id,
-                inputs=inputs,
-                outputs=outputs,
+                **options,
             )
         )
 
     @abstractmethod
     def _plan_built(self, build: Callable[[], AnchorRequest]) -> Answer:
-        """Anchors for the request that `build` gives, or its refusal, where the answer is had."""
+        """Plan the request that `build` returns, or raise its refusal once it is awaited."""
 
 
 def map_fields(

@@ -7,10 +7,60 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from anchorflow_client.contract import ModelCard
-from anchorflow_client.contract.checks import expected, fields_of, integer, number, text
-from anchorflow_client.contract.ranges import BUDGET, Interval
+from anchorflow_client.contract.checks import (
+    Interval,
+    describe,
+    expected,
+    fields_of,
+    integer,
+    number,
+    text,
+)
+from anchorflow_client.contract.fields import BUDGET
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
 from anchorflow_client.json_codec import COMPACT, parse
+
+ROOT = "anchorflow/v1"
+ALL_REPLICAS = f"{ROOT}/replica/*"
+ALL_INFO = f"{ALL_REPLICAS}/info"
+
+SPECIAL = "/*$?#"
+"""What separates, globs or ends a key."""
+
+
+def anchors_key(model: str) -> str:
+    """Where any replica answers for a model. Raises `InvalidRequest`."""
+    return f"{ROOT}/anchors/{_chunk(model, 'model')}"
+
+
+def replica_key(replica: str) -> str:
+    """The liveliness token of a replica. Raises `InvalidRequest`."""
+    return f"{ROOT}/replica/{_chunk(replica, 'replica')}"
+
+
+def replica_anchors_key(replica: str, model: str) -> str:
+    """Where one replica answers for a model. Raises `InvalidRequest`."""
+    return f"{replica_key(replica)}/anchors/{_chunk(model, 'model')}"
+
+
+def info_key(replica: str) -> str:
+    """Where a replica tells its cards and its load. Raises `InvalidRequest`."""
+    return f"{replica_key(replica)}/info"
+
+
+def replica_of(key: str) -> str:
+    """The replica that a liveliness token names."""
+    return key.removeprefix(f"{ROOT}/replica/").partition("/")[0]
+
+
+def _chunk(name: str, field: str) -> str:
+    """A name that may stand between two slashes of a key."""
+    printable = name.isascii() and name.isprintable() and " " not in name
+    if not name or not printable or set(name) & set(SPECIAL):
+        what = f"a name without spaces and {' '.join(SPECIAL)}, to stand in a key"
+        raise InvalidRequest(f"expected {what}, got {describe(name)}", field)
+    return name
+
 
 _LENGTHS = Interval(0, 2**53)
 _COUNTS = Interval(0, 2**31)

@@ -29,13 +29,25 @@ from anchorflow_client.contract import (
     VocabularySpec,
     WarmStart,
 )
+from anchorflow_client.contract.fields import REQUEST
 from anchorflow_client.contract.request import MapScenes
 from anchorflow_client.planner import Plan, PlannerConfig
-from anchorflow_docs.dataclass_fields import dataclass_section, held_fields
-from anchorflow_docs.field_table import ANSWERED, HELD, SENT, field_table
-from anchorflow_docs.model_fields import model_section
-from anchorflow_docs.schema_fields import schema_fields
-from anchorflow_docs.service_tables import endpoints, failures, refusals
+from anchorflow_docs.field_sources import (
+    dataclass_section,
+    held_fields,
+    model_section,
+    request_fields,
+    schema_fields,
+)
+from anchorflow_docs.tables import (
+    ANSWERED,
+    HELD,
+    SENT,
+    endpoints,
+    failures,
+    field_table,
+    refusals,
+)
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.bundle.conditioning import (
     CostMapEntry,
@@ -62,7 +74,7 @@ from anchorflow_service.bundle.samplers import (
 )
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
-from anchorflow_service.http.schemas import AnchorAnswerBody, AnchorRequestBody, ErrorBody
+from anchorflow_service.http.schemas import AnchorAnswerBody, ErrorBody
 from anchorflow_service.planning import PlanningService
 
 TYPES = (
@@ -122,13 +134,16 @@ means: [errors](errors.md).
 The same as a machine reads it: [openapi.json](openapi.json), which a running service shows at
 `/openapi.json` too.
 """
-REQUEST = """# The request
+REQUEST_PAGE = """# The request
 
 The body of `POST /anchors` in JSON. A planner with a cost map needs `cost_map`, `x_curr` and
 `x_goal`; any other needs the `inputs` that its card lists, in one of [these
 forms](../wire.md#inputs-in-json). Everything is in SI units and in the frame of the cost map. An
 interval that begins with a round bracket leaves its end out. A field that is left out, or null,
-takes its default; a field that is not in this table is refused by name.
+takes its default; a field that is not in this table is refused by name. An array of numbers is
+nested lists or `{"dtype", "shape", "base64"}`: its bytes, little-endian and in row-major order.
+`{"png": …}` is a greyscale picture in base64 whose values 0 to 255 become 0 to 1; its first row is
+the first row of the map, the one with the lowest y.
 
 {fields}
 
@@ -201,8 +216,8 @@ def reference_pages() -> dict[str, str]:
     openapi = _openapi()
     return {
         "reference/http.md": HTTP.format(endpoints=endpoints(openapi)),
-        "reference/request.md": REQUEST.format(
-            fields=field_table(schema_fields(AnchorRequestBody), SENT),
+        "reference/request.md": REQUEST_PAGE.format(
+            fields=field_table(request_fields(REQUEST), SENT),
             card=field_table(held_fields(_card()), HELD),
         ),
         "reference/answer.md": ANSWER.format(

@@ -26,7 +26,7 @@ from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.worlds import load_worlds
 from anchorflow_client import AnchorClient, AnchorFlowError, Planner
 from anchorflow_client.base_client import BaseClient
-from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.contract.fields import STYLES
 
 
 class PacedTime(SimulatedTime):

@@ -17,13 +17,16 @@ import zenoh
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.errors import InvalidRequest, RequestError, TooLarge
-from anchorflow_client.keys import anchors_key, info_key, replica_anchors_key, replica_key
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.zenoh_messages import (
     AnswerAttachment,
     Load,
     ReplicaInfo,
     RequestAttachment,
+    anchors_key,
+    info_key,
+    replica_anchors_key,
+    replica_key,
 )
 from anchorflow_service.planning import Arrival, Call, PlanningService, internal_error
 

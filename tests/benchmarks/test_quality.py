@@ -19,7 +19,7 @@ from anchorflow_benchmarks.quality import (
     quality_tables,
     style_tables,
 )
-from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.contract.fields import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.cost import MotionLimits

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.images import resized
+from anchorflow_client.sensors import resized
 
 
 @pytest.mark.parametrize(("height", "width", "size"), [(120, 190, 64), (20, 33, 64), (64, 90, 64)])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from anchorflow_client import InvalidRequest, keys
+from anchorflow_client import InvalidRequest
+from anchorflow_client import zenoh_messages as keys
 
 
 def test_the_keys_are_the_contracts() -> None:

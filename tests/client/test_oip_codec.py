@@ -19,7 +19,7 @@ from anchorflow_client import (
     Payload,
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.oip.message import pack
+from anchorflow_client.oip_message import pack
 
 CODEC = OipCodec()
 GOLDEN = Path(__file__).parent / "golden"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from anchorflow_client import AnchorBatch, InvalidAnswer, InvalidRequest, ModelId, OipCodec, Payload
-from anchorflow_client.oip.message import MAX_HEADER_BYTES, pack
+from anchorflow_client.oip_message import MAX_HEADER_BYTES, pack
 
 CODEC = OipCodec()
 F32 = np.float32

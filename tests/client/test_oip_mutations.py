@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anchorflow_client import AnchorBatch, InvalidAnswer, InvalidRequest, ModelId, OipCodec, Payload
-from anchorflow_client.oip.message import pack
+from anchorflow_client.oip_message import pack
 
 CODEC = OipCodec()
 F32 = np.float32

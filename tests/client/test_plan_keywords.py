@@ -14,7 +14,7 @@ from anchorflow_client import (
     InvalidRequest,
     Planner,
 )
-from anchorflow_client.contract.request import FIELDS
+from anchorflow_client.contract.fields import REQUEST
 
 PLACE = {"resolution", "origin"}
 """Of a map that is given as an array."""
@@ -31,12 +31,12 @@ def keywords_of(function: Any) -> dict[str, inspect.Parameter]:
 def test_plan_has_every_field_as_a_keyword(kind: type[BaseClient | BaseAsyncClient]) -> None:
     keywords = keywords_of(kind.plan)
 
-    assert set(keywords) == set(FIELDS) | PLACE
+    assert set(keywords) == set(REQUEST.fields) | PLACE
     assert {each.kind for each in keywords.values()} == {inspect.Parameter.KEYWORD_ONLY}
 
 
 def test_update_has_the_fields_of_planning_on_a_map() -> None:
-    assert set(keywords_of(Planner.update)) == (set(FIELDS) | PLACE) - NOT_OF_UPDATE
+    assert set(keywords_of(Planner.update)) == (set(REQUEST.fields) | PLACE) - NOT_OF_UPDATE
 
 
 def test_every_keyword_is_told_of() -> None:

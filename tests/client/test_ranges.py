@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from anchorflow_client.contract.ranges import FEW, Interval
+from anchorflow_client.contract.checks import SCALAR_COMPARISONS, Interval
 
 ENDS = st.sampled_from([-math.inf, -1.0, 0.0, 1.0, math.inf])
 INTERVALS = st.builds(
@@ -29,7 +29,7 @@ def test_all_lie_inside_where_each_does(
     assert [interval.holds(value) for value in values.flat] == inside.ravel().tolist()
 
 
-@pytest.mark.parametrize("size", [1, FEW, FEW + 1])
+@pytest.mark.parametrize("size", [1, SCALAR_COMPARISONS, SCALAR_COMPARISONS + 1])
 @pytest.mark.parametrize("end", [0.1, 0.3, 1.1, 4.7])
 def test_an_end_is_met_in_float32_too(size: int, end: float) -> None:
     values = np.full(size, end, np.float32)

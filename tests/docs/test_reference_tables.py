@@ -10,18 +10,21 @@ import pytest
 from pydantic import BaseModel, Field, PositiveFloat
 
 from anchorflow_client import RequestError, TransportError
-from anchorflow_client.contract import ranges
-from anchorflow_client.contract.request import FIELDS, MapScenes
+from anchorflow_client.contract.fields import DEFAULT_NUM_SAMPLES, REQUEST, V_MAX
+from anchorflow_client.contract.request import MapScenes
 from anchorflow_docs import reference
-from anchorflow_docs.dataclass_fields import dataclass_section, field_docstrings, held_fields
-from anchorflow_docs.field_table import HELD, field_table
-from anchorflow_docs.field_table import Field as Row
-from anchorflow_docs.markdown import table
-from anchorflow_docs.model_fields import model_section
-from anchorflow_docs.schema_fields import schema_fields
-from anchorflow_docs.service_tables import endpoints, failures, refusals
+from anchorflow_docs.field_sources import (
+    dataclass_section,
+    field_docstrings,
+    held_fields,
+    model_section,
+    request_fields,
+    schema_fields,
+)
+from anchorflow_docs.tables import HELD, endpoints, failures, field_table, refusals, table
+from anchorflow_docs.tables import Field as Row
 from anchorflow_service.bundle.conditioning import Entry
-from anchorflow_service.http.schemas import AnchorAnswerBody, AnchorRequestBody
+from anchorflow_service.http.schemas import AnchorAnswerBody
 
 
 class Inner(BaseModel):
@@ -30,42 +33,41 @@ class Inner(BaseModel):
     This is not the first line.
     """
 
-    low: float = Field(gt=0, le=2.5, description="How low [m/s].")
+    low: float = Field(description="How low.", json_schema_extra={"x-unit": "m/s^2"})
 
 
 class Outer(BaseModel):
     """A schema with one field of each kind."""
 
-    points: list[float] | list[list[float]] = Field(description="[2] or [B,2] m, where it is.")
+    points: list[float] | list[list[float]] = Field(
+        description="Where it is.", json_schema_extra={"x-shape": "[2] or [B,2]", "x-unit": "m"}
+    )
     method: Literal["a", "b"] | None = Field(None, description="One of two.")
     inner: Inner | None = Field(None, description="Said worse here.")
-    count: int = Field(3, ge=1, le=9, description="Of them.")
 
 
 def test_a_schema_becomes_rows() -> None:
     assert schema_fields(Outer) == [
-        Row("points", "`[2]` or `[B,2]`", "m", "required", "Where it is."),
+        Row("points", "`[2]` or `[B,2]`", "m", "", "Where it is."),
         Row("method", '`"a"`, `"b"`', "", "", "One of two."),
         Row("inner", "object", "", "", "What is inside; and more."),
-        Row("inner.low", "number", "(0, 2.5] m/s", "required", "How low."),
-        Row("count", "integer", "[1, 9]", "`3`", "Of them."),
+        Row("inner.low", "number", "m/s²", "", "How low."),
     ]
 
 
 def test_the_request_has_every_field_of_the_contract() -> None:
-    rows = {row.path: row for row in schema_fields(AnchorRequestBody)}
+    rows = {row.path: row for row in request_fields(REQUEST)}
 
-    assert [path for path in rows if "." not in path] == list(FIELDS)
-    assert rows["v_max"].allowed == f"(0, {ranges.V_MAX.high:g}] m/s"
-    assert rows["num_samples"].value == f"`{ranges.DEFAULT_NUM_SAMPLES}`"
+    assert [path for path in rows if "." not in path] == list(REQUEST.fields)
+    assert rows["v_max"].allowed == f"(0, {V_MAX.high:g}] m/s"
+    assert rows["num_samples"].value == f"`{DEFAULT_NUM_SAMPLES}`"
+    assert rows["cost_map.resolution"].value == "required"
+    assert rows["seed"].allowed == "[0, 2⁶³ − 1]"
+    assert rows["sampler.schedule"].kind == '`[K]` or `"8step"` or `{"uniform": …}`'
 
 
-@pytest.mark.parametrize("model", [AnchorRequestBody, AnchorAnswerBody])
-def test_every_array_of_the_contract_says_its_shape(model: type[BaseModel]) -> None:
-    """Where no shape is found, the kind is JSON's own: a list; names and flow times have none."""
-    unshaped = {row.path for row in schema_fields(model) if "list" in row.kind}
-
-    assert unshaped in (set(), {"outputs", "sampler.schedule"})
+def test_every_array_of_an_answer_says_its_shape() -> None:
+    assert [row.path for row in schema_fields(AnchorAnswerBody) if "array" in row.kind] == []
 
 
 def test_a_type_that_no_table_can_show_is_an_error() -> None:

@@ -33,9 +33,9 @@ from anchorflow_client import (
     OipCodec,
     Payload,
 )
-from anchorflow_client.contract.ranges import MAX_INPUT_TEXT_LENGTH, MAX_PIXELS
+from anchorflow_client.contract.fields import MAX_INPUT_TEXT_LENGTH, MAX_PIXELS
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.images import resized
+from anchorflow_client.sensors import resized
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_export.adapter import ExportChoices

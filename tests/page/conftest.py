@@ -20,9 +20,8 @@ from image_planner import write_image_bundle
 
 from anchorflow_client import JsonCodec, Payload
 from anchorflow_client.contract import OCCUPIED
-from anchorflow_client.oip.message import unpack_header, unpack_tensors
-from anchorflow_client.oip.parameters import nest
 from anchorflow_client.oip_codec import PATH_OF_INPUT, RESERVED, OipCodec
+from anchorflow_client.oip_message import nest, unpack_header, unpack_tensors
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from anchorflow_client.contract import OCCUPIED
-from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.contract.fields import STYLES
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect

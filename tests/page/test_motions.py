@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.contract.fields import STYLES
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 

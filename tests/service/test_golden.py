@@ -27,11 +27,10 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 
 from anchorflow_client import AnchorRequest, JsonCodec, OipCodec, Payload
-from anchorflow_client.keys import anchors_key
-from anchorflow_client.oip.message import unpack_header
+from anchorflow_client.oip_message import unpack_header
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
-from anchorflow_client.zenoh_messages import AnswerAttachment, RequestAttachment
+from anchorflow_client.zenoh_messages import AnswerAttachment, RequestAttachment, anchors_key
 from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService

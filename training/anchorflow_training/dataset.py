@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract.request import LIMIT_INTERVALS
+from anchorflow_client.contract.fields import LIMITS
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.whole_file import whole_file
@@ -231,7 +231,7 @@ def _check_told(file: Path, meta: Mapping[str, Any]) -> None:
         if not (_is_number(value) or (name == "horizon_s" and value is None)):
             raise DatasetError(f"{file}: limits.{name}: expected a number, found {value!r}")
     ranges = meta.get("ranges") or {}
-    for name in LIMIT_INTERVALS.keys() & ranges:
+    for name in LIMITS.keys() & ranges:
         if not _is_range(ranges[name]):
             raise DatasetError(
                 f"{file}: ranges.{name}: expected the least and the greatest number, "

@@ -3,6 +3,18 @@
 from anchorflow_client.contract.batch import AnchorBatch
 from anchorflow_client.contract.card import ModelCard, ModelId
 from anchorflow_client.contract.cost_map import CostMap
+from anchorflow_client.contract.fields import (
+    DEFAULT_NUM_SAMPLES,
+    DEFAULT_STYLE,
+    MAX_MAP_CELLS,
+    METHODS,
+    MIN_MAP_CELLS,
+    OCCUPIED,
+    STYLES,
+    RefineChoice,
+    SamplerChoice,
+    WarmStart,
+)
 from anchorflow_client.contract.inputs import EncodedImage
 from anchorflow_client.contract.kinds import (
     AnswerSpec,
@@ -16,25 +28,10 @@ from anchorflow_client.contract.kinds import (
     VisionLanguageSpec,
     VocabularySpec,
 )
-from anchorflow_client.contract.ranges import (
-    DEFAULT_NUM_SAMPLES,
-    EIGHT_STEP_SCHEDULE,
-    MAX_MAP_CELLS,
-    METHODS,
-    MIN_MAP_CELLS,
-    OCCUPIED,
-)
 from anchorflow_client.contract.request import AnchorRequest
 from anchorflow_client.contract.resolve import ResolvedRequest, resolve_for_card
-from anchorflow_client.contract.sampling import (
-    OdeSpec,
-    RefineChoice,
-    RefineSpec,
-    SamplerChoice,
-    WarmStart,
-    uniform_schedule,
-)
-from anchorflow_client.contract.styles import DEFAULT_STYLE, STYLES
+from anchorflow_client.contract.rows import EIGHT_STEP_SCHEDULE, uniform_schedule
+from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
 
 __all__ = [
     "DEFAULT_NUM_SAMPLES",

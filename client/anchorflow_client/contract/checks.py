@@ -1,26 +1,91 @@
-"""Checks of values that come from outside.
+"""Checks of untrusted values: intervals, scalars, objects and arrays of numbers.
 
 Each check returns the value in the type that the contract works with, or raises `InvalidRequest`
 with the field's JSON path, what was expected and what came.
+
+numpy alone does not check nested lists well enough: it reads `true` as 1.0, and pads a million
+numbers beside one long string to that string's length. So lists are flattened level by level, at C
+speed, and their types are checked first.
 """
 
 from __future__ import annotations
 
+import base64
+import binascii
+import math
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any
+from itertools import chain
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from anchorflow_client.contract.ranges import MAX_TEXT_LENGTH, Interval
 from anchorflow_client.errors import InvalidRequest
 
-# Made once: `int | float` makes a new type whenever it is passed.
+MAX_TEXT_LENGTH = 128
+MAX_DIMENSIONS = 4
+"""Axes of an array of numbers given as nested lists."""
+MAX_AXES = 8
+"""Axes of a tensor given as bytes, B included."""
+SCALAR_COMPARISONS = 16
+"""Up to so many numbers Python compares faster than numpy."""
+DTYPES = {
+    name: np.dtype(name).newbyteorder("<")
+    for name in ("bool", "uint8", "int64", "float32", "float64")
+}
+"""The types that a tensor may have on the wire, little-endian; texts are sent too."""
+
+Array = TypeVar("Array", bound=NDArray[Any])
+
+# Made once: `int | float` makes a new type at every call.
 _NUMBERS = (int, float, np.integer, np.floating)
 _WHOLE_NUMBERS = (int, np.integer)
 _OBJECTS = (dict, Mapping)
-"""A dict first: to ask an abstract class takes ten times as long."""
+"""dict first: an abstract class takes ten times as long to check."""
+_SEQUENCES = (list, tuple, np.ndarray)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Numbers from `low` to `high` in `unit`; both ends belong to it unless they are open."""
+
+    low: float
+    high: float
+    unit: str = ""
+    open_low: bool = False
+    open_high: bool = False
+
+    def contains(self, values: ArrayLike) -> NDArray[np.bool_]:
+        """Return element by element whether it lies inside; NaN lies in no interval."""
+        values = np.asarray(values)
+        above = values > self.low if self.open_low else values >= self.low
+        below = values < self.high if self.open_high else values <= self.high
+        return above & below
+
+    def holds(self, number: float) -> bool:
+        """Return whether one number lies inside."""
+        above = number > self.low if self.open_low else number >= self.low
+        below = number < self.high if self.open_high else number <= self.high
+        return bool(above and below)
+
+    def holds_all(self, values: NDArray[Any]) -> bool:
+        """Return whether every number lies inside."""
+        if values.size <= SCALAR_COMPARISONS:
+            inside = all(map(self.holds, values.ravel().tolist()))
+        else:  # the minimum and maximum of an array with a NaN are NaN
+            inside = self.holds(values.min()) and self.holds(values.max())
+        # `contains` compares in the array's own type, in which 1.1 equals an end of 1.1.
+        return inside or bool(self.contains(values).all())
+
+    def __str__(self) -> str:
+        left, right = "(" if self.open_low else "[", ")" if self.open_high else "]"
+        return f"in {left}{self.low:g}, {self.high:g}{right} {self.unit}".rstrip()
+
+
+EVERY_NUMBER = Interval(-math.inf, math.inf)
+_SIZE = Interval(1, 2**31)
 
 
 def describe(value: Any) -> str:
@@ -143,3 +208,184 @@ def _sendable(name: str) -> str:
 def _did_you_mean(name: str, known: Collection[str]) -> str:
     close = get_close_matches(name, known, n=1)
     return f"; did you mean {close[0]!r}?" if close else "; known are " + ", ".join(known)
+
+
+def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[np.float64]:
+    """A new float64 array of finite numbers inside `interval`.
+
+    Args:
+        value: nested lists, or anything that numpy takes for an array of numbers.
+        field: JSON path for the message.
+        interval: what each number may be.
+        shape: the shapes that the caller will accept, for the message.
+
+    Raises:
+        InvalidRequest: ragged, too deep, not numbers, not finite or out of range.
+    """
+    if isinstance(value, dict):
+        value = array_of_bytes(value, field)
+    if hasattr(value, "__array__"):
+        array = _from_array(value, field, shape)
+    else:
+        array = _from_lists(value, field, shape)
+    return within(array, field, interval)
+
+
+def array_of_bytes(value: Mapping[str, Any], field: str) -> NDArray[Any]:
+    """Decode {"dtype", "shape", "base64"} into a read-only array.
+
+    Raises:
+        InvalidRequest: names the key, such as x_curr.base64.
+    """
+    names = ("dtype", "shape", "base64")
+    fields_of(value, field, names, names)
+    dtype = DTYPES[choice(value["dtype"], f"{field}.dtype", DTYPES)]
+    shape = value["shape"]
+    if not isinstance(shape, list | tuple) or len(shape) > MAX_AXES:
+        raise expected(f"{field}.shape", f"a list of at most {MAX_AXES} sizes", shape)
+    for size in shape:
+        integer(size, f"{field}.shape", _SIZE)
+    data = bytes_of_base64(value["base64"], f"{field}.base64")
+    if len(data) != (wanted := math.prod(shape) * dtype.itemsize):
+        what = f"{wanted} bytes for {value['dtype']} {list(shape)}"
+        raise InvalidRequest(f"expected {what}, got {len(data)}", f"{field}.base64")
+    if dtype == np.bool_:  # any byte but 0 is true
+        return read_only((np.frombuffer(data, np.uint8) != 0).reshape(shape))
+    return read_only(np.frombuffer(data, dtype).reshape(shape))
+
+
+def bytes_of_base64(value: Any, field: str) -> bytes:
+    """Decode base64. Raises `InvalidRequest`."""
+    if not isinstance(value, str):
+        raise expected(field, "a string of base64", value)
+    try:
+        return base64.b64decode(value, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise InvalidRequest(f"expected base64, got {error}", field) from error
+
+
+def within(array: Array, field: str, interval: Interval, *, part: slice | None = None) -> Array:
+    """The array itself. Raises `InvalidRequest` for the first number outside the interval.
+
+    part: the columns that are held against it; None: all numbers
+    """
+    held = array if part is None else array[..., part]
+    if interval.holds_all(held):
+        return array
+    outside = np.zeros(array.shape, np.bool_)
+    outside[... if part is None else (..., part)] = ~interval.contains(held)
+    is_finite = np.isfinite(array[outside][0])
+    what = f"numbers {interval}" if is_finite else "finite numbers"
+    raise first_refused(array, outside, field, what)
+
+
+def first_refused(
+    array: NDArray[Any], refused: NDArray[np.bool_], field: str, what: str
+) -> InvalidRequest:
+    """The refusal of the first of an array's numbers that is `refused`, with its place."""
+    index = int(refused.argmax())
+    came = f"{describe(array.flat[index])} at {field}{_place(index, array.shape)}"
+    return InvalidRequest(f"expected {what}, got {came}", field)
+
+
+def vectors(value: Any, field: str, interval: Interval, *sizes: int) -> NDArray[np.float64]:
+    """One vector [size] or a batch of them [B,size], of one of the sizes."""
+    shape = ", ".join(map(vector_shape, sizes))
+    array = numbers(value, field, interval, shape)
+    if array.ndim not in (1, 2) or array.shape[-1] not in sizes:
+        raise wrong_shape(field, shape, array)
+    return array
+
+
+def vector_shape(size: int) -> str:
+    """The shapes that a field of vectors may have, for a message."""
+    return f"[{size}] or [B,{size}]"
+
+
+def wrong_shape(field: str, shape: str, array: NDArray[Any]) -> InvalidRequest:
+    """The refusal of an array by its shape."""
+    return InvalidRequest(f"expected shape {shape}, got {list(array.shape)}", field)
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """The array where it cannot be written through, else such a view of it."""
+    if not array.flags.writeable:
+        return array
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def frozen(array: Array) -> Array:
+    """The array itself, to which nobody writes any more."""
+    array.flags.writeable = False
+    return array
+
+
+def unshared(array: NDArray[Any]) -> NDArray[Any]:
+    """The array itself where nobody can write to its memory, else a copy that nobody can."""
+    return array if _is_constant(array) else frozen(array.copy())
+
+
+def _is_constant(memory: Any) -> bool:
+    """Whether nobody can write to it: a read-only view may be one of an array that changes."""
+    match memory:
+        case np.ndarray():
+            return not memory.flags.writeable and _is_constant(memory.base)
+        case memoryview():
+            return _is_constant(memory.obj)
+        case _:
+            return memory is None or isinstance(memory, bytes)
+
+
+def _from_array(value: Any, field: str, shape: str) -> NDArray[np.float64]:
+    array = value if type(value) is np.ndarray else as_array(value, field)
+    if array.dtype.kind not in "iuf":
+        raise expected(field, f"numbers of shape {shape}", array)
+    return array.astype(np.float64)
+
+
+def _from_lists(value: Any, field: str, shape: str) -> NDArray[np.float64]:
+    if not isinstance(value, list | tuple):
+        raise expected(field, f"a list of numbers of shape {shape}", value)
+    sizes, items = [len(value)], list(value)
+    while items and isinstance(items[0], _SEQUENCES):
+        sizes.append(_common_length(items, sizes, field, shape))
+        items = list(chain.from_iterable(items))
+    _check_leaves(items, sizes, field)
+    try:
+        return np.array(items, dtype=np.float64).reshape(sizes)
+    except OverflowError as error:
+        raise InvalidRequest("expected finite numbers, got one beyond float64", field) from error
+
+
+def _common_length(items: list[Any], sizes: list[int], field: str, shape: str) -> int:
+    """The length that all lists of one level share."""
+    if len(sizes) == MAX_DIMENSIONS:
+        raise InvalidRequest(f"expected shape {shape}, got deeper lists", field)
+    if not all(issubclass(kind, _SEQUENCES) for kind in set(map(type, items))):
+        stranger = next(i for i, item in enumerate(items) if not isinstance(item, _SEQUENCES))
+        raise _item_refused(items, stranger, sizes, field, "a list")
+    lengths = list(map(len, items))
+    if len(set(lengths)) > 1:
+        odd = next(i for i, length in enumerate(lengths) if length != lengths[0])
+        raise _item_refused(items, odd, sizes, field, f"a list of {lengths[0]} like the first")
+    return lengths[0]
+
+
+def _check_leaves(items: list[Any], sizes: list[int], field: str) -> None:
+    strangers = {kind for kind in set(map(type, items)) if not is_number_type(kind)}
+    if strangers:
+        index = next(i for i, item in enumerate(items) if type(item) in strangers)
+        raise _item_refused(items, index, sizes, field, "a number")
+
+
+def _item_refused(
+    items: list[Any], index: int, sizes: list[int], field: str, what: str
+) -> InvalidRequest:
+    place = _place(index, tuple(sizes))
+    return InvalidRequest(f"expected {what} at {field}{place}, got {describe(items[index])}", field)
+
+
+def _place(flat_index: int, sizes: tuple[int, ...]) -> str:
+    return "".join(f"[{i}]" for i in np.unravel_index(flat_index, sizes))

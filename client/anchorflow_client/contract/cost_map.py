@@ -8,16 +8,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import (
+from anchorflow_client.contract.checks import (
+    array_of_bytes,
+    fields_of,
     frozen,
+    number,
     numbers,
     read_only,
     unshared,
     within,
     wrong_shape,
 )
-from anchorflow_client.contract.checks import fields_of, number
+from anchorflow_client.contract.fields import (
+    COORDINATE,
+    COST_MAP,
+    MAX_CHANNELS,
+    MAX_MAP_CELLS,
+    MIN_MAP_CELLS,
+    RESOLUTION,
+    UNIT,
+)
 from anchorflow_client.errors import InvalidRequest
 
 MAP_SHAPE = "[C,H,W] or [B,C,H,W]"
@@ -50,7 +60,7 @@ class CostMap:
             InvalidRequest: names cost_map.data, cost_map.resolution or cost_map.origin.
         """
         grid = _grid(data)
-        cell = number(resolution, "cost_map.resolution", ranges.RESOLUTION)
+        cell = number(resolution, "cost_map.resolution", RESOLUTION)
         return cls(read_only(grid), cell, read_only(_corner(origin, grid.shape, cell)))
 
     @classmethod
@@ -58,7 +68,7 @@ class CostMap:
         """The same out of the JSON object, or out of another CostMap, which is checked again."""
         if isinstance(value, CostMap):
             return cls.build(value.data, value.resolution, value.origin)
-        known, required = ("data", "resolution", "origin"), ("data", "resolution")
+        known, required = COST_MAP.fields, COST_MAP.required_fields
         return cls.build(**fields_of(value, "cost_map", known, required))
 
     @property
@@ -93,22 +103,27 @@ class CostMap:
 
 def _grid(data: Any) -> NDArray[np.float32]:
     field = "cost_map.data"
+    if isinstance(data, dict):
+        if "png" in data:
+            came = "got a PNG, which a service decodes only in JSON requests"
+            raise InvalidRequest(f"expected numbers of shape {MAP_SHAPE}, {came}", f"{field}.png")
+        data = array_of_bytes(data, field)
     if isinstance(data, np.ndarray):
         data = np.asarray(data)  # a masked array has numbers under its mask too
     if isinstance(data, np.ndarray) and data.dtype == np.bool_:
         data = frozen(data.astype(np.float32))
     if isinstance(data, np.ndarray) and data.dtype == np.float32:
-        # A decoder's view of the bytes that came is kept: nobody can write to it.
-        grid = within(unshared(data), field, ranges.UNIT)
+        # Views of the request's bytes are kept without a copy: nobody can write to them.
+        grid = within(unshared(data), field, UNIT)
     else:
-        grid = frozen(numbers(data, field, ranges.UNIT, MAP_SHAPE).astype(np.float32))
+        grid = frozen(numbers(data, field, UNIT, MAP_SHAPE).astype(np.float32))
     if grid.ndim not in (3, 4):
         raise wrong_shape(field, MAP_SHAPE, grid)
     channels, *sides = grid.shape[-3:]
-    if not 1 <= channels <= ranges.MAX_CHANNELS:
-        raise InvalidRequest(f"expected C from 1 to {ranges.MAX_CHANNELS}, got {channels}", field)
-    if not all(ranges.MIN_MAP_CELLS <= side <= ranges.MAX_MAP_CELLS for side in sides):
-        limits = f"from {ranges.MIN_MAP_CELLS} to {ranges.MAX_MAP_CELLS}"
+    if not 1 <= channels <= MAX_CHANNELS:
+        raise InvalidRequest(f"expected C from 1 to {MAX_CHANNELS}, got {channels}", field)
+    if not all(MIN_MAP_CELLS <= side <= MAX_MAP_CELLS for side in sides):
+        limits = f"from {MIN_MAP_CELLS} to {MAX_MAP_CELLS}"
         raise InvalidRequest(f"expected H and W {limits}, got {sides[0]} and {sides[1]}", field)
     return grid
 
@@ -116,7 +131,7 @@ def _grid(data: Any) -> NDArray[np.float32]:
 def _corner(origin: Any, shape: tuple[int, ...], resolution: float) -> NDArray[np.float64]:
     if origin is None:
         return -0.5 * resolution * np.array([shape[-1], shape[-2]], dtype=np.float64)
-    corner = numbers(origin, "cost_map.origin", ranges.COORDINATE, "[2]")
+    corner = numbers(origin, "cost_map.origin", COORDINATE, "[2]")
     if corner.shape != (2,):
         raise wrong_shape("cost_map.origin", "[2]", corner)
     return corner

@@ -5,8 +5,6 @@ A request carries them as they came; they are held against the card once it is k
 
 from __future__ import annotations
 
-import base64
-import binascii
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,25 +13,29 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import (
+from anchorflow_client.contract.checks import (
+    DTYPES,
+    EVERY_NUMBER,
+    Interval,
+    array_of_bytes,
+    bytes_of_base64,
+    choice,
+    describe,
+    expected,
+    fields_of,
     first_refused,
+    integer,
     numbers,
     read_only,
+    text,
     unshared,
     within,
 )
-from anchorflow_client.contract.checks import choice, describe, expected, fields_of, integer, text
+from anchorflow_client.contract.fields import MAX_INPUT_TEXT_LENGTH, MAX_SCENES
 from anchorflow_client.contract.kinds import TensorSpec
-from anchorflow_client.contract.ranges import MAX_AXES, Interval
 from anchorflow_client.errors import InvalidRequest
 
 TEXT = "text"
-DTYPES = {
-    name: np.dtype(name).newbyteorder("<")
-    for name in ("bool", "uint8", "int64", "float32", "float64")
-}
-"""The types that a tensor may have on the wire, little-endian; beside them there is text."""
 IMAGE_FORMATS = ("png", "jpeg")
 INT64 = Interval(-(2**63), 2**63 - 1)
 EXACT = 2.0**53
@@ -85,8 +87,8 @@ def read_inputs(value: Any) -> Inputs:
 def texts(values: Sequence[str], field: str, shape: Sequence[int]) -> NDArray[Any]:
     """An array of `str` objects. Raises `InvalidRequest` for one that is too long."""
     for value in values:
-        if len(value) > ranges.MAX_INPUT_TEXT_LENGTH:
-            most = f"a text of at most {ranges.MAX_INPUT_TEXT_LENGTH} characters"
+        if len(value) > MAX_INPUT_TEXT_LENGTH:
+            most = f"a text of at most {MAX_INPUT_TEXT_LENGTH} characters"
             raise InvalidRequest(f"expected {most}, got {len(value)}", field)
         if not _encodable(value):
             raise InvalidRequest("expected text that UTF-8 can carry, got lone surrogates", field)
@@ -103,7 +105,7 @@ def exact_numbers(value: Any, field: str, shape: str) -> NDArray[Any]:
     Raises:
         InvalidRequest: as `numbers`.
     """
-    array = numbers(value, field, ranges.EVERY_NUMBER, shape)
+    array = numbers(value, field, EVERY_NUMBER, shape)
     if np.abs(array).max(initial=0.0) < EXACT:
         return array
     leaves = np.array(value, dtype=object).ravel().tolist()
@@ -130,8 +132,8 @@ def bind(inputs: Inputs, specs: Sequence[TensorSpec]) -> tuple[Inputs, int, bool
         bound[spec.name] = _in_range(_shaped(array, spec, field, sizes), spec, field)
     batched = "B" in sizes
     num_scenes = sizes["B"][0] if batched else 1
-    if not 1 <= num_scenes <= ranges.MAX_SCENES:
-        most = f"B from 1 to {ranges.MAX_SCENES}"
+    if not 1 <= num_scenes <= MAX_SCENES:
+        most = f"B from 1 to {MAX_SCENES}"
         raise InvalidRequest(f"expected {most}, got {num_scenes}", sizes["B"][1])
     return (
         {spec.name: _batched(bound[spec.name], spec, num_scenes) for spec in specs},
@@ -196,33 +198,8 @@ def _widened(array: NDArray[Any], field: str) -> NDArray[Any]:
 
 def _read_object(value: Mapping[str, Any], field: str) -> Input:
     if len(value) == 1 and (image := next(iter(value))) in IMAGE_FORMATS:
-        return EncodedImage(image, _from_base64(value[image], f"{field}.{image}"))
-    names = ("dtype", "shape", "base64")
-    fields_of(value, field, names, names)
-    dtype = DTYPES[choice(value["dtype"], f"{field}.dtype", DTYPES)]
-    shape = value["shape"]
-    if not isinstance(shape, list) or len(shape) > MAX_AXES:
-        raise expected(f"{field}.shape", f"a list of at most {MAX_AXES} sizes", shape)
-    for size in shape:
-        integer(size, f"{field}.shape", Interval(1, 2**31))
-    data = _from_base64(value["base64"], f"{field}.base64")
-    wanted = math.prod(shape) * dtype.itemsize
-    if len(data) != wanted:
-        what = f"{wanted} bytes for {value['dtype']} {shape}"
-        raise InvalidRequest(f"expected {what}, got {len(data)}", f"{field}.base64")
-    array = np.frombuffer(data, np.uint8 if dtype == np.bool_ else dtype)
-    if dtype == np.bool_:
-        array = array != 0
-    return read_only(array.reshape(shape))
-
-
-def _from_base64(value: Any, field: str) -> bytes:
-    if not isinstance(value, str):
-        raise expected(field, "a string of base64", value)
-    try:
-        return base64.b64decode(value, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise InvalidRequest(f"expected base64, got {error}", field) from error
+        return EncodedImage(image, bytes_of_base64(value[image], f"{field}.{image}"))
+    return array_of_bytes(value, field)
 
 
 def _typed(value: Input, spec: TensorSpec, field: str) -> NDArray[Any]:

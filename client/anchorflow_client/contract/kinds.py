@@ -10,12 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypeAlias
 
-from anchorflow_client.contract.sampling import (
-    OdeSpec,
-    RefineSpec,
-    SamplerChoice,
-    uniform_schedule,
-)
+from anchorflow_client.contract.fields import SamplerChoice
+from anchorflow_client.contract.rows import uniform_schedule
+from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
 from anchorflow_client.errors import InvalidRequest
 
 

@@ -10,41 +10,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import read_only, vectors, within
-from anchorflow_client.contract.checks import expected, fields_of, integer, number, text
-from anchorflow_client.contract.cost_map import CostMap
-from anchorflow_client.contract.inputs import Inputs, read_inputs
-from anchorflow_client.contract.ranges import Interval
-from anchorflow_client.contract.sampling import RefineChoice, SamplerChoice, WarmStart
-from anchorflow_client.contract.styles import DEFAULT_STYLE, STYLES
-from anchorflow_client.errors import InvalidRequest
-
-MAP_FIELDS = ("cost_map", "x_curr", "x_goal")
-"""What makes a request one to a planner with a cost map; there all of them are required."""
-LIMIT_INTERVALS: dict[str, Interval] = {
-    "robot_radius": ranges.ROBOT_RADIUS,
-    "v_max": ranges.V_MAX,
-    "a_max": ranges.A_MAX,
-    "horizon_s": ranges.HORIZON,
-}
-"""The limits that a request may state; a card says between what."""
-OPTIONAL_FIELDS = (
-    "w_style",
-    "inputs",
-    "outputs",
-    "num_samples",
-    *LIMIT_INTERVALS,
-    "model",
-    "seed",
-    "sampler",
-    "refine",
-    "warm_start",
-    "budget_ms",
-    "robot_id",
-    "request_id",
+from anchorflow_client.contract.checks import (
+    EVERY_NUMBER,
+    expected,
+    fields_of,
+    read_only,
+    vectors,
+    within,
 )
-FIELDS = MAP_FIELDS + OPTIONAL_FIELDS
+from anchorflow_client.contract.cost_map import CostMap
+from anchorflow_client.contract.fields import (
+    DEFAULT_STYLE,
+    DIMENSIONS,
+    GOAL_FIELDS,
+    MAP_FIELDS,
+    MAX_SCENES,
+    NUM_STYLE,
+    OCCUPIED,
+    OPTIONS,
+    REQUEST,
+    STATE,
+    STATE_FIELDS,
+    STYLE_WEIGHT,
+    STYLES,
+    RefineChoice,
+    SamplerChoice,
+    WarmStart,
+)
+from anchorflow_client.contract.inputs import Inputs, read_inputs
+from anchorflow_client.contract.rows import with_rows
+from anchorflow_client.errors import InvalidRequest
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +62,7 @@ class MapScenes:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+@with_rows(OPTIONS)
 class AnchorRequest:
     """A request that holds together; None leaves a field to the model card. SI units."""
 
@@ -126,7 +122,7 @@ class AnchorRequest:
         on_map = {"cost_map": cost_map, "x_curr": x_curr, "x_goal": x_goal}
         options = {
             name: value
-            for name, value in fields_of(optional, "", OPTIONAL_FIELDS).items()
+            for name, value in fields_of(optional, "", OPTIONS).items()
             if value is not None
         }
         inputs = read_inputs(options.pop("inputs", {}))
@@ -149,7 +145,7 @@ class AnchorRequest:
     @classmethod
     def from_fields(cls, body: Any) -> AnchorRequest:
         """The same out of a parsed JSON body, from which fields may be missing or strange."""
-        return cls.build(**fields_of(body, "", FIELDS))
+        return cls.build(**fields_of(body, "", REQUEST.fields))
 
     @property
     def on_map(self) -> MapScenes:
@@ -185,17 +181,17 @@ class AnchorRequest:
 
 def _dim_of(x_curr: NDArray[np.float64]) -> int:
     """D of states [...,3D]."""
-    return x_curr.shape[-1] // ranges.STATE_FIELDS
+    return x_curr.shape[-1] // STATE_FIELDS
 
 
 def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapScenes, bool]:
     """The scenes, and whether any of the arrays was batched."""
     cost_map = CostMap.from_fields(cost_map)
-    x_curr = read_states(x_curr, "x_curr", ranges.STATE_FIELDS, *ranges.DIMENSIONS)
+    x_curr = read_states(x_curr, "x_curr", STATE_FIELDS, *DIMENSIONS)
     arrays = {
         "cost_map.data": cost_map.data,
         "x_curr": x_curr,
-        "x_goal": read_states(x_goal, "x_goal", ranges.GOAL_FIELDS, _dim_of(x_curr)),
+        "x_goal": read_states(x_goal, "x_goal", GOAL_FIELDS, _dim_of(x_curr)),
         "w_style": _style(w_style),
     }
     batches = {name: len(array) for name, array in arrays.items() if array.ndim in (2, 4)}
@@ -218,18 +214,18 @@ def _over_scenes(array: NDArray[Any], num_scenes: int) -> NDArray[Any]:
 
 def read_states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.float64]:
     """One or a batch of position, velocity and so on to `parts` D-vectors, each in its range."""
-    states = vectors(value, field, ranges.EVERY_NUMBER, *(parts * dim for dim in dims))
+    states = vectors(value, field, EVERY_NUMBER, *(parts * dim for dim in dims))
     dim = states.shape[-1] // parts
     for part in range(parts):
-        within(states, field, ranges.STATE[part], part=slice(part * dim, (part + 1) * dim))
+        within(states, field, STATE[part], part=slice(part * dim, (part + 1) * dim))
     return states
 
 
 def _common_num_scenes(batches: Mapping[str, int]) -> int:
     """B of the batched fields, which must agree; 1 where none is batched."""
     for name, size in batches.items():
-        if not 1 <= size <= ranges.MAX_SCENES:
-            raise InvalidRequest(f"expected B from 1 to {ranges.MAX_SCENES}, got {size}", name)
+        if not 1 <= size <= MAX_SCENES:
+            raise InvalidRequest(f"expected B from 1 to {MAX_SCENES}, got {size}", name)
         first = next(iter(batches))
         if size != batches[first]:
             raise InvalidRequest(f"expected B = {batches[first]} as in {first}, got {size}", name)
@@ -243,8 +239,8 @@ def _style(value: Any) -> NDArray[np.float64]:
             names = ", ".join(STYLES)
             raise expected("w_style", f"weights [3] or [B,3], or one of {names}", value)
         value = STYLES[value]
-    weights = vectors(value, "w_style", ranges.STYLE_WEIGHT, ranges.NUM_STYLE)
-    rows: list[list[float]] = weights.reshape(-1, ranges.NUM_STYLE).tolist()
+    weights = vectors(value, "w_style", STYLE_WEIGHT, NUM_STYLE)
+    rows: list[list[float]] = weights.reshape(-1, NUM_STYLE).tolist()
     if all(abs(safety + energy + smooth - 1) < 1e-12 for safety, energy, smooth in rows):
         # They sum to 1 already and stay as they are: client and service agree to the bit.
         return weights
@@ -263,9 +259,9 @@ def _check_on_free_cells(cost_map: CostMap, fields: Mapping[str, NDArray[np.floa
             if not cost_map.contains(x, y):
                 raise InvalidRequest(f"{_on_map(cost_map)}, got {_position(x, y, scene)}", name)
             row, column = cost_map.cell_of(x, y)
-            if (came := occupancy[scene, row, column]) >= ranges.OCCUPIED:
+            if (came := occupancy[scene, row, column]) >= OCCUPIED:
                 raise InvalidRequest(
-                    f"expected a cell of occupancy below {ranges.OCCUPIED}, "
+                    f"expected a cell of occupancy below {OCCUPIED}, "
                     f"got {_position(x, y, scene)} in cell [row {row}, column {column}] "
                     f"of occupancy {came:.2g}",
                     name,
@@ -297,33 +293,16 @@ def _options(options: Mapping[str, Any], dim: int | None) -> dict[str, Any]:
         for name in ("w_style", "warm_start"):
             if name in options:
                 raise InvalidRequest("expected none for a planner without a cost map", name)
-    checks = _CHECK_OF_OPTION
+    readers = _READERS
     if dim is not None and "warm_start" in options:
-        checks = checks | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
-    return {name: checks[name](value) for name, value in options.items()}
+        readers = readers | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
+    return {name: readers[name](value) for name, value in options.items()}
 
 
-def _names(value: Any) -> tuple[str, ...]:
-    """The extras that an answer shall hold, each once."""
-    if not isinstance(value, list | tuple):
-        raise expected("outputs", "a list of names", value)
-    return tuple(dict.fromkeys(text(name, "outputs") for name in value))
-
-
-_CHECK_OF_OPTION: dict[str, Callable[[Any], Any]] = {
-    **{
-        name: partial(number, field=name, interval=interval)
-        for name, interval in LIMIT_INTERVALS.items()
-    },
-    "num_samples": partial(integer, field="num_samples", interval=ranges.NUM_SAMPLES),
-    "outputs": _names,
-    "model": partial(text, field="model"),
-    "seed": partial(integer, field="seed", interval=ranges.SEED),
+_READERS: dict[str, Callable[[Any], Any]] = {
+    **{name: partial(row.read, path=name) for name, row in OPTIONS.items()},
     "sampler": SamplerChoice.from_fields,
     "refine": RefineChoice.from_fields,
-    "budget_ms": partial(number, field="budget_ms", interval=ranges.BUDGET),
-    "robot_id": partial(text, field="robot_id"),
-    "request_id": partial(text, field="request_id"),
 }
 
 

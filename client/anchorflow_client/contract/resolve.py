@@ -7,10 +7,18 @@ import secrets
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from anchorflow_client.contract import ranges
-from anchorflow_client.contract.arrays import vector_shape
 from anchorflow_client.contract.card import ModelCard
-from anchorflow_client.contract.checks import choice
+from anchorflow_client.contract.checks import choice, vector_shape
+from anchorflow_client.contract.fields import (
+    DEFAULT_NUM_SAMPLES,
+    LIMITS,
+    MAP_FIELDS,
+    NUM_SAMPLES,
+    STATE_FIELDS,
+    RefineChoice,
+    SamplerChoice,
+    WarmStart,
+)
 from anchorflow_client.contract.inputs import bind
 from anchorflow_client.contract.kinds import (
     CostMapSpec,
@@ -20,14 +28,8 @@ from anchorflow_client.contract.kinds import (
     TruncatedDiffusionSpec,
     VocabularySpec,
 )
-from anchorflow_client.contract.request import LIMIT_INTERVALS, MAP_FIELDS, AnchorRequest
-from anchorflow_client.contract.sampling import (
-    OdeSpec,
-    RefineChoice,
-    RefineSpec,
-    SamplerChoice,
-    WarmStart,
-)
+from anchorflow_client.contract.request import AnchorRequest
+from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
 from anchorflow_client.errors import InvalidRequest
 
 DRAWN_SEED_BITS = 53
@@ -99,7 +101,7 @@ def _check_map_fields(request: AnchorRequest, card: ModelCard) -> None:
         return
     size = request.x_curr.shape[1]
     got = f"[{request.num_scenes},{size}]" if request.batched else f"[{size}]"
-    shape = vector_shape(ranges.STATE_FIELDS * card.D)
+    shape = vector_shape(STATE_FIELDS * card.D)
     expected = f"expected shape {shape}, as {card.name} {card.version} has D = {card.D}"
     raise InvalidRequest(f"{expected}, got {got}", "x_curr")
 
@@ -107,7 +109,7 @@ def _check_map_fields(request: AnchorRequest, card: ModelCard) -> None:
 def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:
     """What only a planner with a cost map has a use for."""
     named = {"cost_map": request.map_scenes, "warm_start": request.warm_start}
-    named |= {name: getattr(request, name) for name in LIMIT_INTERVALS}
+    named |= {name: getattr(request, name) for name in LIMITS}
     for name, value in named.items():
         if value is not None:
             names = ", ".join(f"inputs.{spec.name}" for spec in card.inputs)
@@ -117,9 +119,9 @@ def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:
 def _num_samples(request: AnchorRequest, sampler: SamplerSpec) -> int:
     """N: of a sampler that chooses among so many at most its size."""
     chooses = isinstance(sampler, VocabularySpec | TruncatedDiffusionSpec)
-    most = sampler.size if chooses else int(ranges.NUM_SAMPLES.high)
+    most = sampler.size if chooses else int(NUM_SAMPLES.high)
     if request.num_samples is None:
-        return min(ranges.DEFAULT_NUM_SAMPLES, most)
+        return min(DEFAULT_NUM_SAMPLES, most)
     if request.num_samples > most:
         message = f"expected 1 to {most}, the trajectories that there are to choose from"
         raise InvalidRequest(f"{message}, got {request.num_samples}", "num_samples")
@@ -161,7 +163,7 @@ def _limit(name: str, request: AnchorRequest, card: ModelCard, own: float | None
     # Callers keep limits in float32: 0.3 must not be refused as 0.30000001.
     if asked is None or (own is not None and math.isclose(asked, own, rel_tol=1e-6)):
         return own
-    made_for, unit = f"which {card.name} {card.version}", LIMIT_INTERVALS[name].unit
+    made_for, unit = f"which {card.name} {card.version}", LIMITS[name].unit
     if name not in card.cost_map.ranges:
         only = "none, as each anchor has its own" if own is None else f"{own:g} {unit}"
         expected = f"expected {only}, {made_for} was made for and its card does not let change"

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from anchorflow_client.contract import ranges
-from anchorflow_client.contract.checks import is_number
-from anchorflow_client.contract.ranges import Interval
+from anchorflow_client.contract import fields as ranges
+from anchorflow_client.contract.checks import Interval, is_number
 from anchorflow_client.errors import AnchorFlowError, InvalidRequest
 from anchorflow_client.retry_policy import at_least_retry_after, exponential_backoff
 

@@ -14,10 +14,10 @@ import math
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent import futures
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,13 +26,10 @@ from anchorflow_client.codec import answer_to
 from anchorflow_client.contract import (
     AnchorBatch,
     CostMap,
-    RefineChoice,
-    SamplerChoice,
-    WarmStart,
 )
 from anchorflow_client.contract.batch import MOTIONS
-from anchorflow_client.contract.checks import integer
-from anchorflow_client.contract.ranges import SEED, Interval
+from anchorflow_client.contract.checks import Interval, integer
+from anchorflow_client.contract.fields import SEED, PlanOptions
 from anchorflow_client.errors import (
     AnchorFlowError,
     ConnectionFailed,
@@ -40,7 +37,7 @@ from anchorflow_client.errors import (
     InvalidRequest,
     TimedOut,
 )
-from anchorflow_client.plan_keywords import map_fields
+from anchorflow_client.plan_keywords import map_fields, spelled_out
 from anchorflow_client.planner.config import Pacing, PlannerConfig
 from anchorflow_client.planner.local_goal import SHARE_OF_CELL, start_clearance
 from anchorflow_client.planner.plan import Plan, PlanState, why_unsafe
@@ -55,6 +52,9 @@ from anchorflow_client.planner.request import (
     requested_margin,
 )
 from anchorflow_client.planner.routes import Commitment, Progress, Routes
+
+if TYPE_CHECKING:
+    from anchorflow_client.plan_keywords import Unpack
 
 CAUTIOUS_M = 1.0
 """m from a place where nothing was safe, within which the robot stops at local goals."""
@@ -136,6 +136,7 @@ class Planner:
         self._last_error: AnchorFlowError | None = None
         self._pacing = Pacing(self._config)
 
+    @spelled_out(PlanOptions)
     def update(
         self,
         *,
@@ -144,32 +145,20 @@ class Planner:
         x_goal: ArrayLike,
         resolution: float | None = None,
         origin: ArrayLike | None = None,
-        w_style: str | ArrayLike | None = None,
-        num_samples: int | None = None,
-        robot_radius: float | None = None,
-        v_max: float | None = None,
-        a_max: float | None = None,
-        horizon_s: float | None = None,
-        model: str | None = None,
-        seed: int | None = None,
-        sampler: SamplerChoice | Mapping[str, Any] | None = None,
-        refine: RefineChoice | Mapping[str, Any] | None = None,
-        warm_start: WarmStart | Mapping[str, Any] | None = None,
-        budget_ms: float | None = None,
-        robot_id: str | None = None,
-        outputs: Sequence[str] | None = None,
+        **options: Unpack[PlanOptions],
     ) -> Plan:
         """Pass the loop's current observation and return the newest plan, without waiting.
 
         The observation becomes a request if none is pending and one is due; otherwise it is
-        dropped. Other arguments: see `AnchorClient.plan`.
+        dropped. `warm_start` replaces the anchor in use as the start, and `budget_ms` replaces
+        `max_age_ms` as the request's budget.
 
         Args:
             cost_map: as in `AnchorClient.plan`; it may end before the goal.
             x_curr: [3D] position, velocity, acceleration in m, m/s, m/s^2.
             x_goal: [2D] position, velocity; may lie beyond the map.
-            warm_start: replaces the anchor in use as the start.
-            budget_ms: replaces `max_age_ms` as the request's budget.
+            resolution, origin: as in `AnchorClient.plan`.
+            **options:
 
         Errors in the observation or of a request are not raised: they are the plan's `last_error`.
         """
@@ -182,22 +171,8 @@ class Planner:
             start, goal = read_own_states(x_curr, x_goal)
             stuck = self._is_stuck(now, start[:2], goal[:2])
             if self._is_due(now):
-                options = {
-                    "w_style": w_style,
-                    "num_samples": num_samples,
-                    "robot_radius": robot_radius,
-                    "v_max": v_max,
-                    "a_max": a_max,
-                    "horizon_s": horizon_s,
-                    "model": model,
-                    "seed": None if seed is None else self._seed(seed),
-                    "sampler": sampler,
-                    "refine": refine,
-                    "warm_start": warm_start,
-                    "budget_ms": budget_ms,
-                    "robot_id": robot_id,
-                    "outputs": outputs,
-                }
+                if (seed := options.get("seed")) is not None:
+                    options["seed"] = self._seed(seed)
                 view = map_fields(cost_map, resolution, origin)
                 seen = Observation.copied(now, view, x_curr=start, x_goal=goal, options=options)
                 self._ask(seen)

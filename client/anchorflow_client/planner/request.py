@@ -20,9 +20,15 @@ from anchorflow_client.contract import (
     SamplerChoice,
     WarmStart,
 )
-from anchorflow_client.contract.arrays import MAX_DIMENSIONS, unshared, wrong_shape
-from anchorflow_client.contract.checks import as_array, number, text
-from anchorflow_client.contract.ranges import (
+from anchorflow_client.contract.checks import (
+    MAX_DIMENSIONS,
+    as_array,
+    number,
+    text,
+    unshared,
+    wrong_shape,
+)
+from anchorflow_client.contract.fields import (
     DIMENSIONS,
     GOAL_FIELDS,
     HORIZON,

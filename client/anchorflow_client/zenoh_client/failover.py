@@ -13,7 +13,7 @@ import zenoh
 
 from anchorflow_client.cancellation import Deadline
 from anchorflow_client.codec import Payload
-from anchorflow_client.contract.ranges import BUDGET
+from anchorflow_client.contract.fields import BUDGET
 from anchorflow_client.errors import (
     AnchorFlowError,
     ConnectionFailed,
@@ -25,10 +25,14 @@ from anchorflow_client.errors import (
     Unauthorized,
     UnknownModel,
 )
-from anchorflow_client.keys import replica_anchors_key
 from anchorflow_client.zenoh_client.network import TIMEOUT, Network, translated
 from anchorflow_client.zenoh_client.replicas import Choice, Replica
-from anchorflow_client.zenoh_messages import AnswerAttachment, Load, RequestAttachment
+from anchorflow_client.zenoh_messages import (
+    AnswerAttachment,
+    Load,
+    RequestAttachment,
+    replica_anchors_key,
+)
 
 SETTLE_S = 0.3
 """How long after an empty reply the replica's death may take to be known."""

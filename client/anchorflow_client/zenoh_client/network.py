@@ -20,7 +20,6 @@ from anchorflow_client.errors import (
     TimedOut,
     Unauthorized,
 )
-from anchorflow_client.keys import ALL_INFO, ALL_REPLICAS, info_key, replica_of
 from anchorflow_client.zenoh_client.replicas import FRESH_S, Replicas
 from anchorflow_client.zenoh_client.session import (
     ZenohSettings,
@@ -30,7 +29,13 @@ from anchorflow_client.zenoh_client.session import (
     open_session,
     why_alone,
 )
-from anchorflow_client.zenoh_messages import ReplicaInfo
+from anchorflow_client.zenoh_messages import (
+    ALL_INFO,
+    ALL_REPLICAS,
+    ReplicaInfo,
+    info_key,
+    replica_of,
+)
 
 DISCOVERY_S = 0.5
 """Time after connecting in which a replica may become visible."""

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from anchorflow_client.contract import CostMapSpec, LimitsSpec, TensorsSpec, VisionLanguageSpec
-from anchorflow_client.contract.request import LIMIT_INTERVALS
+from anchorflow_client.contract.fields import LIMITS
 
 Limit = Literal["robot_radius", "v_max", "a_max", "horizon_s"]
 
@@ -54,7 +54,7 @@ class CostMapEntry(Entry):
     def faults(self) -> Iterator[str]:
         """Ranges that no request could use, or that leave out the bundle's own limit."""
         for name, (low, high) in self.ranges.items():
-            where, wide = f"conditioning.ranges.{name}", LIMIT_INTERVALS[name]
+            where, wide = f"conditioning.ranges.{name}", LIMITS[name]
             own = getattr(self.limits, name)
             if not wide.low <= low <= high <= wide.high:
                 yield f"{where} is [{low:g}, {high:g}], expected least and greatest {wide}"

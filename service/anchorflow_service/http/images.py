@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,8 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from anchorflow_client.contract import AnchorRequest, EncodedImage
-from anchorflow_client.contract.ranges import MAX_PIXELS, MAX_REQUEST_PIXELS
+from anchorflow_client.contract.checks import bytes_of_base64
+from anchorflow_client.contract.fields import MAX_PIXELS, MAX_REQUEST_PIXELS
 from anchorflow_client.errors import InvalidRequest
 
 # `Image.open` would look at the size before us, with a limit of its own.
@@ -42,26 +45,61 @@ def with_pixels(request: AnchorRequest) -> AnchorRequest:
     return replace(request, inputs={**request.inputs, **pictures}) if pictures else request
 
 
+def with_map(body: Any) -> Any:
+    """Return a request's JSON with {"png": …} in cost_map.data decoded to float32 [1,H,W].
+
+    The values 0 to 255 of a greyscale picture become 0 to 1; its first row is the map's first.
+
+    Raises:
+        InvalidRequest: names cost_map.data.png.
+    """
+    match body:
+        case {"cost_map": {"data": {"png": png, **others}} as cost_map} if not others:
+            field = "cost_map.data.png"
+            image = EncodedImage("png", bytes_of_base64(png, field))
+            grid = _pixels(image, field, _grey, 0).astype(np.float32) / np.float32(255)
+            return {**body, "cost_map": {**cost_map, "data": grid[None]}}
+    return body
+
+
 def decoded(image: EncodedImage, field: str, *, num_before: int = 0) -> NDArray[np.uint8]:
-    """Pixels [3,H,W], RGB, upright as EXIF says.
+    """Return the pixels [3,H,W] of a picture: RGB, turned as its EXIF says.
 
     num_before: pixels of the request's other pictures so far
 
     Raises:
-        InvalidRequest: it is no file of the format that it claims, it is broken, a number of it
-            has more than 8 bits, it has more than MAX_PIXELS, or together with the others more
-            than MAX_REQUEST_PIXELS, which is looked at before anything is decoded.
+        InvalidRequest: it is no file of that format, is broken, has more than 8 bits a channel,
+            or has more than MAX_PIXELS, or with the others more than MAX_REQUEST_PIXELS; the size
+            is checked before anything is decoded.
     """
+    pixels = _pixels(image, field, lambda picture, _: _upright(picture.convert("RGB")), num_before)
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _pixels(
+    image: EncodedImage,
+    field: str,
+    convert: Callable[[Image.Image, str], Image.Image],
+    num_before: int,
+) -> NDArray[np.uint8]:
     try:
         with _READERS[image.format](io.BytesIO(image.data)) as picture:
             _check(picture, field, num_before)
-            pixels = np.asarray(_upright(picture.convert("RGB")))
+            return np.asarray(convert(picture, field))
     except InvalidRequest:
         raise
-    except Exception as error:  # of broken files Pillow raises whatever its plugins stumble over
+    except Exception as error:  # Pillow raises any kind of error for broken files
         came = f"{len(image.data)} bytes that cannot be read as one"
         raise InvalidRequest(f"expected a {image.format} file, got {came}", field) from error
-    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _grey(picture: Image.Image, field: str) -> Image.Image:
+    if picture.mode not in ("1", "L"):
+        came = f"got mode {picture.mode}"
+        raise InvalidRequest(
+            f"expected a greyscale picture, one channel without alpha, {came}", field
+        )
+    return picture.convert("L")
 
 
 def _upright(picture: Image.Image) -> Image.Image:

@@ -13,28 +13,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.codec import Payload
+from anchorflow_client.codec import Payload, answer_fields
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
-from anchorflow_client.contract.arrays import first_refused
 from anchorflow_client.contract.checks import (
+    Interval,
     boolean,
     choice,
     expected,
     fields_of,
+    first_refused,
     number,
     text,
 )
+from anchorflow_client.contract.fields import BUDGET
 from anchorflow_client.contract.inputs import exact_numbers, texts
-from anchorflow_client.contract.ranges import BUDGET, Interval
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.oip.datatypes import BYTES, DATATYPES, DTYPE_OF, name_of, to_wire
-from anchorflow_client.oip.message import (
-    ALIGNMENT,
-    checked_shape,
-    unpack_header,
-    unpack_tensors,
-)
-from anchorflow_client.oip.parameters import flatten, scalars
 from anchorflow_client.oip_codec import (
     RESERVED,
     TIME_STEP,
@@ -42,7 +35,19 @@ from anchorflow_client.oip_codec import (
     request_of,
     wanted_outputs,
 )
-from anchorflow_client.wire_fields import answer_fields
+from anchorflow_client.oip_message import (
+    ALIGNMENT,
+    BYTES,
+    DATATYPES,
+    DTYPE_OF,
+    checked_shape,
+    flatten,
+    name_of,
+    scalars,
+    to_wire,
+    unpack_header,
+    unpack_tensors,
+)
 from anchorflow_service.http.orjson_codec import dump, parse
 
 MAX_ENTRIES = 64

@@ -16,8 +16,8 @@ from anchorflow_client.codec import Payload
 from anchorflow_client.contract import CostMapSpec, ModelCard, TensorSpec
 from anchorflow_client.contract.batch import ARRAY_DTYPES, MOTIONS
 from anchorflow_client.errors import UnknownModel
-from anchorflow_client.oip.datatypes import datatype_of
 from anchorflow_client.oip_codec import TIME_STEP
+from anchorflow_client.oip_message import datatype_of
 from anchorflow_service.http.anchors import answer_to, header_length
 from anchorflow_service.http.body import read_body
 from anchorflow_service.http.infer_codec import InferCodec

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from anchorflow_client.contract.checks import MAX_AXES, MAX_TEXT_LENGTH
 from anchorflow_service.http.infer_codec import MAX_ENTRIES
-from anchorflow_service.http.schemas import Shape, Text
 
+Text = Annotated[str, Field(min_length=1, max_length=MAX_TEXT_LENGTH, pattern=r"^[ -~]*$")]
+Shape = Annotated[list[Annotated[int, Field(ge=1)]], Field(max_length=MAX_AXES)]
 Datatype = Literal["FP32", "FP64", "INT64", "UINT8", "BOOL", "BYTES"]
 Scalar = bool | int | float | str
 Numbers = list[float] | list[list[float]] | list[list[list[float]]] | list[list[list[list[float]]]]

@@ -29,14 +29,11 @@ from anchorflow_service.http.oip_schemas import (
     ModelStateBody,
     UnloadRequestBody,
 )
-from anchorflow_service.http.schemas import (
-    AnchorAnswerBody,
-    AnchorRequestBody,
-    ErrorBody,
-    ModelsBody,
-)
+from anchorflow_service.http.request_schema import request_schema
+from anchorflow_service.http.schemas import AnchorAnswerBody, ErrorBody, ModelsBody
 
 REF_TEMPLATE = "#/components/schemas/{model}"
+ANCHOR_REQUEST = "AnchorRequestBody"
 HEADER_LENGTH = "Inference-Header-Content-Length"
 _LENGTH = {
     "description": "Bytes of the JSON header in front of the tensors; with the binary form only.",
@@ -58,13 +55,13 @@ def _refusals(*errors: type[RequestError]) -> dict[int | str, dict[str, Any]]:
     }
 
 
-def _content(model: type[BaseModel]) -> dict[str, Any]:
-    """Both forms of a body: the JSON of the model, and the same in binary."""
-    json_form = {"schema": {"$ref": REF_TEMPLATE.format(model=model.__name__)}}
+def _content(name: str) -> dict[str, Any]:
+    """Return both forms of a body: the JSON schema of that name, and the same in binary."""
+    json_form = {"schema": {"$ref": REF_TEMPLATE.format(model=name)}}
     return {"application/json": json_form, "application/octet-stream": {"schema": BINARY}}
 
 
-def _planning(request: type[BaseModel], answer: type[BaseModel]) -> dict[str, Any]:
+def _planning(request: str, answer: type[BaseModel]) -> dict[str, Any]:
     """A route that plans, with bodies in both forms."""
     return {
         "openapi_extra": {
@@ -74,7 +71,7 @@ def _planning(request: type[BaseModel], answer: type[BaseModel]) -> dict[str, An
         "responses": {
             200: {
                 "model": answer,
-                "content": _content(answer),
+                "content": _content(answer.__name__),
                 "headers": {HEADER_LENGTH: _LENGTH},
             }
         }
@@ -101,8 +98,8 @@ def _administration(request: type[BaseModel], answer: Any) -> dict[str, Any]:
     }
 
 
-ANCHORS_DOCUMENTATION = _planning(AnchorRequestBody, AnchorAnswerBody)
-INFER_DOCUMENTATION = _planning(InferRequestBody, InferAnswerBody)
+ANCHORS_DOCUMENTATION = _planning(ANCHOR_REQUEST, AnchorAnswerBody)
+INFER_DOCUMENTATION = _planning(InferRequestBody.__name__, InferAnswerBody)
 METADATA_DOCUMENTATION: dict[str, Any] = {
     "responses": {200: {"model": ModelMetadataBody}} | _refusals(UnknownModel)
 }
@@ -115,7 +112,6 @@ UNLOAD_DOCUMENTATION = _administration(UnloadRequestBody, ModelStateBody)
 MODELS_DOCUMENTATION: dict[str, Any] = {"responses": {200: {"model": ModelsBody}}}
 NOT_READY_DOCUMENTATION: dict[str, Any] = {"responses": _refusals(NotReady)}
 REQUESTS = (
-    AnchorRequestBody,
     InferRequestBody,
     IndexRequestBody,
     LoadRequestBody,
@@ -132,6 +128,7 @@ def document(app: FastAPI) -> None:
             schema = get_openapi(
                 title=app.title, version=app.version, summary=app.summary, routes=app.routes
             )
+            schema["components"]["schemas"][ANCHOR_REQUEST] = request_schema()
             for model in REQUESTS:
                 schema["components"]["schemas"] |= _definitions(model)
             app.openapi_schema = schema

@@ -12,7 +12,7 @@ from anchorflow_client import json_codec
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.json_codec import JsonCodec, not_json
-from anchorflow_service.http.images import with_pixels
+from anchorflow_service.http.images import with_map, with_pixels
 
 # What the standard library reads and orjson does not: NaN, Infinity, numbers beyond float64.
 _NOT_FINITE = re.compile(r"NaN|Infinity|[-\d]")
@@ -39,7 +39,7 @@ class OrjsonCodec(JsonCodec):
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
         """A request out of untrusted bytes. Raises `InvalidRequest`."""
-        return with_pixels(super().decode_request(payload))
+        return with_pixels(AnchorRequest.from_fields(with_map(self._load(payload.body))))
 
     def _dump(self, value: dict[str, Any]) -> bytes:
         return dump(value)

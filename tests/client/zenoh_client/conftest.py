@@ -10,11 +10,17 @@ import pytest
 import zenoh
 
 from anchorflow_client import ConnectionFailed, ModelCard, Overloaded
-from anchorflow_client.keys import info_key, replica_anchors_key, replica_key
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.network import Network
 from anchorflow_client.zenoh_client.session import open_session
-from anchorflow_client.zenoh_messages import AnswerAttachment, Load, ReplicaInfo
+from anchorflow_client.zenoh_messages import (
+    AnswerAttachment,
+    Load,
+    ReplicaInfo,
+    info_key,
+    replica_anchors_key,
+    replica_key,
+)
 
 Reply = Callable[[zenoh.Query], object]
 

@@ -20,7 +20,7 @@ from anchorflow_client import (
 )
 from anchorflow_client.contract import resolve_for_card
 from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.oip.message import pack
+from anchorflow_client.oip_message import pack
 
 CODEC = OipCodec()
 LENGTH = "Inference-Header-Content-Length"

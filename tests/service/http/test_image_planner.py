@@ -28,7 +28,7 @@ from PIL import ExifTags, Image
 
 from anchorflow_client import AnchorBatch, AnchorClient, AnchorRequest, JsonCodec, OipCodec
 from anchorflow_client.contract import EncodedImage
-from anchorflow_client.contract.ranges import MAX_PIXELS, MAX_REQUEST_PIXELS
+from anchorflow_client.contract.fields import MAX_PIXELS, MAX_REQUEST_PIXELS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session

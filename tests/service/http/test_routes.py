@@ -9,7 +9,7 @@ import httpx
 from fastapi import FastAPI
 
 from anchorflow_client import AnchorClient
-from anchorflow_client.contract.request import FIELDS
+from anchorflow_client.contract.fields import REQUEST
 
 
 def test_health(service: Any) -> None:
@@ -54,9 +54,10 @@ def test_the_documentation_knows_every_field(service: Any) -> None:
     models = schema["components"]["schemas"]
     request = models["AnchorRequestBody"]
 
-    assert set(request["properties"]) == set(FIELDS)
+    assert set(request["properties"]) == set(REQUEST.fields)
     assert "required" not in request  # a planner asks for its own: a map, or what its card lists
-    assert "m/cell" in models["CostMapBody"]["properties"]["resolution"]["description"]
+    resolution = request["properties"]["cost_map"]["properties"]["resolution"]
+    assert resolution["x-unit"] == "m/cell"
     body = schema["paths"]["/anchors"]["post"]["requestBody"]["content"]["application/json"]
     assert body["schema"]["$ref"].endswith("/AnchorRequestBody")
     assert {"200", "404", "409", "413", "422", "429", "500", "503", "504"} == set(

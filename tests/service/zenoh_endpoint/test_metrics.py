@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from anchorflow_client import InvalidRequest
-from anchorflow_client.keys import replica_anchors_key
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_client.zenoh_messages import replica_anchors_key
 from anchorflow_service.observability.metrics import Metrics
 from anchorflow_service.planning import PlanningService
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint

@@ -10,7 +10,7 @@ import pytest
 import torch
 from driven_bend import write_bends
 
-from anchorflow_client.contract.route import beside_route
+from anchorflow_client.contract.batch import beside_route
 from anchorflow_client.sensors import route_ahead
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log

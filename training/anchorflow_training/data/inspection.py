@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract.request import LIMIT_INTERVALS
+from anchorflow_client.contract.fields import LIMITS
 from anchorflow_training.data.homology import homology_classes, obstacle_points
 from anchorflow_training.data.time_step import in_words
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
@@ -111,7 +111,7 @@ def limits_in_words(limits: MotionLimits, ranges: Mapping[str, tuple[float, floa
     lines = [f"v_max {limits.v_max:g} m/s, a_max {limits.a_max:g} m/s^2, horizon {horizon}"]
     told = [
         f"{name} {ranges[name][0]:g} to {ranges[name][1]:g} {interval.unit}"
-        for name, interval in LIMIT_INTERVALS.items()
+        for name, interval in LIMITS.items()
         if name in ranges
     ]
     return [*lines, "ranges: " + ", ".join(told)] if told else lines

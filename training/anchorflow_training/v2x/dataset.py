@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.images import resized
+from anchorflow_client.sensors import resized
 from anchorflow_driving.cooperative.layout import GROUP
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_driving.geometry import into_frame

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from anchorflow_client.contract import AnchorRequest, ResolvedRequest
+from anchorflow_client.contract.fields import MAX_PIXELS
 from anchorflow_client.contract.inputs import TEXT
-from anchorflow_client.contract.ranges import MAX_PIXELS
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.images import resized
+from anchorflow_client.sensors import resized
 from anchorflow_service.bundle import Bundle, BundleError
 from anchorflow_service.bundle.manifest import VisionLanguageEntry
 from anchorflow_service.engine.conditioning.tensors import probe_of

@@ -10,6 +10,7 @@ came agree, so that no header asks for more memory than its body holds.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -17,18 +18,70 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.codec import Payload
-from anchorflow_client.contract.checks import choice, expected, fields_of, text
-from anchorflow_client.contract.ranges import MAX_AXES
+from anchorflow_client.contract.checks import MAX_AXES, boolean, choice, expected, fields_of, text
+from anchorflow_client.contract.inputs import texts
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.json_codec import COMPACT, parse
-from anchorflow_client.oip.datatypes import (
-    BYTES,
-    DATATYPES,
-    DTYPE_OF,
-    name_of,
-    texts_from_wire,
-    to_wire,
-)
+
+DTYPE_OF: dict[str, np.dtype] = {
+    "FP32": np.dtype("<f4"),
+    "FP64": np.dtype("<f8"),
+    "INT64": np.dtype("<i8"),
+    "UINT8": np.dtype("u1"),
+    "BOOL": np.dtype("?"),
+}
+BYTES = "BYTES"
+"""Texts in UTF-8, each behind its length in four bytes."""
+FLOATS = ("FP32", "FP64")
+DATATYPES = (*DTYPE_OF, BYTES)
+
+_NAME_OF = {dtype.newbyteorder("="): name for name, dtype in DTYPE_OF.items()}
+_LENGTH = struct.Struct("<I")
+
+
+def name_of(dtype: np.dtype) -> str:
+    """The protocol's name of a type; arrays of objects are arrays of `str`."""
+    if dtype.kind == "O":
+        return BYTES
+    return _NAME_OF.get(dtype) or _NAME_OF[dtype.newbyteorder("=")]
+
+
+def datatype_of(dtype: str) -> str:
+    """The protocol's name of a card's dtype."""
+    return BYTES if dtype == "text" else name_of(np.dtype(dtype))
+
+
+def to_wire(tensor: NDArray[Any]) -> memoryview:
+    """A tensor's bytes in C order; no copy where it lies so already."""
+    if tensor.dtype.kind == "O":
+        parts = [text.encode() for text in tensor.flat]
+        return memoryview(b"".join(_LENGTH.pack(len(part)) + part for part in parts))
+    ordered = np.ascontiguousarray(tensor, dtype=DTYPE_OF[name_of(tensor.dtype)])
+    return ordered.reshape(-1).view(np.uint8).data
+
+
+def texts_from_wire(part: memoryview, shape: Sequence[int], field: str) -> NDArray[Any]:
+    """The texts of a BYTES tensor. Raises `InvalidRequest` where the lengths do not add up."""
+    count, values, offset = int(np.prod(shape, dtype=object)), [], 0
+    while len(values) < count and offset + _LENGTH.size <= len(part):
+        (length,) = _LENGTH.unpack_from(part, offset)
+        offset += _LENGTH.size
+        values.append(_decoded(bytes(part[offset : offset + length]), length, field))
+        offset += length
+    if len(values) != count or offset != len(part):
+        came = f"{len(values)} in {offset} of {len(part)} bytes"
+        raise InvalidRequest(f"expected {count} texts, got {came}", field)
+    return texts(values, field, shape)
+
+
+def _decoded(data: bytes, length: int, field: str) -> str:
+    if len(data) != length:
+        raise InvalidRequest(f"expected a text of {length} bytes, got {len(data)}", field)
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise InvalidRequest(f"expected text in UTF-8, got {error}", field) from error
+
 
 ALIGNMENT = 64
 """Bytes that the padded header is a multiple of, so that the tensors behind it are aligned."""
@@ -177,3 +230,65 @@ def _parsed(header: bytes) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise expected("header", "an object", value)
     return value
+
+
+def flatten(fields: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Every leaf by its JSON path."""
+    leaves: dict[str, Any] = {}
+    for name, value in fields.items():
+        if isinstance(value, Mapping):
+            leaves |= flatten(value, f"{prefix}{name}.")
+        else:
+            leaves[prefix + name] = value
+    return leaves
+
+
+def nest(leaves: Mapping[str, Any]) -> dict[str, Any]:
+    """`flatten` undone.
+
+    Raises:
+        InvalidRequest: one path runs through another.
+    """
+    fields: dict[str, Any] = {}
+    for path, value in leaves.items():
+        *parents, name = path.split(".")
+        place = fields
+        for parent in parents:
+            place = place.setdefault(parent, {})
+            if not isinstance(place, dict):
+                raise InvalidRequest(f"expected a value or fields in {parent}, got both", path)
+        if name in place:
+            raise InvalidRequest(f"expected a value or fields in {name}, got both", path)
+        place[name] = value
+    return fields
+
+
+def scalars(value: Any) -> dict[str, Any]:
+    """The parameters of a header: strings, numbers and booleans by name.
+
+    Raises:
+        InvalidRequest: one is something else, or has a name that no message could carry.
+    """
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise expected("parameters", "an object", value)
+    for name, scalar in value.items():
+        text(name, "parameters")
+        if not isinstance(scalar, str | int | float):
+            raise expected(name, "a string, a number or a boolean", scalar)
+    return dict(value)
+
+
+def check_binary_output(leaves: dict[str, Any]) -> None:
+    """Take `binary_data_output` out. Raises `InvalidRequest` where it asks for outputs in JSON."""
+    field = "binary_data_output"
+    check_in_binary(boolean(leaves.pop(field, True), field), field)
+
+
+def check_in_binary(wanted: bool, field: str) -> None:
+    """Raises `InvalidRequest` where not."""
+    if not wanted:
+        raise InvalidRequest(
+            "expected true, as answers have the form of requests, got false", field
+        )
