@@ -79,24 +79,19 @@ class RetryingClient(_Retrying[BaseClient, object], BaseClient):
     """
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Return anchors for a request that was built before."""
         attempts = self._policy.attempts(request.budget_ms)
         return self._retry(lambda: self._client.plan_request(attempts.remaining(request)), attempts)
 
     def models(self) -> tuple[ModelCard, ...]:
-        """Return the cards of all served bundles, the default first."""
         return self._retry(self._client.models, self._policy.attempts())
 
     def live(self) -> bool:
-        """Return the inner client's `live`, without a retry."""
         return self._client.live()
 
     def ready(self) -> bool:
-        """Return the inner client's `ready`, without a retry."""
         return self._client.ready()
 
     def close(self) -> None:
-        """Close the inner client."""
         self._client.close()
 
     def _retry(self, call: Callable[[], Answer], attempts: Attempts) -> Answer:
@@ -115,26 +110,21 @@ class AsyncRetryingClient(_Retrying[BaseAsyncClient, Awaitable[object]], BaseAsy
     """`RetryingClient` over an async client. Cancelling the task ends the retries."""
 
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Return anchors for a request that was built before."""
         attempts = self._policy.attempts(request.budget_ms)
         return await self._retry(
             lambda: self._client.plan_request(attempts.remaining(request)), attempts
         )
 
     async def models(self) -> tuple[ModelCard, ...]:
-        """Return the cards of all served bundles, the default first."""
         return await self._retry(self._client.models, self._policy.attempts())
 
     async def live(self) -> bool:
-        """Return the inner client's `live`, without a retry."""
         return await self._client.live()
 
     async def ready(self) -> bool:
-        """Return the inner client's `ready`, without a retry."""
         return await self._client.ready()
 
     async def aclose(self) -> None:
-        """Close the inner client."""
         await self._client.aclose()
 
     async def _retry(self, call: Callable[[], Awaitable[Answer]], attempts: Attempts) -> Answer:

@@ -27,23 +27,19 @@ class LocalClient(BaseClient):
         return cls(Engine(load_bundle(bundle), threads=threads))
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Return anchors for a request that was built before."""
         batch = self.engine.plan(resolve_for_card(request, self.engine.card))
         if not batch.is_finite:
             raise InternalError("the answer holds numbers that are not finite")
         return batch
 
     def models(self) -> tuple[ModelCard, ...]:
-        """Return the bundle's card."""
         return (self.engine.card,)
 
     def live(self) -> bool:
-        """Return True."""
         return True
 
     def ready(self) -> bool:
-        """Return True."""
         return True
 
     def close(self) -> None:
-        """Do nothing."""
+        pass

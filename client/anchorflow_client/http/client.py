@@ -21,12 +21,9 @@ Result = TypeVar("Result")
 class AnchorClient(BaseClient):
     """A service at a URL, over one connection that is kept alive.
 
-        with AnchorClient("http://127.0.0.1:8000") as client:
-            anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
-            path = anchors.trajectories[anchors.best]
-
-    Every method raises a `RequestError` if the service refuses, and a `TransportError` if there is
-    no valid answer; see `anchorflow_client.errors`.
+    with AnchorClient("http://127.0.0.1:8000") as client:
+        anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
+        path = anchors.trajectories[anchors.best]
     """
 
     def __init__(
@@ -59,23 +56,18 @@ class AnchorClient(BaseClient):
         self._timeout_s = float(timeout_s)
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Return anchors for a request that was built before."""
         return self._send(self._exchanges.plan(request))
 
     def models(self) -> tuple[ModelCard, ...]:
-        """Return the cards of all served bundles, the default first."""
         return self._send(self._exchanges.models())
 
     def live(self) -> bool:
-        """Return whether a service answers; False if there is no listener."""
         return self._health("live")
 
     def ready(self) -> bool:
-        """Return whether the service takes requests now; False while it starts or stops."""
         return self._health("ready")
 
     def close(self) -> None:
-        """Close the connection."""
         self._transport.close()
 
     def _health(self, kind: Literal["live", "ready"]) -> bool:
@@ -114,18 +106,10 @@ class AsyncAnchorClient(BaseAsyncClient):
         """Check the arguments; requests open the connections.
 
         Args:
-            url: the service's address, such as http://127.0.0.1:8000.
-            timeout_s: longest wait for the service's next bytes.
-            connect_timeout_s: longest wait for a connection.
             max_connections: concurrent requests; further ones wait for a free connection, and
                 their timeouts begin after that wait.
-            token: sent as a bearer token.
-            transport: carries the requests in place of sockets.
-            codec: the form on the wire: binary by default, `JsonCodec()` for readable bodies.
 
-        Raises:
-            ValueError: the URL is invalid, a time is not above 0 or is over 10⁶ s, or the token
-                cannot be sent in a header.
+        Other arguments, and errors: see `AnchorClient`.
         """
         check_times(MAX_WAIT_S, timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
         if transport is None:
@@ -140,23 +124,18 @@ class AsyncAnchorClient(BaseAsyncClient):
         self._timeout_s = float(timeout_s)
 
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Return anchors for a request that was built before."""
         return await self._send(self._exchanges.plan(request))
 
     async def models(self) -> tuple[ModelCard, ...]:
-        """Return the cards of all served bundles, the default first."""
         return await self._send(self._exchanges.models())
 
     async def live(self) -> bool:
-        """Return whether a service answers; False if there is no listener."""
         return await self._health("live")
 
     async def ready(self) -> bool:
-        """Return whether the service takes requests now; False while it starts or stops."""
         return await self._health("ready")
 
     async def aclose(self) -> None:
-        """Close the connections; pending requests fail."""
         await self._transport.aclose()
 
     async def _health(self, kind: Literal["live", "ready"]) -> bool:

@@ -62,9 +62,13 @@ MAX_IN_FLIGHT = 2
 """Pending requests: one may hang, and is given up, before the next is sent."""
 
 
-class _Judged(NamedTuple):
+class _Answer(NamedTuple):
     """An answer, and what its request says about it."""
 
+    request_id: str
+    seen_at: float
+    place: Array
+    """[2] m, of the robot at that time."""
     batch: AnchorBatch
     routes: Routes
     v_max: float
@@ -78,18 +82,7 @@ class _InFlight(NamedTuple):
 
     request_id: str
     seen_at: float
-    place: Array
-    """[2] m, of the robot."""
-    future: futures.Future[_Judged]
-
-
-class _Answer(NamedTuple):
-    """The newest answer, and which of its anchors to follow."""
-
-    request_id: str
-    seen_at: float
-    judged: _Judged
-    best: int
+    future: futures.Future[_Answer]
 
 
 class Planner:
@@ -130,6 +123,7 @@ class Planner:
         self._in_flight: _InFlight | None = None
         self._given_up: list[_InFlight] = []
         self._answer: _Answer | None = None
+        self._best = 0
         self._unsafe_at: Array | None = None
         self._commitment = Commitment(self._config)
         self._progress = Progress(stuck_s=self._config.stuck_s, stuck_m=self._config.stuck_m)
@@ -189,11 +183,8 @@ class Planner:
             InvalidRequest: there is no anchor of that index.
         """
         if self._answer is not None:
-            index = integer(
-                index, "index", Interval(0, len(self._answer.judged.batch.trajectories) - 1)
-            )
-            batch, seen_at = self._answer.judged.batch, self._answer.seen_at
-            self._commitment.in_use = AnchorInUse(batch, index, seen_at)
+            index = integer(index, "index", Interval(0, len(self._answer.batch.trajectories) - 1))
+            self._commitment.in_use = AnchorInUse(self._answer.batch, index, self._answer.seen_at)
 
     def wait(self, timeout_s: float) -> Plan:
         """Wait for the pending request, as before the robot starts to move, and return the plan."""
@@ -250,15 +241,16 @@ class Planner:
         in_use = None if cold else self._commitment.in_use
         self.counts["asked"] += 1
         self._pacing.sent(seen.seen_at)
-        place = seen.x_curr[:2]
-        unsafe_at = self._unsafe_at
-        stop = unsafe_at is not None and float(np.linalg.norm(place - unsafe_at)) < CAUTIOUS_M
+        stop = (
+            self._unsafe_at is not None
+            and float(np.linalg.norm(seen.x_curr[:2] - self._unsafe_at)) < CAUTIOUS_M
+        )
         future = self._executor.submit(self._answered, seen, request_id, in_use, stop)
-        self._in_flight = _InFlight(request_id, seen.seen_at, place, future)
+        self._in_flight = _InFlight(request_id, seen.seen_at, future)
 
     def _answered(
         self, seen: Observation, request_id: str, in_use: AnchorInUse | None, stop: bool
-    ) -> _Judged:
+    ) -> _Answer:
         """Return the answer to an observation, in the background. Raises `AnchorFlowError`."""
         limits = self._limits.of(seen.options)
         request = build_request(
@@ -283,7 +275,8 @@ class Planner:
             start_m=math.inf if radius is None else start_clearance(cost_map, place, radius),
             share_m=SHARE_OF_CELL * cost_map.resolution,
         )
-        return _Judged(batch, Routes.among(batch, cost_map), limits.v_max, reason)
+        routes = Routes.among(batch, cost_map)
+        return _Answer(request_id, seen.seen_at, place, batch, routes, limits.v_max, reason)
 
     def _seed(self, seed: int) -> int:
         """Return the seed, advanced by one for each time that the robot was stuck."""
@@ -292,16 +285,14 @@ class Planner:
     def _is_stuck(self, now: float, place: Array, goal: Array) -> bool:
         """Return whether the robot is stuck, and give its route up then."""
         driving = self._answer is not None and not self._expired(self._answer, now)
-        v_max = math.inf if self._answer is None else self._answer.judged.v_max
+        v_max = math.inf if self._answer is None else self._answer.v_max
         if not self._progress.is_stuck(now, place, goal, driving=driving, v_max=v_max):
             return False
         self.counts["stuck"] += 1
         self._progress.restart(now)
         self._commitment.give_up()
         if (answer := self._answer) is not None:
-            judged = answer.judged
-            best = self._commitment.choose(judged.batch, judged.routes, answer.seen_at)
-            self._answer = answer._replace(best=best)
+            self._best = self._commitment.choose(answer.batch, answer.routes, answer.seen_at)
         return True
 
     def _collect(self, now: float) -> None:
@@ -321,16 +312,16 @@ class Planner:
 
     def _finish(self, finished: _InFlight, now: float) -> None:
         try:
-            judged = finished.future.result()
+            answer = finished.future.result()
         except AnchorFlowError as error:
             self._failed(error, now)
             return
         self.counts["answered"] += 1
-        best = self._commitment.choose(judged.batch, judged.routes, finished.seen_at)
-        self._answer = _Answer(finished.request_id, finished.seen_at, judged, best)
-        if judged.reason is not None:
-            self._unsafe_at = finished.place
-        self.follow(best)
+        self._best = self._commitment.choose(answer.batch, answer.routes, answer.seen_at)
+        self._answer = answer
+        if answer.reason is not None:
+            self._unsafe_at = answer.place
+        self.follow(self._best)
         self._last_error = None
         self._pacing.answered()
 
@@ -348,7 +339,7 @@ class Planner:
         return 1e3 * (now - seen_at) > self._config.max_age_ms
 
     def _expired(self, answer: _Answer, now: float) -> bool:
-        over = now - answer.seen_at >= float(answer.judged.batch.durations.max())
+        over = now - answer.seen_at >= float(answer.batch.durations.max())
         return over or self._too_old(answer.seen_at, now)
 
     def _plan(self, now: float, *, stuck: bool = False) -> Plan:
@@ -363,12 +354,11 @@ class Planner:
         }
         if self._expired(answer, now):
             return Plan(PlanState.EXPIRED, **common, reason="the last answer is too old")
-        judged, best = answer.judged, answer.best
         return Plan(
             PlanState.FRESH if self._last_error is None else PlanState.HELD,
-            batch=judged.batch,
-            best=best,
-            on_route=judged.routes.of == judged.routes.of[best],
-            reason=judged.reason,
+            batch=answer.batch,
+            best=self._best,
+            on_route=answer.routes.of == answer.routes.of[self._best],
+            reason=answer.reason,
             **common,
         )

@@ -91,7 +91,6 @@ class ZenohAnchorClient(BaseClient):
         return answer_to(request, self._codec.decode_answer(payload))
 
     def models(self, *, cancellation: Cancellation | None = None) -> tuple[ModelCard, ...]:
-        """Return the cards of all served bundles, the default first."""
         cards: dict[str, ModelCard] = {}
         for info in self._infos(cancellation):
             for card in info.models:
@@ -99,7 +98,6 @@ class ZenohAnchorClient(BaseClient):
         return tuple(cards.values())
 
     def live(self, *, cancellation: Cancellation | None = None) -> bool:
-        """Return whether a replica is alive; False if none can be reached."""
         try:
             network = self._settled(self._deadline(cancellation))
         except (ConnectionFailed, TimedOut, Cancelled):
@@ -107,14 +105,12 @@ class ZenohAnchorClient(BaseClient):
         return bool(network.replicas.alive())
 
     def ready(self, *, cancellation: Cancellation | None = None) -> bool:
-        """Return whether a replica takes requests now; False while all start or stop."""
         try:
             return any(info.ready for info in self._infos(cancellation))
         except (ConnectionFailed, TimedOut, Cancelled):
             return False
 
     def close(self) -> None:
-        """Leave the network and cancel pending requests."""
         self._closing.cancel()
         self._connection.close()
 
@@ -156,14 +152,10 @@ class AsyncZenohAnchorClient(BaseAsyncClient):
         """Check the arguments; the first call connects.
 
         Args:
-            where: endpoints to connect to, such as tcp/127.0.0.1:7447, or settings.
-            timeout_s: longest wait for an answer, and the budget that is sent to the service, if
-                the request has none.
             max_threads: concurrent requests; further ones wait for a free thread, and their
                 budgets begin after that wait.
 
-        Raises:
-            ValueError: `timeout_s` is not above 0 or is over 10⁶ s, or there is no thread.
+        Other arguments, and errors: see `ZenohAnchorClient`.
         """
         self._client = ZenohAnchorClient(where, timeout_s=timeout_s)
         self._threads: ThreadPoolExecutor | None = ThreadPoolExecutor(
@@ -171,23 +163,18 @@ class AsyncZenohAnchorClient(BaseAsyncClient):
         )
 
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Return anchors for a request that was built before."""
         return await self._in_thread(partial(self._client.plan_request, request))
 
     async def models(self) -> tuple[ModelCard, ...]:
-        """Return the cards of all served bundles, the default first."""
         return await self._in_thread(self._client.models)
 
     async def live(self) -> bool:
-        """Return whether a replica is alive; False if none can be reached."""
         return await self._in_thread(self._client.live)
 
     async def ready(self) -> bool:
-        """Return whether a replica takes requests now; False while all start or stop."""
         return await self._in_thread(self._client.ready)
 
     async def aclose(self) -> None:
-        """Leave the network and cancel pending requests."""
         await asyncio.to_thread(self._client.close)  # our own threads may all be busy
         threads, self._threads = self._threads, None
         if threads is not None:

@@ -6,7 +6,6 @@ import json
 import logging
 import queue
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import zenoh
@@ -68,50 +67,8 @@ class Attempt:
     """Time until another replica is queried beside this one."""
     sent: float = field(default_factory=time.monotonic)
     is_late: bool = False
-    _cancellation: zenoh.CancellationToken = field(
-        init=False, default_factory=zenoh.CancellationToken
-    )
-
-    def send(
-        self,
-        session: zenoh.Session,
-        request: EncodedRequest,
-        on_reply: Callable[[zenoh.Reply | None], object],
-    ) -> None:
-        """Send the query.
-
-        Args:
-            session: an open session.
-            request: what to send.
-            on_reply: called with the reply, and with None at the query's end, on zenoh's thread.
-
-        Raises:
-            Cancelled: the request was cancelled, or the session was closed.
-        """
-        left_s = request.deadline.left_s
-        attachment = RequestAttachment(
-            header_length=request.payload.header_length,
-            request_id=request.request_id,
-            # Zenoh does not report a client that died: the service drops the request by itself.
-            budget_ms=min(left_s * 1e3, BUDGET.high),
-        )
-        handler = zenoh.handlers.Callback(on_reply, lambda: on_reply(None), indirect=False)
-        with translated(request.deadline):
-            session.get(
-                self.key,
-                handler,
-                payload=request.payload.body,
-                encoding=request.content_type,
-                attachment=attachment.to_bytes(),
-                timeout=left_s + SETTLE_S,
-                express=True,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                cancellation_token=self._cancellation,
-            )
-
-    def cancel(self) -> None:
-        """Stop the callbacks; zenoh does not notify the replica."""
-        self._cancellation.cancel()
+    cancellation: zenoh.CancellationToken = field(default_factory=zenoh.CancellationToken)
+    """Stops the callbacks; zenoh does not notify the replica."""
 
 
 class Failover:
@@ -147,7 +104,7 @@ class Failover:
                 return answer
         finally:
             for attempt in list(self._open.values()):
-                attempt.cancel()
+                attempt.cancellation.cancel()
                 self._close(attempt, None, failed=attempt.is_late)
 
     def _step(self) -> Payload | None:
@@ -190,9 +147,35 @@ class Failover:
         self._tried.append(name)
         self._open[name] = attempt
         logger.debug("request %s: asking %s", self._request.request_id, name)
-        attempt.send(
-            self._network.session, self._request, lambda reply: self._events.put((name, reply))
+        self._send(attempt)
+
+    def _send(self, attempt: Attempt) -> None:
+        """Send the query; zenoh's thread puts its reply, and then its end, into the events."""
+        request, name = self._request, attempt.replica.name
+        left_s = request.deadline.left_s
+        attachment = RequestAttachment(
+            header_length=request.payload.header_length,
+            request_id=request.request_id,
+            # Zenoh does not report a client that died: the service drops the request by itself.
+            budget_ms=min(left_s * 1e3, BUDGET.high),
         )
+        handler = zenoh.handlers.Callback(
+            lambda reply: self._events.put((name, reply)),
+            lambda: self._events.put((name, None)),
+            indirect=False,
+        )
+        with translated(request.deadline):
+            self._network.session.get(
+                attempt.key,
+                handler,
+                payload=request.payload.body,
+                encoding=request.content_type,
+                attachment=attachment.to_bytes(),
+                timeout=left_s + SETTLE_S,
+                express=True,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                cancellation_token=attempt.cancellation,
+            )
 
     def _choose(self) -> Choice | None:
         """Return the next replica. Raises `UnknownModel`."""
