@@ -54,6 +54,7 @@ WALLS: dict[str, set[str]] = {
         "torch",
         "h5py",  # trajectory files
         "transformers",  # pretrained weights, imported where they are read
+        "pydantic",  # settings
         "yaml",  # configurations
         "lightning_fabric",
         "matplotlib",  # pictures, imported where one is drawn

@@ -8,8 +8,7 @@ from typing import Annotated
 import typer
 
 from anchorflow_cli.options import command_app, file_option
-from anchorflow_training.average import mean_checkpoint
-from anchorflow_training.checkpoint import save_checkpoint
+from anchorflow_training.checkpoint import mean_checkpoint, save_checkpoint
 
 app = command_app()
 

@@ -20,17 +20,15 @@ from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app, new_file, new_folder, picture_option
 from anchorflow_training.data import TrajectoryDataset
-from anchorflow_training.data.imported_scene import SceneOptions
+from anchorflow_training.data.array_layout import TimeStepUnknown
 from anchorflow_training.data.inspection import (
     Summary,
     inspect_scenes,
     inspect_trajectories,
     limits_in_words,
 )
-from anchorflow_training.data.pose_files import read_poses
-from anchorflow_training.data.pose_trajectories import CutConfig, cut_trajectories
-from anchorflow_training.data.scene_import import ImportConfig, import_scenes
-from anchorflow_training.data.time_step import TimeStepUnknown
+from anchorflow_training.data.poses import CutConfig, cut_trajectories, read_poses
+from anchorflow_training.data.scene_import import ImportConfig, SceneOptions, import_scenes
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.v2x.dataset import refuse_pairs

@@ -12,13 +12,12 @@ from rich.progress import Progress
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import file_option
-from anchorflow_training.config_file import layers
-from anchorflow_training.driving.anchor_scores import anchor_scores, examples_of, trajectory_anchors
-from anchorflow_training.driving.kept_logs import open_logs
-from anchorflow_training.driving.sensor_run import SensorRunConfig
+from anchorflow_training.driving.anchors import anchor_scores, examples_of, trajectory_anchors
+from anchorflow_training.driving.driving_run import SensorRunConfig
+from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.planners import training_of
-from anchorflow_training.settings import ConfigError
+from anchorflow_training.settings import ConfigError, layers
 
 LogsArgument = Annotated[Path, typer.Argument(metavar="LOGS", help="Folder of driving logs.")]
 

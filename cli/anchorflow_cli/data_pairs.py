@@ -12,8 +12,8 @@ from rich.progress import Progress
 
 from anchorflow_cli.options import new_folder
 from anchorflow_training.v2x.dataset import make_pairs
-from anchorflow_training.v2x.tokenizer import read_tokenizer
-from anchorflow_training.v2x.verify import verify_recording
+from anchorflow_training.v2x.recording import verify_recording
+from anchorflow_training.v2x.text import read_tokenizer
 
 RecordingArgument = Annotated[
     Path, typer.Argument(metavar="DIR", help="cooperative-vehicle-infrastructure of DAIR-V2X.")

@@ -8,25 +8,25 @@ from typing import Annotated, Any
 
 import typer
 
-from anchorflow_cli.config_options import with_options
 from anchorflow_cli.options import command_app, folder_option
-from anchorflow_cli.training_command import (
+from anchorflow_cli.training_options import (
     SHORT as SHARED_SHORT,
 )
-from anchorflow_cli.training_command import (
+from anchorflow_cli.training_options import (
     Bfloat16Option,
     ConfigOption,
     OutOption,
     PrintConfigOption,
-    carry_out,
+    fit,
     given_settings,
     run_folder,
+    with_settings,
 )
-from anchorflow_training.config_file import config_text, layers
 from anchorflow_training.dataset import open_dataset
-from anchorflow_training.distillation.config import DistillConfig
 from anchorflow_training.distillation.distiller import Distiller
+from anchorflow_training.distillation.pairs import DistillConfig
 from anchorflow_training.distillation.teacher import load_teacher
+from anchorflow_training.settings import config_text, layers
 
 app = command_app()
 
@@ -38,7 +38,7 @@ SHORT = {
 
 
 @app.command()
-@with_options([DistillConfig], SHORT)
+@with_settings([DistillConfig], SHORT)
 def distill(
     checkpoint: Annotated[Path, typer.Argument(help="The teacher: checkpoint.pt of a run.")],
     dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data` wrote.")],
@@ -63,7 +63,7 @@ def distill(
     teacher = teacher.widened(settings.teacher.noise_scale)
     student = Distiller(settings, data, folder, teacher=teacher, pairs=pairs or folder / "pairs")
     student.prepare(_pairs_line if student.leads else lambda *_: None)
-    carry_out(student)
+    fit(student)
 
 
 def _pairs_line(done: int, blocks: int) -> None:

@@ -17,10 +17,8 @@ from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.planners import adapter_of, check_used
 from anchorflow_export.quantization import quantize_bundle
-from anchorflow_training.checkpoint import Checkpoint, load_checkpoint
-from anchorflow_training.distillation.student import student_schedule
-from anchorflow_training.provenance import provenance
-from anchorflow_training.restore import restore_model
+from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, provenance, restore_model
+from anchorflow_training.distillation.teacher import student_schedule
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.ode.schedule import Schedule
 from anchorflow_trajectory.refine import DESCENT_RATE

@@ -38,9 +38,8 @@ from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_models.generation.scenes import DEFAULT_MOTION, DEFAULT_ROBOT_RADIUS
-from anchorflow_training.checkpoint import Checkpoint, load_checkpoint
-from anchorflow_training.distillation.student import student_schedule
-from anchorflow_training.restore import restore_flow
+from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, restore_flow
+from anchorflow_training.distillation.teacher import student_schedule
 from anchorflow_trajectory.cost import MotionLimits
 
 app = command_app()

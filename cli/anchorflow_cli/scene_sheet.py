@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from anchorflow_cli.plots import save
 from anchorflow_training.data import TrajectoryDataset
-from anchorflow_training.data.homology import homology_classes, obstacle_points
+from anchorflow_training.data.inspection import homology_classes, obstacle_points
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, sheet
 

@@ -7,23 +7,23 @@ from typing import Annotated, Any
 
 import typer
 
-from anchorflow_cli.config_options import with_options
 from anchorflow_cli.options import command_app
-from anchorflow_cli.training_command import (
+from anchorflow_cli.training_options import (
     SHORT as SHARED_SHORT,
 )
-from anchorflow_cli.training_command import (
+from anchorflow_cli.training_options import (
     Bfloat16Option,
     ConfigOption,
     OutOption,
     PrintConfigOption,
-    carry_out,
+    fit,
     given_settings,
     run_folder,
+    with_settings,
 )
-from anchorflow_training.config_file import config_text, layers
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.planners import TRAININGS, training_of
+from anchorflow_training.settings import config_text, layers
 from anchorflow_training.v2x.dataset import refuse_pairs
 
 app = command_app()
@@ -32,7 +32,7 @@ SHORT = {"model.variant": "--variant", **SHARED_SHORT}
 
 
 @app.command()
-@with_options([training.config for training in TRAININGS.values()], SHORT)
+@with_settings([training.config for training in TRAININGS.values()], SHORT)
 def train(
     dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data` wrote.")],
     *,
@@ -56,4 +56,4 @@ def train(
     if print_config:
         typer.echo(config_text(settings), nl=False)
         return
-    carry_out(training.run(settings, data, run_folder(out)))
+    fit(training.run(settings, data, run_folder(out)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from small_configs import BACKBONE, DIFFUSIONDRIVE, EXAMPLES
 
-from anchorflow_training.config_file import planner_in
+from anchorflow_training.settings import planner_in
 
 
 @pytest.mark.parametrize("planner", ["wote", "diffusiondrive"])

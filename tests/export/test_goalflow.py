@@ -21,8 +21,7 @@ from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goals import pick
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.local import LocalClient
-from anchorflow_training.checkpoint import load_checkpoint
-from anchorflow_training.restore import restore_model
+from anchorflow_training.checkpoint import load_checkpoint, restore_model
 
 CONFIG = GoalFlowConfig(
     num_steps=2, goals=16, picked=5, width=16, channels=8, feature_channels=4, layers=1

@@ -52,7 +52,7 @@ from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
-from anchorflow_training.v2x.tokenizer import opened
+from anchorflow_training.v2x.text import opened
 
 MODEL = "v2x-small"
 SIZE = (90, 70)  # H, W of the pictures that are sent

@@ -9,8 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.layers.embedding import GaussianFourierTime, sinusoidal_positions
-from anchorflow_models.layers.lookup import lookup
+from anchorflow_models.layers.places import GaussianFourierTime, lookup, sinusoidal_positions
 
 BATCH, COUNT = 2, 5
 

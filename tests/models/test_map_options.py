@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from anchorflow_models import CostMapEncoder, L2SafetyCFM
+from anchorflow_models.flowmp.cost_map_encoder import MapWindow
 from anchorflow_models.flowmp.frame import Frame
-from anchorflow_models.flowmp.window import MapWindow
-from anchorflow_models.layers.map_attention import MapAttention
+from anchorflow_models.layers.attention import MapAttention
 
 Scene = dict[str, Tensor]
 MakeModel = Callable[..., L2SafetyCFM]

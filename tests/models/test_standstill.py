@@ -7,7 +7,7 @@ from tiny_diffusiondrive import tiny_diffusiondrive
 from tiny_wote import sensors, tiny_wote
 
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
-from anchorflow_models.layers.standstill import standing_still
+from anchorflow_models.layers.geometry import standing_still
 
 
 def ahead(metres: float) -> torch.Tensor:

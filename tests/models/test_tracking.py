@@ -11,7 +11,7 @@ from anchorflow_driving.pdm.tracker import interpolate, track
 from anchorflow_driving.window import WHEELBASE as OF_NAVSIM
 from anchorflow_driving.window import EgoState
 from anchorflow_models.goalflow.kinematics import roll_out
-from anchorflow_models.tracking import WHEELBASE, Start, driven, halved
+from anchorflow_models.lqr_rollout import WHEELBASE, Start, driven, halved
 
 T, DT, AXLES = 8, 0.5, 2.9
 

@@ -14,15 +14,15 @@ from torch import Tensor
 
 from anchorflow_driving.waypoints import waypoint_headings
 from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig, create_v2x_vlm
-from anchorflow_models.v2x_vlm.losses import (
+from anchorflow_models.v2x_vlm.network import (
     alignment,
     distribution_distillation,
     location,
     next_token,
+    poses,
     regression,
     regression_distillation,
 )
-from anchorflow_models.v2x_vlm.network import poses
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from anchorflow_driving.window import Window
-from anchorflow_training.driving.semantic_bev import semantic_bev, view_after
+from anchorflow_training.driving.labels import semantic_bev, view_after
 from anchorflow_training.driving.sensor_windows import VELOCITIES, Drawn, SensorSizes
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from anchorflow_training.config_file import layers
 from anchorflow_training.driving.diffusiondrive_run import DiffusionDriveRunConfig
 from anchorflow_training.driving.wote_run import WoteRunConfig
+from anchorflow_training.settings import layers
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 WOTE = layers(WoteRunConfig, {}, EXAMPLES / "wote-small.yaml").model

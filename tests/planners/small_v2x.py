@@ -10,7 +10,7 @@ import torch
 
 from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig, create_v2x_vlm
 from anchorflow_models.v2x_vlm import config as sizes
-from anchorflow_training.v2x.tokenizer import opened, train_tokenizer
+from anchorflow_training.v2x.text import opened, train_tokenizer
 
 SMALL = sizes.FlorenceSize(
     (16, 16, 16, 32), (1, 1, 1, 2), (1, 1, 1, 1), 6, 0.0, 32, 1, 1, 2, dropout=0.0

@@ -10,12 +10,16 @@ import torch
 
 from anchorflow_cli.main import main
 from anchorflow_models import L2Config
-from anchorflow_training.average import mean_checkpoint
 from anchorflow_training.batches import FlowBatchConfig
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from anchorflow_training.checkpoint import (
+    CheckpointError,
+    load_checkpoint,
+    mean_checkpoint,
+    provenance,
+    restore_model,
+    save_checkpoint,
+)
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.provenance import provenance
-from anchorflow_training.restore import restore_model
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 

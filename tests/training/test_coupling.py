@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from anchorflow_training.coupling import couple
-from anchorflow_training.objective import paired
+from anchorflow_training.objective import couple, paired
 
 
 def test_coupling_shortens_the_way() -> None:

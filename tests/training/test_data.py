@@ -20,6 +20,7 @@ from anchorflow_training.batches import (
     draw_batch,
     mirror,
     prior_means,
+    reflection,
 )
 from anchorflow_training.dataset import (
     DTYPES,
@@ -31,7 +32,6 @@ from anchorflow_training.dataset import (
 )
 from anchorflow_training.expert import ExpertConfig, Solution, chosen_by_route, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
-from anchorflow_training.reflection import reflection
 from anchorflow_trajectory.clearance import GridField
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.route_splines import RouteSplines

@@ -17,7 +17,7 @@ from anchorflow_models import L2Config
 from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.dataset import DatasetError, SceneDataset, open_dataset
-from anchorflow_training.divergence import DivergenceError
+from anchorflow_training.fabric import DivergenceError
 from anchorflow_training.objective import FlowObjective
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 

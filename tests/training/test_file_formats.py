@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_training.data.array_source import H5Array, HeldArray, MappedArray
-from anchorflow_training.data.file_formats import open_arrays
+from anchorflow_training.data.file_formats import H5Array, HeldArray, MappedArray, open_arrays
 from anchorflow_training.dataset import DatasetError
 
 POSITIONS = np.random.default_rng(0).normal(size=(20, 5, 2)).astype(np.float32)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
-from anchorflow_training.scenes.geodesic import grid_graph
+from anchorflow_training.scenes import grid_graph
 
 
 def test_steps_weigh_their_length_times_the_mean_cost() -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from anchorflow_training.data.homology import homology_classes, obstacle_points
+from anchorflow_training.data.inspection import homology_classes, obstacle_points
 
 RESOLUTION, ORIGIN = 0.1, np.array([-3.0, -2.0])
 

@@ -17,21 +17,25 @@ from torch import Tensor, nn
 from torch_camera_planner import NAME, PLANNER, CameraConfig, CameraPlanner, camera_adapter
 from typer.testing import CliRunner
 
-from anchorflow_cli.config_options import with_options
 from anchorflow_cli.main import main
 from anchorflow_cli.options import command_app
+from anchorflow_cli.training_options import with_settings
 from anchorflow_export import planners as adapters
 from anchorflow_models import L2Config, registry
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
 from anchorflow_training import planners
 from anchorflow_training.batches import Batch, FlowBatchConfig
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from anchorflow_training.checkpoint import (
+    CheckpointError,
+    load_checkpoint,
+    restore_model,
+    save_checkpoint,
+)
 from anchorflow_training.config import RunConfig, TrainerConfig
-from anchorflow_training.curve import Row
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.planners import Training
-from anchorflow_training.restore import restore_model
+from anchorflow_training.record import Row
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.trainer import CFMTrainer
 
@@ -291,7 +295,7 @@ def test_the_options_are_those_of_every_planner() -> None:
     app, seen = command_app(), {}
 
     @app.command()
-    @with_options([TrainerConfig, CameraRunConfig], {})
+    @with_settings([TrainerConfig, CameraRunConfig], {})
     def show(**given: Any) -> None:
         seen.update(given)
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from anchorflow_training.data import DatasetError, TrajectoryDataset
-from anchorflow_training.data.pose_files import PoseTrack, read_poses
-from anchorflow_training.data.pose_trajectories import CutConfig, cut_trajectories
+from anchorflow_training.data.poses import CutConfig, PoseTrack, cut_trajectories, read_poses
 
 RADIUS, SPEED, DT = 20.0, 5.0, 0.1
 

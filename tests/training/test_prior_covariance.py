@@ -10,9 +10,9 @@ import torch
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_models.flowmp.frame import Frame
+from anchorflow_training.batches import reflection
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.prior_covariance import prior_covariance
-from anchorflow_training.reflection import reflection
+from anchorflow_training.objective import prior_covariance
 from anchorflow_trajectory.spline import Splines, spline_basis
 
 MODEL = L2Config(map_size=16, feature_channels=4)

@@ -14,7 +14,7 @@ from anchorflow_models import L2Config
 from anchorflow_training.batches import FlowBatchConfig, draw_batch
 from anchorflow_training.config import TrainerConfig
 from anchorflow_training.dataset import DatasetError, SceneDataset, open_dataset, own_time_states
-from anchorflow_training.prior_covariance import prior_covariance
+from anchorflow_training.objective import prior_covariance
 from anchorflow_training.trainer import CFMTrainer
 
 SCENES, TRAJECTORIES = 6, 4

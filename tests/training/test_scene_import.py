@@ -10,8 +10,12 @@ import torch
 
 from anchorflow_training.batches import FlowBatchConfig, draw_batch
 from anchorflow_training.data import DatasetError, SyntheticTrajectoryDataset, TrajectoryDataset
-from anchorflow_training.data.imported_scene import SceneOptions
-from anchorflow_training.data.scene_import import ImportConfig, import_scenes, rounded_up
+from anchorflow_training.data.scene_import import (
+    ImportConfig,
+    SceneOptions,
+    import_scenes,
+    rounded_up,
+)
 from anchorflow_training.dataset import DTYPES, SceneDataset, open_dataset
 from anchorflow_trajectory.clearance import clearance_field
 from anchorflow_trajectory.routes import MOST_ROUTES

@@ -5,8 +5,8 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
+from anchorflow_training.scene_layouts import LAYOUTS, Canvas
 from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
-from anchorflow_training.scenes.layouts import LAYOUTS, Canvas
 from anchorflow_trajectory.cost import MotionLimits
 
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0)

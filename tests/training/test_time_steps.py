@@ -8,7 +8,7 @@ import pytest
 from trajectory_files import COUNT, STEPS, parabolas, saved
 
 from anchorflow_training.data import DatasetError, TrajectoryDataset
-from anchorflow_training.data.derivatives import central_differences
+from anchorflow_training.data.statistics import central_differences
 
 
 def test_a_missing_time_step_is_asked_for(tmp_path: Path) -> None:

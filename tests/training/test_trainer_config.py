@@ -14,11 +14,18 @@ from anchorflow_cli.main import main
 from anchorflow_cli.train import SHORT
 from anchorflow_cli.train import app as train_app
 from anchorflow_training.config import TrainerConfig
-from anchorflow_training.config_file import config_text, layers, read_config
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.held_out import shapes
 from anchorflow_training.planners import TRAININGS, Training
-from anchorflow_training.settings import ConfigError, build, setting, settings
+from anchorflow_training.settings import (
+    ConfigError,
+    build,
+    config_text,
+    layers,
+    other_default,
+    setting,
+    settings,
+)
+from anchorflow_training.trainer import CFMTrainer
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "training.md"
 
@@ -33,15 +40,15 @@ class Inner:
 
 @dataclass(frozen=True)
 class Outer:
-    count: int = setting(1, "", least=1)
-    rate: float = setting(0.5, "", above=0, below=1)
+    count: int = setting(1, "", ge=1)
+    rate: float = setting(0.5, "", gt=0, lt=1)
     on: bool = False
     inner: Inner = field(default_factory=Inner)
 
 
 @dataclass(frozen=True)
 class Others(Outer):
-    count: int = 5
+    count: int = other_default(Outer, "count", 5)
 
 
 @pytest.mark.parametrize(
@@ -101,7 +108,7 @@ def test_every_planner_bounds_and_explains_the_common_settings(training: Trainin
 def layered(
     dataset: SceneDataset, file: Path | None = None, options: dict[str, Any] | None = None
 ) -> TrainerConfig:
-    return layers(TrainerConfig, {"model": shapes(dataset)}, file, options)
+    return layers(TrainerConfig, {"model": CFMTrainer.model_settings(dataset)}, file, options)
 
 
 def test_each_layer_goes_over_the_one_before(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
@@ -155,7 +162,7 @@ def test_a_wrong_file_is_named(
     with pytest.raises(ConfigError, match=re.escape(message)):
         layered(tiny_dataset, file)
     with pytest.raises(ConfigError, match=r"absent\.yaml"):
-        read_config(tmp_path / "absent.yaml")
+        layered(tiny_dataset, tmp_path / "absent.yaml")
 
 
 def test_every_setting_is_an_option_and_stands_in_the_docs() -> None:
@@ -191,7 +198,7 @@ def test_print_config_prints_and_trains_nothing(
     text = capsys.readouterr().out
     file = tmp_path / "train.yaml"
     file.write_text(text)
-    config = build(TrainerConfig, read_config(file), source="")
+    config = layers(TrainerConfig, {}, file)
     assert (config.batch.scenes, config.flow.weights.lambda_vel) == (3, 0.7)
     assert not config.tensorboard
     assert not (tmp_path / "run").exists()
@@ -241,4 +248,4 @@ def test_without_a_terminal_each_report_is_a_plain_line(
     assert [line.split()[:3] for line in lines[:2]] == [["step", str(n), "loss"] for n in (1, 2)]
     assert lines[2].startswith("step 2 success ")
     assert lines[-1].endswith("checkpoint.pt: step 2")
-    assert read_config(out / "config.yaml")["steps"] == 2
+    assert layers(TrainerConfig, {}, out / "config.yaml").steps == 2

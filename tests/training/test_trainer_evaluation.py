@@ -22,13 +22,12 @@ from anchorflow_training.evaluation import (
     flow_evaluator,
     judge,
     sample,
+    sample_picture,
     scores,
 )
-from anchorflow_training.held_out import split
-from anchorflow_training.patience import out_of_patience
-from anchorflow_training.pictures import sample_picture
+from anchorflow_training.run import without_progress
 from anchorflow_training.settings import ConfigError
-from anchorflow_training.trainer import CFMTrainer
+from anchorflow_training.trainer import CFMTrainer, split
 from anchorflow_trajectory.clearance import GridField, clearance_field
 from anchorflow_trajectory.cost import MotionLimits
 
@@ -233,9 +232,9 @@ def test_patience_stops_the_run_for_good(
 
 def test_an_equal_success_is_no_progress() -> None:
     rows = [{"success": value} for value in (0.1, 0.5, 0.5, 0.5)]
-    assert out_of_patience(rows, 2)
-    assert not out_of_patience(rows, 3)
-    assert not out_of_patience([], 1)
+    assert without_progress(rows, 2)
+    assert not without_progress(rows, 3)
+    assert not without_progress([], 1)
 
 
 def test_each_evaluation_leaves_a_picture_of_as_many_scenes_as_asked(

@@ -14,9 +14,9 @@ import torch
 
 from anchorflow_training.batches import FlowBatchConfig, draw_batch
 from anchorflow_training.config import FlowMatchingConfig, TrainerConfig
-from anchorflow_training.curve import Row
 from anchorflow_training.dataset import SceneDataset, open_dataset
-from anchorflow_training.flow_time import draw_flow_times
+from anchorflow_training.objective import draw_flow_times
+from anchorflow_training.record import Row
 from anchorflow_training.settings import ConfigError, build, merged, nested
 from anchorflow_training.trainer import CFMTrainer
 

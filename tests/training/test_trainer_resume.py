@@ -17,10 +17,9 @@ import torch
 
 from anchorflow_models import L2Config
 from anchorflow_training.batches import Batch, FlowBatchConfig
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, restore_model
 from anchorflow_training.config import EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.restore import restore_model
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 
 INTERVAL = 4

@@ -14,7 +14,7 @@ from anchorflow_training.data import (
     TrajectoryStatistics,
     create_dataloader,
 )
-from anchorflow_training.data.derivatives import central_differences, unwrap_heading
+from anchorflow_training.data.statistics import central_differences, unwrap_heading
 from anchorflow_training.data.synthetic import KINDS
 
 

@@ -20,11 +20,14 @@ from anchorflow_driving.errors import LogError
 from anchorflow_driving.geometry import boxes_overlap, into_frame
 from anchorflow_driving.window import Vehicle
 from anchorflow_training.dataset import DatasetError
-from anchorflow_training.v2x.boxes import read_boxes, without_own
 from anchorflow_training.v2x.dataset import make_pairs, open_pairs
 from anchorflow_training.v2x.evaluation import baselines, constant_velocity, judge
-from anchorflow_training.v2x.recording import read_recording
-from anchorflow_training.v2x.verify import verify_recording
+from anchorflow_training.v2x.recording import (
+    read_boxes,
+    read_recording,
+    verify_recording,
+    without_own,
+)
 
 SIZE = (48, 32)
 SCENES = 5

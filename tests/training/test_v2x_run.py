@@ -17,15 +17,13 @@ from anchorflow_driving.cooperative.crossings import draw_crossing
 from anchorflow_driving.cooperative.layout import write_recording
 from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig
 from anchorflow_training.batches import BatchConfig
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, restore_model
 from anchorflow_training.config import JudgeConfig
-from anchorflow_training.restore import restore_model
+from anchorflow_training.pretrained import load_pretrained
 from anchorflow_training.settings import ConfigError
-from anchorflow_training.v2x.config import LossConfig, V2XRunConfig
 from anchorflow_training.v2x.dataset import PairDataset, make_pairs
 from anchorflow_training.v2x.evaluation import judge
-from anchorflow_training.v2x.pretrained import load_pretrained
-from anchorflow_training.v2x.run import V2XRun
+from anchorflow_training.v2x.run import LossConfig, V2XRun, V2XRunConfig
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -9,15 +9,21 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_training.dataset import SceneDataset, own_time_states
-from anchorflow_training.reflection import reflection
-from anchorflow_training.settings import setting
+from anchorflow_training.settings import ConfigError, setting
+
+SIGNS = np.array([1.0, -1.0, -1.0], np.float32)  # of x, y and heading
+
+
+def reflection(dim: int, *, fields: int = 1) -> NDArray[np.float32]:
+    """Signs [fields * D] that reflect as many fields of D numbers: 3 for p, v, a."""
+    return np.tile(SIGNS[:dim], fields)
+
 
 Batch = dict[str, NDArray[Any]]
 
@@ -37,8 +43,8 @@ INPUTS = (
 class BatchConfig:
     """scenes: B"""
 
-    scenes: int = setting(16, "Scenes a batch.", least=1)
-    seed: int = setting(0, "Of weights, batches and noise.", least=0)
+    scenes: int = setting(16, "Scenes a batch.", ge=1)
+    seed: int = setting(0, "Of weights, batches and noise.", ge=0)
 
     @property
     def per_scene(self) -> int:
@@ -50,7 +56,7 @@ class BatchConfig:
 class SampledBatchConfig(BatchConfig):
     """samples: N a scene (each trajectory is used samples / M times)"""
 
-    samples: int = setting(32, "Samples a scene.", least=1)
+    samples: int = setting(32, "Samples a scene.", ge=1)
 
     @property
     def per_scene(self) -> int:
@@ -151,13 +157,6 @@ def mirror(batch: Batch) -> None:
         batch["starts"][..., :-1] *= signs
 
 
-def batches(
-    dataset: SceneDataset, config: FlowBatchConfig, indices: Iterable[int]
-) -> Generator[Batch]:
-    """The batches of these numbers."""
-    return prefetched(partial(draw_batch, dataset, config), indices)
-
-
 def prefetched(
     draw: Callable[[int], Batch], indices: Iterable[int], *, threads: int = 1
 ) -> Generator[Batch]:
@@ -170,3 +169,30 @@ def prefetched(
                 yield ahead.popleft().result()
         while ahead:
             yield ahead.popleft().result()
+
+
+def left_to_learn(
+    count: int,
+    *,
+    of: str,
+    held_out: int,
+    batch: BatchConfig,
+    log: NDArray[np.integer] | None = None,
+) -> int:
+    """How many of `count`, which `of` names, are trained on; raises `ConfigError` if too few.
+
+    log: [count], ascending: the log of each. None is parted, since its windows show one another's
+        futures: the one that `held_out` reaches into is held out whole
+    """
+    if held_out >= count:
+        raise ConfigError(f"evaluation.held_out: expected less than {count}, {of}, got {held_out}")
+    left = count - held_out
+    less = "evaluation.held_out"
+    if log is not None and held_out:
+        left = int(np.searchsorted(log, log[left]))
+        less = f"the logs of {less}"
+    if left < batch.scenes:
+        raise ConfigError(
+            f"batch.scenes: expected at most {left}, {of} less {less}, got {batch.scenes}"
+        )
+    return left

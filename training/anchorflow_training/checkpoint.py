@@ -1,9 +1,9 @@
-"""Checkpoints: one file that holds weights, optimiser, configuration, data provenance and curve."""
+"""Checkpoints: written, read, restored to a model or a run, and averaged."""
 
 from __future__ import annotations
 
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,11 @@ import torch
 from torch import Tensor
 
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_models.registry import UNNAMED
+from anchorflow_models import L2SafetyCFM
+from anchorflow_models.registry import UNNAMED, Planner, planner_named
+from anchorflow_training.atomic_write import atomic_write
+from anchorflow_training.config import RunConfig
+from anchorflow_training.settings import ConfigError, build
 
 
 class CheckpointError(AnchorFlowError):
@@ -52,14 +56,11 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     Raises:
         CheckpointError: there is no place to write.
     """
-    draft = path.with_suffix(".tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        torch.save(vars(checkpoint), draft)
-        draft.replace(path)
+        with atomic_write(path) as file:
+            torch.save(vars(checkpoint), file)
     except (OSError, RuntimeError) as error:
-        with suppress(OSError):
-            draft.unlink(missing_ok=True)
         # Of a full disk torch says no more than at which byte it noticed.
         why = error if isinstance(error, OSError) else "it broke off, as on a full disk"
         raise CheckpointError(f"{path}: expected a place to write ({why})") from error
@@ -79,3 +80,147 @@ def load_checkpoint(path: Path) -> Checkpoint:
         return Checkpoint(**saved)
     except TypeError as error:
         raise CheckpointError(f"{path}: not a checkpoint of this version ({error})") from error
+
+
+def restore_model(checkpoint: Checkpoint) -> Any:
+    """The trained model with its averaged weights, ready to use; raises `CheckpointError`."""
+    planner, config = _planner(checkpoint), saved_model_config(checkpoint)
+    model = planner.create(config)
+    try:
+        model.load_state_dict(checkpoint.average)
+    except RuntimeError as error:
+        raise CheckpointError(f"the weights do not fit the model ({error})") from error
+    return model.eval()
+
+
+def restore_flow(checkpoint: Checkpoint) -> L2SafetyCFM:
+    """FlowMP's flow, for what works with no other planner; raises `CheckpointError`."""
+    if checkpoint.planner != "flowmp":
+        raise CheckpointError(f"expected a checkpoint of flowmp, got one of {checkpoint.planner}")
+    return restore_model(checkpoint)
+
+
+def saved_model_config(checkpoint: Checkpoint) -> Any:
+    """The model's part of a checkpoint's configuration; what it does not name has its default."""
+    try:
+        return build(_planner(checkpoint).config, checkpoint.config["model"], source="checkpoint")
+    except ConfigError as error:
+        raise CheckpointError(str(error)) from error
+
+
+def resumable(path: Path, config: RunConfig) -> Checkpoint | None:
+    """The checkpoint at `path`, if one is there; raises `CheckpointError` if of another model.
+
+    What a field's metadata calls `free` decides nothing of the weights: it may change on the way.
+    """
+    if not path.exists():
+        return None
+    saved = load_checkpoint(path)
+    _check_same(path, "planner", saved.planner, config.planner)
+    then = saved_model_config(saved)
+    for name, (old, new) in other_weights(then, config.model).items():
+        _check_same(path, f"model.{name}", old, new)
+    return saved
+
+
+def weights_before(path: str, config: RunConfig) -> dict[str, Tensor]:
+    """The averaged weights of the checkpoint that a run begins with; raises `ConfigError`."""
+    saved = load_checkpoint(Path(path))
+    if saved.planner != config.planner:
+        raise ConfigError(
+            f"before: {path}: expected a checkpoint of {config.planner}, got one of {saved.planner}"
+        )
+    before = restore_model(saved)
+    for name, (old, new) in other_weights(saved_model_config(saved), config.model).items():
+        if new and not old and _may_come_later(config.model, name):
+            continue
+        raise ConfigError(f"before: {path}: expected model.{name} {new!r}, got {old!r}")
+    return before.state_dict()
+
+
+def other_weights(then: Any, now: Any) -> dict[str, tuple[Any, Any]]:
+    """What decides the weights and differs between two configurations of a model, by field."""
+    names = [part.name for part in fields(now) if not part.metadata.get("free")]
+    both = {name: (getattr(then, name), getattr(now, name)) for name in names}
+    return {name: (old, new) for name, (old, new) in both.items() if old != new}
+
+
+def _may_come_later(config: Any, name: str) -> bool:
+    """Whether a part of the network may begin anew where the run before had none."""
+    (part,) = (part for part in fields(config) if part.name == name)
+    return part.metadata.get("may_come_later", False)
+
+
+def _check_same(path: Path, name: str, old: Any, new: Any) -> None:
+    if old != new:
+        raise CheckpointError(
+            f"{path}: expected {name} {old!r}, as it was trained, got {new!r}; "
+            "another folder begins a new run"
+        )
+
+
+def _planner(checkpoint: Checkpoint) -> Planner:
+    try:
+        return planner_named(checkpoint.planner)
+    except ValueError as error:
+        raise CheckpointError(str(error)) from error
+
+
+TOKENIZER = "_extra_state"  # of V2X-VLM
+COUNTER = "num_batches_tracked"  # of batch normalisation
+
+
+def mean_checkpoint(paths: Sequence[Path]) -> Checkpoint:
+    """The last of some checkpoints of one network, its averaged weights the mean of all of theirs.
+
+    Weights that began alike and then learnt on, for longer or from other data, may have a mean
+    that is better than each (Wortsman et al., *Model soups*, ICML 2022); weights that began apart
+    do not.
+
+    Raises:
+        CheckpointError: one cannot be read, or is of another planner, network or tokenizer than
+            the last.
+    """
+    *others, last = [load_checkpoint(path) for path in paths]
+    wanted = saved_model_config(last)
+    for path, other in zip(paths, others, strict=False):
+        if other.planner != last.planner:
+            raise CheckpointError(f"{path}: expected {last.planner}, got {other.planner}")
+        for name, (old, new) in other_weights(saved_model_config(other), wanted).items():
+            raise CheckpointError(f"{path}: expected model.{name} {new!r}, got {old!r}")
+        for name, value in last.average.items():
+            if _decides(name, value) and not torch.equal(other.average[name], value):
+                what = "tokenizer" if name == TOKENIZER else name
+                raise CheckpointError(f"{path}: expected the {what} of {paths[-1]}, got another")
+    every = [*others, last]
+    average = {
+        name: torch.stack([each.average[name] for each in every]).mean(0)
+        if value.is_floating_point()
+        else value
+        for name, value in last.average.items()
+    }
+    parts = [{"steps": each.step, "data": each.data} for each in every]
+    return replace(last, average=average, mean_of=parts)
+
+
+def _decides(name: str, value: Tensor) -> bool:
+    """Whether an entry is no weight and has no mean, but says what the weights are for."""
+    return not value.is_floating_point() and not name.endswith(COUNTER)
+
+
+CURVE_POINTS = 40
+
+
+def provenance(checkpoint: Checkpoint) -> dict[str, Any]:
+    """Steps, configuration, data and a thinned loss curve; of a student its teacher too, and of a
+    mean what it is the mean of.
+    """
+    stride = max(1, len(checkpoint.curve) // CURVE_POINTS)
+    more = {"teacher": checkpoint.teacher, "mean_of": checkpoint.mean_of}
+    return {
+        "steps": checkpoint.step,
+        "config": checkpoint.config,
+        "data": checkpoint.data,
+        "loss": [[row["step"], round(row["loss"], 4)] for row in checkpoint.curve[::stride]],
+        **{name: value for name, value in more.items() if value},
+    }

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract.fields import LIMITS
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_driving.errors import UNREADABLE
-from anchorflow_training.whole_file import whole_file
+from anchorflow_training.atomic_write import atomic_write
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.routes import MOST_ROUTES
 from anchorflow_trajectory.scene import Scene
@@ -305,7 +305,7 @@ def write_meta(path: Path, meta: Mapping[str, Any]) -> None:
     """
     file = path / "dataset.json"
     try:
-        with whole_file(file) as stream:
+        with atomic_write(file) as stream:
             stream.write(json.dumps(meta, indent=1).encode())
     except OSError as error:
         raise DatasetError(f"{file}: expected a place to write ({error})") from error

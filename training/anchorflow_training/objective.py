@@ -1,17 +1,61 @@
-"""The flow-matching loss of a planner, as one module that a trainer can wrap and spread."""
+"""The flow-matching loss of FlowMP: flow times, the coupling of noise and data, the prior."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor, nn
 
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.flow_matching import flow_matching_loss, interpolate
+from anchorflow_models.flowmp.config import L2Config
+from anchorflow_models.flowmp.frame import Frame
+from anchorflow_training.batches import reflection
 from anchorflow_training.config import FlowMatchingConfig
-from anchorflow_training.coupling import couple
-from anchorflow_training.flow_time import draw_flow_times
+from anchorflow_training.dataset import SceneDataset, own_time_states
+from anchorflow_trajectory.spline import spline_basis
+
+
+def draw_flow_times(
+    config: FlowMatchingConfig, shape: tuple[int, ...], generator: torch.Generator
+) -> Tensor:
+    """Flow times in [0, 1] of the given shape.
+
+    uniform       every time alike
+    logit_normal  sigmoid of a Gaussian: most between the ends (Esser et al., 2024)
+    late          density k t^(k - 1), k = `late_power`: near the data, where schedules step most
+    """
+    if config.flow_time == "logit_normal":
+        normal = torch.randn(shape, generator=generator)
+        return torch.sigmoid(config.logit_mean + config.logit_std * normal)
+    t = torch.rand(shape, generator=generator)
+    return t ** (1.0 / config.late_power) if config.flow_time == "late" else t
+
+
+FloatArray = NDArray[np.float32]
+
+
+def couple(start: FloatArray, end: FloatArray, *, groups: NDArray[np.integer]) -> NDArray[np.int64]:
+    """For each scene, the order of `end` that brings it nearest to `start`: [B, N].
+
+    start, end: [B, N, Q], points to be compared by squared distance.
+    groups: [B, N]; what stands in one stays in it.
+    """
+    order = np.tile(np.arange(start.shape[1]), (len(start), 1))
+    for scene, labels in enumerate(groups):
+        for label in np.unique(labels):
+            own = np.flatnonzero(labels == label)
+            distance = _distance(start[scene, own], end[scene, own])
+            order[scene, own] = own[linear_sum_assignment(distance)[1]]
+    return order
+
+
+def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    return (a**2).sum(-1)[:, None] - 2 * a @ b.T + (b**2).sum(-1)
 
 
 class FlowObjective(nn.Module):
@@ -57,3 +101,55 @@ def paired(x_0: Tensor, data: Tensor, route: Tensor, dim: int) -> Tensor:
     points = [x[:, :, ::4, :dim].flatten(2).cpu().numpy() for x in (data, x_0)]
     order = torch.from_numpy(couple(*points, groups=route.cpu().numpy())).to(x_0.device)
     return torch.take_along_dim(x_0, order[..., None, None], 1)
+
+
+def prior_covariance(
+    dataset: SceneDataset, config: L2Config, *, scenes: int = 4000, mirrored: bool = True
+) -> np.ndarray:
+    """Covariance [R, R] of what trajectories begin with, or differ by from their route's spline.
+
+    Control points in (D, F) order and shares of `Frame.spread`, then log duration. A trajectory
+    counts as much as in the loss.
+
+    mirrored: count every scene's reflection too, as in training, so nothing leans to one side
+    """
+    arrays = dataset.arrays
+    quality = np.ones(arrays["states"].shape[:2])
+    if dataset.mean_quality is not None:
+        quality = arrays["quality"]
+    counted = np.flatnonzero(quality.any(1))
+    picked = counted[np.linspace(0, len(counted) - 1, min(scenes, len(counted))).astype(int)]
+    dataset.check_finite(picked)
+    flat = np.concatenate([_residuals(dataset, config, scene) for scene in picked])
+    share = quality[picked].reshape(-1)
+    # A scene with a horizon says nothing of how durations spread where they are open.
+    is_open = np.repeat(arrays["limits"][picked, 3] <= 0, arrays["states"].shape[1])
+    open_share = share[is_open].sum() / share.sum()
+    if open_share > 0:
+        flat[:, -1] /= np.sqrt(open_share)
+    if mirrored:
+        signs = np.repeat(reflection(config.dim), flat.shape[1] // config.dim)
+        flat = np.concatenate([flat, flat * np.append(signs, 1.0)])
+        share = np.tile(share, 2)
+    return (flat * share[:, None]).T.astype(np.float64) @ flat / share.sum()
+
+
+def _residuals(dataset: SceneDataset, config: L2Config, scene: np.integer) -> np.ndarray:
+    """[M, R] of one scene, in its axes."""
+    arrays = {name: array[scene] for name, array in dataset.arrays.items()}
+    ends = (torch.from_numpy(arrays[n][None, : config.dim].copy()) for n in ("x_curr", "x_goal"))
+    frame = Frame.between(*ends)
+    if "starts" in arrays:
+        points = arrays["starts"][:, :-1].reshape(len(arrays["starts"]), config.dim, -1)
+        longer = arrays["starts"][:, -1:]
+    else:
+        basis = spline_basis(
+            config.num_steps, num_control_points=config.num_control_points, degree=config.degree
+        )
+        states = own_time_states(arrays["states"], arrays["durations"])
+        residual = states - arrays["route_states"][arrays["route"]]
+        points = basis.fit_free(residual[..., :-1]).swapaxes(0, 1)
+        longer = residual[:, 0, -1:]
+    turned = np.einsum("mdf,de->mef", points, frame.rotation[0].numpy())
+    shares = turned.reshape(len(points), -1) / frame.spread.item()
+    return np.concatenate([shares, longer], -1)

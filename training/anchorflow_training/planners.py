@@ -9,21 +9,19 @@ from typing import Any
 
 from anchorflow_models.registry import UNNAMED
 from anchorflow_training.config import RunConfig, TrainerConfig
-from anchorflow_training.config_file import planner_in
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRun,
     DiffusionDriveRunConfig,
 )
 from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
-from anchorflow_training.driving.kept_logs import open_logs
+from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.windows import open_windows
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
-from anchorflow_training.settings import ConfigError
+from anchorflow_training.settings import ConfigError, planner_in
 from anchorflow_training.trainer import CFMTrainer
-from anchorflow_training.v2x.config import V2XRunConfig
 from anchorflow_training.v2x.dataset import open_pairs
-from anchorflow_training.v2x.run import V2XRun
+from anchorflow_training.v2x.run import V2XRun, V2XRunConfig
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,52 @@
-"""What a run leaves in its folder beside checkpoints: curves, pictures, TensorBoard's files."""
+"""Files of a run beside checkpoints: curves as JSON lines, pictures, TensorBoard events."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import json
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
 
+from anchorflow_training.atomic_write import atomic_write
 from anchorflow_training.checkpoint import CheckpointError
-from anchorflow_training.curve import LineFile, Row
-from anchorflow_training.pictures import save_picture
-from anchorflow_training.tensorboard import Board
+
+Row = dict[str, float]
+Picture = NDArray[np.uint8]
+"""[height, width, 3]"""
+
+
+class RunningMean:
+    """Means of named terms over the steps since the last report."""
+
+    def __init__(self, state: Mapping[str, Any] | None = None) -> None:
+        state = state or {"count": 0, "sums": {}}
+        self.count: int = state["count"]
+        sums = state["sums"].items()
+        self.sums: dict[str, Tensor] = {n: torch.tensor(v, dtype=torch.float64) for n, v in sums}
+
+    def add(self, terms: Mapping[str, Tensor]) -> None:
+        """Add the terms of a step; tensors stay on their device, so nothing waits for a GPU."""
+        self.count += 1
+        for name, value in terms.items():
+            self.sums[name] = self.sums[name].to(value) + value if name in self.sums else value
+
+    def means(self) -> Row:
+        return {name: float(total) / self.count for name, total in self.sums.items()}
+
+    def state(self) -> dict[str, Any]:
+        """Return the sums for a checkpoint, so that a resumed run reports the same means."""
+        return {"count": self.count, "sums": {n: float(v) for n, v in self.sums.items()}}
 
 
 class RunRecord:
-    """Opened at a step: rows of the checkpoint are kept, what was written later is dropped.
+    """The files of a run, opened at a step: the checkpoint's rows stay, later ones are dropped.
 
     Raises:
         CheckpointError: there is no place to write, at any call.
@@ -31,30 +61,38 @@ class RunRecord:
         evaluations: Iterable[Row],
         tensorboard: bool,
     ) -> None:
-        self.out = out
+        self.out, self.board = out, None
         with self._writing():
-            self.curve = LineFile(out / "curve.jsonl", curve)
-            self.evaluations = LineFile(out / "evaluations.jsonl", evaluations)
-            self.board = Board(out / "tensorboard", step=step) if tensorboard else None
+            out.mkdir(parents=True, exist_ok=True)
+            for name, rows in (("curve", curve), ("evaluations", evaluations)):
+                with atomic_write(out / f"{name}.jsonl") as file:
+                    file.write("".join(json.dumps(row) + "\n" for row in rows).encode())
+            if tensorboard:
+                folder = str(out / "tensorboard")
+                self.board = SummaryWriter(folder, purge_step=step + 1 if step else None)
 
     def report(self, step: int, row: Row) -> None:
         with self._writing():
-            self.curve.append({"step": step, **row})
-            self._scalars("train", step, row)
+            self._append("curve", "train", step, row)
 
-    def evaluation(self, step: int, row: Row, picture: NDArray[np.uint8] | None) -> None:
-        """picture: [height, width, 3]"""
+    def evaluation(self, step: int, row: Row, picture: Picture | None) -> None:
         with self._writing():
-            self.evaluations.append({"step": step, **row})
             if picture is not None:
-                save_picture(self.out / "samples" / f"{step:06d}.png", picture)
-                if self.board:
-                    self.board.picture(picture, step=step)
-            self._scalars("validation", step, row)
+                from matplotlib.image import imsave
 
-    def _scalars(self, group: str, step: int, row: Row) -> None:
+                file = self.out / "samples" / f"{step:06d}.png"
+                file.parent.mkdir(parents=True, exist_ok=True)
+                imsave(file, picture)
+                if self.board:
+                    self.board.add_image("anchors", picture, step, dataformats="HWC")
+            self._append("evaluations", "validation", step, row)
+
+    def _append(self, name: str, group: str, step: int, row: Row) -> None:
+        with (self.out / f"{name}.jsonl").open("a") as file:
+            file.write(json.dumps({"step": step, **row}) + "\n")
         if self.board:
-            self.board.scalars(group, row, step=step)
+            for key, value in row.items():
+                self.board.add_scalar(f"{group}/{key}", value, step)
             self.board.flush()
 
     @contextmanager

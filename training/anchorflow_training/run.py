@@ -1,12 +1,13 @@
-"""A training run: AdamW, warm-up and cosine, EMA, checkpoints, resume, evaluations.
+"""The training loop: AdamW, warm-up and cosine, EMA, checkpoints, resume, evaluations.
 
-What is learnt, from what and how it is judged, a subclass says: `CFMTrainer` for a flow,
-`Distiller` for a student. `anchorflow_training.planners` names the one of each planner.
+A subclass says what one planner learns: its objective, its batches and its evaluation.
+`anchorflow_training.planners` lists the subclass of each planner.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
@@ -16,51 +17,78 @@ from pathlib import Path
 from reprlib import repr as shortened
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.optim.swa_utils import get_ema_multi_avg_fn
 
 from anchorflow_models.registry import planner_named
-from anchorflow_training.average import update_average
-from anchorflow_training.batches import Batch
-from anchorflow_training.checkpoint import Checkpoint, CheckpointError, save_checkpoint
+from anchorflow_training.batches import Batch, prefetched
+from anchorflow_training.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    resumable,
+    save_checkpoint,
+    weights_before,
+)
 from anchorflow_training.config import RunConfig
-from anchorflow_training.curve import Row, RunningMean
-from anchorflow_training.devices import make_fabric
-from anchorflow_training.divergence import check_finite
-from anchorflow_training.learning_rate import rate_share
-from anchorflow_training.patience import out_of_patience
-from anchorflow_training.record import RunRecord
-from anchorflow_training.restore import resumable, weights_before
+from anchorflow_training.fabric import check_finite, make_fabric
+from anchorflow_training.record import Picture, Row, RunningMean, RunRecord
 from anchorflow_training.settings import ConfigError
 
 Report = Callable[[int, Row], None]
-Picture = NDArray[np.uint8]
-"""[height, width, 3]"""
 
 SEED_STRIDE = 1_000_003  # between the noise of one seed and of the next
 SEEDS = 2**64  # that torch has
-LARGEST_RATE = 1e37
-"""Of learning: AdamW's first step is ten times as long, and has to be a number of float32."""
+MAX_RATE = 1e37
+"""AdamW's first step is ten times as long, and must be a number of float32."""
+FINAL_RATE = 0.01  # share of the peak learning rate at which the cosine ends
+
+
+def rate_share(step: int, *, warmup: int, steps: int) -> float:
+    """Return the learning rate at a step as a share of its peak: linear warm-up, then a cosine."""
+    if step < warmup:
+        return (step + 1) / warmup
+    done = (step - warmup) / max(1, steps - warmup)
+    return FINAL_RATE + (1 - FINAL_RATE) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
+
+
+@torch.no_grad()
+def update_average(
+    average: dict[str, Tensor], model: nn.Module, *, decay: float, step: int
+) -> None:
+    """Move the average towards the weights, in place; early in a run it follows faster."""
+    moving = get_ema_multi_avg_fn(min(decay, (1 + step) / (10 + step)))
+    for name, value in model.state_dict().items():
+        if value.is_floating_point():
+            moving([average[name]], [value], 0)
+        else:
+            average[name].copy_(value)
+
+
+def without_progress(evaluations: Sequence[Mapping[str, float]], patience: int) -> bool:
+    """Return whether the best success is `patience` evaluations old; never if patience is 0."""
+    successes = [row["success"] for row in evaluations]
+    since = len(successes) - 1 - successes.index(max(successes)) if successes else 0
+    return 0 < patience <= since
 
 
 class TrainingRun(ABC):
-    """Trains one model; `fit` may be called again after any interruption.
+    """Train one model; `fit` may be called again after any interruption.
 
     curve: a row a report, the means of the loss and its terms since the last one
-    evaluations: a row an evaluation, where scenes are held out
+    evaluations: a row an evaluation, if scenes are held out
+    loaders: threads that prepare batches ahead
 
     Raises:
         ConfigError: the configuration does not fit the dataset, the machine or the run `before`.
         CheckpointError: the folder's checkpoint is of another model, teacher or dataset.
     """
 
+    loaders = 1
+
     def __init__(self, config: RunConfig, out: Path) -> None:
-        if config.learning_rate > LARGEST_RATE:
-            raise ConfigError(
-                f"learning_rate: expected at most {LARGEST_RATE:g}, got {config.learning_rate:g}"
-            )
+        if (rate := config.learning_rate) > MAX_RATE:
+            raise ConfigError(f"learning_rate: expected at most {MAX_RATE:g}, got {rate:g}")
         for name in config.begins_with if config.before is not None else ():
             if value := getattr(config, name):
                 raise ConfigError(
@@ -98,49 +126,53 @@ class TrainingRun(ABC):
     @staticmethod
     @abstractmethod
     def model_settings(data: Any) -> Mapping[str, Any]:
-        """What the data fix of the model's configuration."""
+        """Return the settings of the model that the data require."""
 
     def called_parts(self, model: Any) -> Iterable[nn.Module]:
-        """The parts of a model that are called, which can be compiled."""
+        """Return the parts of a model that are called, which can be compiled."""
         return model.children()
 
     @abstractmethod
     def begin(self, model: Any) -> None:
-        """Give a model of random weights what it begins with, where no run was `before`."""
+        """Initialise a model of random weights from the data, unless a run was `before`."""
 
     def begin_after(self, model: Any, weights: Mapping[str, Tensor]) -> None:
-        """Give a model what it begins with where a run was `before`: the weights of that."""
+        """Initialise a model with the weights of the run `before`."""
         model.load_state_dict(weights)
 
     @abstractmethod
     def new_objective(self, model: Any) -> nn.Module:
-        """The loss to train the model on, and its terms: (batch, *draws) -> (loss, terms).
+        """Return the loss to train the model on: (batch, *draws) -> (loss, terms).
 
-        Its draw(scenes, samples, generator) gives the draws, what is random in the loss: on the
-        CPU, so alike on every device.
+        Its draw(scenes, samples, generator) returns the draws, all that is random in the loss: on
+        the CPU, so alike on every device.
         """
 
     @abstractmethod
+    def batch(self, index: int) -> Batch:
+        """Return the batch of a number, always the same."""
+
     def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        """The batches of these numbers, each the same whenever it is asked for."""
+        """Return the batches of these numbers, prepared ahead."""
+        return prefetched(self.batch, indices, threads=self.loaders)
 
     @property
     @abstractmethod
     def data(self) -> dict[str, Any]:
-        """What the checkpoint says of the data."""
+        """The description of the data in the checkpoint."""
 
     @property
     @abstractmethod
     def evaluates(self) -> bool:
-        """Whether there is something held out to judge the model on."""
+        """Whether data are held out to evaluate the model on."""
 
     @abstractmethod
     def evaluate(self, model: Any) -> tuple[Row, Picture | None]:
-        """What the model is worth on what is held out, which has a `success`, and how it looks."""
+        """Return the scores of the model on held-out data, with a `success`, and a picture."""
 
     @property
     def learnt_from(self) -> dict[str, Any]:
-        """What the checkpoint says of the teacher, if there is one."""
+        """The description of the teacher in the checkpoint, if there is one."""
         return {}
 
     @property
@@ -160,7 +192,7 @@ class TrainingRun(ABC):
     @property
     def stopped(self) -> bool:
         """Whether the validation judge has ended the training early."""
-        return out_of_patience(self.evaluations, self.run_config.evaluation.patience)
+        return without_progress(self.evaluations, self.run_config.evaluation.patience)
 
     def fit(self, report: Report = lambda *_: None) -> None:
         """Train to `config.steps` or until the judge sees no more progress.

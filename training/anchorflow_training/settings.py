@@ -1,37 +1,63 @@
-"""Nested frozen dataclasses from mappings: every key checked, every value converted and bounded."""
+"""Settings of a run: dataclasses that pydantic fills from a dataset, a YAML file and options.
+
+Each later layer overrides the ones before it; an error names the layer, the setting and what it
+expects.
+"""
 
 from __future__ import annotations
 
 import difflib
-import math
-import types
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import yaml
+from pydantic import ConfigDict, ValidationError, create_model
 
 from anchorflow_client.errors import AnchorFlowError
 
-Kind = TypeVar("Kind")
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
-WORDS = {"true": True, "false": False}
+    from anchorflow_training.config import RunConfig
+
+Kind = TypeVar("Kind")
+Run = TypeVar("Run", bound="RunConfig")
+
+PLANNER = "planner"  # the key of a planner's name, beside the settings of its run
 BOUNDS = {
-    "least": ("at least", lambda value, bound: value >= bound),
-    "most": ("at most", lambda value, bound: value <= bound),
-    "above": ("more than", lambda value, bound: value > bound),
-    "below": ("less than", lambda value, bound: value < bound),
+    "greater_than_equal": "at least {ge:g}",
+    "less_than_equal": "at most {le:g}",
+    "greater_than": "more than {gt:g}",
+    "less_than": "less than {lt:g}",
+    "finite_number": "a finite number",
 }
+KINDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+    "string": "text",
+    "tuple": "a list",
+    "dataclass": "keys and values",
+}
+"""What pydantic expected, by the first word of its error's type."""
 
 
 class ConfigError(AnchorFlowError):
-    """A setting is unknown or not what it should be; the message names it and where it stood."""
+    """A setting is unknown or has a wrong value; the message names it and its source."""
 
 
 def setting(default: Any, about: str, **bounds: float) -> Any:
-    """A dataclass field that explains itself; bounds are `least`, `most`, `above` and `below`.
+    """Return a dataclass field with a description and pydantic's bounds: `ge`, `le`, `gt`, `lt`."""
+    return field(default=default, metadata={"description": about, **bounds})
 
-    A subclass that gives it another default alone keeps them.
-    """
-    return field(default=default, metadata={"about": about, **bounds})
+
+def other_default(kind: type, name: str, default: Any) -> Any:
+    """Return a field of `kind` with another default."""
+    (base,) = (each for each in fields(kind) if each.name == name)
+    return field(default=default, metadata=base.metadata)
 
 
 @dataclass(frozen=True)
@@ -43,26 +69,31 @@ class Setting:
     default: Any
     about: str
 
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The values of a `Literal`; empty for other types."""
+        return get_args(self.hint) if get_origin(self.hint) is Literal else ()
+
 
 def settings(kind: type, prefix: str = "") -> Iterator[Setting]:
-    """Every leaf of a nested dataclass, in order."""
+    """Yield every leaf of a nested dataclass, in order."""
     hints = get_type_hints(kind)
     for part in fields(kind):
         path, hint = prefix + part.name, hints[part.name]
         if is_dataclass(hint):
             yield from settings(hint, f"{path}.")  # type: ignore[arg-type]
         else:
-            yield Setting(path, hint, part.default, _metadata(kind, part.name).get("about", ""))
+            yield Setting(path, hint, part.default, part.metadata.get("description", ""))
 
 
 def nested(path: str, value: Any) -> dict[str, Any]:
-    """{"a": {"b": value}} for the path "a.b"."""
+    """Return {"a": {"b": value}} for the path "a.b"."""
     first, _, rest = path.partition(".")
     return {first: nested(rest, value) if rest else value}
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """`base` with the leaves of `over` laid on it."""
+    """Return `base` with its leaves overridden by those of `over`."""
     result = dict(base)
     for name, value in over.items():
         both = isinstance(value, Mapping) and isinstance(result.get(name), Mapping)
@@ -70,50 +101,46 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def checked(kind: type, values: Mapping[str, Any], *, source: str, prefix: str = "") -> dict:
-    """The values of a mapping, which need not be complete, converted to the fields' types.
-
-    source: the file or option that the values come from, for the message of `ConfigError`
-    """
-    hints, parts = get_type_hints(kind), {part.name: part for part in fields(kind)}
-    result = {}
-    for name, value in values.items():
-        path = f"{prefix}{name}"
-        if name not in parts:
-            raise ConfigError(f"{source}: unknown key {path!r}{_nearest(str(name), list(parts))}")
-        hint = hints[name]
-        if is_dataclass(hint):
-            if not isinstance(value, Mapping):
-                raise ConfigError(f"{source}: {path}: expected keys and values, got {value!r}")
-            result[name] = checked(hint, value, source=source, prefix=f"{path}.")  # type: ignore[arg-type]
-            continue
-        try:
-            result[name] = _converted(value, hint)
-            _check_bounds(result[name], _metadata(kind, name))
-        except ValueError as error:
-            raise ConfigError(f"{source}: {path}: {error}, got {value!r}") from error
-    return result
-
-
 def build(kind: type[Kind], values: Mapping[str, Any], *, source: str) -> Kind:
-    """The dataclass of a mapping; what it does not name keeps its default."""
-    try:
-        return _assembled(kind, checked(kind, values, source=source))
-    except ValueError as error:
-        raise ConfigError(f"{source}: {error}") from error
+    """Return the dataclass of a mapping; missing values keep their defaults."""
+    return _filled(kind, {source: values})
 
 
-def _assembled(kind: type[Kind], values: Mapping[str, Any]) -> Kind:
-    hints = get_type_hints(kind)
-    given = {
-        name: _assembled(hints[name], value) if is_dataclass(hints[name]) else value
-        for name, value in values.items()
-    }
-    return kind(**given)
+def layers(
+    kind: type[Run],
+    base: Mapping[str, Any],
+    file: Path | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Run:
+    """Return the configuration of the defaults, `base`, the file and the options, in this order.
+
+    options: by dotted path, `{"batch.scenes": 8}`
+    """
+    given = {"dataset": base}
+    if file:
+        given[str(file)] = _of_planner(file, kind)
+    typed: dict[str, Any] = {}
+    for path, value in (options or {}).items():
+        typed = merged(typed, nested(path, value))
+    return _filled(kind, given | {"command line": typed})
+
+
+def planner_in(path: Path) -> str | None:
+    """Return the planner that a YAML file names, if any; raise `ConfigError`."""
+    planner = _read(path).get(PLANNER)
+    if not isinstance(planner, str | None):
+        raise ConfigError(f"{path}: {PLANNER}: expected a planner's name, got {planner!r}")
+    return planner
+
+
+def config_text(config: RunConfig) -> str:
+    """Return the whole configuration as the YAML that `layers` reads."""
+    named = {PLANNER: config.planner, **asdict(config)}
+    return yaml.safe_dump(_plain(named), sort_keys=False)
 
 
 def check_fixed(config: Any, fixed: Mapping[str, Any], *, by: str, prefix: str = "model.") -> None:
-    """Raise `ConfigError` where a setting is not what the data, which `by` names, fix it to."""
+    """Raise `ConfigError` if a setting differs from what the data, named in `by`, require."""
     for name, value in fixed.items():
         own = getattr(config, name)
         if isinstance(value, Mapping):
@@ -122,79 +149,92 @@ def check_fixed(config: Any, fixed: Mapping[str, Any], *, by: str, prefix: str =
             raise ConfigError(f"{prefix}{name}: expected {value}, as {by} have, got {own}")
 
 
-def choices(hint: Any) -> tuple[str, ...]:
-    """What a setting may be, where its type lists it."""
-    return get_args(hint) if get_origin(hint) is Literal else ()
+def _of_planner(path: Path, kind: type[RunConfig]) -> dict[str, Any]:
+    values = _read(path)
+    planner = values.pop(PLANNER, kind.planner)
+    if planner != kind.planner:
+        raise ConfigError(f"{path}: {PLANNER}: expected {kind.planner!r}, got {planner!r}")
+    return values
 
 
-def _nearest(name: str, known: list[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(known)}"
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        values = yaml.safe_load(path.read_text()) or {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: {error}") from error
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{path}: expected keys and values, got {type(values).__name__}")
+    return dict(values)
 
 
-def _converted(value: Any, hint: Any) -> Any:
-    """The value as the type says; text is read as a command line gives it. Raises ValueError."""
-    origin, inner = get_origin(hint), get_args(hint)
-    if origin in (Union, types.UnionType):
-        if value is None or value in ("none", "null"):
-            return None
-        return _converted(value, next(kind for kind in inner if kind is not type(None)))
-    if origin is Literal:
-        if value not in inner:
-            raise ValueError(f"expected one of {', '.join(map(str, inner))}")
-        return value
-    if origin is tuple:
-        return _sequence(value, inner)
-    return _scalar(value, hint)
+def _plain(value: Any) -> Any:
+    """Return the value with lists for tuples: YAML has no other sequence."""
+    if isinstance(value, Mapping):
+        return {name: _plain(item) for name, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-def _sequence(value: Any, inner: tuple[Any, ...]) -> tuple[Any, ...]:
-    items = value.split(",") if isinstance(value, str) else value
-    if not isinstance(items, list | tuple):
-        raise ValueError("expected a list")
-    kinds = [inner[0]] * len(items) if inner[-1:] == (...,) else list(inner)
-    if len(kinds) != len(items):
-        raise ValueError(f"expected {len(kinds)} values")
-    return tuple(_converted(item, kind) for item, kind in zip(items, kinds, strict=True))
+@lru_cache
+def _validator(kind: type) -> Any:
+    return create_model(
+        kind.__name__, __config__=ConfigDict(allow_inf_nan=False), value=(kind, ...)
+    )
 
 
-def _scalar(value: Any, kind: type) -> Any:
-    if kind is bool:
-        value = WORDS.get(value, value) if isinstance(value, str) else value
-    elif isinstance(value, bool) and kind in (int, float):
-        raise ValueError(f"expected {_named(kind)}")
-    # YAML 1.1 takes 1e-3, without a point, for text.
-    elif kind in (int, float) and isinstance(value, str | int):
-        try:
-            value = kind(value)
-        except (ValueError, OverflowError):
-            raise ValueError(f"expected {_named(kind)}") from None
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError("expected a finite number")
-    if not isinstance(value, kind):
-        raise ValueError(f"expected {_named(kind)}")
-    return value
+def _filled(kind: type[Kind], given: Mapping[str, Mapping[str, Any]]) -> Kind:
+    """Return the dataclass of layers of values, by their sources."""
+    values: dict[str, Any] = {}
+    for source, each in given.items():
+        values = merged(values, _parsed(kind, each, source=source))
+    try:
+        return _validator(kind).model_validate({"value": values}).value
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ConfigError(_explained(kind, first, given)) from error
 
 
-def _named(kind: type) -> str:
-    names = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
-    return names.get(kind, kind.__name__)
+def _parsed(kind: Any, values: Mapping[str, Any], *, source: str, prefix: str = "") -> dict:
+    """Return the values with text split as on a command line; raise on an unknown key."""
+    hints, known = get_type_hints(kind), [part.name for part in fields(kind)]
+    result = {}
+    for name, value in values.items():
+        path = f"{prefix}{name}"
+        if name not in known:
+            near = difflib.get_close_matches(str(name), known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
+            raise ConfigError(f"{source}: unknown key {path!r}; {hint}")
+        hint = hints[name]
+        if is_dataclass(hint) and isinstance(value, Mapping):
+            value = _parsed(hint, value, source=source, prefix=f"{path}.")
+        elif isinstance(value, bool) and hint in (int, float):
+            value = str(value)  # which pydantic would take for 0 or 1
+        elif value in ("none", "null") and type(None) in get_args(hint):
+            value = None
+        elif isinstance(value, str) and get_origin(hint) is tuple:
+            value = value.split(",")
+        result[name] = value
+    return result
 
 
-def _metadata(kind: type, name: str) -> Mapping[str, Any]:
-    """What is said of a field; of one that only has another default, what its base says."""
-    own = (getattr(base, "__dataclass_fields__", {}).get(name) for base in kind.__mro__)
-    return next((part.metadata for part in own if part is not None and part.metadata), {})
-
-
-def _check_bounds(value: Any, metadata: Mapping[str, Any]) -> None:
-    for name, (words, holds) in BOUNDS.items():
-        if name in metadata and value is not None and not holds(value, metadata[name]):
-            raise ValueError(f"expected {words} {metadata[name]}")
-
-
-def default_of(entry: Setting) -> Any:
-    """A leaf's default; every leaf of a configuration must have one."""
-    if entry.default is MISSING:
-        raise TypeError(f"{entry.path} has no default")
-    return entry.default
+def _explained(kind: type, error: ErrorDetails, given: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return an error of pydantic as source, setting, expected and got."""
+    names = [part for part in error["loc"][1:] if isinstance(part, str)]
+    path, source, value = ".".join(names), "configuration", None
+    for name, values in given.items():
+        found: Any = values
+        for part in names:
+            found = found.get(part) if isinstance(found, Mapping) else None
+        source, value = (source, value) if found is None else (name, found)
+    what, context = error["type"], error.get("ctx", {})
+    if what == "value_error":
+        return f"{source}: {context['error']}"
+    leaf = next((each for each in settings(kind) if each.path == path), None)
+    if what in BOUNDS:
+        expected = BOUNDS[what].format(**context)
+    elif leaf and leaf.choices:
+        expected = f"one of {', '.join(leaf.choices)}"
+    elif leaf and what in ("missing", "too_long"):
+        expected = f"{len(get_args(leaf.hint))} values"
+    else:
+        expected = KINDS.get(what.partition("_")[0], error["msg"])
+    return f"{source}: {path}: expected {expected}, got {value!r}"

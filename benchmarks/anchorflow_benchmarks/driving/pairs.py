@@ -26,7 +26,7 @@ from anchorflow_driving.cooperative.layout import CooperativeFrame, write_record
 from anchorflow_service.local import LocalClient
 from anchorflow_training.v2x.dataset import PairDataset, make_pairs, open_pairs
 from anchorflow_training.v2x.evaluation import HORIZONS_S, baselines, judge
-from anchorflow_training.v2x.prompts import UNTOLD
+from anchorflow_training.v2x.text import UNTOLD
 
 UNSEEN_SEED = 90_000  # of the first crossing; `anchorflow data crossings` stays far below
 NOTE = (

@@ -10,7 +10,7 @@ from matplotlib.patheffects import withStroke
 from anchorflow_docs.pictures.marks import draw_ends, draw_map
 from anchorflow_docs.pictures.scenes import Stage, ways
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
-from anchorflow_training.data.homology import obstacle_points
+from anchorflow_training.data.inspection import obstacle_points
 from anchorflow_trajectory.drawing import draw_paths
 
 FAMILY, WAYS = "forest", 4

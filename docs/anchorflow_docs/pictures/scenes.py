@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, resolve_for_card
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.samplers.ode import FlowStates
-from anchorflow_training.data.homology import homology_classes, obstacle_points
+from anchorflow_training.data.inspection import homology_classes, obstacle_points
 from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import Scene

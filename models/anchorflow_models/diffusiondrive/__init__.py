@@ -3,13 +3,13 @@
 from anchorflow_models.diffusiondrive.config import DiffusionDriveConfig
 from anchorflow_models.diffusiondrive.planner import (
     DiffusionDriveV2,
-    Perceived,
+    PerceivedScene,
     create_diffusiondrive,
 )
 
 __all__ = [
     "DiffusionDriveConfig",
     "DiffusionDriveV2",
-    "Perceived",
+    "PerceivedScene",
     "create_diffusiondrive",
 ]

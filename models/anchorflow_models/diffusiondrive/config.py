@@ -48,7 +48,7 @@ class DiffusionDriveConfig:
         scorers look at a square as large as the LiDAR's that lies three eighths of its side farther
         ahead; published is not
     driven: whether the fine scorer's footprint and encounters look where a car drives that follows
-        a candidate (`anchorflow_models.tracking`), in place of its own poses; published is not
+        a candidate (`anchorflow_models.lqr_rollout`), in place of its own poses; published is not
     direction: whether both scorers also foretell how far a candidate drives against its lanes'
         direction (DDC), and multiply by it; published is not
     imitation: exponent of how likely a person would drive a candidate, in both scorers' scores;

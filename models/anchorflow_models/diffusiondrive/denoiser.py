@@ -7,18 +7,71 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
-from anchorflow_models.diffusiondrive.bev_attention import BevAttention
 from anchorflow_models.diffusiondrive.config import POSES, DiffusionDriveConfig
-from anchorflow_models.diffusiondrive.scene import SceneFeatures
 from anchorflow_models.diffusiondrive.trajectories import (
     POINT_FEATURES,
     TrajectorySpace,
     embedded_points,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
-from anchorflow_models.layers.embedding import sinusoidal
-from anchorflow_models.layers.zero import zero_linear
+from anchorflow_models.layers.blocks import zero_linear
+from anchorflow_models.layers.places import lookup_sum, sinusoidal
+from anchorflow_models.transfuser import bev_places
+
+
+@dataclass(frozen=True, eq=False)
+class SceneFeatures:
+    """Worked out once a scene; of bev and values a graph of its own has what it reads, for both.
+
+    bev: [B, W, H, H], of the square that the LiDAR sees, or with `ground_sight` of one before it
+    values: [B, L, H, H, W], what each layer of the denoiser looks up in it
+    agents: [B, Q, W], a query each
+    ego: [B, 1, W]
+    motion: [B, 4] the ego's velocity (m/s) and acceleration (m/s²), where the scorers are told it
+    foretold: [B, FORETOLD_TIMES, H', H] the share of each cell that others take at these times,
+        beyond the LiDAR's square too, where the scorers are told it
+    """
+
+    bev: Tensor
+    values: Tensor
+    agents: Tensor
+    ego: Tensor
+    motion: Tensor | None = None
+    foretold: Tensor | None = None
+
+
+FIRST_LOOK = 2.0
+"""Logit of the point that a head begins by looking at; the others' are 0."""
+
+
+class BevAttention(nn.Module):
+    """Each query takes the values at its trajectory's points, by weights of its own choice.
+
+    heads: shares of the values, each with weights of its own; several begin by looking at one point
+        each, from the first to the last
+    reach: m from the middle of the BEV to its edges; ahead: m by which it lies before the ego
+    """
+
+    def __init__(
+        self, width: int, *, points: int, heads: int, reach: float, ahead: float = 0.0
+    ) -> None:
+        super().__init__()
+        self.reach, self.ahead, self.heads = reach, ahead, heads
+        self.weights = nn.Linear(width, heads * points)
+        if heads > 1:
+            own = torch.arange(heads) * points // heads
+            with torch.no_grad():
+                self.weights.bias.copy_(FIRST_LOOK * F.one_hot(own, points).flatten())
+        self.out = nn.Linear(width, width)
+
+    def forward(self, queries: Tensor, points: Tensor, values: Tensor) -> Tensor:
+        """What to add to queries [B, N, W]; points: [B, N, T, 2] m; values: [B, H, H, W]"""
+        weights = self.weights(queries).unflatten(-1, (self.heads, -1)).softmax(-1)
+        places = bev_places(points, self.reach, ahead=self.ahead)
+        return self.out(lookup_sum(values, places, weights))
+
 
 LONGEST = 10_000.0  # wavelength of a diffusion time, in levels
 

@@ -21,12 +21,11 @@ from anchorflow_models.diffusiondrive.config import (
     STEP_S,
     DiffusionDriveConfig,
 )
-from anchorflow_models.diffusiondrive.denoiser import Denoiser
-from anchorflow_models.diffusiondrive.scene import SceneFeatures
+from anchorflow_models.diffusiondrive.denoiser import Denoiser, SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import CoarseScorer, FineScorer, Scored, least_of
 from anchorflow_models.diffusiondrive.trajectories import Variants
 from anchorflow_models.layers.attention import Decoder
-from anchorflow_models.layers.standstill import standing_still
+from anchorflow_models.layers.geometry import standing_still
 from anchorflow_models.transfuser import (
     AGENT_QUERIES,
     GROUND_WIDTH,
@@ -38,13 +37,13 @@ from anchorflow_models.transfuser import (
     FarSight,
     GroundSemanticHead,
     GroundSight,
-    Moving,
     OccupancyHead,
+    Perceived,
     SemanticHead,
     SweepMotion,
     TransfuserBackbone,
+    foretold_traffic,
     moved_ahead,
-    with_far,
 )
 
 Outputs: TypeAlias = dict[str, Tensor]
@@ -54,24 +53,10 @@ USUAL_CURVATURE = 0.03  # 1/m, of the outermost of the arcs that anchors are bef
 
 
 @dataclass(frozen=True, eq=False)
-class Perceived:
-    """What the network makes of camera, LiDAR and status.
-
-    agents: [B, Q, 5] x, y [m], heading [rad], length, width [m]; agent_logits: [B, Q]
-    semantics: logits [B, classes, h, w]
-    occupancy: logits [B, T, H/4, H/4] of where others will be when the poses are reached
-    upscaled: [B, C', H/4, H/4] the backbone's BEV
-    moving: where others are and how fast they move, with `encounters`; far: beyond the LiDAR
-    """
+class PerceivedScene(Perceived):
+    """Predictions beside the plan, and the scene that denoiser and scorers look at."""
 
     scene: SceneFeatures
-    agents: Tensor
-    agent_logits: Tensor
-    semantics: Tensor
-    occupancy: Tensor
-    upscaled: Tensor
-    moving: Moving | None
-    far: Moving | None
 
 
 class Perception(nn.Module):
@@ -120,7 +105,7 @@ class Perception(nn.Module):
         lidar: Tensor,
         ego_status: Tensor,
         lidar_before: Tensor | None = None,
-    ) -> Perceived:
+    ) -> PerceivedScene:
         """camera: uint8 [B, 3, H, W]; lidar, lidar_before: [B, 1, H', H'], as the backbone;
         ego_status: [B, 8]"""
         seen = self.backbone(camera, lidar, lidar_before)
@@ -133,16 +118,21 @@ class Perception(nn.Module):
         ego, motion = decoded[:, :1], None
         if self.tells_motion:
             ego, motion = ego + status, ego_status[:, MOTION]
-        moving = far = foretold = None
-        if self.sweeps is not None and self.far is not None:
-            before = torch.zeros_like(lidar) if lidar_before is None else lidar_before
-            moving, far = self.sweeps(lidar, before, seen.upscaled), self.far(camera)
-            foretold = self.sweeps.foretold(with_far(moving, far), FORETOLD_TIMES)
+        moving, far, foretold = foretold_traffic(
+            self.sweeps, self.far, (camera, lidar, lidar_before), seen.upscaled, FORETOLD_TIMES
+        )
         scene = SceneFeatures(bev, values, decoded[:, 1:], ego, motion, foretold)
         agents, logits = self.agents(scene.agents)
-        semantics = self.semantics(seen.upscaled if self.ground is None else bev)
-        occupancy = self.occupancy(seen.upscaled)
-        return Perceived(scene, agents, logits, semantics, occupancy, seen.upscaled, moving, far)
+        return PerceivedScene(
+            agents=agents,
+            agent_logits=logits,
+            semantics=self.semantics(seen.upscaled if self.ground is None else bev),
+            occupancy=self.occupancy(seen.upscaled),
+            upscaled=seen.upscaled,
+            moving=moving,
+            far=far,
+            scene=scene,
+        )
 
     def _joined(self, cells: Tensor, upscaled: Tensor, camera: Tensor, status: Tensor) -> Tensor:
         """The coarse cells [B, h h, W] over the fine ones [B, C, H, H] -> [B, W, H, H]"""

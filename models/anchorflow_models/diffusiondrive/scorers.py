@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models.diffusiondrive.bev_attention import BevAttention
 from anchorflow_models.diffusiondrive.config import POSES, STEP_S, DiffusionDriveConfig
-from anchorflow_models.diffusiondrive.scene import SceneFeatures
+from anchorflow_models.diffusiondrive.denoiser import BevAttention, SceneFeatures
 from anchorflow_models.diffusiondrive.trajectories import (
     HEADING_FEATURES,
     MOTION_FEATURES,
@@ -19,9 +18,9 @@ from anchorflow_models.diffusiondrive.trajectories import (
     motion_features,
 )
 from anchorflow_models.layers.attention import Attention, FeedForward
-from anchorflow_models.layers.scalar_head import scalar_head
+from anchorflow_models.layers.blocks import scalar_head
+from anchorflow_models.lqr_rollout import halved
 from anchorflow_models.sub_scores import SUB_SCORES, pdm_score
-from anchorflow_models.tracking import halved
 from anchorflow_models.transfuser import BevValues, Encounters, Footprint, driven_by_car
 
 DIRECTION = "DDC"

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, STEP_S, DiffusionDriveConfig
-from anchorflow_models.layers.embedding import sinusoidal
-from anchorflow_models.layers.in_float32 import in_float32
+from anchorflow_models.layers.geometry import in_float32
+from anchorflow_models.layers.places import sinusoidal
 from anchorflow_models.transfuser import MOTION, STATUS_UNITS
 
 POINT_FEATURES, HEADING_FEATURES = 64, 32

@@ -1,14 +1,53 @@
-"""The map's encoder: a residual CNN over a window, with a way back up to full size."""
+"""The map's encoder: the scene's window, a residual CNN over it, and map tokens."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.layers.residual import ResidualBlock
+from anchorflow_models.flowmp.frame import Frame
+from anchorflow_models.layers.attention import MAP_TOKEN_WIDTH
+from anchorflow_models.layers.blocks import ResidualBlock
+from anchorflow_models.layers.places import fourier_places, lookup_at
+
+NEAR, FAR = 0.25, 1.0  # m, the two scales at which clearance is resolved
+
+
+class MapWindow(nn.Module):
+    """Resamples maps of any size to the window and scales them.
+
+    cost_map: [B, C, H, W] in [0, 1]; clearance: [B, H, W] m
+    """
+
+    def __init__(self, map_channels: int, size: int) -> None:
+        super().__init__()
+        self.size = size
+        self.channels = 2 + map_channels
+
+    def forward(
+        self, cost_map: Tensor, map_geometry: Tensor, clearance: Tensor, frame: Frame
+    ) -> Tensor:
+        """[B, 2 + C, size, size]."""
+        maps = torch.cat([clearance[:, None], cost_map], 1)
+        size_x, size_y = torch.full((), maps.shape[3]), torch.full((), maps.shape[2])
+        begin_x, begin_y, resolution = map_geometry.split(1, 1)
+        extent_x, extent_y = resolution * size_x.to(maps), resolution * size_y.to(maps)
+        place_x, place_y = frame.window(self.size).unbind(-1)
+        x = (place_x - begin_x) / extent_x * 2 - 1
+        y = (place_y - begin_y) / extent_y * 2 - 1
+        # Not grid_sample: its ONNX form is newer than what some execution providers read.
+        seen = lookup_at(maps.permute(0, 2, 3, 1), x, y)
+        seen = seen.transpose(1, 2).unflatten(2, (self.size, self.size))
+        # Beyond the map's edge the robot's clearance goes on falling.
+        beyond = (x.abs() - 1).clamp(min=0) * extent_x / 2
+        beyond = beyond + (y.abs() - 1).clamp(min=0) * extent_y / 2
+        metres = seen[:, :1] - beyond.unflatten(1, (1, self.size, self.size))
+        return torch.cat([torch.tanh(metres / NEAR), torch.tanh(metres / FAR), seen[:, 1:]], 1)
+
 
 WIDTHS = (48, 64, 96)  # channels at a half, a quarter and an eighth of the window's size
 
@@ -81,3 +120,34 @@ def _places_first(weights: Tensor) -> Tensor:
 
 def _double(x: Tensor) -> Tensor:
     return F.interpolate(x, scale_factor=2.0, mode="nearest")
+
+
+class MapTokens(nn.Module):
+    """One token a cell of the encoder's coarse grid: what is there, and where that is.
+
+    widths: of the windows, in units of the nearest one's; each has a projection of its own
+    cells: a side of the coarse grid, the same for every window
+    """
+
+    places: Tensor  # [windows, cells^2, 4 octaves]
+
+    def __init__(self, coarse_channels: int, *, cells: int, widths: Sequence[float]) -> None:
+        super().__init__()
+        line = (torch.arange(cells) + 0.5) * (2.0 / cells) - 1.0
+        y, x = torch.meshgrid(line, line, indexing="ij")
+        centres = torch.stack([x, y], -1).reshape(-1, 2)
+        places = torch.stack([fourier_places(width * centres) for width in widths])
+        self.register_buffer("places", places)
+        self.projections = nn.ModuleList(
+            nn.Linear(coarse_channels + places.shape[-1], MAP_TOKEN_WIDTH) for _ in widths
+        )
+        self.norm = nn.LayerNorm(MAP_TOKEN_WIDTH)
+
+    def forward(self, coarse: Sequence[Tensor]) -> Tensor:
+        """Coarse features [B, E, cells, cells] of each window -> [B, windows * cells^2, Q]."""
+        tokens = []
+        for grid, places, project in zip(coarse, self.places, self.projections, strict=True):
+            cells = grid.flatten(2).transpose(1, 2)
+            where = places.expand(cells.shape[0], -1, -1)
+            tokens.append(project(torch.cat([cells, where], -1)))
+        return self.norm(torch.cat(tokens, 1))

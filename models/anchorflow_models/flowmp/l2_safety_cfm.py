@@ -18,18 +18,19 @@ from typing import ClassVar
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models.flowmp.condition_encoder import ConditionEncoder, Limits
 from anchorflow_models.flowmp.config import MAP_STRIDE, L2Config
-from anchorflow_models.flowmp.cost_map_encoder import CostMapEncoder, MapEncoding
-from anchorflow_models.flowmp.frame import Frame
-from anchorflow_models.flowmp.map_tokens import MapTokens
+from anchorflow_models.flowmp.cost_map_encoder import (
+    CostMapEncoder,
+    MapEncoding,
+    MapTokens,
+    MapWindow,
+)
+from anchorflow_models.flowmp.frame import ConditionEncoder, Frame, Limits
 from anchorflow_models.flowmp.prior import TrajectoryPrior
 from anchorflow_models.flowmp.transformer import FlowMPTransformer, create_flowmp_transformer
 from anchorflow_models.flowmp.unet1d import FlowMPUNet1D, create_flowmp_unet1d
-from anchorflow_models.flowmp.window import MapWindow
-from anchorflow_models.layers.embedding import PLACE_OCTAVES, fourier_places
-from anchorflow_models.layers.in_float32 import in_float32
-from anchorflow_models.layers.lookup import lookup
+from anchorflow_models.layers.geometry import in_float32
+from anchorflow_models.layers.places import PLACE_OCTAVES, fourier_places, lookup
 
 Context = dict[str, Tensor]
 

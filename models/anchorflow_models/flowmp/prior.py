@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.flowmp.frame import Frame
-from anchorflow_models.layers.in_float32 import in_float32
+from anchorflow_models.layers.geometry import in_float32
 from anchorflow_trajectory.spline import SplineBasis, spline_basis
 
 FIELDS = 3  # position and its derivatives by the trajectory's own time

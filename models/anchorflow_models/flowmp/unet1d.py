@@ -9,11 +9,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.flowmp.config import UNET_WIDTHS, check_choice
-from anchorflow_models.flowmp.vector_field import VectorField, repeat_last_step
-from anchorflow_models.layers.embedding import sinusoidal_positions
-from anchorflow_models.layers.film import GROUPS, FiLMBlock
-from anchorflow_models.layers.map_attention import MapAttention
-from anchorflow_models.layers.zero import zero_linear
+from anchorflow_models.flowmp.transformer import VectorField, repeat_last_step
+from anchorflow_models.layers.attention import MapAttention
+from anchorflow_models.layers.blocks import GROUPS, FiLMBlock, zero_linear
+from anchorflow_models.layers.places import sinusoidal_positions
 
 MULTIPLIERS = (1, 2, 4, 8)  # of the width, at T, T/2, T/4 and T/8 steps
 STRIDE = 2 ** (len(MULTIPLIERS) - 1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from anchorflow_models.layers.lookup import lookup
+from anchorflow_models.layers.places import lookup
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,9 @@ from __future__ import annotations
 from torch import Tensor, nn
 
 from anchorflow_models.goalflow.config import GoalFlowConfig
-from anchorflow_models.layers.adaln import AdaLNBlock, neutral_modulation
-from anchorflow_models.layers.embedding import GaussianFourierTime, sinusoidal_positions
-from anchorflow_models.layers.zero import zero_linear
+from anchorflow_models.layers.attention import AdaLNBlock, neutral_modulation
+from anchorflow_models.layers.blocks import zero_linear
+from anchorflow_models.layers.places import GaussianFourierTime, sinusoidal_positions
 
 CONTROLS = 2  # acceleration, curvature
 HEADS = 4

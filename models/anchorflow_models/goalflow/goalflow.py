@@ -40,9 +40,8 @@ from anchorflow_models.goalflow.trajectory_score import (
     met,
     trajectory_scores,
 )
-from anchorflow_models.layers.in_float32 import in_float32
-from anchorflow_models.layers.standstill import standing_still
-from anchorflow_models.tracking import SLOWEST_TURN, curvature_of
+from anchorflow_models.layers.geometry import in_float32, standing_still
+from anchorflow_models.lqr_rollout import SLOWEST_TURN, curvature_of
 
 Context = dict[str, Tensor]
 

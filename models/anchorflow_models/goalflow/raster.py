@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from anchorflow_models.layers.lookup import lookup
+from anchorflow_models.layers.places import lookup
 
 Extent = tuple[float, float, float, float]
 

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.layers.residual import ResidualBlock
+from anchorflow_models.layers.blocks import ResidualBlock
 from anchorflow_models.transfuser import STATUS
 
 STRIDE = 4  # cells of the raster a side of a cell of the features

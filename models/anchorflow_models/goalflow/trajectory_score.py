@@ -19,7 +19,7 @@ from torch import Tensor
 from anchorflow_models.goalflow.config import GoalFlowConfig
 from anchorflow_models.goalflow.goals import WayScores
 from anchorflow_models.goalflow.raster import at_places, at_times
-from anchorflow_models.tracking import WHEELBASE, Driven, Start, driven, halved
+from anchorflow_models.lqr_rollout import WHEELBASE, Driven, Start, driven, halved
 
 FRONT, REAR = 0.7823, -0.2177
 """Of the bumpers before the rear axle, in lengths (`anchorflow_driving.window.REAR_AXLE`)."""

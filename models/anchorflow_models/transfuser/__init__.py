@@ -1,31 +1,41 @@
 """The backbone of planners that see by camera and LiDAR, and its heads."""
 
 from anchorflow_models.transfuser.backbone import BevFeatures, FeaturePyramid, TransfuserBackbone
-from anchorflow_models.transfuser.bev_values import BevValues, bev_places
+from anchorflow_models.transfuser.camera_lift import (
+    GROUND_WIDTH,
+    FarSight,
+    GroundSight,
+    foretold_traffic,
+    moved_ahead,
+    with_far,
+)
 from anchorflow_models.transfuser.config import (
     LIDAR_BEFORE,
+    MOTION,
     SEMANTIC_STRIDE,
+    STATUS,
+    STATUS_UNITS,
     TransfuserConfig,
 )
-from anchorflow_models.transfuser.encounters import FORETOLD_S, Encounters, foretold_times
-from anchorflow_models.transfuser.far_sight import FarSight, with_far
 from anchorflow_models.transfuser.footprint import (
+    BevValues,
     Footprint,
     Places,
+    bev_places,
     driven_by_car,
     placed,
 )
-from anchorflow_models.transfuser.ground_sight import GROUND_WIDTH, GroundSight, moved_ahead
 from anchorflow_models.transfuser.heads import (
     AGENT_QUERIES,
     AGENT_STATE,
     AgentHead,
     GroundSemanticHead,
     OccupancyHead,
+    Perceived,
     SemanticHead,
 )
-from anchorflow_models.transfuser.status import MOTION, STATUS, STATUS_UNITS
-from anchorflow_models.transfuser.sweep_motion import Moving, SweepMotion
+from anchorflow_models.transfuser.lidar_flow import Moving, SweepMotion
+from anchorflow_models.transfuser.occupancy_lookup import FORETOLD_S, Encounters, foretold_times
 
 __all__ = [
     "AGENT_QUERIES",
@@ -48,6 +58,7 @@ __all__ = [
     "GroundSight",
     "Moving",
     "OccupancyHead",
+    "Perceived",
     "Places",
     "SemanticHead",
     "SweepMotion",
@@ -56,6 +67,7 @@ __all__ = [
     "bev_places",
     "driven_by_car",
     "foretold_times",
+    "foretold_traffic",
     "moved_ahead",
     "placed",
     "with_far",

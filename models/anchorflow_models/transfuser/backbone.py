@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.layers.attention import PreNormLayer
-from anchorflow_models.layers.pixels import PIXEL_MEAN, PIXEL_SPREAD
-from anchorflow_models.layers.zero import zero_conv
+from anchorflow_models.layers.blocks import PIXEL_MEAN, PIXEL_SPREAD, zero_conv
 from anchorflow_models.transfuser.config import TransfuserConfig
 
 

@@ -1,4 +1,4 @@
-"""The configuration of a Transfuser backbone."""
+"""The configuration of a Transfuser backbone, and the ego status beside it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from anchorflow_models.generation.checks import check
+
+STATUS = 8
+"""Numbers: the command as one of four, velocity x and y, acceleration x and y."""
+STATUS_UNITS = (1.0,) * 4 + (10.0,) * 2 + (3.0,) * 2
+"""What each is usually as large as: m/s and m/s²."""
+MOTION = slice(4, 8)
+"""Of the status, velocity and acceleration."""
+
 
 STEM_STRIDE = 2
 SEMANTIC_STRIDE = 4

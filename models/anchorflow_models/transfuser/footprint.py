@@ -1,4 +1,4 @@
-"""What a BEV shows where a trajectory's car would stand."""
+"""Values of a bird's-eye view where a trajectory's car would stand."""
 
 from __future__ import annotations
 
@@ -6,9 +6,34 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.layers.lookup import lookup
-from anchorflow_models.tracking import Start, driven
-from anchorflow_models.transfuser.bev_values import bev_places
+from anchorflow_models.layers.places import lookup
+from anchorflow_models.lqr_rollout import Start, driven
+
+
+class BevValues(nn.Module):
+    """What can be looked up in a BEV: a convolution, channels last."""
+
+    def __init__(self, channels: int, width: int, *, kernel: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(channels, width, kernel, padding=kernel // 2)
+
+    def forward(self, bev: Tensor) -> Tensor:
+        """[B, C, H, H] -> [B, H, H, W]"""
+        return F.relu(self.conv(bev)).permute(0, 2, 3, 1)
+
+
+def bev_places(points: Tensor, reach: float, *, beyond: float = 0.0, ahead: float = 0.0) -> Tensor:
+    """Points [..., 2] m, x forward and y left, as column and row from -1 to 1 of a BEV.
+
+    Its first row lies at the greatest x, its first column at the greatest y.
+
+    reach: m from the middle of the BEV to its edges; beyond: m by which it reaches farther ahead
+    ahead: m by which its middle lies before the ego
+    """
+    x, y = points.unbind(-1)
+    half = beyond / 2
+    return torch.stack([-y / reach, (ahead + half - x) / (reach + half)], -1)
+
 
 Places = tuple[tuple[float, float], ...]
 

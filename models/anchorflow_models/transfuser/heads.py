@@ -3,16 +3,38 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.transfuser.config import SEMANTIC_STRIDE, TransfuserConfig
+from anchorflow_models.transfuser.lidar_flow import Moving
 
 AGENT_QUERIES = 30
 AGENT_STATE = 5
 """x, y, heading, length, width"""
+
+
+@dataclass(frozen=True, eq=False)
+class Perceived:
+    """Predictions of a planner that sees by camera and LiDAR, beside its plan.
+
+    agents: [B, Q, 5] x, y [m], heading [rad], length, width [m]; agent_logits: [B, Q]
+    semantics: [B, classes, H/2, H] logits of the half before the ego
+    occupancy: [B, T, H/4, H/4] logits of where others will be when the poses are reached
+    upscaled: [B, C', H/4, H/4] the backbone's BEV
+    moving: others near by and their velocities, with `encounters`; far: those beyond the LiDAR
+    """
+
+    agents: Tensor
+    agent_logits: Tensor
+    semantics: Tensor
+    occupancy: Tensor
+    upscaled: Tensor
+    moving: Moving | None
+    far: Moving | None
 
 
 class SemanticHead(nn.Module):

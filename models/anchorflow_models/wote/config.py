@@ -72,7 +72,7 @@ class WoteConfig:
         the BEV look at a square as large as the LiDAR's that lies three eighths of its side farther
         ahead; published is not
     driven: whether footprint and encounters look where a car drives that follows an anchor
-        (`anchorflow_models.tracking`), in place of the anchor's own poses; published is not
+        (`anchorflow_models.lqr_rollout`), in place of the anchor's own poses; published is not
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.

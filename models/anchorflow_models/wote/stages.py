@@ -1,41 +1,60 @@
-"""What WoTE passes from stage to stage: what is seen, anchors moved, what follows from each."""
+"""Data that WoTE passes from stage to stage, and its first anchors."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
+from torch.nn import functional as F
 
-from anchorflow_models.transfuser import Moving
+from anchorflow_models.transfuser import Perceived
+
+FASTEST = 15.0  # m/s
+SHARPEST = 0.5 * math.pi  # rad in all
+GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+def arcs(count: int, *, steps: int, dt: float) -> Tensor:
+    """[count, steps, 3] poses on arcs at constant speed, spread evenly over speed and turn."""
+    k = torch.arange(count)
+    speed = FASTEST * (k + 0.5) / count
+    turn = SHARPEST * (2 * (GOLDEN * k % 1) - 1)
+    times = dt * torch.arange(1, steps + 1)
+    way, heading = speed[:, None] * times, turn[:, None] * times / times[-1]
+    # Of an arc that starts along x: the chord is sinc(heading / 2) of the way, at half the heading.
+    chord = way * torch.sinc(heading / (2 * math.pi))
+    return torch.stack([chord * (heading / 2).cos(), chord * (heading / 2).sin(), heading], -1)
+
+
+def cells(places: Tensor, *, size: int, reach: float, ahead: float = 0.0) -> Tensor:
+    """Which cell of a BEV a place lies in: [..., 2] m -> one-hot [..., size²].
+
+    The grid covers ±reach about a place that lies `ahead` of the ego; row 0 lies farthest ahead,
+    column 0 farthest left. A place beyond the edge counts to the cell at the edge.
+    """
+    middle = torch.tensor([ahead, 0.0]).to(places)
+    index = ((reach + middle - places) / (2 * reach) * size).floor().clamp(0, size - 1).long()
+    return F.one_hot(index[..., 0] * size + index[..., 1], size * size).to(places.dtype)
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What the sensors tell.
+class Seen(Perceived):
+    """Everything that the sensors show.
 
     bev: [B, M, W] tokens; ego: [B, W]
-    agents: [B, Q, 5] x, y, heading, length, width; agent_logits: [B, Q]
-    semantic_logits: [B, classes, H/2, H] of the half before the ego
-    occupancy_logits: [B, T, H/4, H/4] of where others will be when the poses are reached
-    upscaled: [B, C', H/4, H/4] the backbone's BEV
-    fine: [B, h, h, C] what footprints look up, where there are any
-    motion: [B, 4] the ego's velocity and acceleration, where it is asked what is driven
+    fine: [B, h, h, C] values that footprints look up, if there are any
+    motion: [B, 4] the ego's velocity and acceleration, with `driven`
     foretold: [B, L, H', H] the share of each cell that others take at `foretold_times`, with
-        encounters; moving: where they are and how fast they move; far: beyond the LiDAR
+        encounters
     """
 
     bev: Tensor
     ego: Tensor
-    agents: Tensor
-    agent_logits: Tensor
-    semantic_logits: Tensor
-    occupancy_logits: Tensor
-    upscaled: Tensor
     fine: Tensor | None
     motion: Tensor | None
     foretold: Tensor | None
-    moving: Moving | None
-    far: Moving | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,11 +1,15 @@
-"""The latent world model: what the BEV will be when the ego has driven an anchor."""
+"""The latent world model: the BEV after an anchor, and what that is worth."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from anchorflow_models.layers.attention import EncoderLayer
+from anchorflow_models.layers.blocks import scalar_head
+from anchorflow_models.sub_scores import SUB_SCORES
+from anchorflow_models.wote.config import RewardWeights
 
 
 class WorldModel(nn.Module):
@@ -53,3 +57,58 @@ def inject(bev: Tensor, cell: Tensor, ego: Tensor) -> Tensor:
     reach another.
     """
     return bev + cell[..., None] * ego[:, :, None]
+
+
+_NC, _DAC, _EP, _TTC, _C = range(len(SUB_SCORES))
+TINY = 1e-6
+
+
+class RewardHead(nn.Module):
+    """The present and a future BEV, and the ego in it, to rewards.
+
+    The first convolution is one of both BEVs, one upon the other, taken apart: its share of the
+    present is the same for all anchors.
+    """
+
+    def __init__(self, width: int, size: int) -> None:
+        super().__init__()
+        self.size = size
+        self.present = nn.Conv2d(width, width, 3, padding=1)
+        self.future = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.both = nn.Conv2d(width, width, 3, padding=1)
+        self.with_ego = nn.Linear(2 * width, width)
+        self.imitation = scalar_head(width)
+        self.simulation = nn.ModuleList(scalar_head(width) for _ in SUB_SCORES)
+
+    def forward(
+        self, ego: Tensor, bev: Tensor, future: Tensor, under: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """ego: [B, K, W]; bev: [B, M, W]; future: [B, K, M, W]; under: [B, K, W] of footprint
+        and encounters.
+
+        Returns logits of imitation [B, K] and of simulation [B, K, 5].
+        """
+        batch, count, cells, width = future.shape
+        images = self.future(self._image(future.reshape(batch * count, cells, width)))
+        present = self.present(self._image(bev))[:, None]
+        x = F.relu(images.unflatten(0, (batch, count)) + present).flatten(0, 1)
+        # ReLU and mean as one number a channel: what is anywhere counts.
+        seen = F.relu(self.both(x)).mean((-2, -1)).reshape(batch, count, width)
+        feature = self.with_ego(torch.cat([seen, ego], -1))
+        feature = F.relu(feature if under is None else feature + under)
+        simulated = torch.cat([head(feature) for head in self.simulation], -1)
+        return self.imitation(feature).squeeze(-1), simulated
+
+    def _image(self, tokens: Tensor) -> Tensor:
+        return tokens.transpose(1, 2).unflatten(-1, (self.size, self.size))
+
+
+def final_scores(imitation: Tensor, simulation: Tensor, weights: RewardWeights) -> Tensor:
+    """Scores [B, K] of logits [B, K] over all anchors and [B, K, 5]; higher is better."""
+    # In logarithms throughout, and by softplus: onnxruntime's sigmoid ends at that of -18.
+    log_im, log_sim = imitation.log_softmax(-1), -F.softplus(-simulation)
+    shares = torch.tensor([weights.ttc, weights.c, weights.ep]).clamp(min=TINY).log()
+    parts = torch.stack([log_sim[..., index] for index in (_TTC, _C, _EP)], -1)
+    rest = (parts + shares.to(parts)).logsumexp(-1)
+    safe = weights.nc * log_sim[..., _NC] + weights.dac * log_sim[..., _DAC]
+    return weights.im * log_im + safe + weights.rest * rest

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_models.layers.attention import Decoder, EncoderLayer
-from anchorflow_models.layers.standstill import standing_still
+from anchorflow_models.layers.geometry import standing_still
 from anchorflow_models.transfuser import (
     GROUND_WIDTH,
     MOTION,
@@ -29,14 +29,12 @@ from anchorflow_models.transfuser import (
     SweepMotion,
     TransfuserBackbone,
     driven_by_car,
+    foretold_traffic,
     moved_ahead,
-    with_far,
 )
-from anchorflow_models.wote.anchors import arcs, cells
 from anchorflow_models.wote.config import WoteConfig
-from anchorflow_models.wote.rewards import RewardHead, final_scores
-from anchorflow_models.wote.stages import Judged, Moved, Seen
-from anchorflow_models.wote.world_model import WorldModel
+from anchorflow_models.wote.stages import Judged, Moved, Seen, arcs, cells
+from anchorflow_models.wote.world_model import RewardHead, WorldModel, final_scores
 
 POSE = 3
 OFFSET_UNITS = (1.0, 1.0, 0.1)  # m, m, rad
@@ -168,7 +166,7 @@ class WoTE(nn.Module):
             **({} if seen.motion is None else {"ego_motion": seen.motion}),
             "agents": seen.agents,
             "agent_scores": seen.agent_logits.sigmoid(),
-            "bev_semantics": seen.semantic_logits.softmax(1),
+            "bev_semantics": seen.semantics.softmax(1),
         }
 
     def score(
@@ -227,26 +225,25 @@ class WoTE(nn.Module):
             tokens = moved_ahead(tokens, self.config.bev_rows) + self.ground_tokens(ground)
             fine, looked_up = torch.cat([fine, ground], 1), ground
         bev = tokens.flatten(2).transpose(1, 2) + self.keys
-        moving = far = foretold = None
-        if self.sweeps is not None and self.far is not None:
-            before = torch.zeros_like(lidar) if lidar_before is None else lidar_before
-            moving, far = self.sweeps(lidar, before, features.upscaled), self.far(camera)
-            foretold = self.sweeps.foretold(with_far(moving, far), self.config.foretold_times)
+        sensors = (camera, lidar, lidar_before)
+        moving, far, foretold = foretold_traffic(
+            self.sweeps, self.far, sensors, features.upscaled, self.config.foretold_times
+        )
         queries = self.agent_decoder(self.queries.expand(bev.shape[0], -1, -1), bev)
         agents, agent_logits = self.agent_head(queries)
         return Seen(
-            bev,
-            self.to_ego(status),
-            agents,
-            agent_logits,
-            self.semantics(looked_up),
-            self.occupancy(features.upscaled),
-            features.upscaled,
-            self.fine_values(fine) if self.config.footprint else None,
-            ego_status[:, MOTION] if self.config.driven else None,
-            foretold,
-            moving,
-            far,
+            agents=agents,
+            agent_logits=agent_logits,
+            semantics=self.semantics(looked_up),
+            occupancy=self.occupancy(features.upscaled),
+            upscaled=features.upscaled,
+            moving=moving,
+            far=far,
+            bev=bev,
+            ego=self.to_ego(status),
+            fine=self.fine_values(fine) if self.config.footprint else None,
+            motion=ego_status[:, MOTION] if self.config.driven else None,
+            foretold=foretold,
         )
 
     def encoded_anchors(self) -> Tensor:

@@ -11,9 +11,9 @@ import pytest
 from anchorflow_driving.cooperative.layout import write_recording
 from anchorflow_driving.waypoints import collides
 from anchorflow_driving.window import Scenes
-from anchorflow_training.v2x.boxes import EGO
 from anchorflow_training.v2x.dataset import make_pairs
 from anchorflow_training.v2x.evaluation import judge
+from anchorflow_training.v2x.recording import EGO
 
 
 def test_a_plan_hits_in_the_recording_whom_it_hits_in_the_log(

@@ -17,7 +17,7 @@ from anchorflow_models.diffusiondrive.trajectories import (
     embedded_poses,
     motion_features,
 )
-from anchorflow_models.layers.lookup import lookup_sum
+from anchorflow_models.layers.places import lookup_sum
 from anchorflow_models.transfuser import bev_places
 
 TIMES = 0.5 * torch.arange(1, 9)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from anchorflow_driving.sensors import cameras as simulated
 from anchorflow_models.transfuser import GROUND_WIDTH, GroundSight
-from anchorflow_models.transfuser.camera_places import AHEAD, CAMERAS, FOCAL, HEIGHT
+from anchorflow_models.transfuser.camera_lift import AHEAD, CAMERAS, FOCAL, HEIGHT
 
 SIZE = CONFIG.upscaled_size
 FRONT, LEFT, RIGHT = CAMERAS

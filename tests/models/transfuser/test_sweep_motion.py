@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_models.transfuser import Moving, SweepMotion
-from anchorflow_models.transfuser.sweep_motion import EYES, SEARCHED, correlation, foretold
+from anchorflow_models.transfuser.lidar_flow import EYES, SEARCHED, correlation, foretold
 
 SIDE = 2 * SEARCHED + 1
 

@@ -12,7 +12,7 @@ from tiny_wote import TINY, sensors, tiny_wote
 from torch import Tensor
 
 from anchorflow_models.wote import RewardWeights, WoTE, WoteConfig, final_scores
-from anchorflow_models.wote.anchors import arcs, cells
+from anchorflow_models.wote.stages import arcs, cells
 from anchorflow_models.wote.world_model import WorldModel, inject
 
 pytestmark = pytest.mark.usefixtures("no_grad")

@@ -13,8 +13,8 @@ from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_training.batches import FlowBatchConfig, dealt_routes, encode_inputs, prior_means
 from anchorflow_training.config import AnchorJudgeConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.distillation.config import DistillConfig, TeacherConfig
 from anchorflow_training.distillation.distiller import Distiller
+from anchorflow_training.distillation.pairs import DistillConfig, TeacherConfig
 from anchorflow_training.distillation.teacher import Teacher
 
 MODEL = L2Config(map_size=16, map_scales=1, feature_channels=4)

@@ -13,7 +13,7 @@ from anchorflow_client.contract import RefineSpec
 from anchorflow_models import L2Config
 from anchorflow_models.generation.scenes import basis_of, encode_inputs
 from anchorflow_training.distillation.anchor_cost import AnchorCost
-from anchorflow_training.distillation.pair_batches import reference_times
+from anchorflow_training.distillation.pairs import reference_times
 from anchorflow_training.scenes import RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.refine import Refiner

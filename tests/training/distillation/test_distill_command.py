@@ -17,10 +17,9 @@ from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
 from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.config import TrainerConfig
-from anchorflow_training.config_file import read_config
 from anchorflow_training.dataset import SceneDataset, open_dataset
-from anchorflow_training.distillation.config import DistillConfig
-from anchorflow_training.settings import build, settings
+from anchorflow_training.distillation.pairs import DistillConfig
+from anchorflow_training.settings import layers, settings
 from anchorflow_training.trainer import CFMTrainer
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "distillation.md"
@@ -61,8 +60,8 @@ def test_a_student_is_taught_exported_and_plans(
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "pairs 1/1"
     assert lines[-1].endswith("checkpoint.pt: step 2")
-    found = read_config(out / "config.yaml", DistillConfig)
-    assert (found["schedule"], found["cost_weight"]) == ((0.0, 0.8, 1.0), 0.5)
+    found = layers(DistillConfig, {}, out / "config.yaml")
+    assert (found.schedule, found.cost_weight) == ((0.0, 0.8, 1.0), 0.5)
 
     said = command(out / "checkpoint.pt", "--out", bundle, name="export")
     assert said in ("", "0")
@@ -91,12 +90,12 @@ def test_the_teacher_s_network_and_the_options_make_the_configuration(
     checkpoint: Path, tiny_dataset_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "distill.yaml"
-    file.write_text("method: reflow\nteacher: {pairs: 8}\nmodel: {layers: 1}\n")
+    file.write_text("cost_margin: 0.2\nteacher: {pairs: 8}\nmodel: {layers: 1}\n")
     words = ["--print-config", "--config", file, "--layers", "3", "--noise-scale", "1.5"]
     command(checkpoint, tiny_dataset_path, *words)
     file.write_text(capsys.readouterr().out)
-    printed = build(DistillConfig, read_config(file, DistillConfig), source="")
-    assert printed.method == "reflow"
+    printed = layers(DistillConfig, {}, file)
+    assert printed.cost_margin == 0.2
     assert (printed.teacher.pairs, printed.teacher.noise_scale) == (8, 1.5)
     assert (printed.model.layers, printed.model.map_size) == (3, 16)
 
@@ -107,7 +106,7 @@ def test_the_teacher_s_network_and_the_options_make_the_configuration(
         ([], "--out: expected the folder of the run"),
         (["--schedule", "0.5,1", "--out", "x"], "schedule: expected its first time to be 0"),
         (["--model.degree", "5", "--out", "x"], "model.degree: expected 4, the teacher's"),
-        (["--method", "magic"], "method: expected one of reflow, direct, consistency"),
+        (["--method", "magic"], "method: expected one of direct"),
     ],
 )
 def test_a_wrong_command_is_one_line_and_makes_nothing(

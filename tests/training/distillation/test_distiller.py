@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.checkpoint import (
+    CheckpointError,
+    load_checkpoint,
+    provenance,
+    restore_model,
+)
 from anchorflow_training.config import AnchorJudgeConfig, TrainerConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.distillation.config import DistillConfig
 from anchorflow_training.distillation.distiller import Distiller
-from anchorflow_training.distillation.student import student_schedule
-from anchorflow_training.distillation.teacher import Teacher
-from anchorflow_training.provenance import provenance
-from anchorflow_training.restore import restore_model
+from anchorflow_training.distillation.pairs import DistillConfig
+from anchorflow_training.distillation.teacher import Teacher, student_schedule
 from anchorflow_training.settings import ConfigError, build
 from anchorflow_training.trainer import CFMTrainer
-
-METHODS = ("reflow", "direct", "consistency")
 
 Distil = Callable[..., Distiller]
 
@@ -31,12 +31,9 @@ class Cut(Exception):
     """Ends a run from its own report."""
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_only_the_student_learns(
-    method: str, config: DistillConfig, distil: Distil, teacher: Teacher
-) -> None:
+def test_only_the_student_learns(config: DistillConfig, distil: Distil, teacher: Teacher) -> None:
     before = {name: value.clone() for name, value in teacher.model.state_dict().items()}
-    run = distil(replace(config, method=method, steps=2))
+    run = distil(replace(config, steps=2))
     run.fit()
     moved = [
         name for name, value in run.model.named_parameters() if not torch.equal(value, before[name])
@@ -50,11 +47,10 @@ def test_only_the_student_learns(
     assert held == {id(p) for p in run.model.parameters()}
 
 
-@pytest.mark.parametrize("method", METHODS)
 def test_rounded_products_leave_the_loss_nearly_where_it_was(
-    method: str, config: DistillConfig, distil: Distil
+    config: DistillConfig, distil: Distil
 ) -> None:
-    settings = replace(config, method=method, steps=1)
+    settings = replace(config, steps=1)
     exact, rounded = distil(settings, "exact"), distil(replace(settings, precision="bfloat16"), "b")
     for run in (exact, rounded):
         run.fit()
@@ -69,11 +65,10 @@ def test_the_student_comes_nearer_to_its_teacher(config: DistillConfig, distil: 
     assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:5])
 
 
-@pytest.mark.parametrize("method", METHODS)
 def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(
-    method: str, config: DistillConfig, distil: Distil
+    config: DistillConfig, distil: Distil
 ) -> None:
-    settings = replace(config, method=method)
+    settings = config
 
     def cut(step: int, _: dict[str, float]) -> None:
         if step == 3:
@@ -114,12 +109,12 @@ def test_the_checkpoint_knows_its_teacher_and_its_steps(
 def test_a_run_goes_on_with_its_own_teacher_only(
     config: DistillConfig, distil: Distil, teacher: Teacher, tiny_dataset: SceneDataset
 ) -> None:
-    settings = replace(config, method="consistency", steps=1)
+    settings = replace(config, steps=1)
     run = distil(settings)
     run.fit()
     other = replace(teacher, sha256="6" * 64)
     with pytest.raises(CheckpointError, match=r"checkpoint\.pt: expected the teacher .*555.*666"):
-        Distiller(settings, tiny_dataset, run.out, teacher=other, pairs=run.out)
+        Distiller(settings, tiny_dataset, run.out, teacher=other, pairs=run.out / "other")
     flow = TrainerConfig(model=settings.model, batch=settings.batch)
     with pytest.raises(CheckpointError, match=r"expected the teacher .* got None"):
         CFMTrainer(flow, tiny_dataset, run.out)
@@ -157,19 +152,13 @@ def test_only_scenes_that_are_trained_on_have_pairs(config: DistillConfig, disti
     assert distil(replace(config, teacher=few)).bank.scenes == 3
 
 
-def test_consistency_makes_no_pairs(config: DistillConfig, distil: Distil) -> None:
-    run = distil(replace(config, method="consistency", steps=1))
-    run.fit()
-    assert not run.bank.path.exists()
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
         ({"schedule": [0.2, 1.0]}, "schedule: expected its first time to be 0"),
         ({"schedule": [0.0, 0.9]}, "strictly rising to 1"),
-        ({"method": "magic"}, "method: expected one of reflow, direct, consistency"),
-        ({"at_schedule": 1.5}, "at_schedule: expected at most 1"),
+        ({"method": "magic"}, "method: expected one of direct"),
+        ({"cost_weight": -1}, "cost_weight: expected at least 0"),
         ({"teacher": {"method": "rk5"}}, "teacher.method: expected one of euler"),
     ],
 )

@@ -14,11 +14,15 @@ import torch
 from anchorflow_client.contract import uniform_schedule
 from anchorflow_training.batches import FlowBatchConfig, dealt_routes, encode_inputs, prior_means
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.distillation.config import TeacherConfig
-from anchorflow_training.distillation.make_pairs import make_pairs
-from anchorflow_training.distillation.normalised_flow import NormalisedFlow, drawn, start_states
-from anchorflow_training.distillation.pair_batches import PAIRED, PairBatches
-from anchorflow_training.distillation.pairs import PairBank, open_pairs
+from anchorflow_training.distillation.objective import NormalisedFlow, drawn, start_states
+from anchorflow_training.distillation.pairs import (
+    PAIRED,
+    PairBank,
+    PairBatches,
+    TeacherConfig,
+    make_pairs,
+    open_pairs,
+)
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_training.settings import ConfigError
 from anchorflow_trajectory.ode.tableau import HEUN

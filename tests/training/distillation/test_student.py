@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_training.distillation.normalised_flow import NormalisedFlow, start_states
-from anchorflow_training.distillation.student import begin_as, check_student, kept_blocks
-from anchorflow_training.distillation.teacher import Teacher
+from anchorflow_training.distillation.objective import NormalisedFlow, start_states
+from anchorflow_training.distillation.teacher import Teacher, begin_as, check_student, kept_blocks
 from anchorflow_training.settings import ConfigError
 
 Inputs = dict[str, torch.Tensor]

@@ -18,11 +18,10 @@ from torch import Tensor
 
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
-from anchorflow_models.layers.standstill import standing_still
+from anchorflow_models.layers.geometry import standing_still
 from anchorflow_training.batches import MirroredBatchConfig
-from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.config import HeldOutConfig
-from anchorflow_training.config_file import config_text
 from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.diffusiondrive_objective import (
     DiffusionDriveObjective,
@@ -33,11 +32,10 @@ from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRun,
     DiffusionDriveRunConfig,
 )
-from anchorflow_training.driving.kept_logs import open_logs
-from anchorflow_training.driving.semantic_bev import CLASSES
+from anchorflow_training.driving.labels import CLASSES
+from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
-from anchorflow_training.restore import restore_model
-from anchorflow_training.settings import ConfigError
+from anchorflow_training.settings import ConfigError, config_text
 
 B, T = 2, 8
 MODEL = replace(TINY, classes=len(CLASSES))
@@ -366,7 +364,7 @@ def test_candidates_in_a_reflected_window_are_judged_as_in_that_of_the_mirrored_
     aside = np.linspace(-4.0, 4.0, 5)[:, None, None] * [0.0, 1.0, 0.0]
     plans = window.recorded(np.arange(1, 9) / 2) + aside
     run = DiffusionDriveRun(CONFIG, logs, tmp_path)
-    drawn = run.batch(np.array([0]), mirrored=mirrored)
+    drawn = run.window_batch(np.array([0]), mirrored=mirrored)
     given = {name: torch.from_numpy(drawn[name]) for name in ("window", "signs")}
     told = run.new_objective(run.model)._judged(
         given, torch.from_numpy(plans).float()[None], torch.tensor([torch.nan])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_training.driving.diffusiondrive_losses import (
+from anchorflow_training.driving.losses import (
     FAILED,
     advantages,
     pose_distance,

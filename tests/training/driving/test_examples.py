@@ -12,8 +12,8 @@ from anchorflow_driving.drivers import PLAN_TIMES, idm
 from anchorflow_driving.log import DRIVEN
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving.diffusiondrive_objective import examples
-from anchorflow_training.driving.examples import example
-from anchorflow_training.driving.likeness import shares
+from anchorflow_training.driving.labels import example
+from anchorflow_training.driving.losses import shares
 
 
 def test_what_was_recorded_is_an_example() -> None:

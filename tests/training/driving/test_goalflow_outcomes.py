@@ -19,14 +19,13 @@ from anchorflow_driving.window import Scenes
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.config import PACES
 from anchorflow_training.batches import SampledBatchConfig
-from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving.goalflow_objective import GoalFlowObjectiveConfig
 from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
-from anchorflow_training.driving.kept_logs import open_logs
+from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.proposals import PER_WAY, proposals
 from anchorflow_training.driving.windows import DrivingWindows, open_windows
-from anchorflow_training.restore import restore_model
 from anchorflow_training.settings import ConfigError
 
 FLOW = GoalFlowRunConfig(

@@ -12,7 +12,7 @@ from driven_bend import write_bends
 
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_training.batches import SampledBatchConfig
-from anchorflow_training.checkpoint import load_checkpoint
+from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving.goalflow_objective import (
     GoalFlowObjective,
@@ -24,7 +24,6 @@ from anchorflow_training.driving.goalflow_run import (
 )
 from anchorflow_training.driving.windows import DrivingWindows, open_windows
 from anchorflow_training.planners import TRAININGS
-from anchorflow_training.restore import restore_model
 from anchorflow_training.settings import ConfigError
 
 CONFIG = GoalFlowRunConfig(
@@ -69,14 +68,15 @@ def test_a_run_is_judged_and_its_checkpoint_restored(
 def test_a_log_that_is_judged_on_is_not_trained_on(windows: DrivingWindows, tmp_path: Path) -> None:
     assert (windows.log == 1).sum() > 1  # of which one is asked for
     run = GoalFlowRun(CONFIG, windows, tmp_path)
-    assert (set(run.windows.log), set(run.held_out.log)) == ({0}, {1})
+    assert set(windows.log[: run.count]) == {0}
+    assert set(windows.log[run.count :]) == {1}
 
 
 def test_all_that_is_judged_may_stand(
     windows: DrivingWindows, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = GoalFlowRun(CONFIG, windows, tmp_path)
-    monkeypatch.setattr(run, "_judged", lambda *_: {"success": np.nan, "best_ade_m": 1.0})
+    monkeypatch.setattr(run, "judged", lambda *_: {"success": np.nan, "best_ade_m": 1.0})
     assert run.evaluate(run.model)[0] == {"success": 0.0, "best_ade_m": 1.0}
 
 

@@ -12,7 +12,7 @@ from driven_bend import write_bends
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer, direction_compliance
 from anchorflow_driving.window import Scenes
-from anchorflow_training.driving.kept_logs import open_logs
+from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.pdm_judge import PdmJudge
 
 T = 8

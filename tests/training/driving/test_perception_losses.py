@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from anchorflow_models.transfuser import Moving
-from anchorflow_training.driving.perception_losses import THERE, motion_loss
+from anchorflow_training.driving.losses import THERE, motion_loss
 
 REACH = 8.0
 BOXES = torch.tensor([[[4.5, 2.5, 0.0, 3.0, 1.0], [-4.5, -2.5, math.pi / 2, 3.0, 1.0]]])

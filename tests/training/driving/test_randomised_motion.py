@@ -9,7 +9,7 @@ from driven_bend import bend
 from anchorflow_client.sensors import LIDAR_BEFORE_S
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.window import PlannerView, Scenes
-from anchorflow_training.driving.randomised_motion import FASTEST, randomised_motion
+from anchorflow_training.driving.labels import FASTEST, randomised_motion
 
 VIEWS = [window.view for number in range(3) for window in Scenes(bend(number))]
 

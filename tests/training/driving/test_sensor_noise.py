@@ -6,8 +6,7 @@ import numpy as np
 
 from anchorflow_models.transfuser import LIDAR_BEFORE
 from anchorflow_training.batches import Batch
-from anchorflow_training.driving.sensor_noise import LOST, disturb
-from anchorflow_training.driving.sensor_windows import LIDAR_RANDOMISED
+from anchorflow_training.driving.sensor_windows import LIDAR_RANDOMISED, LOST, disturb
 
 SWEEPS = ("lidar", LIDAR_BEFORE, LIDAR_RANDOMISED)
 

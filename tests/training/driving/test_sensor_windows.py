@@ -13,7 +13,7 @@ from anchorflow_driving.log import DRIVEN
 from anchorflow_driving.sensors.rendering import Renderer, RenderingUnavailable
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import sensor_windows
-from anchorflow_training.driving.semantic_bev import CLASSES, occupancy, semantic_bev, view_after
+from anchorflow_training.driving.labels import CLASSES, occupancy, semantic_bev, view_after
 from anchorflow_training.driving.sensor_windows import SensorSizes, reflected
 
 

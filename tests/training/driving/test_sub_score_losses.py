@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_training.driving.sub_score_losses import sub_score_loss, wrong_order
+from anchorflow_training.driving.losses import sub_score_loss, wrong_order
 
 
 def test_pairs_in_the_wrong_order_by_hand() -> None:

@@ -11,10 +11,11 @@ from tiny_wote import TINY, sensors, tiny_wote
 from torch import Tensor
 
 from anchorflow_models.wote import WoTE, WoteConfig
-from anchorflow_training.driving.likeness import distances, likeness_loss
-from anchorflow_training.driving.perception_losses import (
+from anchorflow_training.driving.losses import (
     agent_loss,
+    distances,
     focal_loss,
+    likeness_loss,
     match,
     occupancy_loss,
 )

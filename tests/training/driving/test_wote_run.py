@@ -24,25 +24,24 @@ from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
 from anchorflow_models.wote import RewardWeights, WoTE
 from anchorflow_training.batches import MirroredBatchConfig
-from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
+from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, restore_model
 from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving import sensor_windows, wote_run
-from anchorflow_training.driving.anchor_scores import (
+from anchorflow_training.driving.anchors import (
     anchor_scores,
     examples_of,
     pdms,
     read_anchors,
     trajectory_anchors,
 )
-from anchorflow_training.driving.kept_logs import open_logs
-from anchorflow_training.driving.semantic_bev import CLASSES
+from anchorflow_training.driving.labels import CLASSES
+from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.sensor_windows import (
     SensorSizes,
     open_sensor_windows,
 )
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
 from anchorflow_training.planners import TRAININGS
-from anchorflow_training.restore import restore_model
 from anchorflow_training.run import Report
 from anchorflow_training.settings import ConfigError
 
@@ -192,7 +191,7 @@ def test_anchors_in_a_reflected_window_are_worth_what_they_are_in_that_of_the_mi
     anchors = driven + aside[:, None, None] * [0.0, 1.0, 0.0]
     np.save(tmp_path / "anchors.npy", anchors)
     run = WoteRun(replace(CONFIG, anchors=str(tmp_path / "anchors.npy")), logs, tmp_path)
-    batch = run.batch(np.array([0]), mirrored=True)
+    batch = run.window_batch(np.array([0]), mirrored=True)
     wanted = PdmScorer(window).score(anchors).sub_scores
     np.testing.assert_allclose(batch["future"][0], driven, atol=1e-4)
     np.testing.assert_allclose(batch["pdm"][0], wanted, atol=2e-3)  # kept in half precision

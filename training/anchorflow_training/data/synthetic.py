@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_training.data.array_source import HeldArray
+from anchorflow_training.data.file_formats import HeldArray
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
 from anchorflow_training.dataset import DatasetError
 

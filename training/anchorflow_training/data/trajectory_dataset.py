@@ -1,9 +1,9 @@
-"""Trajectories of a file, left on disk, as torch samples and batches."""
+"""A trajectory file as a torch dataset, and its batches."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +11,33 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import Dataset, default_collate
+from torch.utils.data import DataLoader, Dataset, default_collate
 
 from anchorflow_training.data.array_layout import (
     GEOMETRY_ARRAYS,
     KNOWN_ARRAYS,
     SAMPLE_ARRAYS,
+    Seconds,
     by_own_names,
     check_layout,
     check_values,
+    time_step,
 )
-from anchorflow_training.data.array_source import ArraySource, HeldArray, Rows, read_whole
-from anchorflow_training.data.derivatives import central_differences, unwrap_heading
-from anchorflow_training.data.file_formats import open_arrays
-from anchorflow_training.data.survey import Survey, Surveyor
-from anchorflow_training.data.time_step import Seconds, time_step
-from anchorflow_training.data.trajectory_statistics import FIELDS, TrajectoryStatistics
+from anchorflow_training.data.file_formats import (
+    ArraySource,
+    HeldArray,
+    Rows,
+    open_arrays,
+    read_whole,
+)
+from anchorflow_training.data.statistics import (
+    FIELDS,
+    Survey,
+    Surveyor,
+    TrajectoryStatistics,
+    central_differences,
+    unwrap_heading,
+)
 from anchorflow_training.dataset import DatasetError
 
 Sample = dict[str, Tensor]
@@ -278,3 +289,41 @@ def stacked(batch: Sample | list[Sample]) -> Sample:
 
 def _tensors(arrays: Mapping[str, NDArray[np.floating]]) -> Sample:
     return {name: torch.from_numpy(np.ascontiguousarray(a)) for name, a in arrays.items()}
+
+
+def create_dataloader(
+    dataset: TrajectoryDataset,
+    batch_size: int,
+    *,
+    shuffle: bool = True,
+    seed: int = 0,
+    normalise: bool = False,
+    drop_last: bool = False,
+    workers: int = 0,
+) -> DataLoader[Sample]:
+    """Batches of `batch_size` samples: what a sample of the dataset names, as tensors [B, ...].
+
+    seed: the order of every epoch follows from it and from the epochs before
+    normalise: positions, velocities and accelerations by `dataset.statistics`
+    workers: processes that read ahead; each opens the file for itself
+    """
+    return DataLoader(
+        dataset,
+        batch_size,
+        shuffle=shuffle,
+        generator=torch.Generator().manual_seed(seed),
+        collate_fn=partial(_collate, dataset.statistics if normalise else None),
+        num_workers=workers,
+        drop_last=drop_last,
+    )
+
+
+def _collate(statistics: TrajectoryStatistics | None, batch: Any) -> Sample:
+    batch = stacked(batch)
+    if statistics is None:
+        return batch
+    scaled = {
+        name: torch.from_numpy(getattr(statistics, name).normalise(batch[name].numpy()))
+        for name in FIELDS
+    }
+    return batch | scaled

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from anchorflow_models import L2Config
 from anchorflow_models.generation.clearance_map import ClearanceMap
 from anchorflow_models.generation.scenes import basis_of
-from anchorflow_models.layers.in_float32 import in_float32
+from anchorflow_models.layers.geometry import in_float32
 from anchorflow_trajectory.cost import TURN, CostWeights
 from anchorflow_trajectory.cost_fields import RISK, TRAVERSABILITY
 from anchorflow_trajectory.cost_kernels import DEEP

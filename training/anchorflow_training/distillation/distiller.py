@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -12,24 +12,24 @@ from torch import Tensor, nn
 
 from anchorflow_client.contract import uniform_schedule
 from anchorflow_models import L2SafetyCFM
-from anchorflow_training.batches import Batch, batches, prefetched
-from anchorflow_training.cost_map_run import CostMapRun
-from anchorflow_training.curve import Row
+from anchorflow_training.batches import Batch
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.anchor_cost import AnchorCost
-from anchorflow_training.distillation.config import DistillConfig
-from anchorflow_training.distillation.consistency import ConsistencyObjective
-from anchorflow_training.distillation.direct import DirectObjective
-from anchorflow_training.distillation.make_pairs import Progress, make_pairs
-from anchorflow_training.distillation.normalised_flow import drawn, start_states
-from anchorflow_training.distillation.pair_batches import PairBatches
-from anchorflow_training.distillation.pairs import PairBank, open_pairs
-from anchorflow_training.distillation.reflow import ReflowObjective
-from anchorflow_training.distillation.student import begin_as, check_student
-from anchorflow_training.distillation.teacher import Teacher
-from anchorflow_training.evaluation import Evaluator, JudgedScene, scores
+from anchorflow_training.distillation.objective import DirectObjective, drawn, start_states
+from anchorflow_training.distillation.pairs import (
+    DistillConfig,
+    PairBank,
+    PairBatches,
+    Progress,
+    make_pairs,
+    open_pairs,
+)
+from anchorflow_training.distillation.teacher import Teacher, begin_as, check_student
+from anchorflow_training.evaluation import Evaluator, JudgedScene
+from anchorflow_training.record import Row
 from anchorflow_training.run import Report
 from anchorflow_training.settings import ConfigError
+from anchorflow_training.trainer import CostMapRun
 from anchorflow_trajectory.ode.method import method_named
 
 
@@ -73,25 +73,14 @@ class Distiller(CostMapRun):
 
     def new_objective(self, model: L2SafetyCFM) -> nn.Module:
         config = self.config
-        schedule, weights = config.schedule, config.weights
-        if config.method == "reflow":
-            return ReflowObjective(
-                model, schedule=schedule, at_schedule=config.at_schedule, weights=weights
-            )
-        if config.method == "direct":
-            return DirectObjective(
-                model,
-                schedule=schedule,
-                weights=weights,
-                cost=self._anchor_cost,
-                cost_weight=config.cost_weight,
-            )
-        return ConsistencyObjective(
+        return DirectObjective(
             model,
-            self.teacher.model,
-            intervals=config.intervals,
-            optimal_transport=self.teacher.optimal_transport,
-            weights=weights,
+            schedule=config.schedule,
+            weights=config.weights,
+            cost=(
+                AnchorCost(config.model, margin=config.cost_margin) if config.cost_weight else None
+            ),
+            cost_weight=config.cost_weight,
         )
 
     def new_evaluator(self, held_out: SceneDataset) -> Evaluator:
@@ -99,12 +88,13 @@ class Distiller(CostMapRun):
         sampler = partial(drawn, schedule=self.config.schedule)
         return Evaluator(held_out, self.config.evaluation, sampler)
 
-    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        if not self.needs_pairs:
-            return batches(self.dataset, self.config.batch, indices)
+    def batch(self, index: int) -> Batch:
+        return self._pair_batches.draw(index)
+
+    @cached_property
+    def _pair_batches(self) -> PairBatches:
         starts = start_states(self.teacher.model).cpu().numpy()
-        draw = PairBatches(self.dataset, self.bank, starts, self.config.batch).draw
-        return prefetched(draw, indices)
+        return PairBatches(self.dataset, self.bank, starts, self.config.batch)
 
     def scores(self, scenes: Sequence[JudgedScene]) -> Row:
         """As of a flow, beside its teacher's.
@@ -116,16 +106,12 @@ class Distiller(CostMapRun):
             for student, teacher in zip(scenes, self._judged_teacher, strict=True)
         ]
         row = {"distance": float(np.sqrt(np.mean(gaps)))}
-        return {**scores(scenes), **row, "teacher_success": scores(self._judged_teacher)["success"]}
+        own, teacher = super().scores(scenes), super().scores(self._judged_teacher)
+        return {**own, **row, "teacher_success": teacher["success"]}
 
     @property
     def learnt_from(self) -> dict[str, Any]:
         return self.teacher.description
-
-    @property
-    def needs_pairs(self) -> bool:
-        """Whether the method learns from the teacher's pairs."""
-        return self.config.method != "consistency"
 
     @cached_property
     def bank(self) -> PairBank:
@@ -134,8 +120,6 @@ class Distiller(CostMapRun):
 
     def prepare(self, progress: Progress = lambda *_: None) -> None:
         """Make the pairs that are missing, each process its share of them."""
-        if not self.needs_pairs:
-            return
         missing = self.bank.missing()
         if self.leads:
             self.bank.begin()
@@ -153,11 +137,6 @@ class Distiller(CostMapRun):
     def fit(self, report: Report = lambda *_: None) -> None:
         self.prepare()
         super().fit(report)
-
-    @property
-    def _anchor_cost(self) -> AnchorCost | None:
-        config = self.config
-        return AnchorCost(config.model, margin=config.cost_margin) if config.cost_weight else None
 
     @cached_property
     def _judged_teacher(self) -> list[JudgedScene]:

@@ -14,21 +14,82 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
+from anchorflow_client.contract import uniform_schedule
 from anchorflow_driving.errors import UNREADABLE
+from anchorflow_models.flow_matching import LossWeights
+from anchorflow_training.atomic_write import atomic_write
+from anchorflow_training.batches import (
+    Batch,
+    FlowBatchConfig,
+    batch_rng,
+    batch_scenes,
+    dealt_routes,
+    encode_inputs,
+    mirror,
+    prior_means,
+    reflection,
+)
+from anchorflow_training.config import CostMapRunConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.distillation.config import TeacherConfig
+from anchorflow_training.distillation.objective import NormalisedFlow, started
 from anchorflow_training.distillation.teacher import Teacher
-from anchorflow_training.settings import ConfigError
-from anchorflow_training.whole_file import whole_file
+from anchorflow_training.settings import ConfigError, other_default, setting
+from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.ode.schedule import check_schedule
+from anchorflow_trajectory.route_splines import LEAST_WAY
+
+
+@dataclass(frozen=True)
+class TeacherConfig:
+    """How the teacher is asked: its noise, and the solver that makes pairs."""
+
+    noise_scale: float = setting(1.0, "Spread of the noise, as its bundle is exported.", gt=0)
+    method: Literal["euler", "midpoint", "heun", "rk4", "ab2"] = setting(
+        "midpoint", "Solver that makes pairs."
+    )
+    steps: int = setting(8, "Equal steps of that solver.", ge=1)
+    pairs: int = setting(16, "Pairs a scene.", ge=1)
+    scenes: int = setting(0, "First scenes of the dataset to make pairs on; 0: all.", ge=0)
+    seed: int = setting(0, "Of the pairs' noise.", ge=0)
+
+
+@dataclass(frozen=True)
+class DistillConfig(CostMapRunConfig):
+    """A run that teaches a student of FlowMP what a teacher does in many evaluations.
+
+    schedule: flow times from 0 to 1; the student takes an Euler step from each to the next
+
+    Raises:
+        ValueError: the schedule does not rise from 0 to 1.
+    """
+
+    method: Literal["direct"] = setting("direct", "The student's steps end where its teacher ends.")
+    schedule: tuple[float, ...] = setting((0.0, 1.0), "Flow times of its Euler steps, from 0 to 1.")
+    steps: int = other_default(CostMapRunConfig, "steps", 4000)
+    learning_rate: float = other_default(CostMapRunConfig, "learning_rate", 5e-4)
+    warmup: int = other_default(CostMapRunConfig, "warmup", 200)
+    cost_weight: float = setting(
+        0.0, "Of log(1 + J), J the cost that the finish begins with.", ge=0
+    )
+    cost_margin: float = setting(0.1, "m of clearance that J asks for, as the finish does.", ge=0)
+    weights: LossWeights = field(default_factory=LossWeights)
+    teacher: TeacherConfig = field(default_factory=TeacherConfig)
+
+    def __post_init__(self) -> None:
+        if check_schedule(self.schedule)[0] != 0.0:
+            raise ValueError(f"schedule: expected its first time to be 0, got {self.schedule}")
+
 
 FloatArray = NDArray[np.float32]
 
@@ -100,7 +161,7 @@ class PairBank:
     def _put(self, path: Path, content: bytes | memoryview) -> None:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with whole_file(path) as file:
+            with atomic_write(path) as file:
                 file.write(content)
         except OSError as error:
             raise ConfigError(f"{path}: expected a place to write ({error})") from error
@@ -167,3 +228,109 @@ def _check_same(file: Path, wanted: Mapping[str, Any]) -> None:
                 f"{file}: {name}: expected {asked}, as asked for, found {found.get(name)}; "
                 "another folder begins new pairs"
             )
+
+
+Progress = Callable[[int, int], None]
+
+CHUNK = 8  # scenes solved at a time
+
+
+def make_pairs(
+    bank: PairBank,
+    blocks: Sequence[int],
+    *,
+    teacher: Teacher,
+    dataset: SceneDataset,
+    config: TeacherConfig,
+    progress: Progress = lambda *_: None,
+) -> None:
+    """Solve and write some blocks of a bank.
+
+    progress: called with the blocks that are done and all of them
+    """
+    for done, block in enumerate(blocks, 1):
+        scenes = np.array(bank.scenes_of(block))
+        parts = [
+            _ends(bank, scenes[start : start + CHUNK], teacher, dataset, config)
+            for start in range(0, len(scenes), CHUNK)
+        ]
+        bank.write(block, np.concatenate(parts))
+        progress(done, len(blocks))
+
+
+def _ends(
+    bank: PairBank,
+    scenes: NDArray[np.int64],
+    teacher: Teacher,
+    dataset: SceneDataset,
+    config: TeacherConfig,
+) -> NDArray[np.float16]:
+    """[scenes, N, T, S]"""
+    model, batch = teacher.model, dataset.batch(scenes)
+    device = model.prior.spread.device
+    inputs = {n: torch.from_numpy(array).to(device) for n, array in encode_inputs(batch).items()}
+    mean = torch.from_numpy(prior_means(batch, dealt_routes(batch, bank.samples))).to(device)
+    noise = np.stack([bank.noise(int(scene)) for scene in scenes])
+    with torch.no_grad():
+        z_0 = started(model, torch.from_numpy(noise).to(device), inputs["limits"])
+        z_1 = NormalisedFlow.of(model, inputs, mean).carried(
+            z_0, schedule=uniform_schedule(config.steps), method=method_named(config.method)
+        )
+    return z_1.half().cpu().numpy()
+
+
+FloatArray = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class PairBatches:
+    """starts: [R, T, S], the normalised state of each unit of noise"""
+
+    dataset: SceneDataset
+    bank: PairBank
+    starts: FloatArray
+    config: FlowBatchConfig
+
+    def draw(self, index: int) -> Batch:
+        """Batch number `index`: the inputs of encode; PAIRED.
+
+        z_0, z_1, prior_mean: [B, N, T, S]; reference_s: [B] s, as of `Scene`
+
+        Half of the batches are reflected, as in the teacher's training, where `mirror` says so.
+        """
+        scenes = batch_scenes(self.bank.scenes, self.config, index)
+        rng = batch_rng(self.config, index)
+        mirrored = bool(rng.random() < 0.5 and self.config.mirror)
+        samples = self.bank.samples
+        # Some of a scene's pairs, again where it has fewer than a batch wants.
+        picked = np.stack(
+            [np.resize(rng.permutation(samples), self.config.samples) for _ in scenes]
+        )
+        noise = np.stack([self.bank.noise(int(scene)) for scene in scenes])
+        ends = np.stack([self.bank.ends(int(scene)) for scene in scenes])
+        z_0 = np.tensordot(np.take_along_axis(noise, picked[..., None], 1), self.starts, 1)
+        z_1 = np.take_along_axis(ends, picked[..., None, None], 1)
+        batch = self.dataset.batch(scenes)
+        z_0[..., -1] *= (batch["limits"][:, 3] <= 0)[:, None, None]
+        if mirrored:
+            mirror(batch)
+            signs = np.append(reflection(self.dataset.dim, fields=3), np.float32(1.0))
+            z_0, z_1 = z_0 * signs, z_1 * signs
+        route = np.take_along_axis(dealt_routes(batch, samples), picked, 1)
+        return encode_inputs(batch) | {
+            "z_0": z_0,
+            "z_1": z_1,
+            "prior_mean": prior_means(batch, route),
+            "reference_s": reference_times(batch),
+        }
+
+
+def reference_times(batch: Batch) -> FloatArray:
+    """[B] s in which each scene's shortest route can be driven, by the length of its spline."""
+    places = batch["route_states"][:, 0, :, :2]
+    ways = np.linalg.norm(np.diff(places, axis=1), axis=-1).sum(-1)
+    times = [
+        MotionLimits(v_max, a_max).least_time(max(way, LEAST_WAY))
+        for way, (v_max, a_max, *_) in zip(ways.tolist(), batch["limits"].tolist(), strict=True)
+    ]
+    return np.array(times, np.float32)

@@ -30,15 +30,13 @@ FASTEST = 18.0  # m/s of what is re-timed
 class AugmentationConfig:
     """How far a start is moved: normal, with these spreads."""
 
-    mirror: float = setting(0.5, "Share of windows that are reflected.", least=0, most=1)
-    moved: float = setting(
-        0.5, "Share of windows whose start is moved and turned.", least=0, most=1
-    )
-    shift: float = setting(0.35, "m to the side.", least=0)
-    rotation: float = setting(0.04, "rad.", least=0)
-    speed: float = setting(0.06, "Of the speed.", least=0)
-    braking: float = setting(3.5, "m/s², the most in what is re-timed.", least=0)
-    pulling: float = setting(2.2, "m/s², the most in what is re-timed.", least=0)
+    mirror: float = setting(0.5, "Share of windows that are reflected.", ge=0, le=1)
+    moved: float = setting(0.5, "Share of windows whose start is moved and turned.", ge=0, le=1)
+    shift: float = setting(0.35, "m to the side.", ge=0)
+    rotation: float = setting(0.04, "rad.", ge=0)
+    speed: float = setting(0.06, "Of the speed.", ge=0)
+    braking: float = setting(3.5, "m/s², the most in what is re-timed.", ge=0)
+    pulling: float = setting(2.2, "m/s², the most in what is re-timed.", ge=0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,27 +19,26 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.diffusiondrive import DiffusionDriveV2, Perceived
+from anchorflow_models.diffusiondrive import DiffusionDriveV2, PerceivedScene
 from anchorflow_models.diffusiondrive.config import SCHEDULES, TRAINED_LEVELS
-from anchorflow_models.diffusiondrive.denoiser import Denoised
-from anchorflow_models.diffusiondrive.scene import SceneFeatures
+from anchorflow_models.diffusiondrive.denoiser import Denoised, SceneFeatures
 from anchorflow_models.diffusiondrive.scorers import Scored
 from anchorflow_models.sub_scores import pdm_score
-from anchorflow_training.driving.diffusiondrive_losses import (
+from anchorflow_training.driving.losses import (
     FAILED,
+    PerceptionWeights,
     advantages,
+    by_shares,
+    distances,
+    likeness_loss,
+    perception_terms,
     pose_distance,
+    shares,
+    sub_score_loss,
+    wrong_order,
 )
-from anchorflow_training.driving.likeness import by_shares, distances, likeness_loss, shares
 from anchorflow_training.driving.pdm_judge import Judge, judged
-from anchorflow_training.driving.perception_losses import (
-    agent_loss,
-    focal_loss,
-    occupancy_loss,
-    sweep_losses,
-)
 from anchorflow_training.driving.sensor_windows import sensors_of
-from anchorflow_training.driving.sub_score_losses import sub_score_loss, wrong_order
 from anchorflow_training.settings import setting
 from anchorflow_trajectory.ddim import ddim_step, noised
 
@@ -52,48 +51,37 @@ LEAST_WAY = 1.0  # m, which the spread of a sample is in proportion to at least
 
 
 @dataclass(frozen=True)
-class DiffusionDriveObjectiveConfig:
+class DiffusionDriveObjectiveConfig(PerceptionWeights):
     """The stage, the weights of its terms, and how many trajectories it looks at."""
 
     stage: Literal["imitation", "scorers", "together", "reinforcement"] = setting(
         "imitation", "What is learnt; each stage begins with a checkpoint of the one before."
     )
-    classes: float = setting(1.0, "Which anchor is the one.", least=0)
-    poses: float = setting(8.0, "L1 of its poses.", least=0)
-    agents: float = setting(1.0, "Of the boxes.", least=0)
-    semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
-    occupancy: float = setting(0.0, "Of where others will be; published has none.", least=0)
-    motion: float = setting(
-        0.5, "Of how fast others move, where the model compares two sweeps.", least=0
-    )
-    far: float = setting(
-        0.5, "Of who is beyond the LiDAR's square, where the model looks there.", least=0
-    )
-    coarse: float = setting(1.0, "Of the coarse scorer.", least=0)
-    fine: float = setting(1.0, "Of each layer of the fine scorer.", least=0)
+    classes: float = setting(1.0, "Which anchor is the one.", ge=0)
+    poses: float = setting(8.0, "L1 of its poses.", ge=0)
+    coarse: float = setting(1.0, "Of the coarse scorer.", ge=0)
+    fine: float = setting(1.0, "Of each layer of the fine scorer.", ge=0)
     imitation: float = setting(
-        1.0, "Of which candidate a person would drive, where the model has a head for it.", least=0
+        1.0, "Of which candidate a person would drive, where the model has a head for it.", ge=0
     )
-    likeness: float = setting(1.0, "m, over which a candidate's soft label falls by e.", above=0)
-    rank: float = setting(0.0, "Of pairs of candidates in the wrong order, both scorers.", least=0)
-    reinforcement: float = setting(1.0, "Of the policy gradient.", least=0)
-    groups: int = setting(0, "Of anchors that the scorers learn from; 0: the model's.", least=0)
+    reinforcement: float = setting(1.0, "Of the policy gradient.", ge=0)
+    groups: int = setting(0, "Of anchors that the scorers learn from; 0: the model's.", ge=0)
     speed: float = setting(
         0.0,
         "m/s, spread of what the ego's speed is changed by in half of the scorers' windows.",
-        least=0,
+        ge=0,
     )
     acceleration: float = setting(
-        0.0, "m/s², spread of what is added to the acceleration that is told.", least=0
+        0.0, "m/s², spread of what is added to the acceleration that is told.", ge=0
     )
     levels: int = setting(
-        TRAINED_LEVELS, "Of noise, below which the denoiser learns.", least=1, most=1000
+        TRAINED_LEVELS, "Of noise, below which the denoiser learns.", ge=1, le=1000
     )
     judged: int = setting(
-        64, "Candidates a scene whose PDM score is worked out; at most half are the best.", least=2
+        64, "Candidates a scene whose PDM score is worked out; at most half are the best.", ge=2
     )
-    group: int = setting(4, "Samples of an anchor that are compared.", least=2)
-    exploration: float = setting(0.1, "Spread of a sample's factors on x and on y.", above=0)
+    group: int = setting(4, "Samples of an anchor that are compared.", ge=2)
+    exploration: float = setting(0.1, "Spread of a sample's factors on x and on y.", gt=0)
 
 
 class DiffusionDriveObjective(nn.Module):
@@ -172,10 +160,7 @@ class DiffusionDriveObjective(nn.Module):
             terms |= self._scorers(seen, batch, noise, diversity, order, speeds)
         if config.stage == "reinforcement":
             terms |= self._reinforcement(seen, batch, noise, diversity[:, :, 0])
-        weighted = [
-            getattr(config, name) * term for name, term in terms.items() if hasattr(config, name)
-        ]
-        return torch.stack(weighted).sum(), terms
+        return config.total(terms), terms
 
     def _changed(self, status: Tensor, change: Tensor) -> tuple[Tensor, Tensor]:
         """The status [B, 8] as it is told, and the speeds [B] that are not as recorded, or NaN."""
@@ -195,7 +180,7 @@ class DiffusionDriveObjective(nn.Module):
 
     def _imitation(
         self,
-        seen: Perceived,
+        seen: PerceivedScene,
         batch: Mapping[str, Tensor],
         noise: Tensor,
         level: Tensor,
@@ -211,26 +196,14 @@ class DiffusionDriveObjective(nn.Module):
         for made in model.denoiser(x_t, level.to(noise.dtype), seen.scene):
             classes.append(by_shares(share, F.cross_entropy(made.logits, winner, reduction="none")))
             poses.append(by_shares(share, pose_distance(made.trajectories[rows, winner], future)))
+        perception = model.perception
         return {
-            **self._motion(seen, batch),
             "classes": torch.stack(classes).mean(),
             "poses": torch.stack(poses).mean(),
-            "agents": agent_loss(
-                seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
+            **perception_terms(
+                seen, batch, sweeps=perception.sweeps, backbone=model.config.backbone
             ),
-            "semantics": focal_loss(seen.semantics, batch["semantics"]).mean(),
-            "occupancy": occupancy_loss(seen.occupancy, batch["occupancy"]),
         }
-
-    def _motion(self, seen: Perceived, batch: Mapping[str, Tensor]) -> Terms:
-        """The terms `motion` and `far`, where there are encounters."""
-        sweeps = self.model.perception.sweeps
-        if sweeps is None:
-            return {}
-        assert seen.moving is not None
-        assert seen.far is not None
-        backbone = self.model.config.backbone
-        return sweep_losses(sweeps, seen.upscaled, seen.moving, seen.far, batch, backbone)
 
     def nearest(self, future: Tensor) -> Tensor:
         """[B]: the anchor whose points lie nearest to those of the record."""
@@ -239,7 +212,7 @@ class DiffusionDriveObjective(nn.Module):
 
     def _scorers(
         self,
-        seen: Perceived,
+        seen: PerceivedScene,
         batch: Mapping[str, Tensor],
         noise: Tensor,
         diversity: Tensor,
@@ -298,7 +271,7 @@ class DiffusionDriveObjective(nn.Module):
         return {"imitation": torch.stack(losses).mean()} if losses else {}
 
     def _reinforcement(
-        self, seen: Perceived, batch: Mapping[str, Tensor], noise: Tensor, factors: Tensor
+        self, seen: PerceivedScene, batch: Mapping[str, Tensor], noise: Tensor, factors: Tensor
     ) -> Terms:
         """The last step as a policy: a Gaussian about its poses, as wide as they are long."""
         made = denoised(self.model, seen.scene, noise).trajectories

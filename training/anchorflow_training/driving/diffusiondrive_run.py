@@ -12,16 +12,16 @@ import torch
 from anchorflow_models.diffusiondrive import DiffusionDriveConfig, DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import POSES
 from anchorflow_models.sub_scores import pdm_score
-from anchorflow_training.curve import Row
 from anchorflow_training.driving.diffusiondrive_objective import (
     DiffusionDriveObjective,
     DiffusionDriveObjectiveConfig,
     denoised,
 )
+from anchorflow_training.driving.driving_run import SensorRun, SensorRunConfig
+from anchorflow_training.driving.labels import CLASSES
 from anchorflow_training.driving.pdm_judge import PdmJudge
-from anchorflow_training.driving.semantic_bev import CLASSES
-from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
 from anchorflow_training.driving.sensor_windows import sensors_of
+from anchorflow_training.record import Row
 from anchorflow_training.settings import ConfigError
 
 
@@ -59,12 +59,12 @@ class DiffusionDriveRun(SensorRun):
         """Anchors, and a backbone that has seen pictures where there is one."""
         anchors = self.first_anchors(count=self.config.model.anchors, steps=POSES)
         model.anchors.copy_(anchors[..., :2])
-        self.first_weights(model)
+        self.load_sight(model)
 
     def new_objective(self, model: DiffusionDriveV2) -> DiffusionDriveObjective:
         return DiffusionDriveObjective(model, self.config.objective, self.judge)
 
-    def judged(self, model: DiffusionDriveV2, batch: dict[str, torch.Tensor]) -> Row:
+    def judged_batch(self, model: DiffusionDriveV2, batch: dict[str, torch.Tensor]) -> Row:
         """The window's candidates by who chooses among them: see `choices`."""
         generator = torch.Generator().manual_seed(int(batch["window"]))
         row = choices(model, batch, self.judge, generator)

@@ -1,4 +1,4 @@
-"""What GoalFlow learns: which goals are good, and the flow to a goal."""
+"""The losses of GoalFlow: goals and flow, or the outcomes of what it proposes."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from anchorflow_driving.pdm import SUB_SCORES
 from anchorflow_models.flow_matching import interpolate
 from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.goalflow import POSE
+from anchorflow_models.goalflow.outcome_scorer import LEARNT
 from anchorflow_models.goalflow.raster import at_places
 from anchorflow_models.goalflow.trajectory_score import FRONT, REAR, body_places
 from anchorflow_training.settings import setting
@@ -28,20 +30,20 @@ class GoalFlowObjectiveConfig:
         "flow", "What is learnt: goals and the flow; then what becomes of trajectories."
     )
     forgotten: float = setting(
-        0.2, "Share of what outcomes are learnt from that a step leaves out.", least=0, below=1
+        0.2, "Share of what outcomes are learnt from that a step leaves out.", ge=0, lt=1
     )
-    goal_weight: float = setting(1.0, "Of the goals' scores.", least=0)
-    flow_weight: float = setting(10.0, "Of the flow.", least=0)
+    goal_weight: float = setting(1.0, "Of the goals' scores.", ge=0)
+    flow_weight: float = setting(10.0, "Of the flow.", ge=0)
     flow_time: Literal["uniform", "middle"] = setting(
         "uniform", "How flow times are drawn; middle: sigmoid of a Gaussian."
     )
-    scored: int = setting(64, "Goals a window that are scored in a step.", least=8)
-    near: float = setting(2.0, "m, spread of what counts as near the recorded end.", above=0)
-    aside: float = setting(1.2, "m, spread of what counts as on the route.", above=0)
-    jitter: float = setting(0.8, "m, spread of a goal around the end that it is for.", least=0)
-    shadows: int = setting(1, "Targets a window that are learnt without a goal.", least=0)
+    scored: int = setting(64, "Goals a window that are scored in a step.", ge=8)
+    near: float = setting(2.0, "m, spread of what counts as near the recorded end.", gt=0)
+    aside: float = setting(1.2, "m, spread of what counts as on the route.", gt=0)
+    jitter: float = setting(0.8, "m, spread of a goal around the end that it is for.", ge=0)
+    shadows: int = setting(1, "Targets a window that are learnt without a goal.", ge=0)
     least_left: float = setting(
-        0.3, "Of flow time, that an error counts by; less would be noise.", above=0, most=1
+        0.3, "Of flow time, that an error counts by; less would be noise.", gt=0, le=1
     )
 
 
@@ -179,3 +181,32 @@ def _from_line(points: Tensor, line: Tensor) -> Tensor:
     share = ((offset * along[:, None]).sum(-1) / length[:, None]).clamp(0.0, 1.0)
     miss = offset - share[..., None] * along[:, None]
     return miss.square().sum(-1).amin(-1).sqrt().unflatten(1, points.shape[1:3])
+
+
+class OutcomeObjective(nn.Module):
+    """Loss and its terms on windows with `Proposals`: binary cross entropies of sub-scores.
+
+    forgotten: share of what the scorer is told that each step leaves out
+    """
+
+    def __init__(self, model: GoalFlow, *, forgotten: float) -> None:
+        super().__init__()
+        self.model, self.forgotten = model, forgotten
+        self.order = [SUB_SCORES.index(name) for name in LEARNT]
+
+    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:  # noqa: ARG002
+        """Nothing: what is forgotten hangs on the step's seed."""
+        return ()
+
+    def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        model, poses = self.model, batch["trajectories"]
+        assert model.outcomes is not None
+        with torch.no_grad():
+            context = model.look(batch["bev"], batch["status"], batch["size"])
+            told = model.told(model.judged(poses, context), context)
+        kept = torch.rand(told.shape[-1], device=told.device) >= self.forgotten
+        logits = model.outcomes(told * kept / (1 - self.forgotten), context["context"])
+        losses = F.binary_cross_entropy_with_logits(
+            logits, batch["scores"][..., self.order], reduction="none"
+        ).mean((0, 1))
+        return losses.sum(), dict(zip(LEARNT, losses, strict=True))

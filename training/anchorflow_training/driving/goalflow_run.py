@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -20,11 +20,10 @@ from anchorflow_training.batches import (
     SampledBatchConfig,
     batch_rng,
     batch_scenes,
-    prefetched,
+    reflection,
 )
 from anchorflow_training.config import HeldOutConfig, RunConfig
-from anchorflow_training.curve import Row
-from anchorflow_training.driving.anchor_scores import pdms
+from anchorflow_training.driving.anchors import clustered, pdms, read_vocabulary
 from anchorflow_training.driving.augmentation import (
     AugmentationConfig,
     draw,
@@ -32,19 +31,17 @@ from anchorflow_training.driving.augmentation import (
     poses_on,
     retimed,
 )
+from anchorflow_training.driving.driving_run import DrivingRun
 from anchorflow_training.driving.goalflow_objective import (
     GoalFlowObjective,
     GoalFlowObjectiveConfig,
+    OutcomeObjective,
 )
-from anchorflow_training.driving.kept_logs import PLAN_SETTINGS, open_logs
-from anchorflow_training.driving.outcome_objective import OutcomeObjective
+from anchorflow_training.driving.log_cache import PLAN_SETTINGS, open_logs
 from anchorflow_training.driving.proposals import proposals
-from anchorflow_training.driving.vocabulary import clustered, read_vocabulary
 from anchorflow_training.driving.windows import DrivingWindows
-from anchorflow_training.held_out import left_to_learn, means
-from anchorflow_training.reflection import reflection
-from anchorflow_training.run import TrainingRun
-from anchorflow_training.settings import ConfigError, check_fixed, setting
+from anchorflow_training.record import Row
+from anchorflow_training.settings import ConfigError, check_fixed, other_default, setting
 
 RETIMED_SHARE = 1  # ends of re-timed targets to one of the record, in the vocabulary
 TOP, NEAR_M, MOVING_M = 5, 3.0, 2.0
@@ -58,8 +55,8 @@ class GoalFlowRunConfig(RunConfig):
     planner: ClassVar[str] = "goalflow"
     begins_with: ClassVar = ("vocabulary",)
 
-    steps: int = 6000
-    warmup: int = 200
+    steps: int = other_default(RunConfig, "steps", 6000)
+    warmup: int = other_default(RunConfig, "warmup", 200)
     batch: SampledBatchConfig = field(
         default_factory=lambda: SampledBatchConfig(scenes=32, samples=8)
     )
@@ -70,19 +67,10 @@ class GoalFlowRunConfig(RunConfig):
     vocabulary: str | None = setting(None, "File of goals [K, 2] (.npy) instead of clustered ones.")
 
 
-class GoalFlowRun(TrainingRun):
-    """windows: those to train on; held_out: those to judge on, the last of the data"""
+class GoalFlowRun(DrivingRun):
+    """Learns goals and flow, or the outcomes of what a trained network proposes."""
 
     def __init__(self, config: GoalFlowRunConfig, windows: DrivingWindows, out: Path) -> None:
-        self.config = config
-        first = left_to_learn(
-            len(windows),
-            of=f"the windows of {windows.path}",
-            held_out=config.evaluation.held_out,
-            batch=config.batch,
-            log=windows.log,
-        )
-        self.windows, self.held_out = windows.part(slice(first)), windows.part(slice(first, None))
         check_fixed(config.model, self.model_settings(windows), by="the windows")
         self.learns_outcomes = config.objective.stage == "outcomes"
         if self.learns_outcomes != config.model.outcomes:
@@ -92,7 +80,7 @@ class GoalFlowRun(TrainingRun):
             )
         if self.learns_outcomes and config.before is None:
             raise ConfigError("before: expected a checkpoint to begin outcomes with, got none")
-        super().__init__(config, out)
+        super().__init__(config, windows, out, of=f"the windows of {windows.path}")
         if self.learns_outcomes:
             asked = self._created()
             asked.load_state_dict(self.model.state_dict())
@@ -118,10 +106,11 @@ class GoalFlowRun(TrainingRun):
         """The vocabulary, and how far poses stray from the way to their goal."""
         config = self.config
         rng = np.random.default_rng(config.batch.seed)
-        speed = self.windows.status[:, 4].astype(float)
+        windows, learnt = self.windows, slice(self.count)
+        speed = windows.status[learnt, 4].astype(float)
         timed = retimed(speed, config.augmentation, count=RETIMED_SHARE, rng=rng)
-        timed = np.concatenate([self.windows.along[:, None].astype(float), timed], axis=1)
-        courses = self.windows.course.astype(float)
+        timed = np.concatenate([windows.along[learnt, None].astype(float), timed], axis=1)
+        courses = windows.course[learnt].astype(float)
         targets = np.stack([poses_on(c, s) for c, s in zip(courses, timed, strict=True)])
         ends = targets[:, :, -1, :2].reshape(-1, 2)
         ends = np.concatenate([ends, ends * [1, -1]])
@@ -153,13 +142,9 @@ class GoalFlowRun(TrainingRun):
             return OutcomeObjective(model, forgotten=self.config.objective.forgotten)
         return GoalFlowObjective(model, self.config.objective)
 
-    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        return prefetched(self.batch, indices)
-
     def batch(self, index: int) -> Batch:
-        """Batch number `index`."""
         config = self.config
-        chosen = batch_scenes(len(self.windows), config.batch, index)
+        chosen = batch_scenes(self.count, config.batch, index)
         rng = batch_rng(config.batch, index)
         if self.learns_outcomes:
             return self._proposed(chosen, rng)
@@ -184,32 +169,25 @@ class GoalFlowRun(TrainingRun):
             "scores": asked.scores[chosen],
         }
 
-    @property
-    def data(self) -> dict[str, Any]:
-        return {"windows": len(self.windows), "logs": len(np.unique(self.windows.log))}
-
-    @property
-    def evaluates(self) -> bool:
-        return len(self.held_out) > 0
-
-    def evaluate(self, model: GoalFlow) -> tuple[Row, None]:
-        """Goals and one-step trajectories on the windows that are held out; of outcomes the PDM
-        score of the proposals with the best scores.
+    def judged(self, model: GoalFlow, window: int) -> Row:
+        """Return the scores of goals and one-step trajectories; when outcomes are learnt, the PDM
+        score of the proposal with the best score.
         """
-        chosen = np.linspace(0, len(self.held_out) - 1, self.config.evaluation.scenes).astype(int)
-        judge = self._chosen if self.learns_outcomes else self._judged
-        rows = [judge(model, window) for window in np.unique(chosen)]
-        return means(rows), None
-
-    @torch.no_grad()
-    def _judged(self, model: GoalFlow, window: int) -> dict[str, float]:
-        held, device = self.held_out, model.vocabulary.device
-        context = model.encode(*self._told(window, device))
+        windows, device = self.windows, model.vocabulary.device
+        inputs = (windows.rasters([window]), windows.status[[window]], windows.size[[window]])
+        seen = [torch.from_numpy(each).to(device) for each in inputs]
+        if self.learns_outcomes:
+            plans = torch.from_numpy(self.proposals.trajectories[window])[None].to(device)
+            states = nn.functional.pad(plans, (0, POSE))  # to no goal: none is missed
+            scores = model.score(states, states, model.look(*seen))[0]
+            worth = pdms(self.proposals.scores[window])
+            return {"success": float(worth[int(scores.argmax())]), "best_pdms": float(worth.max())}
+        context = model.encode(*seen)
         mean = context["prior_mean"]
         modulation = model.modulate(torch.zeros(1, device=device), context)[:, 0]
         x_1 = mean + model.field(mean, mean, modulation, context)
         scores = model.score(x_1, mean, context)[0]
-        course, along = held.course[window].astype(float), held.along[window].astype(float)
+        course, along = windows.course[window].astype(float), windows.along[window].astype(float)
         driven = poses_on(course, along)
         apart = _apart(x_1[0, ..., :2].cpu().numpy(), driven[:, :2]).mean(-1)
         goals = context["goals"][0, :TOP].cpu().numpy()
@@ -219,22 +197,6 @@ class GoalFlowRun(TrainingRun):
             "best_ade_m": float(apart.min()),
             "chosen_ade_m": float(apart[int(scores.argmax())]),
         }
-
-    @torch.no_grad()
-    def _chosen(self, model: GoalFlow, window: int) -> dict[str, float]:
-        own, device = len(self.windows) + window, model.vocabulary.device
-        context = model.look(*self._told(window, device))
-        plans = torch.from_numpy(self.proposals.trajectories[own])[None].to(device)
-        states = nn.functional.pad(plans, (0, POSE))  # to no goal: none is missed
-        scores = model.score(states, states, context)[0]
-        worth = pdms(self.proposals.scores[own])
-        return {"success": float(worth[int(scores.argmax())]), "best_pdms": float(worth.max())}
-
-    def _told(self, window: int, device: torch.device) -> Sequence[Tensor]:
-        """What the network is told of a window that is held out."""
-        held = self.held_out
-        told = (held.rasters([window]), held.status[[window]], held.size[[window]])
-        return [torch.from_numpy(each).to(device) for each in told]
 
 
 def _apart(points: NDArray[Any], others: NDArray[Any]) -> NDArray[Any]:

@@ -21,13 +21,7 @@ from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES, TURNS
 from anchorflow_models.goalflow.goalflow import POSE, SETTLED
-from anchorflow_training.driving.kept_logs import (
-    DIGITS,
-    each_log,
-    is_fresh,
-    opened,
-    write_beside,
-)
+from anchorflow_training.driving.log_cache import Arrays, digest, log_arrays
 
 PER_WAY = 2
 """Trajectories that are drawn to each goal, and to none; ways that no flow moves stand for
@@ -51,20 +45,17 @@ def proposals(logs: Sequence[Path], model: GoalFlow) -> Proposals:
     weights that they hang on. Raises `LogError` where a log or what is kept of it cannot be read,
     or there is no place to write beside it.
     """
-    kept = {log: log.with_suffix(f".proposals-{_digest(model)}") for log in logs}
-    missing = [log for log in logs if not is_fresh(kept[log], log)]
-    keep = partial(keep_proposals, suffix=next(iter(kept.values())).suffix, model=model)
-    each_log(keep, missing, of=len(logs))
-    trajectories, scores = [], []
-    for path in kept.values():
-        with opened(path) as part:
-            trajectories.append(part["trajectories"])
-            scores.append(part["scores"].astype(np.float32))
-    return Proposals(np.concatenate(trajectories), np.concatenate(scores))
+    weights = {n: w.cpu().numpy() for n, w in model.state_dict().items()}
+    asked = [weight for name, weight in weights.items() if not name.startswith("outcomes.")]
+    suffix = f".proposals-{digest((DRAWING, TURNS, HALTINGS, PACES, ASIDE), *asked)}"
+    parts = [*log_arrays(logs, suffix, partial(_proposed, model=model))]
+    return Proposals(
+        np.concatenate([part["trajectories"] for part in parts]),
+        np.concatenate([part["scores"].astype(np.float32) for part in parts]),
+    )
 
 
-def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
-    """Draw trajectories in every window of a log, score them, and keep that beside the log."""
+def _proposed(log: Path, *, model: GoalFlow) -> Arrays:
     torch.set_num_threads(1)
     seed = int.from_bytes(hashlib.sha256(log.name.encode()).digest()[:4], "big")
     generator = torch.Generator().manual_seed(seed)
@@ -77,7 +68,7 @@ def keep_proposals(log: Path, *, suffix: str, model: GoalFlow) -> None:
     count = model.config.ways + (PER_WAY - 1) * flowing
     trajectories = np.array(plans, np.float32).reshape(-1, count, steps, POSE)
     scores = np.array(told, np.float16).reshape(-1, count, len(SUB_SCORES))
-    write_beside(log.with_suffix(suffix), trajectories=trajectories, scores=scores)
+    return {"trajectories": trajectories, "scores": scores}
 
 
 @torch.no_grad()
@@ -94,12 +85,3 @@ def drawn(model: GoalFlow, window: Window, generator: torch.Generator) -> NDArra
     x_0 = model.draw(noise, mean)
     x_1 = x_0 + model.field(x_0, mean, model.modulate(torch.zeros(1), context)[:, 0], context)
     return x_1[0, ..., :POSE].numpy()
-
-
-def _digest(model: GoalFlow) -> str:
-    """Of what trajectories hang on: rasters, weights, and the ways that no flow moves."""
-    digest = hashlib.sha256(repr((DRAWING, TURNS, HALTINGS, PACES, ASIDE)).encode())
-    for name, weight in model.state_dict().items():
-        if not name.startswith("outcomes."):
-            digest.update(weight.cpu().contiguous().numpy())
-    return digest.hexdigest()[:DIGITS]

@@ -21,20 +21,16 @@ from anchorflow_driving.sensors.by_name import draw_inputs
 from anchorflow_driving.sensors.lidar import simulated_lidar_before
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.transfuser import LIDAR_BEFORE, SEMANTIC_STRIDE, TransfuserConfig
-from anchorflow_training.batches import Batch
+from anchorflow_training.batches import Batch, reflection
 from anchorflow_training.driving.augmentation import mirrored_status
-from anchorflow_training.driving.examples import example
-from anchorflow_training.driving.kept_logs import (
-    Progress,
-    each_log,
-    is_fresh,
-    no_windows,
-    opened,
-    write_beside,
+from anchorflow_training.driving.labels import (
+    example,
+    occupancy,
+    randomised_motion,
+    semantic_bev,
+    view_after,
 )
-from anchorflow_training.driving.randomised_motion import randomised_motion
-from anchorflow_training.driving.semantic_bev import occupancy, semantic_bev, view_after
-from anchorflow_training.reflection import reflection
+from anchorflow_training.driving.log_cache import Progress, log_arrays, no_windows
 
 KEPT = f".sensors-{DRAWING}"
 """Suffix of the file beside a log that holds what its sensors tell."""
@@ -197,44 +193,45 @@ def open_sensor_windows(
         LogError: a log or what is kept of it cannot be read, there is no place to write beside it,
             or none has a window.
     """
-    missing = [log for log in logs if not _is_kept(log, sizes)]
-    keep = partial(keep_sensors, sizes=sizes, draw=draw or simulated)
-    each_log(keep, missing, of=len(logs), progress=progress)
+    layout = list(asdict(sizes).values())
+    parts = log_arrays(
+        logs,
+        KEPT,
+        partial(_drawn, sizes=sizes, draw=draw or simulated),
+        is_current=lambda part: (
+            set(NUMBERS) <= set(part) and np.array_equal(part["layout"], layout)
+        ),
+        progress=progress,
+    )
     streams: list[bytes] = []
     rows: dict[str, list[NDArray[Any]]] = {name: [] for name in NUMBERS}
     counts = []
-    for log in logs:
-        with opened(log.with_suffix(KEPT)) as part:
-            ends = part["sizes"].cumsum()
-            pictures = np.split(part["pictures"], ends[:-1]) if len(ends) else []
-            streams += (picture.tobytes() for picture in pictures)
-            counts.append(len(ends))
-            if len(ends):  # a log without windows has no rows, not even of a shape
-                for name in NUMBERS:
-                    rows[name].append(part[name])
+    for part in parts:
+        ends = part["sizes"].cumsum()
+        pictures = np.split(part["pictures"], ends[:-1]) if len(ends) else []
+        streams += (picture.tobytes() for picture in pictures)
+        counts.append(len(ends))
+        if len(ends):  # a log without windows has no rows, not even of a shape
+            for name in NUMBERS:
+                rows[name].append(part[name])
     if not streams:
         raise no_windows(logs[0].parent)
     numbers = {name: np.concatenate(rows[name]) for name in NUMBERS}
     return SensorWindows(streams, numbers, np.repeat(np.arange(len(logs)), counts), logs, sizes)
 
 
-def keep_sensors(
-    log: Path, *, sizes: SensorSizes, draw: Callable[[Window, SensorSizes], Drawn]
-) -> None:
-    """Draw what the sensors tell of a log's windows, and keep it beside the log."""
+def _drawn(log: Path, *, sizes: SensorSizes, draw: Callable[[Window, SensorSizes], Drawn]) -> Drawn:
     rows = [draw(window, sizes) for window in Scenes(read_log(log))]
     streams = [
         zlib.compress(b"".join(row[n].astype(np.uint8).tobytes() for n in sizes.shapes), LEVEL)
         for row in rows
     ]
-    arrays = {name: np.array([row[name] for row in rows]) for name in NUMBERS}
-    write_beside(
-        log.with_suffix(KEPT),
-        pictures=np.frombuffer(b"".join(streams), np.uint8),
-        sizes=np.array([len(stream) for stream in streams], np.int64),
-        layout=np.array(list(asdict(sizes).values())),
-        **arrays,
-    )
+    return {
+        "pictures": np.frombuffer(b"".join(streams), np.uint8),
+        "sizes": np.array([len(stream) for stream in streams], np.int64),
+        "layout": np.array(list(asdict(sizes).values())),
+        **{name: np.array([row[name] for row in rows]) for name in NUMBERS},
+    }
 
 
 def simulated(window: Window, sizes: SensorSizes) -> Drawn:
@@ -270,11 +267,29 @@ def simulated(window: Window, sizes: SensorSizes) -> Drawn:
     }
 
 
-def _is_kept(log: Path, sizes: SensorSizes) -> bool:
-    """Whether a log's windows are there, whole, of these sizes, and drawn of the log as it is."""
-    kept = log.with_suffix(KEPT)
-    if not is_fresh(kept, log):
-        return False
-    with opened(kept) as file:
-        whole = all(name in file for name in NUMBERS)
-        return whole and np.array_equal(file["layout"], list(asdict(sizes).values()))
+GAIN, TINT, GRAIN = 0.15, 12.0, 8.0
+"""Spread of brightness and colours; of what a colour is off by; at most, of single pixels."""
+LOST = 0.3  # at most, of the cells of a sweep
+
+
+def disturb(batch: Batch, rng: np.random.Generator, *, scale: float) -> None:
+    """Change camera [B, 3, H, W] and sweeps [B, 1, H', H'] in place, each scene's by a luck of its
+    own.
+
+    scale: of the spreads and shares above
+    """
+    camera = batch["camera"]
+    count = len(camera)
+    by_colour = (count, 3, 1, 1)
+    gain = 1 + scale * GAIN * (
+        rng.standard_normal((count, 1, 1, 1))
+        + rng.random((count, 1, 1, 1)) * rng.standard_normal(by_colour)
+    )
+    grain = scale * GRAIN * rng.random((count, 1, 1, 1), np.float32)
+    seen = camera * gain + scale * TINT * rng.standard_normal(by_colour)
+    seen += grain * rng.standard_normal(camera.shape, np.float32)
+    batch["camera"] = np.rint(seen).clip(0, 255).astype(np.uint8)
+    lost = min(1.0, scale * LOST) * rng.random((count, 1, 1, 1), np.float32)
+    for name in (*SWEEPS, LIDAR_RANDOMISED):
+        if name in batch:
+            batch[name] = batch[name] * (rng.random(batch[name].shape, np.float32) >= lost)

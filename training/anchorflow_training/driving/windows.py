@@ -20,14 +20,7 @@ from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, read_log
 from anchorflow_driving.sensors.bev import BEV, DRAWING, draw_bev
 from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import Scenes, Window
-from anchorflow_training.driving.kept_logs import (
-    each_log,
-    is_fresh,
-    no_windows,
-    open_logs,
-    opened,
-    write_beside,
-)
+from anchorflow_training.driving.log_cache import Arrays, log_arrays, no_windows, open_logs
 
 Floats = NDArray[np.float32]
 
@@ -70,14 +63,6 @@ class DrivingWindows:
         drawn = [np.frombuffer(zlib.decompress(stream.tobytes()), np.uint8) for stream in streams]
         return np.stack(drawn).reshape(-1, *BEV.shape)
 
-    def part(self, windows: slice) -> DrivingWindows:
-        """Some of them, one after another."""
-        first, last, _ = windows.indices(len(self))
-        begin, end = self.bev_offsets[[first, last]]
-        own = {name: getattr(self, name)[windows] for name in (*PER_WINDOW, "log")}
-        offsets = self.bev_offsets[first : last + 1] - begin
-        return DrivingWindows(bev=self.bev[begin:end], bev_offsets=offsets, path=self.path, **own)
-
 
 PER_WINDOW = ("status", "size", "course", "along")
 STORED = ("bev", "bev_sizes", *PER_WINDOW)
@@ -90,16 +75,7 @@ def open_windows(folder: Path) -> DrivingWindows:
         LogError: there is no log, one or what is kept of it cannot be read, or there is no place to
             write beside it.
     """
-    logs = open_logs(folder)
-    missing = [log for log in logs if not is_fresh(log.with_suffix(KEPT), log)]
-    each_log(keep_windows, missing, of=len(logs))
-    return _joined([_kept(log) for log in logs], folder)
-
-
-def keep_windows(path: Path) -> None:
-    """Draws the windows of a log and keeps them beside it. Raises `LogError`."""
-    rows = [_of_window(window) for window in Scenes(read_log(path))]
-    write_beside(path.with_suffix(KEPT), **_drawn(rows))
+    return _joined([*log_arrays(open_logs(folder), KEPT, _drawn)], folder)
 
 
 def course_of(window: Window) -> tuple[Floats, Floats]:
@@ -121,11 +97,6 @@ def course_of(window: Window) -> tuple[Floats, Floats]:
     return course.astype(np.float32), along.astype(np.float32)
 
 
-def _kept(path: Path) -> dict[str, NDArray[Any]]:
-    with opened(path.with_suffix(KEPT)) as file:
-        return {name: file[name] for name in STORED}
-
-
 def _of_window(window: Window) -> dict[str, Any]:
     view = window.view
     course, along = course_of(window)
@@ -138,8 +109,8 @@ def _of_window(window: Window) -> dict[str, Any]:
     }
 
 
-def _drawn(rows: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
-    """The rows of a log's windows as arrays."""
+def _drawn(log: Path) -> dict[str, NDArray[Any]]:
+    rows = [_of_window(window) for window in Scenes(read_log(log))]
     streams = [row["bev"] for row in rows]
     sizes = np.array([len(stream) for stream in streams], np.int64)
     return {
@@ -149,7 +120,7 @@ def _drawn(rows: Sequence[dict[str, Any]]) -> dict[str, NDArray[Any]]:
     }
 
 
-def _joined(parts: Sequence[dict[str, NDArray[Any]]], folder: Path) -> DrivingWindows:
+def _joined(parts: Sequence[Arrays], folder: Path) -> DrivingWindows:
     parts = [part for part in parts if len(part["bev_sizes"])]
     if not parts:
         raise no_windows(folder)

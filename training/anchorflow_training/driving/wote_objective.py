@@ -9,26 +9,29 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.layers.standstill import standing_still
+from anchorflow_models.layers.geometry import standing_still
 from anchorflow_models.sub_scores import pdm_score
 from anchorflow_models.wote import Moved, WoTE
-from anchorflow_training.driving.likeness import by_shares, distances, likeness_loss, shares
-from anchorflow_training.driving.pdm_judge import Judge, judged
-from anchorflow_training.driving.perception_losses import (
-    agent_loss,
+from anchorflow_training.driving.losses import (
+    PerceptionWeights,
+    by_shares,
+    distances,
     focal_loss,
-    occupancy_loss,
-    sweep_losses,
+    likeness_loss,
+    perception_terms,
+    shares,
+    sub_score_loss,
+    wrong_order,
 )
+from anchorflow_training.driving.pdm_judge import Judge, judged
 from anchorflow_training.driving.sensor_windows import sensors_of
-from anchorflow_training.driving.sub_score_losses import sub_score_loss, wrong_order
 from anchorflow_training.settings import setting
 
 TINY = 1e-9
 
 
 @dataclass(frozen=True)
-class WoteObjectiveConfig:
+class WoteObjectiveConfig(PerceptionWeights):
     """Weights of the terms; the defaults are the published ones.
 
     judged: anchors a scene that the world model looks at in a step, the nearest to the record and
@@ -37,27 +40,16 @@ class WoteObjectiveConfig:
         will be; the rest is drawn evenly
     """
 
-    offset: float = setting(1.0, "L1 of the winner's refined poses.", least=0)
-    offset_imitation: float = setting(0.1, "Of the offset scores.", least=0)
-    imitation: float = setting(1.0, "Of the imitation reward.", least=0)
-    simulation: float = setting(1.0, "Of the five simulation rewards.", least=0)
+    offset: float = setting(1.0, "L1 of the winner's refined poses.", ge=0)
+    offset_imitation: float = setting(0.1, "Of the offset scores.", ge=0)
+    imitation: float = setting(1.0, "Of the imitation reward.", ge=0)
+    simulation: float = setting(1.0, "Of the five simulation rewards.", ge=0)
     conditional: bool = setting(
         False, "Whether EP, TTC and C are learnt of anchors that pass NC and DAC alone."
     )
-    rank: float = setting(0.0, "Of pairs of anchors in the wrong order.", least=0)
-    agents: float = setting(1.0, "Of the boxes.", least=0)
-    semantics: float = setting(10.0, "Of the semantic BEV.", least=0)
-    future_semantics: float = setting(0.1, "Of the semantic BEV that is imagined.", least=0)
-    occupancy: float = setting(0.0, "Of where others will be; published has none.", least=0)
-    motion: float = setting(
-        0.5, "Of how fast others move, where the model compares two sweeps.", least=0
-    )
-    far: float = setting(
-        0.5, "Of who is beyond the LiDAR's square, where the model looks there.", least=0
-    )
-    likeness: float = setting(1.0, "m, over which an anchor's soft label falls by e.", above=0)
-    judged: int = setting(0, "Anchors that the world model looks at in a step; 0: all.", least=0)
-    likely: int = setting(0, "Of them, how many are drawn by their offset scores.", least=0)
+    future_semantics: float = setting(0.1, "Of the semantic BEV that is imagined.", ge=0)
+    judged: int = setting(0, "Anchors that the world model looks at in a step; 0: all.", ge=0)
+    likely: int = setting(0, "Of them, how many are drawn by their offset scores.", ge=0)
     moved: bool = setting(
         False, "Whether rewards learn of anchors as their offsets move them, and not before."
     )
@@ -86,7 +78,7 @@ class WoteObjective(nn.Module):
         rad, to imitate where is_example [B] is 1, and is_recorded [B]; pdm [B, K, 5] of the anchors
         in [0, 1], or window [B] and signs [B, 3], for the judge; agents [B, Q, 5] and agent_count
         [B]; semantics, future_semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1;
-        with encounters also what `sweep_losses` takes."""
+        with encounters also what `perception_terms` takes."""
         model, config = self.model, self.config
         seen = model.look(**sensors_of(batch))
         moved = model.move(seen.bev, seen.ego)
@@ -116,11 +108,6 @@ class WoteObjective(nn.Module):
             "simulation": sub_score_loss(imagined.simulation, pdm)
             if config.conditional
             else F.binary_cross_entropy_with_logits(imagined.simulation, pdm),
-            "agents": agent_loss(
-                seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]
-            ),
-            "semantics": focal_loss(seen.semantic_logits, batch["semantics"]).mean(),
-            "occupancy": occupancy_loss(seen.occupancy_logits, batch["occupancy"]),
             # The first that is judged is the nearest to what was driven.
             "future_semantics": by_shares(
                 recorded, focal_loss(future_semantics, batch["future_semantics"])
@@ -129,17 +116,10 @@ class WoteObjective(nn.Module):
         if config.rank:
             scores = pdm_score(imagined.simulation.sigmoid())
             terms["rank"] = wrong_order(scores, pdm_score(pdm))
-        if model.sweeps is not None:
-            assert seen.moving is not None
-            assert seen.far is not None
-            backbone = model.config.backbone
-            terms |= sweep_losses(
-                model.sweeps, seen.upscaled, seen.moving, seen.far, batch, backbone
-            )
+        terms |= perception_terms(seen, batch, sweeps=model.sweeps, backbone=model.config.backbone)
         if not model.config.offsets:
             terms = {name: term for name, term in terms.items() if not name.startswith("offset")}
-        total = torch.stack([getattr(config, name) * term for name, term in terms.items()]).sum()
-        return total, terms
+        return config.total(terms), terms
 
     def _chosen(self, order: Tensor, nearest: Tensor, ranked: Tensor) -> Tensor:
         """[B, K'] the nearest first, then the likeliest, then others in a random order."""

@@ -15,16 +15,15 @@ from numpy.typing import NDArray
 
 from anchorflow_models.sub_scores import pdm_score
 from anchorflow_models.wote import WoTE, WoteConfig
-from anchorflow_training.batches import Batch
-from anchorflow_training.curve import Row
-from anchorflow_training.driving.anchor_scores import anchor_scores
-from anchorflow_training.driving.kept_logs import PLAN_SETTINGS
-from anchorflow_training.driving.likeness import distances
-from anchorflow_training.driving.semantic_bev import CLASSES
-from anchorflow_training.driving.sensor_run import SensorRun, SensorRunConfig
+from anchorflow_training.batches import Batch, reflection
+from anchorflow_training.driving.anchors import anchor_scores
+from anchorflow_training.driving.driving_run import SensorRun, SensorRunConfig
+from anchorflow_training.driving.labels import CLASSES
+from anchorflow_training.driving.log_cache import PLAN_SETTINGS
+from anchorflow_training.driving.losses import distances
 from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.driving.wote_objective import WoteObjective, WoteObjectiveConfig
-from anchorflow_training.reflection import reflection
+from anchorflow_training.record import Row
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class WoteRun(SensorRun):
         """Anchors, and a backbone that has seen pictures where there is one."""
         shape = self.config.model
         model.set_anchors(self.first_anchors(count=shape.anchors, steps=shape.num_steps))
-        self.first_weights(model)
+        self.load_sight(model)
 
     def new_objective(self, model: WoTE) -> WoteObjective:
         return WoteObjective(model, self.config.objective, self.judge)
@@ -72,14 +71,14 @@ class WoteRun(SensorRun):
             _ = self.pdm, self.config.batch.mirror and self.mirrored_pdm
         return super().stream(indices)
 
-    def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
-        batch = super().batch(windows, mirrored=mirrored)
+    def window_batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
+        batch = super().window_batch(windows, mirrored=mirrored)
         if self.config.objective.moved:
             return batch
         pdm = self.mirrored_pdm if mirrored else self.pdm
         return {**batch, "pdm": pdm[windows]}
 
-    def judged(self, model: WoTE, batch: dict[str, torch.Tensor]) -> Row:
+    def judged_batch(self, model: WoTE, batch: dict[str, torch.Tensor]) -> Row:
         """How well the anchors of a window are refined, and chosen.
 
         success: PDMS of the answer

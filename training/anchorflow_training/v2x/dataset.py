@@ -32,11 +32,22 @@ from anchorflow_driving.cooperative.layout import GROUP
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_driving.geometry import into_frame
 from anchorflow_training.dataset import DatasetError, reserve, write_meta
-from anchorflow_training.v2x.boxes import read_boxes, without_own
-from anchorflow_training.v2x.prompts import UNTOLD, prompt, seen_scene
-from anchorflow_training.v2x.recording import FUTURE, Sequence, read_recording
-from anchorflow_training.v2x.tokenizer import FILE_NAME, opened, train_tokenizer
-from anchorflow_training.v2x.verify import read_picture
+from anchorflow_training.v2x.recording import (
+    FUTURE,
+    Sequence,
+    read_boxes,
+    read_picture,
+    read_recording,
+    without_own,
+)
+from anchorflow_training.v2x.text import (
+    FILE_NAME,
+    UNTOLD,
+    opened,
+    prompt,
+    seen_scene,
+    train_tokenizer,
+)
 
 Array = NDArray[Any]
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import boxes_overlap, into_frame
 from anchorflow_driving.waypoints import waypoint_headings
-from anchorflow_training.v2x.boxes import EGO
 from anchorflow_training.v2x.dataset import PairDataset
-from anchorflow_training.v2x.recording import FUTURE, STEP_S
+from anchorflow_training.v2x.recording import EGO, FUTURE, STEP_S
 
 Array = NDArray[np.float64]
 

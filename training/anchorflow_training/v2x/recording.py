@@ -19,6 +19,7 @@ ends 0.1 s early.)
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,14 +28,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from anchorflow_driving.geometry import into_frame
-from anchorflow_training.data.pose_files import (
+from anchorflow_driving.window import Vehicle
+from anchorflow_training.data.poses import (
     SECONDS,
     data_entries,
     forward_axis,
     microseconds,
     novatel_pose,
+    read_json,
 )
 from anchorflow_training.dataset import DatasetError
 
@@ -54,6 +58,12 @@ ROTATION_ERROR = 1e-3
 """By which a rotation may miss being one."""
 
 Fault = Callable[[DatasetError], None]
+
+
+EGO = Vehicle(4.6, 1.9)
+"""The ego's box, m, which a recording does not tell."""
+OWN = 1.5
+"""m between a box's middle and the ego's, within which the box is the ego's own."""
 
 
 @dataclass(frozen=True)
@@ -209,3 +219,128 @@ def _pose(file: Path) -> Array:
     if error > ROTATION_ERROR or np.linalg.det(rotation) < 0:
         raise DatasetError(f"{file}: rotation: expected a rotation, found {rotation.tolist()}")
     return matrix
+
+
+BROKEN = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)
+THUMB = 8
+"""The share of a JPEG's pixels, along a side, at which it is decoded to see whether it is whole."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """faults: each names a file; a recording without one can be trained on"""
+
+    faults: tuple[str, ...]
+    sequences: int
+    frames: int
+    pairs: int
+    askable: int
+
+    @property
+    def lines(self) -> list[str]:
+        """The faults and, at the end, what there is."""
+        what = f"{self.sequences} sequences, {self.frames} frames, {self.pairs} pairs"
+        return [*self.faults, f"{what}; {self.askable} can be asked about"]
+
+
+def verify_recording(
+    folder: Path, *, progress: Callable[[int, int], object] = lambda *_: None
+) -> Verdict:
+    """Everything that V2X-VLM reads of a recording, read once.
+
+    progress: hears how many pairs are looked at, and of how many
+    """
+    faults: list[str] = []
+
+    def note(error: DatasetError) -> None:
+        faults.append(str(error))
+
+    sequences = read_recording(folder, fault=note)
+    pairs = [pair for sequence in sequences for pair in sequence.pairs.values()]
+    for number, pair in enumerate(pairs):
+        for check in (_check_pictures, _check_label):
+            with told(note):
+                check(pair)
+        progress(number + 1, len(pairs))
+    askable = sum(len([*sequence.askable()]) for sequence in sequences)
+    if not askable and not faults:
+        faults.append(_nothing_askable(folder, sequences))
+    return Verdict(
+        tuple(faults),
+        len(sequences),
+        sum(len(sequence.times) for sequence in sequences),
+        len(pairs),
+        askable,
+    )
+
+
+def read_picture(file: Path, *, thumb: bool = False) -> NDArray[np.uint8]:
+    """Pixels [3,H,W], RGB; of a thumb far fewer. Raises `DatasetError`."""
+    try:
+        with Image.open(file) as picture:
+            if thumb:
+                picture.draft("RGB", tuple(max(1, side // THUMB) for side in picture.size))
+            pixels = np.asarray(picture.convert("RGB"))
+    except BROKEN as error:
+        raise DatasetError(f"{file}: expected a picture ({error})") from error
+    return np.ascontiguousarray(pixels.transpose(2, 0, 1))
+
+
+def _check_pictures(pair: Pair) -> None:
+    for file in (pair.vehicle_image, pair.infrastructure_image):
+        read_picture(file, thumb=True)
+
+
+def _check_label(pair: Pair) -> None:
+    read_boxes(pair.label)
+
+
+def _nothing_askable(folder: Path, sequences: list[Sequence]) -> str:
+    if not any(sequence.pairs for sequence in sequences):
+        return f"{folder / COOPERATIVE / INFO}: expected pairs, found none"
+    sizes = Counter({sequence.name: len(sequence.times) for sequence in sequences})
+    name, longest = sizes.most_common(1)[0]
+    return (
+        f"{folder / VEHICLE / INFO}: expected a pair with a frame before it and {FUTURE} after it, "
+        f"0.1 s apart; the longest batch_id, {name}, has {longest} frames"
+    )
+
+
+def read_boxes(file: Path) -> Array:
+    """[n,5] x, y [m], heading [rad], length, width [m] of a label's boxes.
+
+    Raises:
+        DatasetError: naming the file, the entry and what is wrong with it.
+    """
+    entries = read_json(file)
+    if not isinstance(entries, list):
+        raise DatasetError(f"{file}: expected a list of boxes, found {type(entries).__name__}")
+    return np.array([_box(file, number, entry) for number, entry in enumerate(entries)]).reshape(
+        -1, 5
+    )
+
+
+def without_own(boxes: Array, pose: Array) -> Array:
+    """The boxes but for that of the vehicle at a pose [3], which the roadside sees as well."""
+    away = np.linalg.norm(boxes[:, :2] - EGO.middles(pose)[:2], axis=1)
+    return boxes[away > OWN]
+
+
+def _box(file: Path, number: int, entry: Any) -> Array:
+    where = f"{file}: box {number}: world_8_points"
+    try:
+        points = np.asarray(entry["world_8_points"], float)
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{where}: expected 8 points [8,3] ({error})") from error
+    if points.shape != (8, 3) or not np.isfinite(points).all():
+        raise DatasetError(f"{where}: expected 8 points [8,3], found {list(points.shape)}")
+    # The order of corners differs between copies: the four lowest are the footprint.
+    footprint = points[np.argsort(points[:, 2], kind="stable")[:4], :2]
+    middle = footprint.mean(0)
+    angles = np.arctan2(*(footprint - middle).T[::-1])
+    ring = footprint[np.argsort(angles)]
+    sides = np.roll(ring, -1, 0) - ring
+    lengths = np.linalg.norm(sides, axis=1)
+    longest = int(lengths.argmax())
+    heading = np.arctan2(sides[longest, 1], sides[longest, 0])
+    return np.array([*middle, heading, lengths[longest], lengths[(longest + 1) % 4]])

@@ -1,32 +1,155 @@
-"""A training run of V2X-VLM; `TrainingRun` says the rest."""
+"""A training run of V2X-VLM: its settings, its loss and its data."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from anchorflow_models.v2x_vlm import V2XVLM
-from anchorflow_training.batches import Batch, batch_scenes, prefetched
-from anchorflow_training.checkpoint import Checkpoint, CheckpointError, load_checkpoint
-from anchorflow_training.curve import Row
-from anchorflow_training.restore import restore_model
+from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig
+from anchorflow_models.v2x_vlm.config import END
+from anchorflow_models.v2x_vlm.network import (
+    Fused,
+    alignment,
+    distribution_distillation,
+    location,
+    next_token,
+    regression,
+    regression_distillation,
+)
+from anchorflow_training.batches import Batch, BatchConfig, batch_scenes
+from anchorflow_training.checkpoint import (
+    Checkpoint,
+    CheckpointError,
+    load_checkpoint,
+    restore_model,
+)
+from anchorflow_training.config import JudgeConfig, RunConfig
+from anchorflow_training.pretrained import load_pretrained
+from anchorflow_training.record import Row
 from anchorflow_training.run import TrainingRun
-from anchorflow_training.settings import ConfigError, check_fixed
-from anchorflow_training.v2x.config import V2XRunConfig
+from anchorflow_training.settings import ConfigError, check_fixed, other_default, setting
 from anchorflow_training.v2x.dataset import PairDataset
 from anchorflow_training.v2x.evaluation import judge
-from anchorflow_training.v2x.objective import V2XObjective
-from anchorflow_training.v2x.pretrained import load_pretrained
-from anchorflow_training.v2x.prompts import UNTOLD
 from anchorflow_training.v2x.recording import FUTURE, STEP_S
-from anchorflow_training.v2x.tokenizer import opened, token_rows
+from anchorflow_training.v2x.text import UNTOLD, opened, token_rows
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Weights of what is added to the smooth L1 of the waypoints, and how it is measured."""
+
+    alignment: float = setting(0.1, "Of InfoNCE between picture and prompt; 0: none.", ge=0)
+    kappa: float = setting(0.07, "Its temperature.", gt=0)
+    distillation: float = setting(0.5, "Of the teacher, where there is one.", ge=0)
+    distil: Literal["distribution", "regression"] = setting(
+        "distribution", "A softmax over coordinates, as published, or smooth L1 of waypoints."
+    )
+    temperature: float = setting(2.0, "Of the softmax.", gt=0)
+    location: float = setting(
+        0.0, "Of where the nearest other is, told by the tower alone; 0: none.", ge=0
+    )
+    next_token: float = setting(0.0, "Of telling the prompt again, word by word.", ge=0)
+
+
+@dataclass(frozen=True)
+class V2XRunConfig(RunConfig):
+    """A run that learns waypoints from pairs."""
+
+    planner: ClassVar[str] = "v2x_vlm"
+    begins_with: ClassVar = ("pretrained",)
+
+    steps: int = other_default(RunConfig, "steps", 6000)
+    learning_rate: float = other_default(RunConfig, "learning_rate", 5e-4)
+    batch: BatchConfig = field(default_factory=lambda: BatchConfig(scenes=8))
+    evaluation: JudgeConfig = field(default_factory=lambda: JudgeConfig(every=500, scenes=64))
+    model: V2XConfig = field(default_factory=V2XConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    roadside_dropout: float = setting(
+        0.25,
+        "Share of pairs whose roadside picture is withheld; 1: none is ever seen.",
+        ge=0,
+        le=1,
+    )
+    text: bool = setting(True, "Show the prompts; false: a word that says nothing.")
+    freeze_vision: bool = setting(False, "Leave the vision tower as it is.")
+    pretrained: str | None = setting(None, "Folder of published Florence-2 weights to begin with.")
+    teacher: str | None = setting(None, "Checkpoint of this planner to learn from as well.")
+
+
+class V2XObjective(nn.Module):
+    """teacher: a trained network, which learns nothing here; None: there is none"""
+
+    def __init__(self, model: V2XVLM, config: V2XRunConfig, teacher: V2XVLM | None) -> None:
+        super().__init__()
+        self.model, self.config = model, config
+        # A list, so that the teacher's weights are nobody's parameters.
+        self._teacher = [] if teacher is None else [teacher.eval().requires_grad_(False)]
+        if config.freeze_vision:
+            model.florence.model.vision_tower.requires_grad_(False)
+
+    def draw(self, scenes: int, _samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:
+        """[B], whose roadside picture is withheld."""
+        return (torch.rand(scenes, generator=generator) < self.config.roadside_dropout,)
+
+    def forward(self, batch: dict[str, Tensor], withheld: Tensor) -> tuple[Tensor, dict]:
+        """The loss and its terms."""
+        weights = self.config.loss
+        seen = _seen(self.model, batch)
+        fused = self.model.fuse(*seen, ~withheld, batch["tokens"], batch["mask"])
+        waypoints = self.model.drive(fused)
+        terms = {"regression": regression(waypoints, batch["waypoints"])}
+        total = terms["regression"]
+        if weights.alignment and self.config.text:  # pairs of pictures with one text are no pairs
+            terms["alignment"] = alignment(*self.model.align(fused), kappa=weights.kappa)
+            total = total + weights.alignment * terms["alignment"]
+        if self._teacher and weights.distillation:
+            terms["distillation"] = self._distillation(waypoints, batch)
+            total = total + weights.distillation * terms["distillation"]
+        if weights.location:
+            near, place = self.model.locate(*seen, ~withheld)
+            terms["location"] = location(near, place, batch["nearest"])
+            total = total + weights.location * terms["location"]
+        if weights.next_token:
+            terms["next_token"] = self._next_token(fused, batch)
+            total = total + weights.next_token * terms["next_token"]
+        return total, terms
+
+    def _distillation(self, waypoints: Tensor, batch: dict[str, Tensor]) -> Tensor:
+        """The teacher sees both pictures whatever the student sees."""
+        (teacher,) = self._teacher
+        with torch.no_grad():
+            everything = torch.ones(len(waypoints), dtype=torch.bool, device=waypoints.device)
+            wanted = teacher.drive(_fused(teacher.to(waypoints.device), batch, everything))
+        if self.config.loss.distil == "regression":
+            return regression_distillation(waypoints, wanted)
+        return distribution_distillation(
+            waypoints, wanted, temperature=self.config.loss.temperature
+        )
+
+    def _next_token(self, fused: Fused, batch: dict[str, Tensor]) -> Tensor:
+        tokens, mask = batch["tokens"], batch["mask"]
+        before = nn.functional.pad(tokens[:, :-1], (1, 0), value=END)
+        return next_token(self.model.describe(fused, before), tokens, mask)
+
+
+def _fused(model: V2XVLM, batch: dict[str, Tensor], there: Tensor) -> Fused:
+    return model.fuse(*_seen(model, batch), there, batch["tokens"], batch["mask"])
+
+
+def _seen(model: V2XVLM, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """Both pictures' features, of one pass of the tower."""
+    both = model.look(torch.cat([batch["vehicle_image"], batch["infrastructure_image"]]))
+    vehicle, infrastructure = both.chunk(2)
+    return vehicle, infrastructure
+
 
 SMALLEST_SPREAD = 0.1
 """m, below which the spread of a waypoint is no unit to learn in."""
@@ -104,9 +227,6 @@ class V2XRun(TrainingRun):
     def new_objective(self, model: V2XVLM) -> nn.Module:
         return V2XObjective(model, self.config, self._teacher)
 
-    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        return prefetched(self._batch, indices)
-
     @property
     def learnt_from(self) -> dict[str, Any]:
         return self._learnt_from
@@ -147,7 +267,7 @@ class V2XRun(TrainingRun):
         self._check_tokenizer(self.model, source=str(self.checkpoint_path))
         super()._resume(saved)
 
-    def _batch(self, index: int) -> Batch:
+    def batch(self, index: int) -> Batch:
         rows = batch_scenes(len(self.trained_on), self.config.batch, index)
         return self._rows(self.trained_on[rows])
 

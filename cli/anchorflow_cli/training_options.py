@@ -1,0 +1,174 @@
+"""What the commands that train share: an option a setting, the folder of a run, the run itself."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from anchorflow_cli.options import folder_option
+from anchorflow_training.run import Report, TrainingRun
+from anchorflow_training.settings import ConfigError, Setting, config_text, settings
+
+OutOption = Annotated[Path | None, folder_option("Folder of the run; an existing one is resumed.")]
+ConfigOption = Annotated[
+    Path | None, typer.Option(help="YAML file of settings; options override it.")
+]
+PrintConfigOption = Annotated[
+    bool, typer.Option("--print-config", help="Print the whole configuration and stop.")
+]
+Bfloat16Option = Annotated[bool, typer.Option("--bfloat16", help="Short for --precision bfloat16.")]
+
+SHORT = {
+    "batch.scenes": "--scenes",
+    "batch.samples": "--samples",
+    "batch.seed": "--seed",
+    "evaluation.held_out": "--held-out",
+    "evaluation.patience": "--patience",
+}
+METAVARS = {int: "INTEGER", float: "NUMBER"}
+SHOWN = (
+    "loss",
+    "success",
+    "any",
+    "free",
+    "feasible",
+    "distance",
+    "teacher_success",
+    "samples_per_s",
+    "seconds",
+)
+
+
+def with_settings(
+    kinds: Sequence[type], short: Mapping[str, str]
+) -> Callable[[Callable], Callable]:
+    """Give a command, which takes `**given`, an option for each leaf of the dataclasses.
+
+    `given` holds the options on the command line by dotted path, as text: the configuration
+    converts them, and refuses those that it does not have.
+    short: further names of options, by path
+    """
+    leaves: dict[str, Setting] = {}
+    for leaf in (leaf for kind in kinds for leaf in settings(kind)):
+        name = leaf.path.replace(".", "__")
+        leaves[name] = _shared(leaves[name], leaf) if name in leaves else leaf
+
+    def decorate(command: Callable) -> Callable:
+        def run(**values: Any) -> None:
+            named = {n: v for n, v in values.items() if n not in leaves}
+            given = {leaves[n].path: v for n, v in values.items() if n in leaves and v is not None}
+            command(**named, **given)
+
+        own = inspect.signature(command, eval_str=True).parameters.values()
+        own = [each for each in own if each.kind is not inspect.Parameter.VAR_KEYWORD]
+        added = [_parameter(name, leaf, short) for name, leaf in leaves.items()]
+        run.__signature__ = inspect.Signature([*own, *added])  # type: ignore[attr-defined]
+        run.__annotations__ = {each.name: each.annotation for each in [*own, *added]}
+        run.__name__, run.__doc__ = command.__name__, command.__doc__
+        return run
+
+    return decorate
+
+
+def _shared(one: Setting, other: Setting) -> Setting:
+    """Return the option of two settings with one path; if their types differ, it takes text."""
+    return Setting(
+        one.path,
+        one.hint if one.hint == other.hint else str,
+        one.default if one.default == other.default else "the planner's",
+        one.about or other.about,
+    )
+
+
+def _parameter(name: str, leaf: Setting, short: Mapping[str, str]) -> inspect.Parameter:
+    option = "--" + leaf.path.replace("_", "-")
+    names = [option, *([short[leaf.path]] if leaf.path in short else [])]
+    about = " ".join(filter(None, [leaf.about, f"[default: {leaf.default}]"]))
+    if leaf.hint is bool:
+        group, dot, last = option.removeprefix("--").rpartition(".")
+        declared = f"{option}/--{group}{dot}no-{last}"
+        annotation = Annotated[bool | None, typer.Option(declared, *names[1:], help=about)]
+    else:
+        metavar = "|".join(leaf.choices) or METAVARS.get(leaf.hint, "TEXT")
+        annotation = Annotated[str | None, typer.Option(*names, metavar=metavar, help=about)]
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation
+    )
+
+
+def given_settings(given: dict[str, Any], *, bfloat16: bool) -> dict[str, Any]:
+    """Return the settings of the command line by dotted path, with `--bfloat16` spelled out.
+
+    Raises `ConfigError` if it contradicts `--precision`.
+    """
+    if bfloat16 and given.get("precision", "bfloat16") != "bfloat16":
+        raise ConfigError(
+            f"precision: expected --bfloat16 alone, got {given['precision']} beside it"
+        )
+    return {"precision": "bfloat16", **given} if bfloat16 else given
+
+
+def run_folder(out: Path | None) -> Path:
+    """Return the folder of a run; raise `ConfigError` without `--out`."""
+    if out is None:
+        raise ConfigError("--out: expected the folder of the run, got nothing")
+    return out
+
+
+def fit(run: TrainingRun) -> None:
+    """Train, with the configuration in the run's folder and reports on the way."""
+    if run.leads:
+        _write_config(run)
+        if not run.evaluates:
+            typer.echo("no scenes are held out (--held-out): nothing is evaluated", err=True)
+    with _reported(run) as report:
+        run.fit(report)
+    if run.leads:
+        why = ": no progress, stopped early" if run.stopped else ""
+        typer.echo(f"{run.checkpoint_path}: step {run.step}{why}")
+
+
+def _write_config(run: TrainingRun) -> None:
+    file = run.out / "config.yaml"
+    try:
+        run.out.mkdir(parents=True, exist_ok=True)
+        file.write_text(config_text(run.run_config))
+    except OSError as error:
+        raise ConfigError(f"{file}: expected a place to write ({error})") from error
+
+
+@contextmanager
+def _reported(run: TrainingRun) -> Iterator[Report]:
+    """Yield a report that updates a progress bar on a terminal, and prints lines elsewhere."""
+    if not (run.leads and sys.stdout.isatty()):
+        yield _plain_line
+        return
+    columns = "step {task.completed}/{task.total}", "{task.fields[shown]}"
+    with Progress(*map(TextColumn, columns), BarColumn(), TimeRemainingColumn()) as bar:
+        task = bar.add_task("train", total=run.run_config.steps, completed=run.step, shown="")
+
+        def report(step: int, row: dict[str, float]) -> None:
+            if "loss" in row:
+                bar.update(task, completed=step, shown=f"loss {row['loss']:.4f}")
+            else:
+                bar.console.print(_line(step, row))
+
+        yield report
+
+
+def _plain_line(step: int, row: dict[str, float]) -> None:
+    typer.echo(_line(step, row))
+    sys.stdout.flush()
+
+
+def _line(step: int, row: dict[str, float]) -> str:
+    """Return a line such as "step 500 loss 0.4213 samples_per_s 840 seconds 312"."""
+    shown = (f"{name} {row[name]:.4g}" for name in SHOWN if name in row)
+    return " ".join([f"step {step}", *shown])

@@ -1,0 +1,126 @@
+"""On dz/dt = -a z every method's student is known in closed form: at it the loss is nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from anchorflow_models.flow_matching import LossWeights
+from anchorflow_training.distillation.objective import DirectObjective
+
+RATE = 1.2
+END = math.exp(-RATE)  # where the teacher carries 1
+WEIGHTS = LossWeights()
+B, N, T, S, R = 2, 5, 7, 7, 3
+
+Gain = Callable[[Tensor], Tensor]
+
+
+class LinearFlow(nn.Module):
+    """dz/dt = gain(t) z in every scene; SI and normalised states are the same."""
+
+    def __init__(self, gain: Gain) -> None:
+        super().__init__()
+        self.gain = gain
+        states = torch.randn(R, T, S, generator=torch.Generator().manual_seed(3))
+        self.prior = SimpleNamespace(
+            factor=torch.eye(R),
+            disturbed=lambda noise: torch.tensordot(noise, states, 1),
+            spread=torch.ones(S),
+            rank=R,
+            to_si=lambda z, _: z,
+            normalise=lambda x, *_: x,
+        )
+
+    def encode(self, limits: Tensor) -> dict[str, Tensor]:
+        return dict.fromkeys(("units", "si_units"), torch.zeros(len(limits)))
+
+    def modulate(self, t: Tensor, _: object) -> Tensor:
+        return self.gain(t)[..., None, None]
+
+    def normalised_field(
+        self, _x: Tensor, z: Tensor, _mean: Tensor, modulation: Tensor, _: object
+    ) -> Tensor:
+        return modulation * z
+
+
+def constant(value: float | Tensor) -> Gain:
+    return lambda t: value + 0 * t
+
+
+def pair_batch() -> dict[str, Tensor]:
+    z_0 = torch.randn(B, N, T, S, generator=torch.Generator().manual_seed(0))
+    told = {"limits": torch.zeros(B, 4), "prior_mean": torch.zeros(B, N, T, S)}
+    return {**told, "z_0": z_0, "z_1": END * z_0, "reference_s": torch.ones(B)}
+
+
+def loss_of(objective: nn.Module, batch: dict[str, Tensor], seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return objective(batch, *objective.draw(B, N, generator))[0]  # type: ignore[operator]
+
+
+def direct(gain: Gain, schedule: tuple[float, ...], **options: Any) -> DirectObjective:
+    model: nn.Module = LinearFlow(gain)
+    return DirectObjective(model, schedule=schedule, weights=WEIGHTS, **options)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("schedule", "gain"),
+    [
+        ((0.0, 1.0), END - 1),
+        ((0.0, 0.5, 1.0), 2 * (math.sqrt(END) - 1)),
+        ((0.0, 0.25, 0.5, 0.75, 1.0), 4 * (END**0.25 - 1)),
+    ],
+)
+def test_direct_steps_end_where_the_teacher_ends(schedule: tuple[float, ...], gain: float) -> None:
+    assert loss_of(direct(constant(gain), schedule), pair_batch()) < 1e-12
+    assert loss_of(direct(constant(-RATE), schedule), pair_batch()) > 1e-4
+
+
+def test_direct_gradients_run_through_every_step() -> None:
+    """An Euler step of gain g on each half: d/dg of (1 + g/2)^2 is 1 + g/2, not half of it."""
+    gain = torch.tensor(-0.5, requires_grad=True)
+    batch = pair_batch()
+    loss_of(direct(constant(gain), (0.0, 0.5, 1.0)), batch).backward()
+    end = torch.tensor(-0.5, dtype=torch.float32)
+    slope = 1 + end / 2
+    scale = loss_of(direct(constant(END), (0.0, 1.0)), batch)  # of ((1 + END) - END)^2 = 1
+    expected = 2 * ((1 + end / 2) ** 2 - END) * slope * scale
+    assert gain.grad is not None
+    torch.testing.assert_close(gain.grad, expected, rtol=1e-4, atol=1e-6)
+
+
+class SquaredSize(nn.Module):
+    """A cost [B, N] of states [B, N, T, S], and of what else it is told."""
+
+    def forward(self, states: Tensor, inputs: dict[str, Tensor], reference_s: Tensor) -> Tensor:
+        assert set(inputs) == {"limits"}
+        return states.square().mean((2, 3)) / reference_s[:, None]
+
+
+def test_direct_weighs_what_its_ends_cost() -> None:
+    """Beside the distance from the teacher's, log(1 + J) of the student's own ends."""
+    batch = pair_batch() | {"reference_s": torch.tensor([1.0, 4.0])}
+    gain = constant(-RATE)
+    plain = direct(gain, (0.0, 1.0))(batch)
+    loss, terms = direct(gain, (0.0, 1.0), cost=SquaredSize(), cost_weight=0.3)(batch)
+    end = (1 - RATE) * batch["z_0"]
+    costs = end.square().mean((2, 3)) / torch.tensor([[1.0], [4.0]])
+    torch.testing.assert_close(terms["cost"], torch.log1p(costs).mean())
+    torch.testing.assert_close(loss, plain[0] + 0.3 * terms["cost"])
+    assert set(terms) == {*plain[1], "cost"}
+
+
+def test_direct_learns_to_cost_less() -> None:
+    """At the teacher's own end only the cost pulls."""
+    gain = torch.tensor(END - 1, requires_grad=True)
+    objective = direct(constant(gain), (0.0, 1.0), cost=SquaredSize(), cost_weight=1.0)
+    loss_of(objective, pair_batch()).backward()
+    assert gain.grad is not None
+    assert gain.grad > 0.1  # a smaller end costs less

@@ -1,0 +1,141 @@
+"""Clusters of goals and anchors, and the PDM sub-scores of anchors in every window."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anchorflow_driving.errors import UNREADABLE
+from anchorflow_driving.log import read_log
+from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
+from anchorflow_driving.window import Scenes
+from anchorflow_training.driving.labels import example
+from anchorflow_training.driving.log_cache import Arrays, Progress, digest, log_arrays
+from anchorflow_training.settings import ConfigError
+
+MOST_ENDS = 20_000  # that are clustered
+ITERATIONS = 30
+
+
+def clustered(ends: NDArray[np.floating], *, count: int, seed: int) -> NDArray[np.float32]:
+    """K centres [K, P] of ends [M, 2] m, or of points of more numbers, the nearest to 0 first."""
+    rng = np.random.default_rng(seed)
+    chosen = rng.choice(len(ends), min(len(ends), MOST_ENDS), replace=False)
+    points = np.asarray(ends, np.float64)[chosen]
+    if len(points) < count:  # too few to cluster: the same ones, a little apart
+        size = count, points.shape[1]
+        points = np.resize(points, size) + rng.normal(0.0, 0.5, size)
+    centres = _spread(points, count, rng)
+    for _ in range(ITERATIONS):
+        nearest = KDTree(centres).query(points)[1]
+        members = np.bincount(nearest, minlength=count)
+        sums = np.stack([np.bincount(nearest, axis, count) for axis in points.T], axis=-1)
+        centres = np.where(members[:, None] > 0, sums / np.maximum(members, 1)[:, None], centres)
+    return centres[np.argsort(np.linalg.norm(centres, axis=1))].astype(np.float32)
+
+
+def _spread(
+    points: NDArray[np.float64], count: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Points to begin with [K, F], each drawn by its squared distance from those before it
+    (k-means++; Arthur and Vassilvitskii, 2007)."""
+    centres = [points[rng.integers(len(points))]]
+    away = np.full(len(points), np.inf)
+    for _ in range(count - 1):
+        away = np.minimum(away, ((points - centres[-1]) ** 2).sum(1))
+        total = away.sum()
+        chance = away / total if total > 0 else None
+        centres.append(points[rng.choice(len(points), p=chance)])
+    return np.stack(centres)
+
+
+def read_vocabulary(path: Path, *, count: int) -> NDArray[np.float32]:
+    """Goals [K, 2] of a .npy file.
+
+    Raises:
+        ConfigError: it cannot be read, or holds anything but K pairs of finite numbers.
+    """
+    try:
+        goals = np.load(path, allow_pickle=False)
+    except UNREADABLE as error:
+        raise ConfigError(f"vocabulary: {path}: {error}") from error
+    if goals.shape != (count, 2):
+        raise ConfigError(f"vocabulary: {path}: expected [{count}, 2], got {list(goals.shape)}")
+    if goals.dtype.kind not in "iuf" or not np.isfinite(goals).all():
+        raise ConfigError(f"vocabulary: {path}: expected finite numbers, got {goals.dtype}")
+    return goals.astype(np.float32)
+
+
+Floats = NDArray[np.float32]
+
+HEADING_M = 5.0
+"""m that a radian counts for when futures are clustered."""
+
+
+def examples_of(logs: Sequence[Path]) -> Floats:
+    """What there is to imitate in the windows of logs: poses [M, T, 3], m and rad."""
+    shown = (example(window) for log in logs for window in Scenes(read_log(log)))
+    return np.array([poses for poses in shown if poses is not None], np.float32)
+
+
+def trajectory_anchors(futures: NDArray[np.floating], *, count: int, seed: int) -> Floats:
+    """K anchors [K, T, 3] of futures [M, T, 3], by k-means over x, y and heading.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if not len(futures):
+        raise ConfigError("anchors: expected examples to cluster, found none in any window")
+    units = np.array([1.0, 1.0, HEADING_M])
+    points = (futures * units).reshape(len(futures), -1)
+    centres = clustered(points, count=count, seed=seed)
+    return (centres.reshape(count, -1, 3) / units).astype(np.float32)
+
+
+def read_anchors(path: Path, *, count: int, steps: int) -> Floats:
+    """Anchors [K, T, 3] of a .npy file.
+
+    Raises:
+        ConfigError: it cannot be read, or holds anything but K trajectories of finite numbers.
+    """
+    try:
+        anchors = np.load(path, allow_pickle=False)
+    except UNREADABLE as error:
+        raise ConfigError(f"anchors: {path}: {error}") from error
+    if anchors.shape != (count, steps, 3):
+        wanted = [count, steps, 3]
+        raise ConfigError(f"anchors: {path}: expected shape {wanted}, got {list(anchors.shape)}")
+    if anchors.dtype.kind not in "iuf" or not np.isfinite(anchors).all():
+        raise ConfigError(f"anchors: {path}: expected finite numbers, got {anchors.dtype}")
+    return anchors.astype(np.float32)
+
+
+def anchor_scores(
+    logs: Sequence[Path], anchors: Floats, *, progress: Progress = lambda *_: None
+) -> Floats:
+    """PDM sub-scores [W, K, 5] of anchors in all windows of logs, in the order of SUB_SCORES.
+
+    Those of each log are worked out once, on every core, and kept beside it under the anchors'
+    digest. Raises `LogError` where a log or what is kept of it cannot be read, or there is no place
+    to write beside it.
+    """
+    make = partial(_scored, anchors=anchors)
+    parts = log_arrays(logs, f".pdm-{digest(anchors)}", make, progress=progress)
+    return np.concatenate([part["scores"].astype(np.float32) for part in parts])
+
+
+def _scored(log: Path, *, anchors: Floats) -> Arrays:
+    plans = anchors.astype(np.float64)
+    rows = [PdmScorer(window).score(plans).sub_scores for window in Scenes(read_log(log))]
+    table = np.array(rows, np.float16).reshape(-1, len(anchors), len(SUB_SCORES))
+    return {"scores": table}
+
+
+def pdms(scores: NDArray[np.floating]) -> NDArray[np.floating]:
+    """PDMS [...] of sub-scores [..., 5]."""
+    return PdmScores(*np.moveaxis(scores, -1, 0)).pdms

@@ -1,0 +1,218 @@
+"""Random scenes to plan in: a map of some family, a robot's state and a goal that it can reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_training.scene_layouts import LAYOUTS, BoolArray, Canvas
+from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.scene import Scene
+
+FloatArray = NDArray[np.floating]
+
+
+@lru_cache(maxsize=16)
+def _edges(height: int, width: int) -> tuple[NDArray[np.int32], NDArray[np.int32], FloatArray]:
+    """Pairs of neighbouring cells (8-connected, each once) and their distance in cells."""
+    cells = np.arange(height * width, dtype=np.int32).reshape(height, width)
+    pairs = [
+        (cells[:, :-1], cells[:, 1:], 1.0),
+        (cells[:-1], cells[1:], 1.0),
+        (cells[:-1, :-1], cells[1:, 1:], np.sqrt(2.0)),
+        (cells[:-1, 1:], cells[1:, :-1], np.sqrt(2.0)),
+    ]
+    tails = np.concatenate([a.ravel() for a, _, _ in pairs])
+    heads = np.concatenate([b.ravel() for _, b, _ in pairs])
+    steps = np.concatenate([np.full(a.size, c, np.float32) for a, _, c in pairs])
+    return tails, heads, steps
+
+
+def grid_graph(cost: FloatArray, cell_size: float) -> csr_array:
+    """Undirected graph of the cells; an edge weighs its length [m] times its ends' mean cost."""
+    tails, heads, steps = _edges(*cost.shape)
+    flat = cost.ravel()
+    weights = steps * cell_size * 0.5 * (flat[tails] + flat[heads])
+    return csr_array((weights, (tails, heads)), shape=(flat.size, flat.size))
+
+
+FloatArray = NDArray[np.floating]
+
+
+class SceneError(AnchorFlowError):
+    """A layout left no room for a start and a goal; draw another."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FamilyScene(Scene):
+    """A scene that knows its family, by which data and results are counted."""
+
+    family: str
+
+
+@dataclass(frozen=True)
+class RobotRanges:
+    """The robots and horizons that scenes are drawn for.
+
+    v_max: m/s; a_max: m/s^2; robot_radius: m; horizon_s: s
+    usual: share of scenes for the usual robot; fixed: share of scenes with a horizon
+    sizes: m, sides of the maps, (least, most) of the small, the usual and the wide
+    """
+
+    v_max: tuple[float, float] = (0.2, 6.0)
+    a_max: tuple[float, float] = (0.3, 8.0)
+    robot_radius: tuple[float, float] = (0.1, 0.6)
+    horizon_s: tuple[float, float] = (1.0, 120.0)
+    usual: float = 0.4
+    fixed: float = 0.2
+    sizes: tuple[tuple[float, float], ...] = ((3.0, 7.0), (7.0, 14.0), (14.0, 60.0))
+
+
+SIZE_SHARES = (0.2, 0.6, 0.2)
+LONGER = (1.15, 4.0)  # a horizon over the least time for the shortest route
+
+
+def draw_scene(
+    rng: np.random.Generator,
+    *,
+    cells: int = 96,
+    limits: MotionLimits,
+    robots: RobotRanges = RobotRanges(),
+) -> FamilyScene:
+    """A random scene on a `cells` x `cells` map; raises `SceneError` where the draw has no room.
+
+    limits: of the usual robot; robots: what others may be like
+    """
+    families = list(LAYOUTS)
+    shares = np.array([LAYOUTS[f][1] for f in families])
+    family = families[rng.choice(len(families), p=shares / shares.sum())]
+    size = float(rng.uniform(*robots.sizes[rng.choice(len(robots.sizes), p=SIZE_SHARES)]))
+    radius = float(np.clip(rng.lognormal(np.log(0.25), 0.35), *robots.robot_radius))
+    if rng.random() >= robots.usual:
+        v_max, a_max = (
+            float(np.exp(rng.uniform(*np.log(r)))) for r in (robots.v_max, robots.a_max)
+        )
+        limits = MotionLimits(v_max, a_max)
+    resolution = size / cells
+    occupied = _oriented(rng, family, cells, resolution, radius)
+    clearance = clearance_field(occupied, resolution, radius)
+    start, goal = _ends(rng, clearance, resolution)
+    origin = np.full(2, -size / 2)
+    x_curr, x_goal = np.zeros(6, np.float32), np.zeros(4, np.float32)
+    for target, cell in ((x_curr, start), (x_goal, goal)):
+        jitter = rng.uniform(-0.4, 0.4, 2)
+        target[:2] = origin + (np.array(cell)[::-1] + 0.5 + jitter) * resolution
+    span = x_goal[:2] - x_curr[:2]
+    if rng.random() < 0.5:
+        x_curr[2:4] = _velocity(rng, clearance[start], limits, span)
+        x_curr[4:6] = rng.normal(0.0, limits.a_max / 6, 2) * (rng.random() < 0.5)
+    if rng.random() < 0.3:
+        x_goal[2:4] = _velocity(rng, clearance[goal], limits, span)
+    cost_map = np.stack([occupied.astype(np.float32), *_ground(rng, cells)])
+    scene = FamilyScene(
+        family=family,
+        cost_map=cost_map,
+        resolution=resolution,
+        origin=origin,
+        robot_radius=radius,
+        x_curr=x_curr,
+        x_goal=x_goal,
+        w_style=_style(rng),
+        motion=limits,
+    )
+    if rng.random() >= robots.fixed:
+        return scene
+    horizon_s = scene.reference_s * float(np.exp(rng.uniform(*np.log(LONGER))))
+    horizon_s = float(np.clip(horizon_s, *robots.horizon_s))
+    return replace(scene, motion=replace(limits, horizon_s=horizon_s))
+
+
+def _oriented(
+    rng: np.random.Generator, family: str, cells: int, resolution: float, radius: float
+) -> BoolArray:
+    """The family's layout, turned by a random angle half of the time; [cells, cells]."""
+    layout = LAYOUTS[family][0]
+    if rng.random() < 0.5:
+        return np.rot90(layout(Canvas(rng, cells, resolution, radius)), int(rng.integers(4))).copy()
+    larger = int(np.ceil(cells * np.sqrt(2)))
+    drawn, angle = layout(Canvas(rng, larger, resolution, radius)), rng.uniform(0, 2 * np.pi)
+    offset = np.arange(cells) - (cells - 1) / 2
+    x, y = offset[None, :], offset[:, None]
+    column = np.cos(angle) * x - np.sin(angle) * y + (larger - 1) / 2
+    row = np.sin(angle) * x + np.cos(angle) * y + (larger - 1) / 2
+    return drawn[np.rint(row).astype(int), np.rint(column).astype(int)]
+
+
+def _ends(
+    rng: np.random.Generator, clearance: FloatArray, resolution: float
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Start and goal cells (row, column), connected by a way."""
+    # Some ends are snug against a wall, most are not.
+    room = float(rng.choice([0.02, 0.1, 0.2]))
+    open_cells = np.argwhere(clearance > room)
+    if len(open_cells) < 20:
+        raise SceneError("no open ground")
+    across = rng.random() < 0.5
+    starts = open_cells
+    if across:  # as in the common benchmarks: from one side of the map to the other
+        near = open_cells[:, 0] < 0.1 * len(clearance)
+        starts = open_cells[near] if near.any() else open_cells
+    start = tuple(starts[rng.integers(len(starts))])
+    graph = grid_graph(np.where(clearance > 0, 1.0, np.inf).astype(np.float32), resolution)
+    graph.data[~np.isfinite(graph.data)] = 0.0
+    graph.eliminate_zeros()
+    source = start[0] * clearance.shape[1] + start[1]
+    length = dijkstra(graph, directed=False, indices=source).reshape(clearance.shape)
+    straight = (
+        np.hypot(*(np.indices(clearance.shape) - np.array(start)[:, None, None])) * resolution
+    )
+    fit = (clearance > room) & np.isfinite(length) & (straight > 1.0)
+    if across:
+        fit &= np.indices(clearance.shape)[0] > 0.75 * len(clearance)
+    goals = np.argwhere(fit)
+    if not len(goals):
+        raise SceneError("no goal within reach")
+    distance = straight[fit]
+    detour = length[fit] / distance
+    weight = distance * (1.0 + 4.0 * np.minimum(detour - 1.0, 1.0))
+    goal = goals[rng.choice(len(goals), p=weight / weight.sum())]
+    if rng.random() < 0.5 and across:
+        return tuple(goal), start
+    return start, tuple(goal)
+
+
+def _velocity(
+    rng: np.random.Generator, clearance: float, limits: MotionLimits, span: FloatArray
+) -> FloatArray:
+    """A velocity at an end of the way: mostly along it, slow where there is little room."""
+    braking = np.sqrt(2 * 0.7 * limits.a_max * max(0.05, clearance + 0.15))
+    speed = rng.uniform(0.05, 1.0) * min(limits.v_max, braking)
+    angle = np.arctan2(span[1], span[0]) + rng.normal(0.0, 0.7)
+    return speed * np.array([np.cos(angle), np.sin(angle)], np.float32)
+
+
+def _ground(rng: np.random.Generator, cells: int) -> tuple[FloatArray, FloatArray]:
+    """Traversability and risk: neutral in most scenes, smooth patches in some; [H, W] each."""
+    layers = []
+    for neutral in (1.0, 0.0):
+        layer = np.full((cells, cells), neutral, np.float32)
+        if rng.random() < 0.15:
+            noise = gaussian_filter(
+                rng.normal(size=(cells, cells)), rng.uniform(0.04, 0.12) * cells
+            )
+            patches = np.clip(noise / np.abs(noise).max() * 2.5 - 0.6, 0.0, 1.0)
+            layer = np.abs(neutral - patches).astype(np.float32)
+        layers.append(layer)
+    return layers[0], layers[1]
+
+
+def _style(rng: np.random.Generator) -> FloatArray:
+    return rng.dirichlet(np.array([1.3, 1.1, 1.1])).astype(np.float32)
