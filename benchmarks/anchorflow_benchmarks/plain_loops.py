@@ -102,8 +102,7 @@ def torch_loop(checkpoint: Path, *, threads: int) -> Loop:
     """
     import torch
 
-    from anchorflow_training.checkpoint import CheckpointError, load_checkpoint
-    from anchorflow_training.checkpoint import restore_flow
+    from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, restore_flow
 
     torch.set_num_threads(threads)
     try:
