@@ -19,8 +19,6 @@ from pydantic import ConfigDict, ValidationError, create_model
 from anchorflow_client.errors import AnchorFlowError
 
 if TYPE_CHECKING:
-    from pydantic_core import ErrorDetails
-
     from anchorflow_training.config import RunConfig
 
 Kind = TypeVar("Kind")
@@ -216,7 +214,7 @@ def _parsed(kind: Any, values: Mapping[str, Any], *, source: str, prefix: str = 
     return result
 
 
-def _explained(kind: type, error: ErrorDetails, given: Mapping[str, Mapping[str, Any]]) -> str:
+def _explained(kind: type, error: Mapping[str, Any], given: Mapping[str, Mapping[str, Any]]) -> str:
     """Return an error of pydantic as source, setting, expected and got."""
     names = [part for part in error["loc"][1:] if isinstance(part, str)]
     path, source, value = ".".join(names), "configuration", None
