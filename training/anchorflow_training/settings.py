@@ -11,18 +11,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import yaml
 from pydantic import ConfigDict, ValidationError, create_model
 
 from anchorflow_client.errors import AnchorFlowError
 
-if TYPE_CHECKING:
-    from anchorflow_training.config import RunConfig
-
 Kind = TypeVar("Kind")
-Run = TypeVar("Run", bound="RunConfig")
 
 PLANNER = "planner"  # the key of a planner's name, beside the settings of its run
 BOUNDS = {
@@ -105,11 +101,11 @@ def build(kind: type[Kind], values: Mapping[str, Any], *, source: str) -> Kind:
 
 
 def layers(
-    kind: type[Run],
+    kind: type[Kind],
     base: Mapping[str, Any],
     file: Path | None = None,
     options: Mapping[str, Any] | None = None,
-) -> Run:
+) -> Kind:
     """Return the configuration of the defaults, `base`, the file and the options, in this order.
 
     options: by dotted path, `{"batch.scenes": 8}`
@@ -131,7 +127,7 @@ def planner_in(path: Path) -> str | None:
     return planner
 
 
-def config_text(config: RunConfig) -> str:
+def config_text(config: Any) -> str:
     """Return the whole configuration as the YAML that `layers` reads."""
     named = {PLANNER: config.planner, **asdict(config)}
     return yaml.safe_dump(_plain(named), sort_keys=False)
@@ -147,7 +143,7 @@ def check_fixed(config: Any, fixed: Mapping[str, Any], *, by: str, prefix: str =
             raise ConfigError(f"{prefix}{name}: expected {value}, as {by} have, got {own}")
 
 
-def _of_planner(path: Path, kind: type[RunConfig]) -> dict[str, Any]:
+def _of_planner(path: Path, kind: Any) -> dict[str, Any]:
     values = _read(path)
     planner = values.pop(PLANNER, kind.planner)
     if planner != kind.planner:
