@@ -29,8 +29,8 @@ from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.scenes import SceneError, draw_scene
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
-from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hide_ticks
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
 BATCH_SCENES = 8

@@ -20,11 +20,11 @@ from anchorflow_benchmarks.planners import (
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.refine import Refiner
-from anchorflow_trajectory.route_splines import STRETCH, spread_round, usual_spread
+from anchorflow_trajectory.finish.refiner import Refiner
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.splines import STRETCH, spread_round, usual_spread
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import SplineBasis, Splines, spline_basis
+from anchorflow_trajectory.spline.basis import SplineBasis, Splines, spline_basis
 
 EXPERT_STEPS = (60, 200)
 DESCENTS = (0, 5, 10, 20, 60)

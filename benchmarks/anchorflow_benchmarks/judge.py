@@ -27,9 +27,9 @@ from scipy.spatial.distance import cdist
 from anchorflow_benchmarks.grid_path import shortest_way
 from anchorflow_benchmarks.planners import Proposals
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ray_signature import ObstacleRays, Signature
-from anchorflow_trajectory.routes import find_routes
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.homotopy import ObstacleRays, Signature
+from anchorflow_trajectory.routes.search import find_routes
 from anchorflow_trajectory.scene import Scene
 
 Array = NDArray[np.float64]

@@ -47,8 +47,8 @@ from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
 from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
 from anchorflow_service.engine.samplers.ode import Beginning, OdeSampler
-from anchorflow_trajectory.cores import usable_cores
 from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.threads import usable_cores
 
 SEED = 1
 STAGES = ("encode", "sample", "refine", "total")

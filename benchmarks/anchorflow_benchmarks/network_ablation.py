@@ -45,7 +45,7 @@ from anchorflow_client.contract.fields import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
 BUNDLE_DESCENTS = DESCENTS[:-1]

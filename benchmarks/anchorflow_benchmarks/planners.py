@@ -28,13 +28,12 @@ from anchorflow_client.contract import (
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import Bundle, load_bundle
 from anchorflow_service.engine import Engine
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ode.method import method_named
-from anchorflow_trajectory.route_splines import LEAST_WAY
-from anchorflow_trajectory.routes import polyline_length
+from anchorflow_trajectory.motion import MotionLimits, nominal_duration, ramp_share, time_along
+from anchorflow_trajectory.ode.methods import method_named
+from anchorflow_trajectory.routes.search import polyline_length
+from anchorflow_trajectory.routes.splines import LEAST_WAY
 from anchorflow_trajectory.scene import Scene, with_neutral_channels
-from anchorflow_trajectory.spline import Ends, SplineBasis, Splines
-from anchorflow_trajectory.time_law import nominal_duration, ramp_share, time_along
+from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines
 
 Array = NDArray[np.float64]
 

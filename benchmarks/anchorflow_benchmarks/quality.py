@@ -48,8 +48,8 @@ from anchorflow_client.contract.checks import number
 from anchorflow_client.contract.fields import A_MAX, GUIDANCE, ROBOT_RADIUS, STYLES, V_MAX
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ray_signature import Signature
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.homotopy import Signature
 
 SEED = 1
 ALL_BASELINES = ",".join(BASELINES)

@@ -24,7 +24,7 @@ from rich.table import Table
 
 from anchorflow_benchmarks import BenchmarkError
 from anchorflow_cli.extras import needs_extra
-from anchorflow_trajectory.cores import usable_cores
+from anchorflow_trajectory.threads import usable_cores
 
 Cell = str | float | int | None
 Row = Mapping[str, Cell]

@@ -42,10 +42,10 @@ from anchorflow_benchmarks.scene_files import (
 )
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ray_signature import Signature
-from anchorflow_trajectory.route_shortening import pulled_tight
-from anchorflow_trajectory.routes import find_routes
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.homotopy import Signature
+from anchorflow_trajectory.routes.search import find_routes
+from anchorflow_trajectory.routes.shortening import pulled_tight
 
 COLUMNS = (
     *("planner", "recall", "first", "found", "distinct", "success", "any", "duration"),

@@ -19,9 +19,9 @@ from anchorflow_benchmarks.planners import (
     driven_along,
     without_fields,
 )
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.spline.basis import spline_basis
 
 FloatArray = NDArray[np.float32]
 State = Any  # two numbers; OMPL's stubs do not type the index

@@ -17,8 +17,8 @@ from anchorflow_benchmarks import BenchmarkError
 from anchorflow_client.contract import DEFAULT_STYLE
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ray_signature import Signature
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.homotopy import Signature
 from anchorflow_trajectory.scene import with_neutral_channels
 
 Chosen = TypeVar("Chosen")

@@ -32,8 +32,8 @@ from anchorflow_training.data.scene_import import ImportConfig, SceneOptions, im
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.v2x.dataset import refuse_pairs
-from anchorflow_trajectory.cores import usable_cores
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.threads import usable_cores
 
 app = command_app()
 

@@ -19,9 +19,9 @@ from anchorflow_export.planners import adapter_of, check_used
 from anchorflow_export.quantization import quantize_bundle
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, provenance, restore_model
 from anchorflow_training.distillation.teacher import student_schedule
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.finish.refiner import DESCENT_RATE
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.ode.schedule import Schedule
-from anchorflow_trajectory.refine import DESCENT_RATE
 
 app = command_app()
 

@@ -40,7 +40,7 @@ from anchorflow_models.generation import AnchorTensors, GeneratorConfig, Traject
 from anchorflow_models.generation.scenes import DEFAULT_MOTION, DEFAULT_ROBOT_RADIUS
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, restore_flow
 from anchorflow_training.distillation.teacher import student_schedule
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 app = command_app()
 

@@ -40,7 +40,7 @@ from anchorflow_service.observability.logs import set_up_logging
 from anchorflow_service.observability.metrics import SHARED_FOLDER, reserve_shared_files
 from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.repository import FixedRepository, Repository, open_all
-from anchorflow_trajectory.cores import usable_cores
+from anchorflow_trajectory.threads import usable_cores
 
 if TYPE_CHECKING:
     from anchorflow_cli.zenoh_options import ZenohChoice

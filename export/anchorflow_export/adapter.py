@@ -24,8 +24,8 @@ from anchorflow_service.bundle.manifest import (
     VisionLanguageEntry,
     VocabularyEntry,
 )
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.refine import DESCENT_RATE
+from anchorflow_trajectory.finish.refiner import DESCENT_RATE
+from anchorflow_trajectory.motion import MotionLimits
 
 # Of a model whose data say nothing of limits.
 USUAL_LIMITS = MotionLimits(v_max=2.0, a_max=3.0)

@@ -11,7 +11,7 @@ import pytest
 
 from anchorflow_benchmarks.scene_files import STYLE
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 
 @pytest.fixture(scope="session")

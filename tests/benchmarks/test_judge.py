@@ -29,8 +29,8 @@ from anchorflow_benchmarks.scene_files import load_routes, load_scenes, read_rou
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.spline.basis import spline_basis
 
 SceneMaker = Callable[..., FamilyScene]
 

@@ -28,7 +28,7 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.engine.samplers.ode import Beginning
 from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 ONCE = LatencyConfig(counts=(3,), rounds=MIN_ROUNDS, budget_s=0.0, threads=1)
 

@@ -24,7 +24,7 @@ from anchorflow_client.contract.fields import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.bundle.manifest import NoFinishEntry, SplineEntry
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 SceneMaker = Callable[..., FamilyScene]
 

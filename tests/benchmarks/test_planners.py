@@ -28,7 +28,7 @@ from anchorflow_benchmarks.planners import (
 from anchorflow_client.contract import ModelCard
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 
 def test_a_planner_of_cost_maps_is_opened() -> None:

@@ -22,9 +22,9 @@ from anchorflow_benchmarks.quality import (
 from anchorflow_client.contract.fields import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.spline.basis import spline_basis
 
 SceneMaker = Callable[..., FamilyScene]
 

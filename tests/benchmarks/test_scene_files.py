@@ -18,7 +18,7 @@ from anchorflow_benchmarks.scene_files import (
     read_scenes,
 )
 from anchorflow_training.scenes import draw_scene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ from staged_planner import Stage, nothing_safe
 from anchorflow_client import CostMap
 from anchorflow_client.planner import PlannerConfig
 from anchorflow_client.planner.local_goal import SHARE_OF_CELL, start_clearance
-from anchorflow_trajectory import verify
-from anchorflow_trajectory.clearance import GridField, clearance_field
+from anchorflow_trajectory.cost.clearance import GridField, clearance_field
+from anchorflow_trajectory.finish import certificate as verify
 
 RADIUS, CELL = 0.25, 0.1
 NEAREST_CENTRE = np.sqrt(0.5) - 0.5  # cells by which its square may be further than another

@@ -24,7 +24,7 @@ from anchorflow_models.flowmp import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.bundle.samplers import OdeEntry, PriorEntry
 from anchorflow_service.local import LocalClient
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator, WarmStart
 from anchorflow_service.local import LocalClient
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 CONFIG = L2Config(map_size=16, num_steps=24, num_control_points=12, layers=2)
 X_CURR, X_GOAL = [-1.5, 0.1, 0.4, 0.0, 0.0, 0.0], [1.5, -0.3, 0.0, 0.0]

@@ -12,8 +12,8 @@ from torch import Tensor
 from anchorflow_models import L2Config, L2SafetyCFM
 from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.flowmp.prior import LEAST_SPREAD, TrajectoryPrior
-from anchorflow_trajectory.route_splines import usual_spread
-from anchorflow_trajectory.spline import Ends
+from anchorflow_trajectory.routes.splines import usual_spread
+from anchorflow_trajectory.spline.basis import Ends
 
 BATCH, COUNT = 2, 6
 OPEN, FIXED = torch.zeros(BATCH), torch.full((BATCH,), 5.0)

@@ -17,7 +17,7 @@ import onnx
 from onnx import numpy_helper
 from written_graphs import write_graphs
 
-from anchorflow_trajectory.ddim import CLEAN, NoiseLevels, ddim_step, noised
+from anchorflow_trajectory.ode.ddim import CLEAN, NoiseLevels, ddim_step, noised
 
 A, GROUPS, VARIANTS, KEEP, T = 3, 4, 2, 6, 8
 START, SCHEDULES, STEPS = 8, ((8,), (10, 0), (15, 10, 5, 0)), 2

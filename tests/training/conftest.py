@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from anchorflow_training.dataset import Row, SceneDataset, create_arrays, open_dataset, scene_row
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.route_splines import STRETCH, spread_round
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.splines import STRETCH, spread_round
 from anchorflow_trajectory.scene import Scene
 
 CELLS, RESOLUTION, HORIZON_S = 32, 0.25, 8.0

@@ -32,12 +32,12 @@ from anchorflow_training.dataset import (
 )
 from anchorflow_training.expert import ExpertConfig, Solution, chosen_by_route, solve
 from anchorflow_training.make_data import DataConfig, make_dataset
-from anchorflow_trajectory.clearance import GridField
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.route_splines import RouteSplines
+from anchorflow_trajectory.cost.clearance import GridField
+from anchorflow_trajectory.finish.certificate import path_clearance, verify
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.splines import RouteSplines
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import Splines
-from anchorflow_trajectory.verify import path_clearance, verify
+from anchorflow_trajectory.spline.basis import Splines
 
 CONFIG = DataConfig(scenes=6, seed=3, trajectories=8)
 

@@ -13,7 +13,7 @@ from anchorflow_models.flowmp.frame import Frame
 from anchorflow_training.batches import reflection
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.objective import prior_covariance
-from anchorflow_trajectory.spline import Splines, spline_basis
+from anchorflow_trajectory.spline.basis import Splines, spline_basis
 
 MODEL = L2Config(map_size=16, feature_channels=4)
 BASIS = spline_basis(64)

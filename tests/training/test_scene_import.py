@@ -17,8 +17,8 @@ from anchorflow_training.data.scene_import import (
     rounded_up,
 )
 from anchorflow_training.dataset import DTYPES, SceneDataset, open_dataset
-from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.routes import MOST_ROUTES
+from anchorflow_trajectory.cost.clearance import clearance_field
+from anchorflow_trajectory.routes.search import MOST_ROUTES
 
 STEPS = 21
 RADIUS = 0.2

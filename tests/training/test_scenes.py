@@ -7,7 +7,7 @@ import pytest
 
 from anchorflow_training.scene_layouts import LAYOUTS, Canvas
 from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 ROBOTS = RobotRanges()

@@ -28,8 +28,8 @@ from anchorflow_training.evaluation import (
 from anchorflow_training.run import without_progress
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer, split
-from anchorflow_trajectory.clearance import GridField, clearance_field
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.cost.clearance import GridField, clearance_field
+from anchorflow_trajectory.motion import MotionLimits
 
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 MODEL = L2Config(map_size=16, feature_channels=4)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.cost_fields import CostFields
-from anchorflow_trajectory.spline import Ends, SplineBasis, Splines, spline_basis
+from anchorflow_trajectory.cost.clearance import clearance_field
+from anchorflow_trajectory.cost.fields import CostFields
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines, spline_basis
 
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 MOVING = Ends(np.array([1.0, 3.2, 0.4, 0.1, 0.2, -0.3]), np.array([5.5, 3.1, 0.3, -0.1]))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from anchorflow_trajectory.compiled import HERE, kept, stamp
-from anchorflow_trajectory.prior import drawn
+from anchorflow_trajectory.ode.integrate import drawn
 
 CALLER = "@compiled\ndef caller():\n    return callee()\n"
 CALLEE = "@compiled\ndef callee():\n    return {}\n"

@@ -6,7 +6,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from anchorflow_trajectory.lock_free import cached_property
+from anchorflow_trajectory.caching import cached_property
 
 
 @dataclass(frozen=True, eq=False)

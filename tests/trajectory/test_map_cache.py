@@ -5,9 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from anchorflow_trajectory import clearance
-from anchorflow_trajectory.clearance import clearance_field, signed_distance
-from anchorflow_trajectory.map_cache import MapCache
+from anchorflow_trajectory.caching import MapCache
+from anchorflow_trajectory.cost import clearance
+from anchorflow_trajectory.cost.clearance import clearance_field, signed_distance
 
 FREE = np.zeros((8, 8), bool)
 ENTRY = 8 + 8 * 8 * 4  # bytes of key and field

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from anchorflow_trajectory.resample import resampled_states, whole_fields
+from anchorflow_trajectory.warm_start import resampled_states, whole_fields
 
 HORIZON_S = 7.0
 

@@ -6,9 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from anchorflow_trajectory import clearance
-from anchorflow_trajectory.cost import CostWeights, MotionLimits
-from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
+from anchorflow_trajectory.cost import clearance
+from anchorflow_trajectory.cost.trajectory_cost import CostWeights
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, share_within, with_neutral_channels
 
 

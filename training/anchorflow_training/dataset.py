@@ -37,8 +37,8 @@ from anchorflow_client.contract.fields import LIMITS
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.atomic_write import atomic_write
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.routes import MOST_ROUTES
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.search import MOST_ROUTES
 from anchorflow_trajectory.scene import Scene
 
 Row = dict[str, NDArray[Any]]

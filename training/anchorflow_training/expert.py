@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.cost import TrajectoryCost
-from anchorflow_trajectory.descent import descend
-from anchorflow_trajectory.refine import STIFFER
-from anchorflow_trajectory.route_splines import STRETCH, RouteSplines, spread_round, usual_spread
+from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
+from anchorflow_trajectory.finish.certificate import verify
+from anchorflow_trajectory.finish.descent import descend
+from anchorflow_trajectory.finish.refiner import STIFFER
+from anchorflow_trajectory.routes.splines import STRETCH, RouteSplines, spread_round, usual_spread
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.spline import Splines
-from anchorflow_trajectory.verify import verify
+from anchorflow_trajectory.spline.basis import Splines
 
 FloatArray = NDArray[np.floating]
 

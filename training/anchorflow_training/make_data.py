@@ -17,7 +17,8 @@ import numpy as np
 from anchorflow_training.dataset import Row, create_arrays, scene_row, write_meta
 from anchorflow_training.expert import ExpertConfig, chosen_by_route, solve
 from anchorflow_training.scenes import RobotRanges, SceneError, draw_scene
-from anchorflow_trajectory.cost import CostWeights, MotionLimits
+from anchorflow_trajectory.cost.trajectory_cost import CostWeights
+from anchorflow_trajectory.motion import MotionLimits
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from anchorflow_models.flowmp.frame import Frame
 from anchorflow_training.batches import reflection
 from anchorflow_training.config import FlowMatchingConfig
 from anchorflow_training.dataset import SceneDataset, own_time_states
-from anchorflow_trajectory.spline import spline_basis
+from anchorflow_trajectory.spline.basis import spline_basis
 
 
 def draw_flow_times(

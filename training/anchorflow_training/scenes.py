@@ -13,8 +13,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_training.scene_layouts import LAYOUTS, BoolArray, Canvas
-from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.cost.clearance import clearance_field
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
 FloatArray = NDArray[np.floating]

@@ -8,16 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory import clearance
-from anchorflow_trajectory.cost import CostWeights, MotionLimits
-from anchorflow_trajectory.cost_fields import TRAVERSABILITY, CostFields
-from anchorflow_trajectory.grid import cell_index
-from anchorflow_trajectory.lock_free import cached_property
-from anchorflow_trajectory.ray_signature import ObstacleRays
-from anchorflow_trajectory.route_shortening import CHORD_SLACK, pulled_tight
-from anchorflow_trajectory.route_splines import LEAST_WAY, splines_along
-from anchorflow_trajectory.routes import SLACK, Route, find_routes
-from anchorflow_trajectory.spline import DEGREE, Ends, SplineBasis, Splines, spline_basis
+from anchorflow_trajectory.caching import cached_property
+from anchorflow_trajectory.cost import clearance
+from anchorflow_trajectory.cost.fields import TRAVERSABILITY, CostFields
+from anchorflow_trajectory.cost.trajectory_cost import CostWeights
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.dijkstra import cell_index
+from anchorflow_trajectory.routes.homotopy import ObstacleRays
+from anchorflow_trajectory.routes.search import SLACK, Route, find_routes
+from anchorflow_trajectory.routes.shortening import CHORD_SLACK, pulled_tight
+from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
+from anchorflow_trajectory.spline.basis import DEGREE, Ends, SplineBasis, Splines, spline_basis
 
 FloatArray = NDArray[np.floating]
 

@@ -13,13 +13,13 @@ from functools import cache
 
 import numpy as np
 
-from anchorflow_trajectory.bisection import bisect_to_safe
 from anchorflow_trajectory.compiled import kept
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.prior import drawn
-from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.finish.bisection import bisect_to_safe
+from anchorflow_trajectory.finish.certificate import are_safe
+from anchorflow_trajectory.finish.refiner import Refiner
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.ode.integrate import drawn
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.verify import are_safe
 
 logger = logging.getLogger(__name__)
 

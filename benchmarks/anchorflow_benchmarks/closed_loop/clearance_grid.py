@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from anchorflow_trajectory.clearance import distance_to_cells
+from anchorflow_trajectory.cost.clearance import distance_to_cells
 
 
 @dataclass(frozen=True, eq=False)

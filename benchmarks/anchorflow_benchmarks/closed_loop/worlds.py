@@ -30,8 +30,8 @@ from anchorflow_benchmarks.scene_files import (
 )
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.scenes import FamilyScene
-from anchorflow_trajectory.clearance import distance_to_cells
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.cost.clearance import distance_to_cells
+from anchorflow_trajectory.motion import MotionLimits
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ BoolArray = NDArray[np.bool_]
 
 SHARE_OF_CELL = 0.3
 """Share of a cell that the service requires beyond the certified margin, for other readers'
-rounding (`anchorflow_trajectory.verify`)."""
+rounding (`anchorflow_trajectory.finish.certificate`)."""
 PLANE = 2  # x and y; a heading in a goal is left as it is
 MOVING = 1e-9  # m, the shortest displacement along an axis that counts
 

@@ -14,7 +14,7 @@ from anchorflow_docs.pictures.marks import Array, draw_ends, draw_field, draw_ma
 from anchorflow_docs.pictures.overview import draw_answer
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import WIDTH, Drawing, Theme
-from anchorflow_trajectory.cost_fields import soft_cost
+from anchorflow_trajectory.cost.fields import soft_cost
 from anchorflow_trajectory.drawing import draw_paths
 from anchorflow_trajectory.scene import Scene
 

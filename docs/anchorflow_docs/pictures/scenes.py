@@ -15,7 +15,7 @@ from anchorflow_service.engine import Engine
 from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_training.data.inspection import homology_classes, obstacle_points
 from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
 FAMILIES = ("rooms", "posts", "maze", "bug_traps", "city", "gaps", "discs", "forest")

@@ -10,7 +10,7 @@ from anchorflow_models.transfuser import (
     TransfuserConfig,
     foretold_times,
 )
-from anchorflow_trajectory.ddim import NoiseLevels
+from anchorflow_trajectory.ode.ddim import NoiseLevels
 
 POSES = 8
 FIRST_S = STEP_S = 0.5  # s

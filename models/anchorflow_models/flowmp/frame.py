@@ -15,7 +15,7 @@ from torch.nn import functional as F
 
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.layers.geometry import in_float32
-from anchorflow_trajectory.route_splines import LEAST_SPREAD, MOST_SPREAD, SPREAD_SHARE
+from anchorflow_trajectory.routes.splines import LEAST_SPREAD, MOST_SPREAD, SPREAD_SHARE
 
 WINDOW_SHARE = 0.5
 WINDOW_MARGIN = 1.8  # m

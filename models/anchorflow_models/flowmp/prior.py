@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.layers.geometry import in_float32
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 FIELDS = 3  # position and its derivatives by the trajectory's own time
 LEAST_SPREAD = 0.05  # of log duration, which data of one horizon do not spread at all

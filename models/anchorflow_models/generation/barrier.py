@@ -28,7 +28,7 @@ from torch import Tensor
 
 from anchorflow_models.generation.clearance_map import ClearanceMap
 from anchorflow_models.generation.covariance import along_prior
-from anchorflow_trajectory.control_barrier import SHARPNESS, SLACK
+from anchorflow_trajectory.finish.control_barrier import SHARPNESS, SLACK
 
 
 @dataclass(frozen=True, eq=False)

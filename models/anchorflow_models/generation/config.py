@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
 from anchorflow_models.generation.checks import check
-from anchorflow_trajectory.ode.method import METHODS as SOLVERS
+from anchorflow_trajectory.ode.methods import METHODS as SOLVERS
 from anchorflow_trajectory.ode.schedule import Schedule, check_schedule
 
 ADAPTIVE = "rk45"

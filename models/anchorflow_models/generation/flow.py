@@ -13,7 +13,7 @@ from anchorflow_models.generation.barrier import Barrier
 from anchorflow_models.generation.config import ADAPTIVE, GeneratorConfig
 from anchorflow_models.generation.guidance import Guidance
 from anchorflow_models.generation.integrate import Stage, integrate, integrate_adaptive
-from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.ode.methods import method_named
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
 
 Context = dict[str, Tensor]

@@ -28,9 +28,9 @@ from anchorflow_models.generation.scenes import (
     requested_scenes,
 )
 from anchorflow_models.generation.warm_start import noised
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.finish.refiner import Refined, Refiner
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.ode.schedule import remaining
-from anchorflow_trajectory.refine import Refined, Refiner
 from anchorflow_trajectory.scene import Scene
 
 Seed = int | torch.Generator | None

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdiffeq import odeint
 
 from anchorflow_models.generation.checks import check
-from anchorflow_trajectory.ode.method import Method
+from anchorflow_trajectory.ode.methods import Method
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
 
 RESOLVED = 10  # units of the dtype's rounding below which no tolerance can be met

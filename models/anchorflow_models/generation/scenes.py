@@ -14,9 +14,9 @@ from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.generation.checks import check
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import ROUTE_STATES, SCENE_INPUTS, Scene, with_neutral_channels
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 Numbers = ArrayLike | Tensor
 

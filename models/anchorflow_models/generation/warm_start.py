@@ -11,9 +11,8 @@ from torch import Tensor
 from anchorflow_client.contract import WarmStart
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_models.generation.scenes import as_numpy, dealt_routes
-from anchorflow_trajectory.resample import whole_fields
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.warm_start import warm_states
+from anchorflow_trajectory.warm_start import warm_states, whole_fields
 
 
 def noised(x_0: Tensor, warm_start: WarmStart, scenes: Sequence[Scene]) -> Tensor:

@@ -40,7 +40,7 @@ from anchorflow_service.bundle.conditioning import (
     VisionLanguageEntry,
 )
 from anchorflow_service.bundle.samplers import OdeEntry, TruncatedDiffusionEntry, VocabularyEntry
-from anchorflow_trajectory.refine import DESCENT_RATE
+from anchorflow_trajectory.finish.refiner import DESCENT_RATE
 
 FORMAT = 2
 FILE_NAME = "manifest.json"

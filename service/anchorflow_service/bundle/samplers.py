@@ -15,8 +15,8 @@ from pydantic import (
 
 from anchorflow_client.contract import OdeSpec, TruncatedDiffusionSpec, VocabularySpec
 from anchorflow_service.bundle.conditioning import Entry
-from anchorflow_trajectory.ddim import NoiseLevels
-from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.ode.ddim import NoiseLevels
+from anchorflow_trajectory.ode.methods import method_named
 from anchorflow_trajectory.ode.schedule import check_schedule
 
 

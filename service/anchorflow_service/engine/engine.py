@@ -18,7 +18,7 @@ from anchorflow_service.engine.parts import DT, Arrays, Check, ConditionedScene,
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
 from anchorflow_service.engine.timing import StageClock
-from anchorflow_trajectory.cores import usable_cores
+from anchorflow_trajectory.threads import usable_cores
 
 PROBED = 16  # anchors
 

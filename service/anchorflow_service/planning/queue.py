@@ -22,7 +22,7 @@ from typing import NamedTuple, TypeVar
 from anchorflow_client.errors import NotReady, Overloaded
 from anchorflow_service.planning.call import Arrival
 from anchorflow_service.planning.job import AnyJob, Job, JobCancelled, JobContext, WaitingLine
-from anchorflow_trajectory.cores import usable_cores
+from anchorflow_trajectory.threads import usable_cores
 
 Result = TypeVar("Result")
 

@@ -18,7 +18,7 @@ from anchorflow_benchmarks.closed_loop.cost_to_go import (
 )
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import Unicycle
-from anchorflow_trajectory.clearance import GridField, distance_to_cells
+from anchorflow_trajectory.cost.clearance import GridField, distance_to_cells
 
 GOAL = torch.tensor([6.0, 0.0])
 

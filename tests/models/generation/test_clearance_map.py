@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from anchorflow_models.generation import ClearanceMap
-from anchorflow_trajectory.clearance import GridField, clearance_field
+from anchorflow_trajectory.cost.clearance import GridField, clearance_field
 
 
 def test_values_and_gradients_are_those_of_the_service() -> None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
-from anchorflow_trajectory.spline import Ends, spline_basis
+from anchorflow_trajectory.spline.basis import Ends, spline_basis
 
 BENT = torch.tensor([0.3, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])  # at every step, the ends too
 

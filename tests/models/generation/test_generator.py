@@ -20,10 +20,9 @@ from anchorflow_models.generation import (
     requested_scenes,
 )
 from anchorflow_models.generation.scenes import dealt_routes, prior_means
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ode.method import METHODS
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.ode.methods import METHODS, RK4
 from anchorflow_trajectory.ode.schedule import stage_times
-from anchorflow_trajectory.ode.tableau import RK4
 
 SHIFT = torch.tensor([0.0, 0.5, 0.1, 0.0, 0.0, 0.2, 0.1])
 

@@ -20,9 +20,9 @@ from anchorflow_models.generation import (
     requested_scenes,
 )
 from anchorflow_models.generation.scenes import prior_means
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.guidance import Guidance as ServedGuidance
-from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.finish.refiner import Refiner
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.ode.guidance import Guidance as ServedGuidance
 
 VIA = torch.tensor([0.0, 1.5])
 

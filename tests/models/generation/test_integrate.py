@@ -13,9 +13,8 @@ from torch import Tensor
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
 from anchorflow_models.generation.integrate import Stage, integrate, integrate_adaptive
-from anchorflow_trajectory.ode.method import METHODS, Method
+from anchorflow_trajectory.ode.methods import METHODS, ButcherTableau, Method
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
-from anchorflow_trajectory.ode.tableau import ButcherTableau
 
 EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 ONE_STEP = [method for method in METHODS.values() if isinstance(method, ButcherTableau)]

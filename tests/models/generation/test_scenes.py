@@ -12,8 +12,8 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_models import L2Config
 from anchorflow_models.generation import encode_inputs, requested_scenes
 from anchorflow_models.generation.scenes import prior_means
-from anchorflow_trajectory.clearance import clearance_field
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.cost.clearance import clearance_field
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
 CONFIG = L2Config()

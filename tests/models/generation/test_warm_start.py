@@ -14,8 +14,8 @@ from anchorflow_client.contract import uniform_schedule
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator, WarmStart
+from anchorflow_trajectory.ode.methods import RK4
 from anchorflow_trajectory.ode.schedule import remaining, stage_times
-from anchorflow_trajectory.ode.tableau import RK4
 
 
 @pytest.fixture

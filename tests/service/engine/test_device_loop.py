@@ -25,7 +25,7 @@ from anchorflow_service.bundle.providers import PROVIDERS
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.samplers.device_loop import ADD_SCALED, DeviceLoop
-from anchorflow_trajectory.ode.method import METHODS, method_named
+from anchorflow_trajectory.ode.methods import METHODS, method_named
 from anchorflow_trajectory.ode.schedule import stage_times
 
 THREE_STEPS = {"schedule": {"uniform": 3}}

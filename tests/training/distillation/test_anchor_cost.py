@@ -15,8 +15,8 @@ from anchorflow_models.generation.scenes import basis_of, encode_inputs
 from anchorflow_training.distillation.anchor_cost import AnchorCost
 from anchorflow_training.distillation.pairs import reference_times
 from anchorflow_training.scenes import RobotRanges, SceneError, draw_scene
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.finish.refiner import Refiner
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
 CONFIG = L2Config()

@@ -13,7 +13,7 @@ from anchorflow_training.distillation.objective import (
 )
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_training.evaluation import sample
-from anchorflow_trajectory.ode.tableau import MIDPOINT
+from anchorflow_trajectory.ode.methods import MIDPOINT
 
 Inputs = dict[str, torch.Tensor]
 

@@ -25,7 +25,7 @@ from anchorflow_training.distillation.pairs import (
 )
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_training.settings import ConfigError
-from anchorflow_trajectory.ode.tableau import HEUN
+from anchorflow_trajectory.ode.methods import HEUN
 
 CONFIG = TeacherConfig(method="heun", steps=3, pairs=4, seed=9)
 

@@ -3,8 +3,7 @@
 import pytest
 
 from anchorflow_client import contract
-from anchorflow_trajectory.ode.method import AB2, METHODS, method_named
-from anchorflow_trajectory.ode.tableau import HEUN
+from anchorflow_trajectory.ode.methods import AB2, HEUN, METHODS, method_named
 
 
 def test_the_names_are_the_contracts() -> None:

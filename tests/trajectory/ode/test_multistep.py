@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anchorflow_client.contract import uniform_schedule
-from anchorflow_trajectory.ode.multistep import AdamsBashforth
+from anchorflow_trajectory.ode.methods import AdamsBashforth
 
 UNEQUAL = (0.0, 0.1, 0.35, 0.5, 1.0)
 

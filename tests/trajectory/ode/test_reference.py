@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE
-from anchorflow_trajectory.ode.integrate import Array, integrate
-from anchorflow_trajectory.ode.method import METHODS, Method
-from anchorflow_trajectory.ode.reference import integrate_plainly
+from anchorflow_trajectory.ode.integrate import Array, integrate, integrate_plainly
+from anchorflow_trajectory.ode.methods import METHODS, RK4, Method
 from anchorflow_trajectory.ode.schedule import stage_times
-from anchorflow_trajectory.ode.tableau import RK4
 
 EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 

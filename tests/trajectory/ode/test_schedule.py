@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
-from anchorflow_trajectory.ode.method import METHODS, Method
+from anchorflow_trajectory.ode.methods import EULER, METHODS, RK4, Method
 from anchorflow_trajectory.ode.schedule import check_schedule, remaining, stage_strides, stage_times
-from anchorflow_trajectory.ode.tableau import EULER, RK4
 
 EACH_METHOD = pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
 

@@ -4,13 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from anchorflow_trajectory.ode.tableau import (
-    EULER,
-    HEUN,
-    MIDPOINT,
-    RK4,
-    ButcherTableau,
-)
+from anchorflow_trajectory.ode.methods import EULER, HEUN, MIDPOINT, RK4, ButcherTableau
 
 TABLEAUS = (EULER, MIDPOINT, HEUN, RK4)
 

@@ -16,7 +16,7 @@ from anchorflow_training.data.array_layout import in_words
 from anchorflow_training.data.statistics import FIELDS
 from anchorflow_training.data.trajectory_dataset import TrajectoryDataset
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 FloatArray = NDArray[np.floating]
 

@@ -24,10 +24,10 @@ from anchorflow_training.dataset import (
     shrink_arrays,
     write_meta,
 )
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.finish.certificate import path_clearance
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene, with_neutral_channels
-from anchorflow_trajectory.spline import GOAL_POINTS, START_POINTS, SplineBasis, spline_basis
-from anchorflow_trajectory.verify import path_clearance
+from anchorflow_trajectory.spline.basis import GOAL_POINTS, START_POINTS, SplineBasis, spline_basis
 from anchorflow_trajectory.warm_start import nearest_route
 
 FloatArray = NDArray[np.floating]

@@ -30,7 +30,7 @@ from anchorflow_training.record import Row
 from anchorflow_training.run import Report
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CostMapRun
-from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.ode.methods import method_named
 
 
 class Distiller(CostMapRun):

@@ -17,9 +17,8 @@ from anchorflow_models.flow_matching import LossWeights, flow_matching_loss
 from anchorflow_models.generation.integrate import Stage, integrate
 from anchorflow_models.layers.geometry import in_float32
 from anchorflow_training.distillation.anchor_cost import AnchorCost
-from anchorflow_trajectory.ode.method import Method
+from anchorflow_trajectory.ode.methods import EULER, Method
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
-from anchorflow_trajectory.ode.tableau import EULER
 
 Context = dict[str, Tensor]
 

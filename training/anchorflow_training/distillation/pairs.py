@@ -44,10 +44,10 @@ from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.objective import NormalisedFlow, started
 from anchorflow_training.distillation.teacher import Teacher
 from anchorflow_training.settings import ConfigError, other_default, setting
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.ode.methods import method_named
 from anchorflow_trajectory.ode.schedule import check_schedule
-from anchorflow_trajectory.route_splines import LEAST_WAY
+from anchorflow_trajectory.routes.splines import LEAST_WAY
 
 
 @dataclass(frozen=True)

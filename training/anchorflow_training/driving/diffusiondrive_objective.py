@@ -40,7 +40,7 @@ from anchorflow_training.driving.losses import (
 from anchorflow_training.driving.pdm_judge import Judge, judged
 from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.settings import setting
-from anchorflow_trajectory.ddim import ddim_step, noised
+from anchorflow_trajectory.ode.ddim import ddim_step, noised
 
 Terms = dict[str, Tensor]
 SPEED, ALONG, ACROSS = 4, 6, 7

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import UNREADABLE, LogError
 from anchorflow_training.atomic_write import atomic_write
-from anchorflow_trajectory.cores import usable_cores
+from anchorflow_trajectory.threads import usable_cores
 
 PLAN_SETTINGS: Mapping[str, Any] = {"num_steps": len(PLAN_TIMES), "dt": float(PLAN_TIMES[0])}
 """The settings of a model's configuration that the times of a log's plans require."""

@@ -1,4 +1,4 @@
-"""The fast integrator: one loop for every explicit method, without temporary arrays."""
+"""Integrate a flow from a Gaussian draw to data, in one loop for every explicit method."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.ode.method import Method
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.ode.methods import Method
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
 
 Array = NDArray[np.floating[Any]]
@@ -112,3 +113,40 @@ def _advanced(
             states.add_scaled(x, slope, h * weight, out=out)
             x = out
     return x
+
+
+PlainField = Callable[[Any, float], Any]
+"""(x, t) -> dx/dt, of numpy arrays or of torch tensors."""
+
+
+def integrate_plainly(field: PlainField, x: Any, *, schedule: Schedule, method: Method) -> Any:
+    """x at the schedule's end from x at its beginning, one evaluation after the other.
+
+    x: a numpy array or a torch tensor; every step makes new ones.
+    """
+    before: list[Any] = []
+    for step, (start, end) in enumerate(pairwise(schedule)):
+        h, slopes = end - start, []
+        for row, c in zip(method.a_lower, method.c, strict=True):
+            point = x + sum(h * a * k for a, k in zip(row, slopes, strict=True))
+            slopes.append(field(point, start + c * h))
+        before = [*slopes, *before]  # a multistep method looks back
+        weights = method.weights(schedule, step)
+        x = x + sum(h * b * k for b, k in zip(weights, before, strict=False))
+    return x
+
+
+@compiled
+def drawn(noise: NDArray[np.float32], basis: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Standard normal numbers [N, R] times a basis [R, S]: [N, S].
+
+    A matrix product whose bytes depend on no other row and on no number of threads.
+    """
+    rows, size = basis.shape
+    draws = np.zeros((len(noise), size), np.float32)
+    for n in range(len(noise)):
+        for row in range(rows):
+            share = noise[n, row]
+            for s in range(size):
+                draws[n, s] += share * basis[row, s]
+    return draws

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_trajectory.ode.method import Method
+from anchorflow_trajectory.ode.methods import Method
 
 Schedule = tuple[float, ...]
 

@@ -34,7 +34,7 @@ from anchorflow_service.engine.samplers.truncated_diffusion import (
     Noise,
     TruncatedDiffusionSampler,
 )
-from anchorflow_trajectory.ddim import CLEAN, ddim_step, noised
+from anchorflow_trajectory.ode.ddim import CLEAN, ddim_step, noised
 
 Outputs = dict[str, Tensor]
 Told = TypeVar("Told")

@@ -34,10 +34,10 @@ from anchorflow_service.bundle.manifest import (
 from anchorflow_service.bundle.samplers import PriorEntry
 from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
 from anchorflow_service.engine.samplers.ode import OdeSampler
-from anchorflow_trajectory.ode.method import Method, method_named
-from anchorflow_trajectory.ode.reference import integrate_plainly
+from anchorflow_trajectory.ode.integrate import integrate_plainly
+from anchorflow_trajectory.ode.methods import Method, method_named
 from anchorflow_trajectory.scene import ROUTE_STATES
-from anchorflow_trajectory.spline import STEEPNESS
+from anchorflow_trajectory.spline.basis import STEEPNESS
 
 F64 = "float64"
 ARRAYS = ("velocities", "accelerations", "scores", "clearance", "safe")

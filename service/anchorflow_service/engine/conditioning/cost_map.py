@@ -18,9 +18,9 @@ from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapEntry, Manifest, SplineEntry
 from anchorflow_service.engine.parts import Arrays, unknown_names
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 REACH = 2.0
 """Way of the probe from start to goal, in s at v_max."""

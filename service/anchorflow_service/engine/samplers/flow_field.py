@@ -17,7 +17,7 @@ from anchorflow_service.bundle.graphs import BoundGraph, Graph, open_graph
 from anchorflow_service.engine.parts import Arrays, Context
 from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
 from anchorflow_trajectory.ode.integrate import VectorField
-from anchorflow_trajectory.ode.method import Method, method_named
+from anchorflow_trajectory.ode.methods import Method, method_named
 from anchorflow_trajectory.ode.schedule import Schedule, stage_times
 
 Array = NDArray[np.float32]

@@ -13,7 +13,7 @@ from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish.spline import refiner_of
 from anchorflow_service.engine.parts import ConditionedScene, Context
 from anchorflow_service.engine.samplers.flow_field import FlowField
-from anchorflow_trajectory.guidance import Guidance
+from anchorflow_trajectory.ode.guidance import Guidance
 from anchorflow_trajectory.ode.integrate import VectorField
 from anchorflow_trajectory.ode.schedule import stage_strides
 

@@ -40,10 +40,9 @@ from anchorflow_service.engine.samplers.guided import guidance_of, guided
 from anchorflow_service.engine.samplers.ode_faults import ode_faults, state_shape
 from anchorflow_service.engine.samplers.warm_start import renoised
 from anchorflow_service.engine.side_by_side import Helpers
-from anchorflow_trajectory.guidance import Guidance
-from anchorflow_trajectory.ode.integrate import integrate
+from anchorflow_trajectory.ode.guidance import Guidance
+from anchorflow_trajectory.ode.integrate import drawn, integrate
 from anchorflow_trajectory.ode.schedule import remaining
-from anchorflow_trajectory.prior import drawn
 from anchorflow_trajectory.scene import ROUTE_STATES
 
 Array = NDArray[np.float32]

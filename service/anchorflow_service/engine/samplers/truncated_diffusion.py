@@ -34,7 +34,7 @@ from anchorflow_service.engine.parts import (
     names_of_each,
     unknown_names,
 )
-from anchorflow_trajectory.ddim import CLEAN, ddim_step, noised
+from anchorflow_trajectory.ode.ddim import CLEAN, ddim_step, noised
 
 Array = NDArray[np.float32]
 

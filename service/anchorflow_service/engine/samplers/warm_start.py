@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import WarmStart
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_trajectory.resample import whole_fields
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.warm_start import warm_states
+from anchorflow_trajectory.warm_start import warm_states, whole_fields
 
 Array = NDArray[np.float32]
 

@@ -1,0 +1,91 @@
+"""Caches: attributes computed on first use, and fields shared by requests on the same map."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from threading import Lock
+from typing import Any, Generic, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+Field = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+Key = tuple[bytes, tuple[int, ...], float]
+
+
+class MapCache:
+    """Fields of maps, by the maps' whole content; safe to use from several threads.
+
+    What was not asked for longest goes first.
+
+    most_bytes: of the fields and the keys, which are an eighth of a byte a cell
+    """
+
+    def __init__(self, *, most_bytes: int) -> None:
+        self._most_bytes = most_bytes
+        self._fields = OrderedDict[Key, Field]()
+        self._bytes = 0
+        self._lock = Lock()
+
+    def of(
+        self,
+        occupied: BoolArray,
+        resolution: float,
+        work_out: Callable[[BoolArray, float], Field],
+    ) -> Field:
+        """The field of a map [H, W] of so many m/cell, read-only; worked out where it is new."""
+        key = (np.packbits(occupied).tobytes(), occupied.shape, float(resolution))
+        with self._lock:
+            field = self._fields.get(key)
+            if field is not None:
+                self._fields.move_to_end(key)
+                return field
+        # Others may go on meanwhile; two that ask at once work out the same.
+        field = work_out(occupied, resolution)
+        field.setflags(write=False)
+        with self._lock:
+            if key not in self._fields:
+                self._fields[key] = field
+                self._bytes += _size(key, field)
+            while self._bytes > self._most_bytes:
+                self._bytes -= _size(*self._fields.popitem(last=False))
+        return field
+
+    def __len__(self) -> int:
+        return len(self._fields)
+
+
+def _size(key: Key, field: Field) -> int:
+    return len(key[0]) + field.nbytes
+
+
+Value = TypeVar("Value")
+
+
+class cached_property(Generic[Value]):  # noqa: N801 - it stands in for that of functools
+    """What `functools.cached_property` is from Python 3.12 on.
+
+    Before, it holds one lock for the attribute of all instances while it works one of them out:
+    threads that plan on different scenes would wait for each other. Threads that ask the same
+    instance at once may work it out more than once, to the same.
+    """
+
+    def __init__(self, work_out: Callable[[Any], Value]) -> None:
+        self._work_out = work_out
+        self.__doc__ = work_out.__doc__
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> cached_property[Value]: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> Value: ...
+    def __get__(self, instance: object | None, owner: type) -> Value | cached_property[Value]:
+        if instance is None:
+            return self
+        # From now on found before this descriptor, which does not say how to set it.
+        value = instance.__dict__[self._name] = self._work_out(instance)
+        return value

@@ -1,0 +1,1 @@
+"""The cost of a trajectory and the fields of the map that it reads."""

@@ -1,0 +1,113 @@
+"""Cost fields: the maps of one scene, as the cost looks them up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.cost.clearance import GridField
+
+FloatArray = NDArray[np.floating]
+
+TRAVERSABILITY, RISK = 1, 2  # channels of a cost map; 0 is occupancy
+
+
+@dataclass(frozen=True)
+class CostFields:
+    """clearance: m beyond the robot's radius; soft: cost in [0, 1] of free ground, if any."""
+
+    clearance: GridField
+    soft: GridField | None = None
+
+    @staticmethod
+    def of(
+        cost_map: FloatArray, clearance: FloatArray, resolution: float, origin: FloatArray
+    ) -> CostFields:
+        """Of a cost map [C, H, W] in [0, 1] whose clearance [H, W] is known."""
+        field, soft = GridField(clearance, resolution, origin), soft_cost(cost_map)
+        return CostFields(field, GridField(soft, resolution, origin) if soft.any() else None)
+
+
+def soft_cost(cost_map: FloatArray) -> FloatArray:
+    """[H, W] in [0, 1] of a map [C, H, W]: risky or hard to pass, whichever is worse."""
+    soft = np.zeros(cost_map.shape[1:], np.float32)
+    if len(cost_map) > TRAVERSABILITY:
+        soft = np.maximum(soft, 1.0 - cost_map[TRAVERSABILITY])
+    if len(cost_map) > RISK:
+        soft = np.maximum(soft, cost_map[RISK])
+    return soft
+
+
+class Grid(NamedTuple):
+    """A field on cell centres [H, W] as compiled loops read it, numbers of one type.
+
+    first_x, first_y: of cell (0, 0), in cells from the frame's origin
+    left, bottom: 0; right, top: W - 1, H - 1. Where there is no field, values are [0, 0].
+    """
+
+    values: NDArray[np.float32]
+    cells_per_m: np.floating
+    resolution: np.floating
+    first_x: np.floating
+    first_y: np.floating
+    left: np.floating
+    right: np.floating
+    bottom: np.floating
+    top: np.floating
+
+    @staticmethod
+    def of(field: GridField | None, dtype: DTypeLike) -> Grid:
+        """Of a field, if there is one; made once for each type."""
+        if field is None:
+            return _nowhere(np.dtype(dtype))
+        if (made := field.made.get(dtype)) is None:
+            made = field.made[dtype] = Grid._of(field, dtype)
+        return made
+
+    @staticmethod
+    def _of(field: GridField, dtype: DTypeLike) -> Grid:
+        height, width = field.values.shape
+        x, y = np.asarray(field.origin) / field.resolution + 0.5
+        # What places cells is rounded to float32 for every type: all see the same map.
+        numbers = np.array([1.0 / field.resolution, field.resolution, x, y], np.float32)
+        bounds = np.array([0.0, width - 1.0, 0.0, height - 1.0], dtype)
+        return Grid(np.ascontiguousarray(field.values, np.float32), *numbers.astype(dtype), *bounds)
+
+
+@cache
+def _nowhere(dtype: np.dtype) -> Grid:
+    return Grid(np.zeros((0, 0), np.float32), *np.zeros(8, dtype))
+
+
+@compiled
+def look_up(grid: Grid, x: float, y: float) -> tuple[float, float, float]:
+    """The value of a field at (x, y) in m and its derivatives along both [1/m].
+
+    As `GridField` does: bilinear, and beyond the outermost centres falling by one metre a metre.
+    """
+    u, v = x * grid.cells_per_m - grid.first_x, y * grid.cells_per_m - grid.first_y
+    # In this order a NaN is the first cell and no index beyond the map.
+    inside_u = min(grid.right, max(grid.left, u))
+    inside_v = min(grid.top, max(grid.bottom, v))
+    column, row = int(inside_u), int(inside_v)
+    after = min(column + 1, grid.values.shape[1] - 1)
+    above = min(row + 1, grid.values.shape[0] - 1)
+    corner = grid.values[row, column]
+    right, up = grid.values[row, after], grid.values[above, column]
+    twist = grid.values[above, after] - right - up + corner
+    share_u, share_v = inside_u - np.floor(inside_u), inside_v - np.floor(inside_v)
+    along_u, along_v = right - corner + twist * share_v, up - corner + twist * share_u
+    over_u, over_v = u - inside_u, v - inside_v
+    value = corner + along_u * share_u + (up - corner) * share_v
+    value -= (abs(over_u) + abs(over_v)) * grid.resolution
+    along_x, along_y = along_u * grid.cells_per_m, along_v * grid.cells_per_m
+    if over_u != grid.left:
+        along_x = -abs(over_u) / over_u
+    if over_v != grid.bottom:
+        along_y = -abs(over_v) / over_v
+    return value, along_x, along_y

@@ -1,0 +1,214 @@
+"""The cost and its gradient as compiled loops: the formulas of `cost`, for many trajectories.
+
+Arrays are [..., LANES], a trajectory a lane; each lane's sums run over its samples in order.
+Numbers are of the control points' type: float32 in the service, float64 where tests ask for it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.cost.fields import Grid, look_up
+from anchorflow_trajectory.spline.kernels import (
+    LANES,
+    Band,
+    gather_slopes,
+    put_lanes,
+    sample_lanes,
+    take_lanes,
+)
+
+FloatArray = NDArray[np.floating]
+
+DEEP = 0.25  # m of intrusion, about a robot's size, beyond which the hinge grows linearly
+TINY = 1e-9  # of what is divided by
+
+
+class Gains(NamedTuple):
+    """What weighs the terms, in the control points' type; `cost` tells what they mean."""
+
+    time: np.floating
+    safety: np.floating
+    slow: np.floating
+    quick: np.floating
+    short: np.floating
+    smooth: np.floating
+    collision: np.floating
+    speed: np.floating
+    acceleration: np.floating
+    comfort: np.floating
+    limit_share: np.floating
+    margin: np.floating
+    v_max: np.floating
+    a_max: np.floating
+    jerk_scale: np.floating
+    reference_s: np.floating
+
+
+class Problem(NamedTuple):
+    """What trajectories are judged by: a `TrajectoryCost`, as compiled loops read it."""
+
+    band: Band
+    clearance: Grid
+    soft: Grid
+    gains: Gains
+
+
+@compiled
+def cost_of_splines(
+    problem: Problem, control: FloatArray, duration: FloatArray, style: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """J [M] of control points [D, M, K] and durations [M]; its gradient [D, M, K] and [M].
+
+    style: [3, M], u of safety, energy and smoothness
+    """
+    dim, count, points = control.shape
+    cost, by_duration = np.empty(count, control.dtype), np.empty(count, control.dtype)
+    slope = np.empty_like(control)
+    taken = np.empty((dim, points, LANES), control.dtype)
+    lasting, leaning = np.empty(LANES, control.dtype), np.empty((3, LANES), control.dtype)
+    found = np.empty((2, LANES), control.dtype)
+    slopes = np.empty_like(taken)
+    for begin in range(0, count, LANES):
+        lanes = min(LANES, count - begin)
+        take_lanes(control, begin, lanes, taken)
+        for m in range(lanes):
+            lasting[m] = duration[begin + m]
+            for k in range(3):
+                leaning[k, m] = style[k, begin + m]
+        cost_of_lanes(problem, taken, lasting, leaning, lanes, found, slopes, True)
+        put_lanes(slopes, begin, lanes, slope)
+        for m in range(lanes):
+            cost[begin + m], by_duration[begin + m] = found[0, m], found[1, m]
+    return cost, slope, by_duration
+
+
+@compiled
+def cost_of_lanes(
+    problem: Problem,
+    control: FloatArray,
+    duration: FloatArray,
+    style: FloatArray,
+    lanes: int,
+    found: FloatArray,
+    slope: FloatArray,
+    is_sloped: bool,
+) -> None:
+    """Write J of control points [D, K, LANES] and durations [LANES], and its gradient.
+
+    style: [3, LANES], u of safety, energy and smoothness; so many lanes are in use
+    found: [2, LANES], J and its derivative by log duration where the control points stay
+    slope: [D, K, LANES], by the control points; left at zero unless is_sloped, in less time
+    """
+    band, gains, real = problem.band, problem.gains, control.dtype.type
+    dim, steps = control.shape[0], len(band.first)
+    samples = np.empty((4, dim, LANES), control.dtype)
+    ground = np.zeros((2, 3, LANES), control.dtype)
+    # |p'|, |p''| and |p'''| times these are shares of the limits.
+    pace = np.empty((3, LANES), control.dtype)
+    gain = np.empty((2, LANES), control.dtype)  # of |p'|^2 and of |p'''|^2
+    squares = np.zeros((2, LANES), control.dtype)  # the sums of both
+    hinges = np.zeros((2, LANES), control.dtype)  # those of all else, and by log pace
+    by_way = real(1.0) / (gains.v_max * gains.reference_s)
+    for m in range(lanes):
+        once = real(1.0) / duration[m]
+        pace[0, m] = once / gains.v_max
+        pace[1, m] = once * once / gains.a_max
+        pace[2, m] = once * once * once / gains.jerk_scale
+        slow = style[0, m] * gains.slow * pace[0, m] * pace[0, m]
+        gain[0, m] = slow + style[1, m] * gains.short * by_way * by_way
+        gain[1, m] = style[2, m] * gains.smooth * pace[2, m] * pace[2, m]
+    slope[:] = real(0.0)
+    for t in range(steps):
+        sample_lanes(control, lanes, band, t, samples)
+        for m in range(lanes):
+            x, y = samples[0, 0, m], samples[0, 1, m]
+            ground[0, 0, m], ground[0, 1, m], ground[0, 2, m] = look_up(problem.clearance, x, y)
+            if problem.soft.values.size > 0:
+                ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.soft, x, y)
+        _charge_ground(gains, style, ground, lanes, hinges, samples)
+        _charge_motion(gains, pace, gain, lanes, squares, hinges, samples)
+        if is_sloped:
+            gather_slopes(samples, lanes, band, t, slope)
+    share = real(1.0) / real(steps)
+    for m in range(lanes):
+        slow = style[0, m] * gains.slow * pace[0, m] * pace[0, m]
+        later = (gains.time + gains.quick * style[1, m]) * duration[m] / gains.reference_s
+        jerk = gain[1, m] * squares[1, m]
+        found[0, m] = (hinges[0, m] + gain[0, m] * squares[0, m] + jerk) * share + later
+        by_pace = real(2.0) * slow * squares[0, m] + real(6.0) * jerk + hinges[1, m]
+        found[1, m] = later - by_pace * share
+    for d in range(dim):
+        for k in range(control.shape[1]):
+            for m in range(lanes):
+                slope[d, k, m] *= share
+
+
+@compiled
+def _charge_ground(
+    gains: Gains,
+    style: FloatArray,
+    ground: FloatArray,
+    lanes: int,
+    hinges: FloatArray,
+    samples: FloatArray,
+) -> None:
+    """Add the cost of where the samples lie; their places become its derivatives.
+
+    ground: [2, 3, LANES], value and slopes of clearance and of soft cost
+    """
+    real = samples.dtype.type
+    for m in range(lanes):
+        hard = max(gains.margin - ground[0, 0, m], real(0.0))
+        lack = max(real(1.0) - ground[0, 0, m] / gains.comfort, real(0.0))
+        deep = min(hard, real(DEEP))  # a deep start must not explode
+        safety = style[0, m] * gains.safety
+        rate = -real(2.0) * (gains.collision * deep + safety / gains.comfort * lack)
+        cost = gains.collision * deep * (hard + hard - deep)
+        hinges[0, m] += cost + safety * (lack * lack + ground[1, 0, m])
+        samples[0, 0, m] = rate * ground[0, 1, m] + safety * ground[1, 1, m]
+        samples[0, 1, m] = rate * ground[0, 2, m] + safety * ground[1, 2, m]
+    for d in range(2, samples.shape[1]):
+        for m in range(lanes):
+            samples[0, d, m] = real(0.0)
+
+
+@compiled
+def _charge_motion(
+    gains: Gains,
+    pace: FloatArray,
+    gain: FloatArray,
+    lanes: int,
+    squares: FloatArray,
+    hinges: FloatArray,
+    samples: FloatArray,
+) -> None:
+    """Add the squares of p' and of p''' and what exceeds a limit; samples become derivatives."""
+    dim, real, two = samples.shape[1], samples.dtype.type, samples.dtype.type(2.0)
+    for d in range(dim):
+        for m in range(lanes):
+            squares[0, m] += samples[1, d, m] * samples[1, d, m]
+            squares[1, m] += samples[3, d, m] * samples[3, d, m]
+            samples[3, d, m] *= two * gain[1, m]
+    for d in range(2, dim):
+        for m in range(lanes):
+            samples[1, d, m] *= two * gain[0, m]
+            samples[2, d, m] = real(0.0)
+    for order in range(1, 3):
+        weight = gains.speed if order == 1 else gains.acceleration
+        for m in range(lanes):
+            x, y = samples[order, 0, m], samples[order, 1, m]
+            size = np.sqrt(x * x + y * y) + real(TINY)
+            scale = pace[order - 1, m]
+            excess = max(size * scale - gains.limit_share, real(0.0))
+            hinges[0, m] += weight * excess * excess
+            hinges[1, m] += real(order) * two * weight * excess * size * scale
+            pull = two * weight * excess * scale / size
+            if order == 1:
+                pull += two * gain[0, m]
+            samples[order, 0, m] = x * pull
+            samples[order, 1, m] = y * pull

@@ -1,0 +1,284 @@
+"""Is a trajectory safe? Clearance along the whole path, speed and acceleration at its samples.
+
+The service's `safe`, the expert's `good` and the trainer's scores are this one verdict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.cost.clearance import GridField
+from anchorflow_trajectory.cost.fields import Grid, look_up
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines
+from anchorflow_trajectory.spline.kernels import Band, sample_one
+
+FloatArray = NDArray[np.floating]
+BoolArray = NDArray[np.bool_]
+
+CHECK_STEP = 0.04  # m between the points at which clearance is looked up
+BULGE = 0.01  # m beside the chord of two samples, up to which a motion is looked at along it
+FAR_OUT = 4  # sides of the map: a leg of so many has an end where the field is lower than within
+# A bilinear field and another reader's rounding to cells differ by less than this share of a cell.
+SHARE_OF_CELL = 0.3
+SPEED_TOLERANCE, ACCELERATION_TOLERANCE = 1.02, 1.05
+END_TOLERANCE = 0.05  # m, by which states miss an end that no spline meets
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What holds for each of M trajectories, all [M].
+
+    clearance: m beyond the robot's radius, smallest along the path
+    free: clear of every obstacle and of the map's edge by the certified margin
+    feasible: within both limits
+    """
+
+    clearance: FloatArray
+    free: BoolArray
+    feasible: BoolArray
+
+    @property
+    def safe(self) -> BoolArray:
+        """Free and feasible."""
+        return self.free & self.feasible
+
+
+def verify(
+    states: tuple[FloatArray, FloatArray, FloatArray],
+    field: GridField,
+    limits: MotionLimits,
+    *,
+    certified_margin: float = 0.0,
+) -> Verdict:
+    """Judge positions, velocities and accelerations [M, T, D].
+
+    certified_margin: m beyond the robot's radius that a safe path keeps from every obstacle and
+        from the map's edge; the share of a cell comes on top, so it holds for another reader too
+    """
+    position, velocity, acceleration = states
+    position = np.ascontiguousarray(position)
+    clearance = _motion_clearance(Grid.of(field, position.dtype), position)
+    free = clearance >= required_clearance(field, certified_margin)
+    feasible = largest_length(velocity) <= SPEED_TOLERANCE * limits.v_max
+    feasible &= largest_length(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
+    return Verdict(clearance, free, feasible)
+
+
+def is_one_motion(
+    states: tuple[FloatArray, FloatArray, FloatArray],
+    duration: FloatArray,
+    ends: Ends,
+    limits: MotionLimits,
+) -> BoolArray:
+    """Whether states that no spline holds together lead from start to goal within limits: [M].
+
+    They begin and end where they should, and from one to the next they move no faster, and change
+    their velocity no faster, than the limits allow.
+
+    states: positions, velocities and accelerations [M, T, D]; duration: [M] s
+    """
+    position, velocity, _ = (each[..., :2] for each in states)
+    step = duration[:, None, None] / (position.shape[1] - 1)
+    start, goal = ends.x_curr[:2], ends.x_goal[:2]
+    missed = largest_length(np.stack([position[:, 0] - start, position[:, -1] - goal], axis=1))
+    speed = largest_length(np.diff(position, axis=1) / step)
+    pull = largest_length(np.diff(velocity, axis=1) / step)
+    found = (missed <= END_TOLERANCE) & (speed <= SPEED_TOLERANCE * limits.v_max)
+    return found & (pull <= ACCELERATION_TOLERANCE * limits.a_max)
+
+
+def are_safe(
+    splines: Splines,
+    basis: SplineBasis,
+    field: GridField,
+    limits: MotionLimits,
+    *,
+    certified_margin: float = 0.0,
+) -> BoolArray:
+    """The verdict of `verify` on the states of M splines, `safe` [M], in less time."""
+    control = np.ascontiguousarray(splines.control)
+    judge = Judge.of(basis, field, limits, certified_margin, dtype=control.dtype)
+    return _are_safe(control, np.ascontiguousarray(splines.duration, np.float64), judge)
+
+
+class Judge(NamedTuple):
+    """What makes a spline safe, as compiled loops read it; both limits with their tolerances."""
+
+    band: Band
+    grid: Grid
+    clearance: float
+    speed: float
+    acceleration: float
+
+    @staticmethod
+    def of(
+        basis: SplineBasis,
+        field: GridField,
+        limits: MotionLimits,
+        certified_margin: float,
+        *,
+        dtype: DTypeLike,
+    ) -> Judge:
+        """For splines of that type."""
+        return Judge(
+            basis.band(dtype),
+            Grid.of(field, dtype),
+            float(required_clearance(field, certified_margin)),
+            float(SPEED_TOLERANCE * limits.v_max),
+            float(ACCELERATION_TOLERANCE * limits.a_max),
+        )
+
+
+@compiled
+def _are_safe(control: FloatArray, duration: NDArray[np.float64], judge: Judge) -> BoolArray:
+    safe = np.empty(len(duration), np.bool_)
+    for m in range(len(duration)):
+        safe[m] = is_safe(control, duration, m, judge)
+    return safe
+
+
+@compiled
+def is_safe(control: FloatArray, duration: NDArray[np.float64], m: int, judge: Judge) -> bool:
+    """Whether the m-th of splines [D, M, K] and durations [M] is safe."""
+    pace = control.dtype.type(1.0 / duration[m])
+    path = np.empty((len(judge.band.first), 2), control.dtype)
+    for t in range(len(path)):
+        x, y = sample_one(control, m, judge.band, t, 1)
+        x, y = x * pace, y * pace
+        if not np.sqrt(x * x + y * y) <= judge.speed:
+            return False
+        x, y = sample_one(control, m, judge.band, t, 2)
+        x, y = x * pace * pace, y * pace * pace
+        if not np.sqrt(x * x + y * y) <= judge.acceleration:
+            return False
+        path[t] = sample_one(control, m, judge.band, t, 0)
+    return _clearance_along(judge.grid, path, judge.clearance) >= judge.clearance
+
+
+def required_clearance(field: GridField, certified_margin: float) -> float:
+    """m of clearance in the field from which a path is certified to keep the margin."""
+    return certified_margin + SHARE_OF_CELL * field.resolution
+
+
+def path_clearance(field: GridField, positions: FloatArray) -> FloatArray:
+    """Smallest clearance [m] along each polyline; positions [M, T, D >= 2] -> [M].
+
+    Between two samples the polyline is followed at steps of at most CHECK_STEP.
+    """
+    positions = np.ascontiguousarray(positions)
+    return _path_clearance(Grid.of(field, positions.dtype), positions)
+
+
+@compiled
+def _path_clearance(grid: Grid, positions: FloatArray) -> FloatArray:
+    count, steps, _ = positions.shape
+    least = np.empty(count, positions.dtype)
+    for m in range(count):
+        x, y = positions[m, 0, 0], positions[m, 0, 1]
+        least[m] = look_up(grid, positions[m, steps - 1, 0], positions[m, steps - 1, 1])[0]
+        for t in range(1, steps):
+            next_x, next_y = positions[m, t, 0], positions[m, t, 1]
+            least[m] = min(least[m], _leg_clearance(grid, x, y, next_x, next_y))
+            x, y = next_x, next_y
+    return least
+
+
+@compiled
+def _motion_clearance(grid: Grid, positions: FloatArray) -> FloatArray:
+    least = np.empty(len(positions), positions.dtype)
+    for m in range(len(positions)):
+        least[m] = _clearance_along(grid, positions[m], -np.inf)
+    return least
+
+
+@compiled
+def _clearance_along(grid: Grid, path: FloatArray, enough: float) -> float:
+    """The smallest along a motion's samples [T, D] and between them; what is not `enough` ends it.
+
+    How the motion bends at a sample tells the difference of its legs there.
+    """
+    steps = len(path)
+    least = look_up(grid, path[steps - 1, 0], path[steps - 1, 1])[0]
+    for t in range(1, steps):
+        if not least >= enough:
+            break
+        here, there = min(max(t - 1, 1), steps - 2), min(t, steps - 2)
+        least = min(least, _bent_leg_clearance(grid, path, t, here, there))
+    return least
+
+
+@compiled
+def _bent_leg_clearance(grid: Grid, path: FloatArray, t: int, here: int, there: int) -> float:
+    """The smallest from sample t - 1 to t, which is left out.
+
+    here, there: samples that tell how the motion bends at the leg's ends. In between its second
+    derivative by the leg's share s is linear, b_0 (1 - s) + b_1 s, which puts it
+    s (1 - s) ((2 - s) b_0 + (1 + s) b_1) / 6 beside the chord.
+    """
+    x, y, to_x, to_y = path[t - 1, 0], path[t - 1, 1], path[t, 0], path[t, 1]
+    if len(path) < 3:
+        return _leg_clearance(grid, x, y, to_x, to_y)
+    b_x, b_y = _second_difference(path, here)
+    to_b_x, to_b_y = _second_difference(path, there)
+    bulge = np.sqrt(max(b_x * b_x + b_y * b_y, to_b_x * to_b_x + to_b_y * to_b_y)) / 8
+    rows, columns = grid.values.shape
+    if not BULGE < bulge <= FAR_OUT * (rows + columns) * grid.resolution:
+        return _leg_clearance(grid, x, y, to_x, to_y)
+    along_x, along_y = to_x - x, to_y - y
+    length = np.sqrt(along_x * along_x + along_y * along_y)
+    if not length <= FAR_OUT * (rows + columns) * grid.resolution:
+        return _leg_clearance(grid, x, y, to_x, to_y)
+    least = look_up(grid, x, y)[0]
+    pieces = np.ceil((length + 2 * bulge) / CHECK_STEP)
+    for piece in range(1, int(pieces)):
+        s = np.float32(piece) / np.float32(pieces)
+        lift = s * (1 - s) / np.float32(6)
+        off_x = lift * ((2 - s) * b_x + (1 + s) * to_b_x)
+        off_y = lift * ((2 - s) * b_y + (1 + s) * to_b_y)
+        least = min(least, look_up(grid, x + s * along_x - off_x, y + s * along_y - off_y)[0])
+    return least
+
+
+@compiled
+def _second_difference(path: FloatArray, t: int) -> tuple[float, float]:
+    x = path[t - 1, 0] - 2 * path[t, 0] + path[t + 1, 0]
+    return x, path[t - 1, 1] - 2 * path[t, 1] + path[t + 1, 1]
+
+
+@compiled
+def _leg_clearance(grid: Grid, x: float, y: float, to_x: float, to_y: float) -> float:
+    """The smallest along a straight leg, its end left out."""
+    along_x, along_y = to_x - x, to_y - y
+    length = np.sqrt(along_x * along_x + along_y * along_y)
+    least = look_up(grid, x, y)[0]
+    rows, columns = grid.values.shape
+    if not length <= FAR_OUT * (rows + columns) * grid.resolution:
+        # So far out of the map the field falls with every metre: an end lies lowest.
+        return min(least, look_up(grid, to_x, to_y)[0]) if np.isfinite(length) else -np.inf
+    pieces = np.ceil(length / CHECK_STEP)
+    for piece in range(1, int(pieces)):
+        share = np.float32(piece) / np.float32(pieces)
+        least = min(least, look_up(grid, x + share * along_x, y + share * along_y)[0])
+    return least
+
+
+def largest_length(vectors: FloatArray) -> FloatArray:
+    """Greatest planar length along each trajectory: [M, T, D] -> [M]."""
+    return _largest_length(np.ascontiguousarray(vectors))
+
+
+@compiled
+def _largest_length(vectors: FloatArray) -> FloatArray:
+    count, steps, _ = vectors.shape
+    largest = np.zeros(count, vectors.dtype)
+    for m in range(count):
+        for t in range(steps):
+            x, y = vectors[m, t, 0], vectors[m, t, 1]
+            largest[m] = max(largest[m], x * x + y * y)
+    return np.sqrt(largest)

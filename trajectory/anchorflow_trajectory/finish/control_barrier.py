@@ -1,0 +1,69 @@
+"""A control barrier on finished anchors: what is not clear enough is moved, as little as can be.
+
+The barrier function of an anchor is a smooth lower bound of the room that its samples have,
+
+    h(c) = -1/κ log Σ_k exp(-κ (clearance(p_k) - margin)),
+
+and where h < 0 its free control points c move by the closed form of a quadratic program with one
+constraint, in the metric M in which smoothness is round (`whitening`):
+
+    δ = M g max(0, -α h) / (g·M g + ε^2),    g = ∇h(c)
+
+It is the program of `anchorflow_models.generation.barrier`, which steers anchors while they are
+drawn in torch and tells the sources (Ames et al., ECC 2019; SafeDiffuser; SafeFlow). This one acts
+at t = 1, on the spline instead of the state, and a few times over, because clearance is not linear.
+Only clearance is kept: whether an anchor is also within the limits is for `verify` to say, and
+what has remained unsafe for `bisection`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.cost.clearance import GridField
+from anchorflow_trajectory.spline.basis import PLANE, SplineBasis, Splines, whitening
+
+FloatArray = NDArray[np.floating]
+
+SHARPNESS = 40.0  # κ, 1/m: h lies 0.04 m under the least room where five samples have the same
+RATE = 1.0  # α: of a shortfall that a correction closes, to first order
+SLACK = 0.1  # ε, m: no correction explodes where the ends or two near walls leave no way out
+CORRECTIONS = 8
+BETWEEN = 0.02  # m of clearance that a path may lose between two samples
+
+
+@dataclass(frozen=True, eq=False)
+class ControlBarrier:
+    """The barrier of one scene; margin: m of clearance that every sample is to keep."""
+
+    basis: SplineBasis
+    clearance: GridField
+    margin: float
+
+    def corrected(self, splines: Splines) -> Splines:
+        """The splines, control points of those with h < 0 moved; ends and durations stay."""
+        free, root = self.basis.free, whitening(self.basis)
+        control = splines.control.copy()
+        for _ in range(CORRECTIONS):
+            h, gradient = self.value_and_gradient(control)
+            direction = (gradient @ root) @ root.T
+            variance = np.einsum("dmf,dmf->m", gradient, direction)
+            share = RATE * np.maximum(-h, 0.0) / (variance + SLACK**2)
+            control[PLANE, :, free] += share[:, None] * direction
+        return Splines(control, splines.duration)
+
+    def value_and_gradient(self, control: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """h [M] in m and its gradient [2, M, F] with respect to the free control points."""
+        rows = self.basis.position
+        x, y = control[PLANE] @ rows.T
+        clearance, along_x, along_y = self.clearance.sample_with_gradient(x, y)
+        lack = SHARPNESS * (self.margin - clearance)
+        most = lack.max(-1, keepdims=True)
+        weight = np.exp(lack - most)
+        total = weight.sum(-1, keepdims=True)
+        h = -(most + np.log(total))[:, 0] / SHARPNESS
+        slope = np.stack([along_x, along_y]) * (weight / total)
+        return h, slope @ rows[:, self.basis.free]

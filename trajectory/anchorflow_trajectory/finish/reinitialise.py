@@ -1,0 +1,185 @@
+"""Other beginnings for a route on which nothing that was drawn is safe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.finish.certificate import are_safe
+from anchorflow_trajectory.routes.search import Route
+from anchorflow_trajectory.routes.splines import splines_along
+from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.spline.basis import PLANE, SplineBasis, Splines
+
+FloatArray = NDArray[np.floating]
+Beginnings = tuple[Splines, NDArray[np.intp]]
+"""M splines, and [M] the place of the route that each follows."""
+
+RESCUE_STRETCH = 1.5
+"""By which a spline that was fitted to an even pace is driven slowly."""
+STRETCHES = (1.0, 1.5, 2.0, 3.0)
+"""Of the least time for the shortest route, in which a beginning is driven."""
+DWELLS = (0.0, 0.3, 0.5, 0.7)
+"""Shares of that time that are spent at the route's corners."""
+BEND = 0.025
+"""Of a route's length: the spread about a corner of where that time is spent."""
+ROOM = 0.35
+"""m beyond robot_radius that a route keeps which is searched anew, to lead round corners."""
+MOST_RESCUED = 4
+"""Anchors of a route that are begun anew; the others are then brought back to them."""
+REST_STRETCHES = np.geomspace(1.0, 20.0, 48)
+"""Likewise, of the smoothest curves between both ends: what is fast and heavy brakes for long."""
+PLACES = 512  # along a route, at which is told how much time has passed
+
+
+@dataclass(eq=False)
+class Rescue:
+    """The anchors of a scene, while the routes that have nothing safe are begun anew.
+
+    route: [N] the place of the route that each follows
+    lost: places of routes that have nothing safe yet
+    """
+
+    splines: Splines
+    safe: NDArray[np.bool_]
+    route: NDArray[np.intp]
+    lost: NDArray[np.intp]
+    _failed: list[tuple[Splines, NDArray[np.intp], FloatArray]] = field(default_factory=list)
+
+    def of_lost(self, begun: Splines, along: NDArray[np.intp]) -> Beginnings:
+        """Those on routes that are still lost."""
+        still = np.isin(along, self.lost)
+        return begun[still], along[still]
+
+    def take(
+        self, tried: Splines, along: NDArray[np.intp], gained: NDArray[np.bool_], cost: FloatArray
+    ) -> None:
+        """Put the cheapest of those that were gained, [M], in the places of their routes' anchors.
+
+        along, cost: [M]
+        """
+        for each in np.unique(along[gained]):
+            found = np.flatnonzero(gained & (along == each))
+            cheapest = found[np.argsort(cost[found])][:MOST_RESCUED]
+            own = np.flatnonzero(self.route == each)
+            places = own[np.argsort(self.safe[own], kind="stable")][: len(cheapest)]
+            self.splines = self.splines.replaced(places, tried[cheapest[: len(places)]])
+            self.safe[places] = True
+        self.lost = self.lost[~np.isin(self.lost, along[gained])]
+        self._failed.append((tried, along, cost))
+
+    def nearest(self, most: int) -> Beginnings:
+        """Of each lost route the cheapest, at most so many, of all that were tried."""
+        tried, along = _joined([(splines, along) for splines, along, _ in self._failed])
+        cost = np.concatenate([cost for *_, cost in self._failed])
+        own = [np.flatnonzero(along == each) for each in self.lost]
+        kept = np.concatenate([places[np.argsort(cost[places])][:most] for places in own])
+        return tried[kept], along[kept]
+
+    def refine(self, basis: SplineBasis) -> None:
+        """Go on with the same curves on a finer basis than theirs.
+
+        basis: theirs
+        """
+        self.splines = basis.refined(self.splines)
+        self._failed.clear()
+
+
+def beginnings(
+    scene: Scene, basis: SplineBasis, lost: NDArray[np.intp], *, certified_margin: float
+) -> Iterator[Beginnings]:
+    """What the `lost` routes may be begun on, what is cheaper first: what follows a route that has
+    been rescued meanwhile need not be looked at.
+
+    A route's own spline, driven slowly, where that is on this basis; the smoothest curve between
+    both ends, for who must brake; control points on the route, close together at its corners, since
+    a B-spline lies in the hulls of five in a row; and all that along a route with more room, which
+    does not hug its corners.
+
+    basis: of the splines
+
+    certified_margin: m, with which nothing was safe
+    """
+    if basis is scene.basis:
+        yield _slowed(scene, basis, scene.route_splines[lost], RESCUE_STRETCH), lost
+    routes = {int(place): scene.routes[place] for place in lost if place < len(scene.routes)}
+    resting = _resting(scene, basis, certified_margin)
+    rest = np.zeros(len(resting), np.intp)
+    yield _joined([*((resting, rest + place) for place in lost), *_along(scene, basis, routes)])
+    roomy = {route.signature: route for route in scene.routes_with(ROOM + certified_margin)}
+    found = {place: roomy.get(route.signature) for place, route in routes.items()}
+    again = {place: route for place, route in found.items() if route is not None}
+    if again:
+        yield _joined([*_paced(scene, basis, again), *_along(scene, basis, again)])
+
+
+def _along(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
+    """Splines whose control points stand on these routes."""
+    duration = _durations(scene, np.array(STRETCHES))
+    for place, route in routes.items():
+        for dwell in DWELLS:
+            splines = basis.rest_curves(scene.ends, duration)
+            on_route = _placed(route, basis, dwell)[basis.free]
+            splines.control[PLANE, :, basis.free] = on_route.T[:, None]
+            yield splines, np.full(len(splines), place)
+
+
+def _paced(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
+    """Splines along these routes as `splines_along` fits them, and the same driven slowly."""
+    for place, route in routes.items():
+        splines = splines_along([route], basis, scene.ends, limits=scene.motion)
+        for each in (splines, _slowed(scene, basis, splines, RESCUE_STRETCH)):
+            yield each, np.array([place])
+
+
+def _slowed(scene: Scene, basis: SplineBasis, splines: Splines, factor: float) -> Splines:
+    """The same ways in so many times the duration, where there is no horizon."""
+    if scene.motion.horizon_s is not None:
+        return splines
+    duration, free = splines.duration * factor, basis.free
+    control = basis.end_points(scene.ends, duration)
+    control[..., free] = splines.control[..., free]
+    return Splines(control, duration)
+
+
+def _placed(route: Route, basis: SplineBasis, dwell: float) -> FloatArray:
+    """Points [K, 2] of a route, where control points stand as time passes."""
+    legs = np.diff(route.points, axis=0)
+    length = np.hypot(*legs.T)
+    legs, length = legs[length > 0.0], length[length > 0.0]
+    if not len(legs):
+        return np.repeat(route.points[:1], basis.num_control_points, axis=0)
+    marks = np.append(0.0, length.cumsum())
+    heading = np.arctan2(legs[:, 1], legs[:, 0])
+    turn = np.abs((np.diff(heading) + np.pi) % (2 * np.pi) - np.pi)
+    at = np.linspace(0.0, marks[-1], PLACES)
+    spent = np.ones(PLACES) / PLACES
+    if turn.any():
+        near = np.exp(-0.5 * ((at[:, None] - marks[1:-1]) / (BEND * marks[-1])) ** 2) @ turn
+        spent = (1.0 - dwell) * spent + dwell * near / near.sum()
+    passed = np.append(0.0, 0.5 * (spent[1:] + spent[:-1])).cumsum()
+    place = np.interp(basis.even * passed[-1], passed, at)
+    points = np.concatenate([route.points[:1], route.points[0] + legs.cumsum(0)])
+    return np.stack([np.interp(place, marks, axis) for axis in points.T], -1)
+
+
+def _resting(scene: Scene, basis: SplineBasis, certified_margin: float) -> Splines:
+    """The smoothest curve between both ends, in the least duration in which it is safe; or none."""
+    curves = basis.rest_curves(scene.ends, _durations(scene, REST_STRETCHES))
+    field = scene.cost_fields.clearance
+    safe = are_safe(curves, basis, field, scene.motion, certified_margin=certified_margin)
+    return curves[np.flatnonzero(safe)[:1]]
+
+
+def _durations(scene: Scene, stretches: FloatArray) -> FloatArray:
+    horizon_s = scene.motion.horizon_s
+    return scene.reference_s * stretches if horizon_s is None else np.array([horizon_s])
+
+
+def _joined(parts: list[Beginnings]) -> Beginnings:
+    control = np.concatenate([splines.control for splines, _ in parts], axis=1)
+    duration = np.concatenate([splines.duration for splines, _ in parts])
+    return Splines(control, duration), np.concatenate([route for _, route in parts])

@@ -1,0 +1,117 @@
+"""Motion limits, and the smooth law of speed along a path that keeps them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.compiled import compiled
+
+FloatArray = NDArray[np.floating]
+
+TURN = 4.0 / 3.0  # m in which a robot that may accelerate as it likes reaches its speed smoothly
+LEAST_RAMP = 0.12  # share of a duration; a spline cannot follow a steeper one
+CRUISE = 0.9  # share of v_max at pace 1: the bends of a spline overshoot
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What every anchor keeps: speed [m/s] and acceleration [m/s^2].
+
+    horizon_s: s that every anchor lasts; None where each has its own duration
+    """
+
+    v_max: float
+    a_max: float
+    horizon_s: float | None = None
+
+    @property
+    def jerk_scale(self) -> float:
+        """m/s^3 that count as one: of a ramp to v_max at a_max, or over TURN if that is gentler."""
+        return min(self.a_max, self.v_max**2 / TURN) ** 2 / self.v_max
+
+    def least_time(self, length: float) -> float:
+        """s from rest to rest along a way of so many m, at the limits."""
+        if length * self.a_max > self.v_max**2:
+            return length / self.v_max + self.v_max / self.a_max
+        return 2.0 * (max(length, 0.0) / self.a_max) ** 0.5
+
+    def durations(self, states: FloatArray) -> NDArray[np.float64]:
+        """s that states [N, T, 3D + 1] last, [N]: the horizon, or as their log duration says."""
+        if self.horizon_s is not None:
+            return np.full(len(states), self.horizon_s)
+        return np.exp(states[..., -1].mean(-1, dtype=np.float64))
+
+
+def nominal_duration(length: float, limits: MotionLimits, *, pace: float = 1.0) -> float:
+    """s along a way of so many m: ramps up to v_max at a_max, a cruise, and down again.
+
+    pace: by which the cruise is slower than the limits allow
+    """
+    cruise = CRUISE * limits.v_max / pace
+    ramp = 0.5 * np.pi * cruise / limits.a_max
+    if length < cruise * ramp:
+        return 2.0 * pace * (0.5 * np.pi * max(length, 0.0) / limits.a_max) ** 0.5
+    return length / cruise + ramp
+
+
+def ramp_share(duration: float, length: float, limits: MotionLimits) -> float:
+    """Share of a duration that each ramp of `time_along` takes, a_max kept if it can be."""
+    # A ramp r and the cruise v keep v (d - r) = length and π/2 v / r <= a_max.
+    steep = 2.0 * np.pi * length / (limits.a_max * duration**2)
+    return float(np.clip(0.5 * (1.0 - max(0.0, 1.0 - steep) ** 0.5), LEAST_RAMP, 0.5))
+
+
+def time_along(
+    path: FloatArray,
+    num_samples: int,
+    *,
+    ramp: float,
+    start_share: float = 0.0,
+    goal_share: float = 0.0,
+) -> FloatArray:
+    """Positions [T, 2] along a polyline [K, 2]: raised-cosine ramps, and a cruise between them.
+
+    ramp: share of the time spent from the first speed to the cruise's, and as much to the last.
+    start_share, goal_share: the speeds at both ends, in shares of the mean speed; where they leave
+        nothing to the cruise, it stands still and they are scaled down.
+    """
+    cruise = max(0.0, (1.0 - 0.5 * ramp * (start_share + goal_share)) / (1.0 - ramp))
+    points = np.ascontiguousarray(path, np.float64)
+    return _driven(
+        points, num_samples, float(ramp), (float(start_share), cruise, float(goal_share))
+    )
+
+
+@compiled
+def _driven(
+    path: NDArray[np.float64], num_samples: int, ramp: float, speeds: tuple[float, float, float]
+) -> NDArray[np.float32]:
+    """Positions [T, 2] along a polyline [K, 2] at the speeds of start, cruise and goal."""
+    start, cruise, goal = speeds
+    speed, driven = np.empty(num_samples), np.zeros(num_samples)
+    for k in range(num_samples):
+        tau = k / (num_samples - 1)
+        rise = 0.5 - 0.5 * np.cos(np.pi * min(min(tau, 1.0 - tau) / ramp, 1.0))
+        first = start if tau < 0.5 else goal
+        speed[k] = first + (cruise - first) * rise
+        if k:
+            driven[k] = driven[k - 1] + 0.5 * (speed[k] + speed[k - 1])
+    marks = np.zeros(len(path))
+    for leg in range(1, len(path)):
+        step = path[leg] - path[leg - 1]
+        marks[leg] = marks[leg - 1] + np.sqrt(step[0] ** 2 + step[1] ** 2)
+    positions = np.empty((num_samples, 2), np.float32)
+    for k in range(num_samples):
+        at = driven[k] / driven[-1] * marks[-1]
+        if at >= marks[-1]:
+            positions[k] = path[-1].astype(np.float32)
+            continue
+        leg = np.searchsorted(marks, at, "right")
+        share = (at - marks[leg - 1]) / (marks[leg] - marks[leg - 1])
+        for axis in range(2):
+            change = path[leg, axis] - path[leg - 1, axis]
+            positions[k, axis] = path[leg - 1, axis] + share * change
+    return positions

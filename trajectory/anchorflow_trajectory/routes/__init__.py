@@ -1,0 +1,1 @@
+"""Routes round the obstacles of a map: search, shortening, and splines along them."""

@@ -1,0 +1,286 @@
+"""The shortest routes of a scene, one for each way round its obstacles.
+
+A route is the shortest path on the grid among those with its signature (`homotopy`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.routes.dijkstra import (
+    LENGTHS,
+    ROUNDING,
+    STEPS,
+    Cells,
+    Entries,
+    Ground,
+    Keys,
+    Lengths,
+    Links,
+    Steps,
+    Ways,
+    cell_index,
+    free_steps,
+    new_queue,
+    only_entry,
+    spread,
+    walked_back,
+    ways_from,
+)
+from anchorflow_trajectory.routes.homotopy import ObstacleRays, Signature
+
+FloatArray = NDArray[np.floating]
+BoolArray = NDArray[np.bool_]
+
+MOST_ROUTES = 12
+STRETCH = 1.3
+SLACK = 0.02  # m beyond robot_radius that a route keeps, so that a spline along it can
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A way from start to goal.
+
+    points: [K, 2] m, in the map's frame, from the start to the goal
+    length: m, of the polyline through them
+    signature: crossings of the ray of each obstacle, as `ObstacleRays` orders them
+    """
+
+    points: NDArray[np.float64]
+    length: float
+    signature: Signature
+
+
+def find_routes(
+    clearance: FloatArray,
+    *,
+    resolution: float,
+    origin: FloatArray,
+    start: FloatArray,
+    goal: FloatArray,
+    most: int = MOST_ROUTES,
+    stretch: float = STRETCH,
+    slack: float = SLACK,
+    rays: ObstacleRays | None = None,
+) -> list[Route]:
+    """The shortest routes on the grid with different signatures, the shortest first.
+
+    Empty where no way is free. The same arguments bring the same routes.
+
+    Args:
+        clearance: [H, W] m beyond robot_radius at cell centres, negative where the robot would
+            touch something.
+        resolution: m/cell.
+        origin: [2] m, outer corner of cell (0, 0).
+        start, goal: [2] m. Cells about them are free with less than `slack`, their own with any
+            clearance: who stands close to something may leave.
+        most: routes at most.
+        stretch: times the shortest that a route may be long.
+        slack: m of clearance that routes keep.
+        rays: of this clearance, where they are known already.
+
+    Raises:
+        ValueError: `most` is below 1, `stretch` below 1 or `slack` negative.
+    """
+    if most < 1 or not stretch >= 1.0 or not slack >= 0.0:
+        raise ValueError(
+            f"expected most >= 1, stretch >= 1 and slack >= 0, got {most}, {stretch} and {slack}"
+        )
+    height, width = clearance.shape
+    ends = [cell_index(end, origin, resolution, (height, width)) for end in (start, goal)]
+    free = free_cells(clearance, ends, slack=slack)
+    rays, routes = rays or ObstacleRays.of(clearance), []
+    crossed, (first, last) = rays.keys_crossed().ravel(), ends
+    cells, parts = search_routes(
+        free_steps(free), width, crossed, first, last, most, float(stretch)
+    )
+    at = (np.stack([cells % width, cells // width], -1) + 0.5) * resolution + origin
+    for begin, end in pairwise(parts.tolist()):
+        points = np.concatenate([[start], at[begin + 1 : end - 1], [goal]]).astype(np.float64)
+        (signature,) = rays.signatures(points[None], resolution=resolution, origin=origin)
+        routes.append(Route(points, polyline_length(points), signature))
+    return sorted(routes, key=lambda route: route.length)
+
+
+def polyline_length(points: FloatArray) -> float:
+    """m, through points [K, 2]."""
+    legs = points[1:] - points[:-1]
+    return float(np.sqrt((legs * legs).sum(1)).sum())
+
+
+def free_cells(clearance: FloatArray, ends: Sequence[int], *, slack: float) -> BoolArray:
+    """[H, W], the cells that routes may take between two flat cells."""
+    free = clearance >= slack
+    for row, column in (divmod(end, clearance.shape[1]) for end in ends):
+        about = (slice(max(0, row - 1), row + 2), slice(max(0, column - 1), column + 2))
+        free[about] |= clearance[about] >= 0.0
+        free[row, column] = True
+    return free
+
+
+class Cuts(NamedTuple):
+    """The steps [H * W] across the cuts, how many there are, and what keys are made of.
+
+    crossed: [H * W] what a step to the right adds; onward: [H * W] what the shortest way to the
+        goal adds
+    """
+
+    steps: Steps
+    total: int
+    crossed: Keys
+    onward: Keys
+
+
+@compiled
+def search_routes(
+    steps: Steps, width: int, crossed: Keys, start: int, goal: int, most: int, stretch: float
+) -> tuple[Cells, Cells]:
+    """The cells [P] of all routes, one after the other, and where each begins and ends: [R + 1].
+
+    The shortest comes first. There is none where no way leads to the goal.
+
+    Args:
+        steps: [H * W] between free cells (`free_steps`).
+        width: W.
+        crossed: [H * W] what a step from each cell to the right adds to a signature's key.
+        start, goal: flat cells.
+        most: routes at most.
+        stretch: times the shortest that a route may be long.
+    """
+    offsets, queue = STEPS[:, 0] * width + STEPS[:, 1], new_queue(len(steps))
+    cells, ends, found = np.empty(0, np.int64), np.zeros(most + 1, np.int64), 0
+    everywhere = Ground(steps, offsets, np.zeros(len(steps)), np.inf)
+    from_start = ways_from(start, everywhere, queue)[0].lengths[0]
+    limit = stretch * from_start[goal] + ROUNDING
+    if not np.isfinite(limit):
+        return cells, ends[:1]
+    # Where a cell's way is short enough, so are those of the cells between it and the goal.
+    to_goal, near = ways_from(goal, Ground(steps, offsets, from_start, limit), queue)
+    inside, cuts = _cut(near, steps, offsets, to_goal.links[0], crossed)
+    ground = Ground(inside, offsets, to_goal.lengths[0], limit)
+
+    pending, known = only_entry(start), np.empty(most, np.uint64)
+    ways = Ways(np.empty((most, len(steps))), np.empty((most, len(steps)), np.int32))
+    while len(pending.keys):
+        best = np.argmin(pending.lengths + ground.rest[pending.cells])
+        key, cell = pending.keys[best], pending.cells[best]
+        sheet = _place(key, known[:found])
+        if sheet == found:
+            known[sheet], ways.lengths[sheet] = key, np.inf
+            before = walked_back(cell, pending.links[best], ways.links, ground)
+            after = walked_back(cell, to_goal.links[0, cell], to_goal.links, ground)
+            cells = np.concatenate((cells, before[::-1], after[1:]))
+            found += 1
+            ends[found] = len(cells)
+        if found == most:
+            break
+        chosen = pending.keys == key
+        reached = spread(_kept(pending, chosen), ground, queue, sheet, ways)
+        left = _left(reached, ground, cuts, sheet, known[:found], ways.lengths)
+        pending = _joined(_kept(pending, ~chosen), left)
+    return cells, ends[: found + 1]
+
+
+@compiled
+def _cut(
+    near: Cells, steps: Steps, offsets: Cells, links: Links, crossed: Keys
+) -> tuple[Steps, Cuts]:
+    """The steps [H * W] between near cells that stay in their sheet, and the others.
+
+    near: from the goal on, those first that the ways of others lead over
+    links: [H * W] of the ways from the goal
+    """
+    keys, is_near = np.zeros(len(steps), np.uint64), np.zeros(len(steps), np.bool_)
+    is_near[near] = True
+    for cell in near[1:]:
+        step = int(links[cell])
+        head = cell - offsets[step]
+        keys[cell] = keys[head] - _change(crossed, head, cell, step)
+    inside, across, count = np.zeros_like(steps), np.zeros_like(steps), 0
+    for cell in near:
+        for k in range(len(STEPS)):
+            head = cell + offsets[k]
+            if not (steps[cell] >> k) & 1 or not is_near[head]:
+                continue
+            if _change(crossed, cell, head, k) + keys[head] == keys[cell]:
+                inside[cell] |= np.uint8(1 << k)
+            else:
+                across[cell] |= np.uint8(1 << k)
+                count += 1
+    return inside, Cuts(across, count, crossed, keys)
+
+
+@compiled
+def _change(crossed: Keys, cell: int, head: int, step: int) -> np.uint64:
+    """What a step from a cell to another adds to a signature's key."""
+    if STEPS[step, 1] > 0:
+        return crossed[cell]
+    if STEPS[step, 1] < 0:
+        return np.uint64(0) - crossed[head]
+    return np.uint64(0)
+
+
+@compiled
+def _left(
+    reached: Cells, ground: Ground, cuts: Cuts, sheet: int, known: Keys, lengths: Lengths
+) -> Entries:
+    """The entries into other sheets from the cells that a sheet reaches now.
+
+    known: [S] keys of the sheets; lengths: [S or more, H * W] of their ways
+    """
+    keys, cells = np.empty(cuts.total, np.uint64), np.empty(cuts.total, np.int64)
+    until, links, count = np.empty(cuts.total), np.empty(cuts.total, np.int32), 0
+    for cell in reached:
+        for k in range(len(STEPS)):
+            if not (cuts.steps[cell] >> k) & 1:
+                continue
+            head, length = cell + ground.offsets[k], lengths[sheet, cell] + LENGTHS[k]
+            if length + ground.rest[head] > ground.limit:
+                continue
+            change = _change(cuts.crossed, cell, head, k) + cuts.onward[head] - cuts.onward[cell]
+            key = known[sheet] + change
+            other = _place(key, known)
+            if other < len(known) and length >= lengths[other, head] - ROUNDING:
+                continue
+            keys[count], cells[count] = key, head
+            until[count], links[count] = length, len(STEPS) * sheet + k
+            count += 1
+    return Entries(keys[:count], cells[:count], until[:count], links[:count])
+
+
+@compiled
+def _place(key: np.uint64, keys: Keys) -> int:
+    """Where a key stands among keys [S]; S where it does not."""
+    for place in range(len(keys)):
+        if keys[place] == key:
+            return place
+    return len(keys)
+
+
+@compiled
+def _kept(entries: Entries, chosen: NDArray[np.bool_]) -> Entries:
+    """Those of the entries [E] that are chosen."""
+    return Entries(
+        entries.keys[chosen],
+        entries.cells[chosen],
+        entries.lengths[chosen],
+        entries.links[chosen],
+    )
+
+
+@compiled
+def _joined(some: Entries, more: Entries) -> Entries:
+    """Both, one after the other."""
+    return Entries(
+        np.concatenate((some.keys, more.keys)),
+        np.concatenate((some.cells, more.cells)),
+        np.concatenate((some.lengths, more.lengths)),
+        np.concatenate((some.links, more.links)),
+    )

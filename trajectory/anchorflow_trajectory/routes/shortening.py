@@ -1,0 +1,127 @@
+"""Routes pulled tight: the grid's corners cut wherever the straight way is as clear."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.routes.homotopy import ObstacleRays, crossings, in_cells
+from anchorflow_trajectory.routes.search import Route, polyline_length
+
+FloatArray = NDArray[np.floating]
+BoolArray = NDArray[np.bool_]
+Points = NDArray[np.float64]
+Cells = NDArray[np.int64]
+
+# m of clearance that a chord keeps: more than the search asks, a spline needs room for its bends.
+CHORD_SLACK = 0.1
+STRIDE = 4  # cells at most between points of a straight piece that chords may end at
+SAME_LEG = 1e-6  # of a leg, by which the next may differ where the way does not turn
+LOOKS_A_CELL = 2.0  # points of a chord at which clearance is looked up
+
+
+def pulled_tight(
+    routes: Sequence[Route],
+    clearance: FloatArray,
+    *,
+    resolution: float,
+    origin: FloatArray,
+    slack: float = CHORD_SLACK,
+    rays: ObstacleRays | None = None,
+) -> list[Route]:
+    """The same routes along fewer points, no longer than before, the shortest first.
+
+    A path of steps to eight neighbours is up to 8 % longer than the way that it stands for. From
+    each corner the furthest is taken to which the chord is clear and passes the obstacles on the
+    same sides as the route does.
+
+    Args:
+        routes: as `find_routes` finds them on this map.
+        clearance: [H, W] m beyond robot_radius at cell centres.
+        resolution: m/cell.
+        origin: [2] m, outer corner of cell (0, 0).
+        slack: m of clearance that a chord keeps at every cell that it crosses.
+        rays: of this clearance, where they are known already.
+    """
+    free, rays, tight = clearance >= slack, rays or ObstacleRays.of(clearance), []
+    for route in routes:
+        cells = in_cells(route.points, resolution, origin)
+        kept = _kept(cells, _corners(route.points), free, rays.columns, rays.rows)
+        points = route.points[kept]
+        tight.append(Route(points, polyline_length(points), route.signature))
+    return sorted(tight, key=lambda route: route.length)
+
+
+@compiled
+def _corners(points: Points) -> Cells:
+    """The places of both ends, of the points [K, 2] at which the way turns, and of some between."""
+    legs = points[1:] - points[:-1]
+    longest = np.abs(legs).max()
+    corners, count = np.zeros(len(points), np.int64), 1
+    for k in range(1, len(legs)):
+        turn = np.abs(legs[k] - legs[k - 1]).max()
+        if turn > SAME_LEG * longest or k % STRIDE == 0:
+            corners[count] = k
+            count += 1
+    corners[count] = len(legs)
+    return corners[: count + 1]
+
+
+@compiled
+def _kept(
+    points: Points,
+    corners: Cells,
+    free: BoolArray,
+    columns: Cells,
+    rows: Cells,
+) -> Cells:
+    """The corners that are left of a route's points [K, 2] in cells, where chords cut the others.
+
+    free: [H, W] cells that chords may cross; columns, rows: of the obstacles' rays
+    """
+    kept, count, at = np.zeros(len(corners), np.int64), 1, 0
+    while at < len(corners) - 1:
+        begin, to = points[corners[at]], at + 1
+        reach = 0.0
+        for later in range(at + 1, len(corners)):
+            reach = max(reach, np.abs(points[corners[later]] - begin).max())
+        # As many of every chord from here as the longest needs.
+        looks = int(reach * LOOKS_A_CELL) + 2
+        for later in range(len(corners) - 1, at + 1, -1):
+            end = points[corners[later]]
+            if _is_clear(begin, end, free, looks) and _same_sides(
+                points[corners[at : later + 1]], columns, rows
+            ):
+                to = later
+                break
+        at = to
+        kept[count] = corners[at]
+        count += 1
+    return kept[:count]
+
+
+@compiled
+def _is_clear(begin: Points, end: Points, free: BoolArray, looks: int) -> bool:
+    """Whether the cells at so many points of the straight way [2] to [2] in cells are free."""
+    height, width = free.shape
+    apart = 1.0 / (looks - 1)
+    for look in range(looks):
+        share = look * apart
+        column = int(begin[0] + share * (end[0] - begin[0]))
+        row = int(begin[1] + share * (end[1] - begin[1]))
+        if not free[min(max(row, 0), height - 1), min(max(column, 0), width - 1)]:
+            return False
+    return True
+
+
+@compiled
+def _same_sides(points: Points, columns: Cells, rows: Cells) -> bool:
+    """Whether the chord between both ends of a polyline [K, 2] crosses every ray as often."""
+    chord = np.stack((points[0], points[-1]))
+    for k in range(len(columns)):
+        if crossings(points, columns[k], rows[k]) != crossings(chord, columns[k], rows[k]):
+            return False
+    return True
