@@ -98,51 +98,50 @@ def schema_of(row: Row) -> Schema:
     if row.default is not None:
         facts["default"] = row.default
     match row:
+        case Array(shape=shape, unit=unit):
+            facts |= {"x-shape": shape} | ({"x-unit": unit} if unit else {})
+        case Number(interval=Interval(unit=unit)) if unit:
+            facts["x-unit"] = unit
+    forms = _forms(row)
+    if not row.required:
+        forms.append({"type": "null"})
+    return facts | (forms[0] if len(forms) == 1 else {"anyOf": forms})
+
+
+def _forms(row: Row) -> list[Schema]:
+    """Return the schemas of the values that a field may have."""
+    match row:
         case Array():
-            facts |= _array(row)
-        case Group():
-            inside = {name: schema_of(each) for name, each in row.fields.items()}
-            facts |= _object(inside, required=row.required_fields)
-        case Number():
-            facts |= {"type": "integer" if row.whole else "number", **_bounds(row.interval)}
-            facts |= {"x-unit": row.interval.unit} if row.interval.unit else {}
+            return _array_forms(row)
+        case Group(fields=fields):
+            inside = {name: schema_of(each) for name, each in fields.items()}
+            return [_object(inside, required=row.required_fields)]
+        case Number(interval=interval, whole=whole):
+            return [{"type": "integer" if whole else "number", **_bounds(interval)}]
         case Flag():
-            facts["type"] = "boolean"
-        case Text():
-            facts |= {"type": "string", "enum": [*row.options]} if row.options else TEXT
+            return [{"type": "boolean"}]
+        case Text(options=options):
+            return [{"type": "string", "enum": [*options]} if options else TEXT]
         case Names():
-            facts |= {"type": "array", "items": TEXT}
+            return [{"type": "array", "items": TEXT}]
         case Inputs():
-            facts |= {
-                "type": "object",
-                "propertyNames": TEXT,
-                "additionalProperties": {"anyOf": INPUT},
-            }
-    return facts if row.required else _or_null(facts)
+            values = {"additionalProperties": {"anyOf": INPUT}}
+            return [{"type": "object", "propertyNames": TEXT, **values}]
+    raise TypeError(f"no schema for a {type(row).__name__}")
 
 
-def _array(row: Array) -> Schema:
+def _array_forms(row: Array) -> list[Schema]:
     nested: Schema = {"type": "number", **_bounds(row.interval)}
     for least, most in reversed(row.sizes):
         nested = {"type": "array", "items": nested, "minItems": least, "maxItems": most}
     forms = [nested]
     if row.batched:
         forms.append({"type": "array", "items": nested, "minItems": 1, "maxItems": MAX_SCENES})
-    if row.words:
-        forms.append({"type": "string", "enum": [*row.words]})
-    forms += [FORMS[key] for key in row.objects]
-    unit = {"x-unit": row.unit} if row.unit else {}
-    return {"anyOf": [*forms, BYTES], "x-shape": row.shape, **unit}
+    forms += [{"const": word} for word in row.words]
+    return [*forms, *(FORMS[key] for key in row.objects), BYTES]
 
 
 def _bounds(interval: Interval) -> Schema:
     low = "exclusiveMinimum" if interval.open_low else "minimum"
     high = "exclusiveMaximum" if interval.open_high else "maximum"
     return {low: interval.low, high: interval.high}
-
-
-def _or_null(schema: Schema) -> Schema:
-    if "anyOf" in schema:
-        return {**schema, "anyOf": [*schema["anyOf"], {"type": "null"}]}
-    options = {"enum": [*schema["enum"], None]} if "enum" in schema else {}
-    return {**schema, "type": [schema["type"], "null"], **options}
