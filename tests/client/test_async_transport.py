@@ -156,7 +156,7 @@ def test_no_empty_part_reaches_the_event_loop(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("turns", range(1, 12))
 def test_pending_requests_fail_at_close(turns: int) -> None:
-    """At any turn of the loop: before a connection, while it is opened, or after that."""
+    """The close happens before a connection is open, while it is opened, or later."""
 
     async def test() -> None:
         async with serving(max_connections=1) as (server, transport):

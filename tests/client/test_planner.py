@@ -286,7 +286,6 @@ def test_a_setting_out_of_range_is_named(setting: str, value: object) -> None:
 
 
 def test_the_loop_continues_while_the_client_hangs() -> None:
-    """With real threads."""
     gate, entered, threads = threading.Event(), threading.Event(), list[threading.Thread]()
 
     class Gated:

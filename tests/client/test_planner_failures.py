@@ -94,7 +94,7 @@ def test_an_overloaded_service_is_left_alone_for_as_long_as_it_says(stage: Stage
 
 def test_after_a_refusal_the_next_observation_is_sent(stage: Stage) -> None:
     stage.update(cost_map=np.ones((16, 16)))
-    stage.answer()  # refused before it is sent: the robot stands in an obstacle
+    stage.answer()  # refused by the client: the robot is inside an obstacle
     stage.now += 0.1
     plan = stage.update()
 

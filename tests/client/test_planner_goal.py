@@ -90,7 +90,7 @@ def test_the_local_goal_keeps_its_distance(
     assert (np.abs(point) <= 4.0 - clearance_m + RESOLUTION).all()
     rows, columns = np.nonzero(occupied)
     centres = RESOLUTION * (np.stack([columns, rows], axis=1) + 0.5) - 4.0
-    # The point lies in its cell, so at most half a diagonal from the centre that was looked at.
+    # The point is at most half a diagonal from its cell's centre, which was checked.
     distance = np.linalg.norm(centres - point, axis=1).min(initial=np.inf)
     assert distance >= clearance_m - RESOLUTION / np.sqrt(2) - 1e-9
 

@@ -208,7 +208,7 @@ transport.close()
 def test_a_forked_process_has_a_connection_of_its_own() -> None:
     def echo(connection: socket.socket) -> None:
         with connection:
-            while head := connection.recv(65536):  # these heads come in one piece
+            while head := connection.recv(65536):  # each head is one packet
                 path = head.split()[1]
                 length = str(len(path)).encode()
                 connection.sendall(
@@ -287,7 +287,7 @@ def test_a_head_and_its_body_are_sent_with_as_few_calls_as_possible(
 
 
 def test_a_signal_leaves_no_connection_half_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After Ctrl-C while it waits, the next request opens a new connection."""
+    """The request after a Ctrl-C opens a new connection."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         transport = SocketTransport(
             f"http://127.0.0.1:{listener.getsockname()[1]}", connect_timeout_s=5

@@ -41,7 +41,7 @@ class Peer:
         Args:
             info: its reply on its info key.
             answer: receives every request.
-            tell: receives every query on the info key, in place of a reply with `info`.
+            tell: handles queries on the info key, in place of a reply with `info`.
         """
 
         def note(query: zenoh.Query) -> None:

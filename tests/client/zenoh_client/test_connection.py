@@ -116,62 +116,22 @@ def test_a_task_that_is_cancelled_while_connecting_frees_its_thread(
 
 
 ENDS_WHILE_IT_CONNECTS = """
-import socket
-import sys
-from pathlib import Path
-from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-
-silent = socket.create_server(("127.0.0.1", 0))  # hangs up where Python ends
+silent = socket.create_server(("127.0.0.1", 0))  # closed when Python ends
 endpoint = f"tcp/127.0.0.1:{silent.getsockname()[1]}"
-settings = ZenohSettings(mode="client", connect=(endpoint,), config_file=Path(sys.argv[1]))
+file = Path(sys.argv[2]) / "impatient.json5"
+file.write_text("{transport: {unicast: {open_timeout: 1500}}}")
+settings = ZenohSettings(mode="client", connect=(endpoint,), config_file=file)
 with ZenohAnchorClient(settings, timeout_s=0.3) as client:
     assert not client.live()
+print("ended")
 """
-
-
-def test_a_program_may_end_while_its_client_connects(tmp_path: Path) -> None:
-    file = tmp_path / "impatient.json5"
-    file.write_text("{transport: {unicast: {open_timeout: 1500}}}")
-    ended = run(ENDS_WHILE_IT_CONNECTS, file)
-
-    assert (ended.returncode, ended.stderr) == (0, "")
-
-
 RAISES_WITH_AN_OPEN_CLIENT = """
-import sys
-from anchorflow_client.zenoh_client import ZenohAnchorClient
-
 client = ZenohAnchorClient(sys.argv[1])
 assert client.live()
+sys.excepthook = lambda kind, error, _: print(f"{kind.__name__}: {error}")
 raise LookupError("of the program")
 """
-
-
-@pytest.fixture
-def alive(peer: Any, endpoint: str, card: ModelCard, info: Callable[..., ReplicaInfo]) -> str:
-    """The endpoint of a replica that is alive."""
-    peer.play(info("a", card), peer.answer)
-    return endpoint
-
-
-def run(program: str, argument: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", program, str(argument)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-
-
-def test_a_program_that_fails_ends_though_its_client_is_open(alive: str) -> None:
-    ended = run(RAISES_WITH_AN_OPEN_CLIENT, alive)
-
-    assert ended.returncode == 1
-    assert "LookupError: of the program" in ended.stderr
-
-
 FORKS = """
-import os
-import sys
-from anchorflow_client import ConnectionFailed
-from anchorflow_client.zenoh_client import ZenohAnchorClient
-
 with ZenohAnchorClient(sys.argv[1]) as client:
     assert client.live()
     child = os.fork()
@@ -187,14 +147,41 @@ with ZenohAnchorClient(sys.argv[1]) as client:
             except ConnectionFailed as error:
                 print(error)
 """
+IMPORTS = """
+import os, socket, sys
+from pathlib import Path
+from anchorflow_client import ConnectionFailed
+from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
+"""
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
-def test_a_forked_process_has_no_session(alive: str) -> None:
-    ended = run(FORKS, alive)
+@pytest.fixture
+def alive(peer: Any, endpoint: str, card: ModelCard, info: Callable[..., ReplicaInfo]) -> str:
+    """The endpoint of a replica that is alive."""
+    peer.play(info("a", card), peer.answer)
+    return endpoint
 
-    assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.count("zenoh does not survive a fork") == 2
+
+@pytest.mark.parametrize(
+    ("program", "code", "words", "count"),
+    [
+        (ENDS_WHILE_IT_CONNECTS, 0, "ended", 1),
+        (RAISES_WITH_AN_OPEN_CLIENT, 1, "LookupError: of the program", 1),
+        pytest.param(
+            *(FORKS, 0, "zenoh does not survive a fork", 2),
+            marks=pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork"),
+        ),
+    ],
+    ids=["ends while it connects", "raises", "forks"],
+)
+def test_a_program_ends_whatever_its_client_does(
+    alive: str, tmp_path: Path, program: str, code: int, words: str, count: int
+) -> None:
+    command = [sys.executable, "-c", IMPORTS + program, alive, str(tmp_path)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+
+    assert (ended.returncode, ended.stderr) == (code, "")
+    assert ended.stdout.count(words) == count
 
 
 def test_an_async_client_that_is_closed_says_so(alive: str, fields: dict[str, Any]) -> None:

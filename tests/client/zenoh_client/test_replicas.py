@@ -19,7 +19,7 @@ Info = Callable[..., ReplicaInfo]
 
 
 class Clock:
-    """Stands still until it is moved."""
+    """A clock that the test advances."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -43,27 +43,23 @@ def replicas(clock: Clock, card: ModelCard, info: Info) -> Replicas:
     return replicas
 
 
-def chosen(replicas: Replicas, model: str | None = None, *tried: str) -> str | None:
-    choice = replicas.choose(model, tried)
-    return choice and choice.replica
+def chosen(replicas: Replicas, model: str | None = None, *tried: str) -> tuple[Any, Any, Any]:
+    """Return the choice: replica, model, expected time in ms."""
+    return replicas.choose(model, tried) or (None, None, None)
 
 
-def test_the_idle_one_is_chosen_by_all_that_is_known_of_loads(
-    replicas: Replicas, card: ModelCard, info: Info
-) -> None:
-    first = replicas.begin(chosen(replicas) or "")  # one's own requests count at once
-    assert chosen(replicas) != first.name
+def test_the_idle_one_is_chosen(replicas: Replicas, card: ModelCard, info: Info) -> None:
+    first = replicas.begin(chosen(replicas)[0])  # one's own requests count at once
+    assert chosen(replicas)[0] != first.name
     replicas.end(first, Load(0, 1, 10.0))
-    assert chosen(replicas) == first.name
+    assert chosen(replicas)[0] == first.name
     replicas.end(replicas.begin("a"), Load(4, 1, 10.0))  # as an answer reports it
-    assert chosen(replicas) == "b"
+    assert chosen(replicas)[0] == "b"
 
     replicas.learn(info("a", card, in_flight=1))
-    assert chosen(replicas) == "b"
+    assert chosen(replicas)[0] == "b"
     replicas.learn(info("b", card, in_flight=2))
-    choice = replicas.choose(None)
-    assert choice is not None
-    assert (choice.replica, choice.model, choice.expected_ms) == ("a", "lines", 20.0)
+    assert chosen(replicas) == ("a", "lines", 20.0)
 
 
 def test_one_without_a_mean_is_tried_but_not_flooded(
@@ -71,11 +67,7 @@ def test_one_without_a_mean_is_tried_but_not_flooded(
 ) -> None:
     replicas.appear("c")
     replicas.learn(info("c", card, mean_service_ms=0.0))
-
-    asked = []
-    for _ in range(6):
-        asked.append(chosen(replicas) or "")
-        replicas.begin(asked[-1])
+    asked = [replicas.begin(chosen(replicas)[0]).name for _ in range(6)]
 
     assert asked[0] == "c"
     assert sorted(asked) == ["a", "a", "b", "b", "c", "c"]
@@ -86,79 +78,16 @@ def test_one_that_failed_comes_last_for_a_while_and_a_tried_or_lost_one_never(
 ) -> None:
     replicas.end(replicas.begin("a"), None, failed=True)
     replicas.end(replicas.begin("b"), Load(9, 1, 10.0))
-    assert chosen(replicas) == "b"
-    assert chosen(replicas, None, "b") == "a"
-    assert chosen(replicas, None, "a", "b") is None
+    assert chosen(replicas)[0] == "b"
+    assert chosen(replicas, None, "b")[0] == "a"
+    assert chosen(replicas, None, "a", "b")[0] is None
     clock.now += 3
-    assert chosen(replicas) == "a"
+    assert chosen(replicas)[0] == "a"
 
     replicas.vanish("a")
     replicas.end(replicas.begin("a"), None, failed=True)
     assert replicas.alive() == ("b",)
-    assert chosen(replicas) == "b"
-
-
-def test_one_that_reappears_is_not_charged_the_requests_that_it_lost(
-    replicas: Replicas, card: ModelCard, info: Info
-) -> None:
-    lost = [replicas.begin("a") for _ in range(2)]
-    replicas.vanish("a")
-    replicas.appear("a")
-    replicas.learn(info("a", card))
-    replicas.begin("a")
-    for each in lost:
-        replicas.end(each, None)
-
-    choice = replicas.choose(None, "b")
-    assert choice is not None
-    assert choice.expected_ms == 20.0  # behind the one that is outstanding
-
-
-def test_only_one_that_serves_the_model_is_chosen(
-    replicas: Replicas, card: ModelCard, info: Info
-) -> None:
-    replicas.learn(info("b", replace(card, name="bows"), in_flight=9))
-
-    assert chosen(replicas, "bows") == "b"
-    assert chosen(replicas, "lines") == "a"
-    with pytest.raises(UnknownModel, match=r"\(bows, lines\), got 'nobody'"):
-        replicas.choose("nobody")
-
-
-def test_without_a_name_the_default_is_chosen_and_no_other_in_its_place(
-    replicas: Replicas, card: ModelCard, info: Info
-) -> None:
-    bows = replace(card, name="bows")
-    replicas.learn(info("a", bows))
-    replicas.learn(info("b", bows, card, in_flight=9))
-    choice = replicas.choose(None)
-    assert choice is not None
-    assert (choice.replica, choice.model) == ("b", "lines")
-
-    replicas.learn(info("b", bows))
-    with pytest.raises(UnknownModel, match=r"\(bows\), got the default"):
-        replicas.choose(None)
-
-
-def test_an_error_says_if_all_models_are_gone(replicas: Replicas, info: Info) -> None:
-    for name in "ab":
-        replicas.learn(info(name))
-    for model in (None, "lines"):
-        with pytest.raises(UnknownModel, match=r"is served \(none at present\)"):
-            replicas.choose(model)
-
-    assert replicas.has_dropped("a", "lines")
-
-
-def test_one_without_info_may_serve_any_model_by_name_and_has_dropped_none(
-    replicas: Replicas,
-) -> None:
-    replicas.appear("c")
-    assert chosen(replicas, "nobody") == "c"
-    assert chosen(replicas, None, "a", "b") is None
-
-    replicas.vanish("b")
-    assert not any(replicas.has_dropped(name, "lines") for name in "abc")
+    assert chosen(replicas)[0] == "b"
 
 
 @pytest.mark.parametrize("doubt", ["not ready", "silent"])
@@ -172,70 +101,100 @@ def test_a_doubtful_one_comes_last(
         replicas.learn(info("a", card, ready=False))
     replicas.learn(info("b", card, in_flight=50))
 
-    assert chosen(replicas) == "b"
-    assert chosen(replicas, None, "b") == "a"
+    assert chosen(replicas)[0] == "b"
+    assert chosen(replicas, None, "b")[0] == "a"
 
 
-def test_old_infos_are_queried_again(
-    replicas: Replicas, clock: Clock, card: ModelCard, info: Info
+def test_one_that_reappears_is_not_charged_the_requests_that_it_lost(
+    replicas: Replicas, card: ModelCard, info: Info
 ) -> None:
-    assert replicas.to_be_queried() == []
-    clock.now += 1.5
-    assert replicas.to_be_queried() == ["a", "b"]
-    assert replicas.to_be_queried() == []
+    lost = [replicas.begin("a") for _ in range(2)]
+    replicas.vanish("a")
+    replicas.appear("a")
     replicas.learn(info("a", card))
-    clock.now += 0.5
-    assert replicas.to_be_queried() == []
-    assert replicas.to_be_queried(fresh_s=0.0) == ["a"]
+    replicas.begin("a")
+    for each in lost:
+        replicas.end(each, None)
+
+    assert chosen(replicas, None, "b")[2] == 20.0  # behind the one that is outstanding
 
 
-def test_pending_queries_are_awaited(
+def test_only_one_that_serves_the_model_or_its_default_is_chosen(
+    replicas: Replicas, card: ModelCard, info: Info
+) -> None:
+    bows = replace(card, name="bows")
+    replicas.learn(info("b", bows, in_flight=9))
+    assert chosen(replicas, "bows")[0] == "b"
+    assert chosen(replicas, "lines")[0] == "a"
+    with pytest.raises(UnknownModel, match=r"\(bows, lines\), got 'nobody'"):
+        replicas.choose("nobody")
+
+    replicas.learn(info("a", bows))
+    replicas.learn(info("b", bows, card, in_flight=9))
+    assert chosen(replicas)[:2] == ("b", "lines")
+    replicas.learn(info("b", bows))
+    with pytest.raises(UnknownModel, match=r"\(bows\), got the default"):
+        replicas.choose(None)
+
+    for name in "ab":
+        replicas.learn(info(name))
+    for model in (None, "lines"):
+        with pytest.raises(UnknownModel, match=r"is served \(none at present\)"):
+            replicas.choose(model)
+    assert replicas.has_dropped("a", "lines")
+
+
+def test_one_without_info_may_serve_any_model_by_name_and_has_dropped_none(
+    replicas: Replicas,
+) -> None:
+    replicas.appear("c")
+    assert chosen(replicas, "nobody")[0] == "c"
+    assert chosen(replicas, None, "a", "b")[0] is None
+
+    replicas.vanish("b")
+    assert not any(replicas.has_dropped(name, "lines") for name in "abc")
+
+
+def test_old_infos_are_queried_again_and_awaited(
     replicas: Replicas, clock: Clock, card: ModelCard, info: Info
 ) -> None:
+    assert replicas.to_be_queried() == []
     replicas.wait_for_queries(Deadline(0.0))
     clock.now += 1.5
     assert replicas.to_be_queried() == ["a", "b"]
+    assert replicas.to_be_queried() == []
     replicas.note_silence("a", TimedOut("nothing came"))
     threading.Timer(0.05, replicas.learn, [info("b", replace(card, name="bows"))]).start()
     replicas.wait_for_queries(Deadline(20.0))
+    assert chosen(replicas, "bows")[0] == "b"
 
-    assert chosen(replicas, "bows") == "b"
-
-
-def test_the_wait_for_a_replica_to_appear_ends() -> None:
-    start = time.monotonic()
-
-    Replicas().wait_until_known(Deadline(10.0), appear_s=0.05)
-
-    assert 0.05 <= time.monotonic() - start < 5
+    clock.now += 0.5
+    assert replicas.to_be_queried() == []
+    assert replicas.to_be_queried(fresh_s=0.0) == ["a", "b"]
 
 
-def test_a_pending_info_is_awaited(card: ModelCard, info: Info) -> None:
-    replicas = Replicas()
-    replicas.appear("a")
-    threading.Timer(0.05, replicas.learn, [info("a", card)]).start()
-
-    replicas.wait_until_known(Deadline(20.0), appear_s=0.0)
-
-    assert chosen(replicas) == "a"
-
-
-def test_the_wait_has_an_end(replicas: Replicas) -> None:
-    alone = Replicas()
+def test_waits_end_at_their_deadline_or_before(
+    replicas: Replicas, card: ModelCard, info: Info
+) -> None:
+    alone, start = Replicas(), time.monotonic()
+    alone.wait_until_known(Deadline(10.0), appear_s=0.05)
+    assert time.monotonic() - start >= 0.05
     alone.appear("a")
-    start = time.monotonic()
     alone.wait_until_known(Deadline(0.05), appear_s=10.0)
+    assert replicas.wait_until_gone(["a", "z"], Deadline(0.01)) == ["a"]
     assert time.monotonic() - start < 5
 
-    assert replicas.wait_until_gone(["a", "z"], Deadline(0.01)) == ["a"]
+    threading.Timer(0.05, alone.learn, [info("a", card)]).start()
+    alone.wait_until_known(Deadline(20.0), appear_s=0.0)
+    assert chosen(alone)[0] == "a"
     threading.Timer(0.05, replicas.vanish, ["a"]).start()
     assert replicas.wait_until_gone(["a", "z"], Deadline(20.0)) == []
 
 
 WAITS: dict[str, Callable[[Replicas, Deadline], object]] = {
     "known": lambda replicas, deadline: replicas.wait_until_known(deadline, appear_s=0.0),
-    "told": Replicas.wait_for_queries,
-    "word": lambda replicas, deadline: replicas.wait_for_change((), deadline),
+    "queries": Replicas.wait_for_queries,
+    "change": lambda replicas, deadline: replicas.wait_for_change((), deadline),
     "gone": lambda replicas, deadline: replicas.wait_until_gone("a", deadline),
 }
 
@@ -252,11 +211,9 @@ def test_a_cancelled_request_waits_no_longer(wait: str) -> None:
 
 
 def test_threads_see_one_state(replicas: Replicas) -> None:
-    def ask(_: Any = None) -> None:
+    def ask() -> None:
         for _ in range(500):
-            choice = replicas.choose(None)
-            assert choice is not None
-            replicas.end(replicas.begin(choice.replica), None)
+            replicas.end(replicas.begin(chosen(replicas)[0]), None)
 
     threads = [threading.Thread(target=ask) for _ in range(4)]
     for thread in threads:
@@ -264,6 +221,4 @@ def test_threads_see_one_state(replicas: Replicas) -> None:
     for thread in threads:
         thread.join()
 
-    choice = replicas.choose(None)
-    assert choice is not None
-    assert choice.expected_ms == 10.0  # nothing is left outstanding
+    assert chosen(replicas)[2] == 10.0  # no request is left outstanding

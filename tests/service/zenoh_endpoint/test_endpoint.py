@@ -15,6 +15,7 @@ from anyio.from_thread import start_blocking_portal
 from anchorflow_client import AnchorBatch, AnchorRequest, InvalidRequest, OipCodec, Payload
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_service.observability.metrics import Metrics
 from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
@@ -229,3 +230,30 @@ def test_a_model_name_that_is_not_allowed_in_a_key_is_refused(engine: Any, endpo
         pytest.raises(InvalidRequest, match="model: expected a name without spaces"),
     ):
         ZenohEndpoint(service, session)
+
+
+def test_queries_are_counted_beside_https_requests(
+    planning: PlanningService, session: zenoh.Session, fields: dict[str, Any]
+) -> None:
+    """Those that are refused before they are read, too."""
+    metrics = Metrics(planning)
+    too_large = bytes(planning.limits.max_body_bytes + 1)
+
+    assert ask(session, LINES, fields)[0].ok is not None
+    for changes, sent in (
+        ({"horizon_s": 5.0}, {}),
+        ({}, {"payload": too_large, "attachment": b'{"header_length": 9}'}),
+        ({}, {"payload": b"", "attachment": b"no JSON"}),
+    ):
+        error_of(ask(session, LINES, fields | changes, **sent))
+
+    text = metrics.render().decode()
+    for model, outcome in (
+        ("lines", "ok"),
+        ("lines", "invalid_request"),
+        ("", "too_large"),
+        ("", "invalid_request"),
+    ):
+        labels = f'model="{model}",outcome="{outcome}",transport="zenoh"'
+        assert f"anchorflow_requests_total{{{labels}}} 1.0" in text
+    assert 'anchorflow_request_seconds_count{transport="zenoh"} 1.0' in text

@@ -8,7 +8,7 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -30,17 +30,11 @@ PATIENCE_S = 60.0
 CONFIG = PlannerConfig(max_age_ms=1000.0, period_ms=50.0)
 
 
-class Moment(NamedTuple):
-    """The wall clock before and after a call."""
+class Tick(NamedTuple):
+    """A plan, and the wall clock before and after `update` returned it."""
 
     before: float
     after: float
-
-
-class Handed(NamedTuple):
-    """A plan, and when the loop received it."""
-
-    at: Moment
     plan: Plan
 
     @property
@@ -51,125 +45,99 @@ class Handed(NamedTuple):
 
 
 class Loop:
-    """A control loop that records its plans, and when its requests were sent."""
+    """A control loop that records its plans, and the ticks that sent a request."""
 
     def __init__(self, planner: Planner) -> None:
         self._planner = planner
-        self.asked: list[Moment] = []
-        self.handed: list[Handed] = []
+        self.asked: list[Tick] = []
+        self.ticks: list[Tick] = []
 
-    def run(self, until: Callable[[], bool]) -> list[Handed]:
-        """Tick until the condition holds, and return the plans of that time."""
-        first, deadline = len(self.handed), time.monotonic() + PATIENCE_S
-        while not until():
+    def run(self, until: Callable[[list[Tick]], bool]) -> list[Tick]:
+        """Tick until the condition holds for the ticks of this call, and return them."""
+        first, deadline = len(self.ticks), time.monotonic() + PATIENCE_S
+        while not until(self.ticks[first:]):
             assert time.monotonic() < deadline
-            self._tick()
-            time.sleep(TICK_S)
-        return self.handed[first:]
-
-    def run_for(self, seconds: float) -> list[Handed]:
-        end = time.monotonic() + seconds
-        return self.run(lambda: time.monotonic() >= end)
-
-    def run_lost(self) -> list[Handed]:
-        """Run while the service is lost, and until the plan has expired for sure."""
-        end = time.monotonic() + LOST_S
-        first = len(self.handed)
-        expired = [PlanState.EXPIRED] * 5
-        return self.run(
-            lambda: (
-                time.monotonic() >= end
-                and self.handed[-1].plan.last_error is not None
-                and [handed.plan.state for handed in self.handed[first:][-5:]] == expired
+            before = time.monotonic()
+            plan = self._planner.update(
+                cost_map=np.zeros((64, 64)),
+                resolution=0.16,
+                x_curr=[-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+                x_goal=[3.0, 0.0, 0.0, 0.0],
+                num_samples=2,
             )
-        )
+            self.ticks.append(Tick(before, time.monotonic(), plan))
+            if self._planner.counts["asked"] > len(self.asked):
+                self.asked.append(self.ticks[-1])
+            time.sleep(TICK_S)
+        return self.ticks[first:]
 
-    def run_until_answered(self) -> list[Handed]:
+    def run_until_answered(self) -> list[Tick]:
         """Run until a request is answered that is sent from now on."""
         number = len(self.asked)
-        return self.run(lambda: bool(self.handed) and self.handed[-1].number >= number)
+        return self.run(lambda ticks: bool(ticks) and ticks[-1].number >= number)
 
-    def _tick(self) -> None:
-        before = time.monotonic()
-        plan = self._planner.update(
-            cost_map=np.zeros((64, 64)),
-            resolution=0.16,
-            x_curr=[-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-            x_goal=[3.0, 0.0, 0.0, 0.0],
-            num_samples=2,
-        )
-        now = Moment(before, time.monotonic())
-        if self._planner.counts["asked"] > len(self.asked):
-            self.asked.append(now)
-        self.handed.append(Handed(now, plan))
+    def check_ages(self) -> None:
+        """Check every plan's age by the loop's own clock and records."""
+        newest = -1
+        for tick in self.ticks:
+            plan = tick.plan
+            assert plan.usable == (plan.state in (PlanState.FRESH, PlanState.HELD))
+            if tick.number < 0:
+                assert plan.state is PlanState.WAITING
+                continue
+            seen = self.asked[tick.number]
+            youngest_ms = 1e3 * (tick.before - seen.after)
+            assert youngest_ms <= plan.age_ms <= 1e3 * (tick.after - seen.before)
+            assert plan.usable == (plan.age_ms <= CONFIG.max_age_ms)
+            if plan.batch is not None:
+                assert youngest_ms <= CONFIG.max_age_ms
+                assert plan.batch.request_id == plan.request_id
+            assert tick.number >= newest  # no late answer replaces a newer one
+            newest = tick.number
 
 
-@pytest.fixture(params=["behind a router", "alone"])
-def service(request: pytest.FixtureRequest, endpoint: str) -> Iterator[Program]:
-    """Start a replica in another process, with 10 ms for an answer."""
-    listens = ["listen"] if request.param == "alone" else []
+@pytest.mark.parametrize(
+    ("where", "how"), [("behind a router", "killed"), ("alone", "killed"), ("alone", "stopped")]
+)
+def test_a_service_that_is_lost_for_2_s(endpoint: str, where: str, how: str) -> None:
+    listens = ["listen"] if where == "alone" else []
     command = [sys.executable, str(REPLICA), endpoint, "a", "0.01", *listens]
     with ExitStack() as stack:
         if not listens:
             stack.enter_context(running(Program("router", router_command(endpoint))))
-        yield stack.enter_context(running(Program("a", command)))
+        service = stack.enter_context(running(Program("a", command)))
+        client = stack.enter_context(ZenohAnchorClient(endpoint, timeout_s=1.0))
+        loop = Loop(stack.enter_context(Planner(client, CONFIG)))
+        executor = stack.enter_context(ThreadPoolExecutor(1))
 
+        loop.run_until_answered()
+        end = time.monotonic() + 0.5
+        loop.run(lambda _: time.monotonic() >= end)
+        if how == "stopped":
+            service.signal(signal.SIGSTOP)
+        else:
+            service.kill()
+        asked_before, end = len(loop.asked), time.monotonic() + LOST_S
+        expired = [PlanState.EXPIRED] * 5
+        lost = loop.run(
+            lambda ticks: (
+                time.monotonic() >= end
+                and ticks[-1].plan.last_error is not None
+                and [tick.plan.state for tick in ticks[-5:]] == expired
+            )
+        )
+        if how == "stopped":
+            service.signal(signal.SIGCONT)
+        else:
+            restarted = executor.submit(service.start)
+            loop.run(lambda _: restarted.done())
+        back = loop.run_until_answered()
 
-@pytest.fixture
-def loop(service: Program, endpoint: str) -> Iterator[Loop]:
-    assert service.name == "a"
-    timeout_s = 1e-3 * CONFIG.max_age_ms
-    with ZenohAnchorClient(endpoint, timeout_s=timeout_s) as client, Planner(client, CONFIG) as it:
-        yield Loop(it)
-
-
-def check_ages(loop: Loop) -> None:
-    """Check every plan's age by the loop's own clock and records."""
-    newest = -1
-    for handed in loop.handed:
-        (before, after), plan = handed
-        assert plan.usable == (plan.state in (PlanState.FRESH, PlanState.HELD))
-        if handed.number < 0:
-            assert plan.state is PlanState.WAITING
-            continue
-        seen = loop.asked[handed.number]
-        youngest_ms, oldest_ms = 1e3 * (before - seen.after), 1e3 * (after - seen.before)
-        assert youngest_ms <= plan.age_ms <= oldest_ms
-        assert plan.usable == (plan.age_ms <= CONFIG.max_age_ms)
-        if plan.batch is not None:
-            assert youngest_ms <= CONFIG.max_age_ms
-            assert plan.batch.request_id == plan.request_id
-        assert handed.number >= newest  # no late answer replaces a newer one
-        newest = handed.number
-
-
-def check_loss(lost: list[Handed], asked_before: int) -> None:
-    """Check the plans that the planner returned while the service was lost."""
-    usable = [handed.plan.usable for handed in lost]
+    loop.check_ages()
+    usable = [tick.plan.usable for tick in lost]
     assert usable[0]  # it continues with its last plan
     assert not usable[-1]  # and brakes
     assert usable == sorted(usable, reverse=True)  # and no old plan is used again
     assert isinstance(lost[-1].plan.last_error, TimedOut | ConnectionFailed)
-    assert all(handed.number < asked_before for handed in lost)  # no request was answered
-
-
-@pytest.mark.parametrize("how", ["stopped", "killed and restarted"])
-def test_a_service_that_is_lost_for_2_s(service: Program, loop: Loop, how: str) -> None:
-    loop.run_until_answered()
-    loop.run_for(0.5)
-    if how == "stopped":
-        service.signal(signal.SIGSTOP)
-    else:
-        service.kill()
-    asked_before = len(loop.asked)
-    lost = loop.run_lost()
-    with ThreadPoolExecutor(1) as executor:
-        if how == "stopped":
-            service.signal(signal.SIGCONT)
-        else:
-            loop.run(executor.submit(service.start).done)
-        back = loop.run_until_answered()
-
-    check_ages(loop)
-    check_loss(lost, asked_before)
+    assert all(tick.number < asked_before for tick in lost)  # no request was answered
     assert back[-1].plan.state is PlanState.FRESH
