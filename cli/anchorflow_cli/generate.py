@@ -16,7 +16,6 @@ import typer
 from rich.console import Console
 
 from anchorflow_cli.extras import needs_extra
-from anchorflow_cli.map_window import MARGIN_M, map_window
 from anchorflow_cli.options import (
     GoalOption,
     GoalVelocityOption,
@@ -33,9 +32,9 @@ from anchorflow_cli.options import (
     picture_option,
 )
 from anchorflow_cli.plan import table
-from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
+from anchorflow_client.ros_map import MARGIN_M, RosMap, load_ros_map, map_window
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 from anchorflow_models.generation.scenes import DEFAULT_MOTION, DEFAULT_ROBOT_RADIUS
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, restore_flow

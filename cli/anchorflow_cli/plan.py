@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.table import Table
 
 from anchorflow_cli.extras import needs_extra
-from anchorflow_cli.map_window import map_window
 from anchorflow_cli.options import (
     AMaxOption,
     BundleOption,
@@ -32,9 +31,9 @@ from anchorflow_cli.options import (
     picture_option,
     url_option,
 )
-from anchorflow_cli.ros_map import RosMap, load_ros_map
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
 from anchorflow_client.http import AnchorClient
+from anchorflow_client.ros_map import RosMap, load_ros_map, map_window
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.local import LocalClient
 
@@ -70,7 +69,7 @@ def plan(
     if url is not None and bundle is not None:
         raise typer.BadParameter("expected --url or --bundle, got both")
     ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
-    seen = map_window(ros_map, start[:2], goal[:2], size_m=window)
+    seen = map_window(ros_map, start[:2], goal[:2], size_m=window, option="--window")
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     request = AnchorRequest.build(
         cost_map=CostMap.build(seen.occupancy[None], seen.resolution, seen.origin),

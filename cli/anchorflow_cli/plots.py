@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from anchorflow_cli.options import Vector
-from anchorflow_cli.ros_map import RosMap
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_client.errors import AnchorFlowError
+from anchorflow_client.ros_map import RosMap
 from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths
 
 FREE, UNKNOWN, OCCUPIED = "white", "#c9ccd1", "#3b4048"

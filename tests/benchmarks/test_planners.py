@@ -14,9 +14,9 @@ from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.baselines import (
     ExpertPlanner,
     LinesPlanner,
-    minimum_jerk,
     named_baselines,
 )
+from anchorflow_benchmarks.closed_loop.anchor_sources import minimum_jerk
 from anchorflow_benchmarks.judge import SceneJudge
 from anchorflow_benchmarks.planners import (
     bundle_names,

@@ -76,7 +76,7 @@ def test_a_place_that_cannot_be_written(
         "data drive --out x --seconds inf",
         "data frames log.npz --bundle x --out x.json --every nan",
         "data frames log.npz --bundle x --out x.json --every inf",
-        "bench load --scenes none.npz --seconds nan",
+        "bench latency --scenes none.npz --budget-s nan",
         "bench drive-closed-loop --drivers nobody --seconds inf",
         "serve --bundle none --drain-s inf",
     ],

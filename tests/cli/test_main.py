@@ -60,7 +60,7 @@ def test_a_base_install_lists_the_commands() -> None:
 
 
 def test_a_missing_module_of_our_own_is_a_defect_not_an_extra() -> None:
-    answer = run_without("anchorflow_cli.ros_map", "plan")
+    answer = run_without("anchorflow_client.ros_map", "plan")
 
     assert "Traceback" in answer.stderr
     assert "pip install" not in answer.stderr

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from anchorflow_cli.ros_map import RosMapError, load_ros_map
 from anchorflow_client.contract import AnchorRequest
+from anchorflow_client.ros_map import RosMapError, load_ros_map
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect

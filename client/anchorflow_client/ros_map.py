@@ -1,9 +1,13 @@
-"""ROS occupancy maps: a map_server YAML file and its picture as a grid in the contract's frame.
+"""Read ROS maps: the YAML file and picture of a map_server, as a grid in the contract's frame.
 
-The picture's top row is the largest y; a `RosMap` is flipped so that its row index grows with y,
-as in a ROS OccupancyGrid. The modes follow nav2's map_server
-(https://github.com/ros-navigation/navigation2/tree/main/nav2_map_server), but for one thing: a
-pixel that is not opaque is unknown in every mode.
+    ros_map = load_ros_map("map.yaml")
+    seen = map_window(ros_map, start, goal)
+    client.plan(cost_map=seen.occupancy, resolution=seen.resolution, origin=seen.origin, ...)
+
+A picture's top row has the largest y; the rows of a `RosMap` grow with y, as in an OccupancyGrid.
+The modes follow nav2's map_server
+(https://github.com/ros-navigation/navigation2/tree/main/nav2_map_server), except that a pixel that
+is not opaque is unknown in every mode. Needs PyYAML and Pillow, which the client does not install.
 """
 
 from __future__ import annotations
@@ -19,12 +23,25 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from anchorflow_client.contract.fields import COORDINATE, RESOLUTION
+from anchorflow_client.contract.fields import (
+    COORDINATE,
+    MAX_MAP_CELLS,
+    MIN_MAP_CELLS,
+    RESOLUTION,
+)
 from anchorflow_client.errors import AnchorFlowError
 
 
 class RosMapError(AnchorFlowError):
-    """A map cannot be read; the message names the file, the field, what was expected and came."""
+    """A map cannot be read; the message names the file, the field, and what was expected."""
+
+
+class WindowError(AnchorFlowError):
+    """No window of the map can hold start and goal."""
+
+
+MARGIN_M = 3.0
+"""Room for a detour beyond start and goal, on each side."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +55,11 @@ class RosMap:
     unknown_occupancy: float  # 1 where unknown space counts as occupied, 0 where it counts as free
 
     def crop(self, center: NDArray[np.float64], size_m: float) -> RosMap:
-        """A square window round `center` [2] (m), `size_m` wide, rounded up to whole cells.
+        """Cut a square window round `center` [2] (m), `size_m` wide, rounded up to whole cells.
 
-        What lies beyond the map is unknown.
+        Cells beyond the map are unknown.
         """
-        cells = math.ceil(size_m / self.resolution - 1e-9)  # 6.4 / 0.05 is 128, not a hair more
+        cells = math.ceil(size_m / self.resolution - 1e-9)  # 6.4 / 0.05 is 128
         corner = (np.asarray(center) - self.origin) / self.resolution - cells / 2
         column, row = (int(index) for index in np.rint(corner))
         return RosMap(
@@ -55,9 +72,9 @@ class RosMap:
 
 
 def load_ros_map(path: Path | str, *, unknown_is_free: bool = False) -> RosMap:
-    """Reads a map_server YAML file and the .pgm or .png picture that it names.
+    """Read a map_server YAML file and its .pgm or .png picture.
 
-    Raises `RosMapError` where a file is missing or no map, or a field is missing or out of range.
+    Raises `RosMapError` if a file is missing or no map, or a field is missing or out of range.
     """
     path = Path(path)
     fields = _Fields(path, _read_yaml(path))
@@ -86,6 +103,39 @@ def load_ros_map(path: Path | str, *, unknown_is_free: bool = False) -> RosMap:
     )
 
 
+def map_window(
+    ros_map: RosMap,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    *,
+    size_m: float | None = None,
+    option: str = "size_m",
+) -> RosMap:
+    """Cut a square window centred between `start` and `goal` ([2] m each).
+
+    size_m: its side; by default the distance with MARGIN_M at both ends
+    option: name of `size_m` in error messages
+
+    Raises `WindowError` if the window would miss an end, or have more cells than a request allows.
+    """
+    extent_m = float(np.abs(goal - start).max())
+    if size_m is None:
+        size_m = float(np.linalg.norm(goal - start)) + 2 * MARGIN_M
+    elif not size_m > extent_m:
+        raise WindowError(
+            f"{option}: expected more than {extent_m:g} m, to hold start and goal, got {size_m:g}"
+        )
+    size_m = max(size_m, MIN_MAP_CELLS * ros_map.resolution)
+    limit_m = MAX_MAP_CELLS * ros_map.resolution
+    if size_m > limit_m:
+        raise WindowError(
+            f"expected a window of at most {limit_m:g} m ({MAX_MAP_CELLS} cells of "
+            f"{ros_map.resolution:g} m), got {size_m:g} m; bring start and goal nearer together "
+            f"or choose a smaller {option}"
+        )
+    return ros_map.crop((start + goal) / 2, size_m)
+
+
 @dataclass(frozen=True)
 class _Thresholds:
     free: float
@@ -93,19 +143,19 @@ class _Thresholds:
 
 
 def _trinary(darkness: NDArray[np.float64], thresholds: _Thresholds) -> NDArray[np.float64]:
-    """Free, occupied, or unknown (NaN) between the thresholds."""
+    """Return 0 for free, 1 for occupied, NaN (unknown) between the thresholds."""
     between = np.where(darkness < thresholds.free, 0.0, np.nan)
     return np.where(darkness > thresholds.occupied, 1.0, between)
 
 
 def _scale(darkness: NDArray[np.float64], thresholds: _Thresholds) -> NDArray[np.float64]:
-    """Linear between the thresholds."""
+    """Return occupancy linear between the thresholds."""
     span = thresholds.occupied - thresholds.free
     return np.clip((darkness - thresholds.free) / span, 0.0, 1.0)
 
 
 def _raw(shade: NDArray[np.float64], _: _Thresholds) -> NDArray[np.float64]:
-    """The pixel value is the occupancy in percent; above 100 it is unknown (NaN)."""
+    """Return the pixel value as percent; above 100 it is NaN (unknown)."""
     percent = np.rint(255 * shade)
     return np.where(percent <= 100, percent / 100, np.nan)
 
@@ -119,7 +169,7 @@ _OCCUPANCY_OF_MODE: dict[str, Callable[[NDArray[np.float64], _Thresholds], NDArr
 
 @dataclass(frozen=True)
 class _Fields:
-    """The YAML's fields, each read with its check."""
+    """Reads and checks the fields of the YAML file."""
 
     path: Path
     values: dict[str, Any]
@@ -149,7 +199,7 @@ class _Fields:
 def _is_number(value: object) -> TypeGuard[float]:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return -math.inf < value < math.inf  # math.isfinite takes no int that is too large for a float
+    return -math.inf < value < math.inf  # math.isfinite fails for huge integers
 
 
 def _origin(fields: _Fields) -> NDArray[np.float64]:
@@ -175,21 +225,21 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _read_shade(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """The mean of the colours [H, W] in [0, 1], top row first, and where the picture is opaque."""
+    """Return the mean colour [H, W] in [0, 1], top row first, and whether each pixel is opaque."""
     try:
         with Image.open(path) as image:
             if image.mode.startswith("I"):  # 16 bits a pixel
                 shade = np.asarray(image, dtype=np.float64) / 65535
                 return shade, np.ones(shade.shape, dtype=np.bool_)
             channels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255
-    # Pillow's readers raise the first three over a damaged file.
+    # Pillow raises the first three for a damaged file.
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise RosMapError(f"{path}: image: expected a .pgm or .png picture: {error}") from error
     return channels[..., :3].mean(axis=-1), channels[..., 3] == 1
 
 
 def _window(grid: NDArray[Any], row: int, column: int, cells: int, *, fill: Any) -> NDArray[Any]:
-    """`cells` × `cells` of `grid` from (row, column) on, `fill` where that is off the grid."""
+    """Return `cells` × `cells` of `grid` from (row, column), `fill` outside the grid."""
     window = np.full((cells, cells), fill, dtype=grid.dtype)
     height, width = grid.shape
     bottom, top = np.clip([row, row + cells], 0, height)

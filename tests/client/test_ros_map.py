@@ -1,4 +1,4 @@
-"""ROS maps: modes, thresholds, frames and errors, on small maps that the tests write themselves."""
+"""ROS maps: modes, thresholds, frames, windows and errors, on small maps written here."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ import yaml
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from anchorflow_cli.ros_map import RosMap, RosMapError, load_ros_map
+from anchorflow_client.ros_map import (
+    MARGIN_M,
+    RosMap,
+    RosMapError,
+    WindowError,
+    load_ros_map,
+    map_window,
+)
 
 # Top row first, as a picture is: an occupied, an unknown, a free pixel over three free ones.
 PIXELS = np.array([[0, 205, 254], [254, 254, 254]], dtype=np.uint8)
@@ -208,3 +215,50 @@ def test_depot(shared_data: Callable[[str], Path]) -> None:
     assert ros_map.occupancy.shape == (307, 604)
     assert ros_map.resolution == 0.05
     assert 0.5 < (ros_map.occupancy == 0).mean() < 1
+
+
+def empty_map(*, resolution: float) -> RosMap:
+    """60 × 60 m, its corner at the origin."""
+    cells = round(60 / resolution)
+    return RosMap(
+        occupancy=np.zeros((cells, cells), dtype=np.float32),
+        unknown=np.zeros((cells, cells), dtype=np.bool_),
+        resolution=resolution,
+        origin=np.zeros(2),
+        unknown_occupancy=1.0,
+    )
+
+
+def test_the_window_holds_both_ends_and_the_margin() -> None:
+    start, goal = np.array([20.0, 30.0]), np.array([23.0, 34.0])
+    window = map_window(empty_map(resolution=0.1), start, goal, size_m=None)
+
+    side = window.occupancy.shape[0] * window.resolution
+    assert window.occupancy.shape == (110, 110)
+    for point in (start, goal):
+        assert (point >= window.origin + MARGIN_M).all()
+        assert (point <= window.origin + side - MARGIN_M).all()
+
+
+def test_the_window_has_the_side_that_was_asked_for() -> None:
+    window = map_window(empty_map(resolution=0.1), np.full(2, 30.0), np.full(2, 32.0), size_m=12.8)
+
+    assert window.occupancy.shape == (128, 128)
+    assert_allclose(window.origin, 31.0 - 6.4)
+
+
+def test_the_window_has_the_cells_that_the_contract_wants_at_least() -> None:
+    window = map_window(empty_map(resolution=1.0), np.full(2, 30.0), np.full(2, 31.0), size_m=2.0)
+
+    assert window.occupancy.shape == (16, 16)
+
+
+@pytest.mark.parametrize("size_m", [2.0, float("nan")])
+def test_a_window_that_misses_the_ends_is_refused(size_m: float) -> None:
+    with pytest.raises(WindowError, match="expected more than 2 m"):
+        map_window(empty_map(resolution=0.1), np.full(2, 30.0), np.full(2, 32.0), size_m=size_m)
+
+
+def test_a_window_with_too_many_cells_is_refused() -> None:
+    with pytest.raises(WindowError, match=r"at most 25\.6 m \(512 cells of 0\.05 m\)"):
+        map_window(empty_map(resolution=0.05), np.full(2, 5.0), np.full(2, 45.0), size_m=None)
