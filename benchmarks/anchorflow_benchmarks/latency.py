@@ -15,17 +15,8 @@ import numpy as np
 import typer
 from threadpoolctl import threadpool_limits
 
-from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.operations import PRODUCT_FLOPS, MatrixProduct, count_flops
-from anchorflow_benchmarks.options import (
-    RESULTS,
-    BundlesOption,
-    OutOption,
-    SamplersOption,
-    ScenesOption,
-    ThreadsOption,
-    whole_numbers,
-)
 from anchorflow_benchmarks.plain_loops import Arrays, Loop, onnx_loop, torch_loop
 from anchorflow_benchmarks.planners import (
     bundle_names,
@@ -272,14 +263,14 @@ def _field_flops(bundle: Bundle, work: SamplingWork, num: int) -> int:
 
 def latency(
     *,
-    bundle: BundlesOption = None,
+    bundle: options.Bundles = None,
     checkpoint: Annotated[
         list[Path] | None,
         typer.Option(help="The bundle's checkpoint, for the torch loop; repeatable, in order."),
     ] = None,
-    samplers: SamplersOption = "rk4:8step",
+    samplers: options.Samplers = "rk4:8step",
     nums: Annotated[str, typer.Option(metavar="N,N", help="Anchors a request.")] = "1,16,64,256",
-    scenes: ScenesOption = "drawn:4:0",
+    scenes: options.Scenes = "drawn:4:0",
     rounds: Annotated[int, typer.Option(min=3, help="Times that each call is timed.")] = 30,
     budget_s: Annotated[float, typer.Option(help="Seconds after which a slow call rests.")] = 20.0,
     repeat_inputs: Annotated[
@@ -291,13 +282,13 @@ def latency(
             metavar="cuda|tensorrt|openvino", help="Also ask the engine there; repeatable."
         ),
     ] = None,
-    threads: ThreadsOption = None,
-    out: OutOption = RESULTS,
+    threads: options.Threads = None,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Time a request in this process against plain loops and the machine's floor."""
     bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE]]
     config = LatencyConfig(
-        counts=whole_numbers(nums, "--nums"),
+        counts=options.whole_numbers(nums, "--nums"),
         rounds=rounds,
         budget_s=budget_s,
         threads=threads or usable_cores(),

@@ -18,17 +18,7 @@ from urllib.parse import urlsplit
 
 import typer
 
-from anchorflow_benchmarks import BenchmarkError
-from anchorflow_benchmarks.options import (
-    RESULTS,
-    BundleOption,
-    NumOption,
-    OutOption,
-    SamplerOption,
-    ScenesOption,
-    first_card,
-    whole_numbers,
-)
+from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.planners import CARD, open_bundle, requests_on
 from anchorflow_benchmarks.programs import served
 from anchorflow_benchmarks.report import ResultTable, Row, report, say, tally
@@ -219,18 +209,18 @@ def load(
     url: Annotated[
         str | None, url_option("A server on this machine.", show_default="one is started")
     ] = None,
-    bundle: BundleOption = DEFAULT_BUNDLE,
+    bundle: options.Bundle = DEFAULT_BUNDLE,
     clients: Annotated[str, typer.Option(metavar="N,N", help="Clients.")] = "1,4,16,64",
-    num: NumOption = 64,
-    sampler: SamplerOption = CARD,
-    scenes: ScenesOption = "drawn:8:0",
+    num: options.Num = 64,
+    sampler: options.Sampler = CARD,
+    scenes: options.Scenes = "drawn:8:0",
     seconds: Annotated[float, typer.Option(min=0.1, max=600, help="Of each level.")] = 10.0,
     requests: Annotated[int, typer.Option(min=1, max=100_000, help="Of each level.")] = 2000,
-    out: OutOption = RESULTS,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Load a server on this machine, and the engine in this process, with closed-loop clients."""
     opened = open_bundle(bundle)
-    config = LoadConfig(whole_numbers(clients, "--clients"), seconds, requests)
+    config = LoadConfig(options.whole_numbers(clients, "--clients"), seconds, requests)
     asked = requests_on(opened, scenes, num=num, sampler=sampler)
     with _server(opened, url) as address:
         engine = Engine(opened)
@@ -250,7 +240,7 @@ def _server(bundle: Bundle, url: str | None) -> Iterator[str]:
     """Yield the URL after checking its model, or that of a server started for the bundle."""
     if url is not None:
         check_loopback(url)
-        served_model, own = first_card(url).id, bundle.card.id
+        served_model, own = options.first_card(url).id, bundle.card.id
         if served_model != own:
             raise BenchmarkError(
                 f"{url}: expected a server of {own.name} {own.version}, the bundle that is asked "

@@ -16,17 +16,8 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from anchorflow_benchmarks import options
 from anchorflow_benchmarks.baselines import DESCENTS, RoutesPlanner, spline_finish, with_descents
-from anchorflow_benchmarks.options import (
-    RESULTS,
-    STUDENT,
-    BundlesOption,
-    NumOption,
-    OutOption,
-    PublicScenesOption,
-    SamplerOption,
-    ThreadsOption,
-)
 from anchorflow_benchmarks.planners import (
     CARD,
     EnginePlanner,
@@ -152,18 +143,18 @@ def _cost(anchors: Proposals) -> NDArray[np.float64]:
 
 def earns(
     *,
-    bundle: BundlesOption = None,
-    scenes: PublicScenesOption = None,
+    bundle: options.Bundles = None,
+    scenes: options.PublicScenes = None,
     limit: Annotated[int, typer.Option(min=1, help="Scenes at most, evenly spread.")] = 60,
-    num: NumOption = 64,
-    sampler: SamplerOption = CARD,
-    threads: ThreadsOption = None,
-    out: OutOption = RESULTS,
+    num: options.Num = 64,
+    sampler: options.Sampler = CARD,
+    threads: options.Threads = None,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Finish a bundle's anchors and plain splines along routes with the same descents."""
     with needs_extra("plot", who="anchorflow bench earns"):
         from anchorflow_benchmarks.pictures import draw_cost_over_time
-    bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE, STUDENT]]
+    bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE, options.STUDENT]]
     limits, source = limits_of(bundles[0]), scenes or default_source()
     contending = contenders(bundles, sampler=sampler, threads=threads)
     found = load_scenes(source, limits=limits, limit=limit)

@@ -17,19 +17,17 @@ RESULTS = Path("benchmarks/results")
 STUDENT = DEFAULT_BUNDLE.parent / "student"
 SCENES = "FILE|drawn:N:SEED"
 
-BundleOption = Annotated[Path, typer.Option(help="Folder of the bundle.")]
-BundlesOption = Annotated[
+Bundle = Annotated[Path, typer.Option(help="Folder of the bundle.")]
+Bundles = Annotated[
     list[Path] | None,
     typer.Option("--bundle", help="Folder of a bundle; repeatable.", show_default="that ships"),
 ]
-DrivingBundlesOption = Annotated[
+DrivingBundles = Annotated[
     list[Path] | None,
     typer.Option("--bundle", help="Folder of a bundle that drives too; repeatable."),
 ]
-ScenesOption = Annotated[
-    str, typer.Option(metavar=SCENES, help="Scenes: a .npz file, or drawn ones.")
-]
-PublicScenesOption = Annotated[
+Scenes = Annotated[str, typer.Option(metavar=SCENES, help="Scenes: a .npz file, or drawn ones.")]
+PublicScenes = Annotated[
     str | None,
     typer.Option(
         metavar=SCENES,
@@ -37,25 +35,25 @@ PublicScenesOption = Annotated[
         show_default="the public scenes, or drawn:60:0 without them",
     ),
 ]
-NumOption = Annotated[int, typer.Option(min=1, max=512, help="Anchors a request.")]
-SamplerOption = Annotated[str, typer.Option(help="card, rk4:8step, midpoint:uniform2, …")]
-SamplersOption = Annotated[
+Num = Annotated[int, typer.Option(min=1, max=512, help="Anchors a request.")]
+Sampler = Annotated[str, typer.Option(help="card, rk4:8step, midpoint:uniform2, …")]
+Samplers = Annotated[
     str, typer.Option(metavar="A,B", help="card, rk4:8step, rk4:uniform8, midpoint:uniform2, …")
 ]
-BaselinesOption = Annotated[
+Baselines = Annotated[
     str, typer.Option(metavar="A,B", help="Of expert, lines, routes, rrt; none for none.")
 ]
-ThreadsOption = Annotated[
+Threads = Annotated[
     int | None, typer.Option(min=1, help="Threads of a request.", show_default="the cores")
 ]
-AlongRouteOption = Annotated[
+AlongRoute = Annotated[
     bool,
     typer.Option("--along-route", help="Each bundle drives twice: then by its route."),
 ]
-RecordOption = Annotated[
+Record = Annotated[
     bool, typer.Option("--record", help="Put each bundle's figures into its manifest.")
 ]
-OutOption = Annotated[Path, folder_option("Folder that the results are written to.")]
+Out = Annotated[Path, folder_option("Folder that the results are written to.")]
 
 
 def first_card(url: str) -> ModelCard:

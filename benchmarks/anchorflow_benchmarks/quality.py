@@ -17,21 +17,9 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.baselines import BASELINES, ExpertPlanner, named_baselines
 from anchorflow_benchmarks.judge import MEASURES, JudgedPlan, Judgement, SceneJudge
-from anchorflow_benchmarks.options import (
-    RESULTS,
-    BaselinesOption,
-    BundlesOption,
-    NumOption,
-    OutOption,
-    PublicScenesOption,
-    RecordOption,
-    SamplersOption,
-    ThreadsOption,
-    comma_separated,
-)
 from anchorflow_benchmarks.planners import (
     CARD,
     Planner,
@@ -204,8 +192,8 @@ def style_tables(
 
 def quality(
     *,
-    bundle: BundlesOption = None,
-    scenes: PublicScenesOption = None,
+    bundle: options.Bundles = None,
+    scenes: options.PublicScenes = None,
     routes: Annotated[
         Path | None,
         typer.Option(
@@ -215,20 +203,20 @@ def quality(
         ),
     ] = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Scenes at most.")] = None,
-    num: NumOption = 64,
-    samplers: SamplersOption = CARD,
+    num: options.Num = 64,
+    samplers: options.Samplers = CARD,
     guidance: Annotated[
         str, typer.Option(metavar="A,B", help="Scales of guidance by the cost; 0: none.")
     ] = "0",
-    baselines: BaselinesOption = ALL_BASELINES,
+    baselines: options.Baselines = ALL_BASELINES,
     style: StyleOption = None,
     styles: Annotated[bool, typer.Option(help="Measure what a change of style changes.")] = True,
     v_max: VMaxOption = None,
     a_max: AMaxOption = None,
     radius: RadiusOption = None,
-    threads: ThreadsOption = None,
-    recorded: RecordOption = False,
-    out: OutOption = RESULTS,
+    threads: options.Threads = None,
+    recorded: options.Record = False,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Judge bundles and baselines on scenes; tables, JSON, Markdown and pictures."""
     with needs_extra("plot", who="anchorflow bench quality"):
@@ -252,7 +240,7 @@ def quality(
         threads=threads,
     )
     ours: list[Planner] = [*engines]
-    names = comma_separated(baselines)
+    names = options.comma_separated(baselines)
     with needs_extra("bench", who="anchorflow bench quality --baselines rrt"):
         planners = [*ours, *named_baselines(names, bundles[0], limits)]
     found = [

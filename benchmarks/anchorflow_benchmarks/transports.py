@@ -13,15 +13,8 @@ from typing import Annotated
 
 import typer
 
+from anchorflow_benchmarks import options
 from anchorflow_benchmarks.load import Ask, over_http
-from anchorflow_benchmarks.options import (
-    RESULTS,
-    BundleOption,
-    NumOption,
-    OutOption,
-    SamplerOption,
-    ScenesOption,
-)
 from anchorflow_benchmarks.planners import CARD, open_bundle, requests_on
 from anchorflow_benchmarks.programs import Program, free_endpoint, router_command, running, served
 from anchorflow_benchmarks.report import ResultTable, Row, report
@@ -93,13 +86,13 @@ def _timed(ask: Ask, requests: Sequence[AnchorRequest], beside: list[float]) -> 
 
 def zenoh(
     *,
-    bundle: BundleOption = DEFAULT_BUNDLE,
-    num: NumOption = 64,
-    sampler: SamplerOption = CARD,
-    scenes: ScenesOption = "drawn:4:0",
+    bundle: options.Bundle = DEFAULT_BUNDLE,
+    num: options.Num = 64,
+    sampler: options.Sampler = CARD,
+    scenes: options.Scenes = "drawn:4:0",
     rounds: Annotated[int, typer.Option(min=3, help="Times that each way is taken.")] = 100,
     budget_s: Annotated[float, typer.Option(help="Seconds after which a way rests.")] = 60.0,
-    out: OutOption = RESULTS,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Time a request in this process, over HTTP in each form, over zenoh directly and routed."""
     opened = open_bundle(bundle)

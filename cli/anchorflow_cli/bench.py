@@ -24,7 +24,6 @@ class Benchmark(NamedTuple):
 BENCHMARKS = {
     "quality": Benchmark("quality", "quality", "Judge anchors of bundles and baselines on scenes."),
     "latency": Benchmark("latency", "latency", "Time a request in this process by stage."),
-    "routes": Benchmark("routes", "routes", "Count the routes that anchors take."),
     "earns": Benchmark("network_ablation", "earns", "Compare bundles with a search for routes."),
     "load": Benchmark("load", "load", "Load a server with closed-loop clients."),
     "zenoh": Benchmark("transports", "zenoh", "Time HTTP and zenoh beside the engine."),

@@ -71,20 +71,6 @@ def test_quality_is_put_into_the_manifests(tmp_path: Path) -> None:
         assert not {"planner", "ms"} & quality.keys()
 
 
-def test_routes(tmp_path: Path) -> None:
-    options = ("--scenes", "drawn:4:1", "--limit", "1", "--num", "4")
-    run("routes", *options, "--baselines", "routes", "--out", str(tmp_path))
-
-    found = tables(tmp_path / "routes.json")
-    rows = found["drawn:4:1 (1)"]
-    assert [row["planner"] for row in rows][2:] == [
-        f"routes + finish, {descents} descents" for descents in (0, 5, 10, 20, 60)
-    ]
-    assert {"recall", "first", "found", "distinct", "success", "any", "duration"} < rows[0].keys()
-    assert 0.0 < rows[-1]["recall"] <= 1.0
-    assert found["Search"][0]["routes"] >= 2.0
-
-
 def test_load_of_a_server_of_its_own(tmp_path: Path) -> None:
     options = ("--scenes", "drawn:1:1", "--num", "2", "--sampler", "euler:uniform1")
     run("load", *options, "--clients", "1", "--requests", "5", "--out", str(tmp_path))
@@ -126,7 +112,6 @@ NO_SCENES = ("--scenes", "nowhere.npz")
             ("quality", "--radius", "0", *NO_SCENES),
             "--radius: expected a number in (0, 5] m, got 0",
         ),
-        (("routes", "--routes", "a.npz"), "at most one --routes for each --scenes"),
     ],
 )
 def test_what_cannot_be_measured_is_one_line(

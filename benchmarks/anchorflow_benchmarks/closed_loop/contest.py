@@ -19,7 +19,7 @@ from typing import Annotated
 import torch
 import typer
 
-from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.closed_loop.anchor_sources import (
     LinesSource,
     LossySource,
@@ -31,16 +31,6 @@ from anchorflow_benchmarks.closed_loop.results import Result, RunKey, RunLog, co
 from anchorflow_benchmarks.closed_loop.robots import ROBOTS
 from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, SimulatedTime
 from anchorflow_benchmarks.closed_loop.worlds import World, load_worlds
-from anchorflow_benchmarks.options import (
-    RESULTS,
-    BundleOption,
-    NumOption,
-    OutOption,
-    SamplerOption,
-    ThreadsOption,
-    first_card,
-    whole_numbers,
-)
 from anchorflow_benchmarks.planners import open_bundle, parse_sampler
 from anchorflow_benchmarks.report import progress, report
 from anchorflow_cli.options import StyleOption, file_option, style_text, url_option
@@ -233,9 +223,9 @@ def closed_loop(
     motions: Annotated[
         str, typer.Option(metavar="K,K", help="That MPPI rolls out a tick, anchors included.")
     ] = "512",
-    num: NumOption = 64,
-    sampler: SamplerOption = "midpoint:uniform2",
-    bundle: BundleOption = DEFAULT_BUNDLE,
+    num: options.Num = 64,
+    sampler: options.Sampler = "midpoint:uniform2",
+    bundle: options.Bundle = DEFAULT_BUNDLE,
     url: Annotated[
         str | None, url_option("A service that answers in place of the bundle's engine.")
     ] = None,
@@ -249,11 +239,11 @@ def closed_loop(
     robot: Annotated[str, typer.Option(help="unicycle or double-integrator.")] = "unicycle",
     limit_s: Annotated[float, typer.Option(min=0.1, help="Simulated time of a run.")] = 50.0,
     workers: Annotated[int, typer.Option(min=1, help="Processes, one run each at a time.")] = 1,
-    threads: ThreadsOption = None,
+    threads: options.Threads = None,
     log: Annotated[
         Path | None, file_option("A file that takes down each run, to go on from.")
     ] = None,
-    out: OutOption = RESULTS,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Drive a robot by MPPI alone, with lines, with routes and a finish, with served anchors."""
     if robot not in ROBOTS:
@@ -262,9 +252,9 @@ def closed_loop(
     anchors = f"{num} a request, {sampler}"
     if url is not None:
         # Checked now: refusals of a service without a model would be timed as answers.
-        anchors += f", of {_version(first_card(url))} at {url}"
+        anchors += f", of {_version(options.first_card(url))} at {url}"
     spec = parse_sampler(sampler, opened.card)
-    contenders = contenders_of(whole_numbers(motions, "--motions"), anchors=num)
+    contenders = contenders_of(options.whole_numbers(motions, "--motions"), anchors=num)
     drive = DriveConfig(
         limit_s=limit_s,
         lidar_noise=noise,

@@ -1,13 +1,23 @@
 """Two robots in torch, for the simulation and for MPPI's samples.
 
-States and controls have any leading axes; the last axis holds the fields named in each class.
+States [..., X] and controls [..., U] hold the fields named in each class. Both robots have a disc
+of `radius` m, the limits `v_max` m/s and `a_max` m/s^2, a lidar with a `field_of_view` in rad, and
+
+    control_limit      [U], the largest size of each control
+    start(pose)        state at rest at a pose [3]: x, y in m, yaw in rad
+    step(state, control, dt)     state after dt s
+    steer(state, carrot, speed, dt)     controls towards carrots [M, 2] m at speeds [M] m/s
+    braking(state, dt) the control of the hardest braking
+    speed(state)       m/s, negative backwards
+    pose(state)        [3] of the lidar
+    x_curr(state)      [6] position, velocity, acceleration of a request
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi, tau
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -20,66 +30,6 @@ FULL_SPEED_TURN = 0.8  # rad off its course from which a unicycle turns on the s
 TURN_GAIN = 4.0  # 1/s, yaw rate per rad off course while it turns on the spot
 SIDE_ACCELERATION = 2.0  # m/s^2 of a unicycle in a bend
 BRAKING_SHARE = 0.5  # of a_max, for planned stops
-
-
-class Robot(Protocol):
-    """A robot whose motion is `step`."""
-
-    state_size: ClassVar[int]
-    """X."""
-
-    @property
-    def radius(self) -> float:
-        """m, of the robot's disc."""
-        ...
-
-    @property
-    def v_max(self) -> float:
-        """m/s."""
-        ...
-
-    @property
-    def a_max(self) -> float:
-        """m/s^2."""
-        ...
-
-    @property
-    def field_of_view(self) -> float:
-        """rad, of its lidar."""
-        ...
-
-    @property
-    def control_limit(self) -> Tensor:
-        """[U], the largest size of each control."""
-        ...
-
-    def start(self, pose: Array) -> Tensor:
-        """Return the state [X] at rest at a pose [3]."""
-        ...
-
-    def step(self, state: Tensor, control: Tensor, dt: float) -> Tensor:
-        """Return [..., X] after dt s of controls [..., U]."""
-        ...
-
-    def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
-        """Return controls [M, U] of [M, X] towards carrots [M, 2] m at speeds [M] m/s."""
-        ...
-
-    def braking(self, state: Tensor, dt: float) -> Tensor:
-        """Return the control [U] of the hardest braking."""
-        ...
-
-    def speed(self, state: Tensor) -> Tensor:
-        """Return [...] m/s, negative backwards."""
-        ...
-
-    def pose(self, state: Tensor) -> Array:
-        """Return [3] x, y in m, yaw of the lidar in rad."""
-        ...
-
-    def x_curr(self, state: Tensor) -> Array:
-        """Return [6] position, velocity, acceleration of a request."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -189,7 +139,8 @@ class DoubleIntegrator:
         return np.array([*state.double().numpy(), 0.0, 0.0])
 
 
-ROBOTS: dict[str, type[Unicycle] | type[DoubleIntegrator]] = {
+Robot = Unicycle | DoubleIntegrator
+ROBOTS: dict[str, type[Robot]] = {
     "unicycle": Unicycle,
     "double-integrator": DoubleIntegrator,
 }

@@ -14,17 +14,8 @@ from typing import Annotated
 
 import typer
 
-from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.driving.bundles import open_drivers
-from anchorflow_benchmarks.options import (
-    RESULTS,
-    AlongRouteOption,
-    DrivingBundlesOption,
-    NumOption,
-    OutOption,
-    ThreadsOption,
-    comma_separated,
-)
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_cli.options import folder_option
 from anchorflow_driving.drivers import DRIVERS, Driver
@@ -108,10 +99,10 @@ def drive_closed_loop(
             metavar="A,B", help="Who drives; none for none.", show_default="the baselines"
         ),
     ] = ",".join(BASELINES),
-    bundle: DrivingBundlesOption = None,
-    along_route: AlongRouteOption = False,
-    num: NumOption = 64,
-    threads: ThreadsOption = None,
+    bundle: options.DrivingBundles = None,
+    along_route: options.AlongRoute = False,
+    num: options.Num = 64,
+    threads: options.Threads = None,
     routes: Annotated[int, typer.Option(min=1, help="How many, each on a net of its own.")] = 20,
     length: Annotated[float, typer.Option(min=50.0, help="Of a route [m].")] = 300.0,
     seconds: Annotated[float, typer.Option(min=5.0, help="Until a route is given up.")] = 90.0,
@@ -120,11 +111,11 @@ def drive_closed_loop(
         Path | None,
         folder_option("Folder where every drive is kept as a log, to learn from."),
     ] = None,
-    out: OutOption = RESULTS,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Let drivers and bundles drive in SUMO's traffic; a table of what happened."""
     chosen: dict[str, Driver] = {}
-    for name in comma_separated(drivers):
+    for name in options.comma_separated(drivers):
         if name not in BASELINES:
             raise BenchmarkError(f"expected drivers among {', '.join(BASELINES)}, got {name!r}")
         chosen[name] = DRIVERS[name]

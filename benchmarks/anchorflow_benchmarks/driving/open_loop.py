@@ -17,19 +17,8 @@ import typer
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
-from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.driving.bundles import open_drivers
-from anchorflow_benchmarks.options import (
-    RESULTS,
-    AlongRouteOption,
-    DrivingBundlesOption,
-    NumOption,
-    OutOption,
-    RecordOption,
-    SamplersOption,
-    ThreadsOption,
-    comma_separated,
-)
 from anchorflow_benchmarks.planners import CARD
 from anchorflow_benchmarks.report import ResultTable, Row, progress, record, report, say
 from anchorflow_cli.options import folder_option
@@ -324,25 +313,25 @@ def drive(
     drivers: Annotated[
         str, typer.Option(metavar="A,B", help="Who drives; none for none.", show_default="all")
     ] = ",".join(ENTRIES),
-    bundle: DrivingBundlesOption = None,
-    along_route: AlongRouteOption = False,
-    num: NumOption = 64,
-    samplers: SamplersOption = CARD,
+    bundle: options.DrivingBundles = None,
+    along_route: options.AlongRoute = False,
+    num: options.Num = 64,
+    samplers: options.Samplers = CARD,
     seeds: Annotated[
         list[int] | None,
         typer.Option("--seed", help="Of a bundle's noise; repeatable.", show_default="0", min=0),
     ] = None,
-    threads: ThreadsOption = None,
+    threads: options.Threads = None,
     plans: Annotated[
         Path | None,
         folder_option("Folder that plans_*.npz are written to.", show_default="that of --out"),
     ] = None,
-    recorded: RecordOption = False,
-    out: OutOption = RESULTS,
+    recorded: options.Record = False,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Score drivers and bundles on recorded logs with the PDM score; tables and plans."""
     found = read_logs(logs)
-    chosen = named_drivers(comma_separated(drivers))
+    chosen = named_drivers(options.comma_separated(drivers))
     asked = samplers.split(",")
     ours = open_drivers(bundle or [], num=num, samplers=asked, threads=threads)
     for driver in ours:

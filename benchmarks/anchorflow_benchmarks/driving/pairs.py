@@ -18,7 +18,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from anchorflow_benchmarks.options import RESULTS, OutOption, RecordOption, ThreadsOption
+from anchorflow_benchmarks import options
 from anchorflow_benchmarks.report import ResultTable, Row, progress, record, report
 from anchorflow_client.contract import VisionLanguageSpec
 from anchorflow_driving.cooperative.crossings import draw_crossing
@@ -126,9 +126,9 @@ def pairs(
         typer.Option(help="Folder of pairs; those held out are judged.", show_default="drawn"),
     ] = None,
     crossings: Annotated[int, typer.Option(min=2, help="Scenes drawn, without --data.")] = 200,
-    threads: ThreadsOption = None,
-    recorded: RecordOption = False,
-    out: OutOption = RESULTS,
+    threads: options.Threads = None,
+    recorded: options.Record = False,
+    out: options.Out = options.RESULTS,
 ) -> None:
     """Judge V2X-VLM bundles by L2 and collisions, with and without the roadside picture."""
     asked = [LocalClient.of(bundle, threads=threads) for bundle in bundles]

@@ -229,7 +229,8 @@ NOT_HERE = {
     " --samplers card,rk4:8step,rk4:uniform8,midpoint:uniform2 --baselines expert,lines,routes,rrt"
     " --scenes ../shared/data/scenes_public.npz --limit 60": MEASURES,
     "anchorflow bench quality --bundle whole --bundle rounded": MEASURES,
-    "anchorflow bench routes": MEASURES,
+    "anchorflow bench quality --scenes ../shared/data/forests_public.npz"
+    " --routes ../shared/data/forest_routes_public.npz": MEASURES,
     "anchorflow bench latency": MEASURES,
     "anchorflow bench latency --provider cuda": "needs a GPU",
     "anchorflow bench latency --checkpoint runs/default/checkpoint.pt"
