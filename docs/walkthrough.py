@@ -1,6 +1,6 @@
-"""Type what the documentation prints in a fresh checkout, slow as it is: `make walkthrough`.
+"""Run the commands that the documentation prints in a fresh checkout: `make walkthrough`.
 
-Everything is installed, made and trained in a folder that is gone afterwards.
+Everything is installed and trained in a temporary folder.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from anchorflow_docs.commands.printed import ROOT, printed_texts
 from anchorflow_docs.commands.sessions import WALKTHROUGH
 from anchorflow_docs.commands.terminal import Loopback, Terminal, TerminalError
 
-# Of this process and of the make that started it; the checkout has an environment of its own.
+# Variables of this process and its make; the checkout has its own environment.
 OWN = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "PYTHONPATH", "VIRTUAL_ENV")
 
 
 def main() -> None:
-    """All sessions, one after the other; the first that fails ends it with status 1."""
+    """Run all sessions in order; the first failure exits with status 1."""
     try:
         Loopback().close()
     except OSError as error:
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def check_out(folder: Path) -> None:
-    """A copy of what git knows of, and of what it would take up."""
+    """Copy tracked files, and untracked ones that git does not ignore."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -58,13 +58,13 @@ def check_out(folder: Path) -> None:
         text=True,
     )
     for path in filter(None, listed.stdout.split("\0")):
-        if (ROOT / path).is_file():  # one that was removed is listed until it is committed
+        if (ROOT / path).is_file():  # a removed file is listed until it is committed
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / path, folder / path)
 
 
 def timed(terminal: Terminal, name: str, text: str) -> None:
-    """Says what is typed, and how long it took."""
+    """Run a command and print its time."""
     start = perf_counter()
     terminal.type(text)
     sys.stdout.write(f"{perf_counter() - start:6.1f} s  {name}\n")

@@ -6,9 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from anchorflow_docs.external_urls import external_loads, loads_of_html, loads_of_style
-from anchorflow_docs.mathml import formulas_as_mathml
-from anchorflow_docs.picture_variants import dark_variant, show_by_scheme
+from anchorflow_docs.built_html import (
+    dark_variant,
+    external_loads,
+    formulas_as_mathml,
+    loads_of_html,
+    loads_of_style,
+    show_by_scheme,
+)
 
 
 def test_a_formula_becomes_mathml() -> None:

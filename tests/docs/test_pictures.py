@@ -9,12 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from anchorflow_docs.pictures.fields import draw_route_splines, draw_routes, fields
-from anchorflow_docs.pictures.pipeline import STEPS, pipeline
+from anchorflow_docs.pictures.answers import styles, warm_start
 from anchorflow_docs.pictures.scenes import Stage
-from anchorflow_docs.pictures.styles import styles
+from anchorflow_docs.pictures.stages import (
+    STEPS,
+    draw_route_splines,
+    draw_routes,
+    fields,
+    pipeline,
+)
 from anchorflow_docs.pictures.theme import DARK, LIGHT
-from anchorflow_docs.pictures.warm_starts import warm_start
 from anchorflow_service.engine import Engine
 from anchorflow_training.scenes import FamilyScene
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_docs.programs import programs_of
+from anchorflow_docs.page_blocks import programs_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 ADDRESS = "http://127.0.0.1:8000"

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pictures import PICTURES
 
-from anchorflow_docs.picture_variants import dark_variant
+from anchorflow_docs.built_html import dark_variant
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -31,7 +31,7 @@ from anchorflow_client import (
 )
 from anchorflow_client.contract import resolve_for_card
 from anchorflow_client.http.transport import HttpAnswer, SocketTransport
-from anchorflow_docs.messages import messages_of, wording
+from anchorflow_docs.page_blocks import messages_of, wording
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http.tokens import TokenFile, TokenGuard, token_line

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_docs.programs import programs_of
+from anchorflow_docs.page_blocks import programs_of
 from anchorflow_driving.log import DrivingLog, write_log
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -1,1 +1,1 @@
-"""The commands that the documentation prints: found, and run as printed."""
+"""Find the commands that the documentation prints, and run them as printed."""

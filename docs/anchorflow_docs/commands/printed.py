@@ -1,8 +1,8 @@
-"""The commands that a page or a module's docstring prints for a reader to copy.
+"""Find the commands that pages and module docstrings print for a reader to copy.
 
-In a page: each command of a fenced `sh` block, and what stands between backticks in a line. In a
-docstring: lines that are indented, and what stands between backticks. Words in capitals, brackets
-and `…` stand for something else: what has them tells how a command is made, and is none.
+In a page these are the commands of fenced `sh` blocks and those between backticks; in a docstring,
+indented lines and those between backticks. Text with words in capitals, brackets or `…` is a
+template, not a command.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
 PAGES = ("README.md", "CONTRIBUTING.md")
-"""Beside those in the folders."""
 WITHOUT = ("tests", "site", "data", "runs", "bundles", "artefacts")
-"""Folders of which nothing is read, as of hidden ones."""
+"""Folders that are not read; hidden ones are not either."""
 BLOCK = re.compile(r"^```(?P<language>\w*)\n(?P<text>.*?)^```$", re.DOTALL | re.MULTILINE)
-# A heredoc goes to its end; a line that ends in a backslash goes on.
+# A command may be a heredoc, or continue after a backslash.
 ONE = re.compile(
     r"^[^\n]*<<'(?P<end>\w+)'.*?^(?P=end)$|^(?:[^\n]*\\\n)*[^\n]*\S[^\n]*$",
     re.DOTALL | re.MULTILINE,
@@ -33,26 +32,26 @@ PROGRAM = re.compile(
 STANDS_FOR = re.compile(
     r"…|\.\.\.|\[[^\]]* |\[--|(?<![\w=.$/'-])[A-Z_]{3,}(?![\w=])|(?<![\w=-])[A-Z]\b"
 )
-# A command's name in a sentence: `anchorflow plan`, `anchorflow bench kill`.
+# A command's name in a sentence, such as `anchorflow plan`, `anchorflow bench kill`.
 NAME = re.compile(r"anchorflow( bench| data)?( [a-z-]+)?")
 
 
 @dataclass(frozen=True)
 class Command:
-    """What a shell is given, and where it stands."""
+    """The text for a shell, and its place in a file."""
 
     place: str
     text: str
 
     @property
     def name(self) -> str:
-        """Its first line, without its comment, on one line."""
+        """The first command line without its comment, joined to one line."""
         joined = re.sub(r"\s*\\\n\s*", " ", self.text).partition("\n")[0]
         return re.sub(r"\s+# .*$", "", joined)
 
 
 def printed() -> list[Command]:
-    """All that the project's pages and modules print."""
+    """Return all commands in the project's pages and modules."""
     folders = [each for each in ROOT.iterdir() if each.is_dir() and each.name not in WITHOUT]
     files = [ROOT / name for name in PAGES]
     for folder in folders:
@@ -62,12 +61,12 @@ def printed() -> list[Command]:
 
 
 def printed_texts() -> dict[str, str]:
-    """The same by their names."""
+    """Return the texts of all commands by name."""
     return {command.name: command.text for command in printed()}
 
 
 def commands_of(file: Path) -> Iterator[Command]:
-    """Those of a page, or of the docstring of a module."""
+    """Yield the commands of a page, or of a module's docstring."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".py":
         yield from _of_docstring(file, ast.get_docstring(ast.parse(text)) or "")

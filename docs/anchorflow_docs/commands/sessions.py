@@ -1,18 +1,27 @@
-"""What a reader would type: the printed commands in sessions, each in a folder with what it needs.
+"""Run the printed commands in sessions, each in a folder with the files that it needs.
 
-`QUICK` needs no more than the tests' own environment; each has a test. `WALKTHROUGH` goes on in one
-fresh checkout, installs and trains there, and is what `make walkthrough` runs. `NOT_HERE` says why
-the rest is not run.
+`QUICK` sessions run in the tests. `WALKTHROUGH` sessions install and train in one fresh checkout,
+by `make walkthrough`. `NOT_RUN` has the reasons why other commands are not run.
 """
 
 from __future__ import annotations
 
+import json
+import re
+import shutil
+import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from anchorflow_docs.commands import given
+import numpy as np
+import yaml
+from PIL import Image
 
+from anchorflow_docs.commands.printed import ROOT
+from anchorflow_docs.page_blocks import programs_of
+
+BUNDLES = ROOT / "service" / "anchorflow_service" / "bundles"
 READY = "curl -s http://127.0.0.1:8000/v2/health/ready"
 PLAN = (
     "python3 - <<'PY' | curl -s http://127.0.0.1:8000/anchors"
@@ -21,15 +30,106 @@ PLAN = (
 SHIPPED = "service/anchorflow_service/bundles"
 LOAD = "curl -X POST localhost:8000/v2/repository/models/flowmp-small/load"
 REPLICA = "--zenoh client --zenoh-connect tcp/127.0.0.1:7447 --zenoh-replica"
+# A router by zenoh's Python library in place of zenohd; it prints a line when it is up.
+ROUTER_PROGRAM = """
+import signal, threading
+from anchorflow_client.zenoh_client import ZenohSettings
+from anchorflow_client.zenoh_client.session import open_session
+session = open_session(ZenohSettings(mode="router", listen=("tcp/127.0.0.1:7447",)))
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+print("router at tcp/127.0.0.1:7447", flush=True)
+threading.Event().wait()
+"""
+
+
+def program(folder: Path) -> None:
+    """Write `ask.py`, the first program of the front page."""
+    first = programs_of(ROOT / "docs" / "index.md")[0]
+    (folder / "ask.py").write_text(first.text)
+
+
+def scene(folder: Path) -> None:
+    """Write the JSON of a request, as the page saves it."""
+    fields = {
+        "cost_map": {"data": np.zeros((1, 64, 64)).tolist(), "resolution": 0.16},
+        "x_curr": [-3, 0, 0, 0, 0, 0],
+        "x_goal": [3, 1, 0, 0],
+        "num_samples": 4,
+    }
+    (folder / "anchorflow-scene.json").write_text(json.dumps(fields))
+
+
+def ros_map(folder: Path) -> None:
+    """Write a free map of 12 x 10 m inside a wall."""
+    pixels = np.full((200, 240), 254, dtype=np.uint8)
+    pixels[[0, -1]] = pixels[:, [0, -1]] = 0
+    Image.fromarray(pixels).save(folder / "map.png")
+    fields = {"image": "map.png", "resolution": 0.05, "origin": [0, 0, 0], "negate": 0}
+    fields |= {"occupied_thresh": 0.65, "free_thresh": 0.25}
+    (folder / "map.yaml").write_text(yaml.safe_dump(fields))
+
+
+def bundles(folder: Path) -> None:
+    """Write a repository with one model."""
+    shutil.copytree(BUNDLES / "default", folder / "bundles" / "flowmp-small" / "0.3.0")
+
+
+def two_bundles(folder: Path) -> None:
+    """Write `bundles/a` and `bundles/b`."""
+    shutil.copytree(BUNDLES / "default", folder / "bundles" / "a")
+    shutil.copytree(BUNDLES / "student", folder / "bundles" / "b")
+
+
+def certificate(folder: Path) -> None:
+    """Write `cert.pem` and `key.pem` for this machine."""
+    import trustme  # only tests install it
+
+    issued = trustme.CA().issue_cert("localhost", "127.0.0.1")
+    issued.private_key_pem.write_to_path(folder / "key.pem")
+    for pem in issued.cert_chain_pems:
+        pem.write_to_path(folder / "cert.pem", append=True)
+
+
+def router(folder: Path) -> None:
+    """Write `router.py`."""
+    (folder / "router.py").write_text(ROUTER_PROGRAM)
+
+
+def repository(folder: Path) -> None:
+    """Make a git repository with the configuration of pre-commit."""
+    subprocess.run(["git", "init", "--quiet", str(folder)], check=True)
+    shutil.copy(ROOT / ".pre-commit-config.yaml", folder)
+
+
+def trajectories(folder: Path) -> None:
+    """Write `my.npz`, a file of trajectories."""
+    along = np.linspace(0.0, 1.0, 45)
+    aside = np.linspace(-1.0, 1.0, 32)[:, None] * np.sin(np.pi * along)
+    positions = np.stack([np.broadcast_to(3.0 * along, aside.shape), aside], axis=-1)
+    np.savez(folder / "my.npz", positions=positions)
+
+
+def training(folder: Path) -> None:
+    """Copy the small planner's dataset to `data/train`, and write the page's `train.yaml`."""
+    shutil.copytree(folder / "data" / "small", folder / "data" / "train")
+    page = (ROOT / "docs" / "training.md").read_text()
+    (printed,) = re.findall(r"^```yaml\n(# train\.yaml\n.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    (folder / "train.yaml").write_text(printed)
+
+
+def runs(folder: Path) -> None:
+    """Copy the small planner's run to the names of runs that take hours."""
+    for run in ("runs/default", "runs/student", "runs/first", "runs/second", "my_run"):
+        shutil.copytree(folder / "runs" / "small", folder / run)
 
 
 @dataclass(frozen=True)
 class Session:
-    """Commands by their names, in order; servers among them go on until its end.
+    """Commands by their names, in order; servers run until the end of the session.
 
-    given: what makes the files that they need, in the session's folder
-    before: what is typed first and printed nowhere
-    needs: a module without which it is skipped
+    given: functions that write the files that the commands need
+    before: commands that run first and are printed nowhere
+    needs: a module without which the session is skipped
     """
 
     name: str
@@ -52,7 +152,7 @@ QUICK = (
             " http://127.0.0.1:8000/anchors",
             ".venv/bin/python ask.py",
         ),
-        (given.scene, given.program),
+        (scene, program),
     ),
     Session(
         "repository",
@@ -63,16 +163,13 @@ QUICK = (
             f'{LOAD} -d \'{{"parameters": {{"version": "0.3.0"}}}}\'',
             "curl -X POST localhost:8000/v2/repository/models/flowmp-small/unload",
         ),
-        (given.bundles,),
+        (bundles,),
     ),
-    Session(
-        "bundles", ("anchorflow serve --bundle bundles/a --bundle bundles/b",), (given.two_bundles,)
-    ),
+    Session("bundles", ("anchorflow serve --bundle bundles/a --bundle bundles/b",), (two_bundles,)),
     Session(
         "both", (f"anchorflow serve --bundle {SHIPPED}/default --bundle {SHIPPED}/student", PLAN)
     ),
     Session("compiled loops", ("python -m anchorflow_trajectory.warm_up",)),
-    Session("student", (f"anchorflow serve --bundle {SHIPPED}/student", PLAN)),
     *(
         Session(name, (f"anchorflow serve --bundle {SHIPPED}/{name}", READY))
         for name in ("goalflow", "wote", "diffusiondrive", "v2x")
@@ -86,20 +183,20 @@ QUICK = (
             "anchorflow serve --host 0.0.0.0 --tokens tokens --tls-cert cert.pem --tls-key key.pem"
             " --log-format json --log-level info --notice-s 5 --drain-s 15",
         ),
-        (given.certificate,),
+        (certificate,),
     ),
     Session("traces", ("anchorflow serve --traces http://127.0.0.1:4318/v1/traces", READY)),
     Session("zenoh", ("anchorflow serve --zenoh peer", READY)),
     Session(
         "replicas",
         (f"anchorflow serve --port 8001 {REPLICA} a", f"anchorflow serve --port 8002 {REPLICA} b"),
-        (given.router,),
+        (router,),
         before=("python router.py",),
     ),
     Session(
         "a map",
         (".venv/bin/anchorflow plan --map map.yaml --start 2.0,3.5 --goal 9.0,6.0 --out plan.png",),
-        (given.ros_map,),
+        (ros_map,),
     ),
     Session(
         "simulated driving",
@@ -110,7 +207,7 @@ QUICK = (
         ),
         needs="libsumo",
     ),
-    Session("hooks", (".venv/bin/pre-commit install",), (given.repository,)),
+    Session("hooks", (".venv/bin/pre-commit install",), (repository,)),
     Session("Ray Serve", ON_RAY, needs="ray.serve"),
 )
 
@@ -160,7 +257,7 @@ WALKTHROUGH = (
             " --out runs/mean.pt",
             "anchorflow export runs/first/checkpoint.pt --out bundles/first",
         ),
-        (given.training, given.runs),
+        (training, runs),
     ),
     Session(
         "a student",
@@ -182,7 +279,7 @@ WALKTHROUGH = (
             "anchorflow serve --bundle my_bundle",
             PLAN,
         ),
-        (given.trajectories,),
+        (trajectories,),
     ),
     Session(
         "what else there is to install",
@@ -213,125 +310,22 @@ WALKTHROUGH = (
 )
 
 BY_CI = ("make lint", "make format", "make test", "make docs", "make image", "make walkthrough")
-"""What `.ci/run` itself types."""
+"""Commands of `.ci/run` itself."""
 
-OTHERS_LOGS = "needs a recording that others publish; tests/driving/importers makes one"
-MEASURES = "measures for minutes, on all cores; tests/benchmarks runs it on less"
-TRAINS = "trains for the better part of an hour or more"
-DRAWS = "draws and solves scenes for a quarter of an hour"
-ENGINE = "needs a container engine; `make image` builds and runs the same Dockerfile with buildah"
-SCREEN = "needs a screen"
-
-NOT_HERE = {
-    "make bench": MEASURES,
-    "anchorflow bench quality": MEASURES,
-    "anchorflow bench quality --bundle bundles/a --bundle bundles/b"
-    " --samplers card,rk4:8step,rk4:uniform8,midpoint:uniform2 --baselines expert,lines,routes,rrt"
-    " --scenes ../shared/data/scenes_public.npz --limit 60": MEASURES,
-    "anchorflow bench quality --bundle whole --bundle rounded": MEASURES,
-    "anchorflow bench quality --scenes ../shared/data/forests_public.npz"
-    " --routes ../shared/data/forest_routes_public.npz": MEASURES,
-    "anchorflow bench latency": MEASURES,
-    "anchorflow bench latency --provider cuda": "needs a GPU",
-    "anchorflow bench latency --checkpoint runs/default/checkpoint.pt"
-    " --samplers rk4:8step,card": MEASURES,
-    f"anchorflow bench latency --bundle {SHIPPED}/default --bundle {SHIPPED}/student"
-    " --samplers card --scenes drawn:8:3 --rounds 16": MEASURES,
-    "anchorflow bench load": MEASURES,
-    "anchorflow bench load --url http://127.0.0.1:8000": MEASURES,
-    "anchorflow bench zenoh": MEASURES,
-    "anchorflow bench zenoh --sampler midpoint:uniform2": MEASURES,
-    f"anchorflow bench zenoh --bundle {SHIPPED}/student --rounds 300": MEASURES,
-    "anchorflow bench earns --limit 60": MEASURES,
-    "anchorflow bench closed-loop ../shared/data/barn_public.npz --motions 128,512": MEASURES,
-    "anchorflow bench closed-loop ../shared/data/forests_public.npz --motions 128,512": MEASURES,
-    f"anchorflow bench closed-loop ../shared/data/barn_public.npz --bundle {SHIPPED}/student"
-    " --motions 128,512 --seeds 3 --sampler card --latency-ms 100": MEASURES,
-    "anchorflow bench drive --logs ../shared/data/driving": MEASURES,
-    f"anchorflow bench drive-closed-loop --bundle {SHIPPED}/goalflow --along-route": MEASURES,
-    "anchorflow data import-log USA_US101-1_1_T-1.xml --out us101.npz": OTHERS_LOGS,
-    "anchorflow data import-log nuscenes --scene scene-0061 --out 0061.npz": OTHERS_LOGS,
-    "anchorflow data import-log scenario_0a0a.parquet --out av2.npz": OTHERS_LOGS,
-    "anchorflow data import-log 2021.06.14.pkl --unpickle --map map.gpkg --scene 3f1b"
-    " --out navsim.npz": OTHERS_LOGS,
-    "anchorflow bench drive --logs ../shared/data/driving --drivers none"
-    " --bundle bundles/goalflow"
-    " --samplers euler:uniform1,euler:uniform5,euler:uniform20": MEASURES,
-    "anchorflow train data/drive --planner goalflow --out runs/goalflow --steps 1700"
-    " --batch.scenes 16 --batch.samples 6 --objective.scored 40 --augmentation.moved 0.35"
-    " --model.channels 16": TRAINS,
-    "anchorflow train data/drive --planner goalflow --out runs/outcomes"
-    " --before runs/goalflow/checkpoint.pt --objective.stage outcomes --model.outcomes"
-    " --model.channels 16 --steps 1000 --batch.scenes 16": TRAINS,
-    "anchorflow bench drive-closed-loop --drivers none --bundle bundles/goalflow --along-route"
-    " --seed 9000 --keep data/outcomes --out runs/drives": MEASURES,
-    "cp data/drive/*.npz data/outcomes": "copies to where the line above it has driven",
-    "anchorflow train data/outcomes --planner goalflow --out runs/again"
-    " --before runs/outcomes/checkpoint.pt --objective.stage outcomes --model.outcomes"
-    " --model.channels 16 --steps 1000 --batch.scenes 16 --learning-rate 0.001": TRAINS,
-    "anchorflow export runs/outcomes/checkpoint.pt --out bundles/goalflow": (
-        "exports the run that the line above it trains; tests/service/http exports a smaller one"
-    ),
-    "anchorflow serve --bundle bundles/goalflow": (
-        "serves what the lines above it make; the one that ships is served by its own session"
-    ),
-    "anchorflow bench drive --logs ../shared/data/driving --bundle bundles/wote": MEASURES,
-    "anchorflow data drive --out drive --logs 300": DRAWS,
-    "anchorflow data drive --out data/drive --logs 24": DRAWS,
-    "anchorflow data anchors drive --out anchors.npy": DRAWS,
-    "anchorflow data sensors drive --config examples/wote-small.yaml": DRAWS,
-    "anchorflow train drive --config examples/wote-small.yaml --anchors anchors.npy"
-    " --out runs/wote": TRAINS,
-    "anchorflow bench drive-closed-loop --drivers none --bundle bundles/wote --along-route"
-    " --seed 9000 --keep drive --out runs/drives": MEASURES,
-    "anchorflow train drive --config examples/wote-small.yaml --before runs/wote/checkpoint.pt"
-    " --objective.moved --out runs/again": TRAINS,
-    "anchorflow export runs/wote/checkpoint.pt --out bundles/wote": (
-        "needs what the training above leaves; tests/service/http/test_wote_bundle.py exports one"
-    ),
-    "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/together"
-    " --perception runs/wote/checkpoint.pt --frozen-perception": TRAINS,
-    "anchorflow train drive --config examples/diffusiondrive-small.yaml --out runs/scorers"
-    " --before runs/together/checkpoint.pt --objective.stage scorers --objective.groups 0"
-    " --steps 200": TRAINS,
-    "anchorflow export runs/scorers/checkpoint.pt --out bundles/diffusiondrive": (
-        "needs what the training above leaves; tests/export exports one of random weights"
-    ),
-    "anchorflow bench drive --logs ../shared/data/driving"
-    " --bundle bundles/diffusiondrive": MEASURES,
-    f"anchorflow bench pairs {SHIPPED}/v2x": MEASURES,
-    ".venv/bin/anchorflow train data/pairs --planner v2x_vlm --out runs/v2x --steps 2600"
-    " --batch.scenes 16 --learning-rate 5e-4 --warmup 100 --loss.alignment 0"
-    " --loss.location 1 --roadside-dropout 0.2": TRAINS,
-    "python examples/quickstart.py --out runs/quickstart": (
-        "trains for two minutes; tests/test_quickstart.py runs it on less"
-    ),
-    "anchorflow data make data/default --scenes 10000 --seed 1": DRAWS,
-    "anchorflow data make data/train --scenes 20000": DRAWS,
-    "anchorflow train data/default --out runs/default --steps 6000 --bfloat16 --threads 1"
-    " --batch.samples 24 --model.layers 3 --evaluation.held-out 64": TRAINS,
-    "anchorflow train data/train --out runs/first --held-out 500 --steps 12000": TRAINS,
-    "anchorflow train data/train --out runs/second --config train.yaml --batch.samples 16"
-    " --flow.flow-time late": TRAINS,
-    "anchorflow train my_data --out my_run": TRAINS,
-    "anchorflow distill runs/default/checkpoint.pt data/default --out runs/student --steps 3500"
-    " --bfloat16 --threads 1 --teacher.scenes 4000 --teacher.steps 3 --noise-scale 1.4"
-    " --cost-weight 0.3 --model.layers 2": TRAINS,
-    "anchorflow distill runs/first/checkpoint.pt data/train --out runs/student": TRAINS,
-    "docker build --file docker/Dockerfile --tag anchorflow .": ENGINE,
-    "docker run --read-only --tmpfs /tmp --cap-drop ALL --publish 127.0.0.1:8000:8000"
-    " anchorflow": ENGINE,
-    "docker compose --file docker/compose.yaml up --build": (
-        "needs a container engine; tests/docker holds the file to the commands' options"
-    ),
-    "docker build --file docker/Dockerfile --tag anchorflow:cuda"
-    " --build-arg BASE_IMAGE=nvidia/cuda:13.0.1-cudnn-runtime-ubuntu24.04"
-    " --build-arg ONNXRUNTIME=onnxruntime-gpu .": "needs a container engine and a GPU",
-    "docker run --gpus all --publish 127.0.0.1:8000:8000 anchorflow:cuda"
-    " serve --host 0.0.0.0 --provider cuda": "needs a container engine and a GPU",
-    "zenohd -c examples/zenoh/router.json5": (
-        "needs zenohd, which is no package of Python's; the tests' router is the library's own"
-    ),
-    "python examples/robot/robot.py --view": SCREEN,
-    "python examples/robot/robot.py --zenoh tcp/127.0.0.1:7447 --view": SCREEN,
+NOT_RUN = {
+    r"make bench|anchorflow bench ": "runs for minutes on all cores; tests/benchmarks runs less",
+    r"(\.venv/bin/)?anchorflow (train|distill) ": "trains for the better part of an hour or more",
+    r"anchorflow data (make|drive|anchors|sensors) ": "draws scenes for a quarter of an hour",
+    r"anchorflow data import-log ": "needs a published recording; its test makes one",
+    r"anchorflow (export|serve) .*bundles/|cp data/drive": "needs the training above it",
+    r"python examples/quickstart.py": "trains for two minutes; its test trains less",
+    r"docker ": "needs a container engine; `make image` builds the same Dockerfile with buildah",
+    r"zenohd ": "needs zenohd, which is not on PyPI; the tests' router is the library's own",
+    r"python examples/robot/robot.py .*--view": "needs a screen",
 }
+"""Reasons by a pattern of commands that no session runs."""
+
+
+def reason_not_to_run(command: str) -> str | None:
+    """Return why a command is in no session, or None."""
+    return next((why for form, why in NOT_RUN.items() if re.match(form, command)), None)

@@ -1,4 +1,4 @@
-"""A shell in a folder, on a loopback of its own: there every port that a page names is free."""
+"""Type commands in a folder, in a network namespace where every port of a page is free."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-# What does not end by itself, and what it says once it is there.
+# Commands that run until Ctrl-C, and what they print when they are up.
 SERVERS = {
     r"(\.venv/bin/)?anchorflow serve\b": r" at https?://",
     r"make serve\b": r" at https?://",
@@ -31,22 +31,20 @@ print("up", flush=True)
 sys.stdin.read()
 """
 FETCHES = re.compile(r"(\.venv/bin/)?pip install |make toolkit\b|make \.venv/")
-"""What needs the network of the machine."""
-END_S = 60.0
-"""A server has them after Ctrl-C,"""
-GRACE_S = 5.0
-"""and what it started these ones more."""
+"""Commands that need the network of the machine."""
+STOP_S = 60.0  # for a server after Ctrl-C
+GRACE_S = 5.0  # for its children after that
 
 
 class TerminalError(AssertionError):
-    """A command did not do what a reader expects of it; what it said is in the message."""
+    """A command failed; the message has its output."""
 
 
 class Loopback:
-    """A network namespace with a loopback alone, as long as its holder lives.
+    """A network namespace with a loopback interface alone, until `close`.
 
     Raises:
-        OSError: this system has none, or lets nobody make one.
+        OSError: this system does not support or allow it.
     """
 
     def __init__(self) -> None:
@@ -63,12 +61,12 @@ class Loopback:
         self._name = Path(f"/proc/{self._holder.pid}/ns/net").readlink()
 
     def enter(self) -> list[str]:
-        """The words before a command that is to run there."""
+        """Return the prefix of a command to run in the namespace."""
         target = ("--target", str(self._holder.pid))
         return ["nsenter", *target, "--user", "--preserve-credentials", "--net"]
 
     def close(self) -> list[str]:
-        """Ends whatever does not end by itself there, and says what it was."""
+        """End all processes in the namespace; return the commands that had to be killed."""
         left = [ended(process) for process in Path("/proc").glob("[0-9]*") if self._holds(process)]
         self._holder.communicate()
         return [command for command in left if command]
@@ -81,8 +79,8 @@ class Loopback:
 
 
 def ended(process: Path) -> str:
-    """Waits for a folder of /proc to go, and kills it where it stays; what it was then."""
-    with suppress(OSError):  # it may go at any moment
+    """Wait for a process by its folder in /proc; kill it after GRACE_S and return its command."""
+    with suppress(OSError):  # it may end at any moment
         handle = os.pidfd_open(int(process.name))
         try:
             if select.select([handle], [], [], GRACE_S)[0]:
@@ -96,7 +94,7 @@ def ended(process: Path) -> str:
 
 
 class Server:
-    """A command that goes on until somebody presses Ctrl-C."""
+    """A command that runs until Ctrl-C."""
 
     def __init__(self, command: list[str], text: str, says: str, **place: object) -> None:
         self._text = text
@@ -123,7 +121,7 @@ class Server:
 
     @property
     def said(self) -> str:
-        """Both its outputs up to now."""
+        """Standard output and error so far."""
         return "".join(self._said)
 
     def _close(self) -> None:
@@ -131,11 +129,11 @@ class Server:
         self._process.stdout.close()
 
     def stop(self) -> None:
-        """Ctrl-C, to all that it started as well; a traceback is no farewell."""
+        """Send Ctrl-C to the process group; raise `TerminalError` after a traceback."""
         try:
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGINT)
-            self._process.wait(END_S)
+            self._process.wait(STOP_S)
         finally:
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
@@ -147,9 +145,9 @@ class Server:
 
 
 class Terminal:
-    """Commands in a folder, one after the other; servers go on until the end.
+    """Runs commands in a folder one after the other; servers run until the end.
 
-    programs: the folder where they are looked for first.
+    programs: first folder of PATH
     """
 
     def __init__(self, folder: Path, *, programs: Path, env: Mapping[str, str]) -> None:
@@ -171,12 +169,12 @@ class Terminal:
             raise TerminalError(f"still running at the end: {left}")
 
     def type(self, text: str) -> str:
-        """Runs it, or starts it where it serves; gives what it has said.
+        """Run a command, or start it if it is a server; return its output.
 
         Raises:
-            TerminalError: it failed, or it answered with an error of the contract.
+            TerminalError: it failed, or its output is an error of the contract.
         """
-        # Whatever is started in the background inherits a Ctrl-C that does nothing.
+        # Background processes inherit an ignored SIGINT, so it is reset.
         shell = ["env", "--default-signal=INT", "bash", "-euo", "pipefail", "-c", text]
         command = shell if FETCHES.match(text) else [*self._loopback.enter(), *shell]
         for pattern, says in SERVERS.items():

@@ -1,1 +1,1 @@
-"""The pictures, a subject a file; `docs/pictures.py` draws them."""
+"""Pictures of the documentation; `docs/pictures.py` draws them."""

@@ -1,4 +1,4 @@
-"""A robot that drives by anchors: what it knows, what it is offered, and the route it stays on."""
+"""Picture of a robot that drives by anchors: its map, the anchors, and the route in use."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from anchorflow_service.local import LocalClient
 
 WORLD = 0
 LATENCY_S = 0.1
-MOMENTS = (0.05, 0.3, 0.5, 0.75)  # shares of the drive that are shown
+MOMENTS = (0.05, 0.3, 0.5, 0.75)  # shares of the drive
 
 
 def drive(stage: Stage) -> Drawing:
-    """Four moments of one drive, answers 100 ms late in simulated time."""
+    """Draw four moments of one drive with answers 100 ms late."""
     world, ticks = draw_world(WORLD), []
     controller = MppiController(Unicycle(), MppiConfig(), tick_s=DriveConfig().tick_s)
     config = DriveConfig(options={"num_samples": 64, "sampler": QUICK})
@@ -49,7 +49,7 @@ def drive(stage: Stage) -> Drawing:
 
 
 def _draw(axis: Axes, world: World, ticks: list[Tick], theme: Theme) -> None:
-    """The last of these ticks, and the way up to it."""
+    """Draw the last tick and the way up to it."""
     tick, plan = ticks[-1], ticks[-1].plan
     posts = [Circle((x, y), world.post_radius) for x, y in world.posts]
     axis.add_collection(PatchCollection(posts, color=theme.faint, alpha=0.5))

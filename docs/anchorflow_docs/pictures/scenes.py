@@ -1,4 +1,4 @@
-"""Scenes to draw, from the project's own generator, and anchors on them."""
+"""Draw scenes from the project's generator, and plan anchors on them."""
 
 from __future__ import annotations
 
@@ -20,54 +20,50 @@ from anchorflow_trajectory.scene import Scene
 
 FAMILIES = ("rooms", "posts", "maze", "bug_traps", "city", "gaps", "discs", "forest")
 QUICK = {"method": "midpoint", "schedule": {"uniform": 2}}
-"""A sampler to look through many scenes with."""
-SEVERAL = 5
-"""Anchors; fewer do not show on a picture."""
-FARTHEST = 5.0
-"""m that start and goal are apart at least: a short way shows little."""
-FINEST = 0.14
-"""m/cell at most: in a larger scene a robot is a dot."""
-
-ONE_ROBOT = RobotRanges(usual=1.0, fixed=0.0)
-"""The card's own, and no horizon."""
+"""A fast sampler for the search through many scenes."""
+MIN_ANCHORS = 5  # of a way; fewer are not visible
+MIN_DISTANCE = 5.0  # m between start and goal
+MAX_RESOLUTION = 0.14  # m/cell; in larger scenes a robot is a dot
+ONE_ROBOT = RobotRanges(usual=1.0, fixed=0.0)  # the card's, without a horizon
 
 Wanted = Callable[[FamilyScene], bool]
 
 
 def anything(_: FamilyScene) -> bool:
-    """Every scene will do."""
+    """Accept every scene."""
     return True
 
 
 @dataclass(frozen=True)
 class Stage:
-    """An engine, and the seed that its scenes and noise are drawn from."""
+    """An engine, and the seed of its scenes."""
 
     engine: Engine
     seed: int
 
     def scene(self, family: str, wanted: Wanted = anything) -> FamilyScene:
-        """The seed's first scene of a family that spans some metres and is `wanted`."""
+        """Return the seed's first scene of a family that is large enough and `wanted`."""
         for scene in self._scenes(family):
-            far = np.linalg.norm(scene.x_goal[:2] - scene.x_curr[:2]) > FARTHEST
-            if scene.family == family and far and scene.resolution < FINEST and wanted(scene):
+            far = np.linalg.norm(scene.x_goal[:2] - scene.x_curr[:2]) > MIN_DISTANCE
+            fine = scene.resolution < MAX_RESOLUTION
+            if scene.family == family and far and fine and wanted(scene):
                 return scene
         raise AssertionError("scenes never end")
 
     def scene_with_ways(self, family: str, least: int, wanted: Wanted = anything) -> FamilyScene:
-        """The first whose anchors are safe, and several of which take each of so many ways."""
+        """Return the first scene with safe anchors that take at least `least` ways."""
 
         def takes_them(scene: FamilyScene) -> bool:
             if not wanted(scene):
                 return False
             answer = self.plan(scene, sampler=QUICK)
-            taken = np.bincount(ways(scene, answer)) >= SEVERAL
+            taken = np.bincount(ways(scene, answer)) >= MIN_ANCHORS
             return bool(answer.safe.all() and taken.sum() >= least)
 
         return self.scene(family, takes_them)
 
     def request(self, scene: Scene, **optional: Any) -> AnchorRequest:
-        """What would be asked on a scene; the scene's own style unless told."""
+        """Build the request of a scene, by default in its own style."""
         fields = {"w_style": scene.w_style, "seed": 0} | optional
         return AnchorRequest.build(
             cost_map=CostMap.build(scene.cost_map, scene.resolution, scene.origin),
@@ -78,11 +74,10 @@ class Stage:
         )
 
     def plan(self, scene: Scene, **optional: Any) -> AnchorBatch:
-        """The answer."""
         return self.engine.plan(resolve_for_card(self.request(scene, **optional), self.engine.card))
 
     def flow_states(self, scene: Scene, **optional: Any) -> FlowStates:
-        """The states on the way to that answer."""
+        """Return the states of the flow on the way to the answer."""
         request = self.request(scene, **optional)
         return self.engine.flow_states(resolve_for_card(request, self.engine.card))
 
@@ -97,7 +92,7 @@ class Stage:
 
 
 def ways(scene: Scene, answer: AnchorBatch) -> NDArray[np.int64]:
-    """The homology class of each anchor [N], from 0 up, the most taken first."""
+    """Return the homology class [N] of each anchor; 0 is the most frequent."""
     points = obstacle_points(scene.clearance_field, scene.resolution, scene.origin)
     classes = homology_classes(answer.trajectories, points)
     rank_of = np.argsort(np.argsort(-np.bincount(classes), kind="stable"))
