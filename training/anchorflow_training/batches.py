@@ -27,7 +27,7 @@ def reflection(dim: int, *, fields: int = 1) -> NDArray[np.float32]:
 
 Batch = dict[str, NDArray[Any]]
 
-# What a model's encode takes, by its own names.
+# The arguments of a model's `encode`.
 INPUTS = (
     "cost_map",
     "map_geometry",
@@ -79,8 +79,8 @@ def draw_batch(dataset: SceneDataset, config: FlowBatchConfig, index: int) -> Ba
     """Batch number `index`: the inputs of encode [B, ...] and of `FlowObjective`.
 
     states, prior_mean: [B, N, T, S], each with the route that it follows [B, N]
-    starts: [B, N, R], where the dataset says with what each trajectory began
-    sample_weights: [B, N], where the dataset has a quality: what each counts in the loss
+    starts: [B, N, R], what each trajectory began with, if the dataset has it
+    sample_weights: [B, N], weights in the loss, if the dataset has a quality
     """
     batch = dataset.batch(batch_scenes(len(dataset), config, index))
     rng = batch_rng(config, index)
@@ -136,7 +136,7 @@ def batch_rng(config: BatchConfig, index: int) -> np.random.Generator:
 
 
 def encode_inputs(batch: Batch) -> Batch:
-    """What a model's encode takes, of the arrays of a dataset."""
+    """Return the arguments of a model's `encode` from the arrays of a dataset."""
     batch = {**batch, "clearance_field": batch["clearance"]}
     return {name: batch[name] for name in INPUTS}
 
@@ -160,7 +160,7 @@ def mirror(batch: Batch) -> None:
 def prefetched(
     draw: Callable[[int], Batch], indices: Iterable[int], *, threads: int = 1
 ) -> Generator[Batch]:
-    """What `draw` gives for each number, so many of the next prepared while the last is used."""
+    """Yield `draw` of each number; `threads` batches are prepared while the last one is used."""
     ahead: deque[Future[Batch]] = deque()
     with ThreadPoolExecutor(threads) as pool:
         for index in indices:

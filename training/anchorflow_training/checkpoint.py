@@ -61,7 +61,7 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
         with atomic_write(path) as file:
             torch.save(vars(checkpoint), file)
     except (OSError, RuntimeError) as error:
-        # Of a full disk torch says no more than at which byte it noticed.
+        # If the disk is full, torch only names the byte at which it noticed.
         why = error if isinstance(error, OSError) else "it broke off, as on a full disk"
         raise CheckpointError(f"{path}: expected a place to write ({why})") from error
 
@@ -109,9 +109,9 @@ def saved_model_config(checkpoint: Checkpoint) -> Any:
 
 
 def resumable(path: Path, config: RunConfig) -> Checkpoint | None:
-    """The checkpoint at `path`, if one is there; raises `CheckpointError` if of another model.
+    """Return the checkpoint at `path`, if any; raise `CheckpointError` if it is of another model.
 
-    What a field's metadata calls `free` decides nothing of the weights: it may change on the way.
+    Fields that are `free` by their metadata do not affect the weights and may change.
     """
     if not path.exists():
         return None

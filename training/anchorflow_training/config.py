@@ -13,7 +13,7 @@ from anchorflow_training.settings import setting
 
 @dataclass(frozen=True)
 class FlowMatchingConfig:
-    """The objective: weights of the fields, which noise goes to which data, which flow times."""
+    """The objective: weights of the fields, the pairing of noise and data, and flow times."""
 
     weights: LossWeights = field(default_factory=LossWeights)
     optimal_transport: bool = setting(True, "Pair noise with the nearest data of its scene.")

@@ -101,7 +101,7 @@ class SceneDataset:
 
     @property
     def limits(self) -> MotionLimits:
-        """Of the usual robot, with a horizon if all scenes share it; `DatasetError` if unsaid."""
+        """The usual robot's limits, with a horizon if all scenes share it; or `DatasetError`."""
         found: Any = self.meta.get("limits")
         try:
             return MotionLimits(**found)
@@ -223,7 +223,7 @@ def _opened(path: Path, name: str, scenes: int) -> NDArray:
 
 
 def _check_told(file: Path, meta: Mapping[str, Any]) -> None:
-    """What `dataset.json` tells of robots and families, as far as it does."""
+    """Check the entries of `dataset.json` on robots and families, if present."""
     for name in ("limits", "ranges", "families"):
         if not isinstance(meta.get(name) or {}, dict):
             raise DatasetError(f"{file}: {name}: expected an object, found {meta[name]!r}")
@@ -320,7 +320,7 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
     arrays = {}
     try:
         path.mkdir(parents=True, exist_ok=True)
-        # Until it is written anew, what is cut off is no dataset.
+        # Without it, an interrupted folder is no dataset.
         (path / "dataset.json").unlink(missing_ok=True)
         for name, dtype in (DTYPES | OPTIONAL_DTYPES).items():
             file = path / f"{name}.npy"
@@ -337,7 +337,7 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
 
 
 def reserve(file: Path) -> None:
-    """Room on the disk for a file's holes: a full one ends whoever writes to a map of it.
+    """Allocate a file's holes: on a full disk, writing to a memory map would kill the process.
 
     Raises:
         OSError: there is not as much.

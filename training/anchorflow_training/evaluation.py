@@ -136,7 +136,7 @@ class Evaluator:
 def scores(scenes: Sequence[JudgedScene]) -> dict[str, float]:
     """Shares of anchors that are free, reach the goal, keep the limits, and all three (success).
 
-    any: share of scenes with a success; spread: m, how far anchors lie from their scene's mean
+    any: share of scenes with a success; spread: m, mean distance of anchors from their scene's mean
     """
     checks = [scene.checks for scene in scenes]
     names = ("success", "free", "reached", "feasible")

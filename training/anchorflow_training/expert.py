@@ -91,7 +91,7 @@ def chosen_by_route(
     """`count` of the good tries, as many of each route as of any other; they repeat where few."""
     good = np.flatnonzero(solution.good)
     shuffled, route = rng.permutation(good), solution.began.route
-    # The n-th good try of a route comes before the n + 1-th of another.
+    # Order by the number of each try in its route, then by route.
     order = np.zeros(len(shuffled), int)
     for label in np.unique(route[shuffled]):
         own = route[shuffled] == label

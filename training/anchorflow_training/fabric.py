@@ -28,7 +28,9 @@ class MixedProducts(MixedPrecision):
 
 
 def make_fabric(config: RunConfig) -> Fabric:
-    """The processes of a run; raises `ConfigError` where the machine lacks what is asked for."""
+    """Return the processes of a run; raise `ConfigError` if the machine lacks a device or
+    precision.
+    """
     accelerator, precision = _accelerator(config), config.precision
     if precision == "auto":
         precision = _mixed() if accelerator == "cuda" else "float32"

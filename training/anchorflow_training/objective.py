@@ -43,7 +43,7 @@ def couple(start: FloatArray, end: FloatArray, *, groups: NDArray[np.integer]) -
     """For each scene, the order of `end` that brings it nearest to `start`: [B, N].
 
     start, end: [B, N, Q], points to be compared by squared distance.
-    groups: [B, N]; what stands in one stays in it.
+    groups: [B, N]; pairs form within a group.
     """
     order = np.tile(np.arange(start.shape[1]), (len(start), 1))
     for scene, labels in enumerate(groups):

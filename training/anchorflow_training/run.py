@@ -108,7 +108,7 @@ class TrainingRun(ABC):
         else:
             self.begin(self.model)
         if config.compile:
-            # In place and part by part, so that the weights keep their names.
+            # Compiled in place and part by part, so that the weights keep their names.
             for part in self.called_parts(self.model):
                 part.compile()
         self._optimiser = torch.optim.AdamW(

@@ -14,9 +14,8 @@ import torch
 from anchorflow_client.contract import uniform_schedule
 from anchorflow_training.batches import FlowBatchConfig, dealt_routes, encode_inputs, prior_means
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.distillation.objective import NormalisedFlow, drawn, start_states
+from anchorflow_training.distillation.objective import PAIRED, NormalisedFlow, drawn, start_states
 from anchorflow_training.distillation.pairs import (
-    PAIRED,
     PairBank,
     PairBatches,
     TeacherConfig,

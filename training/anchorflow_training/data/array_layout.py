@@ -1,6 +1,6 @@
-"""What the arrays of a trajectory file are called, and the shapes that they must have.
+"""Names, shapes and time step of the arrays of a trajectory file.
 
-N samples, T steps, D dimensions (x, y in m, and where D = 3 a heading in rad):
+N samples, T steps, D dimensions (x, y in m; with D = 3 a heading in rad):
 
     positions       [N, T, D]  m
     velocities      [N, T, D]  m/s         optional: differences of the positions
@@ -192,12 +192,12 @@ def time_step(
             f"{path}: dt: expected the time step, or horizon_s or times that imply it, in s "
             "(--dt, --horizon-s), to differentiate the positions by, found none of them"
         )
-    # Who is told each sample's knows more than who is told one for all.
+    # One time step a sample says more than one for all.
     return max(steps, key=np.size, default=None)
 
 
 def in_words(seconds: Seconds) -> str:
-    """What a person reads: 0.1 s, or 0.1 to 0.3 s."""
+    """Return "0.1 s", or "0.1 to 0.3 s"."""
     least, most = np.min(seconds), np.max(seconds)
     return f"{least:g} s" if least == most else f"{least:g} to {most:g} s"
 

@@ -259,7 +259,7 @@ def _open_torch(path: Path) -> Arrays:
     except OSError:
         raise
     except Exception as error:
-        # torch says at length how to run what else a file may hold, which nobody should.
+        # torch's message explains how to run the file's code, which is unsafe.
         held = re.search(r"GLOBAL ([\w.]+)", str(error))
         found_instead = f", found {held[1]}" if held else ", found another file or a broken one"
         raise DatasetError(
@@ -278,7 +278,7 @@ def _open_pickle(path: Path) -> Arrays:
 
 
 def _held(path: Path, found: Any) -> Arrays:
-    """What a file held as one object: arrays by name, or the positions alone."""
+    """Return the arrays of a loaded object: a dict of arrays, or the positions alone."""
     named = found if isinstance(found, dict) else {"positions": found}
     return {str(name): HeldArray(_one_array(path, name, value)) for name, value in named.items()}
 

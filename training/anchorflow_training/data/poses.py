@@ -202,7 +202,7 @@ def read_json(file: Path) -> Any:
 FloatArray = NDArray[np.floating]
 
 LONGEST_GAP_S = 0.5
-"""A longer silence parts a drive in two: nobody knows what the vehicle did in it."""
+"""A longer gap splits a drive in two."""
 
 FASTEST_HZ = 1000.0  # between recorded poses there is nothing more to be known
 

@@ -32,8 +32,8 @@ from anchorflow_trajectory.warm_start import nearest_route
 
 FloatArray = NDArray[np.floating]
 
-CHANNELS = 3  # occupancy, traversability, risk: those that a network is told at least
-STYLE = (0.4, 0.3, 0.3)  # safety, energy, smooth, where the file has no style_weights
+CHANNELS = 3  # occupancy, traversability, risk: the channels that a network needs at least
+STYLE = (0.4, 0.3, 0.3)  # safety, energy, smooth, for a file without style_weights
 REACHED = 0.1  # m from a given end to the trajectory's own
 LEAST_POINTS = START_POINTS + GOAL_POINTS + 1
 ROOM_SHARE, ROOM_M = 0.75, 3.0
@@ -61,7 +61,7 @@ class SceneSource:
     """One sample: its arrays without the N axis, its map's (origin x, origin y, resolution).
 
     duration: s that it lasts
-    motion: what is asked of the scene; without a horizon the duration is the sample's own choice
+    motion: limits of the scene; without a horizon the sample chose its own duration
     """
 
     arrays: Mapping[str, FloatArray]
@@ -81,7 +81,7 @@ def imported_scene(source: SceneSource) -> Row | str:
             return "missed_ends"
     if source.geometry is None:
         given, origin, resolution, centre = empty_map(fields[0], x_curr, x_goal, options.cells)
-        # Where the map lies is ours to say; near the origin float32 resolves it best.
+        # The position of an empty map is free; near the origin float32 is most exact.
         fields[0] = fields[0] - centre
         x_curr, x_goal = (_moved(x, -centre) for x in (x_curr, x_goal))
     else:
@@ -170,7 +170,7 @@ BLOCK = 64  # samples that are read together, for each worker
 
 @dataclass(frozen=True)
 class ImportConfig:
-    """What the file does not say.
+    """Import settings that a file lacks.
 
     v_max, a_max: m/s and m/s^2; by default what nearly all samples keep, rounded up
     least_quality: samples with less are left out
@@ -299,7 +299,7 @@ def _sources(
 ) -> Iterator[list[SceneSource]]:
     """Blocks of at most `size` samples of sufficient quality."""
     durations = dataset.durations
-    assert durations is not None  # limits_of asked for them
+    assert durations is not None  # as limits_of checked
     for start in range(0, len(dataset), size):
         samples = np.arange(start, min(start + size, len(dataset)))
         block = dataset.samples(samples, np.float64)
@@ -330,7 +330,7 @@ def _sources(
 
 
 def _told(dataset: TrajectoryDataset, limits: MotionLimits) -> dict[str, Any]:
-    """What `dataset.json` tells of the file and its samples."""
+    """Return the entries of `dataset.json` about the file and its samples."""
     return {
         "num_steps": dataset.num_steps,
         "dim": dataset.dim,
@@ -344,8 +344,11 @@ def _told(dataset: TrajectoryDataset, limits: MotionLimits) -> dict[str, Any]:
 
 
 def _asked(limits: MotionLimits, sample: int, durations: NDArray[np.float64]) -> MotionLimits:
-    """What a sample's scene asks: where samples differ in their durations, every other one fixes
-    it, so that a model learns to choose one and to keep one."""
+    """Return the limits of a sample's scene.
+
+    If durations differ, every other scene fixes its own, so that a model learns to choose
+    a duration and to keep a given one.
+    """
     if limits.horizon_s is not None or sample % 2 == 0:
         return limits
     return replace(limits, horizon_s=float(durations[sample]))

@@ -110,7 +110,7 @@ MOST_FLOAT32 = np.finfo(np.float32).max
 
 @dataclass(frozen=True)
 class Survey:
-    """What one pass found.
+    """The result of a pass over a file.
 
     finite: [N] bool; not_finite: the rows [n] of each array that has any
     peak_speed, peak_acceleration: [N], greatest planar length along each sample, m/s and m/s^2
@@ -135,7 +135,7 @@ class Surveyor:
     def add(
         self, first_row: int, arrays: Mapping[str, NDArray[Any]], states: Iterable[NDArray[Any]]
     ) -> None:
-        """arrays: blocks as they stand in the file; states: p, v, a [n, T, D] made of them."""
+        """arrays: blocks of the file; states: p, v, a [n, T, D] derived from them."""
         count = len(next(iter(arrays.values())))
         finite = np.ones(count, bool)
         for name, block in arrays.items():

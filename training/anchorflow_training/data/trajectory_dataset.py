@@ -43,7 +43,7 @@ from anchorflow_training.dataset import DatasetError
 Sample = dict[str, Tensor]
 
 BLOCK_BYTES = 1 << 23  # of a file that are looked at together; bounds the memory of a pass
-LEAST_WALL = 128  # of 8 bits; where no map reaches it, they hold 0 and 1, or percent
+LEAST_WALL = 128  # of 8 bits; maps that stay below it hold 0 and 1, or percent
 
 
 class TrajectoryDataset(Dataset[Sample]):
@@ -78,7 +78,7 @@ class TrajectoryDataset(Dataset[Sample]):
         """Opens `path`.
 
         dt, horizon_s: s, either says the other; they go before what the file says
-        resolution: m/cell of the cost maps; it goes before what the file says
+        resolution: m/cell of the cost maps; overrides the file
         statistics: those of other data, to normalise by
 
         Raises:
@@ -138,7 +138,7 @@ class TrajectoryDataset(Dataset[Sample]):
 
     @cached_property
     def _survey(self) -> Survey:
-        """Of the samples; those of a subclass can be asked for once it is whole, not before."""
+        """The survey of the samples; lazy, since a subclass must be constructed first."""
         return self._surveyed_samples() if self._overridden else self._file_survey
 
     def _surveyed_file(self) -> Survey:
@@ -283,7 +283,7 @@ class TrajectoryDataset(Dataset[Sample]):
 
 
 def stacked(batch: Sample | list[Sample]) -> Sample:
-    """A batch as one sample [B, ...], where a subclass's `__getitems__` lists its samples."""
+    """Return a batch as one sample [B, ...]; a subclass's `__getitems__` may list samples."""
     return default_collate(batch) if isinstance(batch, list) else batch
 
 

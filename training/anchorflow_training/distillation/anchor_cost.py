@@ -1,4 +1,4 @@
-"""What a student's anchors cost when the finish takes them up: `TrajectoryCost` in torch.
+"""The cost of a student's anchors before the finish: `TrajectoryCost` in torch.
 
 The finish fits a spline that meets both ends to each anchor, in the duration that the anchor has,
 and descends the expert's cost from there. A student whose ends cost little leaves it little to do.
@@ -28,7 +28,7 @@ LEAST_SQUARE = 1e-18  # beside a squared size, whose root then has a slope at re
 class AnchorCost(nn.Module):
     """J of anchors [B, N] as `Refiner` fits them, differentiable in their states.
 
-    margin: m of clearance that the hard hinge asks for, as the finish of the bundle does
+    margin: m of clearance of the hard hinge, as in the bundle's finish
     """
 
     ends: Tensor  # [K, 5] as of `SplineBasis`

@@ -123,7 +123,8 @@ class Distiller(CostMapRun):
         missing = self.bank.missing()
         if self.leads:
             self.bank.begin()
-        self.fabric.barrier()  # whoever asks later finds less missing, and shares it out otherwise
+        # A later look would find fewer missing blocks and share them differently.
+        self.fabric.barrier()
         make_pairs(
             self.bank,
             missing[self.fabric.global_rank :: self.fabric.world_size],

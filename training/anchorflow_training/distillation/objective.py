@@ -69,7 +69,7 @@ def start_states(model: L2SafetyCFM) -> Tensor:
 def started(model: L2SafetyCFM, noise: Tensor, limits: Tensor) -> Tensor:
     """z_0 [B, N, T, S] of noise [B or 1, N, R].
 
-    limits: [B, 4]; where they have a horizon, no duration is drawn
+    limits: [B, 4]; with a horizon, no duration is drawn
     """
     drawn = torch.tensordot(noise, start_states(model), 1)
     scale = drawn.new_ones(len(limits), drawn.shape[-1])

@@ -1,4 +1,4 @@
-"""Pairs of a teacher on disk: where its ODE carries each noise, made once and read by every run.
+"""Pairs of noise and the teacher's answer on disk, made once and read by every run.
 
 A folder of blocks of BLOCK scenes, each written whole or not at all, so that making them may stop
 and go on at any time:
@@ -133,7 +133,7 @@ class PairBank:
         return self._blocks[block][row].astype(np.float32)
 
     def begin(self) -> None:
-        """Make the folder, where there is none; raises `ConfigError` where it has no place."""
+        """Create the folder if it is missing; raise `ConfigError` if it cannot be written."""
         if not (self.path / DESCRIPTION).exists():
             text = json.dumps(self.description, indent=2) + "\n"
             self._put(self.path / DESCRIPTION, text.encode())
@@ -208,7 +208,7 @@ def open_pairs(
 
 
 def _fingerprint(dataset: SceneDataset, scenes: int) -> str:
-    """Of what a teacher is asked on the scenes."""
+    """Return the digest of the arrays that the teacher's answers depend on."""
     digest = hashlib.sha256()
     for name in ASKED:
         digest.update(np.ascontiguousarray(dataset.arrays[name][:scenes]).data)

@@ -33,7 +33,7 @@ class Teacher:
 
     @property
     def description(self) -> dict[str, Any]:
-        """What a student's checkpoint says of it."""
+        """The entry in a student's checkpoint."""
         wider = {} if self.noise_scale == 1.0 else {"noise_scale": self.noise_scale}
         return {"sha256": self.sha256, "step": self.step, **wider}
 
@@ -56,7 +56,7 @@ def load_teacher(path: Path) -> Teacher:
     return Teacher(model, digest, checkpoint.step)
 
 
-# What a student may have of its own; the rest says what an anchor is.
+# Settings that a student may choose; the others define an anchor.
 OWN = (
     "variant",
     "map_size",

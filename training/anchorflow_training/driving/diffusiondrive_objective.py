@@ -1,10 +1,10 @@
 """What DiffusionDriveV2 learns: to denoise, to score what it denoises, and to prefer what scores.
 
-Three stages, each of which goes on from the weights of the one before, and one that joins two:
+Three stages, each initialised with the weights of the one before, and one that joins two:
 
     imitation       perception and denoiser: the anchor nearest to the record, moved onto it
     scorers         both scorers: PDM sub-scores of the candidates that the denoiser makes
-    together        both at once, so that perception learns what the scorers ask of it
+    together        both at once, so that perception learns from the scorers too
     reinforcement   the denoiser: of each anchor's samples, those that score above its others
 """
 
@@ -44,7 +44,7 @@ from anchorflow_trajectory.ode.ddim import ddim_step, noised
 
 Terms = dict[str, Tensor]
 SPEED, ALONG, ACROSS = 4, 6, 7
-"""Of the ego status: velocity and acceleration forward, acceleration to the left."""
+"""Indices of the ego status: speed and acceleration forward, acceleration to the left."""
 SCORED = ("scorers", "together")  # stages in which the scorers learn
 OTHER_SPEEDS = 0.5  # share of the windows in which `speed` changes the ego's
 LEAST_WAY = 1.0  # m, which the spread of a sample is in proportion to at least
@@ -140,8 +140,9 @@ class DiffusionDriveObjective(nn.Module):
     ) -> tuple[Tensor, Terms]:
         """batch: camera, lidar, ego_status, lidar_before as of `Perception`; future [B, T, 3] m and
         rad, to imitate where is_example [B] is 1; agents [B, Q, 5], agent_velocity [B, Q, 2] and
-        agent_count [B]; semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1; where the
-        model compares two sweeps also lidar_randomised as lidar_before and randomised_velocity as
+        agent_count [B]; semantics [B, H/2, H] classes; occupancy [B, T, H/4, H/4] 0 or 1; for a
+        model that compares two sweeps also lidar_randomised as lidar_before and randomised_velocity
+        as
         agent_velocity, and far_others, far_velocity and far_count, as those of agents, of who is
         far ahead; window [B], for the judge; signs [B, 3] of its poses, which reflect a window that
         was reflected."""
@@ -163,7 +164,7 @@ class DiffusionDriveObjective(nn.Module):
         return config.total(terms), terms
 
     def _changed(self, status: Tensor, change: Tensor) -> tuple[Tensor, Tensor]:
-        """The status [B, 8] as it is told, and the speeds [B] that are not as recorded, or NaN."""
+        """Return the changed status [B, 8], and the changed speeds [B], NaN for recorded ones."""
         config, status = self.config, status.clone()
         speeds = torch.full_like(status[:, 0], torch.nan)
         if config.stage in SCORED and config.speed:
@@ -257,7 +258,7 @@ class DiffusionDriveObjective(nn.Module):
     def _likeness(
         self, coarse: Scored, fine: Sequence[Scored], apart: Tensor, kept: Tensor, share: Tensor
     ) -> Terms:
-        """The term `imitation`, where there are heads for it.
+        """Return the term `imitation`, if the scorers have heads for it.
 
         apart: [B, M] m from the record; kept: [B, K] of them that are scored finely
         share: [B] of the windows in the loss
@@ -312,7 +313,7 @@ def begun(model: DiffusionDriveV2, *, groups: int) -> Tensor:
 
 
 def denoised(model: DiffusionDriveV2, scene: SceneFeatures, noise: Tensor) -> Denoised:
-    """What the card's sampler makes of noise [B, A G, T, 2]; gradients of its last step alone."""
+    """Sample as the card does from noise [B, A G, T, 2]; the last step alone has gradients."""
     *before, last = SCHEDULES[model.config.steps]
     begin = begun(model, groups=noise.shape[1] // len(model.anchors))
     signal = model.config.noise_levels.signal

@@ -78,7 +78,7 @@ def choices(
     judge: PdmJudge,
     generator: torch.Generator,
 ) -> Row:
-    """What one window's candidates are worth, and what each way to choose among them finds.
+    """Return the PDM scores in one window: the best candidate's, and that of each way to choose.
 
     pdms_by_class: of the likeliest of those denoised; pdms_by_coarse, pdms_by_fine: by the scorers
     pdms_of_the_best: of all candidates, and pdms_of_the_best_plain of those without diversity noise

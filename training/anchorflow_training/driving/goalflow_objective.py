@@ -165,7 +165,7 @@ class GoalFlowObjective(nn.Module):
         }
 
     def _drivable(self, ways: Tensor, size: Tensor, context: Mapping[str, Tensor]) -> Tensor:
-        """[B, P]: whether all corners of the ego lie on the road at the ways' ends."""
+        """Return [B, P]: 1 if all corners of the ego are on the road at the end of a way."""
         ends = ways[..., -1:, :]
         corners = body_places(ends, size, rows=(FRONT, REAR), files=(-1.0, 1.0))
         share = at_places(context["drivable"], corners, self.model.config.bev.extent)
@@ -186,7 +186,7 @@ def _from_line(points: Tensor, line: Tensor) -> Tensor:
 class OutcomeObjective(nn.Module):
     """Loss and its terms on windows with `Proposals`: binary cross entropies of sub-scores.
 
-    forgotten: share of what the scorer is told that each step leaves out
+    forgotten: share of the scorer's inputs that each step drops
     """
 
     def __init__(self, model: GoalFlow, *, forgotten: float) -> None:

@@ -45,7 +45,7 @@ from anchorflow_training.settings import ConfigError, check_fixed, other_default
 
 RETIMED_SHARE = 1  # ends of re-timed targets to one of the record, in the vocabulary
 TOP, NEAR_M, MOVING_M = 5, 3.0, 2.0
-"""A success: the recorded end within NEAR_M of one of the TOP goals, where it is MOVING_M away."""
+"""A success: the recorded end, if MOVING_M away, is within NEAR_M of one of the TOP goals."""
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,8 @@ ASTRAY = 1.5
 
 
 def example(window: Window) -> NDArray[np.float64] | None:
-    """Poses [T, 3] at PLAN_TIMES: what was driven or, where a planner under test drove, what
-    PDM-Closed would do from there; None where that does not go on as the ego moves, as it has no
-    route to follow any more.
+    """Poses [T, 3] at PLAN_TIMES: those driven or, if a planner under test drove, those of PDM-
+    Closed; None if PDM-Closed has no route left and does not continue the ego's motion.
     """
     if window.log.source != DRIVEN:
         return window.recorded(PLAN_TIMES)
@@ -94,7 +93,7 @@ CURVATURE, CURVED_UP_TO = 0.02, 8.0  # 1/m, standard deviation; m/s up to which 
 def randomised_motion(view: PlannerView) -> PlannerView:
     """The view with other velocities now, and other places LIDAR_BEFORE_S ago to have come from.
 
-    Everybody is where he is now. Cars move along their heading, the others anywhere; what is
+    Current positions stay. Cars move along their heading, the others anywhere; what is
     static stays. The same view always gives the same.
     """
     tracks = view.tracks.copy()

@@ -41,12 +41,14 @@ def by_shares(share: Tensor, losses: Tensor) -> Tensor:
 
 
 def likeness_loss(logits: Tensor, distance: Tensor, *, over: float) -> Tensor:
-    """Cross-entropy [B] of logits [B, M] with soft labels, which fall by e over so many metres."""
+    """Return the cross-entropy [B] of logits [B, M] with soft labels, which fall by e over `over`
+    m.
+    """
     labels = (-distance / over).softmax(-1)
     return -(labels * logits.log_softmax(-1)).sum(-1)
 
 
-SHARPNESS = 0.05  # of scores, in which one trajectory is told from another
+SHARPNESS = 0.05  # scale of scores that distinguish trajectories
 
 
 def sub_score_loss(logits: Tensor, truth: Tensor) -> Tensor:
@@ -100,7 +102,7 @@ HEADING = 2  # of x, y, heading, length, width
 MOVES = 0.5  # m/s
 MOVING = 4.0  # times what the velocity of something at rest weighs
 CLOSE = 0.3  # m/s, below which smooth L1 is a square
-THERE = 5.0  # times the loss of velocities weighs whether somebody is there
+THERE = 5.0  # weight of occupancy relative to velocities
 
 
 def focal_loss(
@@ -171,8 +173,7 @@ def perception_terms(
 ) -> dict[str, Tensor]:
     """The terms `agents`, `semantics` and `occupancy`; `motion` and `far` if sweeps are compared.
 
-    batch: as of `SensorWindows`; where it lacks lidar_before, `motion` learns from randomised
-        motion alone
+    batch: as of `SensorWindows`; without lidar_before, `motion` learns from randomised motion alone
     """
     terms = {
         "agents": agent_loss(seen.agents, seen.agent_logits, batch["agents"], batch["agent_count"]),
@@ -198,8 +199,8 @@ def perception_terms(
 
 
 def _inside(boxes: Tensor, count: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """[B, Q, rows, columns]: whether the middle of a cell, at x [rows] and y [columns], lies in a
-    box.
+    """[B, Q, rows, columns]: whether a box contains the middle of a cell, at x [rows] and y
+    [columns].
     """
     middle_x, middle_y, heading, length, width = (
         each[..., None, None] for each in boxes.unbind(-1)
@@ -227,7 +228,7 @@ def agent_loss(states: Tensor, logits: Tensor, boxes: Tensor, count: Tensor) -> 
 
 @torch.no_grad()
 def match(states: Tensor, logits: Tensor, boxes: Tensor, count: Tensor) -> tuple[Tensor, ...]:
-    """Which query tells of which box, at the least cost in all (the Hungarian method).
+    """Match queries to boxes at the least total cost (the Hungarian method).
 
     The costs of all scenes leave the device at once: each time it is waited for.
 

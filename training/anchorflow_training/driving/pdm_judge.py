@@ -21,8 +21,7 @@ from anchorflow_training.driving.window_judge import (
 
 Judge = Callable[[Tensor, Tensor, Tensor | None], Tensor]
 """PDM sub-scores [B, M, 5] in [0, 1], or [B, M, 6] with DDC, of trajectories [B, M, T, 3] in
-windows [B], by number, the ego beginning at speeds [B]; NaN: as recorded, as is everybody's without
-them."""
+windows [B], by number, with the ego's initial speeds [B]; NaN or None: as recorded."""
 
 
 class PdmJudge:
@@ -79,7 +78,7 @@ class PdmJudge:
 def judged(
     judge: Judge, batch: Mapping[str, Tensor], trajectories: Tensor, speeds: Tensor | None = None
 ) -> Tensor:
-    """What a judge says of trajectories in the windows of a batch, which may be reflected.
+    """Return the sub-scores of trajectories in the windows of a batch, which may be reflected.
 
     batch: with window [B], and signs [B, 3] of its poses
     """

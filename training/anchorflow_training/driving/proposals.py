@@ -1,4 +1,4 @@
-"""What a GoalFlow proposes in the windows of logs, and what becomes of each by the PDM score."""
+"""Trajectories that a GoalFlow proposes in the windows of logs, and their PDM sub-scores."""
 
 from __future__ import annotations
 
@@ -30,9 +30,7 @@ themselves."""
 
 @dataclass(frozen=True)
 class Proposals:
-    """Of W windows: trajectories [W, N, T, 3], m and rad; scores [W, N, 5] in the order of
-    SUB_SCORES.
-    """
+    """trajectories: [W, N, T, 3] m and rad, in W windows; scores: [W, N, 5] by SUB_SCORES."""
 
     trajectories: NDArray[np.float32]
     scores: NDArray[np.float32]

@@ -33,7 +33,7 @@ from anchorflow_training.driving.labels import (
 from anchorflow_training.driving.log_cache import Progress, log_arrays, no_windows
 
 KEPT = f".sensors-{DRAWING}"
-"""Suffix of the file beside a log that holds what its sensors tell."""
+"""Suffix of the cache of simulated sensors beside a log."""
 LEVEL = 3  # of zlib
 COUNTS = 5  # points in a LiDAR cell that make 1
 SWEEPS = ("lidar", LIDAR_BEFORE)
@@ -72,7 +72,7 @@ class SensorSizes:
 
     @classmethod
     def of(cls, backbone: TransfuserConfig) -> SensorSizes:
-        """Of what a backbone looks at."""
+        """Return the sizes of a backbone's inputs."""
         return cls(
             backbone.image_height,
             backbone.image_width,
@@ -83,7 +83,7 @@ class SensorSizes:
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Of each picture."""
+        """The shape of each picture."""
         semantic = (self.lidar_size // 2, self.lidar_size)
         return {
             "camera": (3, self.camera_rows, self.camera_columns),
@@ -95,12 +95,12 @@ class SensorSizes:
 
     @property
     def sweeps(self) -> tuple[str, ...]:
-        """Of the LiDAR, by the names of their histograms."""
+        """Names of the LiDAR's histograms."""
         return SWEEPS if self.lidar_before else SWEEPS[:1]
 
     @property
     def histograms(self) -> tuple[str, ...]:
-        """Of sweeps, with that of others who move as chance has it."""
+        """The sweeps, and the one with randomised motion."""
         return (*SWEEPS, LIDAR_RANDOMISED) if self.lidar_before else self.sweeps
 
     @property
@@ -110,7 +110,7 @@ class SensorSizes:
 
     @property
     def inputs(self) -> tuple[TensorSpec, ...]:
-        """What the sensors are asked for, as by a planner's card."""
+        """The inputs to simulate, as a planner's card lists them."""
         shapes = self.shapes
         return (
             TensorSpec("camera", "uint8", ("B", *shapes["camera"])),
@@ -142,7 +142,7 @@ class SensorWindows:
         return len(self.log)
 
     def batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
-        """What sensors tell of these windows, or of their reflections, and what is to be learnt."""
+        """Return sensors and labels of these windows, or of their reflections."""
         pictures = [self._pictures(int(window)) for window in windows]
         drawn = {n: np.stack([each[n] for each in pictures]) for n in self.sizes.shapes}
         drawn |= {name: drawn[name].astype(np.float32) / COUNTS for name in self.sizes.histograms}
@@ -158,7 +158,7 @@ class SensorWindows:
 
 
 def sensors_of(batch: Mapping[str, Value]) -> dict[str, Value]:
-    """What a batch holds of a network's inputs, by their names."""
+    """Return the network's inputs in a batch."""
     return {name: batch[name] for name in INPUTS if name in batch}
 
 
@@ -186,8 +186,7 @@ def open_sensor_windows(
 ) -> SensorWindows:
     """The windows of logs; those of each log are drawn once, on every core, and kept beside it.
 
-    draw: what the sensors tell of a window, by the names of `sizes.shapes` and NUMBERS; by
-        default by the simulated camera and LiDAR
+    draw: the arrays of a window, named in `sizes.shapes` and NUMBERS; by default `simulated`
 
     Raises:
         LogError: a log or what is kept of it cannot be read, there is no place to write beside it,

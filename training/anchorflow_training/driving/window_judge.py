@@ -19,10 +19,10 @@ KEPT_LOGS, KEPT_WINDOWS = 256, 256
 
 
 class WindowJudge:
-    """Scores plans in windows; what is known of some hundred windows is kept.
+    """Scores plans in windows; some hundred windows are cached.
 
     logs: the files; log: [W] which of them each window is of, those of a log beside one another
-    direction: whether it tells driving direction compliance too
+    direction: whether scores include driving direction compliance
     """
 
     def __init__(
@@ -61,7 +61,7 @@ _OF_THIS_PROCESS: list[WindowJudge] = []
 
 
 def begin_judging(logs: Sequence[Path], log: NDArray[np.int64], direction: bool) -> None:
-    """A process for nothing but `judge_window` begins; whoever began it ends it, and no Ctrl-C."""
+    """Set up a process for `judge_window`; its parent ends it, Ctrl-C does not."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _OF_THIS_PROCESS[:] = [WindowJudge(logs, log, direction=direction)]
 

@@ -1,7 +1,7 @@
 """Windows of driving logs as arrays to train on, their rasters kept compressed beside the logs.
 
-A raster of 480 kB comes to some ten kilobytes, and back in a millisecond; drawing takes ten times
-as long.
+A raster of 480 kB compresses to some ten kilobytes and unpacks in a millisecond; drawing takes ten
+times as long.
 """
 
 from __future__ import annotations

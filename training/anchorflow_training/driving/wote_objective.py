@@ -56,7 +56,7 @@ class WoteObjectiveConfig(PerceptionWeights):
 
 
 class WoteObjective(nn.Module):
-    """Loss and its terms on a batch; `judge` is asked of moved anchors."""
+    """Loss and its terms on a batch; `judge` scores moved anchors."""
 
     def __init__(
         self, model: WoTE, config: WoteObjectiveConfig, judge: Judge | None = None
@@ -129,7 +129,7 @@ class WoteObjective(nn.Module):
         return rank.argsort(-1)[:, : self.config.judged or None]
 
     def _rated(self, batch: Mapping[str, Tensor], taken: Moved) -> tuple[Tensor, Tensor]:
-        """What is judged of the anchors that were taken, [B, K', T, 3], and its sub-scores."""
+        """Return the judged poses of the taken anchors [B, K', T, 3], and their sub-scores."""
         anchors = self.model.anchors[taken.index]
         if not self.config.moved:
             index = taken.index[..., None].expand(-1, -1, batch["pdm"].shape[-1])

@@ -48,7 +48,7 @@ class WoteRun(SensorRun):
 
     @cached_property
     def pdm(self) -> NDArray[np.float32]:
-        """[W, K, 5] sub-scores of the anchors: those of the checkpoint, where there is one."""
+        """[W, K, 5] sub-scores of the model's anchors."""
         return anchor_scores(self.logs, self.model.anchors.cpu().numpy())
 
     @cached_property

@@ -69,7 +69,7 @@ TOLD = (
     ("image_size", int, "a whole number"),
     *((name, list, "a list") for name in ("names", "held_out", "prompts")),
 )
-"""What META has to tell, beside the format."""
+"""Required entries of META beside the format."""
 IN_SIGHT = 60.0
 """m, within which the pictures may show another."""
 HELD_OUT = 0.2
@@ -137,7 +137,7 @@ def make_pairs(
 
     image_size: S; the published 768 takes 3.5 MB a pair
     tokenizer: its JSON; None: a small one is trained on the prompts
-    describe: whether prompts tell of the boxes around, as a perception would
+    describe: whether prompts describe the boxes around, as a perception would
     seed: of which sequences are held out
 
     Raises:
@@ -199,7 +199,7 @@ def refuse_pairs(path: Path) -> None:
     try:
         meta = json.loads((path / META).read_text())
     except (OSError, ValueError):
-        return  # whoever opens it says what it lacks
+        return  # opening it will report what is wrong
     if isinstance(meta, dict) and meta.get("format") == FORMAT:
         raise DatasetError(
             f"{path}: expected a dataset of scenes, found pairs of pictures, of which "

@@ -45,7 +45,7 @@ def judge(dataset: PairDataset, indices: NDArray[np.int64], waypoints: Array) ->
 
 
 def constant_velocity(dataset: PairDataset, indices: NDArray[np.int64]) -> Array:
-    """[N,45,2]: straight on at the speed that the prompt tells."""
+    """Return [N,45,2]: straight on at the prompt's speed."""
     times = STEP_S * np.arange(1, FUTURE + 1)
     speed = np.asarray(dataset.arrays["speed"][indices], float)[:, None]
     return np.stack([speed * times, np.zeros((len(speed), FUTURE))], -1).astype(np.float64)

@@ -10,8 +10,8 @@
 
 Sequences are the frames of one `batch_id` in the order of their times. A frame can be asked about
 where the 45 frames after it exist, 0.1 s apart: the waypoints are frames 1 to 45 after it. (Taking
-45 poses from the frame itself on, as published recipes do, asks for the place where one is, and
-ends 0.1 s early.)
+45 poses from the frame itself on, as published recipes do, includes the current place, and ends 0.1
+s early.)
 
 [1] Yu et al., DAIR-V2X: A Large-Scale Dataset for Vehicle-Infrastructure Cooperative 3D Object
     Detection, CVPR 2022.
@@ -53,15 +53,15 @@ FUTURE = 45
 """Frames after one that is asked about."""
 STEP_S = 0.1
 JITTER_S = 0.05
-"""By how much the time between two frames may differ from STEP_S."""
+"""Tolerance on the time between two frames, STEP_S."""
 ROTATION_ERROR = 1e-3
-"""By which a rotation may miss being one."""
+"""Tolerance on the orthogonality of a rotation."""
 
 Fault = Callable[[DatasetError], None]
 
 
 EGO = Vehicle(4.6, 1.9)
-"""The ego's box, m, which a recording does not tell."""
+"""The ego's box, m, which recordings lack."""
 OWN = 1.5
 """m between a box's middle and the ego's, within which the box is the ego's own."""
 
@@ -81,7 +81,7 @@ class Sequence:
 
     times: [F] s, rising
     poses: [F,3] x, y [m], heading [rad] of the rear axle in the world
-    pairs: by the number of the frame, where there is one
+    pairs: by the number of the frame
     labels: [F] a file of boxes, or None
     """
 
@@ -123,10 +123,10 @@ class Sequence:
 def read_recording(folder: Path, *, fault: Fault | None = None) -> list[Sequence]:
     """The sequences of a folder, by name.
 
-    fault: hears of each fault, and reading goes on without what is at fault
+    fault: called with each fault, which is then skipped
 
     Raises:
-        DatasetError: naming the file and what is wrong with it, where no `fault` is given.
+        DatasetError: without `fault`, naming the file and what is wrong with it.
     """
     report = fault or _raise
     frames = _frames(folder, report)
@@ -159,7 +159,7 @@ def read_recording(folder: Path, *, fault: Fault | None = None) -> list[Sequence
 
 @contextmanager
 def told(report: Fault) -> Iterator[None]:
-    """A fault inside the block is reported, and what comes after it goes on."""
+    """Report an error inside the block and continue after it."""
     try:
         yield
     except DatasetError as error:
@@ -246,9 +246,9 @@ class Verdict:
 def verify_recording(
     folder: Path, *, progress: Callable[[int, int], object] = lambda *_: None
 ) -> Verdict:
-    """Everything that V2X-VLM reads of a recording, read once.
+    """Read everything that V2X-VLM needs of a recording once, and collect the faults.
 
-    progress: hears how many pairs are looked at, and of how many
+    progress: called with the number of pairs that are done, and of all
     """
     faults: list[str] = []
 

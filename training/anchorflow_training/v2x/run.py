@@ -90,7 +90,7 @@ class V2XObjective(nn.Module):
     def __init__(self, model: V2XVLM, config: V2XRunConfig, teacher: V2XVLM | None) -> None:
         super().__init__()
         self.model, self.config = model, config
-        # A list, so that the teacher's weights are nobody's parameters.
+        # A list, so that the teacher's weights are not registered as parameters.
         self._teacher = [] if teacher is None else [teacher.eval().requires_grad_(False)]
         if config.freeze_vision:
             model.florence.model.vision_tower.requires_grad_(False)
@@ -161,8 +161,7 @@ class V2XRun(TrainingRun):
     Raises:
         ConfigError: the model is not of the dataset's shape, or there are fewer pairs than a batch
             has.
-        CheckpointError: what it begins with, goes on with or learns from has another tokenizer
-            than the dataset.
+        CheckpointError: a checkpoint it uses has another tokenizer than the dataset.
     """
 
     def __init__(self, config: V2XRunConfig, dataset: PairDataset, out: Path) -> None:

@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 
 TASK = "Plan its path for 4.5 seconds."
 UNTOLD = "Plan."
-"""In place of a prompt, where a model learns without any."""
+"""The prompt of a model that learns without text."""
 NEAR = 40.0
-"""m, within which others are told of."""
+"""m, within which others are described."""
 STANDING = 0.3  # m/s
 
 
@@ -48,7 +48,7 @@ def seen_scene(boxes: Array, pose: Array) -> str:
 
 
 SPECIAL = ("<s>", "<pad>", "</s>", "<unk>")
-"""In the order of Florence-2's own."""
+"""Special tokens, in Florence-2's order."""
 FILE_NAME = "tokenizer.json"
 
 
