@@ -23,7 +23,7 @@ def average(
 ) -> None:
     """Average the weights of checkpoints; all else in the mean is the last one's.
 
-    Of runs that went on from the same weights the mean is often better than each.
+    The mean of runs that began with the same weights is often better than each.
     """
     if len(checkpoints) < 2:
         raise typer.BadParameter("expected two or more, got one", param_hint="CHECKPOINTS")

@@ -31,7 +31,7 @@ def anchors(
 ) -> None:
     """Cluster examples into anchors, and score each in every window.
 
-    The PDM sub-scores are kept beside the logs; stopped, it goes on where it was.
+    The PDM sub-scores are kept beside the logs; you can stop and restart it.
     """
     paths = open_logs(logs)
     futures = examples_of(paths)
@@ -57,7 +57,7 @@ def sensors(
 ) -> None:
     """Draw the simulated camera and LiDAR of every window, and keep them beside the logs.
 
-    Stopped, it goes on where it was. `anchorflow train` draws by itself what is missing.
+    You can stop and restart it; `anchorflow train` draws what is missing.
     """
     kind = training_of(None, config).config
     if not issubclass(kind, SensorRunConfig):
@@ -76,7 +76,7 @@ def sensors(
 
 
 def with_bar(what: str, work: Callable[[Callable[[int, int], None]], Any]) -> Any:
-    """Do some work, with a bar that it tells how far it is."""
+    """Do some work with a progress bar."""
     with Progress() as bar:
         task = bar.add_task(what)
         return work(lambda done, of: bar.update(task, completed=done, total=of))

@@ -51,7 +51,7 @@ OF_DATA = "as the run's data"
 
 
 class GenerateError(AnchorFlowError):
-    """What was asked cannot be generated; the message names the field."""
+    """The request cannot be generated; the message names the field."""
 
 
 @app.command()
@@ -191,7 +191,7 @@ def _seen(
 def _sampler(
     saved: Checkpoint, *, method: str | None, schedule: str | None, steps: int | None
 ) -> dict[str, Any]:
-    """What is asked for, over the default; a student's is Euler on its own schedule."""
+    """Return the options over the defaults; a student's default is Euler on its own schedule."""
     of_student = student_schedule(saved)
     fields: dict[str, Any] = {}
     if of_student is not None:
@@ -229,7 +229,7 @@ def _robot_radius(saved: Checkpoint) -> float:
 def _motion(
     saved: Checkpoint, *, v_max: float | None, a_max: float | None, horizon_s: float | None
 ) -> MotionLimits:
-    """What is asked for, over the limits that the run's data were drawn or imported with."""
+    """Return the options over the limits of the run's data."""
     usual = saved.data.get("limits")
     limits = MotionLimits(**usual) if usual else DEFAULT_MOTION
     asked = {"v_max": v_max, "a_max": a_max, "horizon_s": horizon_s}
@@ -258,7 +258,7 @@ def _write(path: Path, answer: AnchorBatch) -> None:
 
 @contextmanager
 def _value_errors() -> Iterator[None]:
-    """What the generator says of a setting or an end state."""
+    """Raise the generator's errors as `GenerateError`."""
     try:
         yield
     except ValueError as error:

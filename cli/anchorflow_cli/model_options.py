@@ -44,7 +44,7 @@ ThreadsOption = Annotated[
 
 
 def folders_of(bundles: list[Path] | None, repository: Path | None) -> BundleFolders:
-    """Where the models lie; the bundle that ships where nothing else is named."""
+    """Return the folders of the models, by default the bundle that ships."""
     named = bundles or ([] if repository else [DEFAULT_BUNDLE])
     return BundleFolders(named, repository=repository)
 

@@ -1,4 +1,4 @@
-"""What the commands that train share: an option a setting, the folder of a run, the run itself."""
+"""Shared options of the training commands, and the run itself with its reports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a car drives that is told to follow a trajectory: it brakes and steers later.
+"""The rollout of a car that tracks a trajectory: it brakes and steers with a delay.
 
 The controller is the one of the PDM score, an LQR on a kinematic bicycle as nuPlan's simulation has
 it (`anchorflow_driving.pdm.tracker`), in steps of a quarter of a second in place of a tenth.
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 LOOKS_S = 1.0
-"""That the controller looks ahead, holding one command."""
+"""Lookahead of the controller, which holds one command."""
 SPEEDING = 10 / 11  # m/s² for each m/s that the speed differs from what is wanted then
 PULL_LAG_S = 0.2
 HEADING, LATERAL = 10.0, 1.0  # what errors cost; a steering rate costs 1
@@ -36,7 +36,7 @@ class Start(NamedTuple):
 
     @classmethod
     def of(cls, motion: Tensor, *, wheelbase: float) -> Start:
-        """Of a car with the velocity and acceleration [B, 4], forward and to the left."""
+        """Return the start of a car with velocity and acceleration [B, 4], forward and left."""
         speed, acceleration = motion[:, 0], motion[:, 2]
         axles = torch.full_like(speed, wheelbase)
         return cls(speed.clamp(min=0.0), acceleration, curvature_of(motion), axles)
@@ -50,7 +50,7 @@ class Driven(NamedTuple):
 
 
 class _Wanted(NamedTuple):
-    """[B, N, 2T] each: where the car should be at every step, and what is asked of it there."""
+    """The reference at every step, [B, N, 2T] each."""
 
     x: Tensor
     y: Tensor
@@ -73,7 +73,7 @@ class _Steering(NamedTuple):
 
 
 def driven(poses: Tensor, start: Start, *, dt: float) -> Driven:
-    """What is driven by who follows poses [B, N, T, 3].
+    """Return the rollout of a car that tracks poses [B, N, T, 3].
 
     dt: s, from pose to pose
     """
@@ -106,7 +106,7 @@ def _wanted(poses: Tensor, *, dt: float) -> _Wanted:
 
 
 def _with_last(values: Tensor, count: int) -> Tensor:
-    """[..., count], the last one again until there are so many."""
+    """Repeat the last value until there are `count`: [..., count]."""
     more = count - values.shape[-1]
     return torch.cat([values, values[..., -1:].expand(*values.shape[:-1], more)], -1)
 
@@ -122,8 +122,8 @@ def _paces(speed: Tensor, pull: Tensor, wanted: Tensor, *, step: float) -> Tenso
 
 
 def _steering(speed: Tensor, wheelbase: Tensor, *, step: float) -> _Steering:
-    """What the controller does at speeds [B, N, 2T]: where the errors come to while it looks ahead
-    is weighed against what a steering rate costs.
+    """Return the controller's gains at speeds [B, N, 2T]: it weighs the errors at its lookahead
+    against the cost of a steering rate.
     """
     square = speed.square()
     turn, shift = TURN_OF_RATE * speed / wheelbase, SHIFT_OF_RATE * square / wheelbase

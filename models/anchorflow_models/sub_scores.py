@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 
 SUB_SCORES = ("NC", "DAC", "EP", "TTC", "C")
-"""In this order wherever they are foretold."""
+"""The order of all predictions."""
 
 
 def pdm_score(sub_scores: Tensor) -> Tensor:

@@ -139,7 +139,7 @@ def test_the_second_window_sees_twice_as_far(
 def test_each_window_is_looked_up_where_the_trajectory_is(
     make_model: MakeModel, make_scene: MakeScene
 ) -> None:
-    """Tables that hold the metric place of each cell give back the places asked for."""
+    """Tables that hold the metric place of each cell return the places."""
     model, scene = make_model(map_scales=2, feature_channels=0), make_scene()
     frame = Frame.between(scene["x_curr"][:, :2], scene["x_goal"][:, :2])
     tables = {

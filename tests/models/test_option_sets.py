@@ -50,7 +50,7 @@ def test_every_option_set(
     def field(
         scene: dict[str, Tensor], noise: Tensor, times: Tensor, mean: Tensor = means
     ) -> Tensor:
-        """At flow times [1] that all samples share, or [B, N]."""
+        """Flow times are [1], shared by all samples, or [B, N]."""
         context = model.encode(**scene)
         modulation = model.modulate(times, context)
         one_time = modulation[:, 0] if times.ndim == 1 else modulation
@@ -94,7 +94,7 @@ def test_training_reaches_every_weight(
     idle = [
         name
         for name, weight in model.named_parameters()
-        # Of an untrained layer's squared ReLUs a few are silent on so few tokens.
+        # A few squared ReLUs of an untrained layer are zero on these tokens.
         if reached_share(weight) < (0.75 if "feed_forward.2" in name else 1.0)
     ]
     assert idle == []

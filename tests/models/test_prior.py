@@ -28,7 +28,7 @@ def dim(request: pytest.FixtureRequest) -> int:
 
 @pytest.fixture
 def prior(dim: int) -> TrajectoryPrior:
-    """Of any covariance, the same each time."""
+    """A random covariance, the same each time."""
     prior = TrajectoryPrior(L2Config(dim=dim))
     root = np.random.default_rng(0).normal(size=(prior.rank, prior.rank)) / prior.rank**0.5
     prior.set_covariance(root @ root.T)
@@ -95,7 +95,7 @@ def test_there_is_no_log_duration_to_draw_where_a_horizon_is_given(
 def test_the_covariance_is_the_one_that_was_set(
     prior: TrajectoryPrior, frame: Frame, dim: int
 ) -> None:
-    """In the scene's axes and in shares of its spread, log duration in none."""
+    """Control points are in the scene's axes and shares of its spread."""
     covariance = (prior.factor.T @ prior.factor).double()
     free = prior.free[:, :, 0].double()
     scaled = frame.spread[:, None, None].double()

@@ -1,4 +1,4 @@
-"""docs/models.md tells the sizes of the networks as they are."""
+"""docs/models.md lists the true sizes of the networks."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def size(module: nn.Module) -> int:
 
 @torch.no_grad()
 def megaflops(model: L2SafetyCFM, scene: dict[str, Tensor]) -> tuple[int, int]:
-    """Of `encode` for a scene and of `field` for a trajectory, rounded."""
+    """MFLOP of `encode` for a scene and of `field` for a trajectory, rounded."""
     one = {name: value[:1] for name, value in scene.items()}
     # Only the plain kernel's products are counted on every machine.
     with sdpa_kernel(SDPBackend.MATH), FlopCounterMode(display=False) as encode:

@@ -1,4 +1,4 @@
-"""Batches are prepared ahead, and come in their order."""
+"""Batches are prepared ahead and keep their order."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def test_batches_come_in_order_whichever_is_ready_first(threads: int) -> None:
 
     def draw(index: int) -> Batch:
         asked.append(index)
-        if index == threads - 1:  # whoever was asked before waits for this one
+        if index == threads - 1:  # earlier batches wait for this one
             last_is_ready.set()
         assert last_is_ready.wait(timeout=30)
         return {"number": np.array(index)}
 
     batches = prefetched(draw, range(20), threads=threads)
     assert [int(batch["number"]) for batch in islice(batches, 4)] == [0, 1, 2, 3]
-    # No more are asked for than those that were taken and so many ahead.
+    # No more are drawn than those taken and `threads` ahead.
     assert max(asked) <= 4 + threads
     batches.close()
     assert max(asked) <= 4 + threads

@@ -142,7 +142,7 @@ def test_a_tether_keeps_tries_apart() -> None:
     ],
 )
 def test_no_route_drowns_in_another(good_of_routes: tuple[int, ...], expected: list[int]) -> None:
-    """Of eight, as many of each route as of any other, as far as there are good ones."""
+    """Eight are chosen evenly over routes, as far as there are good ones."""
     counts = [*good_of_routes, 5]  # five that are not good, of the first route
     route = np.repeat([*range(len(good_of_routes)), 0], counts)
     good = np.arange(len(route)) < len(route) - 5
@@ -217,7 +217,7 @@ def test_a_batch_s_samples_keep_their_own_route_start_and_duration(dataset: Scen
 
 
 def test_routes_are_dealt_out_in_turn(dataset: SceneDataset) -> None:
-    """Those that a scene has; the zeros beside them are nobody's route."""
+    """The routes of a scene, without the zero padding."""
     batch = dataset.batch(np.arange(6))
     counts = batch["route_states"].any((2, 3)).sum(1)
     assert len(set(counts)) > 1

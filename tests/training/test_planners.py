@@ -151,7 +151,7 @@ def trained(second_planner: str, data: Path, config_file: Path, tmp_path: Path) 
 
 
 def command(*words: str | Path) -> str:
-    """What a command says as its error."""
+    """Return the error message of a command."""
     try:
         main([str(word) for word in words])
     except SystemExit as error:
@@ -170,7 +170,7 @@ def test_a_run_creates_checkpoints_and_restores_its_planner(trained: Path, data:
     assert model.config == CameraConfig(spread=2.0)  # as the data say
     assert model.aim != 5.0  # it learnt
 
-    # The file of the run says all that the run read, and the run goes on with it.
+    # The run's config file holds all its settings and resumes it.
     words = ["--config", trained / "config.yaml", "--steps", "3"]
     assert command("train", data, "--out", trained, *words) in ("", "0")
     assert load_checkpoint(trained / "checkpoint.pt").step == 3

@@ -44,7 +44,7 @@ def with_starts(dataset: SceneDataset, starts: np.ndarray) -> SceneDataset:
 
 
 def test_starts_tell_the_covariance(tiny_dataset: SceneDataset) -> None:
-    """In the scene's axes; of log durations where they are open, which a third of scenes is not."""
+    """Residuals in the scene's axes; log durations only of scenes without a horizon."""
     factor = 0.1 * np.random.default_rng(1).normal(size=(RANK, RANK))
     factor[-1, :-1] = factor[:-1, -1] = 0.0
     factor[-1, -1] = 0.2

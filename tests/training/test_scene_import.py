@@ -25,7 +25,7 @@ RADIUS = 0.2
 
 
 def straight_lines(y: list[float], *, dim: int = 2) -> np.ndarray:
-    """From (1, y) to (5, y) at 2 m/s, [N, T, D]."""
+    """Trajectories from (1, y) to (5, y) at 2 m/s, [N, T, D]."""
     lines = np.zeros((len(y), STEPS, dim))
     lines[..., 0] = np.linspace(1.0, 5.0, STEPS)
     lines[..., 1] = np.array(y)[:, None]
@@ -99,7 +99,7 @@ def test_a_sample_follows_the_route_that_it_lies_nearest_to(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("said", ["dt", "horizon_s"])
 def test_samples_may_have_durations_of_their_own(said: str, tmp_path: Path) -> None:
-    """Half of the scenes ask for theirs, the others leave it to the sample."""
+    """Half of the scenes fix their durations, the others do not."""
     lasting = np.array([2.0, 2.5, 4.0, 2.0])
     told = lasting / (STEPS - 1) if said == "dt" else lasting
     positions = straight_lines([3.0, 2.0, 2.5, 2.8])
@@ -234,7 +234,7 @@ def test_workers_write_the_same_bytes(tmp_path: Path) -> None:
 
 def test_a_subclass_is_what_scenes_are_made_of(tmp_path: Path) -> None:
     class Raised(TrajectoryDataset):
-        """Every trajectory half a metre higher, where the base class would read the file's."""
+        """Every trajectory is half a metre higher than in the file."""
 
         def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
             sample = super().__getitem__(index)

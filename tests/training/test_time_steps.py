@@ -63,7 +63,7 @@ def test_times_that_imply_no_step_are_refused(
 
 
 def test_each_row_may_have_a_step_of_its_own(tmp_path: Path) -> None:
-    """Its derivatives are by it, whichever rows beside it are left out or asked for."""
+    """Each row's derivatives use its own step, whichever rows are read."""
     positions, steps = parabolas(), 0.1 + 0.05 * np.arange(COUNT)
     positions[1, 3] = np.nan
     dataset = TrajectoryDataset(saved(tmp_path / "p.npz", positions=positions, dt=steps))

@@ -99,7 +99,7 @@ def test_checkpoint_every(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
         seen[step] = run.checkpoint_path.exists()
 
     run.fit(report)
-    assert seen == {1: False, 2: False, 3: True}  # a report comes before its step's checkpoint
+    assert seen == {1: False, 2: False, 3: True}  # a report precedes its step's checkpoint
 
 
 def test_ema_decay_zero_is_the_weights_themselves(

@@ -1,4 +1,4 @@
-"""A run that was cut off goes on as if it had not been, whatever cut it off."""
+"""An interrupted run resumes as if it had not been interrupted."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CONFIG = TrainerConfig(
 )
 PATIENCE_S = 180.0  # for a subprocess on a busy machine
 
-# What the first checkpoints of this project knew of a model.
+# The model settings in the first checkpoints of this project.
 
 
 class Cut(Exception):
@@ -77,7 +77,7 @@ def test_a_killed_run_loses_at_most_an_interval_and_its_curve_joins(
     )
     try:
         curve, end = out / "curve.jsonl", time.monotonic() + PATIENCE_S
-        # In mid-interval, after the first checkpoint.
+        # Stop between two checkpoints.
         while not curve.exists() or curve.read_text().count("\n") < INTERVAL + 2:
             assert run.poll() is None
             assert time.monotonic() < end

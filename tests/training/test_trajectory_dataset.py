@@ -166,7 +166,7 @@ def test_synthetic_derivatives_belong_together(kind: str, dim: int) -> None:
     dataset = SyntheticTrajectoryDataset(kind, 16, num_steps=257, dim=dim, horizon_s=4.0, seed=5)
     sample = dataset.read(slice(None), np.float64)
     assert sample["positions"].shape == (16, 257, dim)
-    # The heading of a curve that comes to a halt may jump; its plane does not.
+    # The heading of a curve may jump at a halt; its position does not.
     p, v, a = (sample[n][..., :2] for n in ("positions", "velocities", "accelerations"))
     np.testing.assert_allclose(central_differences(p, 4 / 256), v, atol=2e-3)
     np.testing.assert_allclose(central_differences(v, 4 / 256), a, atol=2e-3)

@@ -1,4 +1,4 @@
-"""Cooperative recordings: read as DAIR-V2X lays them out; what is broken is told by its file."""
+"""Cooperative recordings in the layout of DAIR-V2X; errors name the file."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ FORETOLD_TIMES = foretold_times(POSES, STEP_S)
 """s, for which is foretold where others will be."""
 
 SCHEDULES = {1: (8,), 2: (10, 0), 4: (15, 10, 5, 0)}
-"""The levels at which so many steps denoise."""
+"""Noise levels of the steps, by their number."""
 TRAINED_LEVELS = 50
 """Levels from 0 up to this one are drawn in training."""
 
@@ -37,8 +37,8 @@ class DiffusionDriveConfig:
     fine_layers: of the fine scorer, each with heads of its own
     value_kernel: cells a side that a value looked up in the BEV has seen
     look_heads: shares of a value, each with weights of its own over a trajectory's points
-    ego_motion: whether the ego's query and both scorers are told the ego's speed and acceleration
-        themselves, and the scorers how each candidate goes on from them
+    ego_motion: whether the ego's query and both scorers read the ego's speed and acceleration, and
+        the scorers how each candidate continues them
     footprint: m ahead and to the left of a pose, places at which both scorers look up the BEV in
         all poses of a candidate; published is none
     encounters: m ahead and to the left of a pose, places at which both scorers look up who will be
@@ -143,7 +143,7 @@ class DiffusionDriveConfig:
 
     @property
     def bev_ahead(self) -> float:
-        """m by which the BEV that denoiser and scorers look at lies before the LiDAR's square."""
+        """Offset in m of the BEV of denoiser and scorers ahead of the LiDAR's square."""
         return self.backbone.ground_ahead if self.ground_sight else 0.0
 
     @property

@@ -29,9 +29,9 @@ class SceneFeatures:
     values: [B, L, H, H, W], what each layer of the denoiser looks up in it
     agents: [B, Q, W], a query each
     ego: [B, 1, W]
-    motion: [B, 4] the ego's velocity (m/s) and acceleration (m/s²), where the scorers are told it
+    motion: [B, 4] the ego's velocity (m/s) and acceleration (m/s²), with `ego_motion`
     foretold: [B, FORETOLD_TIMES, H', H] the share of each cell that others take at these times,
-        beyond the LiDAR's square too, where the scorers are told it
+        beyond the LiDAR's square too, with `encounters`
     """
 
     bev: Tensor
@@ -51,7 +51,7 @@ class BevAttention(nn.Module):
 
     heads: shares of the values, each with weights of its own; several begin by looking at one point
         each, from the first to the last
-    reach: m from the middle of the BEV to its edges; ahead: m by which it lies before the ego
+    reach: m from the middle of the BEV to its edges; ahead: m from the ego forward to its middle
     """
 
     def __init__(
@@ -78,7 +78,7 @@ LONGEST = 10_000.0  # wavelength of a diffusion time, in levels
 
 @dataclass(frozen=True, eq=False)
 class Denoised:
-    """What a layer of the denoiser makes of noisy points.
+    """The prediction of a layer of the denoiser.
 
     trajectories: [B, N, T, 3] m, rad; logits: [B, N], whether it is the one that is driven
     """
@@ -88,8 +88,8 @@ class Denoised:
 
 
 class DenoiserLayer(nn.Module):
-    """A query a trajectory: it looks along its points, hears agents and ego, learns the time, and
-    says how to move its points.
+    """A query a trajectory: it attends to the BEV along its points, to agents and ego, is modulated
+    by the time, and predicts how to move its points.
     """
 
     def __init__(self, config: DiffusionDriveConfig) -> None:

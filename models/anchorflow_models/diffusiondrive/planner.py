@@ -172,7 +172,7 @@ class DiffusionDriveV2(nn.Module):
         ego_status: Tensor,
         lidar_before: Tensor | None = None,
     ) -> Outputs:
-        """What the other graphs take, by name, and what is told of the scene beside."""
+        """Return the inputs of the other graphs by name, and predictions about the scene."""
         seen = self.perception(camera, lidar, ego_status, lidar_before)
         begin = self.denoiser.space.normalised(self.anchors)
         scene = {"ego_motion": seen.scene.motion, "foretold": seen.scene.foretold}
@@ -212,7 +212,7 @@ class DiffusionDriveV2(nn.Module):
     ) -> Outputs:
         """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none ->
         candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M];
-        coarse_logits [B, M, 5 or 6] and, where it is foretold, coarse_imitation [B, M]
+        coarse_logits [B, M, 5 or 6] and, with `imitation`, coarse_imitation [B, M]
         """
         candidates = self.candidates(trajectories, diversity)
         scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion, foretold)
@@ -245,9 +245,9 @@ class DiffusionDriveV2(nn.Module):
         coarse_logits: Tensor | None = None,
         coarse_imitation: Tensor | None = None,
     ) -> Outputs:
-        """candidates: [B, M, T, 3]; features: [B, M, F]; the last two as of `coarse`, which counts
-        too where the network is pessimistic -> scores [B, M], sub_scores [B, M, 5] and, where it
-        is foretold, direction_scores [B, M]
+        """candidates: [B, M, T, 3]; features: [B, M, F]; the last two as of `coarse`, for a
+        pessimistic network -> scores [B, M], sub_scores [B, M, 5] and, with `direction`,
+        direction_scores [B, M]
         """
         scene = SceneFeatures(bev, bev, agent_queries, ego_query, ego_motion, foretold)
         layers, coarse = self.fine_scorer(candidates, features, scene), None
@@ -267,7 +267,7 @@ class DiffusionDriveV2(nn.Module):
         """
         if not self.config.pessimistic:
             return fine[-1]
-        assert coarse is not None  # as `coarse` tells it
+        assert coarse is not None  # an input of `fine` for a pessimistic network
         return least_of([coarse, *fine])
 
 

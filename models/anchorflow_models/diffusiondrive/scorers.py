@@ -24,16 +24,16 @@ from anchorflow_models.sub_scores import SUB_SCORES, pdm_score
 from anchorflow_models.transfuser import BevValues, Encounters, Footprint, driven_by_car
 
 DIRECTION = "DDC"
-"""Driving direction compliance, which stands behind SUB_SCORES where it is foretold too."""
+"""Driving direction compliance, after SUB_SCORES if it is predicted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """What a layer foretells of M candidates.
+    """The predictions of a layer for M candidates.
 
     features: [B, M, F]; logits: [B, M, 5] in the order of SUB_SCORES, [B, M, 6] with DDC
-    imitation: [B, M] logits over the candidates, of which a person would drive, where a head
-        foretells them; weight: what they count in the scores
+    imitation: [B, M] logits over the candidates, of which a person would drive, if a head predicts
+        them; weight: theirs in the scores
     """
 
     features: Tensor
@@ -42,7 +42,7 @@ class Scored:
     weight: float
 
     def taken(self, chosen: Tensor) -> Scored:
-        """What it foretells of the candidates at these places [K]."""
+        """Return the scores of the candidates at these places [K]."""
         imitation = None if self.imitation is None else self.imitation[:, chosen]
         return replace(
             self,
@@ -58,7 +58,7 @@ class Scored:
 
     @property
     def direction(self) -> Tensor | None:
-        """[B, M] DDC in [0, 1], where a head foretells it."""
+        """[B, M] DDC in [0, 1], if a head predicts it."""
         told = self.logits.shape[-1] > len(SUB_SCORES)
         return self.logits[..., len(SUB_SCORES)].sigmoid() if told else None
 
@@ -89,7 +89,7 @@ def least_of(judged: Sequence[Scored]) -> Scored:
 
 
 class ScorerLayer(nn.Module):
-    """Candidates look along their points, hear the agents, each other and the ego."""
+    """Candidates attend to the BEV along their points, to the agents, each other and the ego."""
 
     def __init__(self, config: DiffusionDriveConfig) -> None:
         super().__init__()
@@ -172,7 +172,7 @@ class SeenUnder(nn.Module):
 
 
 def encounters(config: DiffusionDriveConfig) -> Encounters | None:
-    """Those of a scorer, where it has some."""
+    """Return the occupancy lookup of a scorer, with `encounters`."""
     if not config.encounters:
         return None
     width = config.scorer_width

@@ -14,7 +14,7 @@ from anchorflow_models.layers.places import sinusoidal
 from anchorflow_models.transfuser import MOTION, STATUS_UNITS
 
 POINT_FEATURES, HEADING_FEATURES = 64, 32
-LONGEST, SHORTEST = 256.0, 1.0  # m, of the wavelengths that tell a point
+LONGEST, SHORTEST = 256.0, 1.0  # m, wavelengths of the embedding of a point
 MOTION_UNITS = (10.0, 3.0, 6.0, 0.5, 3.0)
 """m/s, m/s², m/s³, rad/s, m/s²: what each of a candidate's rates is usually as large as."""
 MOTION_FEATURES = 4 + len(MOTION_UNITS) * POSES

@@ -44,7 +44,7 @@ def transformer_size(variant: str, layers: int = 0) -> TransformerSize:
 class L2Config:
     """Everything that fixes the network's shape and its units.
 
-    num_steps: T; dim: D, where a third dimension is heading
+    num_steps: T; dim: D; a third dimension is heading
     map_channels: C; map_size: cells a side of the window that the network looks at
     feature_channels: learned features to look up beside the window's own channels; 0: those alone
     steps_per_token: time steps that one transformer token covers; T need be no multiple of it
@@ -90,7 +90,7 @@ class L2Config:
 
     @property
     def size(self) -> TransformerSize:
-        """Of the transformer."""
+        """The size of the transformer."""
         return transformer_size(self.variant, self.layers)
 
     @property
@@ -100,7 +100,7 @@ class L2Config:
 
 
 def check_choice(name: str, value: object, choices: tuple[object, ...]) -> None:
-    """Raise ValueError, naming the field, where a value is none of the choices."""
+    """Raise ValueError, naming the field, if a value is none of the choices."""
     _check(name, value, value in choices, f"one of {', '.join(map(repr, choices))}")
 
 

@@ -42,7 +42,7 @@ class MapWindow(nn.Module):
         # Not grid_sample: its ONNX form is newer than what some execution providers read.
         seen = lookup_at(maps.permute(0, 2, 3, 1), x, y)
         seen = seen.transpose(1, 2).unflatten(2, (self.size, self.size))
-        # Beyond the map's edge the robot's clearance goes on falling.
+        # The clearance keeps falling beyond the map's edge.
         beyond = (x.abs() - 1).clamp(min=0) * extent_x / 2
         beyond = beyond + (y.abs() - 1).clamp(min=0) * extent_y / 2
         metres = seen[:, :1] - beyond.unflatten(1, (1, self.size, self.size))
@@ -69,7 +69,7 @@ class CostMapEncoder(nn.Module):
     """Maps [B, C, H, W] of any number of channels -> `MapEncoding`.
 
     H and W are multiples of 8. The way down gathers what is where on the whole window; the way back
-    up lets each place know of it, and is left out where no features are asked for.
+    up lets each place know of it, and is left out if F = 0.
     """
 
     def __init__(self, channels: int, features: int, *, widths: tuple[int, ...] = WIDTHS) -> None:

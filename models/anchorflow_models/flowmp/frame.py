@@ -32,7 +32,7 @@ class Frame:
 
     @staticmethod
     def between(start: Tensor, goal: Tensor) -> Frame:
-        """The frame of starts and goals [B, D]; where they coincide it is not turned."""
+        """Return the frame of starts and goals [B, D], not turned if they coincide."""
         span = (goal - start)[:, :2]
         length = span.square().sum(-1).clamp(min=1e-12).sqrt()
         east = torch.tensor([1.0, 0.0], device=span.device)
@@ -94,7 +94,7 @@ USUAL_HALF_SIZE = 5.0  # m
 
 
 class Limits(NamedTuple):
-    """Of B scenes, each [B]: m/s, m/s^2, m, and s or 0 where every anchor has its own duration."""
+    """Limits of B scenes, [B] each: m/s, m/s^2, m, and s, 0 if anchors choose their durations."""
 
     v_max: Tensor
     a_max: Tensor
@@ -103,14 +103,14 @@ class Limits(NamedTuple):
 
     @staticmethod
     def of(packed: Tensor) -> Limits:
-        """Of [B, 4]."""
+        """Unpack [B, 4]."""
         return Limits(*packed.unbind(-1))
 
 
 class ConditionEncoder(nn.Module):
     """Ends, style, limits and scale of a scene -> [B, width].
 
-    Velocities and accelerations come in the scene's axes and in shares of their limits, the limits
+    Velocities and accelerations are in the scene's axes and in shares of their limits, the limits
     and the robot's size in shares of the window's: a robot of half the speed and a quarter of the
     acceleration does the same in twice the time, and the network need not learn it.
     """

@@ -35,7 +35,7 @@ from anchorflow_models.layers.places import PLACE_OCTAVES, fourier_places, looku
 Context = dict[str, Tensor]
 
 CONDITION_WIDTH = 256
-ROUTE_CHANNELS = 7  # that tell of a step where its route leads
+ROUTE_CHANNELS = 7  # channels of a step that describe its route
 PACE_CHANNELS = 4  # velocity and acceleration in shares of their limits
 STEEPNESS = (1 / 3, 1 / 20)  # p' and p'' of a route times these are of order one
 MOST_PACE = 4.0  # limits, beyond which a noisy state says no more
@@ -43,7 +43,7 @@ WINDOWS = {"features": 1.0, "wide_features": 2.0}  # context tensor: width of it
 
 
 class L2SafetyCFM(nn.Module):
-    """The whole planner. Everything that goes in or out is metric and in the cost map's frame.
+    """The whole planner. All inputs and outputs are metric and in the cost map's frame.
 
     `anchorflow_models.generation` draws anchors from it: `TrajectoryGenerator`, or in one call
     `generate_trajectory_anchors`.
@@ -55,7 +55,7 @@ class L2SafetyCFM(nn.Module):
         super().__init__()
         self.config = config
         self.windows = dict(list(WINDOWS.items())[: config.map_scales])
-        # Without lookup, and to ask the map, the field is told where in the window a step lies.
+        # Without lookup, and for map attention, the field reads each step's place in the window.
         self.tells_places = config.map_attention or not config.map_lookup
         features = config.feature_channels if config.map_lookup else 0
         self.prior = TrajectoryPrior(config)
@@ -147,7 +147,7 @@ class L2SafetyCFM(nn.Module):
         }
 
     def _map_context(self, maps: Sequence[Tensor], encodings: Sequence[MapEncoding]) -> Context:
-        """What the field reads of the map: tables to look up, keys and values to attend to."""
+        """Return the field's map inputs: tables to look up, keys and values to attend to."""
         context = {}
         if self.config.map_lookup:
             for name, one, encoding in zip(self.windows, maps, encodings, strict=True):
@@ -217,7 +217,7 @@ class L2SafetyCFM(nn.Module):
         return torch.cat(parts, -1)
 
     def _seen(self, points: Tensor, context: Context) -> Tensor:
-        """What the field is told at window coordinates [B, P, 2]: [B, P, F]."""
+        """Return the features at window coordinates [B, P, 2]: [B, P, F]."""
         parts = [fourier_places(points)] if self.tells_places else []
         if self.config.map_lookup:
             parts += [lookup(context[name], points / width) for name, width in self.windows.items()]

@@ -3,8 +3,8 @@
 x_0 is the spline along a route plus a Gaussian in its free control points and its log duration, so
 it is a trajectory whose velocity and acceleration belong to its position, as in the data. Over the
 routes it is a mixture: anchor i begins on route i modulo their number. The covariance is that of
-what the expert's tries began with, in the scene's axes and in shares of `Frame.spread`; where the
-data do not say it, that of the trajectories' own residuals from their route's spline: a flow
+what the expert's tries began with, in the scene's axes and in shares of `Frame.spread`; for data
+without it, that of the trajectories' residuals from their route's spline: a flow
 between distributions of equal first and second moments has the least way to go.
 
 A state is p, p', p'' in the trajectory's own time, in m, and its log duration at every step.

@@ -105,7 +105,7 @@ MAP_TOKEN_WIDTH = 128
 class MapAttention(nn.Module):
     """Trajectory tokens ask, map tokens answer (Vaswani et al., 2017); starts at zero.
 
-    The keys and values come from outside, `keys_values` computes them once a scene. No map token
+    The keys and values are inputs; `keys_values` computes them once a scene. No map token
     belongs to one sample, so the tokens of all samples are the queries of one product.
     """
 
@@ -185,8 +185,8 @@ class SquaredFeedForward(nn.Sequential):
 class AdaLNBlock(nn.Module):
     """Attention and feed-forward, each normalised, shifted, scaled and gated by the condition.
 
-    The modulation comes from outside: it depends on scene and time only, never on the sample. Its
-    shifts make biases of the layers needless.
+    The modulation is an input: it depends on scene and time only, never on the sample. Its shifts
+        replace the layers' biases.
     With `map_attention` the tokens ask the map between the two.
     """
 

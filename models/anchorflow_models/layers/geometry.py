@@ -38,8 +38,8 @@ def standing_still(poses: Tensor) -> Tensor:
     """Poses [..., T, D] in the frame of a car, x and y first (m), as they are, and of trajectories
     that stay within STANDS all zeros: who goes no farther in some seconds is meant to stand.
 
-    Networks answer a stop with some decimetres. Driven again and again every half a second, they
-    become a creep, into whoever stands before the car.
+    Networks answer a stop with some decimetres. Executed again every half a second, they make the
+    car creep into what is ahead.
     """
     moves = poses[..., :2].square().sum(-1).amax(-1) > STANDS**2
     return poses * moves[..., None, None].to(poses.dtype)

@@ -31,8 +31,8 @@ def sinusoidal(values: Tensor, features: int, *, longest: float, shortest: float
 def fourier_places(points: Tensor, *, octaves: int = PLACE_OCTAVES) -> Tensor:
     """Places [..., 2] -> [..., 4 * octaves]: sines and cosines at wavelengths 4, 2, 1, 1/2, ...
 
-    In units of the window's half side; the products of two embeddings tell how far apart their
-    places are, which is what attention needs (Mildenhall et al., 2020; Tancik et al., 2020).
+    In units of the window's half side; the product of two embeddings depends on the distance of
+    their places, which attention needs (Mildenhall et al., 2020; Tancik et al., 2020).
     """
     rates = 0.5 * math.pi * 2.0 ** torch.arange(octaves, device=points.device)
     angles = (points[..., None] * rates).flatten(-2)
@@ -64,9 +64,9 @@ def lookup(features: Tensor, points: Tensor) -> Tensor:
 
 
 def lookup_at(features: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """The same at places that are told by component, [B, P] each.
+    """`lookup` at places given by component, [B, P] each.
 
-    No axis of one or two stands last until features are weighed: onnxruntime goes through such an
+    No axis of one or two is last until features are weighed: onnxruntime goes through such an
     axis number by number where it broadcasts.
     """
     batch, height, width, channels = features.shape
@@ -95,7 +95,7 @@ def lookup_sum(features: Tensor, points: Tensor, weights: Tensor) -> Tensor:
     features: [B, H, W, F]; points: [B, N, P, 2]; weights: [B, N, S, P], of each of S equal shares
         of the features, or [B, N, P] of all -> [B, N, F]
 
-    Places outside the map give what lies at its edge. One gather of the 4 P corners and one
+    Places outside the map read its edge. One gather of the 4 P corners and one
     product: in onnxruntime on a CPU about twice as fast as `lookup` and a sum, and many times
     as fast as its GridSample, which goes by channel, and a sum.
     """

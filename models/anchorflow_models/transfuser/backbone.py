@@ -1,7 +1,6 @@
 """The Transfuser backbone: camera and LiDAR to bird's-eye-view features (Chitta et al., PAMI 2023).
 
-Two residual networks see image and LiDAR. After each stage a transformer lets every part of one
-hear every part of the other.
+Two residual networks encode image and LiDAR; after each stage a transformer fuses them.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from anchorflow_models.transfuser.config import TransfuserConfig
 
 @dataclass(frozen=True, eq=False)
 class BevFeatures:
-    """What the backbone sees, from above, over the LiDAR's square.
+    """Features in bird's-eye view over the LiDAR's square.
 
     Row 0 lies farthest ahead, column 0 farthest left, as in every raster of driving.
 
@@ -63,7 +62,7 @@ class ResNet(nn.Module):
 
 
 class Fusion(nn.Module):
-    """Lets image and LiDAR features of one stage hear each other, and adds what they heard.
+    """Attention between image and LiDAR features of one stage, added to both.
 
     Both are pooled to the grid of the last stage, a token a cell.
     """

@@ -18,7 +18,7 @@ from anchorflow_models.transfuser.lidar_flow import UNITS, Moving, SweepMotion
 # nuPlan's cameras, in pixels of the stitched picture before it is resized.
 WIDTH = 4096
 FOCAL = 1545 / WIDTH
-"""In widths of the stitched picture."""
+"""Focal length in widths of the stitched picture."""
 AHEAD, HEIGHT = 1.7, 1.5
 """m before the rear axle and above the ground; all look along the horizon."""
 NEAREST = 0.5
@@ -46,14 +46,14 @@ class Camera:
         return column, row
 
     def sees(self, ground: Tensor, z: float, config: TransfuserConfig) -> Tensor:
-        """[...]: whether places [..., 2] m, z m above the ground, lie in its part."""
+        """Whether [...] its part shows places [..., 2] m, z m above the ground."""
         column, row = self.pixels(ground, z, config)
         across = (column / config.image_width - self.middle).abs() <= self.half
         away, _ = self._from(ground)
         return across & (row >= 0) & (row <= config.image_height) & (away > NEAREST)
 
     def _from(self, ground: Tensor) -> tuple[Tensor, Tensor]:
-        """m [...] that places lie before the camera, and to its left."""
+        """Distances [...] m of places ahead of the camera, and to its left."""
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
         ahead, left = ground[..., 0] - AHEAD, ground[..., 1]
         return cos * ahead + sin * left, cos * left - sin * ahead
@@ -80,7 +80,7 @@ def in_picture(ground: Tensor, z: float, config: TransfuserConfig) -> tuple[Tens
 
 
 def span(share: tuple[float, float], size: int) -> tuple[int, int]:
-    """First and end of a share of so many pixels."""
+    """Return the first and the end pixel of a share of `size` pixels."""
     return round(share[0] * size), round(share[1] * size)
 
 
@@ -142,7 +142,7 @@ class GroundSight(CameraLift):
     """The road ahead, by the stitched picture and the LiDAR's BEV.
 
     Lines and kerbs are narrower than the cells of the backbone's BEV, whose picture is pooled to
-    tokens of whole parts of it; and the road goes on beyond the LiDAR's square.
+    tokens of whole parts of it; and the road continues beyond the LiDAR's square.
     """
 
     ground: Tensor
@@ -182,7 +182,8 @@ class GroundSight(CameraLift):
 
     def _places(self, config: TransfuserConfig) -> tuple[Tensor, Tensor, Tensor]:
         """Column and row from -1 to 1 of the band where cells appear [1, Z h h, 2]; whether any
-        camera sees them [Z, h, h]; where they are, in units of their square [2, h, h]."""
+        camera sees them [Z, h, h]; their places in units of their square [2, h, h].
+        """
         size, cell = self.size, config.upscaled_cell
         steps = cell * (size / 2 - 0.5 - torch.arange(size))
         x, y = torch.meshgrid(steps + config.ground_ahead, steps, indexing="ij")
@@ -197,14 +198,14 @@ class GroundSight(CameraLift):
 
 
 def moved_ahead(bev: Tensor, rows: int) -> Tensor:
-    """A BEV [B, C, h, h] of a square so many rows farther ahead, zero where nothing is known."""
+    """Shift a BEV [B, C, h, h] to a square `rows` farther ahead, zero in unknown rows."""
     return F.pad(bev[:, :, : bev.shape[2] - rows], (0, 0, rows, 0))
 
 
 class FarSight(CameraLift):
     """Traffic beyond the LiDAR's square, by the front camera.
 
-    It predicts whether somebody is at a place, and with which velocity, from one picture.
+    It predicts occupancy and velocity of places from one picture.
     """
 
     ground: Tensor
@@ -248,7 +249,7 @@ class FarSight(CameraLift):
 
 
 def with_far(near: Moving, far: Moving) -> Moving:
-    """One map: what lies beyond the LiDAR's square before what lies in it; nobody beside it."""
+    """Join both maps: the far one ahead of the LiDAR's square, empty at its sides."""
     beside = (near.there.shape[-1] - far.there.shape[-1]) // 2
     there = F.pad(far.there, (beside, beside), value=NOBODY)
     velocity = F.pad(far.velocity, (beside, beside))

@@ -12,7 +12,7 @@ STATUS = 8
 STATUS_UNITS = (1.0,) * 4 + (10.0,) * 2 + (3.0,) * 2
 """What each is usually as large as: m/s and m/s²."""
 MOTION = slice(4, 8)
-"""Of the status, velocity and acceleration."""
+"""The status's velocity and acceleration."""
 
 
 STEM_STRIDE = 2
@@ -105,8 +105,8 @@ class TransfuserConfig:
 
     @property
     def ground_ahead(self) -> float:
-        """m by which a BEV of the road ahead lies before the LiDAR's square: three eighths of its
-        side, so that an eighth is left behind the ego.
+        """Offset in m of a BEV of the road ahead from the LiDAR's square: three eighths of its
+        side, which leaves an eighth behind the ego.
         """
         return self.ground_rows * self.upscaled_cell
 
@@ -117,8 +117,8 @@ class TransfuserConfig:
 
     @property
     def far_size(self) -> tuple[int, int]:
-        """Rows and columns of such cells beyond the LiDAR's square, straight ahead of it: as far
-        again as five eighths of its side, and as wide.
+        """Rows and columns of cells beyond the LiDAR's square, straight ahead: five eighths of its
+        side, both.
         """
         side = 2 * (5 * self.upscaled_size // 16)
         return side, side
@@ -134,7 +134,7 @@ class TransfuserConfig:
         return self.lidar_size // 2, self.lidar_size
 
     def input_sizes(self) -> Iterator[tuple[str, tuple[int, ...]]]:
-        """What the backbone reads, by name: the axes of each without B."""
+        """Yield the backbone's inputs by name, and their axes without B."""
         yield "camera", (3, self.image_height, self.image_width)
         yield "lidar", (1, self.lidar_size, self.lidar_size)
         if self.lidar_before:

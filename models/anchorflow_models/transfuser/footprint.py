@@ -25,10 +25,10 @@ class BevValues(nn.Module):
 def bev_places(points: Tensor, reach: float, *, beyond: float = 0.0, ahead: float = 0.0) -> Tensor:
     """Points [..., 2] m, x forward and y left, as column and row from -1 to 1 of a BEV.
 
-    Its first row lies at the greatest x, its first column at the greatest y.
+    Its first row has the greatest x, its first column the greatest y.
 
-    reach: m from the middle of the BEV to its edges; beyond: m by which it reaches farther ahead
-    ahead: m by which its middle lies before the ego
+    reach: m from the middle of the BEV to its edges; beyond: m by which it reaches farther ahead;
+        ahead: m from the ego forward to its middle
     """
     x, y = points.unbind(-1)
     half = beyond / 2
@@ -50,7 +50,7 @@ class Footprint(nn.Module):
         steps: poses of a trajectory
         places: m ahead and to the left of a pose
         reach: m from the middle of the BEV to its edges
-        ahead: m by which its middle lies before the ego
+        ahead: m from the ego forward to its middle
     """
 
     places: Tensor
@@ -82,7 +82,7 @@ class Footprint(nn.Module):
 
 
 def driven_by_car(poses: Tensor, motion: Tensor, *, dt: float) -> Tensor:
-    """[B, K, T, 3] m, m, rad: where a car drives that is told to follow poses of that shape.
+    """Return the poses [B, K, T, 3] m, m, rad of a car that tracks poses of that shape.
 
     motion: [B, 4] its velocity and acceleration now, m/s and m/s²; dt: s, from pose to pose
     """
@@ -90,7 +90,7 @@ def driven_by_car(poses: Tensor, motion: Tensor, *, dt: float) -> Tensor:
 
 
 def placed(poses: Tensor, places: Tensor) -> Tensor:
-    """Where places [P, 2] of the car lie in poses [..., 3]: [..., P, 2] m."""
+    """Return the places [P, 2] of the car in poses [..., 3]: [..., P, 2] m."""
     cos, sin = poses[..., 2:].cos(), poses[..., 2:].sin()
     ahead, left = places.unbind(-1)
     x = poses[..., :1] + cos * ahead - sin * left

@@ -1,4 +1,4 @@
-"""What a Transfuser backbone is asked besides a plan: where the others are, what is where."""
+"""Heads of a Transfuser backbone beside the plan: other agents, semantics, occupancy."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class SemanticHead(nn.Module):
 
 
 class GroundSemanticHead(nn.Module):
-    """The same of a BEV that lies `ground_ahead`: each of its cells tells the classes of every
-    cell of the semantic BEV within it, so that a line is told though it is narrower than a cell.
+    """The semantic head of a BEV at `ground_ahead`: each cell predicts the classes of all semantic
+    cells within it, since a line is narrower than a cell.
     """
 
     def __init__(self, config: TransfuserConfig, width: int, classes: int) -> None:

@@ -20,15 +20,16 @@ EYES, COARSE, WIDTH = 32, 64, 48  # channels
 DILATIONS = ((1, 2), (1, 2, 1, 4, 1))  # of the convolutions over coarse cells, and over fine ones
 SHARPNESS = 2.0  # of the best match, to begin with
 WIDER_S = 1.5
-"""After which what is foretold is spread a cell wider, and again as much later."""
+"""Interval after which predictions are blurred by another cell."""
 UNITS = 4.0  # m/s, of what is added to the best match
 
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """Of cells of the upscaled BEV, row 0 farthest ahead, column 0 farthest left.
+    """Occupancy and velocity of cells of the upscaled BEV, row 0 farthest ahead, column 0 farthest
+    left.
 
-    there: [B, h, w] logits, whether somebody else is there
+    there: [B, h, w] logits of occupancy by others
     velocity: [B, 2, h, w] m/s, forward and to the left, of what is there
     """
 
@@ -39,8 +40,8 @@ class Moving:
 class SweepMotion(nn.Module):
     """Optical flow between two sweeps (the correlation layer of FlowNet, arXiv 1504.06852, eq. 1).
 
-    Velocities come from the sweeps alone, which show that something moves and not where things
-    usually do; who is there is also read off the upscaled BEV, which has seen the camera.
+    Velocities are predicted from the sweeps alone, which show that something moves and not where
+    things usually do; who is there is also read off the upscaled BEV, which has seen the camera.
     """
 
     displacements: Tensor
@@ -79,7 +80,7 @@ class SweepMotion(nn.Module):
         keys = [self.key(each) for each in seen]
         likeness = correlation(*keys) / EYES**0.5
         share = (self.sharpness * likeness).softmax(1)
-        # Where it was lies behind it; rows count backward and columns to the right, so do these.
+        # Displacements point to the earlier place; rows count backward and columns to the right.
         moved = _expected(share, self.displacements)
         best = moved * (2 * self.cell / APART_S)
         x = F.relu(self.match(torch.cat([likeness, *keys], 1)))
@@ -96,7 +97,7 @@ class SweepMotion(nn.Module):
         """[B, T, h, w]: the share of a cell that is taken at these times [s], which ascend, at
         constant velocity.
 
-        The later, the wider it is spread, as nobody keeps his velocity for long.
+        Later maps are blurred more, since velocities change.
         """
         maps = foretold(moving.there.sigmoid(), moving.velocity / self.cell, times)
         for wider in range(1, int(times[-1] / WIDER_S) + 1):

@@ -19,7 +19,7 @@ LEAST_SHARE = 1e-3
 
 
 def foretold_times(steps: int, step_s: float) -> tuple[float, ...]:
-    """s, of the maps that so many poses need, the first of them step_s from now."""
+    """Return the times in s of the maps that `steps` poses need, the first step_s from now."""
     last = round(steps * step_s / FORETOLD_S) + LOOKAHEAD[-1]
     return tuple(FORETOLD_S * (index + 1) for index in range(last))
 
@@ -31,7 +31,7 @@ class Encounters(nn.Module):
 
     Args:
         width: of what is added; hidden: of what is made of each pose
-        steps, step_s: poses of a trajectory, s between two, the first of them so long from now
+        steps, step_s: poses of a trajectory, s between two and until the first
         places: m ahead and to the left of a pose, where is asked
         backbone: whose BEV the maps show
     """
@@ -65,7 +65,7 @@ class Encounters(nn.Module):
     def forward(self, x: Tensor, poses: Tensor, foretold: Tensor) -> Tensor:
         """x: [B, M, W]; poses: [B, M, T, 3] m, m, rad; foretold: [B, L, H', H] the share of each
         cell that others take at the times `foretold_times` names"""
-        share = (foretold + LEAST_SHARE).log() / 3 + 1  # shares of thousandths tell something too
+        share = (foretold + LEAST_SHARE).log() / 3 + 1  # shares of thousandths matter too
         points = placed(self._moved_on(poses), self.places)
         points = bev_places(points, self.reach, beyond=self.beyond)
         # [B, M, T, L, P, 2]: each in the map of its time.

@@ -76,7 +76,7 @@ class V2XConfig:
     image_size: pixels along a side of each of the two pictures; published 768
     vocabulary: tokens that the tokenizer knows
     max_tokens: of a prompt
-    positions: that the language model can tell apart: two pictures' cells, one and the prompt
+    positions: of the language model, for two pictures' cells, one and the prompt
     waypoints, dt: of the answer, dt [s] apart, the first at dt
     head: width of the trajectory head; dropout: in it
     projection: width of the space in which pictures and prompts are aligned

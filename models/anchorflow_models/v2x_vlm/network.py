@@ -6,9 +6,8 @@
     locate   two pictures' features               -> where the nearest other is; in training alone
 
 The two pictures lie side by side, [I_v, I_i], as one feature map of h rows and 2h columns before
-positions are given to its cells. What the tower does to the one does not depend on the other, so
-that the roadside picture's features can be kept; where there is none, a learned cell stands in
-every place of its half.
+positions are given to its cells. The tower encodes each by itself, so the roadside picture's
+features can be kept; a learned cell fills its half if it is missing.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ STANDING = 0.05
 class Fused(NamedTuple):
     """hidden: [B,P,E] of pictures and prompt; mask: [B,P], true where there is something
 
-    image, text: [B,E], means of what went in, before either had seen the other
+    image, text: [B,E], means of the inputs before fusion
     """
 
     hidden: Tensor
@@ -170,7 +169,7 @@ def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
 def poses(waypoints: Tensor) -> Tensor:
     """[B,T,3] x, y, heading: waypoints [B,T,2], each headed as from the one before it.
 
-    The first comes from the origin; who stands keeps the heading that he had.
+    The first is headed from the origin; a standing vehicle keeps its heading.
     """
     before = nn.functional.pad(waypoints[:, :-1], (0, 0, 1, 0))
     step = waypoints - before
@@ -189,7 +188,7 @@ def create_v2x_vlm(config: V2XConfig) -> V2XVLM:
 
 
 METRES = 10.0
-"""That a place is told in."""
+"""Unit of predicted places."""
 
 
 def regression(waypoints: Tensor, driven: Tensor) -> Tensor:
@@ -231,7 +230,7 @@ def next_token(logits: Tensor, wanted: Tensor, mask: Tensor) -> Tensor:
 
 
 def location(near: Tensor, place: Tensor, nearest: Tensor) -> Tensor:
-    """Of the nearest other [B,3]: whether it is there, and x, y in m, where it is.
+    """Return the loss of locating the nearest other [B,3]: 1 if there is one, and x, y in m.
 
     near: logits [B]; place: [B,2], tens of metres
     """

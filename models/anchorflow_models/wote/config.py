@@ -56,7 +56,7 @@ class WoteConfig:
     anchors: K; kept: of them, by their offset scores, that the world model looks at; 0: all
     num_steps: T poses; dt: s between two, the first dt from now
     width, heads, hidden: of all transformers behind the backbone; hidden: of their feed-forwards
-    anchor_layers: of the encoder in which anchors hear each other
+    anchor_layers: of the encoder in which anchors attend to each other
     offsets: whether anchors are moved before they are answered; offset_layers: of what moves them
     world_layers: of the world model, one step of it; 0: the future BEV is the present one
     future_steps: steps of the world model over the horizon
@@ -129,7 +129,7 @@ class WoteConfig:
 
     @property
     def bev_ahead(self) -> float:
-        """m by which the BEV that anchors are judged on lies before the LiDAR's square."""
+        """Offset in m of the BEV that anchors are judged on from the LiDAR's square, ahead."""
         return self.backbone.ground_ahead if self.ground_sight else 0.0
 
     @property

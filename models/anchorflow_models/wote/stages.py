@@ -23,13 +23,13 @@ def arcs(count: int, *, steps: int, dt: float) -> Tensor:
     turn = SHARPEST * (2 * (GOLDEN * k % 1) - 1)
     times = dt * torch.arange(1, steps + 1)
     way, heading = speed[:, None] * times, turn[:, None] * times / times[-1]
-    # Of an arc that starts along x: the chord is sinc(heading / 2) of the way, at half the heading.
+    # The chord of an arc along x is sinc(heading / 2) of the way, at half the heading.
     chord = way * torch.sinc(heading / (2 * math.pi))
     return torch.stack([chord * (heading / 2).cos(), chord * (heading / 2).sin(), heading], -1)
 
 
 def cells(places: Tensor, *, size: int, reach: float, ahead: float = 0.0) -> Tensor:
-    """Which cell of a BEV a place lies in: [..., 2] m -> one-hot [..., size²].
+    """Return the cell of a BEV that contains a place: [..., 2] m -> one-hot [..., size²].
 
     The grid covers ±reach about a place that lies `ahead` of the ego; row 0 lies farthest ahead,
     column 0 farthest left. A place beyond the edge counts to the cell at the edge.

@@ -13,7 +13,7 @@ from anchorflow_models.wote.config import RewardWeights
 
 
 class WorldModel(nn.Module):
-    """The ego's token and the BEV's hear each other, `steps` times with the same layers.
+    """The ego's token and the BEV's attend to each other, `steps` times with the same layers.
 
     places: [1, 1 + M, W], learned, of the ego and of the BEV's M cells
     """
@@ -40,7 +40,7 @@ class WorldModel(nn.Module):
         batch, count, width = ego.shape
         bev = inject(bev[:, None], here, ego)
         for step in range(self.steps):
-            # Without layers the present goes on.
+            # Without layers the present BEV is kept.
             if len(self.layers):
                 tokens = torch.cat([ego[:, :, None], bev], 2)
                 tokens = tokens.reshape(batch * count, -1, width) + self.places
@@ -105,7 +105,7 @@ class RewardHead(nn.Module):
 
 def final_scores(imitation: Tensor, simulation: Tensor, weights: RewardWeights) -> Tensor:
     """Scores [B, K] of logits [B, K] over all anchors and [B, K, 5]; higher is better."""
-    # In logarithms throughout, and by softplus: onnxruntime's sigmoid ends at that of -18.
+    # Logarithms and softplus throughout: onnxruntime's sigmoid saturates at -18.
     log_im, log_sim = imitation.log_softmax(-1), -F.softplus(-simulation)
     shares = torch.tensor([weights.ttc, weights.c, weights.ep]).clamp(min=TINY).log()
     parts = torch.stack([log_sim[..., index] for index in (_TTC, _C, _EP)], -1)

@@ -179,12 +179,12 @@ class WoTE(nn.Module):
         *,
         anchors: Tensor | None = None,
     ) -> Context:
-        """bev_tokens, ego, bev_fine, foretold, ego_motion as of `encode`; anchors: [K, W] encoded
-        already, where they are.
+        """bev_tokens, ego, bev_fine, foretold, ego_motion as of `encode`; anchors: [K, W] already
+        encoded, if they are.
 
         Returns by name: trajectories [B, K', T, 3] m, m, rad; scores [B, K']; offsets [B, K', T, 3]
         from the anchors; im_rewards [B, K'], which sum to 1; sim_rewards [B, K', 5] in [0, 1]. K'
-        is `config.judged`; without `kept` they stand in the order of the anchors.
+        is `config.judged`; without `kept` they are in the order of the anchors.
         """
         moved = self.move(bev_tokens, ego, anchors)
         if self.config.judged < self.config.anchors:
@@ -214,7 +214,7 @@ class WoTE(nn.Module):
         ego_status: Tensor,
         lidar_before: Tensor | None = None,
     ) -> Seen:
-        """What the sensors tell; shapes as of `encode`."""
+        """Encode the sensors; shapes as of `encode`."""
         features = self.backbone(camera, lidar, lidar_before)
         status = ego_status / self.status_units
         tokens, fine = self.to_bev(features.features), features.upscaled
@@ -282,11 +282,11 @@ class WoTE(nn.Module):
         """Imagine what follows from each anchor and rate it.
 
         bev: [B, M, W]; fine: [B, h, h, C], which footprints look up; foretold: [B, L, H', H], which
-            encounters do; motion: [B, 4] the ego's, m/s and m/s², where it is asked what is driven
-        poses: [B, K', T, 3] where they look, or what is followed there; as a rule the anchors' own
+            encounters do; motion: [B, 4] the ego's, m/s and m/s², with `driven`
+        poses: [B, K', T, 3] to look up, or to track; by default the anchors' own
 
         Raises:
-            ValueError: what footprints, encounters or `driven` ask for is missing.
+            ValueError: an input of footprints, encounters or `driven` is missing.
         """
         if fine is None and self.config.footprint:
             raise ValueError("fine: expected [B, h, h, C] for footprints, got None")
@@ -306,7 +306,7 @@ class WoTE(nn.Module):
         return Judged(future, imitation, simulation)
 
     def future_semantic_logits(self, future: Tensor) -> Tensor:
-        """Of an imagined BEV [B, M, W] -> [B, classes, H/2, H]; for training."""
+        """Return the classes of an imagined BEV [B, M, W] -> [B, classes, H/2, H]; for training."""
         size = self.config.backbone.bev_size
         image = future.transpose(1, 2).unflatten(-1, (size, size))
         return self.future_semantics(self.future_pyramid(image))

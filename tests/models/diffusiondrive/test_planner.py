@@ -24,7 +24,7 @@ OF_SCENE = ("agent_queries", "ego_query")
 
 
 def planner(config: DiffusionDriveConfig = SMALL) -> DiffusionDriveV2:
-    """Of random weights, those that begin at zero too."""
+    """Random weights, also for layers that start at zero."""
     torch.manual_seed(0)
     model = create_diffusiondrive(config).eval()
     with torch.no_grad():
@@ -243,7 +243,7 @@ def test_with_ground_sight_it_looks_at_the_road_ahead() -> None:
     told = whole(model, inputs)
     assert told["bev"].shape == (1, SMALL.width, 64, 64)
     assert told["bev_semantics"].shape == (1, SMALL.classes, 128, 256)
-    # What is 40 m ahead, beyond the LiDAR's square, is heard by candidates that lead there alone.
+    # Only candidates that lead 40 m ahead, beyond the LiDAR's square, change.
     candidates = torch.zeros(1, 2, 8, 3)
     candidates[0, 0, :, 0], candidates[0, 1, :, 0] = 40.0, 20.0
     changed = told["bev"].clone()
@@ -279,9 +279,7 @@ def test_the_published_planner_looks_at_the_lidar_s_square() -> None:
 
 
 def met_by(candidates: Tensor, *, at_s: float, ahead: int = 6) -> Tensor:
-    """[M]: how much candidates [M, T, 3] hear of somebody who stands so many metres ahead, and one
-    more, at that time alone.
-    """
+    """[M]: the change of candidates [M, T, 3] by an obstacle `ahead` m away at one time."""
     torch.manual_seed(0)
     met = encounters(SMALL)
     assert met is not None
@@ -315,7 +313,7 @@ def test_a_candidate_is_told_whom_it_would_meet_within_a_second() -> None:
     assert three_quarters_later[0] > 1e-3
     assert three_quarters_later[1] == 0.0
     assert met_by(candidates, at_s=1.5)[0] == 0.0  # not yet
-    assert met_by(candidates, at_s=3.0)[0] == 0.0  # nobody asks so far ahead
+    assert met_by(candidates, at_s=3.0)[0] == 0.0  # no candidate leads there
 
 
 @torch.inference_mode()

@@ -144,7 +144,7 @@ def test_a_candidate_is_told_from_the_ego_s_own_motion() -> None:
     torch.testing.assert_close(same[:, 0], (4 + 2 * (TIMES - 0.25)) / 10)
     torch.testing.assert_close(same[:, 1], torch.full((8,), 2 / 3), atol=1e-5, rtol=0)
     assert same[:, 2].abs().max() < 1e-4
-    # From 3 m/s the first quarter of a second has 4 m/s² more, and that is within no bounds.
+    # The first quarter of a second from 3 m/s has 4 m/s² more, which is out of bounds.
     assert slow[0, 1].item() == pytest.approx(6 / 3, abs=1e-4)
     assert slow[0, 2].item() == pytest.approx(16 / 6, abs=1e-3)
     torch.testing.assert_close(slow[2:], same[2:], atol=1e-5, rtol=0)
@@ -160,7 +160,7 @@ def test_turns_are_told_the_short_way_round() -> None:
 
 
 def test_the_heading_of_a_u_turn_is_not_torn() -> None:
-    # Beyond a quarter turn atan alone would point the other way.
+    # atan alone fails beyond a quarter turn.
     path = arc(4.0, 0.2)
     heading = variants(path, (0.0, 0.0))[0, :, 2]
     turned = (heading - path[0, 0, :, 2] + math.pi) % (2 * math.pi) - math.pi

@@ -1,4 +1,4 @@
-"""The Transfuser backbone: its shapes, who hears whom, scenes that never touch one another."""
+"""The Transfuser backbone: shapes, attention between sensors, independence of scenes."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def test_the_same_half_of_a_bev_that_lies_ahead_and_each_cell_s_parts() -> None:
     elsewhere[:, :, :23] = elsewhere[:, :, 57:] = 0.0  # beyond 33 m, and behind
     torch.testing.assert_close(head(elsewhere), before)
     changed = bev.clone()
-    changed[:, :, 24 + 5, 7] = 0.0  # and its neighbours hear of it, by the convolution
+    changed[:, :, 24 + 5, 7] = 0.0  # and its neighbours, by the convolution
     apart = (head(changed) - before).abs().amax((0, 1))
     assert apart[4 * 4 : 4 * 7, 4 * 6 : 4 * 9].min() > 0.0
     assert apart[4 * 5 : 4 * 6, 4 * 7 : 4 * 8].unique().numel() == 16

@@ -1,4 +1,4 @@
-"""Where a trajectory's car is looked up in the BEV."""
+"""Lookup of a trajectory's car in the BEV."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from anchorflow_models.transfuser import placed
 
 
 def places_of(x: float, y: float, heading: float) -> list[list[float]]:
-    """Where the car of one pose is looked up: its middle, and 3 m ahead and 1 m to its left."""
+    """Places of the car of one pose: its middle, and 3 m ahead and 1 m to its left."""
     return placed(torch.tensor([x, y, heading]), torch.tensor([(0.0, 0.0), (3.0, 1.0)])).tolist()
 
 

@@ -15,7 +15,7 @@ def test_rewards_heed_what_lies_under_an_anchor_and_nothing_beside() -> None:
     context = model.encode(**sensors(B=1))
     bev, ego, fine = (context[name] for name in model.context_for_score)
     poses = torch.zeros(1, TINY.anchors, 8, 3)
-    poses[:, 6:, :, 0] = -20.0  # half of the cars stand behind
+    poses[:, 6:, :, 0] = -20.0  # half of the cars are behind
 
     def foretold(fine: torch.Tensor) -> torch.Tensor:
         judged = model.judge(bev, model.move(bev, ego), fine=fine, poses=poses)

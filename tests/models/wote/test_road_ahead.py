@@ -1,4 +1,4 @@
-"""WoTE that looks at the road ahead, and is told whom an anchor meets."""
+"""WoTE with `ground_sight` and `encounters`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AHEAD = replace(TINY, ground_sight=True, encounters=((0.0, 0.0), (5.0, 0.0)), ba
 
 
 def planner(config: WoteConfig = AHEAD) -> WoTE:
-    """Of random weights, those that begin at zero too."""
+    """Random weights, also for layers that start at zero."""
     model = tiny_wote(config)
     with torch.no_grad():
         for parameter in model.parameters():
@@ -30,7 +30,7 @@ def planner(config: WoteConfig = AHEAD) -> WoTE:
 
 
 def rewards(model: WoTE, context: dict[str, Tensor], poses: Tensor) -> Tensor:
-    """[K, 6] logits of anchors that stand in such poses [K, T, 3]."""
+    """[K, 6] logits of anchors with poses [K, T, 3]."""
     bev = context["bev_tokens"]
     judged = model.judge(
         bev,
@@ -44,7 +44,7 @@ def rewards(model: WoTE, context: dict[str, Tensor], poses: Tensor) -> Tensor:
 
 
 def standing(*places: float) -> Tensor:
-    """[K, T, 3]: half of the anchors so many metres ahead, the others at the second place."""
+    """[K, T, 3]: half of the anchors at the first place, the others at the second."""
     poses = torch.zeros(AHEAD.anchors, AHEAD.num_steps, 3)
     for half, place in zip(poses.chunk(len(places)), places, strict=True):
         half[..., 0] = place
@@ -105,7 +105,7 @@ def test_rewards_look_where_a_car_drives_that_follows_an_anchor() -> None:
     changed["bev_fine"][:, 22:25] += 1.0  # 2 m a row from 56 m ahead: 6 to 12 m
     told_to_stand = standing(0.0)
     heard = []
-    for speed in (0.0, 8.0):  # who drives comes to a halt farther ahead
+    for speed in (0.0, 8.0):  # a moving car halts farther ahead
         motion = torch.tensor([[speed, 0.0, 0.0, 0.0]])
         before, after = (
             rewards(model, dict(each, ego_motion=motion), told_to_stand)
@@ -117,7 +117,7 @@ def test_rewards_look_where_a_car_drives_that_follows_an_anchor() -> None:
 
 @torch.inference_mode()
 def test_tokens_lie_where_the_ego_will_be() -> None:
-    """Three of eight rows farther ahead: the ego stands in the second row from behind."""
+    """Three of eight rows farther ahead: the ego is in the second row from behind."""
     size = BACKBONE.bev_size
     here, there = planner()._cells()
     rows = here.nonzero().flatten() // size
@@ -133,7 +133,7 @@ def test_the_picture_moves_tokens_and_fine_cells() -> None:
     model, inputs = planner(), sensors(AHEAD, B=1)
     for name, weight in model.backbone.named_parameters():
         if "align_fused" in name:
-            weight.zero_()  # the backbone's BEV hears no picture
+            weight.zero_()  # the backbone's BEV does not depend on the picture
     before = model.encode(**inputs)
     after = model.encode(**{**inputs, "camera": 255 - inputs["camera"]})
     for name in ("bev_tokens", "bev_fine", "bev_semantics"):

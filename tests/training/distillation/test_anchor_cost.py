@@ -110,7 +110,7 @@ def test_its_gradient_is_its_slope() -> None:
 
 
 def test_at_rest_its_gradient_is_finite() -> None:
-    """Both ends stand still, where the size of a velocity has no slope of its own."""
+    """Both ends are at rest: the norm of a velocity has no slope there."""
     scenes = drawn_scenes(1)
     scene = replace(
         scenes[0],
@@ -132,7 +132,7 @@ def test_no_scene_touches_another() -> None:
 
 
 def test_reference_times_of_a_batch_are_the_scenes() -> None:
-    """By the spline along the shortest route, which rounds its corners."""
+    """The spline along the shortest route rounds its corners."""
     scenes = drawn_scenes(8)
     batch = {
         "route_states": np.stack([scene.route_states[:1] for scene in scenes]),

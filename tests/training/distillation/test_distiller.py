@@ -123,7 +123,7 @@ def test_a_run_goes_on_with_its_own_teacher_only(
 def test_a_student_that_samples_as_its_teacher_does_is_at_no_distance(
     config: DistillConfig, distil: Distil
 ) -> None:
-    """With a rate of next to nothing it stays its teacher; both take two Euler steps."""
+    """A tiny learning rate keeps the teacher's weights; both take two Euler steps."""
     held_out = AnchorJudgeConfig(every=1, held_out=2, scenes=2, samples=3, pictures=0)
     same = replace(config.teacher, method="euler", steps=2)
     two, one = (

@@ -15,7 +15,7 @@ from anchorflow_models.flow_matching import LossWeights
 from anchorflow_training.distillation.objective import DirectObjective
 
 RATE = 1.2
-END = math.exp(-RATE)  # where the teacher carries 1
+END = math.exp(-RATE)  # the teacher's end from 1
 WEIGHTS = LossWeights()
 B, N, T, S, R = 2, 5, 7, 7, 3
 
@@ -67,7 +67,8 @@ def loss_of(objective: nn.Module, batch: dict[str, Tensor], seed: int = 0) -> Te
 
 def direct(gain: Gain, schedule: tuple[float, ...], **options: Any) -> DirectObjective:
     model: nn.Module = LinearFlow(gain)
-    return DirectObjective(model, schedule=schedule, weights=WEIGHTS, **options)  # type: ignore[arg-type]
+    return DirectObjective(model, schedule=schedule, weights=WEIGHTS, **options)  # type:
+    ignore[arg - type]
 
 
 @pytest.mark.parametrize(
@@ -97,7 +98,7 @@ def test_direct_gradients_run_through_every_step() -> None:
 
 
 class SquaredSize(nn.Module):
-    """A cost [B, N] of states [B, N, T, S], and of what else it is told."""
+    """A cost [B, N] of states [B, N, T, S]."""
 
     def forward(self, states: Tensor, inputs: dict[str, Tensor], reference_s: Tensor) -> Tensor:
         assert set(inputs) == {"limits"}
@@ -105,7 +106,7 @@ class SquaredSize(nn.Module):
 
 
 def test_direct_weighs_what_its_ends_cost() -> None:
-    """Beside the distance from the teacher's, log(1 + J) of the student's own ends."""
+    """The loss adds log(1 + J) of the student's own ends."""
     batch = pair_batch() | {"reference_s": torch.tensor([1.0, 4.0])}
     gain = constant(-RATE)
     plain = direct(gain, (0.0, 1.0))(batch)
@@ -118,7 +119,7 @@ def test_direct_weighs_what_its_ends_cost() -> None:
 
 
 def test_direct_learns_to_cost_less() -> None:
-    """At the teacher's own end only the cost pulls."""
+    """Only the cost has a gradient at the teacher's own end."""
     gain = torch.tensor(END - 1, requires_grad=True)
     objective = direct(constant(gain), (0.0, 1.0), cost=SquaredSize(), cost_weight=1.0)
     loss_of(objective, pair_batch()).backward()

@@ -1,4 +1,4 @@
-"""The pairs on disk are what the teacher's ODE gives, whoever was interrupted while making them."""
+"""The pairs on disk are the teacher's solutions, also after an interruption."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a student begins with, and what it may not differ in."""
+"""The initial weights of a student, and the settings that it must share."""
 
 from __future__ import annotations
 

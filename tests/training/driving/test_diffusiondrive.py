@@ -67,7 +67,7 @@ def batch() -> dict[str, Tensor]:
 
 
 def farther_is_better(windows: Tensor, trajectories: Tensor, speeds: Tensor | None) -> Tensor:
-    """A judge for whom progress is all, up to 60 m; who ends far to the right fails."""
+    """A judge that scores progress up to 60 m and fails ends far to the right."""
     assert speeds is not None
     assert speeds.isnan().all()
     told = torch.ones(*trajectories.shape[:2], 5)
@@ -130,7 +130,7 @@ def test_steps_make_every_term_smaller(stage: str) -> None:
 
 
 def scored(loss_of: DiffusionDriveObjective, name: str) -> list[tuple[Any, ...]]:
-    """What a scorer is given, and what it makes of it, from now on."""
+    """Record inputs and outputs of a scorer from now on."""
     calls: list[tuple[Any, ...]] = []
     scorer = getattr(loss_of.model, name)
     scorer.register_forward_hook(lambda _module, given, made: calls.append((*given, made)))
@@ -235,7 +235,7 @@ def test_the_scorers_learn_other_speeds_and_imitation_does_not() -> None:
     expected = given["ego_status"].clone()
     expected[0, 4], expected[0, 7] = 8.0, 1.8 * (8 / 6) ** 2
     torch.testing.assert_close(told[0], expected)
-    # What was driven in the first window tells nothing of that speed.
+    # The record of the first window does not fit that speed.
     elsewhere = given | {"future": given["future"] + torch.tensor([9.0, 0.0])[:, None, None]}
     torch.testing.assert_close(loss_of(elsewhere, *draws, change)[1]["poses"], terms["poses"])
 
@@ -256,7 +256,7 @@ def test_how_others_move_is_learnt_where_sweeps_are_compared() -> None:
     loss_of = DiffusionDriveObjective(tiny_diffusiondrive(config).train(), settings)
     sweeps = ("lidar_before", "lidar_randomised")
     given = batch() | {name: torch.rand(B, 1, 16, 16) for name in sweeps}
-    given["agents"][..., 3:] = 30.0  # so long and wide that middles of the large cells lie inside
+    given["agents"][..., 3:] = 30.0  # large enough to contain middles of the large cells
     loss, terms = loss_of(given, *drawn_for(loss_of))
     loss.backward()
     assert set(terms) == IMITATION | {"motion", "far"}

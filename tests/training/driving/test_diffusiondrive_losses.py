@@ -16,7 +16,7 @@ T = 8
 
 
 def test_advantages_by_hand() -> None:
-    # Two anchors, three samples each, groups one after another; EP tells them apart.
+    # Two anchors, three samples each, groups one after another; they differ in EP.
     told = torch.ones(1, 6, 5)
     told[0, :, 2] = torch.tensor([0.2, 0.9, 0.4, 0.9, 0.6, 0.9])
     told[0, 3, 0] = 0.5

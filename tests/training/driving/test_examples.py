@@ -1,4 +1,4 @@
-"""What is imitated in a window, and that nothing else is."""
+"""The examples to imitate in a window."""
 
 from __future__ import annotations
 

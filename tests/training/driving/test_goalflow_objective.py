@@ -16,12 +16,12 @@ from anchorflow_training.driving.goalflow_objective import (
 
 T = 8
 AHEAD = torch.stack([torch.arange(5.0, 45.0, 5.0), torch.zeros(T), torch.zeros(T)], -1)
-"""Poses of an ego that goes on straight at 10 m/s, as all that is expected here does."""
+"""Poses of an ego that drives straight at 10 m/s."""
 
 
 @pytest.fixture
 def objective() -> GoalFlowObjective:
-    """Of an untrained flow, which expects the way that it begins on; every goal lies at its end."""
+    """An untrained flow predicts the way that it begins on; every goal is at its end."""
     model = GoalFlow(GoalFlowConfig(goals=8, picked=1, width=16, channels=8, feature_channels=4))
     with torch.no_grad():
         model.vocabulary.copy_(AHEAD[-1, :2].expand(8, -1))
@@ -33,7 +33,7 @@ def objective() -> GoalFlowObjective:
 def terms(
     objective: GoalFlowObjective, targets: Tensor, *, t: float = 0.0, **changed: Tensor
 ) -> dict[str, Tensor]:
-    """Of one target [B, T, 3] a window, learnt without a goal."""
+    """The batch of one target [B, T, 3] a window, learnt without a goal."""
     B = len(targets)
     bev = torch.zeros(B, 20, 192, 128, dtype=torch.uint8)
     bev[:, 0] = 255
@@ -75,7 +75,7 @@ def test_ways_are_near_the_recorded_end_on_the_road_and_on_the_route_or_not(
     targets = torch.stack([AHEAD, AHEAD + torch.tensor([0.0, 2.0, 0.0])])
     told = terms(objective, targets, bev=bev, course=course)
 
-    # Of a logit 1, cross-entropy is log(1 + e) less what it should say: in the first window 1.
+    # The cross-entropy of logit 1 is log(1 + e) less the label, 1 in the first window.
     second = {"distance": math.exp(-0.5), "drivable": 0.0, "route": math.exp(-0.5)}
     for name, share in second.items():
         wanted = math.log(1 + math.e) - (1 + share) / 2

@@ -66,7 +66,7 @@ def test_a_run_is_judged_and_its_checkpoint_restored(
 
 
 def test_a_log_that_is_judged_on_is_not_trained_on(windows: DrivingWindows, tmp_path: Path) -> None:
-    assert (windows.log == 1).sum() > 1  # of which one is asked for
+    assert (windows.log == 1).sum() > 1  # one is held out
     run = GoalFlowRun(CONFIG, windows, tmp_path)
     assert set(windows.log[: run.count]) == {0}
     assert set(windows.log[run.count :]) == {1}

@@ -1,4 +1,4 @@
-"""Others that move as chance has it: where they are now, but from elsewhere."""
+"""Randomised motion of others: the same places now, other origins."""
 
 from __future__ import annotations
 

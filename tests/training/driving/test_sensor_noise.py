@@ -1,4 +1,4 @@
-"""Noise on pictures and sweeps: as much as is asked for, and on nothing else."""
+"""Noise on pictures and sweeps: as configured, and on nothing else."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_pictures_and_sweeps_are_disturbed_as_much_as_is_asked_for() -> None:
     assert 3.0 < spread[0] < 0.5 * spread[1] < 25.0
     lost = [float((each["lidar"] == 0).mean()) for each in (little, much)]
     np.testing.assert_allclose(lost, [0.3 * LOST / 2, LOST / 2], rtol=0.25)
-    # By scene: one has lost next to nothing, another most of what may be lost.
+    # Losses differ by scene, from almost none to almost the maximum.
     by_scene = (much["lidar"] == 0).mean((1, 2, 3))
     assert by_scene.min() < 0.1 * LOST < 0.8 * LOST < by_scene.max()
     assert not np.array_equal(much["lidar"], much[LIDAR_BEFORE])

@@ -1,4 +1,4 @@
-"""What simulated sensors tell of a window, and what there is to learn in it."""
+"""Simulated sensors and labels of a window."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_semantics_show_the_leader_where_it_is_and_will_be() -> None:
     assert 7 <= rows.mean() <= 13
     assert columns.mean() < 31
     assert (now[-1, 30:34] > 0).all()  # the road under the ego
-    # In 4 s it has driven out of sight.
+    # It is out of sight after 4 s.
     later = semantic_bev(view_after(window, 4.0), rows=32, reach=32.0)
     assert (later == vehicle).sum() == 0
     still = later == now

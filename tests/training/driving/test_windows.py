@@ -52,7 +52,7 @@ def test_the_course_is_what_was_driven(windows: DrivingWindows) -> None:
     np.testing.assert_allclose(along, SPEED * PLAN_TIMES, rtol=0.01)
     np.testing.assert_allclose(poses_on(course, along)[:, :2], driven[:, :2], atol=0.06)
     np.testing.assert_allclose(poses_on(course, along)[:, 2], driven[:, 2], atol=0.03)
-    # Beyond the record it follows the route, evenly.
+    # It follows the route evenly beyond the record.
     np.testing.assert_allclose(np.linalg.norm(np.diff(course, axis=0), axis=1), SPACING, rtol=0.05)
 
 
@@ -66,7 +66,7 @@ def test_what_was_cut_off_is_drawn_anew(kept: bytes, folder: Path, windows: Driv
 def test_what_is_kept_and_damaged_is_named(folder: Path, windows: DrivingWindows) -> None:
     file = sorted(folder.glob(f"*{KEPT}"))[0]
     whole = file.read_bytes()
-    # In an array, and in its name in the directory, which stands at the end.
+    # Damage in an array, and in its name in the directory at the end.
     for place, found in ((200, "Bad CRC"), (whole.rindex(b"bev.npy"), "header b'bev.npy' differ")):
         file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
         with pytest.raises(LogError, match=f"{file}: file: expected an .npz .*, found .*{found}"):

@@ -181,7 +181,7 @@ def test_boxes_are_matched_at_the_least_cost() -> None:
     states = torch.tensor([[6.0, 0, 0, 4, 2], [10.0, 0, -3.1, 4, 2], [50.0, 0, 0, 4, 2]])
     both = torch.stack([states, states.flip(0)])
     found = match(both, torch.zeros(2, 3), boxes.expand(2, 2, 5), torch.tensor([2, 1]))
-    # In the other scene the second box is none: the first goes to the query nearest to it.
+    # The other scene has one box, matched to the nearest query.
     assert set(zip(*(each.tolist() for each in found), strict=True)) == {
         (0, 0, 0),
         (0, 1, 1),
@@ -243,7 +243,7 @@ def test_rewards_may_learn_of_anchors_as_they_are_moved() -> None:
     assert terms["simulation"].isfinite()
     with torch.no_grad():
         answer = model.score(*_context(model, given))["trajectories"]
-    # In the order in which anchors are taken, left for right, and once at rest at rest.
+    # Judged poses follow the order of the taken anchors, mirrored; a stop stays a stop.
     reflected = asked[0] * given["signs"][:, None, None]
     apart = torch.cdist(reflected.flatten(2), answer.flatten(2))
     assert apart.amin(-1).max() < 1e-5

@@ -116,7 +116,7 @@ def test_what_is_kept_and_damaged_is_made_anew_or_named(logs: list[Path]) -> Non
 
 
 def test_a_log_that_was_cut_off_is_named(logs: list[Path], tmp_path: Path) -> None:
-    """By the process that meets it."""
+    """The process that reads it names it."""
     log = tmp_path / "cut.npz"
     log.write_bytes(logs[0].read_bytes()[:-100])
     with pytest.raises(LogError, match=r"cut\.npz: file: expected an \.npz of arrays"):

@@ -32,7 +32,7 @@ def test_each_displacement_has_the_product_of_its_cells() -> None:
 
 
 class Struck(nn.Module):
-    """What was struck, told on every channel."""
+    """A sweep's hits on every channel."""
 
     def __init__(self, stride: int) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What is driven by who follows a trajectory, beside the controller that it stands for."""
+"""The rollout of a tracked trajectory, compared with the PDM score's controller."""
 
 from __future__ import annotations
 
