@@ -67,8 +67,7 @@ def loss_of(objective: nn.Module, batch: dict[str, Tensor], seed: int = 0) -> Te
 
 def direct(gain: Gain, schedule: tuple[float, ...], **options: Any) -> DirectObjective:
     model: nn.Module = LinearFlow(gain)
-    return DirectObjective(model, schedule=schedule, weights=WEIGHTS, **options)  # type:
-    ignore[arg - type]
+    return DirectObjective(model, schedule=schedule, weights=WEIGHTS, **options)  # type: ignore[arg - type]
 
 
 @pytest.mark.parametrize(
