@@ -89,7 +89,7 @@ _SIZE = Interval(1, 2**31)
 
 
 def describe(value: Any) -> str:
-    """What came, in the words of JSON and short enough for a message."""
+    """Return a short description of a value in JSON's words, for a message."""
     match value:
         case None:
             return "null"
@@ -114,38 +114,43 @@ def describe(value: Any) -> str:
 
 
 def expected(field: str, what: str, value: Any) -> InvalidRequest:
-    """The refusal that says what was expected in `field` and what came."""
+    """Return the error that says what was expected in `field` and what came."""
     return InvalidRequest(f"expected {what}, got {describe(value)}", field)
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a JSON number; a boolean is none, although Python counts it as an int."""
+    """Return whether it is a JSON number; a boolean is not, although it is an int in Python."""
     return is_number_type(type(value))
 
 
 def is_number_type(kind: type) -> bool:
-    """The same of a type."""
+    """Return whether values of this type are JSON numbers."""
     return issubclass(kind, _NUMBERS) and not issubclass(kind, bool)
 
 
 def as_array(value: Any, field: str, dtype: DTypeLike | None = None) -> NDArray[Any]:
-    """What numpy makes of what a Python caller holds; numbers beyond `dtype` become infinite."""
+    """Convert a Python caller's value with numpy; numbers beyond `dtype` become infinite."""
     try:
         with np.errstate(over="ignore"):
             return np.asarray(value, dtype)
-    except (TypeError, ValueError, OverflowError, RuntimeError) as error:  # of other libraries too
+    except (
+        TypeError,
+        ValueError,
+        OverflowError,
+        RuntimeError,
+    ) as error:  # other libraries raise these
         raise InvalidRequest(f"expected an array of numbers, got none: {error}", field) from error
 
 
 def number(value: Any, field: str, interval: Interval) -> float:
-    """A finite number inside `interval`."""
+    """Return a finite number inside `interval`."""
     if not is_number(value) or not interval.holds(value):
         raise expected(field, f"a number {interval}", value)
     return float(value)
 
 
 def integer(value: Any, field: str, interval: Interval) -> int:
-    """A whole number inside `interval`, written without a fraction."""
+    """Return a whole number inside `interval`; 64.0 is refused."""
     whole = isinstance(value, _WHOLE_NUMBERS) and not isinstance(value, bool)
     # Python's own comparison: numpy would round the ends of a 63-bit interval to float64.
     if not whole or not interval.low <= value <= interval.high:
@@ -154,14 +159,14 @@ def integer(value: Any, field: str, interval: Interval) -> int:
 
 
 def boolean(value: Any, field: str) -> bool:
-    """true or false, and nothing that merely behaves like it."""
+    """Return a boolean; 0 and 1 are refused."""
     if not isinstance(value, bool | np.bool_):
         raise expected(field, "true or false", value)
     return bool(value)
 
 
 def text(value: Any, field: str) -> str:
-    """A short string of printable ASCII, which every header can carry."""
+    """Return a short string of printable ASCII, which every header can carry."""
     if not isinstance(value, str):
         raise expected(field, "a string", value)
     if not 1 <= len(value) <= MAX_TEXT_LENGTH or not (value.isascii() and value.isprintable()):
@@ -170,7 +175,7 @@ def text(value: Any, field: str) -> str:
 
 
 def choice(value: Any, field: str, options: Collection[str]) -> str:
-    """One of the strings in `options`."""
+    """Return one of the strings in `options`."""
     if not isinstance(value, str) or value not in options:
         raise expected(field, "one of " + ", ".join(options), value)
     return value
@@ -179,9 +184,9 @@ def choice(value: Any, field: str, options: Collection[str]) -> str:
 def fields_of(
     value: Any, path: str, known: Collection[str], required: Collection[str] = ()
 ) -> Mapping[str, Any]:
-    """A JSON object with all `required` fields and no field outside `known`.
+    """Return a JSON object that has all `required` fields and no field outside `known`.
 
-    `path` is the object's own JSON path, empty for the body.
+    path: of the object itself, empty for the body
     """
     if not isinstance(value, _OBJECTS):
         raise expected(path or "body", "an object", value)
@@ -199,9 +204,7 @@ def fields_of(
 
 
 def _sendable(name: str) -> str:
-    """Short, seen even if empty, and without lone surrogates, which JSON smuggles in and UTF-8
-    cannot carry.
-    """
+    """Shorten a name for a message; JSON may hold lone surrogates, which UTF-8 cannot encode."""
     return name[:MAX_TEXT_LENGTH].encode("utf-8", "backslashreplace").decode() or '""'
 
 
@@ -211,13 +214,13 @@ def _did_you_mean(name: str, known: Collection[str]) -> str:
 
 
 def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[np.float64]:
-    """A new float64 array of finite numbers inside `interval`.
+    """Return a new float64 array of finite numbers inside `interval`.
 
     Args:
-        value: nested lists, or anything that numpy takes for an array of numbers.
+        value: nested lists, {"dtype", "shape", "base64"}, or what numpy converts to an array.
         field: JSON path for the message.
-        interval: what each number may be.
-        shape: the shapes that the caller will accept, for the message.
+        interval: the range of each number.
+        shape: the shapes that the caller accepts, for the message.
 
     Raises:
         InvalidRequest: ragged, too deep, not numbers, not finite or out of range.
@@ -265,9 +268,9 @@ def bytes_of_base64(value: Any, field: str) -> bytes:
 
 
 def within(array: Array, field: str, interval: Interval, *, part: slice | None = None) -> Array:
-    """The array itself. Raises `InvalidRequest` for the first number outside the interval.
+    """Return the array. Raises `InvalidRequest` for the first number outside the interval.
 
-    part: the columns that are held against it; None: all numbers
+    part: the columns to check; None for all
     """
     held = array if part is None else array[..., part]
     if interval.holds_all(held):
@@ -282,14 +285,14 @@ def within(array: Array, field: str, interval: Interval, *, part: slice | None =
 def first_refused(
     array: NDArray[Any], refused: NDArray[np.bool_], field: str, what: str
 ) -> InvalidRequest:
-    """The refusal of the first of an array's numbers that is `refused`, with its place."""
+    """Return the error for the first of an array's numbers that is `refused`."""
     index = int(refused.argmax())
     came = f"{describe(array.flat[index])} at {field}{_place(index, array.shape)}"
     return InvalidRequest(f"expected {what}, got {came}", field)
 
 
 def vectors(value: Any, field: str, interval: Interval, *sizes: int) -> NDArray[np.float64]:
-    """One vector [size] or a batch of them [B,size], of one of the sizes."""
+    """Return one vector [size] or a batch of them [B,size], of one of the sizes."""
     shape = ", ".join(map(vector_shape, sizes))
     array = numbers(value, field, interval, shape)
     if array.ndim not in (1, 2) or array.shape[-1] not in sizes:
@@ -298,17 +301,17 @@ def vectors(value: Any, field: str, interval: Interval, *sizes: int) -> NDArray[
 
 
 def vector_shape(size: int) -> str:
-    """The shapes that a field of vectors may have, for a message."""
+    """Return the shapes that a field of vectors may have, for a message."""
     return f"[{size}] or [B,{size}]"
 
 
 def wrong_shape(field: str, shape: str, array: NDArray[Any]) -> InvalidRequest:
-    """The refusal of an array by its shape."""
+    """Return the error for an array of a wrong shape."""
     return InvalidRequest(f"expected shape {shape}, got {list(array.shape)}", field)
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """The array where it cannot be written through, else such a view of it."""
+    """Return the array, or a read-only view of it if it is writable."""
     if not array.flags.writeable:
         return array
     view = array.view()
@@ -317,18 +320,18 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def frozen(array: Array) -> Array:
-    """The array itself, to which nobody writes any more."""
+    """Make the array read-only and return it."""
     array.flags.writeable = False
     return array
 
 
 def unshared(array: NDArray[Any]) -> NDArray[Any]:
-    """The array itself where nobody can write to its memory, else a copy that nobody can."""
+    """Return the array if its memory cannot change, else a read-only copy."""
     return array if _is_constant(array) else frozen(array.copy())
 
 
 def _is_constant(memory: Any) -> bool:
-    """Whether nobody can write to it: a read-only view may be one of an array that changes."""
+    """Return whether memory cannot change; a read-only view may be of a writable array."""
     match memory:
         case np.ndarray():
             return not memory.flags.writeable and _is_constant(memory.base)
@@ -360,7 +363,7 @@ def _from_lists(value: Any, field: str, shape: str) -> NDArray[np.float64]:
 
 
 def _common_length(items: list[Any], sizes: list[int], field: str, shape: str) -> int:
-    """The length that all lists of one level share."""
+    """Return the length of all lists of one level. Raises `InvalidRequest` if they differ."""
     if len(sizes) == MAX_DIMENSIONS:
         raise InvalidRequest(f"expected shape {shape}, got deeper lists", field)
     if not all(issubclass(kind, _SEQUENCES) for kind in set(map(type, items))):

@@ -1,4 +1,4 @@
-"""The cost map: what the robot knows of the space around it."""
+"""The cost map: a grid of costs around the robot."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class CostMap:
     """
 
     data: NDArray[np.float32]
-    """[B,C,H,W] in [0, 1]; [C,H,W] where it stands alone, outside a request."""
+    """[B,C,H,W] in [0, 1]; [C,H,W] if it is not part of a request."""
     resolution: float
     """m/cell."""
     origin: NDArray[np.float64]
@@ -65,7 +65,7 @@ class CostMap:
 
     @classmethod
     def from_fields(cls, value: Any) -> CostMap:
-        """The same out of the JSON object, or out of another CostMap, which is checked again."""
+        """Check the JSON object, or another CostMap again."""
         if isinstance(value, CostMap):
             return cls.build(value.data, value.resolution, value.origin)
         known, required = COST_MAP.fields, COST_MAP.required_fields
@@ -82,12 +82,12 @@ class CostMap:
         return np.array(self._bounds).reshape(2, 2)
 
     def contains(self, x: float, y: float) -> bool:
-        """Whether a point in m lies on the map, its border included."""
+        """Return whether a point in m lies on the map, border included."""
         x_low, y_low, x_high, y_high = self._bounds
         return x_low <= x <= x_high and y_low <= y <= y_high
 
     def cell_of(self, x: float, y: float) -> tuple[int, int]:
-        """(row, column) of the cell that holds a point in m; the nearest to one outside."""
+        """Return (row, column) of the cell at a point in m, or of the nearest cell to it."""
         x_low, y_low, x_high, y_high = self._bounds
         height, width = self.data.shape[-2:]
         column = (min(max(x, x_low), x_high) - x_low) / self.resolution
@@ -96,7 +96,7 @@ class CostMap:
 
     @property
     def _bounds(self) -> tuple[float, float, float, float]:
-        """x and y [m] of the lower corner, then of the upper one."""
+        """x and y of the lower corner in m, then of the upper one."""
         (x, y), (height, width) = self.origin.tolist(), self.data.shape[-2:]
         return x, y, x + self.resolution * width, y + self.resolution * height
 

@@ -1,6 +1,6 @@
-"""Named inputs: what planners without a cost map are asked with, as tensors, images and texts.
+"""Named inputs of planners without a cost map: tensors, pictures and texts.
 
-A request carries them as they came; they are held against the card once it is known, in `bind`.
+A request carries them as received; `bind` checks them against the card of the model.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ TEXT = "text"
 IMAGE_FORMATS = ("png", "jpeg")
 INT64 = Interval(-(2**63), 2**63 - 1)
 EXACT = 2.0**53
-"""From which on float64 does not hold every whole number."""
+"""From here on float64 does not hold every whole number."""
 
 
 @dataclass(frozen=True)
 class EncodedImage:
-    """A picture as a camera or a file gives it; the service decodes it to uint8 [3,H,W], RGB."""
+    """A picture file's bytes; the service decodes them to uint8 [3,H,W], RGB."""
 
     format: str
     """"png" or "jpeg"."""
     data: bytes
 
     def __post_init__(self) -> None:
-        """Raises `InvalidRequest` where the format is none of the two, or the data no bytes."""
+        """Check the format and the data. Raises `InvalidRequest`."""
         choice(self.format, "format", IMAGE_FORMATS)
         try:
             memoryview(self.data)
@@ -60,51 +60,58 @@ class EncodedImage:
 
 
 Input: TypeAlias = NDArray[Any] | EncodedImage
-"""An array of numbers, an array of `str` objects, or a picture that is not decoded yet."""
+"""An array of numbers, an array of `str` objects, or a picture that is not yet decoded."""
 Inputs: TypeAlias = Mapping[str, Input]
 
 
 def read_inputs(value: Any) -> Inputs:
-    """Inputs by name out of untrusted JSON, or out of what a Python caller holds.
+    """Read inputs by name from untrusted JSON, or from a Python caller.
 
     Args:
         value: by name: an array, nested lists of numbers, {"dtype", "shape", "base64"},
-            {"png" or "jpeg": base64}, an `EncodedImage`, a string or a list of strings; None stands
-            for one that is left out.
+            {"png" or "jpeg": base64}, an `EncodedImage`, a string or a list of strings; None leaves
+            the input out.
 
     Raises:
         InvalidRequest: names inputs.NAME.
     """
     if not isinstance(value, Mapping):
         raise expected("inputs", "an object of inputs by name", value)
-    return {
-        text(name, "inputs"): _filled(_read(name, each), f"inputs.{name}")
-        for name, each in value.items()
-        if each is not None
+    read = {
+        text(name, "inputs"): _read(name, each) for name, each in value.items() if each is not None
     }
+    for name, each in read.items():
+        if isinstance(each, np.ndarray) and not each.size:
+            raise expected(f"inputs.{name}", "no axis of size 0", each)
+    return read
 
 
 def texts(values: Sequence[str], field: str, shape: Sequence[int]) -> NDArray[Any]:
-    """An array of `str` objects. Raises `InvalidRequest` for one that is too long."""
+    """Return an array of `str` objects. Raises `InvalidRequest` if one is too long."""
     for value in values:
         if len(value) > MAX_INPUT_TEXT_LENGTH:
             most = f"a text of at most {MAX_INPUT_TEXT_LENGTH} characters"
             raise InvalidRequest(f"expected {most}, got {len(value)}", field)
-        if not _encodable(value):
-            raise InvalidRequest("expected text that UTF-8 can carry, got lone surrogates", field)
+        try:
+            value.encode()
+        except UnicodeEncodeError as error:
+            message = "expected text that UTF-8 can carry, got lone surrogates"
+            raise InvalidRequest(message, field) from error
     array = np.empty(len(values), dtype=object)
     array[:] = values
     return read_only(array.reshape(shape))
 
 
 def exact_numbers(value: Any, field: str, shape: str) -> NDArray[Any]:
-    """Nested lists as float64; as int64 where all are whole and float64 would round one.
+    """Return nested lists as float64, or as int64 if all are whole and float64 would round one.
 
     shape: for the message
 
     Raises:
         InvalidRequest: as `numbers`.
     """
+    if isinstance(value, Mapping):
+        raise expected(field, f"a list of numbers of shape {shape}", value)
     array = numbers(value, field, EVERY_NUMBER, shape)
     if np.abs(array).max(initial=0.0) < EXACT:
         return array
@@ -115,10 +122,10 @@ def exact_numbers(value: Any, field: str, shape: str) -> NDArray[Any]:
 
 
 def bind(inputs: Inputs, specs: Sequence[TensorSpec]) -> tuple[Inputs, int, bool]:
-    """Inputs held against a card: each [B,…] of its card's dtype, B, and whether one was batched.
+    """Check inputs against a card: return each as [B,…] in the card's dtype, B, and `batched`.
 
     Raises:
-        InvalidRequest: names inputs.NAME: it is missing and not optional, unknown, or of another
+        InvalidRequest: names inputs.NAME, which is missing and not optional, unknown, or of another
             dtype, shape or range than the card's.
     """
     needed = [spec.name for spec in specs if not spec.optional]
@@ -163,15 +170,8 @@ def _read(name: str, value: Any) -> Input:
             return read_only(exact_numbers(value, field, "numbers"))
 
 
-def _filled(value: Input, field: str) -> Input:
-    """The input itself; one without a number is refused, as on every wire."""
-    if isinstance(value, np.ndarray) and not value.size:
-        raise expected(field, "no axis of size 0", value)
-    return value
-
-
 def _own_array(array: NDArray[Any], field: str) -> NDArray[Any]:
-    """A caller's array; where he could still write to it, a copy."""
+    """Return a caller's array, or a copy if the caller could still write to it."""
     if array.dtype.kind in "UO":
         if not all(isinstance(each, str) for each in array.flat):
             raise expected(field, "numbers or texts", array)
@@ -184,7 +184,7 @@ def _own_array(array: NDArray[Any], field: str) -> NDArray[Any]:
 
 
 def _widened(array: NDArray[Any], field: str) -> NDArray[Any]:
-    """Numbers of a type that the wire lacks in one that it has; nothing is lost of them."""
+    """Convert numbers to a type of the wire that holds each of them exactly."""
     if array.dtype.kind in "iu":
         wider = np.dtype(np.int64)
     else:
@@ -203,7 +203,7 @@ def _read_object(value: Mapping[str, Any], field: str) -> Input:
 
 
 def _typed(value: Input, spec: TensorSpec, field: str) -> NDArray[Any]:
-    """The input in its card's dtype; only what nothing is lost of is converted."""
+    """Return the input in its card's dtype; only exact conversions are allowed."""
     if isinstance(value, EncodedImage):
         raise expected(field, f"{spec.dtype}; no picture is decoded here", value)
     if spec.dtype == TEXT or value.dtype.kind == "O":
@@ -214,7 +214,7 @@ def _typed(value: Input, spec: TensorSpec, field: str) -> NDArray[Any]:
     dtype = np.dtype(spec.dtype)
     if value.dtype == dtype:
         return value
-    # Numbers written as JSON have no type of their own.
+    # Numbers in JSON have no type.
     if value.dtype.kind in "if" and value.dtype.itemsize == 8:
         with np.errstate(all="ignore"):
             cast = value.astype(dtype)
@@ -229,7 +229,7 @@ def _typed(value: Input, spec: TensorSpec, field: str) -> NDArray[Any]:
 def _shaped(
     array: NDArray[Any], spec: TensorSpec, field: str, sizes: dict[str, tuple[int, str]]
 ) -> NDArray[Any]:
-    """The array, whose axes agree with the card's and with those seen before."""
+    """Check that the axes agree with the card's and with `sizes`, the axes of earlier inputs."""
     axes = spec.shape if array.ndim == len(spec.shape) else spec.shape[1:]
     if array.ndim != len(axes):
         raise expected(field, f"shape {_shape_of(spec)}", array)
@@ -251,14 +251,14 @@ def _in_range(array: NDArray[Any], spec: TensorSpec, field: str) -> NDArray[Any]
     low, high = spec.range or (None, None)
     least = -math.inf if low is None else low
     most = math.inf if high is None else high
-    if array.dtype.kind == "f":  # finite, where the card says nothing else
+    if array.dtype.kind == "f":  # finite, if the card has no tighter range
         largest = float(np.finfo(array.dtype).max)
         least, most = max(least, -largest), min(most, largest)
     return within(array, field, Interval(least, most, spec.unit))
 
 
 def _batched(array: NDArray[Any], spec: TensorSpec, num_scenes: int) -> NDArray[Any]:
-    """[B,…]; an input without a B axis is the same in every scene."""
+    """Return [B,…]; an input without a B axis is repeated for every scene."""
     if array.ndim < len(spec.shape):
         array = np.broadcast_to(array, (num_scenes, *array.shape))
     return read_only(array)
@@ -267,11 +267,3 @@ def _batched(array: NDArray[Any], spec: TensorSpec, num_scenes: int) -> NDArray[
 def _shape_of(spec: TensorSpec) -> str:
     one = ",".join(map(str, spec.shape[1:]))
     return f"[{one}] or [{spec.shape[0]},{one}]" if one else f"[] or [{spec.shape[0]}]"
-
-
-def _encodable(value: str) -> bool:
-    try:
-        value.encode()
-    except UnicodeEncodeError:
-        return False
-    return True

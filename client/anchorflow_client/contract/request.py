@@ -1,4 +1,4 @@
-"""The request: a map, a state, a goal, and what may be chosen."""
+"""The request: a map, a state and a goal, or named inputs, and what may be chosen."""
 
 from __future__ import annotations
 
@@ -48,49 +48,40 @@ class MapScenes:
 
     cost_map: CostMap
     x_curr: NDArray[np.float64]
-    """[B,3D] position in m, velocity within ±100 m/s, acceleration within ±100 m/s^2; D = 2, or 3
-    with heading."""
+    """[B,3D] position in m, velocity in m/s, acceleration in m/s^2; D = 2, or 3 with heading."""
     x_goal: NDArray[np.float64]
-    """[B,2D] position in m, velocity within ±100 m/s."""
+    """[B,2D] position in m, velocity in m/s."""
     w_style: NDArray[np.float64]
     """[B,3] safety, energy, smooth; sums to 1."""
 
     @property
     def dim(self) -> int:
         """D, components of a position: 2, or 3 with heading."""
-        return _dim_of(self.x_curr)
+        return self.x_curr.shape[-1] // STATE_FIELDS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 @with_rows(OPTIONS)
 class AnchorRequest:
-    """A request that holds together; None leaves a field to the model card. SI units."""
+    """A checked request; None leaves a field to the model card. SI units."""
 
     map_scenes: MapScenes | None = None
     """For a planner with a cost map, in the map's frame."""
     inputs: Inputs = field(default_factory=dict)
-    """For any other, by the names of its card's inputs; [B,…] once they are held against it."""
+    """For any other planner, by the names of its card; [B,…] once they are bound to the card."""
     outputs: tuple[str, ...] = ()
-    """Extras of the card that are sent along."""
     num_samples: int | None = None
-    """N, anchors a scene; of a fixed vocabulary the best N."""
     robot_radius: float | None = None
-    """m."""
     v_max: float | None = None
-    """m/s."""
     a_max: float | None = None
-    """m/s^2."""
     horizon_s: float | None = None
-    """s, of every anchor; None: the card's or, where that has none, each anchor's own."""
     model: str | None = None
     seed: int | None = None
     sampler: SamplerChoice | None = None
     refine: RefineChoice | None = None
     warm_start: WarmStart | None = None
     budget_ms: float | None = None
-    """Time left to the caller, counted from arrival."""
     robot_id: str | None = None
-    """Who asks: a newer request of the same robot takes the place of one that is not answered."""
     num_scenes: int = 1
     """B."""
     batched: bool = False
@@ -106,28 +97,28 @@ class AnchorRequest:
         x_goal: ArrayLike | None = None,
         **optional: Any,
     ) -> AnchorRequest:
-        """Check the fields of the JSON contract and bring them to their arrays.
+        """Check the fields of the JSON contract and convert them to arrays.
 
         Args:
-            cost_map: a CostMap, or {"data", "resolution", "origin"}; None for a planner that is
-                asked with `inputs`.
-            x_curr: [3D] or [B,3D]; its length says whether D is 2 or 3.
+            cost_map: a CostMap, or {"data", "resolution", "origin"}; None for a planner that
+                takes `inputs`.
+            x_curr: [3D] or [B,3D]; its length determines whether D is 2 or 3.
             x_goal: [2D] or [B,2D].
-            **optional: the further fields of this class, and w_style, a name of STYLES, [3] or
-                [B,3]; None stands for one that is left out.
+            **optional: the other fields of `fields.REQUEST`; None leaves one out.
 
         Raises:
             InvalidRequest: names the field by its JSON path, what was expected and what came.
         """
         on_map = {"cost_map": cost_map, "x_curr": x_curr, "x_goal": x_goal}
-        options = {
-            name: value
-            for name, value in fields_of(optional, "", OPTIONS).items()
-            if value is not None
-        }
+        fields_of(optional, "", OPTIONS)
+        options = {name: value for name, value in optional.items() if value is not None}
         inputs = read_inputs(options.pop("inputs", {}))
         if all(value is None for value in on_map.values()):
-            request = cls(inputs=_alone(inputs), **_options(options, dim=None))
+            if not inputs:
+                *first, last = MAP_FIELDS
+                either = f"{', '.join(first)} and {last}, or inputs"
+                raise InvalidRequest(f"expected {either}, got none of them", "body")
+            request = cls(inputs=inputs, **_options(options, dim=None))
         else:
             fields_of(on_map, "", MAP_FIELDS, MAP_FIELDS)
             style = options.pop("w_style", DEFAULT_STYLE)
@@ -139,24 +130,27 @@ class AnchorRequest:
                 batched=batched,
                 **_options(options, scenes.dim),
             )
-        _check_first_time(request)
+        schedule = request.sampler and request.sampler.schedule
+        if schedule and request.warm_start is None and schedule[0] != 0.0:
+            message = f"expected a first time of 0 without a warm start, got {schedule[0]:g}"
+            raise InvalidRequest(message, "sampler.schedule")
         return request
 
     @classmethod
     def from_fields(cls, body: Any) -> AnchorRequest:
-        """The same out of a parsed JSON body, from which fields may be missing or strange."""
+        """Build a request from parsed, untrusted JSON. Raises `InvalidRequest`."""
         return cls.build(**fields_of(body, "", REQUEST.fields))
 
     @property
     def on_map(self) -> MapScenes:
-        """The scenes of a planner with a cost map. Raises `InvalidRequest` where there are none."""
+        """The scenes of a planner with a cost map. Raises `InvalidRequest` if there are none."""
         if self.map_scenes is None:
             raise InvalidRequest("this field is required by a planner with a cost map", "cost_map")
         return self.map_scenes
 
     @property
     def cost_map(self) -> CostMap:
-        """Of `on_map`, as are the next three."""
+        """The cost map of `on_map`."""
         return self.on_map.cost_map
 
     @property
@@ -175,23 +169,19 @@ class AnchorRequest:
         return self.on_map.w_style
 
     def field_values(self) -> dict[str, Any]:
-        """All fields by name, not copied."""
+        """Return all fields by name, without a copy."""
         return dict(vars(self))
 
 
-def _dim_of(x_curr: NDArray[np.float64]) -> int:
-    """D of states [...,3D]."""
-    return x_curr.shape[-1] // STATE_FIELDS
-
-
 def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapScenes, bool]:
-    """The scenes, and whether any of the arrays was batched."""
+    """Return the scenes, and whether any of the arrays was batched."""
     cost_map = CostMap.from_fields(cost_map)
     x_curr = read_states(x_curr, "x_curr", STATE_FIELDS, *DIMENSIONS)
+    dim = x_curr.shape[-1] // STATE_FIELDS
     arrays = {
         "cost_map.data": cost_map.data,
         "x_curr": x_curr,
-        "x_goal": read_states(x_goal, "x_goal", GOAL_FIELDS, _dim_of(x_curr)),
+        "x_goal": read_states(x_goal, "x_goal", GOAL_FIELDS, dim),
         "w_style": _style(w_style),
     }
     batches = {name: len(array) for name, array in arrays.items() if array.ndim in (2, 4)}
@@ -206,14 +196,14 @@ def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapS
 
 
 def _over_scenes(array: NDArray[Any], num_scenes: int) -> NDArray[Any]:
-    """The same for every scene: [B,…] with a stride of 0."""
+    """Repeat an array for every scene: [B,…] with a stride of 0."""
     alone = array[None]
-    # broadcast_to asks more of numpy than is needed for the one scene that most requests have.
+    # broadcast_to is slower, and most requests have one scene.
     return alone if num_scenes == 1 else np.broadcast_to(alone, (num_scenes, *array.shape))
 
 
 def read_states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.float64]:
-    """One or a batch of position, velocity and so on to `parts` D-vectors, each in its range."""
+    """Read one or a batch of position, velocity and so on to `parts` D-vectors, D of `dims`."""
     states = vectors(value, field, EVERY_NUMBER, *(parts * dim for dim in dims))
     dim = states.shape[-1] // parts
     for part in range(parts):
@@ -222,7 +212,7 @@ def read_states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.fl
 
 
 def _common_num_scenes(batches: Mapping[str, int]) -> int:
-    """B of the batched fields, which must agree; 1 where none is batched."""
+    """Return the B on which the batched fields must agree; 1 if none is batched."""
     for name, size in batches.items():
         if not 1 <= size <= MAX_SCENES:
             raise InvalidRequest(f"expected B from 1 to {MAX_SCENES}, got {size}", name)
@@ -233,7 +223,7 @@ def _common_num_scenes(batches: Mapping[str, int]) -> int:
 
 
 def _style(value: Any) -> NDArray[np.float64]:
-    """Weights made to sum to 1; a name stands for those of its style."""
+    """Read weights, or the name of a style, and scale them to sum to 1."""
     if isinstance(value, str):
         if value not in STYLES:
             names = ", ".join(STYLES)
@@ -242,8 +232,7 @@ def _style(value: Any) -> NDArray[np.float64]:
     weights = vectors(value, "w_style", STYLE_WEIGHT, NUM_STYLE)
     rows: list[list[float]] = weights.reshape(-1, NUM_STYLE).tolist()
     if all(abs(safety + energy + smooth - 1) < 1e-12 for safety, energy, smooth in rows):
-        # They sum to 1 already and stay as they are: client and service agree to the bit.
-        return weights
+        return weights  # unchanged, so that client and service agree to the last bit
     total = weights.sum(axis=-1, keepdims=True)
     if not (total > 0).all():
         raise InvalidRequest("expected a weight above 0, got only zeros", "w_style")
@@ -251,52 +240,21 @@ def _style(value: Any) -> NDArray[np.float64]:
 
 
 def _check_on_free_cells(cost_map: CostMap, fields: Mapping[str, NDArray[np.float64]]) -> None:
-    """Refuse points [B,2] of a field off the map or in an occupied cell of their own scene."""
+    """Refuse points [B,2] off the map or in an occupied cell of their own scene."""
     occupancy = cost_map.occupancy
-    # One by one: two points are the rule, 128 the most.
     for name, points in fields.items():
         for scene, (x, y) in enumerate(points.tolist()):
+            position = f"({x:g}, {y:g}) m of scene {scene}"
             if not cost_map.contains(x, y):
-                raise InvalidRequest(f"{_on_map(cost_map)}, got {_position(x, y, scene)}", name)
+                (x_low, y_low), (x_high, y_high) = cost_map.extent
+                extent = f"x from {x_low:g} to {x_high:g} m and y from {y_low:g} to {y_high:g} m"
+                message = f"expected a position on the map ({extent}), got {position}"
+                raise InvalidRequest(message, name)
             row, column = cost_map.cell_of(x, y)
             if (came := occupancy[scene, row, column]) >= OCCUPIED:
-                raise InvalidRequest(
-                    f"expected a cell of occupancy below {OCCUPIED}, "
-                    f"got {_position(x, y, scene)} in cell [row {row}, column {column}] "
-                    f"of occupancy {came:.2g}",
-                    name,
-                )
-
-
-def _on_map(cost_map: CostMap) -> str:
-    (x_low, y_low), (x_high, y_high) = cost_map.extent
-    extent = f"x from {x_low:g} to {x_high:g} m and y from {y_low:g} to {y_high:g} m"
-    return f"expected a position on the map ({extent})"
-
-
-def _position(x: float, y: float, scene: int) -> str:
-    return f"({x:g}, {y:g}) m of scene {scene}"
-
-
-def _alone(inputs: Inputs) -> Inputs:
-    """The inputs of a request without a map, which has some."""
-    if not inputs:
-        *first, last = MAP_FIELDS
-        either = f"{', '.join(first)} and {last}, or inputs"
-        raise InvalidRequest(f"expected {either}, got none of them", "body")
-    return inputs
-
-
-def _options(options: Mapping[str, Any], dim: int | None) -> dict[str, Any]:
-    """Check the optional fields that need no scene beside D = `dim`; None: there is no state."""
-    if dim is None:
-        for name in ("w_style", "warm_start"):
-            if name in options:
-                raise InvalidRequest("expected none for a planner without a cost map", name)
-    readers = _READERS
-    if dim is not None and "warm_start" in options:
-        readers = readers | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
-    return {name: readers[name](value) for name, value in options.items()}
+                message = f"expected a cell of occupancy below {OCCUPIED}, got {position}"
+                cell = f"in cell [row {row}, column {column}] of occupancy {came:.2g}"
+                raise InvalidRequest(f"{message} {cell}", name)
 
 
 _READERS: dict[str, Callable[[Any], Any]] = {
@@ -306,9 +264,13 @@ _READERS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def _check_first_time(request: AnchorRequest) -> None:
-    """Without a warm start the flow begins in noise, at t = 0."""
-    schedule = request.sampler and request.sampler.schedule
-    if schedule and request.warm_start is None and schedule[0] != 0.0:
-        message = f"expected a first time of 0 without a warm start, got {schedule[0]:g}"
-        raise InvalidRequest(message, "sampler.schedule")
+def _options(options: Mapping[str, Any], dim: int | None) -> dict[str, Any]:
+    """Check the optional fields of a request; `dim` is None if it has no state."""
+    readers = _READERS
+    if dim is None:
+        for name in ("w_style", "warm_start"):
+            if name in options:
+                raise InvalidRequest("expected none for a planner without a cost map", name)
+    elif "warm_start" in options:
+        readers = readers | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
+    return {name: readers[name](value) for name, value in options.items()}
