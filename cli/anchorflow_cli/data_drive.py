@@ -10,7 +10,7 @@ from rich.progress import Progress
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import folder_option
-from anchorflow_driving.simulation.config import LogConfig
+from anchorflow_driving.simulation import LogConfig
 from anchorflow_trajectory.threads import usable_cores
 
 COOPERATIVE = "cooperative-vehicle-infrastructure"

@@ -10,8 +10,8 @@ import typer
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import file_option
+from anchorflow_driving.importers import Layout, layout_of
 from anchorflow_driving.importers.commonroad import import_commonroad
-from anchorflow_driving.importers.layouts import Layout, layout_of
 from anchorflow_driving.importers.navsim import import_navsim
 from anchorflow_driving.importers.nuscenes import import_nuscenes
 from anchorflow_driving.log import DrivingLog, write_log

@@ -25,7 +25,7 @@ from anchorflow_client.contract import (
 )
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
-from anchorflow_driving.sensors.by_name import check_inputs, draw_inputs
+from anchorflow_driving.sensors.inputs import check_inputs, draw_inputs
 from anchorflow_driving.window import Window
 
 Array = NDArray[np.float64]

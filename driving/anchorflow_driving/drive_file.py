@@ -19,10 +19,9 @@ from anchorflow_client.contract import TensorSpec
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.geometry import into_frame
-from anchorflow_driving.line_fields import line_fields
-from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, HISTORY_FRAMES, DrivingLog
+from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, HISTORY_FRAMES, DrivingLog, line_fields
 from anchorflow_driving.route import Route
-from anchorflow_driving.sensors.by_name import check_inputs, draw_inputs
+from anchorflow_driving.sensors.inputs import check_inputs, draw_inputs
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_driving.window_choice import command
 

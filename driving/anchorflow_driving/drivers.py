@@ -11,10 +11,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import wrap_angle
+from anchorflow_driving.geometry import out_of_frame, wrap_angle
 from anchorflow_driving.log import FRAME_S
-from anchorflow_driving.pdm.closed import pdm_closed
-from anchorflow_driving.pdm.traffic import seen_traffic
+from anchorflow_driving.pdm.collisions import boxes_touch
+from anchorflow_driving.pdm.pdm_closed import pdm_closed
+from anchorflow_driving.pdm.traffic import recorded_traffic, seen_traffic
 from anchorflow_driving.window import Window
 
 Array = NDArray[np.float64]
@@ -30,6 +31,8 @@ DENSE_TIMES: Array = np.arange(1, 41, dtype=np.float64) * FRAME_S
 BRAKING = 3.0  # m/s²
 SHARPEST_CURVATURE = 0.2  # 1/m
 RETURN_S = 3.0  # in which an offset from the route fades
+STANDING = 0.05
+"""m between two waypoints, at or below which a vehicle keeps its heading."""
 
 
 class Driver(Protocol):
@@ -87,3 +90,20 @@ DRIVERS: dict[str, Driver] = {
     "constant_velocity": constant_velocity,
     "stop": stop,
 }
+
+
+def collides(window: Window, waypoints: Array) -> bool:
+    """Whether the ego's box, untracked, overlaps a recorded one at any waypoint [T, 2], T <= 45."""
+    poses = np.concatenate([waypoints, waypoint_headings(waypoints)[:, None]], axis=-1)
+    traffic = recorded_traffic(window)
+    middles = traffic.vehicle.middles(out_of_frame(poses, traffic.start.pose))
+    return bool(boxes_touch(middles[None], traffic.vehicle, traffic.others)[0])
+
+
+def waypoint_headings(waypoints: Array) -> Array:
+    """[T] the course from each waypoint's predecessor; the first comes from the origin."""
+    step = np.diff(waypoints, axis=0, prepend=np.zeros((1, 2)))
+    moves = np.hypot(*step.T) > STANDING
+    # The last moving step up to each; index 0 stands for the ego's own heading.
+    last = np.maximum.accumulate(np.where(moves, np.arange(1, len(step) + 1), 0))
+    return np.concatenate([[0.0], np.arctan2(step[:, 1], step[:, 0])])[last]

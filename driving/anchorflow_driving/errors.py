@@ -41,3 +41,7 @@ class LogError(AnchorFlowError):
 
 class SensorError(AnchorFlowError):
     """A planner takes inputs that no log has, or plans poses that no log can judge."""
+
+
+class SimulationError(AnchorFlowError):
+    """SUMO failed; the message repeats its own."""

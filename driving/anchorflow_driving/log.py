@@ -7,7 +7,7 @@ offsets, the k-th being points[offsets[k]:offsets[k + 1]].
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
@@ -314,3 +314,12 @@ def _array(path: Path | str, field: str, file: Mapping[str, NDArray]) -> NDArray
 
 def _shape(axes: tuple[str | int, ...]) -> str:
     return f"[{', '.join(map(str, axes))}]"
+
+
+def line_fields(
+    name: str, lines: Sequence[NDArray[np.float64]], *, mirror: float = 1.0
+) -> dict[str, Any]:
+    """`NAME_points` and `NAME_offsets` of polylines [V, 2]; y is multiplied by `mirror`."""
+    offsets = np.cumsum([0, *(len(line) for line in lines)]).astype(np.int32)
+    points = np.concatenate([*lines, np.zeros((0, 2))]) * [1.0, mirror]
+    return {f"{name}_points": points.astype(np.float32), f"{name}_offsets": offsets}

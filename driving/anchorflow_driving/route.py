@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
 from anchorflow_driving.geometry import out_of_frame
 
 Array = NDArray[np.float64]
 
-SPACING = 0.5
+ROUTE_SPACING = 0.5
 """m between the points that a route is resampled to."""
 SAME_POINT = 1e-6
 """m from its predecessor, up to which a point of a route is left out."""
+SPACING = 0.25
+"""m between the points of a line."""
+LINE_SIGMA, ROUTE_SIGMA = 1.3, 1.5
+"""m, of the Gaussians over driven lines and over centrelines."""
+BLEND = 12.0
+"""m before and after a change of lanes that the route takes for it."""
+SIDESTEP = 1.0
+"""m between two frames that only a change of lanes explains, beyond what was driven."""
 
 
 def without_repeats(polyline: Array) -> Array:
@@ -33,7 +42,7 @@ class Route:
     def __init__(self, polyline: Array) -> None:
         kept = without_repeats(polyline)
         given = np.concatenate([[0.0], np.linalg.norm(np.diff(kept, axis=0), axis=1).cumsum()])
-        count = max(2, int(np.ceil(given[-1] / SPACING)) + 1)
+        count = max(2, int(np.ceil(given[-1] / ROUTE_SPACING)) + 1)
         self.arc_length = np.linspace(0.0, given[-1], count)
         self.points = np.stack([np.interp(self.arc_length, given, axis) for axis in kept.T], -1)
         self._edges = np.diff(self.points, axis=0)
@@ -75,3 +84,62 @@ class Route:
         x, y = (np.interp(arc_length, self.arc_length, axis) for axis in self.points.T)
         cos, sin = np.cos(heading), np.sin(heading)
         return np.stack([x + beyond * cos - left * sin, y + beyond * sin + left * cos, heading], -1)
+
+
+def smooth_line(points: Array, *, before: float = 0.0, sigma: float = LINE_SIGMA) -> Array:
+    """A polyline every SPACING m, smoothed by a Gaussian; it begins `before` m ahead of its first.
+
+    before: a multiple of SPACING
+
+    Its ends are led on straight, so that they stay where they are.
+    """
+    if len(points) < 2:
+        points = np.concatenate([points, points + np.array([1e-3, 0.0])])
+    lead = SPACING * np.ceil((before + 4 * sigma) / SPACING)
+    first = points[0] - (points[min(3, len(points) - 1)] - points[0])
+    towards = _unit(points[0] - first)
+    backwards, onwards = -towards, _unit(points[-1] - points[-2])
+    line = np.concatenate(
+        [points[:1] + lead * backwards, points, points[-1:] + 4 * sigma * onwards]
+    )
+    length = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
+    at = np.arange(0.0, length[-1], SPACING)
+    even = np.stack([np.interp(at, length, axis) for axis in line.T], -1)
+    smoothed = gaussian_filter1d(even, sigma / SPACING, axis=0, mode="nearest")
+    return smoothed[round((lead - before) / SPACING) :]
+
+
+def blended(points: Array, driven: Array) -> Array:
+    """A line without the points around sideways steps, so that it goes over gradually.
+
+    points: [V, 2], the first of which belong to where somebody drove [F, 2]
+    """
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    recorded = len(driven)
+    moved = np.linalg.norm(np.diff(driven, axis=0), axis=1)
+    allowed = np.full(len(steps), np.inf)
+    allowed[: recorded - 1] = moved + SIDESTEP
+    kept = np.ones(len(points), bool)
+    length = np.concatenate([[0.0], np.minimum(steps, allowed).cumsum()])
+    for jump in np.flatnonzero(steps > allowed):
+        kept &= np.abs(length - length[jump]) > BLEND
+    kept[[0, -1]] = True
+    return points[kept & np.append(True, steps > 1e-3)]
+
+
+def places_on(line: Array, points: Array) -> Array:
+    """Where on a line of SPACING each of some points lies, m.
+
+    Never backwards, so that a line which crosses itself cannot mislead.
+    """
+    place, places = 0, []
+    for point in points:
+        # Within what a vehicle may drive in a frame, and some.
+        near = line[place : place + 40]
+        place += int(np.linalg.norm(near - point, axis=1).argmin())
+        places.append(place * SPACING)
+    return np.array(places)
+
+
+def _unit(step: Array) -> Array:
+    return step / max(float(np.hypot(*step)), 1e-9)

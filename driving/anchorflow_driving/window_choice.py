@@ -12,7 +12,6 @@ from scipy.spatial import KDTree
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.geometry import box_corners, boxes_overlap
-from anchorflow_driving.line_fields import line_fields
 from anchorflow_driving.log import (
     COMMANDS,
     FRAME_S,
@@ -20,9 +19,10 @@ from anchorflow_driving.log import (
     HISTORY_FRAMES,
     VEHICLE,
     DrivingLog,
+    line_fields,
 )
-from anchorflow_driving.pdm.rating import rate
 from anchorflow_driving.pdm.score import tracked
+from anchorflow_driving.pdm.sub_scores import rate
 from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.road import DrivableGrid
 from anchorflow_driving.window import Scenes, Window

@@ -21,7 +21,7 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.geometry import into_frame, out_of_frame
 from anchorflow_driving.log import COMMANDS, write_log
 from anchorflow_driving.sensors.bev import draw_bev
-from anchorflow_driving.sensors.status import status_of
+from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES
+from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, collides
 from anchorflow_driving.log import DrivingLog
-from anchorflow_driving.pdm.closed import idm_acceleration
-from anchorflow_driving.waypoints import collides
+from anchorflow_driving.pdm.pdm_closed import idm_acceleration
 from anchorflow_driving.window import Scenes, Window
 
 OnStreet = Callable[..., Window]

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from anchorflow_driving.drivers import waypoint_headings
 from anchorflow_driving.geometry import (
     box_corners,
     boxes_overlap,
@@ -19,7 +20,6 @@ from anchorflow_driving.geometry import (
 )
 from anchorflow_driving.road import TILE, DrivableGrid, cells_inside
 from anchorflow_driving.route import Route
-from anchorflow_driving.waypoints import waypoint_headings
 
 numbers = st.floats(-50, 50)
 poses = st.tuples(numbers, numbers, st.floats(-7, 7)).map(np.array)

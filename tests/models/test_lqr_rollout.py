@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from anchorflow_driving.pdm.tracker import interpolate, track
+from anchorflow_driving.pdm.lqr_rollout import interpolate, track
 from anchorflow_driving.window import WHEELBASE as OF_NAVSIM
 from anchorflow_driving.window import EgoState
 from anchorflow_models.goalflow.kinematics import roll_out

@@ -12,7 +12,7 @@ import torch
 from small_v2x import IMAGE_SIZE, small_sizes, small_v2x
 from torch import Tensor
 
-from anchorflow_driving.waypoints import waypoint_headings
+from anchorflow_driving.drivers import waypoint_headings
 from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig, create_v2x_vlm
 from anchorflow_models.v2x_vlm.network import (
     alignment,

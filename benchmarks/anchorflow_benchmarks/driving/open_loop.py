@@ -23,11 +23,17 @@ from anchorflow_benchmarks.planners import CARD
 from anchorflow_benchmarks.report import ResultTable, Row, progress, record, report, say
 from anchorflow_cli.options import folder_option
 from anchorflow_driving.bundle_driver import BundleDriver, WindowProposals
-from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, Driver
+from anchorflow_driving.drivers import (
+    DENSE_TIMES,
+    DRIVERS,
+    PLAN_TIMES,
+    WAYPOINT_TIMES,
+    Driver,
+    collides,
+)
 from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog, read_logs
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
-from anchorflow_driving.waypoints import collides
 from anchorflow_driving.window import Scenes, Window
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.contours import union_rings
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.importers.entries import Entry
+from anchorflow_driving.importers.fields import Entry
 from anchorflow_driving.importers.recording import (
     Lane,
     RoadMap,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anchorflow_driving.geometry import wrap_angle
-from anchorflow_driving.lines import ROUTE_SIGMA, blended, places_on, smooth_line
 from anchorflow_driving.log import VEHICLE, DrivingLog
+from anchorflow_driving.route import ROUTE_SIGMA, blended, places_on, smooth_line
 from anchorflow_driving.window_choice import Driven
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.geometry import ahead_of
-from anchorflow_driving.importers.entries import Entry, by_token
+from anchorflow_driving.importers.fields import Entry, by_token
 from anchorflow_driving.importers.nuscenes_map import read_map
 from anchorflow_driving.importers.recording import (
     Track,

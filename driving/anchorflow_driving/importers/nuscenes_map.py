@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.contours import keyholed, union_rings
-from anchorflow_driving.importers.entries import Entry, by_token
+from anchorflow_driving.importers.fields import Entry, by_token
 from anchorflow_driving.importers.recording import Lane, RoadMap, is_near
 
 Array = NDArray[np.float64]

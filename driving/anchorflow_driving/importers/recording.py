@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.importers.lane_following import LaneFollowing
-from anchorflow_driving.line_fields import line_fields
-from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog
+from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog, line_fields
 from anchorflow_driving.window_choice import all_windows
 
 Array = NDArray[np.float64]

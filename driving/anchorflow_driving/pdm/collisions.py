@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import Array, ahead_of, box_corners, boxes_overlap, wrap_angle
 from anchorflow_driving.log import FRAME_S, STATIC
-from anchorflow_driving.pdm.tracker import Motion
+from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.pdm.traffic import Others, Traffic
 from anchorflow_driving.road import Road
 from anchorflow_driving.window import Vehicle

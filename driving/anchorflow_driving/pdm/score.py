@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import out_of_frame
-from anchorflow_driving.pdm.closed import PdmClosed, pdm_closed
-from anchorflow_driving.pdm.direction import metres_against
-from anchorflow_driving.pdm.rating import SUB_SCORES, PdmScores, rate
-from anchorflow_driving.pdm.tracker import Motion, interpolate, track
+from anchorflow_driving.pdm.lqr_rollout import Motion, interpolate, track
+from anchorflow_driving.pdm.pdm_closed import PdmClosed, pdm_closed
+from anchorflow_driving.pdm.sub_scores import SUB_SCORES, PdmScores, metres_against, rate
 from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.window import EgoState, Vehicle, Window
 

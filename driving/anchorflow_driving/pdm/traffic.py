@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.log import FRAME_S
-from anchorflow_driving.pdm.tracker import STEPS
+from anchorflow_driving.pdm.lqr_rollout import STEPS
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
 from anchorflow_driving.window import EgoState, PlannerView, Vehicle, Window

@@ -4,12 +4,13 @@ and whoever stands farther ahead than a LiDAR's square reaches.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import wrap_angle
-from anchorflow_driving.log import VEHICLE
-from anchorflow_driving.sensors.solids import Solids, solids
+from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE
 from anchorflow_driving.window import PlannerView
 
 Boxes = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]
@@ -19,6 +20,12 @@ RANGE_M = 32.0
 FAR_OTHERS = 48
 FAR_AHEAD_M, FAR_ASIDE_M = (26.0, 78.0), 26.0
 """Between which x, and up to which y, the middles of those lie that are far ahead."""
+Array = NDArray[np.float64]
+
+HEIGHT = {VEHICLE: 1.55, PEDESTRIAN: 1.72, CYCLIST: 1.65, STATIC: 0.9}
+"""m"""
+LONG_VEHICLE, TALL = 6.0, 3.0
+"""m; vehicles longer than the first are as high as the second."""
 
 
 def nearest_agents(view: PlannerView) -> Boxes:
@@ -53,3 +60,25 @@ def _boxes(view: PlannerView, others: Solids, seen: NDArray[np.bool_], *, most: 
     boxes[: len(order), 3:] = others.size[order, :2]
     velocity[: len(order)] = view.tracks[others.track[order], -1, 3:]
     return boxes, velocity, np.arange(most) < len(order)
+
+
+@dataclass(frozen=True)
+class Solids:
+    """M boxes that stand on the ground."""
+
+    poses: Array  # [M, 3] of the middles, in the frame of the ego's rear axle
+    size: Array  # [M, 3] length, width, height
+    kind: NDArray[np.uint8]  # [M]
+    track: NDArray[np.int_]  # [M]
+
+
+def solids(view: PlannerView, *, reach: float, with_ego: bool = False) -> Solids:
+    """Who is there now, within `reach` m of the ego's rear axle."""
+    now = view.tracks[:, -1]
+    near = np.linalg.norm(now[:, :2], axis=1) < reach  # not of NaN
+    near[view.ego] = with_ego
+    track = np.flatnonzero(near)
+    kind, flat = view.track_type[track], view.track_size[track]
+    height = np.array([HEIGHT[each] for each in kind.tolist()])
+    height[(kind == VEHICLE) & (flat[:, 0] > LONG_VEHICLE)] = TALL
+    return Solids(now[track, :3], np.column_stack([flat, height]), kind, track)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from anchorflow_client.sensors import LIDAR_BEFORE_S, lidar_histogram
 from anchorflow_driving.geometry import ahead_of, into_frame, states_into_frame
 from anchorflow_driving.log import FRAME_S
-from anchorflow_driving.sensors.solids import solids
+from anchorflow_driving.sensors.agents import solids
 from anchorflow_driving.window import PlannerView
 
 Array = NDArray[np.float64]

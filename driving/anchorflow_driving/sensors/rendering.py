@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_driving.log import VEHICLE
 from anchorflow_driving.road import Road
+from anchorflow_driving.sensors.agents import Solids, solids
 from anchorflow_driving.sensors.ground import GroundPicture, paint_ground
-from anchorflow_driving.sensors.solids import Solids, solids
 from anchorflow_driving.window import PlannerView
 
 Array = NDArray[np.float64]

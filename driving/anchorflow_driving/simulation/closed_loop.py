@@ -13,30 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
-from anchorflow_driving.lines import ROUTE_SIGMA, SPACING, smooth_line
+from anchorflow_driving.errors import SimulationError
 from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, SIMULATED, VEHICLE, DrivingLog
 from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
+from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.pdm.score import tracked
-from anchorflow_driving.pdm.tracker import Motion
 from anchorflow_driving.pdm.traffic import Others, Traffic
 from anchorflow_driving.road import Road
-from anchorflow_driving.route import Route
+from anchorflow_driving.route import ROUTE_SIGMA, SPACING, Route, smooth_line
 from anchorflow_driving.simulation.demand import make_demand
-from anchorflow_driving.simulation.driven_log import DrivenLog
-from anchorflow_driving.simulation.driven_motion import (
+from anchorflow_driving.simulation.driven import (
+    DrivenLog,
+    RouteProgress,
     comfortable_stretches,
     first_steps,
     joined,
     state_after,
 )
-from anchorflow_driving.simulation.live_traffic import LiveTraffic, Seen
 from anchorflow_driving.simulation.road_net import RoadNet
-from anchorflow_driving.simulation.route_progress import RouteProgress
+from anchorflow_driving.simulation.roadside import all_that_stands
 from anchorflow_driving.simulation.routes import line_ahead
 from anchorflow_driving.simulation.simulated_log import NO_WINDOWS, map_fields
-from anchorflow_driving.simulation.standing import all_that_stands
 from anchorflow_driving.simulation.street_plan import make_net
-from anchorflow_driving.simulation.sumo_programs import SimulationError
+from anchorflow_driving.simulation.sumo_traffic import LiveTraffic, Seen
 from anchorflow_driving.window import (
     EgoState,
     PlannerView,

@@ -12,7 +12,7 @@ from typing import Any
 
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import SIMULATED, write_log
-from anchorflow_driving.simulation.config import LogConfig
+from anchorflow_driving.simulation import LogConfig
 from anchorflow_driving.simulation.simulated_log import simulate_log
 
 SUMMARY = "drive.json"

@@ -8,9 +8,9 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.lines import ROUTE_SIGMA, blended, places_on, smooth_line
-from anchorflow_driving.simulation.recording import VehicleRecord
+from anchorflow_driving.route import ROUTE_SIGMA, blended, places_on, smooth_line
 from anchorflow_driving.simulation.road_net import NetLane, RoadNet
+from anchorflow_driving.simulation.sumo_traffic import VehicleRecord
 
 Array = NDArray[np.float64]
 

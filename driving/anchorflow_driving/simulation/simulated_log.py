@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.line_fields import line_fields
+from anchorflow_driving.errors import SimulationError
 from anchorflow_driving.log import (
     FRAME_S,
     FUTURE_FRAMES,
@@ -20,18 +20,16 @@ from anchorflow_driving.log import (
     PEDESTRIAN,
     SIMULATED,
     DrivingLog,
+    line_fields,
 )
-from anchorflow_driving.simulation.config import LogConfig
-from anchorflow_driving.simulation.courses import person_states, vehicle_states
+from anchorflow_driving.simulation import LogConfig
 from anchorflow_driving.simulation.demand import make_demand
-from anchorflow_driving.simulation.deviations import deviating
-from anchorflow_driving.simulation.recording import Recording, VehicleRecord, as_array, record
 from anchorflow_driving.simulation.road_net import RoadNet
-from anchorflow_driving.simulation.roadside import roadside
+from anchorflow_driving.simulation.roadside import all_that_stands, roadside
 from anchorflow_driving.simulation.routes import followed_line
-from anchorflow_driving.simulation.standing import all_that_stands
 from anchorflow_driving.simulation.street_plan import ARTERIAL, QUARTER, make_net
-from anchorflow_driving.simulation.sumo_programs import SimulationError
+from anchorflow_driving.simulation.sumo_traffic import Recording, VehicleRecord, as_array, record
+from anchorflow_driving.simulation.vehicle_motion import deviating, person_states, vehicle_states
 from anchorflow_driving.window_choice import Driven, choose_windows
 
 Array = NDArray[np.float64]

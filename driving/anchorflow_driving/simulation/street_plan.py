@@ -7,15 +7,18 @@ they are.
 from __future__ import annotations
 
 import math
+import os
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import sumo
 from numpy.typing import NDArray
 
+from anchorflow_driving.errors import SimulationError
 from anchorflow_driving.simulation.road_net import offset
-from anchorflow_driving.simulation.sumo_programs import run_program
 
 Array = NDArray[np.float64]
 
@@ -25,6 +28,7 @@ PARKING_WIDTH = "2.70"
 """m"""
 LEAST_ROUNDABOUT_ANGLE = np.deg2rad(50.0)
 """Between two of its streets."""
+HOME = Path(sumo.SUMO_HOME)
 
 
 @dataclass
@@ -310,3 +314,20 @@ def _add_edge(
         ElementTree.SubElement(
             edge, "lane", {"index": "0", "disallow": "all", "width": PARKING_WIDTH}
         )
+
+
+def run_program(name: str, *arguments: str) -> None:
+    """Runs netgenerate or netconvert.
+
+    Raises:
+        SimulationError: it failed.
+    """
+    done = subprocess.run(
+        [str(HOME / "bin" / name), *arguments],
+        check=False,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "SUMO_HOME": str(HOME)},
+    )
+    if done.returncode:
+        raise SimulationError(f"{name}: {done.stderr.strip() or done.returncode}")

@@ -24,8 +24,8 @@ from anchorflow_driving.bundle_driver import BundleDriver, WindowProposals
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.pdm import PdmScorer, PdmScores
-from anchorflow_driving.pdm.tracker import Motion
-from anchorflow_driving.sensors.by_name import SENSORS
+from anchorflow_driving.pdm.lqr_rollout import Motion
+from anchorflow_driving.sensors.inputs import SENSORS
 from anchorflow_driving.window import Scenes
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
@@ -150,7 +150,7 @@ def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     known = {name: sensor for name, sensor in SENSORS.items() if name != "camera"}
-    monkeypatch.setattr("anchorflow_driving.sensors.by_name.SENSORS", known)
+    monkeypatch.setattr("anchorflow_driving.sensors.inputs.SENSORS", known)
     with pytest.raises(SensorError, match=r"expected inputs among bev, .* got camera"):
         opened(write_image_bundle(tmp_path))
 

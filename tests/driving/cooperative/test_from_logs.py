@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anchorflow_driving.cooperative.layout import write_recording
-from anchorflow_driving.waypoints import collides
+from anchorflow_driving.drivers import collides
 from anchorflow_driving.window import Scenes
 from anchorflow_training.v2x.dataset import make_pairs
 from anchorflow_training.v2x.evaluation import judge

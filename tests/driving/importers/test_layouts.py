@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.importers.layouts import Layout, layout_of
+from anchorflow_driving.importers import Layout, layout_of
 
 
 @pytest.mark.parametrize(

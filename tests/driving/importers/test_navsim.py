@@ -16,8 +16,7 @@ from anchorflow_cli.main import main
 from anchorflow_driving.drivers import human
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.importers.geopackage import utm
-from anchorflow_driving.importers.navsim import EGO_AHEAD, EGO_SIZE, import_navsim
-from anchorflow_driving.importers.nuplan_map import CONNECTORS
+from anchorflow_driving.importers.navsim import CONNECTORS, EGO_AHEAD, EGO_SIZE, import_navsim
 from anchorflow_driving.log import PEDESTRIAN, VEHICLE, read_log, write_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes

@@ -13,7 +13,7 @@ import pytest
 from anchorflow_cli.main import main
 from anchorflow_driving.drivers import human
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.importers.entries import Entry
+from anchorflow_driving.importers.fields import Entry
 from anchorflow_driving.importers.nuscenes import EGO_AHEAD, EGO_SIZE, import_nuscenes
 from anchorflow_driving.importers.nuscenes_map import arc_points
 from anchorflow_driving.log import PEDESTRIAN, VEHICLE, read_log, write_log

@@ -9,7 +9,7 @@ import pytest
 from driven_bend import bend
 
 from anchorflow_driving.errors import SensorError
-from anchorflow_driving.line_fields import line_fields
+from anchorflow_driving.log import line_fields
 from anchorflow_driving.sensors.ground import CELL, PAINT, STRIPE, paint_ground
 from anchorflow_driving.window import Scenes
 

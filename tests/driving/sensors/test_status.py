@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from anchorflow_driving.sensors.status import status_of
+from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Window
 
 

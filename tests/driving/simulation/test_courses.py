@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anchorflow_driving.geometry import ahead_of
-from anchorflow_driving.simulation.courses import person_states, vehicle_states
+from anchorflow_driving.simulation.vehicle_motion import person_states, vehicle_states
 from anchorflow_driving.window import REAR_AXLE
 
 LENGTH = 5.0

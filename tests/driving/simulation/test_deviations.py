@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from anchorflow_driving.simulation.config import LogConfig
-from anchorflow_driving.simulation.deviations import EVERY, STRIDE, deviating
+from anchorflow_driving.simulation import LogConfig
+from anchorflow_driving.simulation.vehicle_motion import EVERY, STRIDE, deviating
 from anchorflow_driving.window import Scenes
 
 SPEED = 8.0  # m/s

@@ -10,10 +10,13 @@ import pytest
 for _module in ("sumo", "libsumo"):
     pytest.importorskip(_module, reason=f"{_module} is not installed")
 
-from anchorflow_driving.line_fields import line_fields  # noqa: E402
-from anchorflow_driving.log import HISTORY_FRAMES, VEHICLE  # noqa: E402
-from anchorflow_driving.simulation.driven_log import DrivenLog  # noqa: E402
-from anchorflow_driving.simulation.live_traffic import LiveTraffic  # noqa: E402
+from anchorflow_driving.log import (  # noqa: E402
+    HISTORY_FRAMES,
+    VEHICLE,
+    line_fields,
+)
+from anchorflow_driving.simulation.driven import DrivenLog  # noqa: E402
+from anchorflow_driving.simulation.sumo_traffic import LiveTraffic  # noqa: E402
 
 SQUARE = np.array([[-9.0, -9.0], [999.0, -9.0], [999.0, 9.0], [-9.0, 9.0]])
 MAP = {

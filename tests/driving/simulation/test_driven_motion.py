@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from anchorflow_driving.pdm.tracker import Motion
-from anchorflow_driving.simulation.driven_motion import (
+from anchorflow_driving.pdm.lqr_rollout import Motion
+from anchorflow_driving.simulation.driven import (
     QUANTITIES,
     comfortable_stretches,
     first_steps,

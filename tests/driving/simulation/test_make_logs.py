@@ -15,7 +15,7 @@ from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import FUTURE_FRAMES, STATIC, DrivingLog, read_logs
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.road import Road
-from anchorflow_driving.simulation.config import LogConfig
+from anchorflow_driving.simulation import LogConfig
 from anchorflow_driving.window import Scenes
 
 CONFIG = LogConfig(seed=3, seconds=12.0, windows=12)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from anchorflow_driving.lines import SPACING
-from anchorflow_driving.simulation.route_progress import RouteProgress
+from anchorflow_driving.route import SPACING
+from anchorflow_driving.simulation.driven import RouteProgress
 
 
 def straight(length: float) -> np.ndarray:

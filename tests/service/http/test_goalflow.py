@@ -20,7 +20,7 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_driving.sensors.bev import draw_bev
-from anchorflow_driving.sensors.status import status_of
+from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.sensors.bev import BEV, draw_bev
-from anchorflow_driving.sensors.status import status_of
+from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import augmentation
 from anchorflow_training.driving.anchors import clustered, read_vocabulary

@@ -16,7 +16,7 @@ from anchorflow_client.sensors import route_ahead
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
 from anchorflow_driving.sensors.bev import DRAWING, draw_bev
-from anchorflow_driving.sensors.status import status_of
+from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES, TURNS

@@ -17,7 +17,7 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.log import DRIVEN, read_log
 from anchorflow_driving.sensors.agents import far_others, nearest_agents
 from anchorflow_driving.sensors.bev import DRAWING
-from anchorflow_driving.sensors.by_name import draw_inputs
+from anchorflow_driving.sensors.inputs import draw_inputs
 from anchorflow_driving.sensors.lidar import simulated_lidar_before
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_models.transfuser import LIDAR_BEFORE, SEMANTIC_STRIDE, TransfuserConfig

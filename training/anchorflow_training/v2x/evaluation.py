@@ -12,8 +12,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.drivers import waypoint_headings
 from anchorflow_driving.geometry import boxes_overlap, into_frame
-from anchorflow_driving.waypoints import waypoint_headings
 from anchorflow_training.v2x.dataset import PairDataset
 from anchorflow_training.v2x.recording import EGO, FUTURE, STEP_S
 

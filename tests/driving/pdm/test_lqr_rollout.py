@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from anchorflow_driving.pdm.comfort import BOUNDS, comfort, felt
-from anchorflow_driving.pdm.tracker import Motion, interpolate, reference_profiles, track
+from anchorflow_driving.pdm.lqr_rollout import Motion, interpolate, reference_profiles, track
+from anchorflow_driving.pdm.sub_scores import BOUNDS, comfort, felt
 from anchorflow_driving.window import EgoState
 
 TIME = np.arange(41, dtype=np.float64) * 0.1

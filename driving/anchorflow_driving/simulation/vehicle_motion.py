@@ -1,4 +1,8 @@
-"""Drivers who left their line and go back to it: where a planner that erred finds itself."""
+"""Motion that a car could drive, from front bumpers that follow polylines.
+
+The box's middle follows the smoothed line of the front bumper; the rear axle is dragged behind it
+(a tractrix), so that it never slips and headings are one derivative smoother than the line.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from anchorflow_driving.lines import SPACING
 from anchorflow_driving.log import FRAME_S
+from anchorflow_driving.route import SPACING, smooth_line
+from anchorflow_driving.window import REAR_AXLE
 
 Array = NDArray[np.float64]
+
+TIME_SIGMA = 0.25
+"""s, of the Gaussian over the distance driven."""
+BEHIND = 5.0
+"""m that a line is known behind the middle of the box at first."""
+STANDING = 0.1
+"""m/s, below which a speed is noise."""
 Booleans = NDArray[np.bool_]
 
 EVERY = 70
@@ -26,6 +38,59 @@ LEAST_SPEED = 2.0
 """m/s, below which nobody deviates."""
 NORMAL_SIGMA = 3.0
 """m, of the Gaussian over the line that sideways is square to."""
+
+
+def vehicle_states(front: Array, length: float) -> Array:
+    """States [F, 5] (x, y, heading, vx, vy) of a box's middle from its front bumper [F, 2]."""
+    steps = np.linalg.norm(np.diff(front, axis=0), axis=1)
+    steps[steps < 1e-3] = 0.0
+    driven = np.concatenate([[0.0], steps.cumsum()])
+    before = SPACING * np.ceil((length / 2 + BEHIND) / SPACING)
+    line = smooth_line(front[np.append(True, steps > 0)], before=before)
+    heading = _dragged(line, REAR_AXLE * length)
+    # Where on the line the middle of the box is.
+    at = _smoothed(driven, TIME_SIGMA / FRAME_S) + before - length / 2
+    along = np.arange(len(line)) * SPACING
+    middle = np.stack([np.interp(at, along, axis) for axis in line.T], -1)
+    velocity = np.gradient(middle, FRAME_S, axis=0) if len(at) > 1 else 0 * middle
+    velocity[np.linalg.norm(velocity, axis=1) < STANDING] = 0.0
+    return np.column_stack([middle, np.interp(at, along, heading), velocity])
+
+
+def person_states(place: Array) -> Array:
+    """States [F, 5] of somebody who walks, facing where they go."""
+    x, y = (_smoothed(axis, 3.0) for axis in place.T)
+    velocity = np.gradient(np.stack([x, y], -1), FRAME_S, axis=0) if len(x) > 1 else 0 * place
+    speed = np.linalg.norm(velocity, axis=1)
+    heading = np.arctan2(velocity[:, 1], velocity[:, 0])
+    moving = np.maximum.accumulate(np.where(speed > STANDING, np.arange(len(x)), 0))
+    return np.column_stack([x, y, np.unwrap(heading[moving]), velocity])
+
+
+def _smoothed(values: Array, sigma: float) -> Array:
+    """Gaussian over time; both ends go on as they were."""
+    pad = int(4 * sigma) + 1
+    if len(values) < 2:
+        return values
+    time = np.arange(1, pad + 1)
+    head = values[0] - (values[1] - values[0]) * time[::-1]
+    tail = values[-1] + (values[-1] - values[-2]) * time
+    return gaussian_filter1d(np.concatenate([head, values, tail]), sigma)[pad:-pad]
+
+
+def _dragged(line: Array, arm: float) -> Array:
+    """Heading [V], unwrapped, of an arm whose front end follows the line and whose rear drags."""
+    points = (line[:, 0] + 1j * line[:, 1]).tolist()
+    towards = points[1] - points[0]
+    rear = points[0] - arm * towards / abs(towards)
+    arms = []
+    for point in points:
+        towards = point - rear
+        rear = point - arm * towards / abs(towards)
+        arms.append(towards)
+    # Each arm points to where its front end has moved on to, half a step ahead of its rear.
+    heading = np.unwrap(np.angle(np.array(arms)))
+    return np.append((heading[:-1] + heading[1:]) / 2, heading[-1])
 
 
 def deviating(front: Array, rng: np.random.Generator, *, first: int) -> tuple[Array, Booleans]:

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import TensorSpec
-from anchorflow_client.sensors import resize_image, route_ahead
+from anchorflow_client.sensors import ego_status, resize_image, route_ahead
 from anchorflow_driving.errors import SensorError
+from anchorflow_driving.log import COMMANDS
 from anchorflow_driving.sensors.lidar import simulated_lidar, simulated_lidar_before
-from anchorflow_driving.sensors.status import status_of
 from anchorflow_driving.window import PlannerView
 
 if TYPE_CHECKING:
@@ -92,4 +92,14 @@ def _fits(shape: tuple[int, ...], spec: TensorSpec) -> bool:
     axes = spec.shape[1:]
     return len(axes) == len(shape) and all(
         isinstance(axis, str) or axis == size for axis, size in zip(axes, shape, strict=True)
+    )
+
+
+def status_of(view: PlannerView) -> NDArray[np.float32]:
+    """The ego status [8] of a window; the rear axle moves along its heading."""
+    state = view.state
+    return ego_status(
+        command=COMMANDS[view.command],
+        velocity=(state.speed, 0.0),
+        acceleration=(state.acceleration, state.speed**2 * state.curvature),
     )

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import box_corners, into_frame, out_of_frame
 from anchorflow_driving.log import FRAME_S
-from anchorflow_driving.pdm.rating import rate
-from anchorflow_driving.pdm.tracker import STEPS, Motion, track
+from anchorflow_driving.pdm.lqr_rollout import STEPS, Motion, track
+from anchorflow_driving.pdm.sub_scores import rate
 from anchorflow_driving.pdm.traffic import Traffic
 
 Array = NDArray[np.float64]
