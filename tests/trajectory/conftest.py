@@ -27,7 +27,7 @@ class Stage:
     at_rest: Ends
 
     def fields(self, *, risky: bool = False) -> CostFields:
-        """The post and, if asked for, risky ground below it, more of it to the right."""
+        """The post and, optionally, risky ground below it, more of it to the right."""
         occupied = np.zeros((64, 64), bool)
         occupied[30:34, 31:35] = True
         cost_map = np.zeros((3, 64, 64), np.float32)

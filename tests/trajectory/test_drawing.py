@@ -1,4 +1,4 @@
-"""What is drawn of a map, of trajectories and of their ends."""
+"""Drawings of a map, of trajectories and of their ends."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ class Field:
 
 
 def test_attributes_of_two_objects_are_worked_out_at_a_time() -> None:
-    """Each waits for the other to be at it too; the second look waits for nobody."""
+    """Each thread waits until the other computes too; the second access does not wait."""
     barrier = threading.Barrier(2)
     fields = [Field(barrier), Field(barrier)]
     with ThreadPoolExecutor(2) as pool:

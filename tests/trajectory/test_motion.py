@@ -17,7 +17,7 @@ LINE = np.array([[0.0, 0.0], [10.0, 0.0]])
 
 
 def speeds(length: float, duration: float, ramp: float) -> tuple[float, float]:
-    """The largest speed and acceleration along a line of so many m, from rest to rest."""
+    """The largest speed and acceleration along a line of `length` m, from rest to rest."""
     x = length * time_along(LINE, 8001, ramp=ramp)[:, 0].astype(np.float64) / 10.0
     # Over 40 samples at a time: positions are float32.
     step = 40 * duration / 8000
@@ -35,7 +35,7 @@ def test_the_nominal_duration_reaches_a_limit_and_keeps_both(
     duration = nominal_duration(length, limits)
     share = ramp_share(duration, length, limits)
     fastest, hardest = speeds(length, duration, share)
-    # What a least ramp takes off a long way's cruise is made up by the rest of it.
+    # The rest of a long path makes up for the shortest ramp.
     most = CRUISE if share > LEAST_RAMP else CRUISE / (1.0 - LEAST_RAMP)
     assert fastest <= 1.005 * most * limits.v_max
     assert hardest <= 1.01 * limits.a_max

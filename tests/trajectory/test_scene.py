@@ -1,4 +1,4 @@
-"""One scene: what follows from its map, when it is worked out, and as what a network is told it."""
+"""One scene: fields derived from its map, when they are computed, and the inputs of a network."""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -16,11 +16,9 @@ Key = tuple[bytes, tuple[int, ...], float]
 
 
 class MapCache:
-    """Fields of maps, by the maps' whole content; safe to use from several threads.
+    """A least-recently-used cache of fields by the content of their map; thread-safe.
 
-    What was not asked for longest goes first.
-
-    most_bytes: of the fields and the keys, which are an eighth of a byte a cell
+    most_bytes: of the fields and the keys, which take an eighth of a byte a cell
     """
 
     def __init__(self, *, most_bytes: int) -> None:
@@ -35,14 +33,14 @@ class MapCache:
         resolution: float,
         work_out: Callable[[BoolArray, float], Field],
     ) -> Field:
-        """The field of a map [H, W] of so many m/cell, read-only; worked out where it is new."""
+        """Return the field of a map [H, W] at `resolution` m/cell, read-only."""
         key = (np.packbits(occupied).tobytes(), occupied.shape, float(resolution))
         with self._lock:
             field = self._fields.get(key)
             if field is not None:
                 self._fields.move_to_end(key)
                 return field
-        # Others may go on meanwhile; two that ask at once work out the same.
+        # Outside the lock: two threads may compute the same field at once.
         field = work_out(occupied, resolution)
         field.setflags(write=False)
         with self._lock:
@@ -64,12 +62,11 @@ def _size(key: Key, field: Field) -> int:
 Value = TypeVar("Value")
 
 
-class cached_property(Generic[Value]):  # noqa: N801 - it stands in for that of functools
-    """What `functools.cached_property` is from Python 3.12 on.
+class cached_property(Generic[Value]):  # noqa: N801 - named as in functools
+    """`functools.cached_property` without a lock, as from Python 3.12 on.
 
-    Before, it holds one lock for the attribute of all instances while it works one of them out:
-    threads that plan on different scenes would wait for each other. Threads that ask the same
-    instance at once may work it out more than once, to the same.
+    The older one holds one lock for all instances, so that threads on different scenes would wait
+    for each other. Threads may compute the value of one instance more than once.
     """
 
     def __init__(self, work_out: Callable[[Any], Value]) -> None:
@@ -86,6 +83,6 @@ class cached_property(Generic[Value]):  # noqa: N801 - it stands in for that of 
     def __get__(self, instance: object | None, owner: type) -> Value | cached_property[Value]:
         if instance is None:
             return self
-        # From now on found before this descriptor, which does not say how to set it.
+        # The instance's attribute now hides this descriptor, which has no __set__.
         value = instance.__dict__[self._name] = self._work_out(instance)
         return value

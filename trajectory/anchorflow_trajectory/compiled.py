@@ -58,7 +58,7 @@ def kept() -> bool:
 
 
 def stamp(package: Path) -> str:
-    """Of this file and of all below a folder that hold compiled functions."""
+    """Return a hash of this file and of all files below a folder with compiled functions."""
     sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
     held = [HERE.read_bytes(), *(source for source in sources if MARK in source)]
     return sha256(b"\0".join(held)).hexdigest()[:12]

@@ -1,4 +1,4 @@
-"""A map with trajectories on it, drawn by matplotlib, which only who draws has to have."""
+"""Draw a map and trajectories by matplotlib, an optional dependency."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def draw_ends(
 def sheet(
     count: int, *, columns: int, inches: float, header: float = 0.0
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with so many square panels, row by row, under a header of so many inches."""
+    """Make a figure of `count` square panels, row by row, under a header [inches]."""
     columns = min(columns, count)
     rows = -(-count // columns)
     figure = Figure((inches * columns, inches * rows + header), layout="constrained")

@@ -11,16 +11,16 @@ from anchorflow_trajectory.compiled import compiled
 
 FloatArray = NDArray[np.floating]
 
-TURN = 4.0 / 3.0  # m in which a robot that may accelerate as it likes reaches its speed smoothly
+TURN = 4.0 / 3.0  # m in which a robot without an acceleration limit reaches its speed smoothly
 LEAST_RAMP = 0.12  # share of a duration; a spline cannot follow a steeper one
 CRUISE = 0.9  # share of v_max at pace 1: the bends of a spline overshoot
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What every anchor keeps: speed [m/s] and acceleration [m/s^2].
+    """Limits of every anchor: speed [m/s] and acceleration [m/s^2].
 
-    horizon_s: s that every anchor lasts; None where each has its own duration
+    horizon_s: s that every anchor lasts; None if each has its own duration
     """
 
     v_max: float
@@ -29,26 +29,26 @@ class MotionLimits:
 
     @property
     def jerk_scale(self) -> float:
-        """m/s^3 that count as one: of a ramp to v_max at a_max, or over TURN if that is gentler."""
+        """Return the unit of jerk [m/s^3]: a ramp to v_max at a_max, or over TURN if gentler."""
         return min(self.a_max, self.v_max**2 / TURN) ** 2 / self.v_max
 
     def least_time(self, length: float) -> float:
-        """s from rest to rest along a way of so many m, at the limits."""
+        """Return the seconds from rest to rest along `length` m, at the limits."""
         if length * self.a_max > self.v_max**2:
             return length / self.v_max + self.v_max / self.a_max
         return 2.0 * (max(length, 0.0) / self.a_max) ** 0.5
 
     def durations(self, states: FloatArray) -> NDArray[np.float64]:
-        """s that states [N, T, 3D + 1] last, [N]: the horizon, or as their log duration says."""
+        """Return the durations [N] s of states [N, T, 3D + 1]: the horizon, or their own."""
         if self.horizon_s is not None:
             return np.full(len(states), self.horizon_s)
         return np.exp(states[..., -1].mean(-1, dtype=np.float64))
 
 
 def nominal_duration(length: float, limits: MotionLimits, *, pace: float = 1.0) -> float:
-    """s along a way of so many m: ramps up to v_max at a_max, a cruise, and down again.
+    """Return the seconds along `length` m: a ramp to v_max at a_max, a cruise, and a ramp down.
 
-    pace: by which the cruise is slower than the limits allow
+    pace: factor by which the cruise is slower than the limits allow
     """
     cruise = CRUISE * limits.v_max / pace
     ramp = 0.5 * np.pi * cruise / limits.a_max
@@ -58,7 +58,7 @@ def nominal_duration(length: float, limits: MotionLimits, *, pace: float = 1.0) 
 
 
 def ramp_share(duration: float, length: float, limits: MotionLimits) -> float:
-    """Share of a duration that each ramp of `time_along` takes, a_max kept if it can be."""
+    """Return the share of a duration for each ramp of `time_along`; it keeps a_max if possible."""
     # A ramp r and the cruise v keep v (d - r) = length and π/2 v / r <= a_max.
     steep = 2.0 * np.pi * length / (limits.a_max * duration**2)
     return float(np.clip(0.5 * (1.0 - max(0.0, 1.0 - steep) ** 0.5), LEAST_RAMP, 0.5))
@@ -72,11 +72,11 @@ def time_along(
     start_share: float = 0.0,
     goal_share: float = 0.0,
 ) -> FloatArray:
-    """Positions [T, 2] along a polyline [K, 2]: raised-cosine ramps, and a cruise between them.
+    """Return positions [T, 2] along a polyline [K, 2]: raised-cosine ramps around a cruise.
 
-    ramp: share of the time spent from the first speed to the cruise's, and as much to the last.
-    start_share, goal_share: the speeds at both ends, in shares of the mean speed; where they leave
-        nothing to the cruise, it stands still and they are scaled down.
+    ramp: share of the time from the first speed to the cruise's, and again to the last.
+    start_share, goal_share: the speeds at both ends, in shares of the mean speed; if they leave
+        no distance to the cruise, its speed is 0 and they are scaled down.
     """
     cruise = max(0.0, (1.0 - 0.5 * ramp * (start_share + goal_share)) / (1.0 - ramp))
     points = np.ascontiguousarray(path, np.float64)

@@ -33,7 +33,7 @@ SCENE_INPUTS = (
     "limits",
     ROUTE_STATES,
 )
-"""What a network may be told of a scene, by the names of `Scene.inputs`."""
+"""The possible inputs of a network, as names for `Scene.inputs`."""
 NUM_STEPS = 64
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
@@ -42,7 +42,7 @@ TOP_SPEED = 0.97  # share of v_max
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """One planning problem in SI and its map's frame; each field is worked out at most once.
+    """One planning problem in SI and its map's frame; derived fields are cached.
 
     cost_map: float32 [C, H, W] in [0, 1]: occupancy, traversability, risk, further semantics
     resolution: m/cell; origin: float64 [2] m, outer corner of cell (0, 0); robot_radius: m
@@ -76,10 +76,10 @@ class Scene:
 
     @cached_property
     def ends(self) -> Ends:
-        """What every anchor meets: both states, the start's acceleration eased where it must be.
+        """Return the end states of every anchor, with the start's acceleration eased if necessary.
 
-        Between two knots a spline cannot take an acceleration back. One that would carry the robot
-        past its speed by then counts only as far as it would not.
+        A spline cannot revert an acceleration before its next knot; one that would exceed the speed
+        limit by then is scaled down.
         """
         dim = len(self.x_goal) // 2
         velocity, acceleration = self.x_curr[dim : dim + 2], self.x_curr[2 * dim : 2 * dim + 2]
@@ -105,7 +105,7 @@ class Scene:
         return self._pulled_tight(found, slack=CHORD_SLACK + margin)
 
     def routes_with(self, slack: float) -> list[Route]:
-        """Those that keep so many m beyond robot_radius, as their chords do; there may be none."""
+        """Return the routes that keep `slack` m beyond robot_radius, if any."""
         return self._pulled_tight(self._found_routes(slack), slack=slack)
 
     def _pulled_tight(self, routes: list[Route], *, slack: float) -> list[Route]:
@@ -131,7 +131,7 @@ class Scene:
 
     @cached_property
     def rays(self) -> ObstacleRays:
-        """By which the sides are told on which a path passes the obstacles."""
+        """Return the rays that define on which sides a path passes the obstacles."""
         return ObstacleRays.of(self.clearance_field)
 
     @cached_property
@@ -189,7 +189,7 @@ class Scene:
         return {name: np.asarray(getattr(self, name), np.float32)[None] for name in names}
 
     def is_free(self, point: FloatArray) -> bool:
-        """Whether a point [2] m lies on the map, its border included, in no obstacle's cell."""
+        """Whether a point [2] m is on the map, border included, and in a free cell."""
         upper = self.origin + self.resolution * np.array(self.occupied.shape[::-1])
         if not ((point >= self.origin) & (point <= upper)).all():
             return False
@@ -198,9 +198,9 @@ class Scene:
 
 
 def with_neutral_channels(cost_map: FloatArray, channels: int) -> NDArray[np.float32]:
-    """A map [C, H, W] with as many channels at least; what is left out is neutral.
+    """Return a map [C, H, W] filled up to `channels` with neutral values.
 
-    Ground that nobody described is easy to pass and without risk: traversability 1, the others 0.
+    The default is easy ground without risk: traversability 1, other channels 0.
     """
     filled = np.zeros((max(channels, len(cost_map)), *cost_map.shape[1:]), np.float32)
     filled[TRAVERSABILITY : TRAVERSABILITY + 1] = 1.0

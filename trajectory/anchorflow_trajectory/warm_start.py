@@ -12,25 +12,24 @@ from anchorflow_trajectory.scene import Scene
 
 FloatArray = NDArray[np.floating]
 
-SLOWEST = 10.0  # times the least time that its way takes; slower plans are not what a flow has seen
+SLOWEST = 10.0  # times the least time of its path; a flow has seen no slower plans
 
 
 def warm_states(
     scene: Scene, trajectory: FloatArray, route: NDArray[np.intp], *, dt: float | None
 ) -> NDArray[np.float32]:
-    """x_1 [N, T, 3D + 1] of anchors that begin on routes [N], in own time.
+    """Return x_1 [N, T, 3D + 1] of anchors on routes [N], in own time.
 
-    Those of the route that lies nearest to the trajectory start from it, the others from their own
-    route: a plan that is in use does not take away the other ways round. What is left of a plan
-    may be a few centimetres or ask for more than the limits allow: its way is kept, and it lasts
-    as long as the scene's robot needs for it.
+    Anchors of the route nearest to the trajectory start from it, the others from their own route:
+    a plan in use does not remove the alternatives. The rest of a plan may be a few centimetres
+    long or exceed the limits: it keeps its path, and the limits bound its duration.
 
     Args:
-        scene: that the anchors are for.
-        trajectory: [T', D], [T', 2D] or [T', 3D] p, v, a in SI; missing derivatives are a spline's.
-        route: [N] the place of the route that each anchor begins on.
-        dt: s between two of its samples; None: it lasts as long as the spline along its route.
-            Where there is a horizon, the way that it goes is driven in that.
+        scene: of the anchors.
+        trajectory: [T', D], [T', 2D] or [T', 3D] p, v, a in SI; a spline adds missing derivatives.
+        route: [N] index of the route of each anchor.
+        dt: s between two samples; None: the duration of the spline along its route. A horizon
+            overrides both.
     """
     means = scene.route_states
     dim, steps = len(scene.x_goal) // 2, means.shape[1]
@@ -51,7 +50,7 @@ def warm_states(
 
 
 def nearest_route(route_states: FloatArray, positions: FloatArray) -> int:
-    """The place of the route that positions [T, D] follow most nearly, at equal own time.
+    """Return the index of the route nearest to positions [T, D] at equal own time.
 
     route_states: [R, T, 3D + 1]
     """
@@ -60,7 +59,7 @@ def nearest_route(route_states: FloatArray, positions: FloatArray) -> int:
 
 
 def _bounded(duration: float, place: FloatArray, scene: Scene) -> float:
-    """s: the horizon, or a duration in which the way [T, 2] can be driven without dawdling."""
+    """Return the horizon, or the duration [s] clipped to what the path [T, 2] needs."""
     if scene.motion.horizon_s is not None:
         return scene.motion.horizon_s
     way = float(np.linalg.norm(np.diff(place, axis=0), axis=-1).sum())
@@ -81,7 +80,7 @@ def resampled_states(
 ) -> FloatArray:
     """[..., T', D], [..., T', 2D] or [..., T', 3D] over the horizon as states [..., T, 3D].
 
-    What is given is interpolated by cubic splines, and derivatives that are missing are theirs.
+    Cubic splines interpolate the samples and give missing derivatives.
     """
     steps, columns = trajectories.shape[-2:]
     weights, step_s = cubic_weights(steps, num_steps), horizon_s / (steps - 1)

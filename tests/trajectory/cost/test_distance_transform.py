@@ -22,7 +22,7 @@ def test_the_nearest_cell_is_the_one_that_scipy_finds(
     nearest = distance_transform_edt(~cells, return_distances=False, return_indices=True)
     apart = np.abs(np.asarray(nearest) - np.indices(shape))
 
-    # Of cells whose centres are as near, the squares need not be: both take the same one.
+    # Cells with equally near centres may have squares at other distances: both pick the same cell.
     expected = np.sqrt((np.maximum(apart - 0.5, 0.0) ** 2).sum(0))
     np.testing.assert_array_equal(distance_in_cells(cells), expected)
 

@@ -57,12 +57,12 @@ def with_heading(splines: Splines) -> Splines:
 
 
 def only(gain: str) -> CostWeights:
-    """Of all terms that one."""
+    """Weights with a single term."""
     return replace(CostWeights(), **{name: 0.0 for name in GAINS if name != gain})
 
 
 def told(problem: TrajectoryCost, splines: Splines) -> dict[str, np.ndarray]:
-    """The terms of J [M] as the module's docstring tells them, before they are weighed."""
+    """The terms of J [M] of the module's docstring, before weighting."""
     basis, limits, duration = problem.basis, problem.limits, splines.duration
     rows = (basis.position, basis.velocity, basis.acceleration, basis.jerk)
     p, first, second, third = (splines.control @ row.T.astype(np.float64) for row in rows)
@@ -127,7 +127,7 @@ def test_the_whole_gradient_equals_finite_differences(
 
 
 def assert_gradient(problem: TrajectoryCost, splines: Splines) -> None:
-    """By the control points, over 1e-6 m, and by log duration, whose arithmetic is float32."""
+    """Differences by control points over 1e-6 m, and by log duration in float32 arithmetic."""
     control, duration = splines.control, splines.duration
     h, rng = 1e-6, np.random.default_rng(5)
     _, gradient = problem.value_and_gradient(splines)
@@ -156,7 +156,7 @@ def assert_slopes(difference: np.ndarray, slope: np.ndarray) -> None:
 def test_moving_ends_count_in_the_slope_by_duration(
     make_cost: Callable[..., TrajectoryCost], stage: Any, ends: str
 ) -> None:
-    """Of J along curves that meet both ends in every duration, as the descent follows them."""
+    """The slope of J along curves that meet both ends in every duration, as in the descent."""
     between, problem = getattr(stage, ends), make_cost(STYLES[3])
     splines = stage.disturbed(6, between, spread=0.6, duration=FAST)
     free, h = stage.basis.free, 1e-3
@@ -201,7 +201,7 @@ def test_states_last_as_long_as_they_say_or_as_the_horizon() -> None:
 
 
 def test_jerk_is_measured_by_the_gentler_of_two_ramps() -> None:
-    """Of a_max where that is weak, else of reaching v_max within TURN metres."""
+    """The scale follows a weak a_max, else reaching v_max within TURN metres."""
     assert MotionLimits(2.0, 1.5).jerk_scale == pytest.approx(1.5**2 / 2.0)
     agile = MotionLimits(2.0, 100.0)
     assert agile.jerk_scale == pytest.approx((2.0**2 / TURN) ** 2 / 2.0)

@@ -1,4 +1,4 @@
-"""What is called safe is safe."""
+"""A path that is called safe is safe."""
 
 import numpy as np
 import pytest

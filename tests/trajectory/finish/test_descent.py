@@ -34,7 +34,7 @@ def make_cost(stage: Any) -> Callable[..., TrajectoryCost]:
     return make
 
 
-def beginnings(stage: Any, ends: Ends, count: int = 32, **how: float) -> Splines:
+def new_starts(stage: Any, ends: Ends, count: int = 32, **how: float) -> Splines:
     splines = stage.disturbed(count, ends, **how)
     return Splines(splines.control.astype(np.float32), splines.duration)
 
@@ -53,7 +53,7 @@ def test_descent_frees_anchors_and_keeps_the_ends_and_the_limits(
     make_cost: Callable[..., TrajectoryCost], stage: Any, ends: str, horizon_s: float | None
 ) -> None:
     problem, between = make_cost(horizon_s=horizon_s), getattr(stage, ends)
-    start = beginnings(stage, between, duration=10.0)
+    start = new_starts(stage, between, duration=10.0)
     if horizon_s is not None:
         start = stage.basis.fit(
             stage.basis.own_time_states(start.control), between, np.full(32, horizon_s)
@@ -73,7 +73,7 @@ def test_needlessly_long_durations_shorten_and_impossible_ones_lengthen(
     """Both to the same; what is too fast has hinges in its way, and takes more steps."""
     problem, middles = make_cost(), []
     for duration, steps, sign in ((12.0, 60, -1.0), (1.5, 300, 1.0)):
-        start = beginnings(stage, stage.moving, duration=duration, spread=0.15)
+        start = new_starts(stage, stage.moving, duration=duration, spread=0.15)
         splines = descend(problem, start, stage.moving, steps=steps, rate=0.3)
         gained = sign * np.log(splines.duration / start.duration)
         assert (gained > 0.25).mean() > 0.9
@@ -88,7 +88,7 @@ def test_durations_settle_where_moving_ends_are_counted(
 ) -> None:
     """J no longer changes along curves that meet both ends in every duration."""
     ends = Ends(np.array([1.0, 3.2, 0.8, 0.6, 0.5, -0.5]), np.array([5.5, 3.1, 0.8, -0.4]))
-    problem, start = make_cost(), beginnings(stage, ends, 16, duration=8.0, spread=0.2)
+    problem, start = make_cost(), new_starts(stage, ends, 16, duration=8.0, spread=0.2)
     splines = descend(problem, start, ends, steps=100, rate=0.3)
     assert_ends(stage, splines, ends)
     _, gradient = problem.value_and_gradient(splines)
@@ -101,7 +101,7 @@ def test_durations_settle_where_moving_ends_are_counted(
 def test_a_style_decides_how_long_it_takes(
     make_cost: Callable[..., TrajectoryCost], stage: Any
 ) -> None:
-    start = beginnings(stage, stage.at_rest, duration=10.0)
+    start = new_starts(stage, stage.at_rest, duration=10.0)
     safe, quick, smooth = (
         np.median(descend(make_cost(style), start, stage.at_rest, steps=100, rate=0.3).duration)
         for style in ((0.8, 0.1, 0.1), (0.1, 0.8, 0.1), (0.1, 0.1, 0.8))
@@ -113,7 +113,7 @@ def test_a_style_decides_how_long_it_takes(
 def test_descent_leaves_a_heading_where_it_was(
     make_cost: Callable[..., TrajectoryCost], stage: Any
 ) -> None:
-    planar = beginnings(stage, stage.at_rest, 8)
+    planar = new_starts(stage, stage.at_rest, 8)
     heading = np.random.default_rng(4).normal(0.0, 0.3, planar.control[:1].shape)
     turning = Splines(np.concatenate([planar.control, heading.astype(np.float32)]), planar.duration)
     ends = Ends(np.r_[1.0, 3.2, np.zeros(7)], np.r_[5.5, 3.1, np.zeros(4)])
@@ -128,7 +128,7 @@ def test_descent_leaves_a_heading_where_it_was(
 def test_one_trajectory_never_touches_another(
     make_cost: Callable[..., TrajectoryCost], stage: Any
 ) -> None:
-    start = beginnings(stage, stage.moving, 8)
+    start = new_starts(stage, stage.moving, 8)
     together = descend(make_cost(), start, stage.moving, steps=20, rate=0.3)
     alone = descend(make_cost(), start[3:4], stage.moving, steps=20, rate=0.3)
     np.testing.assert_allclose(together.control[:, 3:4], alone.control, atol=5e-5)
@@ -136,7 +136,7 @@ def test_one_trajectory_never_touches_another(
 
 
 def test_what_it_is_given_stays(make_cost: Callable[..., TrajectoryCost], stage: Any) -> None:
-    start = beginnings(stage, stage.moving, 4)
+    start = new_starts(stage, stage.moving, 4)
     control, duration = start.control.copy(), start.duration.copy()
     descend(make_cost(), start, stage.moving, steps=3, rate=0.3)
     np.testing.assert_array_equal(start.control, control)
@@ -146,8 +146,8 @@ def test_what_it_is_given_stays(make_cost: Callable[..., TrajectoryCost], stage:
 def test_a_tether_holds_a_trajectory_near_where_it_began(
     make_cost: Callable[..., TrajectoryCost], stage: Any
 ) -> None:
-    """By the distance in the round coordinates; and one of no weight is none."""
-    problem, start = make_cost(horizon_s=5.0), beginnings(stage, stage.at_rest, 8)
+    """The tether costs the distance in the round coordinates; weight 0 is no tether."""
+    problem, start = make_cost(horizon_s=5.0), new_starts(stage, stage.at_rest, 8)
     root = whitening(stage.basis)
 
     def moved(tether: float) -> float:
@@ -171,7 +171,7 @@ def test_whitened_coordinates_make_mean_squared_acceleration_round(stage: Any) -
 
 
 def test_each_style_is_visible(make_cost: Callable[..., TrajectoryCost], stage: Any) -> None:
-    start = beginnings(stage, stage.at_rest, duration=10.0)
+    start = new_starts(stage, stage.at_rest, duration=10.0)
 
     def finished(style: tuple[float, float, float]) -> tuple[float, float, float]:
         problem = make_cost(style)
@@ -190,7 +190,7 @@ def test_each_style_is_visible(make_cost: Callable[..., TrajectoryCost], stage: 
 
 
 def test_risky_ground_is_avoided(make_cost: Callable[..., TrajectoryCost], stage: Any) -> None:
-    start = beginnings(stage, stage.at_rest, 16)
+    start = new_starts(stage, stage.at_rest, 16)
     plain, risky = (
         stage.basis.states(
             descend(make_cost((0.8, 0.1, 0.1), risky=r), start, stage.at_rest, steps=60, rate=0.3)

@@ -13,7 +13,7 @@ import pytest
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.finish.certificate import are_safe
 from anchorflow_trajectory.finish.descent import descend
-from anchorflow_trajectory.finish.optimisation_pass import Attempt
+from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
 from anchorflow_trajectory.spline.basis import Ends, Splines
 
 MANY = 150  # more than are worked on at a time
@@ -34,7 +34,7 @@ def disturbed(stage: Any, ends: Ends, duration: float, *, spread: float = 0.4) -
 
 def test_it_is_its_descents_where_nothing_else_is_asked(stage: Any, cost: TrajectoryCost) -> None:
     splines = disturbed(stage, stage.moving, 5.0)
-    tried, safe = Attempt(8, 0.2).run(cost, splines, stage.moving)
+    tried, safe = OptimisationPass(8, 0.2).run(cost, splines, stage.moving)
     plain = descend(cost, splines, stage.moving, steps=8, rate=0.2)
     np.testing.assert_array_equal(tried.control, plain.control)
     np.testing.assert_allclose(tried.duration, plain.duration, rtol=1e-12)
@@ -46,9 +46,9 @@ def test_it_is_its_descents_where_nothing_else_is_asked(stage: Any, cost: Trajec
 def test_slowing_keeps_the_way_and_lasts_no_longer_than_the_limits_ask(
     stage: Any, cost: TrajectoryCost
 ) -> None:
-    """From rest to rest a way is the same in any time; the harder of both limits is then met."""
+    """A path from rest to rest is the same in any time; stretching meets the harder limit."""
     splines, ends = disturbed(stage, stage.at_rest, 2.0), stage.at_rest
-    slow_down = Attempt(steps=0, rate=0.1, slowed_after=True)
+    slow_down = OptimisationPass(steps=0, rate=0.1, slowed_after=True)
     slowed, _ = slow_down.run(cost, splines, ends)
     np.testing.assert_array_equal(slowed.control, splines.control)
     _, velocity, acceleration = stage.basis.states(slowed)
@@ -75,7 +75,7 @@ def test_nothing_is_slowed_where_that_leads_farther_from_the_limits(
     splines = Splines(control, slow.duration)
     top_speed = np.linalg.norm(stage.basis.states(splines)[1], axis=-1).max(1)
     assert (top_speed > 1.05 * stage.limits.v_max).sum() > 10
-    kept, _ = Attempt(steps=0, rate=0.1, slowed_after=True).run(cost, splines, pushed)
+    kept, _ = OptimisationPass(steps=0, rate=0.1, slowed_after=True).run(cost, splines, pushed)
     np.testing.assert_allclose(kept.duration, splines.duration, rtol=1e-12)
     np.testing.assert_array_equal(kept.control[..., free], control[..., free])
 
@@ -84,7 +84,7 @@ def test_a_way_is_gone_in_the_share_of_its_time_that_costs_least(
     stage: Any, cost: TrajectoryCost
 ) -> None:
     ends, shares = stage.moving, (1.0, 0.9, 0.8, 0.7)
-    slow, hurry = disturbed(stage, ends, 7.0), Attempt(steps=0, rate=0.1, shares=shares)
+    slow, hurry = disturbed(stage, ends, 7.0), OptimisationPass(steps=0, rate=0.1, shares=shares)
     hurried, _ = hurry.run(cost, slow, ends)
     costs, free = [], stage.basis.free
     for share in shares:
@@ -100,7 +100,7 @@ def test_a_way_is_gone_in_the_share_of_its_time_that_costs_least(
 def test_durations_stay_where_the_limits_have_a_horizon(stage: Any, cost: TrajectoryCost) -> None:
     splines = disturbed(stage, stage.moving, 3.0)
     lasting = replace(cost, limits=replace(cost.limits, horizon_s=3.0))
-    everything = Attempt(3, 0.2, slowed_before=True, slowed_after=True, shares=(1.0, 0.5))
+    everything = OptimisationPass(3, 0.2, slowed_before=True, slowed_after=True, shares=(1.0, 0.5))
     tried, _ = everything.run(lasting, splines, stage.moving)
     np.testing.assert_array_equal(tried.duration, splines.duration)
     assert (tried.control != splines.control).any(axis=(0, 2)).all()
@@ -110,7 +110,7 @@ def test_durations_stay_where_the_limits_have_a_horizon(stage: Any, cost: Trajec
 def test_each_gets_the_same_bytes_in_any_part(stage: Any, cost: TrajectoryCost, ends: str) -> None:
     given = getattr(stage, ends)
     splines = disturbed(stage, given, 2.0)
-    everything = Attempt(6, 0.2, slowed_before=True, slowed_after=True, shares=(1.0, 0.8))
+    everything = OptimisationPass(6, 0.2, slowed_before=True, slowed_after=True, shares=(1.0, 0.8))
 
     def in_three(work: Callable[[int, int], None], count: int) -> None:
         with ThreadPoolExecutor(3) as pool:

@@ -24,7 +24,7 @@ UNFINISHED = {"smooth": False, "project": False}
 
 @dataclass(frozen=True)
 class Spec:
-    """What a request asks of the finish."""
+    """The finish options of a request."""
 
     smooth: bool = True
     project: bool = True
@@ -83,7 +83,7 @@ def refined(
     route: np.ndarray | None = None,
     **spec: Any,
 ) -> Refined:
-    """64 disturbed curves finished, all on one route unless it is told."""
+    """64 disturbed curves finished, all on one route by default."""
     scene = scene or scene_of()
     route = np.zeros(64, int) if route is None else route
     return Refiner(scene, steps).refine(states_of(curves(scene, duration)), route, Spec(**spec))
@@ -134,7 +134,7 @@ def test_without_a_certified_margin_less_is_kept_than_the_projection_aims_at() -
 
 
 def test_where_an_end_is_too_near_no_anchor_is_safe_and_none_is_worse() -> None:
-    """The start stands 0.15 m from a post; the projection goes on as if nothing were certified."""
+    """The start is 0.15 m from a post; the projection runs without a certified margin."""
     near = np.asarray([2.6, 3.5, 0.0, 0.0, 0.0, 0.0], np.float32)
     scene = scene_of(x_curr=near)
     asked, plain = (refined(scene, steps=1, certified_margin=m) for m in (0.3, 0.0))
@@ -147,7 +147,7 @@ def test_the_barrier_takes_no_safe_anchor_away_and_brings_more() -> None:
     """Without descents, which would leave it little to do."""
     without, with_barrier = (refined(project=False, barrier=b) for b in (False, True))
     assert with_barrier.safe[without.safe].all()
-    # What was safe stays where it is, and so does what the barrier could not make safe.
+    # Safe anchors stay, and so do those that the barrier could not make safe.
     left = without.safe | ~with_barrier.safe
     np.testing.assert_array_equal(with_barrier.positions[left], without.positions[left])
     assert with_barrier.safe.mean() > without.safe.mean() + 0.1
@@ -187,7 +187,7 @@ def test_neither_smoothed_nor_projected_anchors_are_as_they_were_sampled() -> No
 
 
 def test_sampled_anchors_are_safe_only_as_one_motion_from_start_to_goal() -> None:
-    """Which derivatives a network tells of them, and where it begins, nobody else has looked at."""
+    """The sampled derivatives and the sampled start have had no other check."""
     scene = scene_of()
     states = states_of(scene.route_splines[:1])
     no_slower, elsewhere = states.copy(), states.copy()
@@ -235,7 +235,7 @@ def places(scene: Scene, anchors: Refined) -> np.ndarray:
 
 
 def test_anchors_stay_on_their_own_route_where_it_has_something_safe() -> None:
-    """Each of the gaps is a route; more change it where the finish is told of none."""
+    """Each gap is a route; without routes the finish changes more of them."""
     scene = scene_of()
     sampled = Refiner(scene, 1).refine(
         states_of(curves(scene, 8.0)), np.zeros(64, int), Spec(**UNFINISHED)
@@ -250,7 +250,7 @@ def test_anchors_stay_on_their_own_route_where_it_has_something_safe() -> None:
 
 
 def test_a_route_that_has_lost_all_its_anchors_gets_one_back() -> None:
-    """All anchors go one way; half of them are told that they belong to another."""
+    """All anchors go one way; half of them are labelled with another route."""
     scene = scene_of()
     assert len(scene.routes) > 1
     own = scene.route_splines[np.zeros(64, int)]

@@ -31,7 +31,7 @@ def corridor(turns: int, *, width: float, size: float) -> tuple[np.ndarray, ...]
 def refined(
     occupied: np.ndarray, x_curr: np.ndarray, x_goal: np.ndarray, motion: MotionLimits
 ) -> Refined:
-    """What the finish makes of the route's own spline, several times."""
+    """Several copies of the route's own spline, finished."""
     scene = Scene(
         cost_map=occupied[None],
         resolution=RESOLUTION,
@@ -156,7 +156,7 @@ def test_where_no_way_leads_nothing_is_found() -> None:
 
 
 def test_nothing_is_begun_anew_where_there_is_no_need(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refine, "beginnings", lambda *_, **__: pytest.fail("begun anew"))
+    monkeypatch.setattr(refine, "new_starts", lambda *_, **__: pytest.fail("begun anew"))
     free = np.zeros((100, 100), np.float32)
 
     assert refined(free, np.full(2, 2.0), np.full(2, 7.0), MotionLimits(2.0, 3.0)).safe.all()

@@ -20,7 +20,7 @@ RANK, COUNT = 9, 5
 
 @pytest.fixture(params=[(2, None), (3, None), (2, 4.0)], ids=["planar", "with heading", "horizon"])
 def guidance(request: pytest.FixtureRequest) -> Guidance:
-    """In a scene with a block between both ends; the prior's basis is any matrix."""
+    """Guidance in a scene with a block between both ends; the prior's basis is arbitrary."""
     dim, horizon_s = request.param
     occupied = np.zeros((64, 64), bool)
     occupied[28:36, 28:36] = True

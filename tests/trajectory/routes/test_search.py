@@ -238,7 +238,7 @@ def test_the_routes_are_those_of_a_plain_search(seed: int) -> None:
     expected = plain_search(case, most=6, stretch=STRETCH)
 
     assert len(found) > 1
-    # Of routes as long as the last one, any may be listed.
+    # Any of the routes as long as the last one may be listed.
     assert sorted(found.values()) == pytest.approx(sorted(expected.values()))
     assert all(expected.get(s, length) == pytest.approx(length) for s, length in found.items())
 

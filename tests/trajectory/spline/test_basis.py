@@ -44,7 +44,7 @@ def test_basis_functions_are_those_of_a_clamped_uniform_b_spline(
 
 
 def test_ends_are_met_in_every_duration(basis: SplineBasis, splines: Splines) -> None:
-    """To what float32 control points resolve: derivatives amplify their rounding."""
+    """Compared to the resolution of float32 control points: derivatives amplify their rounding."""
     position, velocity, acceleration = basis.states(splines)
     start, goal = ENDS.x_curr.reshape(3, 2), ENDS.x_goal.reshape(2, 2)
     for samples, order, expected in (

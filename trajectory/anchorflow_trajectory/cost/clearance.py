@@ -1,6 +1,6 @@
-"""Clearance: how far the robot's edge is from the nearest occupied cell.
+"""Clearance: the distance from the robot's edge to the nearest occupied cell.
 
-Or, where that is less, how far its centre is from the edge of the map.
+Near the map's edge it is at most the distance of the robot's centre to that edge.
 """
 
 from __future__ import annotations
@@ -18,15 +18,14 @@ FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 OCCUPIED = 0.5  # occupancy from which a cell is an obstacle
-# Requests come again on the map of the last one, at other starts and for other robots.
+# Successive requests often share a map, with other starts and other robots.
 SHARED = MapCache(most_bytes=32 << 20)
 
 
 def distance_to_cells(cells: BoolArray, resolution: float) -> FloatArray:
-    """Distance [m] from every cell's centre to the *square* of the nearest set cell; [H, W].
+    """Return the distance [m] of each cell's centre to the nearest set cell's *square*: [H, W].
 
-    Measuring to the square and not to its centre matters: a centre distance overstates clearance by
-    half a cell. Where no cell is set the distance is infinite.
+    A distance to its centre would overstate clearance by half a cell. Infinite if no cell is set.
     """
     return (distance_in_cells(np.ascontiguousarray(cells)) * resolution).astype(np.float32)
 
@@ -35,7 +34,7 @@ def clearance_field(occupied: BoolArray, resolution: float, robot_radius: float)
     """Clearance [m] at cell centres [H, W]: negative where the robot's disc touches an obstacle.
 
     The robot's centre must also stay on the map, so the distance to the map's edge is a bound too.
-    Inside obstacles the field goes on falling, so that its gradient leads out.
+    Inside obstacles the field keeps falling, so that its gradient points out of them.
     """
     signed = SHARED.of(occupied, resolution, signed_distance)
     height, width = occupied.shape
@@ -68,7 +67,7 @@ class GridField:
 
     @cached_property
     def made(self) -> dict[Any, Any]:
-        """What was made of it to be read by compiled loops, by the type of its numbers."""
+        """Return the cache of `Grid`s for compiled loops, by dtype."""
         return {}
 
     @cached_property

@@ -28,7 +28,7 @@ class CostFields:
     def of(
         cost_map: FloatArray, clearance: FloatArray, resolution: float, origin: FloatArray
     ) -> CostFields:
-        """Of a cost map [C, H, W] in [0, 1] whose clearance [H, W] is known."""
+        """Make the fields of a cost map [C, H, W] in [0, 1] with known clearance [H, W]."""
         field, soft = GridField(clearance, resolution, origin), soft_cost(cost_map)
         return CostFields(field, GridField(soft, resolution, origin) if soft.any() else None)
 
@@ -47,7 +47,7 @@ class Grid(NamedTuple):
     """A field on cell centres [H, W] as compiled loops read it, numbers of one type.
 
     first_x, first_y: of cell (0, 0), in cells from the frame's origin
-    left, bottom: 0; right, top: W - 1, H - 1. Where there is no field, values are [0, 0].
+    left, bottom: 0; right, top: W - 1, H - 1. Without a field, values are [0, 0].
     """
 
     values: NDArray[np.float32]
@@ -62,7 +62,7 @@ class Grid(NamedTuple):
 
     @staticmethod
     def of(field: GridField | None, dtype: DTypeLike) -> Grid:
-        """Of a field, if there is one; made once for each type."""
+        """Return the grid of a field, cached by dtype; an empty one for None."""
         if field is None:
             return _nowhere(np.dtype(dtype))
         if (made := field.made.get(dtype)) is None:
@@ -73,7 +73,7 @@ class Grid(NamedTuple):
     def _of(field: GridField, dtype: DTypeLike) -> Grid:
         height, width = field.values.shape
         x, y = np.asarray(field.origin) / field.resolution + 0.5
-        # What places cells is rounded to float32 for every type: all see the same map.
+        # Cell positions are rounded to float32 for every dtype, so that all see the same map.
         numbers = np.array([1.0 / field.resolution, field.resolution, x, y], np.float32)
         bounds = np.array([0.0, width - 1.0, 0.0, height - 1.0], dtype)
         return Grid(np.ascontiguousarray(field.values, np.float32), *numbers.astype(dtype), *bounds)
@@ -91,7 +91,7 @@ def look_up(grid: Grid, x: float, y: float) -> tuple[float, float, float]:
     As `GridField` does: bilinear, and beyond the outermost centres falling by one metre a metre.
     """
     u, v = x * grid.cells_per_m - grid.first_x, y * grid.cells_per_m - grid.first_y
-    # In this order a NaN is the first cell and no index beyond the map.
+    # This order of arguments clamps a NaN to the first cell.
     inside_u = min(grid.right, max(grid.left, u))
     inside_v = min(grid.top, max(grid.bottom, v))
     column, row = int(inside_u), int(inside_v)

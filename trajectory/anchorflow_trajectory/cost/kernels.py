@@ -1,7 +1,7 @@
-"""The cost and its gradient as compiled loops: the formulas of `cost`, for many trajectories.
+"""The cost and its gradient as compiled loops: the formulas of `trajectory_cost`.
 
 Arrays are [..., LANES], a trajectory a lane; each lane's sums run over its samples in order.
-Numbers are of the control points' type: float32 in the service, float64 where tests ask for it.
+Numbers have the control points' dtype: float32 in the service, float64 in some tests.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TINY = 1e-9  # of what is divided by
 
 
 class Gains(NamedTuple):
-    """What weighs the terms, in the control points' type; `cost` tells what they mean."""
+    """The weights of the terms, in the control points' dtype; see `trajectory_cost`."""
 
     time: np.floating
     safety: np.floating
@@ -50,7 +50,7 @@ class Gains(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What trajectories are judged by: a `TrajectoryCost`, as compiled loops read it."""
+    """A `TrajectoryCost` for compiled loops."""
 
     band: Band
     clearance: Grid
@@ -100,7 +100,7 @@ def cost_of_lanes(
 ) -> None:
     """Write J of control points [D, K, LANES] and durations [LANES], and its gradient.
 
-    style: [3, LANES], u of safety, energy and smoothness; so many lanes are in use
+    style: [3, LANES], u of safety, energy and smoothness; lanes: how many are in use
     found: [2, LANES], J and its derivative by log duration where the control points stay
     slope: [D, K, LANES], by the control points; left at zero unless is_sloped, in less time
     """
@@ -187,7 +187,7 @@ def _charge_motion(
     hinges: FloatArray,
     samples: FloatArray,
 ) -> None:
-    """Add the squares of p' and of p''' and what exceeds a limit; samples become derivatives."""
+    """Add squares of p' and p''' and excess over limits; samples become derivatives."""
     dim, real, two = samples.shape[1], samples.dtype.type, samples.dtype.type(2.0)
     for d in range(dim):
         for m in range(lanes):

@@ -2,18 +2,18 @@
 
     J = B + u_safety S + u_energy E + u_smooth M + H
 
-    B  duration over the scene's reference time: whatever the style, nobody waits for ever
+    B  duration over the scene's reference time: trajectories stay finite in every style
     S  mean squared shortfall of clearance from a comfortable distance, soft map costs, and mean
        squared speed: far from obstacles and slow
     E  duration over the reference time, and mean squared p' over the square of the way that v_max
        covers in it: quick and short
     M  mean squared jerk over a reference jerk^2
     H  hinges on clearance, speed and acceleration just inside their limits
-    u  the weights asked for, raised to a power and made to sum to 1 again: the corners and the
-       middle of the triangle stay, and what lies between leans clearly to one side
+    u  the requested weights, raised to a power and normalised: the corners and the middle of the
+       triangle stay, and points between lean clearly to one side
 
-Speeds and accelerations count in shares of the limits, durations in shares of the reference time:
-a robot of half the speed and a quarter of the acceleration is asked the same in twice the time.
+Speeds and accelerations are relative to the limits, durations to the reference time: a robot of
+half the speed and a quarter of the acceleration gets the same cost in twice the time.
 
 The gradients are written out by hand, in `kernels`.
 """
@@ -67,7 +67,7 @@ class CostWeights:
 
 
 class Gradient(NamedTuple):
-    """Of J: by the control points [D, M, K], and by log duration [M] where those stay."""
+    """The gradient of J by control points [D, M, K], and by log duration [M] with these fixed."""
 
     control: FloatArray
     log_duration: FloatArray
@@ -79,7 +79,7 @@ class TrajectoryCost:
 
     style: [3] or [M, 3], weights of safety, energy, smooth
     reference_s: s that durations are measured by, the least that the shortest route takes
-    margin: m of clearance that the hard hinge asks for
+    margin: m of clearance at which the hard hinge begins
     """
 
     basis: SplineBasis
@@ -112,7 +112,7 @@ class TrajectoryCost:
         return leaning
 
     def problem(self, dtype: DTypeLike) -> Problem:
-        """The same as compiled loops read it, in numbers of that type."""
+        """Return the cost for compiled loops, in numbers of a dtype."""
         w, limits = self.weights, self.limits
         gains = (w.time, w.safety, w.slow, w.quick, w.short, w.smooth, w.collision, w.speed)
         gains += (w.acceleration, w.comfort, w.limit_share, self.margin)

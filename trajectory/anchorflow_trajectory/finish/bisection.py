@@ -1,8 +1,8 @@
-"""Bring trajectories that are still not safe back towards the nearest one that is.
+"""Bisect trajectories that are not safe towards the nearest safe ones.
 
-Every mixture of two trajectories that rest at both ends meets these, and keeps a speed that both
-keep, so hardly more than obstacles stands between them: the mixture that goes furthest and is safe
-is found by bisection. It costs no alternative, because only trajectories that had failed are moved.
+Every mixture of two trajectories between the same resting ends meets both ends and keeps a speed
+that both keep, so little but obstacles makes it unsafe. Bisection finds the mixture that is safe
+and closest to the failed trajectory. Safe trajectories never move.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 ROUNDS = 5
-STRIDE = 4  # samples between the points by which trajectories are compared
-GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # whose multiples, modulo 1, lie well apart
-LOST, FIRST, SECOND, NEAREST, TRIED = range(5)  # places of what is worked with
-ELSEWHERE = 1e6  # m^2 by which a trajectory of another route is further away
+STRIDE = 4  # samples between the points at which trajectories are compared
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)  # its multiples modulo 1 are well spaced
+LOST, FIRST, SECOND, NEAREST, TRIED = range(5)  # rows of the working arrays
+ELSEWHERE = 1e6  # m^2, penalty on trajectories of another route
 
 
 def bisect_to_safe(
@@ -40,15 +40,15 @@ def bisect_to_safe(
     certified_margin: float = 0.0,
     spread: Spread = in_one,
 ) -> Splines:
-    """The splines, those that are not `safe` [M] moved; unmoved where none is.
+    """Return the splines with those that are not `safe` [M] moved, if any is safe.
 
-    A failed one is brought to its nearest neighbours on its own route, and to one elsewhere only
-    where its route has none. Where two are near, each failed one gets a place of its own between
-    them if that is safe, so that many need not end in one.
+    A failed spline moves towards its two nearest neighbours on its own route, or elsewhere if its
+    route has none. Each gets its own point between the two if that is safe, so that failed
+    splines do not all end in the same place.
 
-    route: [M] the place of the route that each follows
-    certified_margin: m, with which `safe` was judged
-    spread: gives parts of the failed ones to threads
+    route: [M] index of the route that each follows
+    certified_margin: m, as for `safe`
+    spread: runs ranges of the failed splines on threads
     """
     if safe.all() or not safe.any():
         return splines
@@ -86,10 +86,10 @@ def _bisect(
     moved: FloatArray,
     lasting: NDArray[np.float64],
 ) -> None:
-    """Write the failed ones from begin to end of splines [D, M, K], moved: [D, P, K] and [P] s.
+    """Write failed splines begin to end of [D, M, K], moved: [D, P, K] and [P] s.
 
-    places: [P, 3], of each failed one and of its nearest two neighbours
-    share: [P], of the way from the first of these to the second that is its own
+    places: [P, 3], indices of a failed spline and of its two nearest neighbours
+    share: [P], position of its target between the first neighbour and the second
     """
     dim, _, points = control.shape
     work, lasts = np.empty((dim, 5, points), control.dtype), np.empty(5)
@@ -121,10 +121,7 @@ def _mix(
     ends: EndPoints,
     place: int,
 ) -> None:
-    """Write what lies a share of the way from one of splines [D, M, K] to another, at a place.
-
-    Both ends are met.
-    """
+    """Write a mixture of two of splines [D, M, K] at `place`; it meets both ends."""
     weight = control.dtype.type(share)
     for d in range(control.shape[0]):
         for k in range(control.shape[2]):
@@ -137,9 +134,9 @@ def _mix(
 
 
 def _two_nearest(points: FloatArray, others: FloatArray, away: BoolArray) -> NDArray[np.intp]:
-    """Indices [P, 2] into `others` [Q, T, D] of the least mean squared distances from [P, T, D].
+    """Return indices [P, 2] of the `others` [Q, T, D] nearest to points [P, T, D], in mean square.
 
-    The same twice where there is one. away: [P, Q], those to take only where there is no other
+    A single other counts twice. away: [P, Q], others on another route
     """
     a, b = (x[:, ::STRIDE].reshape(len(x), -1) for x in (points, others))
     order = ((b**2).sum(-1) - 2 * a @ b.T + ELSEWHERE * away).argsort(1)

@@ -1,6 +1,6 @@
 """Is a trajectory safe? Clearance along the whole path, speed and acceleration at its samples.
 
-The service's `safe`, the expert's `good` and the trainer's scores are this one verdict.
+The service's `safe`, the expert's `good` and the trainer's scores all use this verdict.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 CHECK_STEP = 0.04  # m between the points at which clearance is looked up
-BULGE = 0.01  # m beside the chord of two samples, up to which a motion is looked at along it
-FAR_OUT = 4  # sides of the map: a leg of so many has an end where the field is lower than within
+BULGE = 0.01  # m from the chord of two samples, up to which the chord stands for the motion
+FAR_OUT = 4  # half perimeters of the map: a longer leg has its least clearance at an end
 # A bilinear field and another reader's rounding to cells differ by less than this share of a cell.
 SHARE_OF_CELL = 0.3
 SPEED_TOLERANCE, ACCELERATION_TOLERANCE = 1.02, 1.05
-END_TOLERANCE = 0.05  # m, by which states miss an end that no spline meets
+END_TOLERANCE = 0.05  # m by which sampled states may miss an end
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What holds for each of M trajectories, all [M].
+    """The result of `verify`, for each of M trajectories.
 
     clearance: m beyond the robot's radius, smallest along the path
     free: clear of every obstacle and of the map's edge by the certified margin
@@ -56,10 +56,10 @@ def verify(
     *,
     certified_margin: float = 0.0,
 ) -> Verdict:
-    """Judge positions, velocities and accelerations [M, T, D].
+    """Check positions, velocities and accelerations [M, T, D].
 
-    certified_margin: m beyond the robot's radius that a safe path keeps from every obstacle and
-        from the map's edge; the share of a cell comes on top, so it holds for another reader too
+    certified_margin: m beyond the robot's radius from every obstacle and from the map's edge; a
+        share of a cell is added, so that it holds for other interpolations too
     """
     position, velocity, acceleration = states
     position = np.ascontiguousarray(position)
@@ -76,10 +76,9 @@ def is_one_motion(
     ends: Ends,
     limits: MotionLimits,
 ) -> BoolArray:
-    """Whether states that no spline holds together lead from start to goal within limits: [M].
+    """Whether sampled states are one motion from start to goal within the limits: [M].
 
-    They begin and end where they should, and from one to the next they move no faster, and change
-    their velocity no faster, than the limits allow.
+    They begin and end in the right place, and their finite differences keep the limits.
 
     states: positions, velocities and accelerations [M, T, D]; duration: [M] s
     """
@@ -101,14 +100,14 @@ def are_safe(
     *,
     certified_margin: float = 0.0,
 ) -> BoolArray:
-    """The verdict of `verify` on the states of M splines, `safe` [M], in less time."""
+    """Return `verify(...).safe` [M] for the states of M splines, in less time."""
     control = np.ascontiguousarray(splines.control)
     judge = Judge.of(basis, field, limits, certified_margin, dtype=control.dtype)
     return _are_safe(control, np.ascontiguousarray(splines.duration, np.float64), judge)
 
 
 class Judge(NamedTuple):
-    """What makes a spline safe, as compiled loops read it; both limits with their tolerances."""
+    """The bounds of a safe spline for compiled loops; both limits include their tolerance."""
 
     band: Band
     grid: Grid
@@ -162,7 +161,7 @@ def is_safe(control: FloatArray, duration: NDArray[np.float64], m: int, judge: J
 
 
 def required_clearance(field: GridField, certified_margin: float) -> float:
-    """m of clearance in the field from which a path is certified to keep the margin."""
+    """Return the clearance [m] in the field that certifies the margin."""
     return certified_margin + SHARE_OF_CELL * field.resolution
 
 
@@ -199,9 +198,9 @@ def _motion_clearance(grid: Grid, positions: FloatArray) -> FloatArray:
 
 @compiled
 def _clearance_along(grid: Grid, path: FloatArray, enough: float) -> float:
-    """The smallest along a motion's samples [T, D] and between them; what is not `enough` ends it.
+    """Return the least clearance along samples [T, D] and between them; stop below `enough`.
 
-    How the motion bends at a sample tells the difference of its legs there.
+    The second difference at a sample gives the curvature of the motion there.
     """
     steps = len(path)
     least = look_up(grid, path[steps - 1, 0], path[steps - 1, 1])[0]
@@ -215,9 +214,9 @@ def _clearance_along(grid: Grid, path: FloatArray, enough: float) -> float:
 
 @compiled
 def _bent_leg_clearance(grid: Grid, path: FloatArray, t: int, here: int, there: int) -> float:
-    """The smallest from sample t - 1 to t, which is left out.
+    """Return the least clearance from sample t - 1 up to t, t excluded.
 
-    here, there: samples that tell how the motion bends at the leg's ends. In between its second
+    here, there: samples whose second differences hold at the leg's ends. In between its second
     derivative by the leg's share s is linear, b_0 (1 - s) + b_1 s, which puts it
     s (1 - s) ((2 - s) b_0 + (1 + s) b_1) / 6 beside the chord.
     """
@@ -253,7 +252,7 @@ def _second_difference(path: FloatArray, t: int) -> tuple[float, float]:
 
 @compiled
 def _leg_clearance(grid: Grid, x: float, y: float, to_x: float, to_y: float) -> float:
-    """The smallest along a straight leg, its end left out."""
+    """Return the least clearance along a straight leg, its end excluded."""
     along_x, along_y = to_x - x, to_y - y
     length = np.sqrt(along_x * along_x + along_y * along_y)
     least = look_up(grid, x, y)[0]

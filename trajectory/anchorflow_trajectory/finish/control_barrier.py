@@ -1,6 +1,6 @@
-"""A control barrier on finished anchors: what is not clear enough is moved, as little as can be.
+"""A control barrier on finished anchors: move those too close to obstacles as little as possible.
 
-The barrier function of an anchor is a smooth lower bound of the room that its samples have,
+The barrier function of an anchor is a smooth lower bound of the clearance of its samples,
 
     h(c) = -1/κ log Σ_k exp(-κ (clearance(p_k) - margin)),
 
@@ -9,11 +9,10 @@ constraint, in the metric M in which smoothness is round (`whitening`):
 
     δ = M g max(0, -α h) / (g·M g + ε^2),    g = ∇h(c)
 
-It is the program of `anchorflow_models.generation.barrier`, which steers anchors while they are
-drawn in torch and tells the sources (Ames et al., ECC 2019; SafeDiffuser; SafeFlow). This one acts
-at t = 1, on the spline instead of the state, and a few times over, because clearance is not linear.
-Only clearance is kept: whether an anchor is also within the limits is for `verify` to say, and
-what has remained unsafe for `bisection`.
+The program is that of `anchorflow_models.generation.barrier`, which steers anchors during sampling
+in torch (Ames et al., ECC 2019; SafeDiffuser; SafeFlow). This one acts at t = 1, on the spline, and
+repeats because clearance is not linear. It keeps clearance only: `certificate` checks the limits,
+and `bisection` moves the anchors that remain unsafe.
 """
 
 from __future__ import annotations
@@ -28,23 +27,23 @@ from anchorflow_trajectory.spline.basis import PLANE, SplineBasis, Splines, whit
 
 FloatArray = NDArray[np.floating]
 
-SHARPNESS = 40.0  # κ, 1/m: h lies 0.04 m under the least room where five samples have the same
-RATE = 1.0  # α: of a shortfall that a correction closes, to first order
-SLACK = 0.1  # ε, m: no correction explodes where the ends or two near walls leave no way out
+SHARPNESS = 40.0  # κ, 1/m: with five equal samples h is 0.04 m below their clearance
+RATE = 1.0  # α: share of a shortfall that one correction closes, to first order
+SLACK = 0.1  # ε, m: bounds the correction between near walls and at fixed ends
 CORRECTIONS = 8
 BETWEEN = 0.02  # m of clearance that a path may lose between two samples
 
 
 @dataclass(frozen=True, eq=False)
 class ControlBarrier:
-    """The barrier of one scene; margin: m of clearance that every sample is to keep."""
+    """The barrier of one scene; margin: m of clearance for every sample."""
 
     basis: SplineBasis
     clearance: GridField
     margin: float
 
     def corrected(self, splines: Splines) -> Splines:
-        """The splines, control points of those with h < 0 moved; ends and durations stay."""
+        """Move the control points of splines with h < 0; ends and durations stay."""
         free, root = self.basis.free, whitening(self.basis)
         control = splines.control.copy()
         for _ in range(CORRECTIONS):
@@ -56,7 +55,7 @@ class ControlBarrier:
         return Splines(control, splines.duration)
 
     def value_and_gradient(self, control: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """h [M] in m and its gradient [2, M, F] with respect to the free control points."""
+        """Return h [M] in m and its gradient [2, M, F] by the free control points."""
         rows = self.basis.position
         x, y = control[PLANE] @ rows.T
         clearance, along_x, along_y = self.clearance.sample_with_gradient(x, y)

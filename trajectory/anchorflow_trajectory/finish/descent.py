@@ -28,8 +28,8 @@ from anchorflow_trajectory.spline.kernels import (
 FloatArray = NDArray[np.floating]
 
 BETAS = (0.8, 0.95)  # short memories: there are tens of steps, not thousands
-LEAST_SIZE = 1e-6  # of a slope that Adam scales
-STRETCH = 0.3  # of log duration, where a control point moves 1 m
+LEAST_SIZE = 1e-6  # Adam's epsilon
+STRETCH = 0.3  # change of log duration per metre of a control point
 
 
 def descend(
@@ -41,15 +41,15 @@ def descend(
     rate: float,
     tether: float = 0.0,
 ) -> Splines:
-    """Splines after `steps` steps of about `rate` metres, decaying to a tenth.
+    """Return the splines after `steps` steps of about `rate` metres, decaying to a tenth.
 
-    The ends stay where they are, and so does a heading: no obstacle and no limit pulls at it, and
-    Adam would scale what is left up to steps of `rate` radians. Durations stay where the limits
-    have a horizon. Trajectories descend on their own.
+    Ends and headings stay: no obstacle or limit pulls at a heading, and Adam would scale its small
+    slope up to `rate` radians. Durations stay if the limits have a horizon. Trajectories do not
+    affect one another.
 
-    tether: cost of 1 m^2 away from where a trajectory began, in the round coordinates. Of random
-        beginnings it makes samples of their distribution times exp(-J / temperature), where it is
-        the temperature over their variance (randomize-then-optimize; Bardsley et al., 2014).
+    tether: cost of 1 m^2 from the start, in the round coordinates. Set to temperature / variance of
+        random starts, it yields samples of their distribution times exp(-J / temperature)
+        (randomize-then-optimize; Bardsley et al., 2014).
     """
     dtype, kept = splines.control.dtype, cost.basis.points_of(ends)
     way = Descent.of(cost, ends, steps=steps, rate=rate, dtype=dtype, tether=tether)
@@ -60,7 +60,7 @@ def descend(
 
 
 class Descent(NamedTuple):
-    """How a descent is carried out: `descend` tells of steps, rate and tether.
+    """The settings of a descent; steps, rate and tether as in `descend`.
 
     root: [F, F], the whitening; start: the first free control point
     is_timed: whether durations change; is_moving: whether ends then move control points
@@ -84,7 +84,7 @@ class Descent(NamedTuple):
         dtype: DTypeLike,
         tether: float = 0.0,
     ) -> Descent:
-        """For control points of that type."""
+        """Return the settings for control points of a dtype."""
         basis = cost.basis
         return Descent(
             steps=steps,
@@ -133,7 +133,7 @@ def descend_lanes(
     style: FloatArray,
     lanes: int,
 ) -> None:
-    """The same of control points [D, K, LANES] and log durations [LANES]."""
+    """Change control points [D, K, LANES] and log durations [LANES] in place."""
     last, real = 2 * len(way.root), control.dtype.type
     duration, found = np.empty(LANES, control.dtype), np.empty((2, LANES), control.dtype)
     lasting = np.empty(LANES)
@@ -167,7 +167,7 @@ def descend_lanes(
 def _turn_slopes(
     way: Descent, slope: FloatArray, away: FloatArray, lanes: int, change: FloatArray
 ) -> None:
-    """Write the slopes by the round coordinates, the tether's included, into the rows of change."""
+    """Write the slopes by the round coordinates, with the tether, into the rows of change."""
     free, tether = len(way.root), slope.dtype.type(way.tether)
     for row in range(2 * free):
         d, f = row // free, row % free
@@ -183,7 +183,7 @@ def _turn_slopes(
 def _move(
     way: Descent, change: FloatArray, away: FloatArray, lanes: int, control: FloatArray
 ) -> None:
-    """Take the change of the round coordinates away from control points [D, K, LANES]."""
+    """Subtract the change of the round coordinates from control points [D, K, LANES]."""
     free = len(way.root)
     for row in range(2 * free):
         d, f = row // free, row % free
@@ -199,7 +199,7 @@ def _move(
 def _adam(
     change: FloatArray, mean: FloatArray, spread: FloatArray, count: int, rate: float, lanes: int
 ) -> None:
-    """Slopes [R, LANES] become what to take away at the count-th step of this rate."""
+    """Turn slopes [R, LANES] into Adam's decrements for step `count`."""
     real = change.dtype.type
     fresh, also_fresh = real(1.0 - BETAS[0]), real(1.0 - BETAS[1])
     whole = real(1.0 - BETAS[1] ** count)

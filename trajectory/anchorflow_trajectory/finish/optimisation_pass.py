@@ -1,7 +1,7 @@
-"""An attempt of the finish in one compiled call: slow down, descend, hurry, and judge.
+"""One pass of the finish in one compiled call: slow down, descend, speed up, and check safety.
 
-The call holds no lock of the interpreter from its beginning to its end, and parts of the anchors
-may be given to threads: each is worked on alone, so that its bytes are the same.
+The call releases the interpreter's lock throughout. Threads may run ranges of the anchors: each
+anchor is computed on its own, so its bytes do not depend on the split.
 """
 
 from __future__ import annotations
@@ -36,13 +36,12 @@ MOST_STRETCH = 3.0
 
 
 @dataclass(frozen=True)
-class Attempt:
-    """What is done to anchors before they are judged; durations stay where limits have a horizon.
+class OptimisationPass:
+    """The settings of a pass; durations are fixed if the limits have a horizon.
 
-    steps, rate: of the descents, as `descend` has them
-    slowed_before, slowed_after: whether, before or after the descents, what exceeds a limit is gone
-        as slowly as the limits ask, as far as the ends allow
-    shares: of a duration after the descents, of which the one that costs least is kept
+    steps, rate: of the descent, as in `descend`
+    slowed_before, slowed_after: stretch trajectories that exceed a limit before or after it
+    shares: fractions of the duration to try after it; the cheapest is kept
     """
 
     steps: int
@@ -60,28 +59,28 @@ class Attempt:
         certified_margin: float = 0.0,
         spread: Spread = in_one,
     ) -> tuple[Splines, BoolArray]:
-        """The splines after it, and which of them are safe: [M].
+        """Return the optimised splines, and which of them are safe: [M].
 
-        certified_margin: m that `are_safe` asks for
+        certified_margin: m, as in `are_safe`
         """
         limits, basis, dtype = cost.limits, cost.basis, splines.control.dtype
         control, duration = splines.control.copy(), splines.duration.astype(np.float64)
         safe = np.empty(len(splines), np.bool_)
         problem, style = cost.problem(dtype), cost.leaning(len(splines), dtype)
-        way = Descent.of(cost, ends, steps=self.steps, rate=self.rate, dtype=dtype)
+        descent = Descent.of(cost, ends, steps=self.steps, rate=self.rate, dtype=dtype)
         timing, points = self._timing(cost, ends), basis.points_of(ends)
         judge = Judge.of(basis, cost.fields.clearance, limits, certified_margin, dtype=dtype)
 
         def work(begin: int, end: int) -> None:
-            _attempt(
-                problem, way, timing, points, judge, control, duration, style, begin, end, safe
+            _run(
+                problem, descent, timing, points, judge, control, duration, style, begin, end, safe
             )
 
         spread(work, len(splines))
         return Splines(control, duration), safe
 
     def _timing(self, cost: TrajectoryCost, ends: Ends) -> Timing:
-        """What an end brings along does not become less with time: no stretch is asked for it."""
+        """Return the timing; stretching cannot reduce the speed or acceleration of an end."""
         limits, is_timed = cost.limits, cost.limits.horizon_s is None
         given = ends.derivatives[[1, 2, 4], :2]
         start_speed, start_acceleration, goal_speed = np.sqrt((given * given).sum(-1))
@@ -95,7 +94,7 @@ class Attempt:
 
 
 class Timing(NamedTuple):
-    """How durations may change; `Attempt` tells of shares and of both slowed_….
+    """How durations may change: see `OptimisationPass`.
 
     speed, acceleration: m/s and m/s^2 above which slowing down helps
     """
@@ -108,9 +107,9 @@ class Timing(NamedTuple):
 
 
 @compiled
-def _attempt(
+def _run(
     problem: Problem,
-    way: Descent,
+    descent: Descent,
     timing: Timing,
     ends: EndPoints,
     judge: Judge,
@@ -132,7 +131,7 @@ def _attempt(
             lasting[m] = duration[first + m]
             for k in range(3):
                 leaning[k, m] = style[k, first + m]
-        _attempt_lanes(problem, way, timing, ends, taken, lasting, leaning, lanes)
+        _run_on_lanes(problem, descent, timing, ends, taken, lasting, leaning, lanes)
         put_lanes(taken, first, lanes, control)
         for m in range(lanes):
             duration[first + m] = lasting[m]
@@ -141,9 +140,9 @@ def _attempt(
 
 
 @compiled
-def _attempt_lanes(
+def _run_on_lanes(
     problem: Problem,
-    way: Descent,
+    descent: Descent,
     timing: Timing,
     ends: EndPoints,
     control: FloatArray,
@@ -157,18 +156,18 @@ def _attempt_lanes(
     log_duration = np.empty(LANES)
     for m in range(lanes):
         log_duration[m] = np.log(duration[m])
-    descend_lanes(problem, way, ends, control, log_duration, style, lanes)
-    if way.is_timed:
+    descend_lanes(problem, descent, ends, control, log_duration, style, lanes)
+    if descent.is_timed:
         for m in range(lanes):
             duration[m] = np.exp(log_duration[m])
     if len(timing.shares):
-        _hurry(problem, timing, ends, control, duration, style, lanes)
+        _speed_up(problem, timing, ends, control, duration, style, lanes)
     if timing.slowed_after:
         _slow_down(problem.band, timing, ends, control, duration, lanes)
 
 
 @compiled
-def _hurry(
+def _speed_up(
     problem: Problem,
     timing: Timing,
     ends: EndPoints,
@@ -177,9 +176,9 @@ def _hurry(
     style: FloatArray,
     lanes: int,
 ) -> None:
-    """Each of control points [D, K, LANES] in the share of its duration that costs it least.
+    """Give control points [D, K, LANES] the share of their duration that costs least.
 
-    Descents smooth a way faster than they find out how soon it can then be driven.
+    A descent smooths a path faster than it shortens its duration.
     """
     tried, slope, best = control.copy(), np.empty_like(control), control.copy()
     found, least = np.empty((2, LANES), control.dtype), np.empty(LANES, control.dtype)
@@ -207,10 +206,10 @@ def _slow_down(
     duration: NDArray[np.float64],
     lanes: int,
 ) -> None:
-    """Stretch what exceeds a limit until it keeps it, of control points [D, K, LANES].
+    """Stretch the control points [D, K, LANES] that exceed a limit until they keep it.
 
-    What an acceleration at an end does to the speed grows with time: where the excess would not
-    become less, a way stays as it is.
+    The effect of an acceleration at an end grows with time: a trajectory whose excess would not
+    shrink stays as it is.
     """
     needed, slower = np.empty(LANES, control.dtype), np.empty(LANES, control.dtype)
     _needed_stretch(band, timing, control, duration, lanes, needed)
@@ -238,7 +237,7 @@ def _needed_stretch(
     lanes: int,
     needed: FloatArray,
 ) -> None:
-    """Write how many times the duration keeps both limits, were the ends at rest: [LANES]."""
+    """Write the factor on the duration that keeps both limits if the ends rest: [LANES]."""
     real = control.dtype.type
     samples = np.empty((3, control.shape[0], LANES), control.dtype)
     largest = np.zeros((2, LANES), control.dtype)

@@ -1,4 +1,4 @@
-"""Finish anchors: fit splines that meet both ends, push them clear, and measure what came out."""
+"""Finish anchors: fit splines that meet both ends, push them clear, and measure the result."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from anchorflow_trajectory.finish.certificate import (
     verify,
 )
 from anchorflow_trajectory.finish.control_barrier import BETWEEN, ControlBarrier
-from anchorflow_trajectory.finish.optimisation_pass import Attempt
-from anchorflow_trajectory.finish.reinitialise import Beginnings, Rescue, beginnings
+from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
+from anchorflow_trajectory.finish.reinitialise import Reinitialisation, Starts, new_starts
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
 from anchorflow_trajectory.threads import Spread, in_one
@@ -29,22 +29,22 @@ FloatArray = NDArray[np.floating]
 BoolArray = NDArray[np.bool_]
 
 DESCENT_RATE = 0.3  # m, a first step on the control points
-# What has failed is helped along its own way: all of it once, and again where a route has nothing
-# safe yet. A hard scene costs more time than an easy one.
+# Anchors that are not safe get a further pass each: all of them once, then those of routes that
+# have no safe anchor yet. A hard scene costs more time than an easy one.
 FURTHER_RATES = (0.15, 0.15)
-STIFFER = 4.0  # by how much obstacles and limits then weigh more, from one to the next
+STIFFER = 4.0  # factor on the weights of obstacles and limits from one pass to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
-# Where a route still has nothing safe, it is begun on anew and descended for longer; then so on a
-# finer basis, on which the nearest of each route are descended for longer still. The last rate is
-# for a robot of 2 m/s and 3 m/s^2: it grows with v_max^2 / a_max, the room that one needs to turn.
-RESCUE_STEPS, RESCUE_RATE = 60, 0.1
+# A route that still has no safe anchor gets new starts and longer passes, first on this basis, then
+# on a finer one, and there the cheapest starts of each route get the longest pass. Its rate is for
+# a robot of 2 m/s and 3 m/s^2 and grows with v_max^2 / a_max, the room needed to turn.
+RESTART_STEPS, RESTART_RATE = 60, 0.1
 LONGER_STEPS, MOST_LONGER = 150, 8
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
 class Refinement(Protocol):
-    """What is asked of the finish: the contract's `RefineSpec` is one."""
+    """The options of a finish; the contract's `RefineSpec` is one."""
 
     @property
     def smooth(self) -> bool:
@@ -63,7 +63,7 @@ class Refinement(Protocol):
 
     @property
     def barrier(self) -> bool:
-        """Correct what is not clear enough by a control barrier."""
+        """Move anchors that are too close to obstacles by a control barrier."""
         ...
 
     @property
@@ -95,13 +95,12 @@ class Refined:
 
 @dataclass(frozen=True)
 class Refiner:
-    """How the anchors of one scene are finished.
+    """Finishes the anchors of one scene.
 
-    steps: descents on the control points where a request asks to project; what is not safe then
-        is corrected by the barrier, if one is asked for, helped along its own way and brought back
-        by bisection
-    rate: m, of the first of them
-    spread: gives parts of the anchors to threads; an anchor's bytes are the same on any
+    steps: descent steps of the first pass if a request projects; anchors that are not safe after it
+        are corrected by the barrier if the request has one, optimised further and bisected
+    rate: m, of the first step
+    spread: runs ranges of anchors on threads; an anchor's bytes do not depend on it
     """
 
     scene: Scene
@@ -112,9 +111,9 @@ class Refiner:
     def refine(self, states: FloatArray, route: NDArray[np.intp], spec: Refinement) -> Refined:
         """Finish sampled states [N, T, 3D + 1]: p, p', p'' in own time, and log duration.
 
-        Neither smoothed nor projected nor corrected, they are returned as they were sampled.
+        Without smoothing, projection and barrier they are returned as they were sampled.
 
-        route: [N] the place of the route that each follows
+        route: [N] index of the route that each follows
         """
         scene = self.scene
         cost = self.cost(spec)
@@ -154,7 +153,7 @@ class Refiner:
         )
 
     def cost(self, spec: Refinement) -> TrajectoryCost:
-        """What the projection descends, the scores tell and guidance follows."""
+        """Return the cost that the projection descends and that scores and guidance use."""
         scene, margin = self.scene, spec.safety_margin
         if spec.certified_margin > 0.0:
             margin = max(margin, spec.certified_margin + AIM_BEYOND)
@@ -163,7 +162,7 @@ class Refiner:
         )
 
     def fitted(self, states: FloatArray) -> Splines:
-        """The splines nearest to states [N, T, 3D + 1]; they last as long as the horizon asks."""
+        """Return the splines nearest to states [N, T, 3D + 1]; a horizon sets their duration."""
         scene = self.scene
         return scene.basis.fit(states[..., :-1], scene.ends, scene.motion.durations(states))
 
@@ -180,21 +179,21 @@ class Refiner:
         certified: float,
         barrier: ControlBarrier | None,
     ) -> tuple[TrajectoryCost, Splines]:
-        """Descend, help along its way what has failed, and bring back what then still fails.
+        """Optimise, restart routes without a safe anchor, and bisect what is still not safe.
 
-        The cost comes back on the basis of the splines.
+        Return the cost on the splines' basis, and the splines.
         """
         scene, asked = self.scene, cost
-        first = Attempt(self.steps, self.rate, shares=HURRIED)
-        splines, safe = self._attempted(first, cost, splines, certified, barrier)
+        first = OptimisationPass(self.steps, self.rate, shares=HURRIED)
+        splines, safe = self._optimised(first, cost, splines, certified, barrier)
         helped = ~safe
         for rate in FURTHER_RATES:
             if not helped.any():
                 break
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
             failed = np.flatnonzero(helped)
-            slowly = Attempt(self.steps, rate, slowed_before=True, slowed_after=True)
-            tried, gained = self._attempted(slowly, cost, splines[failed], certified, barrier)
+            slowly = OptimisationPass(self.steps, rate, slowed_before=True, slowed_after=True)
+            tried, gained = self._optimised(slowly, cost, splines[failed], certified, barrier)
             splines = splines.replaced(failed, tried)
             safe[failed] = gained
             helped = ~safe & ~self._has_any(route[safe])[route]
@@ -203,9 +202,9 @@ class Refiner:
         reached = self._has_any(route[sound])
         lost = np.flatnonzero(self._has_any(route) & ~reached)
         if len(lost):
-            rescue = Rescue(splines, safe.copy(), route, lost)
-            cost = self._rescue(rescue, cost, certified, barrier)
-            splines, safe = rescue.splines, rescue.safe
+            restart = Reinitialisation(splines, safe.copy(), route, lost)
+            cost = self._reinitialise(restart, cost, certified, barrier)
+            splines, safe = restart.splines, restart.safe
         return replace(asked, basis=cost.basis), bisect_to_safe(
             splines,
             safe,
@@ -218,57 +217,68 @@ class Refiner:
             spread=self.spread,
         )
 
-    def _rescue(
-        self, rescue: Rescue, cost: TrajectoryCost, certified: float, barrier: ControlBarrier | None
+    def _reinitialise(
+        self,
+        restart: Reinitialisation,
+        cost: TrajectoryCost,
+        certified: float,
+        barrier: ControlBarrier | None,
     ) -> TrajectoryCost:
-        """Begin anew on each of the lost routes; the cost, on the basis of the splines by then."""
-        self._begin_anew(rescue, cost, certified, barrier)
+        """Restart each lost route; return the cost on the basis that the splines then have."""
+        self._try_starts(restart, cost, certified, barrier)
         finer = cost.basis.finer
-        if finer is None or not len(rescue.lost):
+        if finer is None or not len(restart.lost):
             return cost
-        rescue.refine(cost.basis)
+        restart.refine(cost.basis)
         cost, barrier = replace(cost, basis=finer), barrier and replace(barrier, basis=finer)
-        self._begin_anew(rescue, cost, certified, barrier)
-        if len(rescue.lost):
-            motion, nearest = self.scene.motion, rescue.nearest(MOST_LONGER)
+        self._try_starts(restart, cost, certified, barrier)
+        if len(restart.lost):
+            motion, nearest = self.scene.motion, restart.nearest(MOST_LONGER)
             reach = min(max(motion.v_max**2 / motion.a_max / TURN, 1.0), MOST_REACH)
-            longer = Attempt(LONGER_STEPS, reach * RESCUE_RATE, slowed_after=True)
-            self._try(longer, rescue, nearest, cost, certified, barrier)
+            longer = OptimisationPass(LONGER_STEPS, reach * RESTART_RATE, slowed_after=True)
+            self._try(longer, restart, nearest, cost, certified, barrier)
         return cost
 
-    def _begin_anew(
-        self, rescue: Rescue, cost: TrajectoryCost, certified: float, barrier: ControlBarrier | None
-    ) -> None:
-        """Try what the lost routes may be begun on, until none is lost."""
-        scene, attempt = self.scene, Attempt(RESCUE_STEPS, RESCUE_RATE, slowed_after=True)
-        for begun in beginnings(scene, cost.basis, rescue.lost, certified_margin=certified):
-            self._try(attempt, rescue, rescue.of_lost(*begun), cost, certified, barrier)
-            if not len(rescue.lost):
-                break
-
-    def _try(
+    def _try_starts(
         self,
-        attempt: Attempt,
-        rescue: Rescue,
-        begun: Beginnings,
+        restart: Reinitialisation,
         cost: TrajectoryCost,
         certified: float,
         barrier: ControlBarrier | None,
     ) -> None:
-        """Keep what is safe on its route after the attempt."""
+        """Try new starts until no route is lost."""
+        scene, optimisation = (
+            self.scene,
+            OptimisationPass(RESTART_STEPS, RESTART_RATE, slowed_after=True),
+        )
+        for begun in new_starts(scene, cost.basis, restart.lost, certified_margin=certified):
+            self._try(optimisation, restart, restart.of_lost(*begun), cost, certified, barrier)
+            if not len(restart.lost):
+                break
+
+    def _try(
+        self,
+        optimisation: OptimisationPass,
+        restart: Reinitialisation,
+        begun: Starts,
+        cost: TrajectoryCost,
+        certified: float,
+        barrier: ControlBarrier | None,
+    ) -> None:
+        """Optimise starts and keep those that are then safe on their own route."""
         splines, along = begun
-        tried, safe = self._attempted(attempt, cost, splines, certified, barrier)
+        tried, safe = self._optimised(optimisation, cost, splines, certified, barrier)
         gained = safe & self._on_route(tried, cost.basis, along)
-        rescue.take(tried, along, gained, cost.value(tried))
+        restart.take(tried, along, gained, cost.value(tried))
 
     def _has_any(self, route: NDArray[np.intp]) -> BoolArray:
-        """Which of the scene's routes are among these: [R]."""
+        """Return which of the scene's R routes occur in `route`: [R]."""
         found = np.zeros(len(self.scene.route_splines), np.bool_)
         found[route] = True
         return found
 
     def _on_route(self, splines: Splines, basis: SplineBasis, route: NDArray[np.intp]) -> BoolArray:
-        """Which still pass the obstacles on the same sides as their route: [M]."""
+        """Return which splines pass the obstacles on the same sides as their route: [M]."""
         scene = self.scene
         if len(scene.routes) < 2:
             return np.ones(len(splines), np.bool_)
@@ -279,16 +289,16 @@ class Refiner:
         kept = [a == scene.routes[k].signature for a, k in zip(found, route, strict=True)]
         return np.array(kept, np.bool_)
 
-    def _attempted(
+    def _optimised(
         self,
-        attempt: Attempt,
+        optimisation: OptimisationPass,
         cost: TrajectoryCost,
         splines: Splines,
         certified: float,
         barrier: ControlBarrier | None,
     ) -> tuple[Splines, BoolArray]:
-        """The splines after an attempt, corrected by the barrier; and which are safe."""
-        tried, safe = attempt.run(
+        """Return the splines after a pass and the barrier, and which are safe."""
+        tried, safe = optimisation.run(
             cost, splines, self.scene.ends, certified_margin=certified, spread=self.spread
         )
         return self._corrected(tried, safe, certified, barrier)
@@ -296,7 +306,7 @@ class Refiner:
     def _corrected(
         self, splines: Splines, safe: BoolArray, certified: float, barrier: ControlBarrier | None
     ) -> tuple[Splines, BoolArray]:
-        """Those corrected that the barrier, if there is one, makes safe; and which then are."""
+        """Correct the splines that the barrier makes safe; return all, and which are safe."""
         if barrier is None or safe.all():
             return splines, safe
         failed = np.flatnonzero(~safe)
@@ -321,10 +331,7 @@ class Refiner:
         )
 
     def _attainable(self, spec: Refinement, field: GridField) -> bool:
-        """Whether both ends keep the certified margin themselves.
-
-        Where one does not, no anchor is safe, and the projection does what it does without one.
-        """
+        """Whether both ends keep the certified margin; if not, the projection runs without one."""
         required = required_clearance(field, spec.certified_margin)
         ends = np.stack([self.scene.x_curr[:2], self.scene.x_goal[:2]])
         return bool((path_clearance(field, ends[:, None]) >= required).all())

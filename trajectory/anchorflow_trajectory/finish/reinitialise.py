@@ -1,4 +1,4 @@
-"""Other beginnings for a route on which nothing that was drawn is safe."""
+"""Re-initialise routes for which no sample is safe."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import PLANE, SplineBasis, Splines
 
 FloatArray = NDArray[np.floating]
-Beginnings = tuple[Splines, NDArray[np.intp]]
-"""M splines, and [M] the place of the route that each follows."""
+Starts = tuple[Splines, NDArray[np.intp]]
+"""M splines, and [M] the index of the route that each follows."""
 
-RESCUE_STRETCH = 1.5
-"""By which a spline that was fitted to an even pace is driven slowly."""
+SLOW_STRETCH = 1.5
+"""Factor on the duration of a slow copy of a fitted spline."""
 STRETCHES = (1.0, 1.5, 2.0, 3.0)
-"""Of the least time for the shortest route, in which a beginning is driven."""
+"""Durations of starts, in multiples of the least time for the shortest route."""
 DWELLS = (0.0, 0.3, 0.5, 0.7)
-"""Shares of that time that are spent at the route's corners."""
+"""Shares of the duration spent at the route's corners."""
 BEND = 0.025
-"""Of a route's length: the spread about a corner of where that time is spent."""
+"""Standard deviation of that time about a corner, in shares of the route's length."""
 ROOM = 0.35
-"""m beyond robot_radius that a route keeps which is searched anew, to lead round corners."""
-MOST_RESCUED = 4
-"""Anchors of a route that are begun anew; the others are then brought back to them."""
+"""m beyond robot_radius that a second route keeps, to stay clear of corners."""
+MAX_REPLACED = 4
+"""Anchors of a route that are replaced; the others are bisected towards them."""
 REST_STRETCHES = np.geomspace(1.0, 20.0, 48)
-"""Likewise, of the smoothest curves between both ends: what is fast and heavy brakes for long."""
-PLACES = 512  # along a route, at which is told how much time has passed
+"""The same for the smoothest curves between both ends: a fast, heavy robot brakes for long."""
+PLACES = 512  # samples of the time law along a route
 
 
 @dataclass(eq=False)
-class Rescue:
-    """The anchors of a scene, while the routes that have nothing safe are begun anew.
+class Reinitialisation:
+    """The anchors of a scene while routes without a safe anchor are restarted.
 
-    route: [N] the place of the route that each follows
-    lost: places of routes that have nothing safe yet
+    route: [N] index of the route that each follows
+    lost: indices of the routes that have no safe anchor yet
     """
 
     splines: Splines
@@ -49,21 +49,21 @@ class Rescue:
     lost: NDArray[np.intp]
     _failed: list[tuple[Splines, NDArray[np.intp], FloatArray]] = field(default_factory=list)
 
-    def of_lost(self, begun: Splines, along: NDArray[np.intp]) -> Beginnings:
-        """Those on routes that are still lost."""
+    def of_lost(self, begun: Splines, along: NDArray[np.intp]) -> Starts:
+        """Keep the starts on routes that are still lost."""
         still = np.isin(along, self.lost)
         return begun[still], along[still]
 
     def take(
         self, tried: Splines, along: NDArray[np.intp], gained: NDArray[np.bool_], cost: FloatArray
     ) -> None:
-        """Put the cheapest of those that were gained, [M], in the places of their routes' anchors.
+        """Replace anchors by the cheapest of the `gained` [M] on their route.
 
         along, cost: [M]
         """
         for each in np.unique(along[gained]):
             found = np.flatnonzero(gained & (along == each))
-            cheapest = found[np.argsort(cost[found])][:MOST_RESCUED]
+            cheapest = found[np.argsort(cost[found])][:MAX_REPLACED]
             own = np.flatnonzero(self.route == each)
             places = own[np.argsort(self.safe[own], kind="stable")][: len(cheapest)]
             self.splines = self.splines.replaced(places, tried[cheapest[: len(places)]])
@@ -71,8 +71,8 @@ class Rescue:
         self.lost = self.lost[~np.isin(self.lost, along[gained])]
         self._failed.append((tried, along, cost))
 
-    def nearest(self, most: int) -> Beginnings:
-        """Of each lost route the cheapest, at most so many, of all that were tried."""
+    def nearest(self, most: int) -> Starts:
+        """Return the `most` cheapest splines tried on each lost route."""
         tried, along = _joined([(splines, along) for splines, along, _ in self._failed])
         cost = np.concatenate([cost for *_, cost in self._failed])
         own = [np.flatnonzero(along == each) for each in self.lost]
@@ -80,31 +80,25 @@ class Rescue:
         return tried[kept], along[kept]
 
     def refine(self, basis: SplineBasis) -> None:
-        """Go on with the same curves on a finer basis than theirs.
-
-        basis: theirs
-        """
+        """Move the curves from `basis`, their own, to its finer basis."""
         self.splines = basis.refined(self.splines)
         self._failed.clear()
 
 
-def beginnings(
+def new_starts(
     scene: Scene, basis: SplineBasis, lost: NDArray[np.intp], *, certified_margin: float
-) -> Iterator[Beginnings]:
-    """What the `lost` routes may be begun on, what is cheaper first: what follows a route that has
-    been rescued meanwhile need not be looked at.
+) -> Iterator[Starts]:
+    """Yield starts for the `lost` routes, the cheapest to compute first.
 
-    A route's own spline, driven slowly, where that is on this basis; the smoothest curve between
-    both ends, for who must brake; control points on the route, close together at its corners, since
-    a B-spline lies in the hulls of five in a row; and all that along a route with more room, which
-    does not hug its corners.
+    In turn: the route's own spline, driven slowly, if it has this basis; the smoothest curve
+    between both ends, for braking; control points on the route, dense at its corners because a
+    B-spline stays in the hulls of five successive points; and both along a route with more room.
 
     basis: of the splines
-
-    certified_margin: m, with which nothing was safe
+    certified_margin: m, with which no anchor was safe
     """
     if basis is scene.basis:
-        yield _slowed(scene, basis, scene.route_splines[lost], RESCUE_STRETCH), lost
+        yield _slowed(scene, basis, scene.route_splines[lost], SLOW_STRETCH), lost
     routes = {int(place): scene.routes[place] for place in lost if place < len(scene.routes)}
     resting = _resting(scene, basis, certified_margin)
     rest = np.zeros(len(resting), np.intp)
@@ -116,8 +110,8 @@ def beginnings(
         yield _joined([*_paced(scene, basis, again), *_along(scene, basis, again)])
 
 
-def _along(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
-    """Splines whose control points stand on these routes."""
+def _along(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Starts]:
+    """Yield splines with their control points on these routes."""
     duration = _durations(scene, np.array(STRETCHES))
     for place, route in routes.items():
         for dwell in DWELLS:
@@ -127,16 +121,16 @@ def _along(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Ite
             yield splines, np.full(len(splines), place)
 
 
-def _paced(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Beginnings]:
-    """Splines along these routes as `splines_along` fits them, and the same driven slowly."""
+def _paced(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Starts]:
+    """Yield the splines that `splines_along` fits to these routes, and slow copies."""
     for place, route in routes.items():
         splines = splines_along([route], basis, scene.ends, limits=scene.motion)
-        for each in (splines, _slowed(scene, basis, splines, RESCUE_STRETCH)):
+        for each in (splines, _slowed(scene, basis, splines, SLOW_STRETCH)):
             yield each, np.array([place])
 
 
 def _slowed(scene: Scene, basis: SplineBasis, splines: Splines, factor: float) -> Splines:
-    """The same ways in so many times the duration, where there is no horizon."""
+    """Return the same paths in `factor` times the duration, unless there is a horizon."""
     if scene.motion.horizon_s is not None:
         return splines
     duration, free = splines.duration * factor, basis.free
@@ -146,7 +140,7 @@ def _slowed(scene: Scene, basis: SplineBasis, splines: Splines, factor: float) -
 
 
 def _placed(route: Route, basis: SplineBasis, dwell: float) -> FloatArray:
-    """Points [K, 2] of a route, where control points stand as time passes."""
+    """Return points [K, 2] of a route for control points that are evenly spaced in time."""
     legs = np.diff(route.points, axis=0)
     length = np.hypot(*legs.T)
     legs, length = legs[length > 0.0], length[length > 0.0]
@@ -167,7 +161,7 @@ def _placed(route: Route, basis: SplineBasis, dwell: float) -> FloatArray:
 
 
 def _resting(scene: Scene, basis: SplineBasis, certified_margin: float) -> Splines:
-    """The smoothest curve between both ends, in the least duration in which it is safe; or none."""
+    """Return the smoothest curve between both ends in its least safe duration, if any."""
     curves = basis.rest_curves(scene.ends, _durations(scene, REST_STRETCHES))
     field = scene.cost_fields.clearance
     safe = are_safe(curves, basis, field, scene.motion, certified_margin=certified_margin)
@@ -179,7 +173,7 @@ def _durations(scene: Scene, stretches: FloatArray) -> FloatArray:
     return scene.reference_s * stretches if horizon_s is None else np.array([horizon_s])
 
 
-def _joined(parts: list[Beginnings]) -> Beginnings:
+def _joined(parts: list[Starts]) -> Starts:
     control = np.concatenate([splines.control for splines, _ in parts], axis=1)
     duration = np.concatenate([splines.duration for splines, _ in parts])
     return Splines(control, duration), np.concatenate([route for _, route in parts])

@@ -1,1 +1,1 @@
-"""What a flow's solvers share, in numpy or in torch: the methods as data, and flow time."""
+"""Solvers of a flow: methods as data, schedules of flow time, and the loop in numpy."""

@@ -22,19 +22,19 @@ class VectorField(Protocol):
     """dx/dt at one of the distinct stage times."""
 
     def __call__(self, x: Array, time_index: int, out: Array) -> object:
-        """Writes the field at x into out, of the same shape; what it returns is not looked at.
+        """Write the field at x into out, of the same shape; x stays.
 
-        x is left as it is. time_index counts the times of `stage_times(method, schedule)`, so what
-        depends on the time alone is worked out once for all of them.
+        time_index: into the times of `stage_times(method, schedule)`, so that a field can
+            precompute whatever depends on the time alone
         """
         ...
 
 
 class States(Protocol[State]):
-    """Where the states of a loop are kept, and how they are added up there."""
+    """Storage and arithmetic of the loop's states, on any device."""
 
     def empty(self) -> State:
-        """One more to write into."""
+        """Return a new state to write into."""
         ...
 
     def add_scaled(self, x: State, slope: State, weight: float, *, out: State) -> object:
@@ -67,9 +67,9 @@ def integrate(
     method: Method,
     on_step: Callable[[Array], object] = lambda _: None,
 ) -> Array:
-    """x at the schedule's end, of x0's shape and dtype; x0 is left as it is.
+    """Return x at the schedule's end, of x0's shape and dtype; x0 stays.
 
-    `on_step` sees x after each step, in a buffer that a later step overwrites.
+    on_step: takes x after each step, in a buffer that a later step overwrites
     """
     states = ArrayStates(np.empty_like(x0))
     return integrate_in(states, vector_field, x0, schedule=schedule, method=method, on_step=on_step)
@@ -84,7 +84,7 @@ def integrate_in(
     method: Method,
     on_step: Callable[[State], object] = lambda _: None,
 ) -> State:
-    """The same wherever states are kept; of a state, the loop knows nothing but `states`."""
+    """Integrate as `integrate` does, with states that only `states` can handle."""
     x, buffers = x0, cycle((states.empty(), states.empty()))
     slopes = [states.empty() for _ in range(method.slopes)]
     stages = stage_times(method, schedule).index
@@ -107,7 +107,7 @@ def _advanced(
     *,
     out: State,
 ) -> State:
-    """x + h Σ weights_i slopes_i, in out; x itself where nothing is added."""
+    """Return x + h Σ weights_i slopes_i, in out; x itself if all weights are 0."""
     for weight, slope in zip(weights, slopes, strict=False):  # a stage uses only the ones before it
         if weight:
             states.add_scaled(x, slope, h * weight, out=out)
@@ -120,7 +120,7 @@ PlainField = Callable[[Any, float], Any]
 
 
 def integrate_plainly(field: PlainField, x: Any, *, schedule: Schedule, method: Method) -> Any:
-    """x at the schedule's end from x at its beginning, one evaluation after the other.
+    """Integrate as a textbook writes it: the reference for the fast loops.
 
     x: a numpy array or a torch tensor; every step makes new ones.
     """

@@ -1,4 +1,4 @@
-"""Runge-Kutta methods as data: a Butcher tableau proves its own order when it is built.
+"""Integration methods as data: a Butcher tableau checks its own order when it is built.
 
     k_i  = f(t + c_i h, x + h Σ_j a_ij k_j)
     x'   = x + h Σ_i b_i k_i
@@ -43,7 +43,7 @@ class ButcherTableau:
 
     a_lower: row i holds a_i0 .. a_i,i-1; the first row is empty
     b:       [stages] weights of the step
-    c:       [stages] where each stage stands in the step, from 0 to 1
+    c:       [stages] node of each stage in the step, from 0 to 1
     order:   of convergence, 1 to 4; ValueError unless the coefficients have it
     """
 
@@ -67,7 +67,7 @@ class ButcherTableau:
 
     @property
     def slopes(self) -> int:
-        """How many slopes a step weighs: those of its stages."""
+        """Return how many slopes a step weighs."""
         return self.stages
 
     def weights(self, schedule: tuple[float, ...], step: int) -> tuple[float, ...]:  # noqa: ARG002
@@ -115,7 +115,12 @@ RK4 = ButcherTableau(
 
 @dataclass(frozen=True)
 class AdamsBashforth:
-    """The explicit Adams method over the last `order` slopes; a first step is Euler's."""
+    """The explicit Adams method over the last `order` slopes; the first step is Euler's.
+
+    x_{n+1} = x_n + h Σ_j β_j f_{n-j}, with one evaluation a step. The weights are exact for
+    polynomials through the slopes' times, so steps may be unequal; the first steps use fewer slopes
+    (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, III.1 and III.5).
+    """
 
     name: str
     order: int
@@ -126,7 +131,7 @@ class AdamsBashforth:
 
     @property
     def slopes(self) -> int:
-        """How many slopes a step weighs, the newest first."""
+        """Return how many slopes a step weighs, the newest first."""
         return self.order
 
     def weights(self, schedule: tuple[float, ...], step: int) -> tuple[float, ...]:
@@ -144,7 +149,7 @@ def _weights(schedule: tuple[float, ...], step: int, order: int) -> tuple[float,
 
 
 Method = ButcherTableau | AdamsBashforth
-"""Stages as a Butcher tableau tells them; a step weighs the slopes of its stages, or older ones."""
+"""A method with the stages of a Butcher tableau; a step may also weigh older slopes."""
 
 AB2 = AdamsBashforth("ab2", order=2)
 

@@ -19,7 +19,7 @@ Schedule = tuple[float, ...]
 
 @dataclass(frozen=True)
 class StageTimes:
-    """Where a method evaluates the field on a schedule.
+    """The times at which a method evaluates the field on a schedule.
 
     times: float32 [K], the distinct flow times in ascending order
     index: [steps][stages], which of them each stage uses

@@ -1,9 +1,9 @@
 """Shortest ways over the cells of a grid: Dijkstra's algorithm with a queue of lists.
 
-Lengths are in cells. No step is shorter than one, so the queue is a list for each whole length, and
-what stands on a list is final when its turn comes, in any order (Dial, "Shortest-path forest with
-topological ordering", Communications of the ACM 12, 1969; Denardo & Fox, "Shortest-route methods",
-Operations Research 27, 1979). Of ways as long as each other the one that is found first stays.
+Lengths are in cells. No step is shorter than one, so the queue has a list for each whole length,
+and the cells of a list are final when its turn comes (Dial, "Shortest-path forest with topological
+ordering", Communications of the ACM 12, 1969; Denardo & Fox, "Shortest-route methods",
+Operations Research 27, 1979). Among ways of equal length the first found stays.
 
 A search runs in a sheet, whose ways may come out of other sheets. A link says how a cell was
 reached: eight times the sheet that the step left, plus the step's place in STEPS.
@@ -30,8 +30,8 @@ ROUNDING = 1e-6  # cells by which two sums of the same steps may differ
 NO_LINK = -1
 LISTS = 3  # a step leads one or two lists on
 
-# (rows, columns) of a step to each of the eight neighbours, and its length in cells. The step back
-# stands in the mirrored place.
+# (rows, columns) of a step to each of the eight neighbours, and its length in cells. The reverse
+# step has the mirrored index.
 STEPS = np.array([(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if r or c])
 LENGTHS = np.hypot(*STEPS.T)
 
@@ -67,10 +67,10 @@ def free_steps(free: BoolArray) -> Steps:
 
 
 class Ground(NamedTuple):
-    """The steps of a search, and which cells lie on ways that are short enough.
+    """The steps of a search, and the bounds that prune it.
 
     steps: [H * W] of each cell; offsets: [8] of the flat cells that they lead to
-    rest: [H * W] at least as much is left to the end; limit: of whole ways
+    rest: [H * W] lower bound of the way to the end; limit: of a whole way
     """
 
     steps: Steps
@@ -111,7 +111,7 @@ class Entries(NamedTuple):
 
 @compiled
 def new_queue(cells: int) -> Queue:
-    """An empty one, of a grid of so many cells."""
+    """Make an empty queue for a grid of `cells` cells."""
     return Queue(
         np.empty((LISTS, cells), np.int32),
         np.zeros(LISTS, np.int64),

@@ -72,19 +72,19 @@ def find_routes(
 ) -> list[Route]:
     """The shortest routes on the grid with different signatures, the shortest first.
 
-    Empty where no way is free. The same arguments bring the same routes.
+    Empty if no way is free.
 
     Args:
         clearance: [H, W] m beyond robot_radius at cell centres, negative where the robot would
             touch something.
         resolution: m/cell.
         origin: [2] m, outer corner of cell (0, 0).
-        start, goal: [2] m. Cells about them are free with less than `slack`, their own with any
-            clearance: who stands close to something may leave.
+        start, goal: [2] m. Cells around them are free with less than `slack`, their own with any
+            clearance, so that a robot close to an obstacle may leave.
         most: routes at most.
         stretch: times the shortest that a route may be long.
         slack: m of clearance that routes keep.
-        rays: of this clearance, where they are known already.
+        rays: of this clearance, if they are already known.
 
     Raises:
         ValueError: `most` is below 1, `stretch` below 1 or `slack` negative.
@@ -161,7 +161,7 @@ def search_routes(
     limit = stretch * from_start[goal] + ROUNDING
     if not np.isfinite(limit):
         return cells, ends[:1]
-    # Where a cell's way is short enough, so are those of the cells between it and the goal.
+    # If a cell's way is short enough, so are those of the cells between it and the goal.
     to_goal, near = ways_from(goal, Ground(steps, offsets, from_start, limit), queue)
     inside, cuts = _cut(near, steps, offsets, to_goal.links[0], crossed)
     ground = Ground(inside, offsets, to_goal.lengths[0], limit)
@@ -219,7 +219,7 @@ def _cut(
 
 @compiled
 def _change(crossed: Keys, cell: int, head: int, step: int) -> np.uint64:
-    """What a step from a cell to another adds to a signature's key."""
+    """Return what a step from a cell to another adds to a signature's key."""
     if STEPS[step, 1] > 0:
         return crossed[cell]
     if STEPS[step, 1] < 0:
@@ -257,7 +257,7 @@ def _left(
 
 @compiled
 def _place(key: np.uint64, keys: Keys) -> int:
-    """Where a key stands among keys [S]; S where it does not."""
+    """Return the index of a key in keys [S], or S."""
     for place in range(len(keys)):
         if keys[place] == key:
             return place

@@ -34,9 +34,9 @@ def pulled_tight(
 ) -> list[Route]:
     """The same routes along fewer points, no longer than before, the shortest first.
 
-    A path of steps to eight neighbours is up to 8 % longer than the way that it stands for. From
-    each corner the furthest is taken to which the chord is clear and passes the obstacles on the
-    same sides as the route does.
+    A path of steps to eight neighbours is up to 8 % longer than the straight way. From each corner
+    the path jumps to the furthest point whose chord is clear and passes the obstacles on the same
+    sides.
 
     Args:
         routes: as `find_routes` finds them on this map.
@@ -44,7 +44,7 @@ def pulled_tight(
         resolution: m/cell.
         origin: [2] m, outer corner of cell (0, 0).
         slack: m of clearance that a chord keeps at every cell that it crosses.
-        rays: of this clearance, where they are known already.
+        rays: of this clearance, if they are already known.
     """
     free, rays, tight = clearance >= slack, rays or ObstacleRays.of(clearance), []
     for route in routes:
@@ -105,7 +105,7 @@ def _kept(
 
 @compiled
 def _is_clear(begin: Points, end: Points, free: BoolArray, looks: int) -> bool:
-    """Whether the cells at so many points of the straight way [2] to [2] in cells are free."""
+    """Whether the cells at `looks` points of the straight line [2] to [2] are free."""
     height, width = free.shape
     apart = 1.0 / (looks - 1)
     for look in range(looks):

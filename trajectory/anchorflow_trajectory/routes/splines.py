@@ -1,4 +1,4 @@
-"""Splines along routes: where a search hands over to a descent, or to a flow."""
+"""Splines along routes: the starts of a descent or of a flow."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from anchorflow_trajectory.spline.basis import PLANE, Ends, SplineBasis, Splines
 
 FloatArray = NDArray[np.floating]
 
-# Of disturbances: m at their widest, in shares of the straight way, and of log duration.
+# Standard deviation of disturbances at their widest: a share of the straight line, within bounds in
+# m; and that of log duration.
 SPREAD_SHARE, LEAST_SPREAD, MOST_SPREAD = 0.05, 0.1, 0.4
 STRETCH = 0.1
-# By how much a style's weights of safety, energy and smoothness slow down where nobody descends.
+# Factors by which the weights of safety, energy and smoothness slow down a spline without descent.
 PACES = np.array([1.6, 1.0, 1.35])
 LEAST_WAY = 0.2  # m that even the shortest counts as
 
@@ -128,7 +129,7 @@ def _planar(states: FloatArray, fields: int) -> FloatArray:
 
 
 def _duration(length: float, limits: MotionLimits, pace: float) -> float:
-    """s that a spline along a route of so many m lasts."""
+    """Return the duration [s] of a spline along a route of `length` m."""
     if limits.horizon_s is not None:
         return limits.horizon_s
     return nominal_duration(max(length, LEAST_WAY), limits, pace=pace)

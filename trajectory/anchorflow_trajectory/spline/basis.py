@@ -33,7 +33,7 @@ START_POINTS = 3  # control points that the start's p, v, a determine
 GOAL_POINTS = 2  # control points that the goal's p, v determine
 DEGREE = 4
 END_ORDERS = np.array([0, 1, 2, 0, 1])  # of the derivatives that (p_0, v_0, a_0, p_T, v_T) are
-STEEPNESS = 6.0  # a curve's derivatives by its own time are so much larger from one to the next
+STEEPNESS = 6.0  # typical ratio of a curve's successive derivatives by its own time
 PLANE = slice(2)  # x and y
 RIDGE = 1e-3  # keeps the whitening finite for slow, long bends
 
@@ -79,7 +79,7 @@ class Ends:
         return np.concatenate(ends, dtype=np.float64)
 
     def in_own_time(self, duration: FloatArray) -> FloatArray:
-        """[5, M, D]: p, p', p'' at s = 0 and p, p' at s = 1 of trajectories that last so long."""
+        """Return [5, M, D]: p, p', p'' at s = 0 and p, p' at s = 1 for durations [M] s."""
         return self.derivatives[:, None] * (duration ** END_ORDERS[:, None])[..., None]
 
 
@@ -115,9 +115,7 @@ class SplineBasis:
 
     @cached_property
     def finer(self) -> SplineBasis | None:
-        """The basis with a knot more in the middle of every span; None where fewer than two
-        samples would be left to a span.
-        """
+        """Return the basis with twice the spans, or None if a span would have under two samples."""
         spans = 2 * (self.num_control_points - self.degree)
         if 2 * spans >= self.num_samples:
             return None
@@ -144,7 +142,7 @@ class SplineBasis:
         return np.ascontiguousarray(np.concatenate(rows).T)
 
     def band(self, dtype: DTypeLike) -> Band:
-        """What is not zero of the four orders, as compiled loops read it."""
+        """Return the nonzero band of the four orders for compiled loops."""
         return _band(self, np.dtype(dtype))
 
     @cached_property
@@ -182,7 +180,7 @@ class SplineBasis:
 
     @cached_property
     def even(self) -> FloatArray:
-        """[K] in [0, 1]: where the control points stand of who goes at one pace along a line."""
+        """Return control points [K] in [0, 1] of uniform motion along a line."""
         s = np.linspace(0.0, 1.0, self.num_samples)
         return np.linalg.lstsq(self.position.astype(np.float64), s, rcond=None)[0]
 
@@ -295,7 +293,7 @@ def _last_piece(knots: NDArray[np.float64]) -> int:
 @lru_cache(maxsize=32)
 def _band(basis: SplineBasis, dtype: np.dtype[np.floating]) -> Band:
     rows = np.stack([basis.position, basis.velocity, basis.acceleration, basis.jerk], axis=1)
-    # At a knot what leaves and what joins are both zero, in rows that jump there too.
+    # Both the leaving and the joining function are zero at a knot, also in rows that jump there.
     is_used = rows.any(1)
     width = int(is_used.sum(1).max())
     first = np.minimum(is_used.argmax(1), basis.num_control_points - width)

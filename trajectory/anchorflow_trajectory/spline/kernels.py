@@ -1,7 +1,7 @@
 """Compiled loops over splines: samples of them, the control points that ends set, and fits.
 
-What runs over many trajectories does so in its innermost loop, which the compiler makes vector
-instructions; each trajectory's own sums keep their order, however many there are.
+The innermost loop runs over trajectories, so that the compiler vectorises it; each trajectory's own
+sums keep their order, whatever the batch.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ LANES = 64  # trajectories at a time, so that what is worked on stays in the nea
 
 
 class Band(NamedTuple):
-    """What is not zero of the basis matrices: each sample depends on a few control points.
+    """The nonzero band of the basis matrices: each sample depends on a few control points.
 
     weights: [T, 4, degree + 1], of the derivatives by own time of order 0 to 3
     first: [T], the first of these control points
@@ -46,7 +46,7 @@ class EndPoints(NamedTuple):
 def sample_lanes(control: FloatArray, lanes: int, band: Band, t: int, samples: FloatArray) -> None:
     """Write the derivatives by own time of order 0 to O - 1 at sample t, [O, D, LANES].
 
-    control: [D, K, LANES] control points, of which so many lanes are in use
+    control: [D, K, LANES] control points; lanes: how many are in use
     """
     first = band.first[t]
     for order in range(samples.shape[0]):
@@ -167,7 +167,7 @@ def add_slopes_of_ends(
     lanes: int,
     by_duration: FloatArray,
 ) -> None:
-    """Add what slopes by control points [D, K, LANES] make by log duration, through the ends."""
+    """Add the slope by log duration that control points [D, K, LANES] pass on through the ends."""
     size, dim = ends.derivatives.shape
     for m in range(lanes):
         duration, total = np.exp(log_duration[m]), 0.0
