@@ -1,4 +1,4 @@
-"""Jobs: work that waits in line and runs on a lane, as long as somebody waits for its result."""
+"""A job: work that waits in line and runs on a lane while its result is wanted."""
 
 from __future__ import annotations
 
@@ -120,56 +120,3 @@ class Job(Generic[Result]):
 
 
 AnyJob = Job[Any]
-
-
-class WaitingLine:
-    """Waiting jobs in the order of their arrival. Not thread-safe."""
-
-    def __init__(self) -> None:
-        self._jobs: list[AnyJob] = []
-
-    def count(self, *, but: AnyJob | None = None) -> int:
-        """Count the jobs that have not ended, except `but`."""
-        return sum(not job.has_ended and job is not but for job in self._jobs)
-
-    @property
-    def first(self) -> AnyJob | None:
-        """Return the oldest job, or None."""
-        return self._jobs[0] if self._jobs else None
-
-    def add(self, job: AnyJob) -> None:
-        """Add a job at the end."""
-        self._jobs.append(job)
-
-    def discard(self, job: AnyJob) -> None:
-        """Remove a job, if it is in the line."""
-        if job in self._jobs:
-            self._jobs.remove(job)
-
-    def batch(self, most: int) -> list[AnyJob]:
-        """Return the oldest job and those of its key behind it, up to `most` in all.
-
-        They stay in the line. Jobs that have ended are dropped, and so are those whose budget is
-        spent, which end here.
-        """
-        self._jobs = [job for job in self._jobs if _still_counts(job)]
-        if not self._jobs:
-            return []
-        first, *others = self._jobs
-        alike = [other for other in others if first.key is not None and other.key == first.key]
-        return [first, *alike[: most - 1]]
-
-    def remove(self, batch: list[AnyJob]) -> None:
-        """Remove a batch."""
-        self._jobs = [job for job in self._jobs if job not in batch]
-
-    def clear(self) -> list[AnyJob]:
-        """Remove and return all jobs."""
-        jobs, self._jobs = self._jobs, []
-        return jobs
-
-
-def _still_counts(job: AnyJob) -> bool:
-    if job.budget_ms is not None and not job.arrival.left_ms(job.budget_ms):
-        job.expire()
-    return not job.has_ended

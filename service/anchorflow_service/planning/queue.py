@@ -21,7 +21,7 @@ from typing import NamedTuple, TypeVar
 
 from anchorflow_client.errors import NotReady, Overloaded
 from anchorflow_service.planning.call import Arrival
-from anchorflow_service.planning.job import AnyJob, Job, JobCancelled, JobContext, WaitingLine
+from anchorflow_service.planning.job import AnyJob, Job, JobCancelled, JobContext
 from anchorflow_trajectory.threads import usable_cores
 
 Result = TypeVar("Result")
@@ -112,7 +112,7 @@ class PlanningQueue:
         self._service_time = ServiceTimeEstimate(self.num_lanes)
         # Guards all attributes below; lanes wait on it for jobs.
         self._changed = threading.Condition()
-        self._line = WaitingLine()
+        self._line: list[AnyJob] = []
         self._batch: deque[_Assignment] = deque()
         self._awaited: set[AnyJob] = set()
         self._busy_lanes = 0
@@ -162,7 +162,7 @@ class PlanningQueue:
         """Return the age of the oldest job that no lane has taken; 0 if there is none."""
         with self._changed:
             # Jobs of a batch came before those in the line.
-            first = next(self._left_in_batch(), self._line.first)
+            first = next(self._left_in_batch(), next(iter(self._line), None))
             return 0.0 if first is None else self._clock() - first.submitted
 
     async def run(
@@ -214,7 +214,7 @@ class PlanningQueue:
             ahead = waiting if in_place_of is None else self._count_waiting(but=in_place_of)
             self._check_worth_waiting(job, ahead=ahead)
             job.submitted = self._clock()
-            self._line.add(job)
+            self._line.append(job)
             self._awaited.add(job)
             self._changed.notify()
         try:
@@ -222,7 +222,8 @@ class PlanningQueue:
         finally:
             job.cancel(JobCancelled())
             with self._changed:
-                self._line.discard(job)
+                if job in self._line:
+                    self._line.remove(job)
                 self._awaited.discard(job)
 
     async def result_of(self, job: Job[Result]) -> Result:
@@ -267,7 +268,8 @@ class PlanningQueue:
         """Refuse waiting jobs, and wait for those that run."""
         with self._changed:
             self._is_open = self._takes_jobs = False
-            left = [*self._line.clear(), *(assignment.job for assignment in self._batch)]
+            left = [*self._line, *(assignment.job for assignment in self._batch)]
+            self._line.clear()
             self._batch.clear()
             self._changed.notify_all()
         for job in left:
@@ -304,24 +306,27 @@ class PlanningQueue:
 
     def _form_batch(self) -> float | None:
         """Form a batch from the head of the line, or return how long [s] others may still join."""
-        jobs = self._line.batch(self._limits.max_batch)
-        if not jobs:
+        self._line = [job for job in self._line if _is_wanted(job)]
+        if not self._line:
             return None
-        wait_s = self._limits.batch_wait_ms / 1e3 - (self._clock() - jobs[0].submitted)
+        first, *others = self._line
+        alike = [other for other in others if first.key is not None and other.key == first.key]
+        jobs = [first, *alike[: self._limits.max_batch - 1]]
+        wait_s = self._limits.batch_wait_ms / 1e3 - (self._clock() - first.submitted)
         if len(jobs) < self._limits.max_batch and wait_s > 0:
             return wait_s
-        self._line.remove(jobs)
+        self._line = [job for job in self._line if job not in jobs]
         self._on_batch(len(jobs))
         idle_lanes = self.num_lanes - self._busy_lanes
         threads = idle_lanes * self._num_threads // (self.num_lanes * len(jobs))
         self._batch.extend(_Assignment(job, max(1, threads)) for job in jobs)
         # Wake a lane for each other job, and one for the line.
-        self._changed.notify(len(jobs) - 1 + (self._line.first is not None))
+        self._changed.notify(len(jobs) - 1 + bool(self._line))
         return None
 
     def _count_waiting(self, *, but: AnyJob | None = None) -> int:
-        left = sum(job is not but for job in self._left_in_batch())
-        return self._line.count(but=but) + left
+        line = (job for job in self._line if not job.has_ended)
+        return sum(job is not but for job in (*line, *self._left_in_batch()))
 
     def _left_in_batch(self) -> Iterator[AnyJob]:
         """Yield the jobs of the batch that no lane has taken."""
@@ -348,3 +353,10 @@ class PlanningQueue:
     def _overloaded(self, message: str, ahead: int) -> Overloaded:
         wait_s = self._service_time.retry_after_s(ahead)
         return Overloaded(f"{message}; try again in {wait_s} s", retry_after_s=wait_s)
+
+
+def _is_wanted(job: AnyJob) -> bool:
+    """Return whether a waiting job has not ended; end it if its budget is spent."""
+    if job.budget_ms is not None and not job.arrival.left_ms(job.budget_ms):
+        job.expire()
+    return not job.has_ended
