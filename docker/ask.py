@@ -1,4 +1,4 @@
-"""Asks a service for anchors and checks them: python ask.py URL SECONDS_TO_WAIT."""
+"""Plan with a service and check the anchors: python ask.py URL SECONDS_TO_WAIT."""
 
 import os
 import sys
@@ -10,7 +10,7 @@ from anchorflow_client import AnchorClient
 
 
 def main(url: str, wait_s: float) -> None:
-    """Raises where no service comes up in time, or its answer is not what was asked for."""
+    """Exit with an error if no service is ready in time, or its anchors are wrong."""
     with AnchorClient(url, timeout_s=60) as client:
         began = time.monotonic()
         while not client.ready():

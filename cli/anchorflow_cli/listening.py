@@ -1,4 +1,4 @@
-"""What a service needs of the system before it opens: a listening socket and enough open files."""
+"""Resources of the system for a service: a listening socket and enough open files."""
 
 from __future__ import annotations
 

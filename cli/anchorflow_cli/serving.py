@@ -68,7 +68,7 @@ class WorkerError(AnchorFlowError):
 
 @dataclass(frozen=True)
 class ServeChoice:
-    """What is served, and how; it can be sent to another process."""
+    """Options of a service; picklable, for worker processes."""
 
     bundles: list[Path] | None
     repository: Path | None
@@ -128,7 +128,7 @@ def open_service(
     """Load the bundles and return the application.
 
     Args:
-        choice: what is served.
+        choice: the options.
         announce: called with the models' names and versions once requests are answered.
         zenoh: a network to join too.
 
@@ -181,7 +181,7 @@ async def _at_start(*calls: Callable[[], None]) -> AsyncIterator[None]:
 
 
 def print_line(line: str) -> None:
-    """Print a line; the service goes on if standard output cannot be written."""
+    """Print a line; if standard output cannot be written, log that instead."""
     try:
         typer.echo(line)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""`anchorflow token`: a new bearer token, whose digest a file gets that `serve --tokens` reads."""
+"""`anchorflow token`: make a bearer token and add its digest to the file of `serve --tokens`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ app = command_app()
 
 @app.command()
 def token(
-    file: Annotated[Path, typer.Argument(help="File of tokens; made where there is none.")],
+    file: Annotated[Path, typer.Argument(help="File of tokens; made if there is none.")],
     name: Annotated[str, typer.Argument(help="Whom it is for.")],
     *,
     scopes: Annotated[str, typer.Option(help=f"Comma-separated, of {', '.join(SCOPES)}.")] = INFER,
@@ -35,12 +35,12 @@ def token(
 
 
 def append_line(file: Path, line: str) -> None:
-    """At the end of the file, which its owner alone may read where it is new."""
+    """Append a line to the file; a new file is readable by its owner only."""
     try:
         descriptor = os.open(file, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o600)
         with os.fdopen(descriptor, "r+b") as out:
             text = out.read()
-            # An editor may have left the last line without an end.
+            # An editor may have left the last line without a newline.
             begin = "\n" if text and not text.endswith(b"\n") else ""
             out.write(f"{begin}{line}\n".encode())
     except OSError as error:

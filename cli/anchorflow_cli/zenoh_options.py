@@ -1,4 +1,4 @@
-"""`--zenoh…`: the options that put a command's service on a zenoh network as well."""
+"""`--zenoh…`: the options that join a command's service to a zenoh network as well."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ class ZenohOptionError(AnchorFlowError):
 
 @dataclass(frozen=True)
 class ZenohChoice:
-    """The network to join, and the name to have there."""
+    """The network to join, and this replica's name there."""
 
     settings: ZenohSettings
     replica: str | None
 
 
 def with_zenoh_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives a command the options; it takes `zenoh: ZenohChoice | None`."""
+    """Add the options to a command, which takes `zenoh: ZenohChoice | None`."""
 
     def run(**values: Any) -> None:
         given = {name: values.pop(PREFIX + name) for name in OPTIONS}
@@ -85,7 +85,7 @@ def _parameter(name: str) -> inspect.Parameter:
 
 
 def _choice(given: dict[str, Any]) -> ZenohChoice | None:
-    """What was chosen; None where no zenoh was. Raises `ZenohOptionError`, `ZenohConfigError`."""
+    """Return the chosen network, or None. Raises `ZenohOptionError`, `ZenohConfigError`."""
     named = {name: value for name, value in given.items() if value not in (None, [], False)}
     if not named:
         return None

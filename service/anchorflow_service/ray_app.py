@@ -35,11 +35,11 @@ class RaySettings(BaseModel):
     """Folder of the bundle, on every node."""
     provider: str = "cpu"
     tokens: Path | None = None
-    """File of bearer tokens, on every node; None: everybody may ask."""
+    """File of bearer tokens, on every node; None: no token is required."""
     zenoh: str | None = None
     """Endpoint of a zenoh router to connect to."""
     cpus: int = Field(default=1, ge=1)
-    """Of a replica: what Ray reserves, and the threads of its engine."""
+    """CPUs that Ray reserves for a replica, and threads of its engine."""
     gpus: float = Field(default=0.0, ge=0)
     min_replicas: int = Field(default=1, ge=0)
     max_replicas: int = Field(default=4, ge=1)

@@ -2,8 +2,8 @@
 
 app          the application: routes and middleware
 lifecycle    uvicorn's settings, TLS, and how the service stops
-connections  how many connections there may be, and how long they may take
-exchanges    request ids, and who is told of every exchange
+connections  bounds on the number of connections and on their timeouts
+exchanges    request ids, and listeners to every exchange
 tokens       bearer tokens and what they allow
 responses    JSON responses, refusals, client disconnects
 anchors, oip_models, routes, page  the routes

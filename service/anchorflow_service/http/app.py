@@ -44,17 +44,17 @@ def create_app(
     repository: Repository | None = None,
     middleware: Sequence[Middleware] = (),
 ) -> FastAPI:
-    """Return an ASGI application over the service.
+    """Make an ASGI application for the service.
 
-    Its lifespan opens the service, and ends after the engine calls that still run.
+    Its lifespan opens the service; its end waits for running engine calls.
 
     Args:
         service: plans; no other application may open it.
         connections: bounds under `uvicorn_config`; other servers have their own.
         endpoints: entered in the lifespan, such as another transport of the same service.
-        tokens: who may ask; None: everybody.
+        tokens: who may send requests; None: no token is required.
         repository: bundles that may be loaded; None: there are no routes for it.
-        middleware: around all routes and refusals; the request's id is known.
+        middleware: added around all routes, inside the one that sets the request's id.
     """
     metrics = Metrics(service)
     listeners = [metrics.exchanged, log_exchange]
@@ -76,7 +76,7 @@ def create_app(
         redirect_slashes=False,  # a redirect would not be the contract's error JSON
         docs_url=None,  # FastAPI's pages load their scripts from elsewhere, and name their versions
         redoc_url=None,
-        # From the outside in.
+        # The first is outermost.
         middleware=[
             Middleware(Exchanges, listeners=listeners),
             Middleware(OverloadGuard),

@@ -1,7 +1,7 @@
 """Bounds on connections: how many there are, and how long each may take to send and to receive.
 
-uvicorn's `limit_concurrency` refuses health checks too, and it waits for a request's bytes without
-a timeout. `AnchorProtocol` is uvicorn's HTTP protocol (its `http` setting) with both bounds: it
+uvicorn's `limit_concurrency` refuses health checks too, and uvicorn has no timeout for a request's
+bytes. `AnchorProtocol` is uvicorn's HTTP protocol (its `http` setting) with both bounds: it
 overrides callbacks of `asyncio.Protocol` and uvicorn's plain-text refusal of invalid HTTP, and
 calls public methods of the transport. `OverloadGuard` is the middleware that tells a connection
 when a request begins and ends. They find each other through the state of ASGI's lifespan, which
@@ -38,7 +38,7 @@ SHARE_OF_AN_ADDRESS = 0.75
 MAX_PIPELINED_BYTES = 64 * 2**10
 """Bytes that a client may send ahead while its request is being answered."""
 IPV6_NETWORK_BITS = 64
-"""A machine may use any address of such a network, so all of them count as one."""
+"""A machine may use any address of its /64 network, so the whole network counts as one."""
 SLOTS, CONNECTION = "connection_slots", "connection"
 """Keys in the state of the lifespan and of a request."""
 UPGRADE = re.compile(rb"\r\nupgrade:[^\r\n]*", re.IGNORECASE)
@@ -52,9 +52,9 @@ class ConnectionLimits:
     """If all of these have a request, requests on further ones are `overloaded`, except health;
     otherwise the connection that has been idle longest is closed for a new one."""
     max_per_address: int | None = None
-    """Of these, for one address; None: three quarters."""
+    """Connections of one address; None: three quarters of all."""
     max_head_bytes: int = 16 * 2**10
-    """Of a request line and its headers."""
+    """Size of a request line and its headers."""
     head_s: float = 10.0
     """Time for the request line and headers to arrive; then the connection is closed."""
     receive_s: float = 60.0
@@ -65,11 +65,11 @@ class ConnectionLimits:
 
 
 class ConnectionSlots:
-    """Decides which connections stay: those in a slot, and a few in a reserve.
+    """Keeps a bounded number of connections: those in a slot, and a few in a reserve.
 
     A connection without a request is idle and loses little by being closed. A new connection takes
     the slot of the one that has been idle longest: among those of its own address if that has its
-    share, else among all. If none is idle, the new one goes to the reserve.
+    share, else among all. If none is idle, the new one waits in the reserve.
     """
 
     def __init__(self, limits: ConnectionLimits, listeners: Sequence[Listener] = ()) -> None:
@@ -132,7 +132,7 @@ class ConnectionSlots:
 
 
 class Phase(Enum):
-    """What a connection waits for."""
+    """The part of an exchange that a connection waits for."""
 
     HEAD = auto()
     """A request, or the rest of its line and headers."""
@@ -285,7 +285,7 @@ class OverloadGuard:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass the request on or refuse it, and tell its connection how far it is."""
+        """Pass the request on or refuse it, and report its progress to its connection."""
         connection = scope.get("state", {}).get(CONNECTION)
         if scope["type"] != "http" or connection is None:  # another server's connection
             await self._app(scope, receive, send)

@@ -1,4 +1,4 @@
-"""The outermost middleware: a request id for every exchange, and listeners told of its outcome."""
+"""The outermost middleware: it sets a request id and reports every exchange to listeners."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ logger = logging.getLogger(__name__)
 
 
 class Exchanges:
-    """Middleware: gives each request an id, answers unexpected exceptions, tells the listeners.
+    """Middleware: sets a request's id, answers unexpected exceptions, and calls the listeners.
 
-    The id is the caller's or a random one. It stands in the request's `state.request_id`, where an
-    endpoint may put another, and in the `X-Request-Id` header of every response.
+    The id is the caller's or a random one. It is kept in the request's `state.request_id`, which an
+    endpoint may change, and sent in the `X-Request-Id` header of every response.
     """
 
     def __init__(self, app: ASGIApp, *, listeners: Sequence[Listener]) -> None:

@@ -38,11 +38,11 @@ class TlsFiles:
     """PEM files for TLS; none of them: plain HTTP."""
 
     certificate: Path | None = None
-    """Of the server, with what it is signed by."""
+    """The server's certificate and its chain."""
     key: Path | None = None
     """Its private key, not encrypted."""
     client_ca: Path | None = None
-    """Of authorities; clients must show a certificate that one of them signed."""
+    """Authorities; clients must present a certificate that one of them signed."""
 
     def context(self, *_: object) -> ssl.SSLContext:
         """Return the context of a server that speaks TLS 1.2 or later.
@@ -57,7 +57,7 @@ class TlsFiles:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         try:
-            # OpenSSL would ask for the password of an encrypted key at the terminal.
+            # OpenSSL would prompt for the password of an encrypted key at the terminal.
             context.load_cert_chain(self.certificate, self.key, password=_no_password)
         except ssl.SSLError as error:
             files = f"{self.certificate} with {self.key}"

@@ -1,7 +1,7 @@
 """The page at `/`: its files, and `POST /page/flow`, the states of a solver for its replay.
 
-All files are read when the routes are made, so no path comes from a caller. The replay is no part
-of the contract: page and service come from one package and change together.
+All files are read when the routes are made, so no caller chooses a path. The replay is no part of
+the contract: page and service ship in one package and change together.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ INDEX = "index.html"
 MAX_REPLAYED_ANCHORS = 64
 MAX_REPLAYED_STEPS = 32
 DIGITS = 3
-"""Of a position in m: a screen shows no more."""
+"""Decimals of a position in m; a screen shows no more."""
 
 CONTENT_TYPES = {
     ".css": "text/css; charset=utf-8",

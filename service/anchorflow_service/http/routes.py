@@ -33,7 +33,7 @@ EXTENSIONS = ["binary_tensor_data", "model_repository"]
 """Extensions of the Open Inference Protocol that this server speaks."""
 METRICS_CONTENT_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 MAX_BODY_BYTES = 64 * 1024
-"""Of a request to the repository."""
+"""Limit for requests to the repository."""
 
 
 def server_version() -> str:

@@ -1,4 +1,4 @@
-"""Bearer tokens: a file of them, and the middleware that lets their holders in.
+"""Bearer tokens: a file of them, and the middleware that checks them.
 
 The file is read again when it changes. It has a line for each token; empty lines and lines that
 begin with # are skipped:
@@ -189,7 +189,7 @@ def _stamp(path: Path) -> tuple[int, ...] | None:
 class TokenGuard:
     """Middleware: refuses requests without a token of the scope that their path needs.
 
-    The name of the token stands in the request's `state.caller`.
+    It keeps the name of the token in the request's `state.caller`.
     """
 
     def __init__(self, app: ASGIApp, *, tokens: TokenFile) -> None:

@@ -2,5 +2,5 @@
 
 metrics  counts, durations and load, for Prometheus
 logs     log lines as text or JSON, one per HTTP exchange
-spans    OpenTelemetry spans; imported only if they are asked for
+spans    OpenTelemetry spans; imported only with `--traces`
 """

@@ -17,7 +17,7 @@ UNROUTED = "other"
 CLIENT_DISCONNECTED = 499
 """The status if the client disconnected before there was one, as in nginx."""
 
-# Attributes of every record; others come from `extra`.
+# Attributes of every record; all others are from `extra`.
 _COMMON = set(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
 _NOISE = {"color_message"}  # uvicorn's, for terminals
 

@@ -61,7 +61,7 @@ class ServiceCodec(Protocol):
 
 @dataclass
 class Call:
-    """A request as its transport received it: its bytes and what came beside them."""
+    """A request as its transport received it: its bytes, and fields sent beside them."""
 
     payload: Payload
     codec: ServiceCodec

@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 
 
 class JobCancelled(AnchorFlowError):
-    """Ends work whose result nobody waits for; no caller sees it."""
+    """Ends the work of a cancelled job; no caller sees it."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class JobContext:
     threads: int
     """Number of threads that the work may use."""
     check: Callable[[], None]
-    """Call this between steps; it raises if nobody waits for the result any more."""
+    """Call this between steps; it raises if the job was cancelled or its budget is spent."""
 
 
 class Job(Generic[Result]):
@@ -65,7 +65,7 @@ class Job(Generic[Result]):
         self.result.set_running_or_notify_cancel()
 
     def check(self) -> None:
-        """Raise `JobCancelled` or `DeadlineExceeded` if nobody waits for the result any more."""
+        """Raise `JobCancelled` if the job has ended, `DeadlineExceeded` if its budget is spent."""
         if self.has_ended:
             raise JobCancelled
         self.arrival.check(self.budget_ms, self._stage)

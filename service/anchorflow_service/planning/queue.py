@@ -70,7 +70,7 @@ class ServiceTimeEstimate:
         self.mean_s = mean + SMOOTHING * (service_s - mean)
 
     def wait_s(self, ahead: int) -> float:
-        """Estimate the time until a lane is free behind so many requests, running or waiting."""
+        """Estimate the time until a lane is free, behind a number of running or waiting requests."""
         return self.mean_s * ahead / self._lanes
 
     def retry_after_s(self, ahead: int) -> int:
@@ -161,7 +161,7 @@ class PlanningQueue:
     def oldest_wait_s(self) -> float:
         """Return the age of the oldest job that no lane has taken; 0 if there is none."""
         with self._changed:
-            # Jobs of a batch came before those in the line.
+            # Jobs of a batch are older than those in the line.
             first = next(self._left_in_batch(), next(iter(self._line), None))
             return 0.0 if first is None else self._clock() - first.submitted
 

@@ -99,7 +99,7 @@ class BundleFolders:
         return [named(bundle) for bundle in found]
 
     def _paths(self) -> Iterator[Path]:
-        """Yield each folder once; a single one may lie in the repository."""
+        """Yield each folder once; a single one may be in the repository too."""
         paths = [*self.single]
         if self._repository is not None:
             # A folder whose name begins with a dot is being written by an export.

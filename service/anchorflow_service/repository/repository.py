@@ -79,7 +79,7 @@ class ModelState:
 
 
 class Repository:
-    """Loads bundles into the engines of a service, and unloads them.
+    """Loads and unloads the bundles of a service.
 
     A bundle is opened, checked and warmed up beside the one that serves, and replaces it in one
     step; if anything is wrong with it, the other stays. Methods block and are thread-safe; one
@@ -102,7 +102,7 @@ class Repository:
         self._open_engine = open_engine
         self._loading = threading.Lock()
         self._faults: dict[tuple[str, str], str] = {}
-        """By model and version: why the last load was refused."""
+        """The reason why the last load was refused, by model and version."""
 
     def load(self, name: str, version: str | None = None) -> ModelCard:
         """Read the bundle of a model from its folder, and serve it.
