@@ -138,7 +138,7 @@ def test_a_repository_of_nothing_is_one_line(tmp_path: Path) -> None:
 
 
 def test_no_answer_waits_for_an_acknowledgement() -> None:
-    """A connection has the option from the listener that it came in by."""
+    """A connection inherits the option from its listener."""
     with listen("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
         accepted, _ = listener.accept()
         with accepted:

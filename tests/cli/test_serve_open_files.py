@@ -15,7 +15,7 @@ from anchorflow_service.http.lifecycle import BACKLOG
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="has no such limits")
 
 BESIDE = RESERVE + BACKLOG + OTHER_FILES
-# In a process of its own: a hard limit is never raised again.
+# A separate process, since a hard limit cannot be raised again.
 PROGRAM = """
     import logging, resource, sys
     from anchorflow_cli.listening import within_open_files

@@ -114,7 +114,7 @@ def replacement(until: Any) -> Callable[[Served, set[int]], int]:
 
 
 class Crowd:
-    """Retrying clients that ask without a pause, until they are told to stop."""
+    """Retrying clients that plan without a pause until `stop` is called."""
 
     def __init__(self, url: str, clients: int = 3) -> None:
         self.answers = 0
@@ -130,7 +130,7 @@ class Crowd:
             thread.join(PATIENCE_S + 30)
 
     def has_more(self, more: int) -> Callable[[], bool]:
-        """Whether so many more answers have come since now; or a failure, which ends the wait."""
+        """Return a check for that many more answers, or for a failure, which ends the wait."""
         goal = self.answers + more
         return lambda: self.answers >= goal or bool(self.failures)
 
@@ -241,7 +241,7 @@ def test_workers_that_cannot_start_end_the_command(
 
 
 def counted(url: str) -> float:
-    """Planning requests that were answered, as the worker that is asked tells it."""
+    """Return the number of answered planning requests in the metrics of one worker."""
     with urllib.request.urlopen(f"{url}/metrics", timeout=20) as answer:
         lines = answer.read().decode().splitlines()
     labels = '{model="flowmp-small",outcome="ok",transport="http"}'
@@ -267,7 +267,7 @@ def test_workers_keep_their_models_and_count_together(
 
     assert [counted(served.url) for _ in range(8)] == [12.0] * 8
 
-    os.kill(min(before), signal.SIGTERM)  # one after the other, that is how a new bundle comes in
+    os.kill(min(before), signal.SIGTERM)  # a new bundle is rolled out like this
     replacement(served, before)
     assert counted(served.url) == 12.0
 

@@ -120,7 +120,7 @@ def test_a_router_that_is_not_there_is_one_line(
 
 
 def test_every_setting_has_an_option() -> None:
-    """In the order of the settings, so that neither is forgotten when one is added."""
+    """The options have the order of the settings, so that a new setting is not forgotten."""
     settings = list(ZenohSettings.__dataclass_fields__)
 
     assert [name for name in OPTIONS if name != "replica"] == settings

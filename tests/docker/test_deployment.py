@@ -25,7 +25,7 @@ PLANNERS = ("planner-1", "planner-2")
 
 
 def parsed(arguments: list[str]) -> dict[str, Any]:
-    """The options of `anchorflow serve …` by name; ends with typer's error where one is wrong."""
+    """The options of `anchorflow serve …` by name; typer's error if one is wrong."""
     name, *options = arguments
     assert name == "serve"
     command = typer.main.get_command(serve.app)
@@ -136,7 +136,7 @@ def test_kserve_runs_the_image_by_its_protocol() -> None:
 
 @pytest.mark.parametrize("path", files(), ids=lambda path: path.relative_to(DOCKER).as_posix())
 def test_no_file_names_a_registry(path: Path) -> None:
-    """Where images and packages come from is the setting of whoever builds."""
+    """Sources of images and packages are settings of the build."""
     text = path.read_text()
     names = re.findall(r"(?:image:|FROM|BASE_IMAGE=|--from=)\s*(\S+)", text)
 

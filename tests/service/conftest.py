@@ -40,7 +40,7 @@ def tiny_bundle(_tiny_bundle_built: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def edit_manifest(tiny_bundle: Path) -> Callable[..., None]:
-    """Sets what lies at a path of keys in the tiny bundle's manifest."""
+    """Sets the value at a path of keys in the tiny bundle's manifest."""
     return partial(set_in_manifest, tiny_bundle)
 
 

@@ -40,7 +40,7 @@ def replicas() -> list[str]:
 
 
 def main() -> None:
-    """Serve, ask, kill, ask on, and tell."""
+    """Serve, send requests, kill a replica, and print the results."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)

@@ -102,7 +102,7 @@ def asked(name: str) -> AnchorRequest:
 
 
 def recorded(name: str, form: str, came: dict[str, Any]) -> dict[str, Any]:
-    """What was recorded of an answer; skips where its bytes could not be the same."""
+    """Read a recorded answer; skip on machines that cannot reproduce its bytes."""
     path = GOLDEN / f"{name}.{form}.json"
     here = {"request": REQUESTS[name], "machine": machine()}
     if WRITES:

@@ -60,7 +60,7 @@ def test_a_replica_refuses_what_its_queue_has_no_room_for(
 
 def test_no_request_is_lost_where_a_replica_is() -> None:
     pytest.importorskip("ray.serve", reason="Ray Serve is not installed: anchorflow[ray]")
-    # In a process of its own: Ray warns of what it deprecates itself, and leaves threads behind.
+    # A separate process, since Ray warns of its own deprecations and leaves threads running.
     run = subprocess.run(
         [sys.executable, str(PROGRAM)],
         check=False,

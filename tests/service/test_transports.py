@@ -140,7 +140,7 @@ def test_what_is_loaded_over_http_is_served_over_zenoh(
     repository = Repository(planning.engines, BundleFolders([tiny_bundle]), opened)
     session = open_session(ZenohSettings(listen=(endpoint,)))
     app = create_app(planning, endpoints=[ZenohEndpoint(planning, session)], repository=repository)
-    # What lies in the folder from now on is another model.
+    # Rename the model of the bundle in the folder.
     edit_manifest("name", to="newer")
 
     def ask(zenoh: ZenohAnchorClient, name: str) -> str:

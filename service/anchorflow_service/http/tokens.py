@@ -77,7 +77,9 @@ class TokenFile:
         self._clock = clock
         self._looked = clock()
         self._stamp = _stamp(path)
-        self._tokens = _served(path)
+        self._tokens = read_tokens(path)
+        if not self._tokens:
+            raise TokenFileError(f"{path}: holds no token, so that nobody could ask anything")
         self._fault = ""
         """The last error, so that it is logged once."""
 
@@ -133,14 +135,6 @@ def token_line(name: str, scopes: tuple[str, ...], token: str) -> str:
 def digest_of(token: str) -> bytes:
     """Return the SHA-256 digest, 32 bytes."""
     return hashlib.sha256(token.encode()).digest()
-
-
-def _served(path: Path) -> tuple[Token, ...]:
-    """Read the tokens of a file. Raises `TokenFileError`, also if it holds none."""
-    tokens = read_tokens(path)
-    if not tokens:
-        raise TokenFileError(f"{path}: holds no token, so that nobody could ask anything")
-    return tokens
 
 
 def _parse(text: str) -> Iterator[Token]:

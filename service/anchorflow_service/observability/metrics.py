@@ -139,29 +139,19 @@ class ServiceCollector(Collector):
     def collect(self) -> Iterator[Metric]:
         """Yield the families of metrics."""
         queue = self._service.queue
-        yield GaugeMetricFamily(
-            "anchorflow_ready", "1 while requests are taken.", float(self._service.is_ready)
-        )
-        yield GaugeMetricFamily(
-            "anchorflow_in_flight", "Requests that wait or are planned.", queue.in_flight
-        )
-        yield GaugeMetricFamily(
-            "anchorflow_oldest_wait_seconds",
-            "Age of the first in the queue; 0 where nobody waits.",
-            queue.oldest_wait_s,
-        )
-        yield GaugeMetricFamily("anchorflow_workers", "Engine calls at a time.", queue.num_lanes)
-        yield GaugeMetricFamily(
-            "anchorflow_threads", "Threads of the process, the engines' own included.", threads()
-        )
-        yield self._bundles()
-
-    def _bundles(self) -> Metric:
+        for name, about, value in (
+            ("ready", "1 while requests are taken.", float(self._service.is_ready)),
+            ("in_flight", "Requests that wait or are planned.", queue.in_flight),
+            ("oldest_wait_seconds", "Age of the first in the queue, or 0.", queue.oldest_wait_s),
+            ("workers", "Engine calls at a time.", queue.num_lanes),
+            ("threads", "Threads of the process, the engines' own included.", threads()),
+        ):
+            yield GaugeMetricFamily(f"anchorflow_{name}", about, value)
         family = InfoMetricFamily("anchorflow_bundle", "Bundles that are served.")
         for card in self._service.engines.cards():
             labels = {"model": card.name, "version": card.version, "sha256": card.sha256}
             family.add_metric([], labels)
-        return family
+        yield family
 
 
 def threads() -> int:

@@ -70,7 +70,7 @@ class ServiceTimeEstimate:
         self.mean_s = mean + SMOOTHING * (service_s - mean)
 
     def wait_s(self, ahead: int) -> float:
-        """Estimate the time until a lane is free, behind a number of running or waiting requests."""
+        """Estimate the time until a lane is free, behind some running or waiting requests."""
         return self.mean_s * ahead / self._lanes
 
     def retry_after_s(self, ahead: int) -> int:

@@ -50,7 +50,7 @@ def test_a_limit_beyond_its_range_is_refused_with_its_field(
     assert answer.status_code == 422
     error = answer.json()["error"]
     assert (error["code"], error["field"]) == ("invalid_request", name)
-    assert "for which lines 1.2.3 was trained" in error["message"]
+    assert "for which lines 1.2.3 was trained, got" in error["message"]
 
 
 @pytest.fixture
@@ -80,17 +80,8 @@ def test_a_horizon_makes_them_alike(free: AnchorClient, fields: dict[str, Any]) 
     np.testing.assert_array_equal(anchors.durations, [30.0] * 4)
 
 
-def test_a_limit_beyond_the_models_training_is_refused(
-    free: AnchorClient, fields: dict[str, Any]
-) -> None:
-    words = "v_max: expected 0.1 to 6 m/s, for which lines 1.2.3 was trained, got 9"
-    with pytest.raises(InvalidRequest, match=words) as caught:
-        free.plan(**fields, v_max=9)
-    assert caught.value.field == "v_max"
-
-
 def test_a_style_may_be_named(service: Any, engine: Any, fields: dict[str, Any]) -> None:
-    """By hand, as the client sends its weights."""
+    """A raw request, because the client replaces the name by its weights."""
     assert service.post(fields | {"w_style": "comfortable"}).status_code == 200
     np.testing.assert_array_equal(engine.seen[-1].w_style, [STYLES["comfortable"]])
 
@@ -102,13 +93,6 @@ def test_a_style_may_be_named(service: Any, engine: Any, fields: dict[str, Any])
         "efficient, comfortable, got the string 'fast'",
         "field": "w_style",
     }
-
-
-def test_one_scene_has_no_batch_axis(client: AnchorClient, fields: dict[str, Any]) -> None:
-    anchors = client.plan(**fields)
-
-    assert anchors.trajectories.shape == (4, 16, 2)
-    assert anchors.scores.shape == (4,)
 
 
 @pytest.mark.parametrize("num_scenes", [1, 3])
@@ -125,6 +109,7 @@ def test_a_batch_has_one_and_each_scene_is_planned_as_if_alone(
     for b, goal in enumerate(goals):
         fields["x_goal"] = goal
         alone = client.plan(**fields)
+        assert alone.scores.shape == (4,)
         np.testing.assert_array_equal(together.trajectories[b], alone.trajectories)
 
 
@@ -167,17 +152,6 @@ def test_the_request_id_is_echoed(service: Any, fields: dict[str, Any]) -> None:
         service.request("GET", "/nowhere", headers={"X-Request-Id": "h2"}).headers["x-request-id"]
         == "h2"
     )
-
-
-def test_numbers_travel_to_the_last_bit(
-    client: AnchorClient, engine: Any, fields: dict[str, Any]
-) -> None:
-    state = np.array(fields["x_curr"]) + np.pi / 7
-
-    fields["x_curr"] = state
-    client.plan(**fields)
-
-    np.testing.assert_array_equal(engine.seen[0].x_curr[0], state)
 
 
 @pytest.mark.parametrize("budget_ms", [1e-6, 20.0])

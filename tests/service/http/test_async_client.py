@@ -19,7 +19,6 @@ from anchorflow_client import (
     AnchorClient,
     AsyncAnchorClient,
     ConnectionFailed,
-    InternalError,
     InvalidRequest,
     JsonCodec,
     TimedOut,
@@ -34,7 +33,7 @@ PATIENCE_S = 20
 
 
 class InProcess:
-    """The application as a transport, on the loop of whoever asks."""
+    """The application as a transport, on the client's event loop."""
 
     def __init__(self, app: FastAPI) -> None:
         transport = httpx.ASGITransport(app=app)
@@ -109,7 +108,7 @@ def outcomes(planning: PlanningService) -> Outcomes:
 
 
 def meeting(work: Awaitable[Any]) -> Any:
-    """What the work raises."""
+    """Return the result or the exception of the work."""
 
     async def meet() -> Any:
         try:
@@ -260,7 +259,7 @@ def test_leaving_the_block_fails_what_is_on_its_way(
     assert isinstance(error, ConnectionFailed)
 
 
-def test_nobody_answers_where_no_server_is(fields: dict[str, Any]) -> None:
+def test_without_a_server_the_connection_fails(fields: dict[str, Any]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
 
@@ -270,19 +269,3 @@ def test_nobody_answers_where_no_server_is(fields: dict[str, Any]) -> None:
             return await client.plan(**fields)
 
     assert isinstance(meeting(ask()), ConnectionFailed)
-
-
-def test_a_failure_of_the_service_is_internal(
-    app: FastAPI, engine: Any, listen: Listen, fields: dict[str, Any]
-) -> None:
-    def explode(_: AnchorBatch) -> AnchorBatch:
-        raise ZeroDivisionError("secret detail")
-
-    engine.before_answer = explode
-    url = listen(app)
-
-    async def ask() -> AnchorBatch:
-        async with AsyncAnchorClient(url) as client:
-            return await client.plan(**fields)
-
-    assert isinstance(meeting(ask()), InternalError)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,9 @@ from anchorflow_client import (
     AnchorRequest,
     CostMap,
     InvalidRequest,
-    JsonCodec,
     OipCodec,
     Payload,
 )
-from anchorflow_client.contract import resolve_for_card
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.oip_message import pack
 
@@ -49,12 +46,6 @@ def test_both_forms_give_the_same_anchors(
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert (one.dt, one.seed, one.model) == (other.dt, other.seed, other.model)
     assert set(one.timing_ms) == set(other.timing_ms)
-
-
-def test_a_batch_has_a_batch_axis(client: AnchorClient, fields: dict[str, Any]) -> None:
-    fields["x_goal"] = [fields["x_goal"]] * 3
-
-    assert client.plan(**fields).trajectories.shape == (3, 4, 16, 2)
 
 
 @pytest.mark.parametrize("num_scenes", [1, 2])
@@ -99,25 +90,6 @@ def test_a_length_that_is_no_number_is_refused(
     error = post(service, payload, length).json()["error"]
 
     assert (error["code"], error["field"]) == ("invalid_request", LENGTH)
-
-
-def test_a_length_beside_json_is_none_of_json(
-    service: Any, fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """JSON is read off the event loop, whatever is said of a header that it does not have."""
-    threads: list[str] = []
-
-    def resolve(*given: Any) -> Any:
-        threads.append(threading.current_thread().name.partition("_")[0])
-        return resolve_for_card(*given)
-
-    monkeypatch.setattr("anchorflow_service.planning.service.resolve_for_card", resolve)
-    payload = JsonCodec().encode_request(AnchorRequest.from_fields(fields))
-    headers = {"Content-Type": "application/json", LENGTH: "1"}
-    answer = service.request("POST", "/anchors", headers=headers, content=payload.body)
-
-    assert answer.status_code == 200
-    assert threads == ["reading"]
 
 
 def test_a_body_without_its_length_is_refused(service: Any, fields: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""A client that hangs up, over a real socket: its work ends with the step that is being taken."""
+"""Client disconnects over a real socket: the work ends with the current step."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PATIENCE_S = 20
 
 
 class StepByStep:
-    """An engine that takes a step when it is told to, and asks after each whether to go on."""
+    """An engine that takes a step when the test releases one, and calls `check` after each."""
 
     def __init__(self, engine: Any) -> None:
         self._engine = engine

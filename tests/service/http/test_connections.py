@@ -35,7 +35,7 @@ def within(planning: PlanningService, serve: Callable[..., Any]) -> Within:
 
 
 def everything(connection: socket.socket) -> bytes:
-    """What comes until the other side closes, in whichever way."""
+    """Return all bytes until the server closes the connection."""
     connection.settimeout(PATIENCE_S)
     parts = []
     try:
@@ -236,7 +236,7 @@ def test_a_body_has_a_time_of_its_own(within: Within) -> None:
     with ExitStack() as stack:
         connection = silent(port, stack)
         connection.sendall(HALF_A_BODY)
-        everything(silent(port, stack))  # so long a head may take
+        everything(silent(port, stack))  # the limit for a head
         connection.sendall(b"-" * (100 - len(b"half")))
 
         assert error_of(everything(connection))["code"] == "invalid_request"
@@ -267,7 +267,7 @@ def test_planning_may_take_longer_than_receiving(
         client = AnchorClient(f"http://127.0.0.1:{port}", timeout_s=PATIENCE_S)
         asked = background.submit(stack.enter_context(client).plan, **fields)
         assert gate.reached.wait(PATIENCE_S)
-        for sent in (b"", HALF_A_BODY):  # so long may either of them take
+        for sent in (b"", HALF_A_BODY):  # beyond the limits of head and body
             connection = silent(port, stack)
             connection.sendall(sent)
             everything(connection)

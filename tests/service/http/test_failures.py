@@ -1,4 +1,4 @@
-"""What the engine does wrong stays inside: an `internal` for the caller, the rest for the log."""
+"""Failures of an engine: the caller gets `internal`, and the log has the details."""
 
 from __future__ import annotations
 

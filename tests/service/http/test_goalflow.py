@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,13 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from anyio.from_thread import start_blocking_portal
 from driven_bend import bend
 
 from anchorflow_client import AnchorBatch, AnchorClient, JsonCodec, OipCodec
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
@@ -31,7 +27,6 @@ from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
-from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 MODEL, K, N, T = "goalflow", 16, 12, 2
 # Ways along a route are a loop over the steps, which a trace unrolls: two are enough.
@@ -131,20 +126,6 @@ def test_an_answer_over_http_is_the_engines(client: AnchorClient, local: LocalCl
     assert_same(answer, local.plan(**asked))
 
 
-def test_an_answer_over_zenoh_is_the_engines(planning: PlanningService, local: LocalClient) -> None:
-    asked: dict[str, Any] = {"inputs": inputs_of(1), "num_samples": N, "seed": 3}
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        endpoint = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
-    zenoh = ZenohEndpoint(planning, open_session(ZenohSettings(listen=(endpoint,))), replica="a")
-    app = create_app(planning, endpoints=[zenoh])
-    with (
-        start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
-        ZenohAnchorClient(endpoint, timeout_s=20) as client,
-    ):
-        assert_same(client.plan(**asked), local.plan(**asked))
-
-
 def test_a_batch_of_eight_equals_eight_alone(local: LocalClient) -> None:
     windows = [inputs_of(k % 6) for k in range(8)]
     stacked = {name: np.stack([each[name] for each in windows]) for name in windows[0]}
@@ -177,22 +158,6 @@ def test_noise_makes_draws_to_one_goal_differ(local: LocalClient) -> None:
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "a raster of another shape": (
-        {"bev": np.zeros((20, 100, 128), np.uint8)},
-        "inputs.bev: expected shape [20,192,128] or [B,20,192,128]",
-    ),
-    "a raster of another dtype": (
-        {"bev": np.zeros((20, 192, 128), np.float32)},
-        "inputs.bev: expected uint8",
-    ),
-    "a status of seven": (
-        {"ego_status": np.zeros(7, np.float32)},
-        "inputs.ego_status: expected shape [8] or [B,8]",
-    ),
-    "NaN": (
-        {"ego_status": np.full(8, np.nan, np.float32)},
-        "expected finite numbers, got nan at inputs.ego_status[0]",
-    ),
     "faster than a street's cars": (
         {"ego_status": np.array([0, 1, 0, 0, 40, 0, 0, 0], np.float32)},
         "expected numbers in [-32, 32] command left, straight, right, unknown: 0 or 1; velocity",
@@ -205,16 +170,14 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
         {"vehicle_size": np.array([4, 0], np.int32)},
         "expected numbers in [0.3, 30] m, got 0.0 at inputs.vehicle_size[1]",
     ),
-    "none": ({"vehicle_size": None}, "inputs.vehicle_size: this field is required"),
 }
 
 
 @pytest.mark.parametrize("case", WRONG, ids=list(WRONG))
 def test_what_is_wrong_is_named(client: AnchorClient, case: str) -> None:
     changed, message = WRONG[case]
-    inputs = {name: a for name, a in (inputs_of(0) | changed).items() if a is not None}
     with pytest.raises(InvalidRequest, match=re.escape(message)):
-        client.plan(inputs=inputs)
+        client.plan(inputs=inputs_of(0) | changed)
 
 
 def test_a_bundle_whose_score_is_wired_wrongly_is_refused(bundle: Path) -> None:

@@ -1,4 +1,4 @@
-"""Who may ask for what, on the application's own routes."""
+"""The scopes of tokens on the application's routes."""
 
 from __future__ import annotations
 
@@ -126,22 +126,3 @@ def test_the_schemes_name_is_taken_in_any_case(service: Any) -> None:
     headers = {"authorization": "bearer  robot-token "}
 
     assert service.request("GET", "/v2/models", headers=headers).status_code == 200
-
-
-@pytest.mark.parametrize(
-    ("token", "status"), [("robot", 401), ("chief", 404), ("both", 404), (None, 401)]
-)
-def test_the_repository_is_for_admins(service: Any, token: str | None, status: int) -> None:
-    """A path under the repository that no route has: who is let through finds nothing there."""
-    headers = {"Authorization": f"Bearer {token}-token"} if token else {}
-
-    answer = service.request("POST", "/v2/repository/nothing/here", headers=headers)
-
-    assert answer.status_code == status
-
-
-def test_metrics_are_for_whoever_has_a_token(service: Any) -> None:
-    assert service.request("GET", "/metrics").status_code == 401
-    for name in TOKENS:
-        headers = {"Authorization": f"Bearer {name}-token"}
-        assert service.request("GET", "/metrics", headers=headers).status_code == 200

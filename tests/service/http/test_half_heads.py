@@ -18,7 +18,7 @@ resource = pytest.importorskip("resource", reason="sets the limit on open files"
 CONNECTIONS = 1500
 CHECKS = 10
 PATIENCE_S = 5.0
-"""Of a probe: Kubernetes asks for 1 s, on a machine of its own."""
+"""Timeout of a probe; Kubernetes has 1 s."""
 OPEN_FILES = 2 * CONNECTIONS + 1000
 """Both ends are in this process."""
 
@@ -35,7 +35,7 @@ def many_files() -> Iterator[None]:
 
 
 class HalfHeads:
-    """Holds so many connections open, each with half a head, and opens the closed ones again."""
+    """Keeps 1,500 connections open with half a head each, and reopens those that are closed."""
 
     def __init__(self, port: int) -> None:
         self._address = ("127.0.0.1", port)

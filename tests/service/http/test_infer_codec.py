@@ -1,4 +1,4 @@
-"""Tensors whose numbers stand in the JSON of a request to `…/infer`."""
+"""Tensors with their numbers in the JSON of a request to `…/infer`."""
 
 from __future__ import annotations
 

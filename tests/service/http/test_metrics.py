@@ -1,4 +1,4 @@
-"""What is counted, on the application and without it."""
+"""Metrics of the application, and of other transports."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ def test_another_transport_is_counted_under_its_name(
 
 
 def test_threads_are_those_of_the_process() -> None:
-    # In a process of its own: here, what other tests began may end between two counts.
+    # A separate process, since threads of other tests may end between two counts.
     program = textwrap.dedent("""
         import threading
         from anchorflow_service.observability.metrics import threads

@@ -1,4 +1,4 @@
-"""What no answer says: which libraries answer, where they lie, what went wrong inside."""
+"""Responses reveal no libraries, paths or internal errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page's files as the service sends them, and the flow that its replay asks for."""
+"""The page's files as the service sends them, and the flow of its replay."""
 
 from __future__ import annotations
 
@@ -290,7 +290,7 @@ def test_a_flow_that_is_refused(
 def test_what_a_flow_is_asked_for_is_read_by_the_services_reader(
     flowing: Any, flow_fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One at a time: threads of its own would keep everybody else from reading."""
+    """The reader is shared, so that replays do not delay other requests."""
     threads: list[str] = []
 
     def resolve(*given: Any) -> Any:

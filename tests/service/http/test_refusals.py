@@ -1,4 +1,4 @@
-"""Bad input over the wire: the documented code, the field, and a service that goes on serving."""
+"""Bad input over the wire gets the documented code and field, and the service continues."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def test_the_documentation_knows_every_field(service: Any) -> None:
     request = models["AnchorRequestBody"]
 
     assert set(request["properties"]) == set(REQUEST.fields)
-    assert "required" not in request  # a planner asks for its own: a map, or what its card lists
+    assert "required" not in request  # each planner requires its own inputs
     resolution = request["properties"]["cost_map"]["anyOf"][0]["properties"]["resolution"]
     assert resolution["x-unit"] == "m/cell"
     body = schema["paths"]["/anchors"]["post"]["requestBody"]["content"]["application/json"]

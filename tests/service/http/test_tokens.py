@@ -1,4 +1,4 @@
-"""The file of tokens: what it says, what it refuses, and that a change is seen."""
+"""The token file: valid and invalid lines, and changes while the service runs."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def test_a_secret_that_is_mounted_as_a_link_is_seen_to_change(path: Path, tmp_pa
 
 @pytest.mark.timeout(60)
 def test_a_pipe_is_read_once(tmp_path: Path) -> None:
-    """To read it again would wait until somebody writes to it, and the service with it."""
+    """Reading it again would block the service until the next write."""
     clock = Clock()
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -168,7 +168,7 @@ def test_a_file_that_breaks_leaves_the_tokens_as_they_were(
 def test_a_token_that_is_taken_away_does_not_outlive_a_failed_read(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, fault: int
 ) -> None:
-    """Of a service that has run out of files, or of a file whose owner is still to be set."""
+    """The service may have too many open files, or the file its owner not set yet."""
     clock = Clock()
     tokens = TokenFile(path, clock=clock)
     path.write_text(OTHER)

@@ -1,4 +1,4 @@
-"""Inference stays off the event loop, and only so many requests wait for it."""
+"""Inference stays off the event loop, and a bounded number of requests waits for it."""
 
 from __future__ import annotations
 

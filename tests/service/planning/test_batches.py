@@ -1,4 +1,4 @@
-"""Micro-batches: who is planned together, with how many threads, and who waits for whom."""
+"""Micro-batches: which jobs are in one, with how many threads, in which order."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ AGES_MS = PATIENCE_S * 1e3
 
 
 class Works:
-    """Jobs that note what they are told; the first one holds its lane until it is told to go on."""
+    """Jobs that record their contexts; the first one occupies its lane until `go_on` is set."""
 
     def __init__(self) -> None:
         self.order: list[str] = []

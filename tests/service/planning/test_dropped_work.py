@@ -1,4 +1,4 @@
-"""Work that nobody waits for is not begun, and ends within a step where it was."""
+"""Cancelled work is not begun, or ends within a step."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PATIENCE_S = 20
 
 
 class SteppingEngine:
-    """Plans in steps: each is begun when the test says so, and `check` is called after each."""
+    """Plans in steps, which the test releases; `check` is called after each."""
 
     def __init__(self, engine: Any) -> None:
         self._engine = engine
@@ -74,7 +74,7 @@ def ask(service: PlanningService, fields: dict[str, Any]) -> Ask:
 
 @pytest.fixture
 def until_waiting(service: PlanningService, until: Any) -> UntilWaiting:
-    """Until so many jobs wait for a lane."""
+    """Waits until that many jobs wait for a lane."""
     return lambda count: asyncio.to_thread(until, lambda: service.queue.num_waiting == count)
 
 
@@ -106,7 +106,7 @@ def test_who_hangs_up_frees_the_engine_at_the_next_step(
 def test_a_spent_budget_is_told_at_once_and_frees_the_engine_at_the_next_step(
     service: PlanningService, stepping: SteppingEngine, ask: Ask
 ) -> None:
-    """The caller hears it while the engine is still in the middle of its step."""
+    """The caller gets the error while the engine is still in the middle of its step."""
 
     async def expire() -> None:
         with pytest.raises(DeadlineExceeded, match="while planning"):

@@ -1,4 +1,4 @@
-"""A job ends once, and whoever works on it learns that nobody waits any more."""
+"""A job ends once, and its work stops at the next check after it was cancelled."""
 
 from __future__ import annotations
 

@@ -45,13 +45,6 @@ def test_robots_do_not_touch_each_other() -> None:
         assert not any(each.has_ended for each in (one, other, nobody))
 
 
-def test_who_names_no_robot_supersedes_nobody() -> None:
-    latest, one, other = LatestPerRobot(), job(7.0), job(8.0)
-
-    with latest.registered(None, one), latest.registered(None, other):
-        assert not one.has_ended
-
-
 def test_nothing_is_kept_of_those_who_are_answered() -> None:
     latest, first, second = LatestPerRobot(), job(7.0), job(8.0)
 

@@ -1,4 +1,4 @@
-"""The bundle that ships, under many callers at a time: each gets the bytes that it gets alone."""
+"""Concurrent requests to the default bundle get the bytes that each gets alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CALLERS = 10
 
 
 class Sizes(Observer):
-    """Of the batches."""
+    """Records the sizes of batches."""
 
     def __init__(self) -> None:
         self.seen: list[int] = []
@@ -51,7 +51,7 @@ def request(caller: int) -> AnchorRequest:
 def answers(
     engine: Engine, limits: ServiceLimits, requests: Sequence[AnchorRequest]
 ) -> tuple[list[AnchorBatch], list[int]]:
-    """What the callers get who all ask at once, and the sizes of the batches."""
+    """Return the answers to concurrent requests, and the sizes of the batches."""
     service, sizes = PlanningService({"it": engine}, default="it", limits=limits), Sizes()
     service.watch(sizes)
 
@@ -69,7 +69,7 @@ def answers(
 @pytest.mark.parametrize("threads", [1, 2, 4])
 def test_together_they_get_the_bytes_that_each_gets_alone(engine: Engine, threads: int) -> None:
     requests = [request(caller) for caller in range(CALLERS)]
-    # In binary a map's geometry is float32, so what is planned alone goes through the codec too.
+    # A map's geometry is float32 in binary, so single requests go through the codec too.
     alone = [LocalClient(engine).plan_request(each) for each in requests]
 
     together, sizes = answers(engine, ServiceLimits(threads=threads), requests)

@@ -1,4 +1,4 @@
-"""Only so many jobs run, only so many wait, and each gives its place back."""
+"""Bounds on jobs that run and that wait, and their places when they end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is told to those who are refused is what those ahead take."""
+"""Estimates of waiting time in refusals."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def clock() -> Clock:
 
 
 def taught(queue: PlanningQueue, clock: Clock, seconds: float) -> None:
-    """One request that took so long has gone through."""
+    """Run one request of that duration."""
 
     def work(_: object) -> None:
         clock.now += seconds
@@ -60,7 +60,7 @@ def taught(queue: PlanningQueue, clock: Clock, seconds: float) -> None:
 
 
 def behind(queue: PlanningQueue, clock: Clock, *, waiting: int, budget_ms: float) -> Any:
-    """What comes of a job behind one in work and so many that wait."""
+    """Return the outcome of a job behind one that runs and `waiting` others."""
     reached, opened = threading.Event(), threading.Event()
 
     def hold(_: object) -> None:
@@ -98,7 +98,7 @@ def test_who_cannot_be_answered_in_time_hears_it_at_once(clock: Clock) -> None:
     ("seconds", "waiting", "budget_ms"),
     [
         (2.0, 3, 8_001.0),
-        (2.0, 0, 500.0),  # nobody ahead: only by trying is it known
+        (2.0, 0, 500.0),  # none ahead: only a run shows how long it takes
         (0.0, 3, 500.0),  # no service time known yet
     ],
 )

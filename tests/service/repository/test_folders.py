@@ -1,4 +1,4 @@
-"""Which bundles lie in which folders."""
+"""Bundles in folders."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_broken_manifest_is_known_by_its_folder(tmp_path: Path, write_bundle: 
 def test_a_manifest_that_is_no_file_is_known_by_its_folder(
     tmp_path: Path, write_bundle: Write, make: Callable[[Path], None]
 ) -> None:
-    """A pipe would be waited for, until somebody writes to it."""
+    """Reading a pipe would block until a write."""
     write_bundle(tmp_path / "repository" / "whole", name="whole")
     (tmp_path / "repository" / "flow").mkdir()
     make(tmp_path / "repository" / "flow" / "manifest.json")

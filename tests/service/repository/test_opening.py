@@ -1,4 +1,4 @@
-"""What a service starts with, and what keeps it from starting."""
+"""The models at the start of a service, and errors that prevent it."""
 
 from __future__ import annotations
 

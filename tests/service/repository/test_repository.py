@@ -28,7 +28,7 @@ def opened(folder: Path) -> Engine:
 
 @pytest.fixture
 def folder(tmp_path: Path, write_bundle: Write) -> Path:
-    """Of the model that is served."""
+    """Return the version of the served model."""
     return write_bundle(tmp_path / "repository" / "tiny")
 
 
