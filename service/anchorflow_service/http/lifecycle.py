@@ -110,7 +110,7 @@ class GracefulExit:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        """Nothing is left to do: uvicorn restores the handlers."""
+        """Do nothing: uvicorn restores the handlers."""
 
     def handle(self, number: int, frame: FrameType | None = None) -> None:
         """Turn readiness false now, and exit after the notice."""

@@ -10,7 +10,6 @@ import logging
 import threading
 import time
 from collections.abc import Mapping
-from types import TracebackType
 
 from opentelemetry.context import Context, attach, detach
 from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter
@@ -54,12 +53,7 @@ class Tracing(Observer):
     async def __aenter__(self) -> Tracing:
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         # A daemon thread, so that the process does not wait for it either.
         sending = threading.Thread(target=self._provider.shutdown, daemon=True)
         sending.start()

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
 from typing import NamedTuple, TypeVar
 
 from anchorflow_client.errors import NotReady, Overloaded
@@ -117,13 +116,9 @@ class PlanningQueue:
         self._awaited: set[AnyJob] = set()
         self._busy_lanes = 0
         self._lanes: list[threading.Thread] = []
-        self._is_open = False
-        self._takes_jobs = False
-
-    @property
-    def is_open(self) -> bool:
-        """Return whether the queue takes jobs."""
-        return self._takes_jobs
+        self._has_lanes = False
+        self.is_open = False
+        """Whether the queue takes jobs."""
 
     @property
     def mean_service_s(self) -> float:
@@ -140,7 +135,7 @@ class PlanningQueue:
             NotReady: the queue takes no jobs.
             Overloaded: no place is free; `retry_after_s` estimates when one is.
         """
-        if not self._takes_jobs:
+        if not self.is_open:
             raise NotReady("the service is starting or stopping")
         with self._changed:
             self._check_room(self.in_flight, self._limits.max_waiting + beyond)
@@ -172,16 +167,7 @@ class PlanningQueue:
         arrival: Arrival | None = None,
         budget_ms: float | None = None,
     ) -> Result:
-        """Run a function on a lane of its own and return its result.
-
-        Args:
-            work: the function.
-            arrival: when the request arrived; None: now.
-            budget_ms: time from then on; None: no limit.
-
-        Raises:
-            NotReady, Overloaded, DeadlineExceeded: as `submit`.
-        """
+        """Run a function on a lane of its own, as `submit` does with a job, which arrives now."""
         arrival = arrival or Arrival(clock=self._clock)
         return await self.submit(Job(work, arrival, budget_ms=budget_ms))
 
@@ -206,7 +192,7 @@ class PlanningQueue:
             NotReady, Overloaded: as `submit`.
         """
         with self._changed:
-            if not self._takes_jobs:
+            if not self.is_open:
                 raise NotReady("the service is stopping")
             leaves = in_place_of is not None and not in_place_of.has_ended
             waiting = self._count_waiting()
@@ -228,29 +214,25 @@ class PlanningQueue:
 
     async def result_of(self, job: Job[Result]) -> Result:
         """Return the result of an admitted job. Raises `DeadlineExceeded` past its budget."""
-        loop = asyncio.get_running_loop()
-        budget_ms = job.budget_ms
-        alarm = (
-            None
-            if budget_ms is None
-            else loop.call_later(job.arrival.left_ms(budget_ms) / 1e3, job.expire)
-        )
+        if job.budget_ms is None:
+            return await asyncio.wrap_future(job.result)
+        left_s = job.arrival.left_ms(job.budget_ms) / 1e3
+        alarm = asyncio.get_running_loop().call_later(left_s, job.expire)
         try:
             return await asyncio.wrap_future(job.result)
         finally:
-            if alarm is not None:
-                alarm.cancel()
+            alarm.cancel()
 
     def cancel_all(self) -> None:
         """End all jobs that wait or run, and refuse new ones, as `not_ready`."""
         with self._changed:
-            self._takes_jobs = False
+            self.is_open = False
             awaited = list(self._awaited)
         for job in awaited:
             job.cancel(NotReady("the service is stopping"))
 
     def __enter__(self) -> PlanningQueue:
-        self._is_open = self._takes_jobs = True
+        self._has_lanes = self.is_open = True
         self._lanes = [
             threading.Thread(target=self._work_on, name=f"planning-{lane}", daemon=True)
             for lane in range(self.num_lanes)
@@ -259,15 +241,10 @@ class PlanningQueue:
             lane.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Refuse waiting jobs, and wait for those that run."""
         with self._changed:
-            self._is_open = self._takes_jobs = False
+            self._has_lanes = self.is_open = False
             left = [*self._line, *(assignment.job for assignment in self._batch)]
             self._line.clear()
             self._batch.clear()
@@ -296,7 +273,7 @@ class PlanningQueue:
         """Wait for the next job of a lane; return None once the queue is closed."""
         with self._changed:
             while not self._batch:
-                if not self._is_open:
+                if not self._has_lanes:
                     return None
                 wait_s = self._form_batch()
                 if not self._batch:

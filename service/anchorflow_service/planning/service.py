@@ -9,8 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from types import TracebackType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import AnchorRequest, ResolvedRequest, resolve_for_card
@@ -177,13 +176,8 @@ class PlanningService:
         self.queue.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.queue.__exit__(kind, error, traceback)
+    def __exit__(self, *error: Any) -> None:
+        self.queue.__exit__(*error)
         for reader in (self._reader, self._large_reader):
             if reader is not None:
                 reader.shutdown()
