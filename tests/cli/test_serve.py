@@ -1,65 +1,51 @@
-"""`anchorflow serve`: the real server in a process of its own, and one line where it cannot run."""
+"""`anchorflow serve`: the real server in a process of its own, and one line if it cannot start."""
 
 from __future__ import annotations
 
+import json
 import signal
 import socket
+import ssl
 import subprocess
 import sys
-from collections.abc import Iterator
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import onnxruntime as ort
 import pytest
+import trustme
 
-from anchorflow_cli.listening import AddressError, listen, url_of
+from anchorflow_cli import listening
+from anchorflow_cli.listening import (
+    OTHER_FILES,
+    AddressError,
+    OpenFilesError,
+    listen,
+    url_of,
+    within_open_files,
+)
 from anchorflow_cli.main import main
 from anchorflow_client.http import AnchorClient
+from anchorflow_service.bundle.providers import PROVIDERS
+from anchorflow_service.http.connections import RESERVE, ConnectionLimits
+from anchorflow_service.http.lifecycle import BACKLOG
+from anchorflow_service.http.tokens import token_line
 
-# The command as it is, but for a card in place of a bundle: nothing plans here.
+# The real command with a card instead of a bundle, which cannot plan.
 PROGRAM = """
+import sys
 from types import SimpleNamespace
 from anchorflow_cli import main, serving
 
-card = SimpleNamespace(name="named", version="1.2.3")
+card = SimpleNamespace(name="named", version="1.2.3", sha256="ab" * 32)
 serving.load_bundle = lambda path: path
 serving.Engine = lambda bundle, **_: SimpleNamespace(card=card)
-main.main(["serve", "--port", "0", "--bundle", "some/bundle"])
+main.main(["serve", "--port", "0", "--bundle", "some/bundle", *sys.argv[1:]])
 """
-
-
-@pytest.fixture
-def server() -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(
-        [sys.executable, "-u", "-c", PROGRAM],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    with process:
-        yield process
-        process.kill()
-
-
-def first_line(process: subprocess.Popen[str]) -> str:
-    assert process.stdout is not None
-    return process.stdout.readline().rstrip("\n")
-
-
-def test_it_says_where_it_answers_and_stops_quietly(server: subprocess.Popen[str]) -> None:
-    line = first_line(server)
-    model, _, rest = line.partition(" at ")
-    url, _, bundle = rest.partition(" ")
-
-    assert (model, bundle) == ("named 1.2.3", "(bundle some/bundle)")
-    with AnchorClient(url) as client:
-        assert client.ready()
-
-    server.send_signal(signal.SIGINT)
-    output, errors = server.communicate(timeout=20)
-    assert (server.returncode, output, errors) == (0, "", "")
-
-
-IMPATIENT = f"""
+INTERRUPTED = f"""
 import os, signal, typer
 
 def echo_and_interrupt(line):
@@ -69,18 +55,121 @@ def echo_and_interrupt(line):
 typer.echo = echo_and_interrupt
 {PROGRAM}"""
 
+Start = Callable[..., tuple["subprocess.Popen[str]", str]]
 
-def test_a_ctrl_c_on_its_first_word_stops_it_quietly() -> None:
-    run = subprocess.run(
-        [sys.executable, "-c", IMPATIENT], capture_output=True, text=True, timeout=60, check=False
-    )
 
-    assert (run.returncode, run.stderr) == (0, "")
-    assert run.stdout.startswith("named 1.2.3 at http://")
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Starts the command with options; gives the process and its first line."""
+    started: list[subprocess.Popen[str]] = []
+
+    def run(*options: str, program: str = PROGRAM) -> tuple[subprocess.Popen[str], str]:
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-c", program, *options],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        started.append(process)
+        assert process.stdout is not None
+        return process, process.stdout.readline().rstrip("\n")
+
+    yield run
+    for process in started:
+        process.kill()
+        process.communicate(timeout=20)
+
+
+def url_in(line: str) -> str:
+    return line.partition(" at ")[2].partition(" ")[0]
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, list[str]]:
+    """Stop the process with SIGTERM; return its status and its lines on stderr."""
+    process.send_signal(signal.SIGTERM)
+    _, errors = process.communicate(timeout=60)
+    return process.returncode, errors.splitlines()
+
+
+def status(url: str, *, token: str | None = None, context: ssl.SSLContext | None = None) -> int:
+    headers = {"Authorization": f"Bearer {token}"} if token else {}
+    request = urllib.request.Request(url, headers=headers)
+    try:
+        with urllib.request.urlopen(request, timeout=20, context=context) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.code
+
+
+def test_tokens_and_a_log_for_machines(start: Start, tmp_path: Path) -> None:
+    file = tmp_path / "tokens"
+    file.write_text(token_line("robot-7", ("infer",), "secret"))
+    options = ("--tokens", str(file), "--log-format", "json", "--log-level", "info")
+    process, line = start(*options, "--drain-s", "1")
+    url = url_in(line)
+
+    assert status(f"{url}/v2/health/ready") == 200
+    assert status(f"{url}/v2") == 401
+    assert status(f"{url}/v2", token="secret") == 200
+
+    code, lines = ended(process)
+    assert code == -signal.SIGTERM
+    records = [json.loads(line) for line in lines]
+    exchanges = [each for each in records if each["logger"] == "anchorflow_service.access"]
+    assert [(each["path"], each["status"], each["caller"]) for each in exchanges] == [
+        ("/v2/health/ready", 200, None),
+        ("/v2", 401, None),
+        ("/v2", 200, "robot-7"),
+    ]
+    assert all(each["request_id"] for each in exchanges)
+    assert all("secret" not in line for line in lines)
+
+
+def test_tls(start: Start, tmp_path: Path) -> None:
+    authority = trustme.CA()
+    signed = authority.issue_cert("127.0.0.1")
+    paths = {name: tmp_path / f"{name}.pem" for name in ("ca", "cert", "key")}
+    authority.cert_pem.write_to_path(paths["ca"])
+    signed.cert_chain_pems[0].write_to_path(paths["cert"])
+    signed.private_key_pem.write_to_path(paths["key"])
+
+    _, line = start("--tls-cert", str(paths["cert"]), "--tls-key", str(paths["key"]))
+    url = url_in(line)
+
+    assert url.startswith("https://127.0.0.1:")
+    context = ssl.create_default_context(cafile=str(paths["ca"]))
+    assert status(f"{url}/v2/health/live", context=context) == 200
+
+
+def test_an_address_for_all_without_tokens_is_warned_of(start: Start) -> None:
+    process, _ = start("--host", "0.0.0.0")
+
+    _, lines = ended(process)
+    assert len(lines) == 1
+    assert "everybody who reaches this address may ask: there is no --tokens" in lines[0]
+
+
+def test_it_prints_where_it_answers_and_stops_quietly(start: Start) -> None:
+    server, line = start()
+
+    assert (line.partition(" at ")[0], line[-20:]) == ("named 1.2.3", "(bundle some/bundle)")
+    with AnchorClient(url_in(line)) as client:
+        assert client.ready()
+    server.send_signal(signal.SIGINT)
+    output, errors = server.communicate(timeout=20)
+    assert (server.returncode, output, errors) == (0, "", "")
+
+
+def test_a_ctrl_c_right_after_the_first_line_stops_it_quietly(start: Start) -> None:
+    server, line = start(program=INTERRUPTED)
+
+    assert line.startswith("named 1.2.3 at http://")
+    assert (server.communicate(timeout=60)[1], server.returncode) == ("", 0)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no full device to print to")
-def test_output_that_goes_nowhere_ends_nothing() -> None:
+def test_it_serves_without_a_standard_output() -> None:
     with (
         Path("/dev/full").open("w") as full,
         subprocess.Popen(
@@ -96,24 +185,51 @@ def test_output_that_goes_nowhere_ends_nothing() -> None:
         assert (process.communicate(timeout=20)[1], process.returncode) == ("", 0)
 
 
-def test_a_port_in_use_is_one_line() -> None:
+def failure(*options: str) -> str:
+    """Return the line with which the command fails to start."""
+    with pytest.raises(SystemExit) as caught:
+        main(["serve", "--port", "0", *options])
+    message = str(caught.value.code)
+    assert message.startswith("anchorflow serve: ")
+    assert "\n" not in message
+    return message.removeprefix("anchorflow serve: ")
+
+
+def test_an_error_at_the_start_is_one_line(tmp_path: Path) -> None:
+    nonsense = tmp_path / "nonsense"
+    nonsense.write_text("nonsense")
+    absent, wrong = str(tmp_path / "absent"), str(nonsense)
+    together = "TLS needs --tls-cert and --tls-key, both of them"
+
+    assert failure("--tokens", absent) == f"{absent}: cannot be read: No such file or directory"
+    assert failure("--tokens", wrong).startswith(f"{wrong}: line 1: expected NAME SCOPES")
+    assert failure("--tls-cert", wrong) == together
+    assert failure("--tls-client-ca", wrong) == together
+    assert failure("--tls-cert", wrong, "--tls-key", wrong).startswith(f"{wrong} with {wrong}: ")
+    assert failure("--bundle", absent).startswith(f"{absent}/manifest.json: cannot be read")
+    assert failure("--repository", str(tmp_path)) == (
+        "the repository holds no bundle that can be served"
+    )
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(SystemExit) as caught:
-            main(["serve", "--port", str(port)])
-
-    assert caught.value.code == (
-        f"anchorflow serve: cannot listen on 127.0.0.1:{port}: Address already in use"
-    )
+        expected = f"cannot listen on 127.0.0.1:{port}: Address already in use"
+        assert failure("--port", str(port)) == expected
 
 
-def test_a_bundle_that_is_none_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["serve", "--port", "0", "--bundle", str(tmp_path)])
+def test_a_provider_that_this_build_lacks_is_one_line() -> None:
+    offered = ort.get_available_providers()
+    missing = [name for name, full in PROVIDERS.items() if full not in offered]
+    if not missing:
+        pytest.skip("this build of onnxruntime has every provider")
 
-    message = str(caught.value.code)
-    assert message.startswith(f"anchorflow serve: {tmp_path / 'manifest.json'}: ")
-    assert "\n" not in message
+    assert failure("--provider", missing[0]).startswith(f"provider: {missing[0]} is not in this")
+
+
+@pytest.mark.parametrize("option", ["--notice-s", "--drain-s", "--batch-wait-ms"])
+def test_a_time_without_an_end_is_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["serve", "--port", "0", "--bundle", "absent", option, "inf"])
+    assert f"'{option}': expected a finite number, got inf" in capsys.readouterr().err
 
 
 def test_an_address_of_another_machine_is_refused() -> None:
@@ -128,18 +244,50 @@ def test_an_ipv6_address_has_brackets() -> None:
         assert url_of(listener).startswith("http://[::1]:")
 
 
-def test_a_repository_of_nothing_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["serve", "--port", "0", "--repository", str(tmp_path)])
-
-    assert caught.value.code == (
-        "anchorflow serve: the repository holds no bundle that can be served"
-    )
-
-
-def test_no_answer_waits_for_an_acknowledgement() -> None:
+def test_no_response_waits_for_an_acknowledgement() -> None:
     """A connection inherits the option from its listener."""
     with listen("127.0.0.1", 0) as listener, socket.create_connection(listener.getsockname()):
         accepted, _ = listener.accept()
         with accepted:
             assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+BESIDE = RESERVE + BACKLOG + OTHER_FILES
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such limits")
+@pytest.mark.parametrize(
+    ("soft", "hard", "connections", "raised"),
+    [
+        (BESIDE + 300, BESIDE + 400, 300, BESIDE + 300),
+        (100, BESIDE + 400, 300, BESIDE + 300),
+        (100, BESIDE + 20, 20, BESIDE + 20),
+        (100, -1, 300, BESIDE + 300),
+        (BESIDE, BESIDE, None, BESIDE),
+    ],
+    ids=["enough", "raised", "fewer", "unlimited", "too few"],
+)
+def test_connections_fit_into_the_limit_on_open_files(
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    soft: int,
+    hard: int,
+    connections: int | None,
+    raised: int,
+) -> None:
+    limit = [soft, hard]
+    system = SimpleNamespace(
+        RLIMIT_NOFILE=7,
+        RLIM_INFINITY=-1,
+        getrlimit=lambda _: tuple(limit),
+        setrlimit=lambda _, new: limit.__setitem__(slice(None), new),
+    )
+    monkeypatch.setattr(listening, "resource", system)
+
+    if connections is None:
+        with pytest.raises(OpenFilesError, match=f"ulimit -n.: expected more than {BESIDE}"):
+            within_open_files(ConnectionLimits(max_connections=300))
+        return
+    limits = within_open_files(ConnectionLimits(max_connections=300))
+    assert (limits.max_connections, limit[0]) == (connections, raised)
+    assert ("--max-connections is 20 in place of 300" in caplog.text) == (connections == 20)
