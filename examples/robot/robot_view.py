@@ -39,11 +39,13 @@ class Picture:
         self.axes.plot(*world.goal, "k*", markersize=10)
         self.axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         (self._hits,) = self.axes.plot([], [], "s", color="tab:red", markersize=2, zorder=2)
-        self._anchors = self.axes.add_collection(LineCollection([], linewidths=0.7, zorder=3))
+        self._anchors = LineCollection([], linewidths=0.7, zorder=3)
+        self.axes.add_collection(self._anchors)
         (self._driven,) = self.axes.plot([], [], color="tab:blue", linewidth=1.5, zorder=4)
         (self._ahead,) = self.axes.plot([], [], "k-", linewidth=1.5, zorder=5)
         (self._heading,) = self.axes.plot([], [], "k-", linewidth=2, zorder=6)
-        self._robot = self.axes.add_patch(Circle((0, 0), robot_radius, color="tab:blue", zorder=5))
+        self._robot = Circle((0, 0), robot_radius, color="tab:blue", zorder=5)
+        self.axes.add_patch(self._robot)
 
     def show(self, tick: Tick) -> None:
         """Draw posts grey, mapped cells red, and anchors in the colour of the plan's state."""

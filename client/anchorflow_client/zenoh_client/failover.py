@@ -159,11 +159,11 @@ class Failover:
             # Zenoh does not report a client that died: the service drops the request by itself.
             budget_ms=min(left_s * 1e3, BUDGET.high),
         )
-        handler = zenoh.handlers.Callback(
-            lambda reply: self._events.put((name, reply)),
-            lambda: self._events.put((name, None)),
-            indirect=False,
-        )
+
+        def on_reply(reply: zenoh.Reply | None) -> None:
+            self._events.put((name, reply))
+
+        handler = zenoh.handlers.Callback(on_reply, lambda: on_reply(None), indirect=False)
         with translated(request.deadline):
             self._network.session.get(
                 attempt.key,
