@@ -1,7 +1,7 @@
 """Draw the pictures of the documentation: `python docs/pictures.py [NAME …]` after `make toolkit`.
 
-Each goes to `docs/images/` for light and for dark pages, drawn with the default bundle on scenes of
-the project's generator. Without names all are drawn.
+They are written to `docs/images/` for light and for dark pages, drawn with the default bundle on
+scenes of the project's generator. Without names all are drawn.
 """
 
 from __future__ import annotations

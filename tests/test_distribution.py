@@ -1,4 +1,4 @@
-"""What a robot has to install: numpy for the client over HTTP, and one more package for zenoh."""
+"""The client depends on numpy alone, and on one more package for zenoh."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def project() -> ProjectMetadata:
-    """What pip is told of this folder."""
+    """Read the metadata of this folder."""
     return ProjectMetadata(str(ROOT), PluginManager())
 
 

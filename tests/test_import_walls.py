@@ -1,4 +1,4 @@
-"""The import walls: what each package may import, in its text and when it is loaded."""
+"""The import walls: packages that each package may import, in its text and when loaded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
-# What each package may import besides the standard library and itself.
+# Imports of each package besides the standard library and itself.
 WALLS: dict[str, set[str]] = {
     "anchorflow_client": {"numpy"},
     "anchorflow_trajectory": {"numba", "numpy"},
@@ -89,7 +89,7 @@ WALLS: dict[str, set[str]] = {
         "typer",
     },
 }
-# Wider for one package each: what is optional lives behind one name.
+# Optional dependencies of single modules or folders.
 EXCEPTIONS = {
     "anchorflow_client.plan_keywords": {"typing_extensions"},  # read by type checkers alone
     "anchorflow_client.ros_map": {"PIL", "yaml"},
@@ -110,7 +110,7 @@ EXCEPTIONS = {
     "anchorflow_service.ray_app": {"ray"},
 }
 
-# What a light process must not carry unless its package's wall lets it in.
+# Packages that a process must not load unless a wall allows them.
 HEAVY = {
     "fastapi",
     "matplotlib",
@@ -135,7 +135,7 @@ def module_name(path: Path, package: str) -> str:
 
 
 def imported_packages(source: str) -> Iterator[str]:
-    """The top-level package of every import in the text, in functions and TYPE_CHECKING too."""
+    """Yield the top-level package of every import, in functions and TYPE_CHECKING too."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name.partition(".")[0] for alias in node.names)
@@ -144,7 +144,7 @@ def imported_packages(source: str) -> Iterator[str]:
 
 
 def imported_modules(source: str, known: Collection[str]) -> Iterator[str]:
-    """The modules of ours that a text imports, in functions and TYPE_CHECKING too."""
+    """Yield the project's modules that a text imports, in functions and TYPE_CHECKING too."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in known)
@@ -154,12 +154,12 @@ def imported_modules(source: str, known: Collection[str]) -> Iterator[str]:
 
 
 def import_circle(sources: Mapping[str, str], packages: Collection[str]) -> list[str]:
-    """Neighbours in one folder that import each other in a circle, if there are any.
+    """Return neighbours in one folder that import each other in a circle.
 
-    What a folder's modules import counts as the folder's, wherever it reaches out of it; its own
-    `__init__` is a neighbour like any other.
+    Imports of a folder's modules from outside it count as the folder's; its `__init__` is a
+    neighbour like any other.
 
-    sources: text by module; packages: those that are folders
+    sources: text by module; packages: modules that are folders
     """
     neighbours: defaultdict[str, set[str]] = defaultdict(set)
     for module, source in sources.items():
@@ -184,22 +184,22 @@ def forbidden_imports(source: str, package: str, *, module: str = "") -> set[str
 
 
 def exception_of(module: str) -> set[str]:
-    """What a module may import beyond its package's wall."""
+    """Return the imports allowed to a module beyond its package's wall."""
     inside = (name for name in EXCEPTIONS if f"{module}.".startswith(f"{name}."))
     return set().union(*(EXCEPTIONS[name] for name in inside))
 
 
 def reachable(package: str) -> set[str]:
-    """What the package may load: its own wall, and the walls of what it may import."""
+    """Return the packages that it may load: its own wall, and those of its imports."""
     own = WALLS.get(package, set())
     return own.union(*(reachable(name) for name in own))
 
 
 @cache
 def loaded_packages(package: str) -> set[str]:
-    """Top-level packages in a fresh interpreter that has imported every module of the package.
+    """Import every module of a package in a fresh interpreter; return all top-level packages.
 
-    scipy is hidden from those that may not load it: numba looks for it, and does without.
+    scipy is hidden unless it is allowed: numba loads it if it can, and works without.
     """
     modules = [
         name

@@ -1,4 +1,4 @@
-"""A team's own recordings become a served bundle: every step a command, no line of code."""
+"""Recordings become a served bundle by commands alone."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def write_drive(folder: Path) -> None:
 
 
 def request_of(folder: Path) -> dict[str, Any]:
-    """From the start of a recorded trajectory to its end, over free ground."""
+    """Build a request from start to end of a recorded trajectory on a free map."""
     with np.load(folder / "my.npz") as recorded:
         p, v, a = (recorded[name][-1] for name in ("positions", "velocities", "accelerations"))
     half = float(np.abs(p[:, :2]).max()) + 5.0
@@ -121,7 +121,7 @@ def test_recorded_poses_become_a_served_bundle(tmp_path: Path) -> None:
 def test_a_real_drive_becomes_a_served_bundle(
     tmp_path: Path, shared_data: Callable[[str], Path]
 ) -> None:
-    """In the plane, at the speeds and distances of a car."""
+    """A drive in the plane, at the speeds and distances of a car."""
     poses = shared_data("kitti_00_poses.txt")
     engine = bundle_of(poses, tmp_path, "--stride", 50)
     assert engine.card.cost_map.limits.v_max > 10.0

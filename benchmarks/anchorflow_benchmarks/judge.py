@@ -307,7 +307,7 @@ def points_along(paths: Array, step: float) -> tuple[Array, NDArray[np.intp]]:
     leg = np.clip(place - 1 - path * marks.shape[1], 0, legs.shape[1] - 1)
     share = (at - marks[path, leg]) / np.where(legs > 0, legs, 1.0)[path, leg]
     points = paths[path, leg] + share[:, None] * chords[path, leg]
-    points[first + counts - 1] = paths[:, -1]  # exactly: goals lie on cell edges
+    points[first + counts - 1] = paths[:, -1]  # exact, because goals may be on cell edges
     return points, first
 
 

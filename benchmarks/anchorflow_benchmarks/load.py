@@ -1,4 +1,4 @@
-"""Load a server or an engine with closed-loop clients, which ask again when they have an answer.
+"""Load a server or an engine with closed-loop clients, which send a request per answer.
 
 `anchorflow bench load` compares an engine in this process with HTTP in JSON and binary.
 """
@@ -49,9 +49,9 @@ class Outcomes:
     ms: list[float] = field(default_factory=list)
     """Round trip of each answer."""
     errors: Counter[str] = field(default_factory=Counter)
-    """By error code, or by class of the exception."""
+    """Counts by error code, or by class of the exception."""
     models: Counter[ModelId] = field(default_factory=Counter)
-    """Answers by model."""
+    """Counts of answers by model."""
     elapsed_s: float = 0.0
     lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 

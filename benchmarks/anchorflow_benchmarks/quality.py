@@ -49,7 +49,7 @@ STYLE_RATIOS = (
     ("clear", "conservative", "efficient"),
     ("jerk", "comfortable", "efficient"),
 )
-"""What the names promise: the measure in the first style over that in the second."""
+"""Promises of the names: the measure in the first style over that in the second."""
 
 
 Plans = dict[str, list[JudgedPlan]]

@@ -176,7 +176,7 @@ def progress(title: str, total: int) -> Iterator[Callable[[int], None]]:
 
 
 def circumstances() -> dict[str, str]:
-    """Return the date, commit, machine, load and versions that stand beside every result."""
+    """Return the date, commit, machine, load and versions for every result."""
     return {
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "commit": _commit(),

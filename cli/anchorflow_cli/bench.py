@@ -1,4 +1,4 @@
-"""`anchorflow bench COMMAND`: imports and runs the benchmark whose command stands beside it."""
+"""`anchorflow bench COMMAND`: imports one benchmark module and runs its command."""
 
 from __future__ import annotations
 

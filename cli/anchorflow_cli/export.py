@@ -1,4 +1,4 @@
-"""`anchorflow export`: a bundle from a checkpoint."""
+"""`anchorflow export`: make a bundle from a checkpoint."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def export(
 
 @contextmanager
 def _sigterm_cleans_up() -> Iterator[None]:
-    """SIGTERM ends the block as an error would; by itself it leaves behind what is half written."""
+    """End the block on SIGTERM as on an error, so that no half-written files are left."""
 
     def end(number: int, _: object) -> None:
         raise SystemExit(128 + number)
@@ -119,13 +119,13 @@ def _sigterm_cleans_up() -> Iterator[None]:
 
 
 def _name(checkpoint: Checkpoint) -> str:
-    """The planner's, and its variant's where it has one: flowmp-small."""
+    """Return the planner's name, with its variant if it has one: flowmp-small."""
     variant = checkpoint.config["model"].get("variant")
     return f"{checkpoint.planner}-{variant}" if variant else checkpoint.planner
 
 
 def _limits(checkpoint: Checkpoint) -> dict[str, Any]:
-    """What the card says of limits and of the robot, where the data of the planner tell of any."""
+    """Return the limits and robot of the card, if the planner's data has any."""
     data = checkpoint.data
     told = {name: data[name] for name in ("robot_radius",) if name in data}
     if data.get("limits"):
@@ -138,7 +138,7 @@ def _limits(checkpoint: Checkpoint) -> dict[str, Any]:
 def _sampler(
     method: str | None, schedule: str | None, of_student: Schedule | None
 ) -> SamplerChoice:
-    """The card's sampler in the words of a request; raises `InvalidRequest` as a request would."""
+    """Return the card's sampler; raise `InvalidRequest` as for a request."""
     fields: dict[str, Any] = {}
     if of_student is not None:
         fields = {"method": "euler", "schedule": [*of_student]}
@@ -150,7 +150,7 @@ def _sampler(
 
 
 def _schedule(text: str) -> Any:
-    """A count as equal steps, numbers as flow times, a name as it is."""
+    """Parse a count as equal steps, numbers as flow times; return a name unchanged."""
     if text.isdecimal():
         return {"uniform": int(text)}
     try:

@@ -1,4 +1,4 @@
-"""A base install is numpy alone: what a command needs beyond it comes with an extra."""
+"""Report the extra that a command needs: a base install has numpy alone."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -6,9 +6,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def needs_extra(extra: str, *, who: str) -> Iterator[None]:
-    """Ends the program with one line that says what to install if an import in the block fails.
+    """End the program with the name of the extra to install if an import in the block fails.
 
-    A missing module of this project is a defect, not a missing extra, and is raised as it is.
+    A missing module of this project is a defect, not a missing extra, and is raised again.
     """
     try:
         yield

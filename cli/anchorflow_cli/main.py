@@ -1,6 +1,6 @@
-"""`anchorflow COMMAND`: finds the command's module, imports it and runs its typer app.
+"""`anchorflow COMMAND`: imports the module of a command and runs its typer app.
 
-Only the module of the command in hand is imported, so `anchorflow serve` never loads torch and
+Other modules are not imported, so `anchorflow serve` never loads torch and
 `anchorflow --help` answers on a base install. A new command is a module with a typer `app` and a
 line in `COMMANDS`; an app of several functions becomes a group (`anchorflow data make`).
 """
@@ -19,7 +19,7 @@ from anchorflow_client.errors import AnchorFlowError
 
 @dataclass(frozen=True)
 class Command:
-    """Where a command lives and what it needs."""
+    """The module of a command, and the extra that it needs."""
 
     module: str
     summary: str
@@ -45,7 +45,7 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """The console script; an `AnchorFlowError` becomes one line and exit status 1."""
+    """Run the console script; an `AnchorFlowError` becomes one line and exit status 1."""
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in COMMANDS:
         run(name, rest)
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run(name: str, arguments: Sequence[str]) -> None:
-    """Runs one command of `COMMANDS`."""
+    """Run one command of `COMMANDS`."""
     who = f"anchorflow {name}"
     with needs_extra(COMMANDS[name].extra, who=who):
         module = import_module(COMMANDS[name].module)
@@ -70,7 +70,7 @@ def run(name: str, arguments: Sequence[str]) -> None:
 
 
 def usage() -> str:
-    """The list of commands."""
+    """Return the list of commands."""
     lines = [f"  {name:<8} {command.summary}" for name, command in COMMANDS.items()]
     return "\n".join(
         [

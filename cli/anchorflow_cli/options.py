@@ -1,4 +1,4 @@
-"""What the commands' typer apps and options have in common."""
+"""Typer apps and options that several commands share."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BundleOption = Annotated[
 
 
 class FiniteCommand(TyperCommand):
-    """A command whose numbers must all have an end: nan passes the bounds of an option."""
+    """A command that refuses nan and inf, which pass the bounds of an option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         rest = super().parse_args(ctx, args)
@@ -39,28 +39,25 @@ class FiniteCommand(TyperCommand):
 
 
 class CommandApp(typer.Typer):
-    """A typer app of such commands."""
+    """A typer app of `FiniteCommand`s."""
 
     def command(self, name: str | None = None, **settings: Any) -> Any:
         return super().command(name, cls=FiniteCommand, **settings)
 
 
 def command_app() -> CommandApp:
-    """A typer app as every command has it; errors are `main`'s to print."""
-    # Markup would take the units in help texts, `[m]`, for tags.
+    """Make the typer app of a command; `main` prints errors."""
+    # Markup would read units in help texts, `[m]`, as tags.
     return CommandApp(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 def new_folder(text: str | Path) -> Path:
-    """A folder that can be made or is there. Raises `typer.BadParameter` before any work."""
+    """Check for a folder that exists or can be made; raise `typer.BadParameter` otherwise."""
     return _place(text, "a folder", is_wrong=lambda path: path.exists() and not path.is_dir())
 
 
 def new_file(text: str | Path) -> Path:
-    """A file that can be written, its folder too, which whoever writes makes.
-
-    Raises `typer.BadParameter` before any work.
-    """
+    """Check for a file that can be written; raise `typer.BadParameter` otherwise."""
     return _place(text, "a file", is_wrong=Path.is_dir)
 
 
@@ -80,17 +77,17 @@ def _place(text: str | Path, what: str, *, is_wrong: Callable[[Path], bool]) -> 
 
 
 def folder_option(help_text: str, **settings: Any) -> Any:
-    """An option of a folder to write, checked before any work is done."""
+    """Return an option for an output folder, checked before any work."""
     return typer.Option(parser=new_folder, metavar="PATH", help=help_text, **settings)
 
 
 def file_option(help_text: str, **settings: Any) -> Any:
-    """An option of a file to write, likewise."""
+    """Return an option for an output file, checked before any work."""
     return typer.Option(parser=new_file, metavar="PATH", help=help_text, **settings)
 
 
 def service_url(text: str) -> str:
-    """http://host[:port] of a service, and a path. Raises `typer.BadParameter`."""
+    """Check the URL of a service; raise `typer.BadParameter` if it is none."""
     try:
         Address.of(text)
     except ValueError as error:
@@ -99,7 +96,7 @@ def service_url(text: str) -> str:
 
 
 def url_option(help_text: str, **settings: Any) -> Any:
-    """An option of a service's URL."""
+    """Return an option for a service's URL."""
     return typer.Option(parser=service_url, metavar="URL", help=help_text, **settings)
 
 
@@ -107,22 +104,22 @@ PICTURE_SUFFIXES = (".png", ".svg")
 
 
 def picture_path(text: str) -> Path:
-    """The file of a picture to draw, as `new_file`. Raises `typer.BadParameter`."""
+    """Check for a picture that can be written; raise `typer.BadParameter` otherwise."""
     if Path(text).suffix.lower() not in PICTURE_SUFFIXES:
         raise typer.BadParameter(f"expected a file {' or '.join(PICTURE_SUFFIXES)}, got {text!r}")
     return new_file(text)
 
 
 def picture_option(what: str) -> Any:
-    """An option of a picture's file, checked before any work is done."""
+    """Return an option for a picture, checked before any work."""
     suffixes = " or ".join(PICTURE_SUFFIXES)
     return typer.Option(parser=picture_path, metavar="PATH", help=f"{what}, {suffixes}.")
 
 
 def vector_option(metavar: str, help_text: str, interval: Interval) -> Any:
-    """An option of numbers, `--start 1.5,-2`: as many as the metavar (`X,Y[,HEADING]`) has parts.
+    """Return an option for numbers such as `--start 1.5,-2`, one per part of the metavar.
 
-    Parts in brackets may be left out, all of them; each number lies in the interval.
+    The parts in brackets are optional together; each number is checked against the interval.
     """
     most, least = (len(part.split(",")) for part in (metavar, metavar.partition("[")[0]))
     counts = f"{least}" if least == most else f"{least} or {most}"
@@ -160,7 +157,7 @@ STYLE = "NAME|S,E,M"
 
 
 def style_weights(text: str) -> Vector:
-    """[3] of a named style, or the weights themselves. Raises `typer.BadParameter`."""
+    """Return the weights [3] of a style by name or number; raise `typer.BadParameter`."""
     if text in STYLES:
         return np.array(STYLES[text])
     try:
@@ -174,7 +171,7 @@ def style_weights(text: str) -> Vector:
 
 
 def style_text(style: Vector | None) -> str:
-    """A style by its name where it has one, else by its weights."""
+    """Return the name of a style, or its weights without a name."""
     if style is None:
         return "balanced"
     named = [name for name, weights in STYLES.items() if np.allclose(weights, style / style.sum())]
@@ -224,7 +221,7 @@ UnknownIsFreeOption = Annotated[
 def end_states(
     start: Vector, goal: Vector, start_velocity: Vector | None, goal_velocity: Vector | None
 ) -> tuple[Vector, Vector]:
-    """x_curr [3D] and x_goal [2D]; the robot starts unaccelerated, and at rest unless told."""
+    """Return x_curr [3D] and x_goal [2D], at rest by default, with zero acceleration."""
     rest = np.zeros_like(start)
     x_curr = np.concatenate([start, rest if start_velocity is None else start_velocity, rest])
     return x_curr, np.concatenate([goal, rest if goal_velocity is None else goal_velocity])

@@ -1,4 +1,4 @@
-"""`anchorflow plan`: anchors between two points of a ROS map, as a table and a picture."""
+"""`anchorflow plan`: plan between two points of a ROS map; print a table, draw a picture."""
 
 from __future__ import annotations
 
@@ -90,18 +90,18 @@ def plan(
 
 
 def ask_server(url: str, request: AnchorRequest) -> AnchorBatch:
-    """Anchors from a server."""
+    """Plan on a server."""
     with AnchorClient(url) as client:
         return client.plan_request(request)
 
 
 def ask_engine(bundle: Path, request: AnchorRequest) -> AnchorBatch:
-    """Anchors from an engine in this process."""
+    """Plan with an engine in this process."""
     return LocalClient.of(bundle).plan_request(request)
 
 
 def table(anchors: AnchorBatch) -> Table:
-    """The figures of the best anchor beside the span of all."""
+    """Return a table with the figures of the best anchor and of all."""
     best = anchors.best
     lengths = np.linalg.norm(np.diff(anchors.trajectories[..., :2], axis=1), axis=-1).sum(axis=-1)
     rows = {
@@ -127,7 +127,7 @@ def table(anchors: AnchorBatch) -> Table:
 
 
 def draw(anchors: AnchorBatch, ros_map: RosMap, *, start: Vector, goal: Vector, path: Path) -> None:
-    """Draws the picture; matplotlib is loaded for this alone."""
+    """Draw the picture; only this loads matplotlib."""
     with needs_extra("plot", who="anchorflow plan --out"):
         from anchorflow_cli.plots import draw_anchors
     draw_anchors(anchors, ros_map, start=start, goal=goal, path=path)

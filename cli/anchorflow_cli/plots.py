@@ -1,4 +1,4 @@
-"""Pictures of anchors on their map."""
+"""Draw anchors on their map."""
 
 from __future__ import annotations
 
@@ -27,11 +27,12 @@ class PlotError(AnchorFlowError):
 def draw_anchors(
     anchors: AnchorBatch, ros_map: RosMap, *, start: Vector, goal: Vector, path: Path
 ) -> None:
-    """Writes a picture of a map [H, W] and the anchors [N, T, D] on it, in the format of `path`.
+    """Write a picture of a map [H, W] and the anchors [N, T, D] on it, in the format of `path`.
 
-    Colour is the score; anchors that are not safe are dashed, the best one is outlined. The title
-    tells how long they last, the legend how long the best one does.
-    Raises `PlotError` where `path` cannot be written or has no picture's suffix.
+    Colour is the score, unsafe anchors are dashed, and the best one is outlined. The title has the
+    durations of all, the legend that of the best.
+
+    Raises `PlotError` if `path` cannot be written or its suffix is not a picture's.
     """
     figure = Figure(figsize=(8.0, 7.0), layout="constrained")
     axes = figure.add_subplot()
@@ -39,26 +40,26 @@ def draw_anchors(
     lines = draw_lines(axes, anchors)
     draw_ends(axes, start, goal, sizes=(12.0, 12.0), named=True, markeredgecolor="white")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axes.set_title(f"{told_safe(anchors)}, {told_durations(anchors)}", loc="left")
+    axes.set_title(f"{safe_text(anchors)}, {durations_text(anchors)}", loc="left")
     figure.legend(loc="outside lower center", ncols=4, frameon=False)
     figure.colorbar(lines, ax=axes, label="score (higher is better)", extend="min", shrink=0.8)
     save(figure, path, dpi=150)
 
 
-def told_safe(anchors: AnchorBatch) -> str:
-    """`63 of 64 anchors are safe`."""
+def safe_text(anchors: AnchorBatch) -> str:
+    """Return text such as `63 of 64 anchors are safe`."""
     return f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe"
 
 
-def told_durations(anchors: AnchorBatch) -> str:
-    """`4.2 to 9.1 s` of the safe anchors, of all where none is; `8.0 s` where they are alike."""
+def durations_text(anchors: AnchorBatch) -> str:
+    """Return the durations of safe anchors, or of all if none is: `4.2 to 9.1 s` or `8.0 s`."""
     lasting = anchors.durations[anchors.safe] if anchors.safe.any() else anchors.durations
     least, most = f"{lasting.min():.1f}", f"{lasting.max():.1f}"
     return f"{most} s" if least == most else f"{least} to {most} s"
 
 
 def save(figure: Figure, path: Path, *, dpi: int) -> None:
-    """Raises `PlotError` where `path` cannot be written or has no picture's suffix."""
+    """Save a figure; raise `PlotError` if `path` cannot be written as a picture."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=dpi)
@@ -67,7 +68,7 @@ def save(figure: Figure, path: Path, *, dpi: int) -> None:
 
 
 def draw_map(axes: Axes, ros_map: RosMap) -> None:
-    """Occupancy in grey, unknown cells in a grey of their own, in metres."""
+    """Draw occupied and unknown cells in two shades of grey, in metres."""
     shade = np.where(ros_map.unknown, 1, np.where(ros_map.occupancy >= 0.5, 2, 0))
     shades = ListedColormap([FREE, UNKNOWN, OCCUPIED])
     draw_cells(
@@ -76,7 +77,7 @@ def draw_map(axes: Axes, ros_map: RosMap) -> None:
 
 
 def draw_lines(axes: Axes, anchors: AnchorBatch) -> LineCollection:
-    """The anchors, worst first so that good ones lie on top; returns what the colours stand for."""
+    """Draw the anchors, the best on top; return the lines for a colour bar."""
     paths, scores, best = anchors.trajectories, anchors.scores, anchors.best
     styles = np.where(anchors.safe, "solid", "dashed")
     order = np.argsort(scores)
@@ -89,7 +90,7 @@ def draw_lines(axes: Axes, anchors: AnchorBatch) -> LineCollection:
         linestyles=list(styles[order]),
         alpha=0.8,
     )
-    # The scores of anchors through walls would leave one colour to all the others.
+    # Scores of anchors through walls would compress the scale of the others.
     scale = scores[anchors.safe] if anchors.safe.any() else scores
     lines.set_clim(scale.min(), scale.max())
     axes.plot(

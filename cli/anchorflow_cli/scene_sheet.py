@@ -1,4 +1,4 @@
-"""A sheet of scenes: their maps, trajectories, starts and goals."""
+"""Draw a sheet of scenes: maps, trajectories, starts and goals."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Panel:
 
 
 def draw_sheet(dataset: SceneDataset | TrajectoryDataset, path: Path) -> None:
-    """Writes a picture of up to 16 scenes, evenly spread; a colour is a homology class.
+    """Write a picture of up to 16 scenes, evenly spread; a colour is a homology class.
 
-    Raises `PlotError` where `path` cannot be written or has no picture's suffix.
+    Raises `PlotError` if `path` cannot be written or its suffix is not a picture's.
     """
     picked = np.unique(np.linspace(0, len(dataset) - 1, SHEET**2).astype(int))
     panel = scene_panel if isinstance(dataset, SceneDataset) else trajectory_panel

@@ -70,7 +70,7 @@ class BundleDriver:
         Args:
             client: answers the requests.
             card: of the model that answers them.
-            num: proposals to ask for; planners that choose among fewer return all of them.
+            num: number of proposals; planners that choose among fewer return all of them.
             name: of the driver; the card's by default.
             sampler: as a request has it; the card's by default.
 

@@ -1,4 +1,4 @@
-"""Scenes small enough to judge by eye, and the judge that stands outside the project."""
+"""Small scenes, and the judge outside the project."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def limits() -> MotionLimits:
 
 @pytest.fixture
 def scene(limits: MotionLimits) -> Callable[..., FamilyScene]:
-    """Makes a scene of 6.4 m from its occupied cells [H, W]: from (-2, 0) to (2, 0), at rest."""
+    """Make a scene of 6.4 m from its occupied cells [H, W]: from (-2, 0) to (2, 0), at rest."""
 
     def make(occupied: np.ndarray, *, family: str = "blocks") -> FamilyScene:
         resolution = 6.4 / len(occupied)
@@ -43,7 +43,7 @@ def scene(limits: MotionLimits) -> Callable[..., FamilyScene]:
 
 @pytest.fixture(scope="session")
 def shared_judge(request: pytest.FixtureRequest) -> ModuleType:
-    """The judge beside the checkout; skips, naming it, where it is missing."""
+    """Import the judge beside the checkout, or skip the test if it is missing."""
     folder = request.config.rootpath.parent / "shared" / "tools"
     path = folder / "score_anchors.py"
     if not path.exists():

@@ -152,7 +152,7 @@ def test_clearance_is_measured_to_the_square_of_a_cell(
     [
         (4.0, 4.0 / 2.0 + 2.0 / 3.0),  # a trapezoid of speed
         (0.75, 2.0 * np.sqrt(0.75 / 3.0)),  # a triangle
-        (4.0 / 3.0, 4.0 / 3.0),  # where they meet
+        (4.0 / 3.0, 4.0 / 3.0),  # the limit between both
     ],
 )
 def test_the_least_duration_is_from_rest_to_rest(

@@ -28,7 +28,7 @@ LONG_S = 600.0
 
 
 class Server:
-    """Answers at once; refuses every `refuse`-th question, to be asked again after so long."""
+    """Answers at once; refuses every `refuse`-th request with a Retry-After."""
 
     def __init__(self, *, refuse: int = 0, retry_after_s: float = 0.0) -> None:
         self.asked: list[str] = []

@@ -31,7 +31,7 @@ SceneMaker = Callable[..., FamilyScene]
 
 @dataclass
 class Bows:
-    """Bows to one side, as wide [m] as the style asks for safety; it promises all are safe."""
+    """Bows to one side by the safety weight in m, and claims that all anchors are safe."""
 
     name: str = "bows"
     evaluations: int | None = 3
@@ -144,7 +144,7 @@ SceneMaker = Callable[..., FamilyScene]
 
 @dataclass
 class Styled:
-    """One anchor from end to end; it bows to one side for safety and hurries for energy."""
+    """One anchor that bows to one side for safety and is faster for energy."""
 
     name: str = "styled"
     evaluations: None = None

@@ -1,6 +1,6 @@
-"""Options that cannot be followed: refused before any work, in words that name them.
+"""Invalid options are refused before any work, with a message that names them.
 
-A command that would work for long lacks something else too, and ends even if it is not refused.
+Long-running commands also lack another input, so that they end even if they are not refused.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from anchorflow_cli.main import main
 
 
 def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """What a command says, on one line, when it ends without having done its work."""
+    """Run a command that must fail, and return its message on one line."""
     with pytest.raises(SystemExit) as caught:
         main(arguments)
     assert caught.value.code not in (0, None)

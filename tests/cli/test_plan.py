@@ -1,4 +1,4 @@
-"""`anchorflow plan`: from the command line to the request, the table and the picture."""
+"""`anchorflow plan`: the request, the table and the picture of a command line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from PIL import Image
 
 from anchorflow_cli import plan
 from anchorflow_cli.main import main
-from anchorflow_cli.plots import told_durations
+from anchorflow_cli.plots import durations_text
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelId
 
 
@@ -31,7 +31,7 @@ def map_file(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def requests(monkeypatch: pytest.MonkeyPatch) -> list[AnchorRequest]:
-    """The requests that reach the engine, which answers with straight lines, the last unsafe."""
+    """Collect the requests to an engine that answers with straight lines, the last unsafe."""
     received: list[AnchorRequest] = []
 
     def answer(_: Path, request: AnchorRequest) -> AnchorBatch:
@@ -57,7 +57,7 @@ def straight_lines(request: AnchorRequest) -> AnchorBatch:
             "clearance": np.full(N, 0.5, dtype=np.float32),
             "safe": np.arange(N) < N - 1,
         },
-        # From 2 s on, a tenth longer each; the last anchor is the one that is not safe.
+        # 2 s, and 0.1 s more for each anchor.
         dt=(2.0 + 0.1 * np.arange(N)) / 63,
         seed=7,
         model=ModelId("straight", "1.0.0", "0" * 64),
@@ -149,7 +149,7 @@ def test_the_table_and_the_picture(
 
 
 def duration_row(printed: str) -> list[str]:
-    """What the table says of durations."""
+    """Return the figures in the table's row of durations."""
     (line,) = [line for line in printed.splitlines() if "duration (s)" in line]
     return re.findall(r"\d+\.\d+", line)
 
@@ -173,7 +173,7 @@ def test_a_picture_tells_how_long_anchors_last(dt: float | np.ndarray, told: str
         timing_ms={},
     )
 
-    assert told_durations(batch) == told
+    assert durations_text(batch) == told
 
 
 @pytest.mark.parametrize("name", ["plot.bmp", "plot", "plot.png.pdf"])

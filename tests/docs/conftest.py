@@ -1,4 +1,4 @@
-"""The pages, and the services that their programs ask."""
+"""Services for the programs of the pages."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ DOCS = ROOT / "docs"
 
 @pytest.fixture(scope="session")
 def default_engine() -> Engine:
-    """The bundle that ships, opened."""
+    """Open the default bundle."""
     return Engine(load_bundle(DEFAULT_BUNDLE), threads=1)
 
 
 @pytest.fixture(scope="session")
 def service_url(default_engine: Engine) -> Iterator[str]:
-    """Where a service of that bundle listens, on a free port of this machine."""
+    """Run a service of that bundle on a free port."""
     with served(default_engine) as url:
         yield url
 
 
 @pytest.fixture
 def url_of_both(default_engine: Engine, tmp_path: Path) -> Iterator[str]:
-    """The same with a planner that takes no cost map beside it."""
+    """Run a service of that bundle and of a planner without a cost map."""
     camera = Engine(load_bundle(write_image_bundle(tmp_path)), threads=1)
     with served(default_engine, camera) as url:
         yield url
@@ -45,7 +45,7 @@ def url_of_both(default_engine: Engine, tmp_path: Path) -> Iterator[str]:
 
 @contextmanager
 def served(*engines: Engine) -> Iterator[str]:
-    """Where a service of these listens; the first is the default."""
+    """Serve engines, the first as the default, and yield the URL."""
     by_name = {engine.card.name: engine for engine in engines}
     app = create_app(PlanningService(by_name, default=engines[0].card.name))
     server = uvicorn.Server(uvicorn.Config(app, log_level="warning", ws="none"))

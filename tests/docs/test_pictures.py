@@ -1,4 +1,4 @@
-"""The pictures draw what a scene has: its routes, and the splines along them."""
+"""The pictures draw a scene's routes and the splines along them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def stage(default_engine: Engine) -> Stage:
 
 @pytest.fixture(scope="module")
 def scene(stage: Stage) -> FamilyScene:
-    """With a choice of routes, for the robot of the card."""
+    """A scene with a choice of routes."""
     return stage.scene("posts", lambda scene: len(scene.routes) > 1)
 
 

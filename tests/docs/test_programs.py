@@ -1,4 +1,4 @@
-"""Every program that a page shows runs as it stands, and prints what the page says."""
+"""Every program of a page runs unchanged, and prints the page's output."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ import pytest
 from anchorflow_docs.page_blocks import programs_of
 
 DOCS = Path(__file__).parents[2] / "docs"
-ADDRESS = "http://127.0.0.1:8000"
-"""That the pages name."""
+ADDRESS = "http://127.0.0.1:8000"  # in the pages
 ROBOT_RADIUS = 0.25  # m, the default bundle's
 
 
@@ -34,11 +33,11 @@ def test_the_programs_of_a_page_run(name: str, url_of_both: str) -> None:
 
 
 class Arrived(Exception):
-    """The robot is where it wanted to go."""
+    """The robot has reached its goal."""
 
 
 def test_the_control_loop_drives_round_the_obstacle_to_its_goal(url_of_both: str) -> None:
-    """As it stands on the page it ends after 2 s, on its way."""
+    """The loop on the page is too short to arrive, so it is extended."""
     (program,) = programs_of(DOCS / "planner.md")[:1]
     text = program.text.replace(ADDRESS, url_of_both)
     for old, new in (

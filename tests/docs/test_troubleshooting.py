@@ -1,4 +1,4 @@
-"""Every message that the page explains is one that the code gives, word for word."""
+"""The code gives every message of the page, word for word."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ REFUSED: dict[str, dict[str, Any]] = {
     "schedule-without-noise": {"sampler": {"schedule": [0.5, 1.0]}},
     "batches-that-differ": {"x_curr": [GOOD["x_curr"]] * 2, "x_goal": [GOOD["x_goal"]] * 3},
 }
-"""By what is changed in a good request."""
+"""Changes to a good request, by message."""
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -90,7 +90,7 @@ RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "limit-of-another-model": {},
     "limit-beyond-training": {"v_max": (0.1, 6.0)},
 }
-"""Of a card that does not grant 9 m/s."""
+"""Ranges of a card that refuses 9 m/s, by message."""
 
 
 @pytest.mark.parametrize("name", RANGES)
@@ -137,7 +137,7 @@ OVER_HTTP: dict[str, Callable[[str], None]] = {
     "budget-spent": budget_spent,
     "body-too-large": body_too_large,
 }
-"""What is asked of a service."""
+"""Requests to a service, by message."""
 
 
 @pytest.mark.parametrize("name", OVER_HTTP)
@@ -171,7 +171,7 @@ IN_THE_QUEUE: dict[str, Callable[[PlanningQueue], None]] = {
     "not-ready": not_ready,
     "superseded": superseded,
 }
-"""What is done to a queue of one place beside that of the work in hand."""
+"""Calls of a queue with room for one waiting job, by message."""
 
 
 @pytest.mark.parametrize("name", IN_THE_QUEUE)
@@ -204,7 +204,7 @@ def another_program() -> None:
 
 
 class BadGateway:
-    """A proxy's answer where it does not reach the service."""
+    """A proxy that does not reach the service."""
 
     def send(self, *_: object, **__: object) -> HttpAnswer:
         return 502, {}, b"<html>Bad gateway</html>"

@@ -67,7 +67,7 @@ def motions_along(
         ahead = done + AHEAD_M + AHEAD_S * robot.speed(states).abs()
         carrot = (lengths < ahead[:, None]).sum(1).clamp(max=samples - 1)
         left = (lengths[:, -1] - done).clamp(min=0.0)
-        # At rest the speed at the carrot counts, near the end that at the robot's place.
+        # The carrot's speed counts at rest, that of the robot's place near the end.
         own = None if paces is None else torch.maximum(paces[rows, reached], paces[rows, carrot])
         wanted = torch.full_like(left, speed) if own is None else own.clamp(max=robot.v_max)
         pace = torch.minimum((braking * left).sqrt(), wanted)

@@ -2,7 +2,7 @@
 
 BARN: Perille, Truong, Xiao and Stone, "Benchmarking Metric Ground Navigation" (SSRR 2020).
 
-Worlds come from files of worlds or of scenes, or are drawn: corridors like BARN's, which have one
+They are read from files of worlds or scenes, or drawn: corridors like BARN's, which have one
 or two ways through, and forests, which have a choice of several.
 """
 

@@ -22,7 +22,7 @@ SERVERS = {
     r"tensorboard ": r"http://",
     r"tail -f ": r".",
 }
-# In a new network namespace the loopback interface is down: SIOCSIFFLAGS sets IFF_UP.
+# SIOCSIFFLAGS sets IFF_UP: the loopback interface of a new namespace is down.
 HOLD = """
 import fcntl, socket, struct, sys
 with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:

@@ -1,4 +1,4 @@
-"""The loop from start to end: what it knows, when it stops, and that it survives a lost service."""
+"""The loop from start to end: its knowledge, its end, and a lost service."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ def test_the_robot_knows_only_what_it_has_seen(world: Callable[..., World]) -> N
 
     _, columns = np.nonzero(ticks[0].occupied)
     x = ticks[0].origin[0] + ticks[0].resolution * (columns + 0.5)
-    assert ((x > 1.5) & (x < 2.3)).all()  # neither what is hidden nor what lies behind
+    assert ((x > 1.5) & (x < 2.3)).all()  # neither the hidden post nor the one behind the robot
 
 
 class Outage:
-    """Straight lines, but nobody listens between two moments."""
+    """Straight lines, with connection errors between two moments."""
 
     def __init__(self, clock: SimulatedTime, begin: float, end: float) -> None:
         self.clock, self.begin, self.end = clock, begin, end
@@ -131,11 +131,11 @@ def test_a_service_that_stops_for_two_seconds_is_survived(
     assert run.ticks_braked == sum(not plan.usable for plan in plans)
     if max_age_ms < 2000.0:
         assert expired
-        # From when the plan is expired it brakes at full, until it stands.
+        # After the plan has expired it brakes hard until it stands.
         for i in expired[:-1]:
             assert speeds[i + 1] <= max(1e-6, speeds[i] - 0.2)
         assert speeds[expired[-1]] == pytest.approx(0.0, abs=1e-6)
-        assert ticks[expired[-1]].time_s < 3.0 + 0.8  # asked again when the longest wait is over
+        assert ticks[expired[-1]].time_s < 3.0 + 0.8  # a retry after the longest wait
     else:
         assert not expired  # the last good plan outlives the outage
     assert run.end is End.GOAL

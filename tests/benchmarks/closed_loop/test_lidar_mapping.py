@@ -137,7 +137,7 @@ def test_the_robots_own_place_is_free(world: Callable[..., World]) -> None:
 
 
 def wall(x: float) -> np.ndarray:
-    """[M, 2] m, centres of posts of 0.1 m whose nearest rims lie at x."""
+    """[M, 2] m, centres of posts of 0.1 m with their nearest rims at x."""
     y = np.arange(-1.5, 1.51, 0.02)
     return np.stack([np.full_like(y, x + 0.1), y], 1)
 

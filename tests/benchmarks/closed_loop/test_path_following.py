@@ -117,7 +117,7 @@ def test_lines_last_as_long_as_the_limits_allow() -> None:
 
 
 class Recorded:
-    """Lines, and what was asked for them."""
+    """Lines, with a record of the requests."""
 
     def __init__(self, horizon_s: float | None) -> None:
         self.lines, self.requests = LinesSource(horizon_s), list[AnchorRequest]()

@@ -75,7 +75,7 @@ def test_tables_tell_windows_apart_by_source_command_and_log(log: DrivingLog) ->
     assert (human["ADE"], human["FDE"], human["hit"]) == (0, 0, 0)
     assert idm["PDMS"] == pytest.approx(1.0)
     assert str(idm["hit"]) == "nan"
-    # From v at 3 m/s² the record is v²/6 ahead where the vehicle stands, and goes on.
+    # A vehicle braking at 3 m/s² stops v²/6 after the start, while the record goes on.
     assert stop["FDE"] == pytest.approx(np.mean([40 - 100 / 6, 20 - 25 / 6]), abs=1e-3)
     assert stop["L2 1 s"] == pytest.approx(1.5, abs=1e-3)
     (right,) = [row for row in tables["Command right (1)"] if row["driver"] == "stop"]
