@@ -66,32 +66,28 @@ def faults(source: str) -> Iterator[str]:
                 yield "yaml.load"
 
 
-@pytest.mark.parametrize("path", sources(), ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_no_text_that_reads_files_or_requests_unpickles(path: Path) -> None:
-    assert list(faults(path.read_text())) == []
+def test_no_module_that_reads_files_or_requests_unpickles() -> None:
+    assert len(sources()) > 50
+    assert {path: each for path in sources() if (each := list(faults(path.read_text())))} == {}
 
 
 @pytest.mark.parametrize(
-    ("source", "fault"),
+    ("source", "found"),
     [
-        ("import pickle", "pickle"),
-        ("def f():\n    from dill import loads", "dill"),
-        ("import numpy as np\nnp.load(path, allow_pickle=True)", "allow_pickle"),
-        ("np.load(path, allow_pickle=flag)", "allow_pickle"),
-        ("yaml.load(text, Loader=yaml.Loader)", "yaml.load"),
-        ("yaml.unsafe_load(text)", "unsafe_load"),
-        ("eval(text)", "eval"),
+        ("import pickle", ["pickle"]),
+        ("def f():\n    from dill import loads", ["dill"]),
+        ("import numpy as np\nnp.load(path, allow_pickle=True)", ["allow_pickle"]),
+        ("np.load(path, allow_pickle=flag)", ["allow_pickle"]),
+        ("yaml.load(text, Loader=yaml.Loader)", ["yaml.load"]),
+        ("yaml.unsafe_load(text)", ["unsafe_load"]),
+        ("eval(text)", ["eval"]),
+        ("re.compile(text)", []),
+        ("np.load(path, allow_pickle=False)", []),
+        ("yaml.safe_load(text)", []),
     ],
 )
-def test_what_unpickles_is_found(source: str, fault: str) -> None:
-    assert list(faults(source)) == [fault]
-
-
-@pytest.mark.parametrize(
-    "source", ["re.compile(text)", "np.load(path, allow_pickle=False)", "yaml.safe_load(text)"]
-)
-def test_what_is_safe_is_not(source: str) -> None:
-    assert list(faults(source)) == []
+def test_code_that_unpickles_is_found(source: str, found: list[str]) -> None:
+    assert list(faults(source)) == found
 
 
 # Answers with anything pickled in the place of JSON, tensors and manifests.

@@ -25,45 +25,26 @@ def tables(path: Path) -> dict[str, list[dict]]:
     return {table["title"]: table["rows"] for table in json.loads(path.read_text())["tables"]}
 
 
-def test_quality(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ("--scenes", "drawn:2:1", "--num", "4", "--samplers", "euler:uniform1")
-    run("quality", *options, "--baselines", "lines", "--out", str(tmp_path))
-
-    assert "euler:uniform1" in capsys.readouterr().out
-    found = tables(tmp_path / "quality.json")
-    planners = [row["planner"] for row in found["All scenes (2)"]]
-    assert planners[0].endswith("euler:uniform1")
-    assert planners[1:] == ["lines with noise", "lines with noise, refined"]
-    assert found["All scenes (2)"][0]["unsafe_called_safe"] == 0
-    assert {p.name for p in tmp_path.iterdir()} == {
-        "quality.json",
-        "quality.md",
-        "quality_scenes.png",
-        "quality_time.png",
-    }
-
-
-def test_quality_is_put_into_the_manifests(tmp_path: Path) -> None:
+def test_quality_of_two_bundles_with_its_record(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bundles = [tmp_path / name for name in ("default", "student")]
     for bundle in bundles:
         shutil.copytree(DEFAULT_BUNDLE.parent / bundle.name, bundle)
     asked = [option for bundle in bundles for option in ("--bundle", str(bundle))]
     options = ("--scenes", "drawn:2:1", "--num", "4", "--samplers", "card,euler:uniform2")
     out = tmp_path / "out"
-    run(
-        "quality",
-        *asked,
-        *options,
-        "--baselines",
-        "none",
-        "--no-styles",
-        "--record",
-        "--out",
-        str(out),
-    )
+    run("quality", *asked, *options, "--baselines", "lines", "--record", "--out", str(out))
 
+    assert "euler:uniform2" in capsys.readouterr().out
+    names = ("quality.json", "quality.md", "quality_scenes.png", "quality_time.png")
+    assert {path.name for path in out.iterdir()} == {*names}
     rows = tables(out / "quality.json")["All scenes (2)"]
-    for bundle, row in zip(bundles, rows[::2], strict=True):
+    planners = [row["planner"] for row in rows]
+    assert planners[1].endswith("euler:uniform2")
+    assert planners[4:] == ["lines with noise", "lines with noise, refined"]
+    assert rows[0]["unsafe_called_safe"] == 0
+    for bundle, row in zip(bundles, rows[:4:2], strict=True):
         quality = load_bundle(bundle).card.quality
         assert quality["scenes"] == "drawn:2:1, 2 judged"
         assert quality["success"] == pytest.approx(row["success"], abs=1e-4)

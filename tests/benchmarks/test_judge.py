@@ -45,7 +45,7 @@ def random_anchors(scene: FamilyScene, *, count: int, seed: int, size: float) ->
     return Proposals.of_spline(basis, splines)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_it_agrees_with_the_judge_outside_the_project(
     seed: int, scene: SceneMaker, limits: MotionLimits, shared_judge: ModuleType
 ) -> None:
@@ -96,7 +96,7 @@ def test_it_agrees_with_the_judge_outside_the_project(
 def test_it_agrees_on_public_scenes(
     limits: MotionLimits, shared_judge: ModuleType, shared_data: Callable[[str], Path]
 ) -> None:
-    for case in load_scenes(str(shared_data("scenes_public.npz")), limits=limits, limit=4):
+    for case in load_scenes(str(shared_data("scenes_public.npz")), limits=limits, limit=2):
         plan = random_anchors(case, count=32, seed=3, size=1.0)
         expected = shared_judge.score_scene(
             plan.positions,
@@ -361,10 +361,10 @@ def test_routes_agree_with_the_judge_outside_the_project(
     limits, finish = limits_of(bundle), bundle.manifest.finish
     assert isinstance(finish, SplineEntry)
     planner = RoutesPlanner(limits, finish, descents=5)
-    cases = load_scenes(str(shared_data(scenes)), limits=limits, limit=6)
-    known = load_routes(shared_data(routes), scenes=6, limit=6)
+    cases = load_scenes(str(shared_data(scenes)), limits=limits, limit=4)
+    known = load_routes(shared_data(routes), scenes=4, limit=4)
     whole = shared_route_judge.read_routes(shared_data(routes))
-    spread = [whole[i] for i in np.linspace(0, len(whole) - 1, 6).astype(int)]
+    spread = [whole[i] for i in np.linspace(0, len(whole) - 1, 4).astype(int)]
     judged = 0
     for case, signatures, listed in zip(cases, known, spread, strict=True):
         assert signatures == [signature for signature, _ in listed]
@@ -390,14 +390,14 @@ def test_routes_agree_with_the_judge_outside_the_project(
         names = ("recall", "first", "found", "distinct")
         assert [measures[n] for n in names] == [expected[n] for n in names]
         assert measures["success"] == good.mean()
-    assert judged >= 4
+    assert judged >= 2
 
 
 def test_the_search_finds_the_routes_of_the_judge_outside_the_project(
     limits: MotionLimits, shared_data: Callable[[str], Path]
 ) -> None:
-    cases = load_scenes(str(shared_data("forests_public.npz")), limits=limits, limit=9)
-    known = load_routes(shared_data("forest_routes_public.npz"), scenes=9, limit=9)
+    cases = load_scenes(str(shared_data("forests_public.npz")), limits=limits, limit=5)
+    known = load_routes(shared_data("forest_routes_public.npz"), scenes=5, limit=5)
 
     for case, listed in zip(cases, known, strict=True):
         assert set(SceneJudge(case, limits).listed_routes) == set(listed)

@@ -73,28 +73,25 @@ def run(*arguments: object) -> None:
 
 def test_the_options_become_the_request(map_file: Path, requests: list[AnchorRequest]) -> None:
     ends = ("--start", "-2,1.5", "--start-velocity", "0.5,0", "--goal", "3,-1")
-    choices = ("--style", "2,1,1", "--num-samples", 5, "--seed", 7, "--robot-radius", 0.3)
-    run("--map", map_file, *ends, *choices, "--window", 10)
+    choices = ("--style", "2,1,1", "--num-samples", 5, "--seed", 7, "--window", 10)
+    limits = ("--v-max", 0.5, "--a-max", 2.5, "--robot-radius", 0.3, "--horizon", 12)
+    run("--map", map_file, *ends, *choices, *limits)
+    turned = ("--start", "-2,1,0.5", "--goal", "3,-1,0.2", "--goal-velocity", "1,0,0.1")
+    run("--map", map_file, *turned, "--style", "efficient")
 
-    (request,) = requests
-    np.testing.assert_array_equal(request.x_curr, [[-2, 1.5, 0.5, 0, 0, 0]])
-    np.testing.assert_array_equal(request.x_goal, [[3, -1, 0, 0]])
-    np.testing.assert_allclose(request.w_style, [[0.5, 0.25, 0.25]])
-    assert (request.num_samples, request.seed, request.robot_radius) == (5, 7, 0.3)
-    assert request.cost_map.data.shape == (1, 1, 100, 100)
-    assert not request.batched
-
-
-def test_a_style_by_its_name_and_the_robots_own_limits(
-    map_file: Path, requests: list[AnchorRequest]
-) -> None:
-    limits = ("--v-max", 0.5, "--a-max", 2.5, "--radius", 0.2, "--horizon", 12)
-    run("--map", map_file, "--start", "0,0", "--goal", "3,0", "--style", "efficient", *limits)
-
-    (request,) = requests
-    np.testing.assert_allclose(request.w_style, [[0.1, 0.8, 0.1]])
-    assert (request.v_max, request.a_max) == (0.5, 2.5)
-    assert (request.robot_radius, request.horizon_s) == (0.2, 12)
+    whole, heading = requests
+    np.testing.assert_array_equal(whole.x_curr, [[-2, 1.5, 0.5, 0, 0, 0]])
+    np.testing.assert_array_equal(whole.x_goal, [[3, -1, 0, 0]])
+    np.testing.assert_allclose(whole.w_style, [[0.5, 0.25, 0.25]])
+    assert (whole.num_samples, whole.seed) == (5, 7)
+    assert (whole.v_max, whole.a_max, whole.robot_radius, whole.horizon_s) == (0.5, 2.5, 0.3, 12)
+    assert whole.cost_map.data.shape == (1, 1, 100, 100)
+    assert not whole.batched
+    np.testing.assert_array_equal(heading.x_curr, [[-2, 1, 0.5, 0, 0, 0, 0, 0, 0]])
+    np.testing.assert_array_equal(heading.x_goal, [[3, -1, 0.2, 1, 0, 0.1]])
+    np.testing.assert_allclose(heading.w_style, [[0.1, 0.8, 0.1]])
+    assert heading.cost_map.data.shape[-1] > 100  # the window covers x and y
+    assert (heading.num_samples, heading.seed, heading.robot_radius) == (64, None, None)
 
 
 @pytest.mark.parametrize("style", ["hasty", "1,2", "1,2,nan"])
@@ -109,27 +106,6 @@ def test_an_unknown_style_names_the_four(
     assert caught.value.code != 0
     for name in ("conservative", "balanced", "efficient", "comfortable", style):
         assert name in told
-
-
-def test_what_is_not_said_is_left_to_the_model(
-    map_file: Path, requests: list[AnchorRequest]
-) -> None:
-    run("--map", map_file, "--start", "0,0", "--goal", "3,0")
-
-    (request,) = requests
-    assert request.num_samples == 64
-    assert request.seed is None
-    assert request.robot_radius is None
-
-
-def test_a_heading_goes_into_the_request(map_file: Path, requests: list[AnchorRequest]) -> None:
-    ends = ("--start", "-2,1,0.5", "--goal", "3,-1,0.2", "--goal-velocity", "1,0,0.1")
-    run("--map", map_file, *ends, "--num-samples", 2)
-
-    (request,) = requests
-    np.testing.assert_array_equal(request.x_curr, [[-2, 1, 0.5, 0, 0, 0, 0, 0, 0]])
-    np.testing.assert_array_equal(request.x_goal, [[3, -1, 0.2, 1, 0, 0.1]])
-    assert request.cost_map.data.shape[-1] > 100  # the window is laid round x and y
 
 
 @pytest.mark.usefixtures("requests")
@@ -220,26 +196,21 @@ def test_brackets_in_a_model_s_name_are_no_markup(
     assert "x[red]y[/z] 1, seed 7" in capsys.readouterr().out
 
 
-def test_a_point_that_is_none_is_a_usage_error(
-    map_file: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--start", "1;2"), "expected 2 or 3 numbers X,Y[,HEADING], got '1;2'"),
+        (("--start", "-9.95,0", "--goal", "-5,0"), "anchorflow plan: x_curr: expected a cell"),
+        (("--url", "http://127.0.0.1:1"), "127.0.0.1:1"),
+    ],
+)
+def test_a_plan_that_cannot_be_made_is_one_line(
+    options: tuple[str, ...], said: str, map_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    given = {"--start": "0,0", "--goal": "3,0"} | dict(
+        zip(options[::2], options[1::2], strict=True)
+    )
     with pytest.raises(SystemExit) as caught:
-        main(["plan", "--map", str(map_file), "--start", "1;2", "--goal", "3,0"])
+        main(["plan", "--map", str(map_file), *(f"{name}={text}" for name, text in given.items())])
 
-    assert caught.value.code == 2
-    assert "expected 2 or 3 numbers X,Y[,HEADING], got '1;2'" in capsys.readouterr().err
-
-
-def test_a_start_in_the_wall_is_one_line(map_file: Path) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["plan", "--map", str(map_file), "--start=-9.95,0", "--goal", "-5,0"])
-
-    assert str(caught.value.code).startswith("anchorflow plan: x_curr: expected a cell")
-
-
-def test_a_server_that_is_not_there_is_one_line(map_file: Path) -> None:
-    ends = ["--start", "0,0", "--goal", "3,0"]
-    with pytest.raises(SystemExit) as caught:
-        main(["plan", "--map", str(map_file), *ends, "--url", "http://127.0.0.1:1"])
-
-    assert "127.0.0.1:1" in str(caught.value.code)
+    assert said in capsys.readouterr().err + str(caught.value.code)

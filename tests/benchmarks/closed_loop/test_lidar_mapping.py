@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,31 +12,22 @@ from anchorflow_benchmarks.closed_loop.lidar_mapping import Lidar, LocalMap, ray
 from anchorflow_benchmarks.closed_loop.worlds import World
 
 
-def test_a_circle_straight_ahead_is_its_distance_less_its_radius() -> None:
-    assert ray_distances(np.array([[3.0, 0.0]]), 0.5, np.zeros(1)) == pytest.approx([2.5])
-
-
-def test_a_circle_met_off_its_centre_is_met_on_its_rim() -> None:
-    angle = np.arcsin(0.3 / 3.0)  # the ray passes the centre at 0.3 m
-    expected = np.sqrt(9.0 - 0.09) - np.sqrt(0.25 - 0.09)
-
-    assert ray_distances(np.array([[3.0, 0.0]]), 0.5, np.array([angle])) == pytest.approx(
-        [expected]
-    )
-
-
-@pytest.mark.parametrize("angle", [np.pi, 0.5 * np.pi, np.arcsin(0.5 / 3.0) + 1e-4])
-def test_a_ray_that_misses_goes_on_for_ever(angle: float) -> None:
-    assert ray_distances(np.array([[3.0, 0.0]]), 0.5, np.array([angle])) == np.inf
-
-
-def test_the_nearest_of_several_is_seen() -> None:
-    centres = np.array([[5.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
-    assert ray_distances(centres, 0.5, np.zeros(1)) == pytest.approx([1.5])
-
-
-def test_no_circles_no_distances() -> None:
-    assert (ray_distances(np.zeros((0, 2)), 0.5, np.zeros(4)) == np.inf).all()
+@pytest.mark.parametrize(
+    ("centres", "angle", "expected"),
+    [
+        ([[3.0, 0.0]], 0.0, 2.5),
+        # The ray passes the centre at 0.3 m.
+        ([[3.0, 0.0]], np.arcsin(0.1), np.sqrt(9.0 - 0.09) - np.sqrt(0.25 - 0.09)),
+        ([[3.0, 0.0]], np.pi, np.inf),
+        ([[3.0, 0.0]], 0.5 * np.pi, np.inf),
+        ([[3.0, 0.0]], np.arcsin(0.5 / 3.0) + 1e-4, np.inf),
+        ([[5.0, 0.0], [2.0, 0.0], [3.0, 0.0]], 0.0, 1.5),
+        (np.zeros((0, 2)), 0.0, np.inf),
+    ],
+)
+def test_a_ray_ends_at_the_nearest_rim(centres: Any, angle: float, expected: float) -> None:
+    found = ray_distances(np.array(centres, np.float64), 0.5, np.array([angle]))
+    assert found == pytest.approx([expected])
 
 
 def test_a_scan_turns_with_the_robot_and_ends_at_its_range(world: Callable[..., World]) -> None:
@@ -87,16 +79,12 @@ def test_only_the_side_of_a_post_that_was_seen_is_mapped(world: Callable[..., Wo
     assert (mapped[:, 0] < 2.0).all()
 
 
-def test_what_a_post_hides_is_not_known(world: Callable[..., World]) -> None:
-    hidden = world([(2.0, 0.0), (4.0, 0.0)])
-    mapped = cells(seen(LocalMap(), hidden, (0.0, 0.0)))
+def test_hidden_posts_and_those_behind_are_not_known(world: Callable[..., World]) -> None:
+    hidden = cells(seen(LocalMap(), world([(2.0, 0.0), (4.0, 0.0)]), (0.0, 0.0)))
+    behind = seen(LocalMap(), world([(-2.0, 0.0)]), (0.0, 0.0), lidar=AHEAD)
 
-    assert (mapped[:, 0] < 3.0).all()
-
-
-def test_what_is_behind_the_robot_is_not_known(world: Callable[..., World]) -> None:
-    local = seen(LocalMap(), world([(-2.0, 0.0)]), (0.0, 0.0), lidar=AHEAD)
-    assert not local.occupied.any()
+    assert (hidden[:, 0] < 3.0).all()
+    assert not behind.occupied.any()
 
 
 def test_the_window_moves_and_the_posts_stay(world: Callable[..., World]) -> None:
@@ -110,16 +98,13 @@ def test_the_window_moves_and_the_posts_stay(world: Callable[..., World]) -> Non
     assert np.abs(local.origin + 64 * 0.08 - [0.7, -0.3]).max() <= 0.08
 
 
-def test_what_leaves_the_window_is_forgotten(world: Callable[..., World]) -> None:
+@pytest.mark.parametrize("way", [[(6.0, 0.0), (0.0, 0.0)], [(100.0, -50.0)]])
+def test_cells_that_leave_the_window_are_forgotten(
+    way: list[tuple[float, float]], world: Callable[..., World]
+) -> None:
     local = seen(LocalMap(), world([(-2.0, 0.0)]), (0.0, 0.0))
     assert local.occupied.any()
-    seen(local, world(), (6.0, 0.0), (0.0, 0.0))
-    assert not local.occupied.any()
-
-
-def test_a_jump_beyond_the_window_leaves_nothing(world: Callable[..., World]) -> None:
-    local = seen(LocalMap(), world([(2.0, 0.0)]), (0.0, 0.0))
-    assert not seen(local, world(), (100.0, -50.0)).occupied.any()
+    assert not seen(local, world(), *way).occupied.any()
 
 
 def test_a_false_hit_is_looked_through_later(world: Callable[..., World]) -> None:

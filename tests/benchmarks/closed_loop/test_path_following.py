@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,16 @@ from anchorflow_client.planner import Plan, Planner, PlanState
 
 MAP = {"map_cells": 96, "map_resolution": 0.1}
 BOTH = [Unicycle(), DoubleIntegrator()]
+
+
+def straight_request(**fields: Any) -> AnchorRequest:
+    """A request from (-2, 0) to (2, 0), from rest to rest, on a free map."""
+    return AnchorRequest.build(
+        cost_map={"data": np.zeros((1, 16, 16)), "resolution": 0.5},
+        x_curr=[-2, 0, 0, 0, 0, 0],
+        x_goal=[2, 0, 0, 0],
+        **fields,
+    )
 
 
 def at_speeds(speeds: list[float], *, length: float = 3.0, steps: int = 16) -> AnchorBatch:
@@ -67,13 +78,7 @@ def test_each_anchor_is_driven_at_its_own_pace(robot: Robot) -> None:
 
 @pytest.mark.parametrize("robot", BOTH)
 def test_an_anchor_from_rest_to_rest_is_driven_to_its_end(robot: Robot) -> None:
-    request = AnchorRequest.build(
-        cost_map={"data": np.zeros((1, 16, 16)), "resolution": 0.5},
-        x_curr=[-2, 0, 0, 0, 0, 0],
-        x_goal=[2, 0, 0, 0],
-        num_samples=1,
-        v_max=1.0,
-    )
+    request = straight_request(num_samples=1, v_max=1.0)
     batch = LinesSource().plan_request(request)
     paths, paces = timed_paths(Plan(PlanState.FRESH, batch, age_ms=0.0), period_s=0.1)
     start = robot.start(np.array([-2.0, 0.0, 0.0]))
@@ -84,35 +89,18 @@ def test_an_anchor_from_rest_to_rest_is_driven_to_its_end(robot: Robot) -> None:
     assert float(robot.speed(states[0, -1])) < 0.1
 
 
-def test_lines_last_as_long_as_the_limits_allow() -> None:
-    def ask(**limits: float) -> AnchorBatch:
-        request = AnchorRequest.build(
-            cost_map={"data": np.zeros((1, 16, 16)), "resolution": 0.5},
-            x_curr=[-2, 0, 0, 0, 0, 0],
-            x_goal=[2, 0, 0, 0],
-            num_samples=4,
-            seed=1,
-            **limits,
-        )
-        return LinesSource().plan_request(request)
-
-    for limits in ({}, {"v_max": 0.5, "a_max": 2.5}, {"v_max": 9.0, "a_max": 1.0}):
-        batch = ask(**limits)
-        v_max, a_max = limits.get("v_max", 2.0), limits.get("a_max", 3.0)
-        straight = batch.velocities[0], batch.accelerations[0]
-        shares = [
-            np.linalg.norm(rate, axis=-1).max() / limit
-            for rate, limit in zip(straight, (v_max, a_max), strict=True)
-        ]
-        assert max(shares) == pytest.approx(1.0, abs=0.02)  # whichever binds
-        assert (batch.durations[1:] > batch.durations[0]).all()  # what bends is longer
-    fixed = LinesSource(8.0).plan_request(
-        AnchorRequest.build(
-            cost_map={"data": np.zeros((1, 16, 16)), "resolution": 0.5},
-            x_curr=[-2, 0, 0, 0, 0, 0],
-            x_goal=[2, 0, 0, 0],
-        )
-    )
+@pytest.mark.parametrize("limits", [{}, {"v_max": 0.5, "a_max": 2.5}, {"v_max": 9.0, "a_max": 1.0}])
+def test_lines_last_as_long_as_the_limits_allow(limits: dict[str, float]) -> None:
+    batch = LinesSource().plan_request(straight_request(num_samples=4, seed=1, **limits))
+    v_max, a_max = limits.get("v_max", 2.0), limits.get("a_max", 3.0)
+    straight = batch.velocities[0], batch.accelerations[0]
+    shares = [
+        np.linalg.norm(rate, axis=-1).max() / limit
+        for rate, limit in zip(straight, (v_max, a_max), strict=True)
+    ]
+    assert max(shares) == pytest.approx(1.0, abs=0.02)  # one of the limits binds
+    assert (batch.durations[1:] > batch.durations[0]).all()  # bent lines are longer
+    fixed = LinesSource(8.0).plan_request(straight_request())
     assert fixed.durations == pytest.approx(8.0)
 
 

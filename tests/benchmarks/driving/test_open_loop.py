@@ -88,27 +88,29 @@ def test_an_unknown_driver_is_named() -> None:
         named_drivers(["human", "chauffeur"])
 
 
-def test_the_command_writes_tables_and_plans(
+def test_the_command_writes_tables_plans_and_its_record(
     log: DrivingLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    logs, out = tmp_path / "logs", tmp_path / "out"
+    logs, out, bundle = (tmp_path / name for name in ("logs", "out", "goalflow"))
     logs.mkdir()
     write_log(log, logs / "by-file-name.npz")
+    shutil.copytree(DEFAULT_BUNDLE.parent / "goalflow", bundle)
+    options = ("--bundle", str(bundle), "--along-route", "--seed", "3", "--record")
 
     with pytest.raises(SystemExit) as caught:
-        main(["bench", "drive", "--logs", str(logs), "--out", str(out)])
+        main(["bench", "drive", "--logs", str(logs), *options, "--out", str(out)])
 
     assert caught.value.code in (0, None)
     assert "route_constant_speed" in capsys.readouterr().out
-    about = json.loads((out / "drive.json").read_text())["about"]
-    assert about["logs"] == "logs: 1 files, 2 windows"
+    report = json.loads((out / "drive.json").read_text())
+    assert report["about"]["logs"] == "logs: 1 files, 2 windows"
+    rules = ("human", "stop", "constant_velocity", "route_constant_speed")
+    bundles = ("goalflow_seed3", "goalflow_along_route_seed3")
     assert {path.name for path in out.iterdir()} == {
         "drive.json",
         "drive.md",
-        *(f"plans_{name}.npz" for name in ("human", "idm", "stop")),
-        *(f"plans_{name}.npz" for name in ("constant_velocity", "route_constant_speed")),
-        *(f"waypoints_{name}.npz" for name in ("human", "stop")),
-        *(f"waypoints_{name}.npz" for name in ("constant_velocity", "route_constant_speed")),
+        *(f"plans_{name}.npz" for name in (*rules, "idm", *bundles)),
+        *(f"waypoints_{name}.npz" for name in rules),
     }
     with np.load(out / "plans_human.npz") as plans:
         assert plans["log"].tolist() == ["by-file-name"] * 2
@@ -116,21 +118,7 @@ def test_the_command_writes_tables_and_plans(
         assert plans["trajectories"].shape == (2, 8, 3)
     with np.load(out / "waypoints_stop.npz") as waypoints:
         assert waypoints["trajectories"].shape == (2, 45, 2)
-
-
-def test_what_a_bundle_scores_is_put_into_its_manifest(log: DrivingLog, tmp_path: Path) -> None:
-    logs, bundle = tmp_path / "logs", tmp_path / "goalflow"
-    logs.mkdir()
-    write_log(log, logs / "square.npz")
-    shutil.copytree(DEFAULT_BUNDLE.parent / "goalflow", bundle)
-    options = ("--drivers", "stop", "--bundle", str(bundle), "--along-route", "--seed", "3")
-
-    with pytest.raises(SystemExit) as caught:
-        main(["bench", "drive", "--logs", str(logs), *options, "--record", "--out", str(tmp_path)])
-
-    assert caught.value.code in (0, None)
-    whole, *_ = json.loads((tmp_path / "drive.json").read_text())["tables"]
-    (row,) = (row for row in whole["rows"] if row["driver"] == "goalflow_seed3")
+    (row,) = (row for row in report["tables"][0]["rows"] if row["driver"] == "goalflow_seed3")
     quality = load_bundle(bundle).card.quality
     assert quality["logs"] == "logs: 1 files, 2 windows"
     assert quality["PDMS"] == pytest.approx(row["PDMS"], abs=1e-4)
