@@ -18,24 +18,17 @@ from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.contract.fields import given
 from anchorflow_client.errors import InvalidAnswer
 
-# What walking through fields of another shape than expected raises.
-UNREADABLE = (
-    ValueError,
-    TypeError,
-    KeyError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-)
+# Errors of reading fields of an unexpected shape.
+UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError)
 
 
 @dataclass(frozen=True)
 class Payload:
-    """Bytes on their way, in HTTP's body or in zenoh's payload."""
+    """The bytes of HTTP's body or of zenoh's payload."""
 
     body: bytes
     header_length: int | None = None
-    """Bytes of JSON before the tensors; None where the form has no such header."""
+    """Bytes of JSON before the tensors; None without a header."""
 
 
 class Codec(Protocol):
@@ -43,40 +36,32 @@ class Codec(Protocol):
 
     @property
     def content_type(self) -> str:
-        """The media type that names this form."""
+        """The media type of this form."""
         ...
 
     def encode_request(self, request: AnchorRequest) -> Payload:
-        """What a client sends."""
+        """Write a request, for a client."""
         ...
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
-        """What a service received.
+        """Read a request, for a service.
 
         Raises:
-            InvalidRequest: names the field, or "body" where the bytes cannot be read at all.
+            InvalidRequest: names the field, or "body" if the bytes cannot be parsed.
         """
         ...
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """What a service sends.
-
-        Raises:
-            ValueError: a number is not finite.
-        """
+        """Write an answer, for a service. Raises `ValueError` if a number is not finite."""
         ...
 
     def decode_answer(self, payload: Payload) -> AnchorBatch:
-        """What a client received.
-
-        Raises:
-            InvalidAnswer: the bytes are not the contract's.
-        """
+        """Read an answer, for a client. Raises `InvalidAnswer`."""
         ...
 
 
 def answer_to(request: AnchorRequest, answer: AnchorBatch) -> AnchorBatch:
-    """The answer. Raises `InvalidAnswer` where the request was named, and it is another's."""
+    """Return the answer. Raises `InvalidAnswer` if it has another id than the request."""
     if request.request_id is not None and answer.request_id != request.request_id:
         wanted, came = request.request_id, answer.request_id
         raise InvalidAnswer(f"request_id: expected the answer to {wanted}, got that to {came}")
@@ -84,7 +69,7 @@ def answer_to(request: AnchorRequest, answer: AnchorBatch) -> AnchorBatch:
 
 
 def request_fields(request: AnchorRequest) -> dict[str, Any]:
-    """A request's fields, arrays as numpy holds them; those left to the card are omitted."""
+    """Return a request's fields, with numpy arrays; those left to the card are omitted."""
     fields = request.field_values()
     del fields["num_scenes"]
     batched, scenes = fields.pop("batched"), fields.pop("map_scenes")
@@ -102,7 +87,7 @@ def request_fields(request: AnchorRequest) -> dict[str, Any]:
 
 
 def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
-    """An answer's fields, arrays as numpy holds them."""
+    """Return an answer's fields, with numpy arrays."""
     absent = {"absent_inputs": ",".join(batch.absent_inputs)} if batch.absent_inputs else {}
     return dict(batch.arrays) | {
         "dt": batch.dt,
@@ -116,13 +101,12 @@ def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
 
 
 def answer_of(fields: Any, arrays: Mapping[str, Any] | None = None) -> AnchorBatch:
-    """An answer out of untrusted fields.
+    """Read an answer from untrusted fields.
 
-    arrays: where they came apart from the fields; None: all lists among the fields are arrays,
-        but for dt, which is a number or a list
+    arrays: if they are not among the fields; None: all lists among the fields but dt are arrays
 
     Raises:
-        InvalidAnswer: they are not the contract's, or hold numbers that are not finite.
+        InvalidAnswer: a field is missing, of a wrong type or not finite.
     """
     try:
         if arrays is None:
@@ -138,7 +122,7 @@ def answer_of(fields: Any, arrays: Mapping[str, Any] | None = None) -> AnchorBat
 
 
 def _map_fields(cost_map: CostMap, *, batched: bool) -> dict[str, Any]:
-    # One map broadcast over a batch, which numpy tells by a stride of 0, is sent once.
+    # A map that is broadcast over the batch has a stride of 0 and is sent once.
     shared = not batched or cost_map.data.strides[0] == 0
     data: NDArray[np.float32] = cost_map.data[0] if shared else cost_map.data
     return {"data": data, "resolution": cost_map.resolution, "origin": cost_map.origin}

@@ -35,9 +35,9 @@ class AnchorFlowError(Exception):
 
 
 class RequestError(AnchorFlowError):
-    """A request that was refused; `field` is the JSON path of the culprit, where there is one.
+    """A refused request; `field` is the JSON path of the wrong field, or None.
 
-    The message always names the field, so that it can be read alone.
+    The message always names the field.
     """
 
     code: str = "internal"
@@ -162,7 +162,7 @@ class NotReady(RequestError):
 
 
 class InternalError(RequestError):
-    """The service failed; its log tells more under the request id."""
+    """The service failed; its log has the cause under the request id."""
 
 
 class TransportError(AnchorFlowError):
@@ -193,7 +193,7 @@ def _is_time(value: Any) -> bool:
 
 
 def _names(message: str, field: str | None) -> bool:
-    """Whether the field stands in the message as a whole word; no field is always named."""
+    """Return whether the message has the field as a whole word, or there is no field."""
     return field is None or bool(re.search(rf"(?<![\w.]){re.escape(field)}(?!\.?\w)", message))
 
 

@@ -1,4 +1,4 @@
-"""The contract as JSON, with nothing but the standard library and numpy."""
+"""The contract as JSON, by the standard library and numpy."""
 
 from __future__ import annotations
 
@@ -19,35 +19,32 @@ COMPACT = json.JSONEncoder(allow_nan=False, separators=(",", ":"))
 
 
 class JsonCodec:
-    """Reads and writes the JSON of `POST /anchors`.
-
-    A faster JSON library takes over by overriding `_dump` and `_load`.
-    """
+    """Reads and writes the JSON of `POST /anchors`; subclasses may bring a faster JSON library."""
 
     content_type = "application/json"
 
     def encode_request(self, request: AnchorRequest) -> Payload:
-        """The request's fields, those left to the card omitted."""
+        """Write a request's fields; those left to the card are omitted."""
         fields = request_fields(request)
         if "inputs" in fields:
             fields["inputs"] = {name: _input(value) for name, value in request.inputs.items()}
         return Payload(self._dump(fields))
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
-        """A request out of untrusted bytes. Raises `InvalidRequest`."""
+        """Read a request from untrusted bytes. Raises `InvalidRequest`."""
         return AnchorRequest.from_fields(self._load(payload.body))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """The answer. Raises `ValueError` where a number is not finite."""
+        """Write an answer. Raises `ValueError` if a number is not finite."""
         if not batch.is_finite:
             raise ValueError("the answer holds numbers that are not finite")
         return Payload(self._dump(answer_fields(batch)))
 
     def decode_answer(self, payload: Payload) -> AnchorBatch:
-        """An answer out of untrusted bytes. Raises `InvalidAnswer`."""
+        """Read an answer from untrusted bytes. Raises `InvalidAnswer`."""
         try:
             fields = self._load(payload.body)
-        except InvalidRequest as error:  # the reader's words for both directions
+        except InvalidRequest as error:  # reading raises it in both directions
             raise InvalidAnswer(f"not an answer of the contract: {error}") from error
         return answer_of(fields)
 
@@ -61,9 +58,9 @@ class JsonCodec:
 
 
 def parse(body: bytes, field: str = "body") -> Any:
-    """Parsed JSON; NaN and Infinity come through, for the field's own check to name them.
+    """Parse JSON; NaN and Infinity are accepted, so that the check of a field can name them.
 
-    field: where the bytes stand, for the message
+    field: the part of the message that holds the bytes
 
     Raises:
         InvalidRequest: names `field`: it is no JSON in UTF-8, is nested too deep, or holds an
@@ -82,13 +79,13 @@ def parse(body: bytes, field: str = "body") -> Any:
 
 
 def not_json(reason: str, position: int, length: int, field: str = "body") -> InvalidRequest:
-    """The refusal of bytes that break off, or break JSON's grammar."""
+    """Return the error for bytes that end early or break JSON's grammar."""
     place = f"position {position} of {length}"
     return InvalidRequest(f"expected JSON, got text that breaks at {place}: {reason}", field)
 
 
 def _input(value: Input) -> Any:
-    """An input as JSON carries it: numbers as the bytes that they are, texts as strings."""
+    """Write an input for JSON: numbers as base64, texts as strings."""
     if isinstance(value, EncodedImage):
         return {value.format: base64.b64encode(value.data).decode()}
     if value.dtype.kind == "O":
@@ -99,7 +96,7 @@ def _input(value: Input) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """What `json` cannot write by itself, as it can."""
+    """Convert numpy values, which `json` cannot write."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"cannot write a {type(value).__name__} as JSON")

@@ -1,7 +1,7 @@
 """The contract in binary: Open Inference Protocol v2 with the binary tensor extension.
 
-Arrays travel as tensors, everything else as parameters by its JSON path (`sampler.method`); the
-request's id is the protocol's `id`. docs/wire.md shows a request byte by byte.
+Arrays are tensors, other fields are parameters by their JSON path (`sampler.method`); the request's
+id is the protocol's `id`. docs/wire.md shows a request byte by byte.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from anchorflow_client.oip_message import (
 )
 
 GEOMETRY = "map_geometry"
-"""[3] or [B,3]: origin x and y in m, resolution in m/cell; FP64, as maps may lie far from zero."""
+"""[3] or [B,3]: origin x and y in m, resolution in m/cell; FP64, for maps far from zero."""
 TIME_STEP = "dt"
-"""Of an answer: a parameter where it is one number, a tensor FP64 [N] where each has its own."""
+"""A parameter of an answer, or a tensor FP64 [N] if each anchor has its own."""
 
 PATH_OF_INPUT = tensor_paths(REQUEST)
 """The JSON paths of the fields that are tensors here, by the name of the tensor."""
 RESERVED = {**dict.fromkeys(PATH_OF_INPUT, FLOATS), GEOMETRY: FLOATS}
-"""Datatypes of the tensors that are fields of a request; any other is one of its `inputs`."""
+"""Datatypes of the tensors that are fields of a request; any other tensor is an input."""
 OUTPUTS: Datatypes = {
     **{name: (name_of(np.dtype(dtype)),) for name, dtype in ARRAY_DTYPES.items()},
     "trajectories": FLOATS,
@@ -59,7 +59,7 @@ class OipCodec:
     content_type = "application/octet-stream"
 
     def encode_request(self, request: AnchorRequest) -> Payload:
-        """The request's fields, those left to the card omitted."""
+        """Write a request's fields; those left to the card are omitted."""
         fields = request_fields(request)
         header = {"id": fields.pop("request_id")} if "request_id" in fields else {}
         outputs = [{"name": name} for name in fields.pop("outputs", ())]
@@ -70,7 +70,7 @@ class OipCodec:
         return pack(header, "inputs", tensors)
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
-        """A request out of untrusted bytes; its map is the body's own memory.
+        """Read a request from untrusted bytes; its map is a view of them.
 
         Raises:
             InvalidRequest: names the field, the tensor, "header_length", "header" or "body".
@@ -87,7 +87,7 @@ class OipCodec:
         return request_of(tensors, leaves, header.get("id"))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """The answer. Raises `ValueError` where a number is not finite."""
+        """Write an answer. Raises `ValueError` if a number is not finite."""
         if not batch.is_finite:
             raise ValueError("the answer holds numbers that are not finite")
         leaves = flatten(answer_fields(batch))
@@ -101,11 +101,7 @@ class OipCodec:
         return pack({**header, "parameters": leaves}, "outputs", tensors)
 
     def decode_answer(self, payload: Payload) -> AnchorBatch:
-        """An answer out of untrusted bytes; its arrays are the body's own memory.
-
-        Raises:
-            InvalidAnswer: the bytes are not the contract's.
-        """
+        """Read an answer from untrusted bytes, as views of them. Raises `InvalidAnswer`."""
         try:
             header, data = unpack_header(payload)
             tensors = unpack_tensors(header.get("outputs"), data, "outputs", OUTPUTS)
@@ -115,16 +111,15 @@ class OipCodec:
             if TIME_STEP in tensors:
                 _put(leaves, TIME_STEP, tensors.pop(TIME_STEP))
             fields = nest(leaves)
-        except InvalidRequest as error:  # the reader's words for both directions
+        except InvalidRequest as error:  # reading raises it in both directions
             raise InvalidAnswer(f"not an answer of the contract: {error}") from error
-        told = {"timing_ms": {}, **fields, "request_id": header.get("id")}
-        return answer_of(told, tensors)
+        return answer_of({"timing_ms": {}, **fields, "request_id": header.get("id")}, tensors)
 
 
 def request_of(
     tensors: Mapping[str, NDArray[Any]], leaves: Mapping[str, Any], request_id: Any
 ) -> AnchorRequest:
-    """The request that a message's tensors, parameters and id make up; all may be untrusted.
+    """Build a request from a message's untrusted tensors, parameters and id.
 
     Raises:
         InvalidRequest: names the field or the tensor.
@@ -148,17 +143,14 @@ def request_of(
 
 
 def answer_tensors(batch: AnchorBatch) -> list[str]:
-    """The fields of an answer that are tensors; all others are parameters.
-
-    FP64 comes first, so that it begins at a multiple of its own item size.
-    """
+    """Return the fields of an answer that are tensors, FP64 first for its alignment."""
     return [*([TIME_STEP] if np.ndim(batch.dt) else []), *batch.arrays]
 
 
 def wanted_outputs(outputs: Any, *, in_binary: bool) -> dict[str, bool]:
-    """The names that a header's `outputs` list, and whether it wants them in binary.
+    """Return the names in a header's `outputs`, and whether each is to be binary.
 
-    in_binary: those for which nothing else is said
+    in_binary: the default
 
     Raises:
         InvalidRequest: names the entry.
@@ -177,9 +169,7 @@ def wanted_outputs(outputs: Any, *, in_binary: bool) -> dict[str, bool]:
 
 
 def _request_tensors(leaves: dict[str, Any]) -> dict[str, NDArray[Any]]:
-    """Take the arrays out of a request's leaves; those of the widest numbers come first, so that
-    each begins at a multiple of its own item size.
-    """
+    """Remove the arrays from a request's leaves; the widest numbers first, for their alignment."""
     tensors = {
         name: np.asarray(leaves.pop(path)) for name, path in PATH_OF_INPUT.items() if path in leaves
     }
@@ -207,7 +197,7 @@ def _put(leaves: dict[str, Any], path: str, value: Any) -> None:
 
 
 def _geometry_leaves(geometry: NDArray[Any]) -> Mapping[str, Any]:
-    """The contract knows one geometry a request: the scenes of a batch must agree."""
+    """Read the geometry, which all scenes of a batch share."""
     if geometry.ndim not in (1, 2) or geometry.shape[-1] != 3 or not geometry.size:
         raise wrong_shape(GEOMETRY, "[3] or [B,3]", geometry)
     first, *others = rows = geometry.reshape(-1, 3).tolist()

@@ -1,10 +1,10 @@
-"""A message: a JSON header, padded with spaces, and the tensors that it lists, one after another.
+"""Messages of the Open Inference Protocol: a padded JSON header, then the tensors that it lists.
 
     {"inputs": [{"name", "datatype", "shape", "parameters": {"binary_data_size"}}, …], …}␠␠␠
     <first tensor><second tensor>…
 
-Nothing is believed: a tensor is read only where its shape, its declared size and the bytes that
-came agree, so that no header asks for more memory than its body holds.
+A tensor is read only if its shape, its declared size and the received bytes agree, so that no
+header can claim more memory than its body has.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DTYPE_OF: dict[str, np.dtype] = {
     "BOOL": np.dtype("?"),
 }
 BYTES = "BYTES"
-"""Texts in UTF-8, each behind its length in four bytes."""
+"""Texts in UTF-8, each after its length in four bytes."""
 FLOATS = ("FP32", "FP64")
 DATATYPES = (*DTYPE_OF, BYTES)
 
@@ -40,19 +40,19 @@ _LENGTH = struct.Struct("<I")
 
 
 def name_of(dtype: np.dtype) -> str:
-    """The protocol's name of a type; arrays of objects are arrays of `str`."""
+    """Return the protocol's name of a type; object arrays hold `str`."""
     if dtype.kind == "O":
         return BYTES
     return _NAME_OF.get(dtype) or _NAME_OF[dtype.newbyteorder("=")]
 
 
 def datatype_of(dtype: str) -> str:
-    """The protocol's name of a card's dtype."""
+    """Return the protocol's name of a card's dtype."""
     return BYTES if dtype == "text" else name_of(np.dtype(dtype))
 
 
 def to_wire(tensor: NDArray[Any]) -> memoryview:
-    """A tensor's bytes in C order; no copy where it lies so already."""
+    """Return a tensor's bytes in C order, without a copy if it is contiguous."""
     if tensor.dtype.kind == "O":
         parts = [text.encode() for text in tensor.flat]
         return memoryview(b"".join(_LENGTH.pack(len(part)) + part for part in parts))
@@ -61,7 +61,7 @@ def to_wire(tensor: NDArray[Any]) -> memoryview:
 
 
 def texts_from_wire(part: memoryview, shape: Sequence[int], field: str) -> NDArray[Any]:
-    """The texts of a BYTES tensor. Raises `InvalidRequest` where the lengths do not add up."""
+    """Read a BYTES tensor. Raises `InvalidRequest` if the lengths do not add up."""
     count, values, offset = int(np.prod(shape, dtype=object)), [], 0
     while len(values) < count and offset + _LENGTH.size <= len(part):
         (length,) = _LENGTH.unpack_from(part, offset)
@@ -84,22 +84,22 @@ def _decoded(data: bytes, length: int, field: str) -> str:
 
 
 ALIGNMENT = 64
-"""Bytes that the padded header is a multiple of, so that the tensors behind it are aligned."""
+"""The padded header is a multiple of these bytes, which aligns the tensors after it."""
 MAX_HEADER_BYTES = 64 * 1024
-"""Longest header that is parsed; an honest one has one or two KiB."""
+"""The longest header that is parsed; usual ones have one or two KiB."""
 
 Tensors = Mapping[str, NDArray[Any]]
 Datatypes = Mapping[str, Sequence[str]]
-"""The datatypes that a reader takes, by the name of the tensor; of any other name all of them."""
+"""The accepted datatypes by the name of the tensor; other tensors may have any."""
 
 
 def pack(fields: Mapping[str, Any], role: str, tensors: Tensors) -> Payload:
-    """The bytes of a message.
+    """Write a message.
 
     Args:
-        fields: what the header says beside its tensors, in JSON's types.
+        fields: the header's other fields, in JSON's types.
         role: "inputs" or "outputs", the header's key for the tensors.
-        tensors: of a type of `datatypes`, in the order in which they are sent.
+        tensors: in the order in which they are sent.
     """
     parts = [to_wire(tensor) for tensor in tensors.values()]
     entries = [
@@ -117,7 +117,7 @@ def pack(fields: Mapping[str, Any], role: str, tensors: Tensors) -> Payload:
 
 
 def unpack_header(payload: Payload) -> tuple[Mapping[str, Any], memoryview]:
-    """The header and the bytes behind it, read-only and not copied. Raises `InvalidRequest`."""
+    """Return the header and a read-only view of the bytes after it. Raises `InvalidRequest`."""
     body, length = memoryview(payload.body).toreadonly(), payload.header_length
     if length is None:
         beside = "Inference-Header-Content-Length in HTTP, header_length in zenoh's attachment"
@@ -133,13 +133,13 @@ def unpack_header(payload: Payload) -> tuple[Mapping[str, Any], memoryview]:
 def unpack_tensors(
     entries: Any, data: memoryview, role: str, known: Datatypes
 ) -> dict[str, NDArray[Any]]:
-    """The tensors that a header lists: read-only views of `data`, only texts are copied.
+    """Return the tensors that a header lists as read-only views of `data`; texts are copied.
 
     Args:
-        entries: what stands under the header's `role`.
-        data: the bytes behind the header.
+        entries: the header's value under `role`.
+        data: the bytes after the header.
         role: "inputs" or "outputs", for messages.
-        known: of which datatypes a tensor may be.
+        known: the accepted datatypes.
 
     Raises:
         InvalidRequest: names the tensor, or "body" where the lengths do not add up.
@@ -162,15 +162,15 @@ def unpack_tensors(
 
 
 class _Entry(NamedTuple):
-    """What a header says of one tensor."""
+    """A header's entry for one tensor."""
 
     field: str
-    """Where it stands, such as inputs[2]."""
+    """Its JSON path, such as inputs[2]."""
     name: str
     datatype: Any
     shape: Any
     size: int
-    """Bytes that it declares."""
+    """The declared bytes."""
 
     @classmethod
     def read(cls, value: Any, field: str) -> _Entry:
@@ -186,10 +186,10 @@ class _Entry(NamedTuple):
         return cls(field, name, entry["datatype"], entry["shape"], size)
 
     def view(self, part: memoryview, datatypes: Sequence[str]) -> NDArray[Any]:
-        """The tensor in `part`, whose shape, type and size agree."""
+        """Return the tensor in `part` if its shape, type and size agree."""
         datatype = choice(self.datatype, self.name, datatypes)
         shape = checked_shape(self.shape, self.name)
-        # Python's own integers: a product of lying axes overflows none.
+        # Python's integers: the product of false sizes cannot overflow.
         wanted = self.size if datatype == BYTES else math.prod(shape) * DTYPE_OF[datatype].itemsize
         if wanted != self.size:
             declared = f"a binary_data_size of {self.size}"
@@ -203,7 +203,7 @@ class _Entry(NamedTuple):
 
 
 def checked_shape(shape: Any, name: str) -> list[int]:
-    """The shape that a header gives a tensor. Raises `InvalidRequest`."""
+    """Return a tensor's shape from a header. Raises `InvalidRequest`."""
     if not (isinstance(shape, list) and len(shape) <= MAX_AXES):
         raise expected(name, f"a shape of at most {MAX_AXES} axes", shape)
     for size in shape:
@@ -233,7 +233,7 @@ def _parsed(header: bytes) -> Mapping[str, Any]:
 
 
 def flatten(fields: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Every leaf by its JSON path."""
+    """Return every leaf by its JSON path: nested fields as flat parameters."""
     leaves: dict[str, Any] = {}
     for name, value in fields.items():
         if isinstance(value, Mapping):
@@ -244,11 +244,7 @@ def flatten(fields: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def nest(leaves: Mapping[str, Any]) -> dict[str, Any]:
-    """`flatten` undone.
-
-    Raises:
-        InvalidRequest: one path runs through another.
-    """
+    """Undo `flatten`. Raises `InvalidRequest` if one path is a prefix of another."""
     fields: dict[str, Any] = {}
     for path, value in leaves.items():
         *parents, name = path.split(".")
@@ -264,11 +260,7 @@ def nest(leaves: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def scalars(value: Any) -> dict[str, Any]:
-    """The parameters of a header: strings, numbers and booleans by name.
-
-    Raises:
-        InvalidRequest: one is something else, or has a name that no message could carry.
-    """
+    """Return a header's parameters: strings, numbers and booleans. Raises `InvalidRequest`."""
     if value is None:
         return {}
     if not isinstance(value, Mapping):
@@ -281,13 +273,13 @@ def scalars(value: Any) -> dict[str, Any]:
 
 
 def check_binary_output(leaves: dict[str, Any]) -> None:
-    """Take `binary_data_output` out. Raises `InvalidRequest` where it asks for outputs in JSON."""
+    """Remove `binary_data_output`. Raises `InvalidRequest` if it is false."""
     field = "binary_data_output"
     check_in_binary(boolean(leaves.pop(field, True), field), field)
 
 
 def check_in_binary(wanted: bool, field: str) -> None:
-    """Raises `InvalidRequest` where not."""
+    """Raise `InvalidRequest` if outputs are to be in JSON."""
     if not wanted:
         raise InvalidRequest(
             "expected true, as answers have the form of requests, got false", field

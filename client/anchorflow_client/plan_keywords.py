@@ -112,10 +112,10 @@ def map_fields(
     resolution: float | None,
     origin: ArrayLike | None,
 ) -> CostMap | Mapping[str, Any] | None:
-    """A map in one of the forms of `plan` as one that `AnchorRequest` takes; nothing is copied.
+    """Convert a map of `plan` to one of `AnchorRequest`, without a copy.
 
     Raises:
-        InvalidRequest: a map that knows its own place, or none at all, comes with a place.
+        InvalidRequest: `resolution` or `origin` is given beside a map that has its own.
     """
     if cost_map is None or isinstance(cost_map, CostMap | Mapping):
         if resolution is not None or origin is not None:
@@ -123,7 +123,7 @@ def map_fields(
         return cost_map
     try:
         data = np.asarray(cost_map)
-    except (TypeError, ValueError, RuntimeError):  # whoever reads it tells why, and where
+    except (TypeError, ValueError, RuntimeError):  # `CostMap.build` raises the error
         return {"data": cost_map, "resolution": resolution, "origin": origin}
     data = data[None] if data.ndim == 2 else data
     return {"data": data, "resolution": resolution, "origin": origin}

@@ -1,4 +1,4 @@
-"""An anchor at a controller's own period, whatever the time step that it was answered with."""
+"""Resample an anchor to a controller's period."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from anchorflow_client.contract.checks import is_number
 Array = NDArray[np.float64]
 
 ROUNDING = 1e-9
-"""Periods that an anchor may last longer than a whole number of them."""
+"""Rounding, in periods, by which a duration may exceed a multiple of the period."""
 
 
 class ResampledAnchor(NamedTuple):
@@ -71,7 +71,7 @@ def resample(
 
 
 def _times(duration_s: float, period_s: float) -> Array:
-    """[K]: 0, period, … and the duration, which is told once where it is a multiple itself."""
+    """Return [K] times: 0, period, … and the duration, once if it is a multiple itself."""
     times = period_s * np.arange(int(duration_s / period_s) + 1, dtype=np.float64)
     if duration_s - times[-1] <= ROUNDING * period_s:
         return times

@@ -1,7 +1,7 @@
-"""What driving planners take for inputs, made of what a vehicle's sensors give; numpy alone.
+"""Convert a vehicle's sensor data to the inputs of driving planners, and resize pictures.
 
-Simulated sensors use the same functions, so that a planner meets what it was trained on. Frame: the
-rear axle, x forward, y left, metres.
+Simulated sensors of the training data use the same functions. Frame: the rear axle, x forward, y
+left, metres.
 
 Example:
     camera = stitch_cameras(left, front, right)
@@ -30,23 +30,23 @@ COMMANDS = ("left", "straight", "right", "unknown")
 
 CAMERA_ROWS, CAMERA_COLUMNS = 256, 1024
 SIDE = Interval(1, MAX_PIXELS)
-"""Rows or columns of a picture."""
+"""Allowed rows or columns of a picture."""
 CROPPED_ROWS = 28 / 1080
-"""Of each image's height, at its top and at its bottom."""
+"""Share of an image's height that is cut at its top and at its bottom."""
 CROPPED_COLUMNS = 416 / 1920
-"""Of the side images' width, at either side."""
+"""Share of a side image's width that is cut at either side."""
 
 LIDAR_RANGE_M = 32.0
 LIDAR_CELLS_PER_M = 4
 LIDAR_LEAST_HEIGHT_M = 0.2
 LIDAR_MOST_POINTS = 5
 FEW_POINTS, MOST_OF_A_POINT = 8, 32
-"""A cloud of so few points with more numbers each lies on its side: no sensor tells as many."""
+"""A cloud of at most 8 points with over 32 numbers each is taken as transposed."""
 LIDAR_BEFORE_S = 0.5
-"""Between the two sweeps that a planner may look at: as far apart as NAVSIM's samples."""
+"""s between the two sweeps of a planner's inputs, as in NAVSIM."""
 
 ROUTE_POINTS, ROUTE_SPACING_M = 40, 2.0
-"""Of a route that a planner is told: how many, and m from each to the next."""
+"""Points of a planner's route, and their distance."""
 SAME_POINT = 1e-6  # m; nearer points of a polyline are one
 
 
@@ -58,10 +58,10 @@ def stitch_cameras(
     rows: int = CAMERA_ROWS,
     columns: int = CAMERA_COLUMNS,
 ) -> Bytes:
-    """Three cameras side by side as NAVSIM has them: uint8 [3, rows, columns].
+    """Stitch three cameras side by side, as NAVSIM does: uint8 [3, rows, columns].
 
     Of images of 1920 x 1080 pixels, 28 rows are cut at the top and at the bottom, and 416 columns
-    at either side of the left and the right one; of others, as large a share. What is left is
+    at either side of the left and the right one; from other sizes the same shares. The rest is
     resized by averaging areas.
 
     Args:
@@ -88,7 +88,7 @@ def stitch_cameras(
 
 
 def resize_image(image: ArrayLike, *, rows: int, columns: int) -> Bytes:
-    """uint8 [rows, columns, 3] of an image [H, W, 3]: each pixel the mean of what it covers.
+    """Resize an image [H, W, 3] to uint8 [rows, columns, 3]: each pixel is the mean of its area.
 
     Raises:
         InvalidRequest: names `image`, `rows` or `columns`.
@@ -104,9 +104,9 @@ def resize_image(image: ArrayLike, *, rows: int, columns: int) -> Bytes:
 
 
 def lidar_histogram(points: ArrayLike, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
-    """Points [P, 3 or more] (x, y, z above the ground, m) as counts [1, 256, 256] in [0, 1].
+    """Count points [P, 3 or more] (x, y, z above ground, m) in a raster [1, 256, 256] in [0, 1].
 
-    Rows go by x and columns by y, both from -32 to 32 m, four cells a metre, as NAVSIM has it.
+    Rows go by x and columns by y, both from -32 to 32 m, four cells a metre, as in NAVSIM.
     Points higher than 0.2 m are counted; five or more make 1.
 
     Args:
@@ -132,7 +132,7 @@ def lidar_histogram(points: ArrayLike, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> 
     if frame.any():
         cos, sin = np.cos(frame[2]), np.sin(frame[2])
         high = high @ np.array([[cos, sin], [-sin, cos]]) + frame[:2]
-    # Beyond the range may lie beyond what an integer holds.
+    # Coordinates beyond the range may overflow an integer.
     near = high[(np.abs(high) <= LIDAR_RANGE_M).all(1)]
     cell = np.floor((near + LIDAR_RANGE_M) * LIDAR_CELLS_PER_M).astype(int)
     cell = cell[(cell < cells).all(1)]
@@ -141,7 +141,7 @@ def lidar_histogram(points: ArrayLike, *, pose: ArrayLike = (0.0, 0.0, 0.0)) -> 
 
 
 def ego_status(*, command: str, velocity: ArrayLike, acceleration: ArrayLike) -> Floats:
-    """[8]: the command as one of four, velocity x, y (m/s), acceleration x, y (m/s²).
+    """Return [8]: the command one-hot, velocity x, y (m/s), acceleration x, y (m/s²).
 
     Args:
         command: left, straight, right or unknown.
@@ -163,9 +163,9 @@ def ego_status(*, command: str, velocity: ArrayLike, acceleration: ArrayLike) ->
 
 
 def route_ahead(points: ArrayLike) -> Floats:
-    """A route as planners are told it: [40, 2] m, 2 m apart, the first beside the car.
+    """Resample a route for planners: [40, 2] m, 2 m apart, the first beside the car.
 
-    It goes on straight where the polyline ends.
+    It continues straight after the end of the polyline.
 
     Args:
         points: [V, 2] m, a polyline in the frame of the rear axle, two points or more, none of
@@ -200,7 +200,7 @@ def _image(image: ArrayLike, field: str) -> Bytes:
 
 
 def _area_weights(before: int, after: int) -> Floats:
-    """[after, before]: the share that each old pixel has of each new one."""
+    """Return [after, before]: the share of each old pixel in each new one."""
     edges = np.linspace(0.0, before, after + 1)
     start, end = edges[:-1, None], edges[1:, None]
     pixel = np.arange(before)
@@ -214,15 +214,14 @@ COLOURS = 3
 SIZE = Interval(1, math.isqrt(MAX_PIXELS))
 
 SHARPNESS = -0.5
-"""a of the cubic kernel (Keys 1981), as image libraries have it."""
+"""a of the cubic kernel (Keys 1981), as in image libraries."""
 
 
 def resized(pixels: Pixels, size: int) -> Pixels:
-    """A picture [...,3,H,W] as [...,3,size,size].
+    """Resize a picture [...,3,H,W] to [...,3,size,size].
 
-    By cubic interpolation, averaged where it shrinks. The whole picture is kept and its sides are
-    not in proportion any more, as the vision towers are trained with. A picture of that size comes
-    back as it is.
+    By cubic interpolation, averaged when shrinking. The whole picture is stretched to a square, as
+    in the training of vision towers. A picture of that size is returned unchanged.
 
     Raises:
         InvalidRequest: names `pixels` or `size`.
@@ -250,11 +249,11 @@ def _check_picture(pixels: Any) -> None:
 
 
 def _along(values: NDArray[Any], size: int) -> NDArray[np.float32]:
-    """values [n,...], their first axis resampled: [size,...], whole numbers from 0 to 255."""
+    """Resample the first axis of values [n,...]: [size,...], whole numbers from 0 to 255."""
     rows = np.ascontiguousarray(values, dtype=np.float32).reshape(len(values), -1)
     out = np.empty((size, rows.shape[1]), np.float32)
     index, weights = _taps(len(rows), size)
-    # A product a row: the weights lie in a narrow band.
+    # One product for each row, as the weights are a narrow band.
     for new, (first, share) in enumerate(zip(index[:, 0], weights, strict=True)):
         taps = rows[first : first + len(share)]
         np.dot(share[: len(taps)], taps, out=out[new])
@@ -262,9 +261,9 @@ def _along(values: NDArray[Any], size: int) -> NDArray[np.float32]:
 
 
 def _taps(before: int, after: int) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """Which rows make up a new one, and how much of it, 0 beyond the last: [after, taps] each."""
+    """Return the rows of each new row and their weights, 0 beyond the last: [after, taps] each."""
     stride = before / after
-    stretch = max(stride, 1.0)  # where it shrinks, the kernel covers what falls together
+    stretch = max(stride, 1.0)  # when shrinking, the kernel covers all merged rows
     middle = (np.arange(after) + 0.5) * stride
     first = np.maximum((middle - 2 * stretch + 0.5).astype(int), 0)
     end = np.minimum((middle + 2 * stretch + 0.5).astype(int), before)

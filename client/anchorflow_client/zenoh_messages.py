@@ -1,4 +1,10 @@
-"""What zenoh carries beside the payloads: attachments, and what a replica tells of itself. JSON."""
+"""Zenoh's key expressions, attachments and replica information; JSON.
+
+anchorflow/v1/anchors/{model}                     anchors of a model, from any replica
+anchorflow/v1/replica/{replica}                   the liveliness token of one replica
+anchorflow/v1/replica/{replica}/anchors/{model}   anchors of a model, from this replica
+anchorflow/v1/replica/{replica}/info              its cards and its load
+"""
 
 from __future__ import annotations
 
@@ -25,36 +31,36 @@ ALL_REPLICAS = f"{ROOT}/replica/*"
 ALL_INFO = f"{ALL_REPLICAS}/info"
 
 SPECIAL = "/*$?#"
-"""What separates, globs or ends a key."""
+"""Separators and wildcards of keys."""
 
 
 def anchors_key(model: str) -> str:
-    """Where any replica answers for a model. Raises `InvalidRequest`."""
+    """Return the key on which any replica answers for a model. Raises `InvalidRequest`."""
     return f"{ROOT}/anchors/{_chunk(model, 'model')}"
 
 
 def replica_key(replica: str) -> str:
-    """The liveliness token of a replica. Raises `InvalidRequest`."""
+    """Return the key of a replica's liveliness token. Raises `InvalidRequest`."""
     return f"{ROOT}/replica/{_chunk(replica, 'replica')}"
 
 
 def replica_anchors_key(replica: str, model: str) -> str:
-    """Where one replica answers for a model. Raises `InvalidRequest`."""
+    """Return the key on which one replica answers for a model. Raises `InvalidRequest`."""
     return f"{replica_key(replica)}/anchors/{_chunk(model, 'model')}"
 
 
 def info_key(replica: str) -> str:
-    """Where a replica tells its cards and its load. Raises `InvalidRequest`."""
+    """Return the key of a replica's cards and load. Raises `InvalidRequest`."""
     return f"{replica_key(replica)}/info"
 
 
 def replica_of(key: str) -> str:
-    """The replica that a liveliness token names."""
+    """Return the replica of a liveliness token."""
     return key.removeprefix(f"{ROOT}/replica/").partition("/")[0]
 
 
 def _chunk(name: str, field: str) -> str:
-    """A name that may stand between two slashes of a key."""
+    """Check a name for use between two slashes of a key."""
     printable = name.isascii() and name.isprintable() and " " not in name
     if not name or not printable or set(name) & set(SPECIAL):
         what = f"a name without spaces and {' '.join(SPECIAL)}, to stand in a key"
@@ -69,21 +75,21 @@ _TIMES = Interval(0.0, 1e9, "ms")
 
 @dataclass(frozen=True)
 class RequestAttachment:
-    """What a query says beside its payload."""
+    """The attachment of a query."""
 
     header_length: int | None = None
-    """Bytes of the JSON header in front of the tensors."""
+    """Bytes of the JSON header before the tensors."""
     request_id: str | None = None
     budget_ms: float | None = None
-    """Time left to the caller, from arrival; stands above the one inside the payload."""
+    """Time left to the caller, from arrival; overrides the one in the payload."""
 
     def to_bytes(self) -> bytes:
-        """UTF-8 JSON; what is None is left out."""
+        """Return UTF-8 JSON without the fields that are None."""
         return _written({name: value for name, value in vars(self).items() if value is not None})
 
     @classmethod
     def from_bytes(cls, data: bytes | None) -> RequestAttachment:
-        """Read untrusted bytes; none at all say nothing.
+        """Read untrusted bytes; None is an empty attachment.
 
         Raises:
             InvalidRequest: names attachment or attachment.FIELD.
@@ -109,28 +115,28 @@ _CHECK_OF_FIELD: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Load:
-    """How busy a replica is."""
+    """The load of a replica."""
 
     in_flight: int = 0
-    """Requests that are planned or wait."""
+    """Requests in progress or waiting."""
     workers: int = 1
-    """Requests that are planned at a time."""
+    """Requests in progress at a time, at most."""
     mean_service_ms: float = 0.0
-    """Running mean of the time that one takes a worker; 0 before the first."""
+    """Running mean of a request's time in a worker; 0 before the first."""
 
     def expected_ms(self, more: int = 0, *, unknown_ms: float = 0.0) -> float:
-        """Time until one more request is likely answered.
+        """Return the expected time until one more request is answered.
 
         Args:
-            more: others that are on their way and not counted yet.
-            unknown_ms: stands in for the mean before the first.
+            more: requests that were sent and are not yet in `in_flight`.
+            unknown_ms: the mean to use before the first request.
         """
         waiting = max(0, self.in_flight + more + 1 - self.workers)
         return (self.mean_service_ms or unknown_ms) * (1 + waiting / self.workers)
 
     @classmethod
     def from_fields(cls, value: Any) -> Load:
-        """Read untrusted fields; a later service may say more. Raises `InvalidRequest`."""
+        """Read untrusted fields; unknown ones are ignored. Raises `InvalidRequest`."""
         if not isinstance(value, Mapping):
             raise expected("load", "an object", value)
         return cls(
@@ -142,16 +148,16 @@ class Load:
 
 @dataclass(frozen=True)
 class AnswerAttachment:
-    """What a reply says beside its payload."""
+    """The attachment of a reply."""
 
     header_length: int | None
     request_id: str
     replica: str
-    """Who answered."""
+    """The replica that answered."""
     load: Load
 
     def to_bytes(self) -> bytes:
-        """UTF-8 JSON."""
+        """Return UTF-8 JSON."""
         return _written({**vars(self), "load": vars(self.load)})
 
     @classmethod
@@ -171,7 +177,7 @@ class AnswerAttachment:
 
 @dataclass(frozen=True)
 class ReplicaInfo:
-    """What a replica tells of itself."""
+    """A replica's cards, load and readiness."""
 
     replica: str
     ready: bool
@@ -179,10 +185,10 @@ class ReplicaInfo:
     models: tuple[ModelCard, ...]
     """The default first."""
     default: str
-    """The model that answers where none is named; it may be unloaded at present."""
+    """The model of requests that name none; it may be unloaded."""
 
     def to_bytes(self) -> bytes:
-        """UTF-8 JSON."""
+        """Return UTF-8 JSON."""
         return _written(
             {
                 "replica": self.replica,

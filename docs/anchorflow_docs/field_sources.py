@@ -1,4 +1,4 @@
-"""Where the reference finds fields: the contract's table, JSON schemas, dataclasses and models."""
+"""Fields for the reference, from the contract's table, JSON schemas, dataclasses and models."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ HEADS = {
     "meaning": "meaning",
 }
 MODULE = re.compile(r"\b[a-z_]\w*(?:\.[a-z_]\w*)*\.(?=[A-Z])")
-"""In front of a class, where Python writes a type."""
+"""The modules before a class in a type's name."""
 OPTIONAL = re.compile(r"^Optional\[(.*)\]$")
 SIGNS: dict[type, tuple[str, str]] = {
     Gt: (">", "gt"),
@@ -69,7 +69,7 @@ def _kind_of_row(row: Row) -> str:
 
 
 def _allowed(row: Row) -> str:
-    """The interval with its unit; of an array whose entries have several units, these alone."""
+    """Return the interval with its unit, or only the units of an array with several."""
     match row:
         case Number(interval=interval):
             return _squared(f"{_ends(interval)} {interval.unit}".strip())
@@ -124,7 +124,7 @@ def _kind_of_schema(choice: Mapping[str, Any]) -> str:
 
 
 def dataclass_section(kind: type) -> str:
-    """Markdown of a dataclass: a heading, what it is, its fields and its properties."""
+    """Return a dataclass in Markdown: heading, description, fields and properties."""
     parts = [f"## {kind.__name__}", first_paragraph(kind), field_table(class_fields(kind), TYPED)]
     if own := properties(kind):
         parts.append(table(["property", "type", "meaning"], own))
@@ -146,7 +146,7 @@ def class_fields(kind: type) -> list[Field]:
 
 
 def held_fields(instance: Any, prefix: str = "") -> Iterator[Field]:
-    """What an instance holds, and what is held inside it; lists of objects are left out."""
+    """Yield an instance's values, nested dataclasses included; lists of objects are left out."""
     said = field_docstrings(type(instance))
     for each in dataclasses.fields(instance):
         value, path = getattr(instance, each.name), prefix + each.name
@@ -157,7 +157,7 @@ def held_fields(instance: Any, prefix: str = "") -> Iterator[Field]:
 
 
 def _figure(value: Any) -> str | None:
-    """As JSON has it, in four figures; None for what is no figure, word or list of them."""
+    """Return a value as JSON, in four figures; None for objects and lists of objects."""
     match value:
         case bool() | None:
             return code(json.dumps(value))
@@ -176,7 +176,7 @@ def _figure(value: Any) -> str | None:
 
 
 def field_docstrings(kind: type) -> dict[str, str]:
-    """The string that stands under each field of a class, those it inherits included."""
+    """Return the docstring under each field of a class, inherited fields included."""
     said: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if "__annotations__" in vars(base):
@@ -199,7 +199,7 @@ def _own_docstrings(kind: type) -> dict[str, str]:
 
 
 def default_of(field: dataclasses.Field[Any]) -> str:
-    """As it would be typed; "required" where there is none."""
+    """Return the default in Python; "required" if there is none."""
     if field.default is not dataclasses.MISSING:
         return code(repr(field.default))
     if field.default_factory is not dataclasses.MISSING:
@@ -208,7 +208,7 @@ def default_of(field: dataclasses.Field[Any]) -> str:
 
 
 def properties(kind: type) -> list[list[str]]:
-    """Name, type and meaning of what is worked out of the fields."""
+    """Return name, type and meaning of each property."""
     rows = []
     for name, member in inspect.getmembers(kind, lambda member: isinstance(member, property)):
         assert member.fget is not None
@@ -218,7 +218,7 @@ def properties(kind: type) -> list[list[str]]:
 
 
 def model_section(kind: type[BaseModel]) -> str:
-    """Markdown of a model: a heading, what it is, and its fields."""
+    """Return a model in Markdown: heading, description and fields."""
     said, types = field_docstrings(kind), get_type_hints(kind)
     rows = [
         Field(
@@ -234,7 +234,7 @@ def model_section(kind: type[BaseModel]) -> str:
 
 
 def _typed(kind: Any) -> str:
-    """As it would be typed."""
+    """Return a type in Python."""
     plain = kind.__name__ if isinstance(kind, type) else MODULE.sub("", str(kind))
     return OPTIONAL.sub(r"\1 | None", plain)
 

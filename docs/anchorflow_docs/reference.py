@@ -239,7 +239,7 @@ def _card() -> ModelCard:
 
 
 def _openapi() -> Mapping[str, Any]:
-    """Of a service as `anchorflow serve` starts it."""
+    """Return the document of a service that `anchorflow serve` starts."""
     engine = Engine(load_bundle(DEFAULT_BUNDLE), threads=1)
     service = PlanningService({engine.card.name: engine}, default=engine.card.name)
     return create_app(service).openapi()

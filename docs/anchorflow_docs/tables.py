@@ -30,18 +30,18 @@ class Field:
     """One field, in Markdown but for its path."""
 
     path: str
-    """From the outermost object, with dots."""
+    """The JSON path."""
     kind: str = ""
-    """Its shape, where it is an array; else its type, or the values to choose from."""
+    """The shape of an array, else the type or the allowed values."""
     allowed: str = ""
-    """An interval with its unit; empty where the kind says all."""
+    """An interval with its unit, or empty."""
     value: str = ""
-    """What it holds, or holds by default."""
+    """The value, or the default."""
     meaning: str = ""
 
 
 def field_table(fields: Iterable[Field], columns: Mapping[str, str]) -> str:
-    """Markdown of the fields, with these columns."""
+    """Return the fields in Markdown, with these columns."""
     rows = (
         [code(field.path), *(getattr(field, name) for name in columns if name != "path")]
         for field in fields
@@ -50,25 +50,25 @@ def field_table(fields: Iterable[Field], columns: Mapping[str, str]) -> str:
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table whose cells may hold line breaks and bars."""
+    """Return a table in Markdown; cells may hold line breaks and bars."""
     lines = [heads, ["---"] * len(heads), *rows]
     return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines)
 
 
 def code(text: str) -> str:
-    """Text as it would be typed."""
+    """Return text as code."""
     return f"`{text}`"
 
 
 def _cell(text: str) -> str:
-    """On one line; a bar outside of code would end the cell."""
+    """Put a cell on one line and escape bars outside of code."""
     pieces = " ".join(text.split()).split("`")
     pieces[::2] = [piece.replace("|", r"\|") for piece in pieces[::2]]
     return "`".join(pieces)
 
 
 def first_paragraph(thing: Any) -> str:
-    """Of its docstring, on one line."""
+    """Return the first paragraph of a docstring on one line."""
     text = inspect.getdoc(thing)
     if not text:
         raise ValueError(f"{thing.__name__}: expected a docstring")
@@ -76,7 +76,7 @@ def first_paragraph(thing: Any) -> str:
 
 
 def endpoints(openapi: Mapping[str, Any]) -> str:
-    """Every method of every path: what it does, and with which statuses it answers."""
+    """List every method of every path, with its description and statuses."""
     rows = [
         [
             code(f"{method.upper()} {path}"),
@@ -90,7 +90,7 @@ def endpoints(openapi: Mapping[str, Any]) -> str:
 
 
 def refusals() -> str:
-    """What a service may answer, by code and HTTP status."""
+    """List the errors of a service by code and HTTP status."""
     kinds = sorted(RequestError.__subclasses__(), key=lambda kind: kind.http_status)
     rows = [
         [code(kind.code), str(kind.http_status), code(kind.__name__), first_paragraph(kind)]
@@ -100,7 +100,7 @@ def refusals() -> str:
 
 
 def failures() -> str:
-    """What a client raises where no answer of the contract comes."""
+    """List the errors that a client raises without an answer of the contract."""
     rows = [
         [code(kind.__name__), first_paragraph(kind)] for kind in TransportError.__subclasses__()
     ]

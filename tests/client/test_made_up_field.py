@@ -29,7 +29,7 @@ from anchorflow_client.zenoh_messages import RequestAttachment
 from anchorflow_client.contract.fields import REQUEST
 from anchorflow_docs.field_sources import request_fields
 from anchorflow_docs.tables import SENT, field_table
-from anchorflow_service.http.request_schema import request_schema
+from anchorflow_service.http.openapi import request_schema
 from anchorflow_service.http.orjson_codec import OrjsonCodec
 
 asked = AnchorRequest.build(

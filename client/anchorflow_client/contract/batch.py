@@ -1,4 +1,4 @@
-"""The answer: N anchors a scene."""
+"""The answer: N anchors a scene, and which of them follow a route."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ ARRAY_DTYPES: dict[str, type[np.generic]] = {
     "clearance": np.float32,
     "safe": np.bool_,
 }
-"""The arrays that any planner may give; `trajectories` alone is always there."""
+"""The arrays that a planner may give; only `trajectories` is always present."""
 MOTIONS = ("trajectories", "velocities", "accelerations")
 """Those of shape [N,T,D]; the others are [N]."""
 WITHIN = Interval(0.0, math.inf, "m", open_high=True)
-"""Of a route that an anchor is to end beside."""
-STANDS = 1.0
-"""m; an anchor that gets no farther than this from its beginning stands."""
+"""Allowed distances of an anchor's end from a route."""
+MIN_MOVE = 1.0
+"""m; an anchor that moves less than this from its start counts as standing."""
 NEAR = 128.0
-"""m; trajectories that reach further from zero are float64, where float32 would round them by more
-than 8 µm."""
+"""m; trajectories that reach further from zero are float64, as float32 rounds them by more than
+8 µm there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AnchorBatch:
-    """Anchors in the request's frame. Where the request was batched, a B axis leads every array."""
+    """Anchors in the request's frame; if the request was batched, a B axis leads every array."""
 
     arrays: Mapping[str, NDArray[Any]]
-    """Read-only, by name: those of ARRAY_DTYPES that the planner's card lists, then the extras
-    that the request asked for."""
+    """Read-only, by name: those of ARRAY_DTYPES on the planner's card, then the extras that the
+    request listed."""
     dt: float | NDArray[np.float64]
-    """s between two time steps: one number where all anchors are alike, else [N], read-only."""
+    """s between two time steps: one number if all anchors share it, else [N], read-only."""
     first_s: float = 0.0
     """s from now to the first time step."""
     seed: int
@@ -53,7 +53,7 @@ class AnchorBatch:
     """queue, encode, sample, refine, total."""
     request_id: str | None = None
     absent_inputs: tuple[str, ...] = ()
-    """Optional inputs of the card that the request did not bring."""
+    """Optional inputs of the card that the request left out."""
 
     def __post_init__(self) -> None:
         """Freeze the arrays.
@@ -100,13 +100,13 @@ class AnchorBatch:
     def trajectories(self) -> NDArray[np.floating]:
         """[N,T,D] m; the third of D = 3 is a heading in rad, its derivatives in rad/s and rad/s^2.
 
-        float32; float64 where they reach further than NEAR from zero.
+        float32, or float64 if they reach further than NEAR from zero.
         """
         return self.arrays["trajectories"]
 
     @property
     def velocities(self) -> NDArray[np.float32]:
-        """[N,T,D] m/s. This and the next four raise `LookupError` where the planner gives none."""
+        """[N,T,D] m/s. This and the next four raise `LookupError` if the planner gives none."""
         return self._given("velocities")
 
     @property
@@ -144,33 +144,31 @@ class AnchorBatch:
 
     @property
     def batched(self) -> bool:
-        """Whether a B axis leads the arrays."""
+        """True if a B axis leads the arrays."""
         return self.trajectories.ndim == 4
 
     @property
     def best(self) -> NDArray[np.intp] | np.intp:
-        """Index of the best safe anchor by score, of the best at all where none is safe; [B].
+        """Index of the best safe anchor by score, or of the best if none is safe; [B].
 
-        Without `safe` all count, and without `scores` the first is the best.
+        Without `safe` all are eligible, and without `scores` the first is the best.
         """
         return _best(self.arrays, self.trajectories.shape[:-2])
 
     def best_along(self, route: ArrayLike, *, within: float = 2.0) -> int:
-        """Index of the best anchor of those that follow a route; of one scene.
+        """Return the index of the best anchor that follows a route, for a caller who knows one.
 
-        Planners are told a goal or a command; whoever asks often knows the whole way. Of anchors
-        that end within some metres of it, the best as of `best`; those that come back to the route
-        are among them. Where none of these gets away from its beginning by a metre, the best of
-        all: to stand beside a route is not to follow it, and who did so would stand for ever.
+        An anchor follows the route if it ends within `within` of it. If none of these moves by a
+        metre, the index is `best`: a robot that stands beside a route does not follow it.
 
         Args:
             route: [V, 2] m, a polyline in the request's frame, as far as the robot can get in the
-                time of an anchor: what ends beyond its end counts as beside it.
+                time of an anchor; ends beyond its end count as beside it.
             within: m
 
         Raises:
-            InvalidRequest: the route is none of two or more finite points, or `within` is negative
-                or not finite; names `route` or `within`.
+            InvalidRequest: names `route` if it is not two or more finite points, or `within` if
+                that is negative or not finite.
             ValueError: the answer is of several scenes.
         """
         if self.batched:
@@ -178,7 +176,7 @@ class AnchorBatch:
         within = number(within, "within", WITHIN)
         strays = beside_route(self.trajectories[:, -1, :2], route)
         ways = self.trajectories[..., :2]
-        moves = np.linalg.norm(ways - ways[:, :1], axis=-1).max(-1) > STANDS
+        moves = np.linalg.norm(ways - ways[:, :1], axis=-1).max(-1) > MIN_MOVE
         follows = strays <= within
         kept = np.flatnonzero(follows if (follows & moves).any() else np.ones_like(follows))
         names = [name for name in ("scores", "safe") if name in self.arrays]
@@ -186,7 +184,7 @@ class AnchorBatch:
 
     @property
     def is_finite(self) -> bool:
-        """Whether every number is finite, as all that is sent must be."""
+        """True if every number is finite."""
         if not all(map(math.isfinite, (self.first_s, *self.timing_ms.values()))):
             return False
         numbers = (*self.arrays.values(), np.asarray(self.dt))
@@ -195,7 +193,7 @@ class AnchorBatch:
         )
 
     def told(self, *, timing_ms: Mapping[str, float], request_id: str | None) -> AnchorBatch:
-        """The same anchors, with other times and another request; nothing is checked again."""
+        """Return the same anchors for another request, without checking them again."""
         same = copy(self)
         object.__setattr__(same, "timing_ms", timing_ms)
         object.__setattr__(same, "request_id", request_id)
@@ -203,7 +201,7 @@ class AnchorBatch:
 
 
 def _best(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> NDArray[np.intp] | np.intp:
-    """What `AnchorBatch.best` says, of anchors of a shape [N] or [B, N]."""
+    """Return `AnchorBatch.best` for anchors of a shape [N] or [B,N]."""
     scores = arrays.get("scores", np.zeros(shape))
     safe = arrays.get("safe", np.ones(shape, np.bool_))
     eligible = safe | ~safe.any(axis=-1, keepdims=True)
@@ -211,7 +209,7 @@ def _best(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> NDArray
 
 
 def _time_step(dt: Any) -> float | NDArray[np.float64]:
-    """One number as a float, several as a read-only array."""
+    """Return one number as a float, several as a read-only array."""
     steps = np.asarray(dt, dtype=np.float64)
     if (steps <= 0.0).any():
         raise ValueError(f"dt: expected s above 0, got {steps.min():g}")
@@ -219,7 +217,7 @@ def _time_step(dt: Any) -> float | NDArray[np.float64]:
 
 
 def _typed(name: str, array: Any) -> NDArray[Any]:
-    """An array in the type of the contract; an extra in its own."""
+    """Return an array in the contract's type; extras keep their own."""
     array = np.asarray(array)
     dtype = ARRAY_DTYPES.get(name, array.dtype)
     if name == "trajectories" and np.abs(array).max(initial=0.0) > NEAR:
@@ -231,7 +229,7 @@ SHORTEST = 1e-9  # m², a segment's length squared below which it is a point
 
 
 def beside_route(points: NDArray[np.floating], route: ArrayLike) -> NDArray[np.float64]:
-    """[...] m from points [..., 2] to the nearest place of a polyline [V, 2].
+    """Return the distances [...] in m of points [..., 2] from a polyline [V, 2].
 
     Raises:
         InvalidRequest: the route is none of two or more finite points; names `route`.
@@ -245,11 +243,7 @@ def beside_route(points: NDArray[np.floating], route: ArrayLike) -> NDArray[np.f
 
 
 def polyline(route: ArrayLike) -> NDArray[np.float64]:
-    """A route [V, 2].
-
-    Raises:
-        InvalidRequest: it is none of two or more finite points; names `route`.
-    """
+    """Read a route [V, 2]. Raises `InvalidRequest` if it is not two or more finite points."""
     line = as_array(route, "route", np.float64)
     if line.ndim != 2 or line.shape[0] < 2 or line.shape[1] != 2 or not np.isfinite(line).all():
         what = "expected two or more finite points [V, 2]"

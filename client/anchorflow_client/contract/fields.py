@@ -146,7 +146,7 @@ class SamplerChoice:
 
 @dataclass(frozen=True)
 class RefineChoice:
-    """What is done to the samples before they are answered."""
+    """The refinement of samples."""
 
     smooth: Annotated[bool | None, Flag("Fit the spline with fixed ends.")] = None
     project: Annotated[
@@ -232,10 +232,8 @@ class WarmStart:
         return cls(**({"tau": DEFAULT_TAU} | read))
 
 
-SAMPLER = Group("The solver of the flow; what is left out is the card's.", rows_of(SamplerChoice))
-REFINE = Group(
-    "What is done to the samples; what is left out is the card's.", rows_of(RefineChoice)
-)
+SAMPLER = Group("The solver of the flow; fields left out are the card's.", rows_of(SamplerChoice))
+REFINE = Group("The refinement of samples; fields left out are the card's.", rows_of(RefineChoice))
 WARM_START = Group("A trajectory to start from in place of noise.", rows_of(WarmStart))
 
 

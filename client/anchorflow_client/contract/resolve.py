@@ -1,4 +1,4 @@
-"""A request meets a model card: what is open is filled, what cannot be honoured is refused."""
+"""Complete a request by the defaults of a model card, or refuse what the card does not allow."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
 from anchorflow_client.errors import InvalidRequest
 
 DRAWN_SEED_BITS = 53
-"""Few enough for every JSON reader to echo a drawn seed exactly, JavaScript's included."""
+"""JavaScript and other JSON readers hold integers of so few bits exactly."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ResolvedRequest(AnchorRequest):
-    """A request in which nothing is left to the card."""
+    """A request with a value in every field."""
 
     num_samples: int = field()
     model: str = field()
@@ -46,12 +46,12 @@ class ResolvedRequest(AnchorRequest):
     sampler: SamplerSpec = field()  # pyright: ignore[reportIncompatibleVariableOverride]
     refine: FinishSpec = field()  # pyright: ignore[reportIncompatibleVariableOverride]
     limits: LimitsSpec | None = None
-    """What the anchors keep, its horizon_s None where each has its own duration; None for a
+    """The limits of the anchors, with horizon_s None if each has its own duration; None for a
     planner without a cost map."""
 
     @property
     def certified_margin(self) -> float:
-        """m beyond robot_radius that every anchor called safe keeps; 0 without a finish."""
+        """m beyond robot_radius that every safe anchor keeps; 0 without a finish."""
         return self.refine.certified_margin if isinstance(self.refine, RefineSpec) else 0.0
 
 
@@ -80,7 +80,7 @@ def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest
 
 
 def _conditions(request: AnchorRequest, card: ModelCard) -> dict[str, Any]:
-    """The fields by which the planner is asked, held against its card."""
+    """Check the fields of the planner's conditioning."""
     if isinstance(card.conditioning, CostMapSpec):
         _check_map_fields(request, card)
         limits = _limits(request, card, card.conditioning)
@@ -107,7 +107,7 @@ def _check_map_fields(request: AnchorRequest, card: ModelCard) -> None:
 
 
 def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:
-    """What only a planner with a cost map has a use for."""
+    """Refuse fields that only a planner with a cost map uses."""
     named = {"cost_map": request.map_scenes, "warm_start": request.warm_start}
     named |= {name: getattr(request, name) for name in LIMITS}
     for name, value in named.items():
@@ -117,7 +117,7 @@ def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:
 
 
 def _num_samples(request: AnchorRequest, sampler: SamplerSpec) -> int:
-    """N: of a sampler that chooses among so many at most its size."""
+    """Return N; a sampler with a fixed number of trajectories limits it."""
     chooses = isinstance(sampler, VocabularySpec | TruncatedDiffusionSpec)
     most = sampler.size if chooses else int(NUM_SAMPLES.high)
     if request.num_samples is None:
@@ -177,7 +177,7 @@ def _limit(name: str, request: AnchorRequest, card: ModelCard, own: float | None
 
 
 def _warm_start(warm_start: WarmStart | None, limits: LimitsSpec) -> WarmStart | None:
-    """Its samples span the horizon where there is one and nothing else is said."""
+    """Spread its samples over the horizon if there is one and the request gives no dt."""
     if warm_start is None or warm_start.dt is not None or limits.horizon_s is None:
         return warm_start
     return replace(warm_start, dt=limits.horizon_s / (len(warm_start.trajectory) - 1))

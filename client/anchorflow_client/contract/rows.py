@@ -100,7 +100,7 @@ class Array(Row):
     """Numbers: nested lists, or {"dtype", "shape", "base64"}; read by the code that uses them."""
 
     shape: str
-    """In axis letters, as the reference shows it."""
+    """The axes in letters, for the reference."""
     sizes: tuple[tuple[int, int], ...]
     """Least and most entries along each axis but B."""
     interval: Interval

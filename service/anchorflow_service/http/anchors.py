@@ -27,7 +27,7 @@ JSON = OrjsonCodec.content_type
 
 
 def anchors_router(service: PlanningService) -> APIRouter:
-    """The route, over the service."""
+    """Return the route."""
     router = APIRouter(route_class=PlainRoute)
 
     @router.post("/anchors", tags=["anchors"], **ANCHORS_DOCUMENTATION)
@@ -44,12 +44,12 @@ def anchors_router(service: PlanningService) -> APIRouter:
 
 
 async def answer_to(call: Call, request: Request, service: PlanningService) -> Response:
-    """The answer in the form that the call's codec gives it; no answer to who has hung up."""
+    """Return the answer, encoded by the call's codec; a placeholder if the client disconnected."""
     try:
         answer = await cancel_on_disconnect(request, service.answer(call))
     except Disconnected:
         return disconnected_response()
-    finally:  # the log and the header of a refusal carry the request's own id too
+    finally:  # the log and the header of an error carry the request's own id too
         request.state.request_id = call.request_id
     length = answer.header_length
     headers = {} if length is None else {HEADER_LENGTH: str(length)}
@@ -58,16 +58,16 @@ async def answer_to(call: Call, request: Request, service: PlanningService) -> R
 
 
 def header_length(request: Request) -> int | None:
-    """The length of the JSON header, which the binary form alone needs."""
-    told = request.headers.get(HEADER_LENGTH)
-    length = whole_number(told)
-    if told is not None and not length:
-        raise InvalidRequest(f"expected a number of bytes, got {told[:40]!r}", HEADER_LENGTH)
+    """Return the length of the JSON header, which only the binary form has."""
+    value = request.headers.get(HEADER_LENGTH)
+    length = whole_number(value)
+    if value is not None and not length:
+        raise InvalidRequest(f"expected a number of bytes, got {value[:40]!r}", HEADER_LENGTH)
     return length
 
 
 def _codec_of(request: Request) -> Codec:
-    """The codec that the Content-Type names."""
+    """Return the codec of the Content-Type."""
     header = request.headers.get("content-type", JSON)
     content_type = header.partition(";")[0].strip().lower()
     if content_type not in CODECS:

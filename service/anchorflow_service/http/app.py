@@ -17,9 +17,9 @@ from anchorflow_service.http.connections import (
     OverloadGuard,
 )
 from anchorflow_service.http.exchanges import Exchanges
-from anchorflow_service.http.images import ignore_warnings_of_pillow
 from anchorflow_service.http.oip_models import models_router
 from anchorflow_service.http.openapi import document
+from anchorflow_service.http.orjson_codec import ignore_warnings_of_pillow
 from anchorflow_service.http.page import page_router
 from anchorflow_service.http.responses import install_error_handlers
 from anchorflow_service.http.routes import (

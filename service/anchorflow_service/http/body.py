@@ -1,4 +1,4 @@
-"""A request's body, kept no further than the limit."""
+"""Read a request's body, up to a limit."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ from starlette.requests import ClientDisconnect, Request
 
 from anchorflow_client.errors import InvalidRequest, TooLarge
 
-# An ordinary client sends its whole body before it looks for the answer; one that is refused in
-# mid-send sees a reset connection instead of the reason. So the rest is taken and thrown away.
+# Most clients send the whole body before they read the answer; if the connection closed in between,
+# they would see a reset instead of the reason. So the rest is received and discarded.
 MAX_DISCARDED_BYTES = 256 * 2**20
 MAX_DISCARDING_S = 10.0
 
 
 async def read_body(request: Request, max_bytes: int) -> bytes:
-    """The whole body.
+    """Read the whole body.
 
     Raises:
-        InvalidRequest: it would have to be unpacked; a small body that unpacks to a huge one is
-            nobody's to send.
-        TooLarge: by its Content-Length, or as soon as more has come; what still comes is discarded.
+        InvalidRequest: it is compressed; a small body could unpack to a huge one.
+        TooLarge: by its Content-Length, or as soon as it grows beyond; the rest is discarded.
     """
     encoding = request.headers.get("content-encoding", "identity")
     if encoding.lower() != "identity":
@@ -43,7 +42,7 @@ async def read_body(request: Request, max_bytes: int) -> bytes:
 
 
 async def discard_body(request: Request) -> None:
-    """Take the rest of a body without keeping it, within bounds of size and time."""
+    """Receive and discard the rest of a body, within bounds of size and time."""
 
     async def take() -> None:
         size = 0

@@ -1,7 +1,7 @@
-"""The Open Inference Protocol as any of its clients may speak it: tensors in binary or in JSON.
+"""The Open Inference Protocol for any of its clients: each tensor in binary or in JSON.
 
-`POST /anchors` and zenoh take and give every tensor in binary; here each tensor is what its sender
-or receiver asked for, and a client may ask for some of the outputs alone.
+`POST /anchors` and zenoh carry all tensors in binary. Here the client chooses for each tensor, and
+may list the outputs that it needs.
 """
 
 from __future__ import annotations
@@ -51,25 +51,25 @@ from anchorflow_client.oip_message import (
 from anchorflow_service.http.orjson_codec import dump, parse
 
 MAX_ENTRIES = 64
-"""Of a request's parameters, inputs and outputs each; an honest one has about twenty at most."""
+"""The most parameters, inputs and outputs of a request, each; about 20 are in use."""
 TIMEOUT = "timeout"
 """Triton's parameter for a budget, in microseconds."""
 
 
 class InferCodec:
-    """Reads one request to `…/infer` and writes its answer, in the form that the request asks for.
+    """Reads one request to `…/infer` and writes its answer in the form that the request chose.
 
-    A new one for every request.
+    Each request needs a new one.
     """
 
     def __init__(self) -> None:
         self._wanted: dict[str, bool] = {}
-        """The outputs that were named, and whether in binary; none: all."""
+        """The outputs that the request listed, and whether in binary; empty means all."""
         self._in_binary = False
-        """Of outputs for which nothing else is said."""
+        """The default for outputs."""
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
-        """A request out of untrusted bytes; all of them are JSON where no length is given.
+        """Read a request from untrusted bytes, which are all JSON without a header length.
 
         Raises:
             InvalidRequest: names the field, the tensor, "header_length", "header" or "body".
@@ -95,7 +95,7 @@ class InferCodec:
         return request_of(_tensors(header["inputs"], data), leaves, header.get("id"))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """The outputs that were asked for. Raises `ValueError` where a number is not finite."""
+        """Write the listed outputs. Raises `ValueError` if a number is not finite."""
         if not batch.is_finite:
             raise ValueError("the answer holds numbers that are not finite")
         leaves = flatten(answer_fields(batch))
@@ -116,15 +116,11 @@ class InferCodec:
         return Payload(b"".join([written, *parts.values()]), len(written))
 
     def _wanted_of(self, tensors: Mapping[str, Any]) -> dict[str, bool]:
-        """Which tensors are sent, and whether in binary.
-
-        The time step is always told, as no motion means anything without it: as a parameter where
-        it is one number.
-        """
+        """Return which tensors to send, and whether in binary; always with the time step."""
         if not self._wanted:
             return dict.fromkeys(tensors, self._in_binary)
-        told = {TIME_STEP: self._in_binary} | self._wanted
-        return {name: in_binary for name, in_binary in told.items() if name in tensors}
+        wanted = {TIME_STEP: self._in_binary} | self._wanted
+        return {name: in_binary for name, in_binary in wanted.items() if name in tensors}
 
 
 def _check_few(entries: Any, field: str) -> None:
@@ -133,7 +129,7 @@ def _check_few(entries: Any, field: str) -> None:
 
 
 def _tensors(inputs: Any, data: memoryview) -> Mapping[str, NDArray[Any]]:
-    """The tensors of a header, whose data stand in it or behind it."""
+    """Read the tensors of a header, whose data are in it or follow it."""
     if not isinstance(inputs, list):
         raise expected("inputs", "a list of tensors", inputs)
     in_json = [isinstance(value, Mapping) and "data" in value for value in inputs]
@@ -149,7 +145,7 @@ def _tensors(inputs: Any, data: memoryview) -> Mapping[str, NDArray[Any]]:
 
 
 def _json_tensor(value: Any, field: str) -> tuple[str, NDArray[Any]]:
-    """A tensor whose data, flat or nested, stand in the header."""
+    """Read a tensor whose data, flat or nested, are in the header."""
     names = ("name", "datatype", "shape", "data")
     entry = fields_of(value, field, names, required=names)
     name = text(entry["name"], f"{field}.name")
@@ -165,7 +161,7 @@ def _json_tensor(value: Any, field: str) -> tuple[str, NDArray[Any]]:
 
 
 def _numbers(data: Any, datatype: str, name: str, shape: list[int]) -> NDArray[Any]:
-    """Numbers in the type that their sender names; only a float's digits may be lost."""
+    """Convert numbers to their declared type; floats may lose digits, integers may not."""
     dtype = DTYPE_OF[datatype]
     if dtype == np.bool_ and set(map(type, (leaves := np.array(data, object)).flat)) == {bool}:
         return leaves.astype(np.bool_)

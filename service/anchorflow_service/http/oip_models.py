@@ -1,6 +1,6 @@
-"""`/v2/models/{name}…`: what a model takes and gives, whether it is ready, and its anchors.
+"""`/v2/models/{name}…`: a model's metadata, readiness and anchors.
 
-The Open Inference Protocol (KServe's v2), so that any of its clients works.
+This is the Open Inference Protocol (KServe's v2), so that any of its clients works.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from anchorflow_service.planning import Call, PlanningService
 
 PLATFORM = "anchorflow_onnx"
 ANY = -1
-"""An axis that may have any length."""
+"""The size of an axis of any length."""
 
 
 def models_router(service: PlanningService) -> APIRouter:
-    """The routes, over the service; a version in the path must be the one that is served."""
+    """Return the routes; a version in the path must be the served one."""
     router = APIRouter(prefix="/v2/models", tags=["models"])
 
     def card_of(name: str, version: str | None) -> ModelCard:
@@ -47,7 +47,7 @@ def models_router(service: PlanningService) -> APIRouter:
     @router.get("/{name}", **METADATA_DOCUMENTATION)
     @router.get("/{name}/versions/{version}", **METADATA_DOCUMENTATION)
     async def metadata(name: str, version: str | None = None) -> Response:
-        """The tensors that a model takes and gives, for a batch of scenes."""
+        """The inputs and outputs of a model, for a batch of scenes."""
         return json_response(_metadata(card_of(name, version)))
 
     @router.get("/{name}/ready", **MODEL_READY_DOCUMENTATION)
@@ -83,7 +83,7 @@ def _metadata(card: ModelCard) -> dict[str, Any]:
 
 
 def _choices(card: ModelCard) -> list[TensorSpec]:
-    """Arrays that are no inputs of the planner, and may come along."""
+    """Return the optional arrays of a request that are not inputs of the planner."""
     if not isinstance(card.conditioning, CostMapSpec):
         return []
     return [

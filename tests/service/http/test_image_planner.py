@@ -31,8 +31,9 @@ from anchorflow_client.contract.fields import MAX_PIXELS, MAX_REQUEST_PIXELS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
-from anchorflow_service.http import create_app, images
-from anchorflow_service.http.images import decoded
+from anchorflow_service.http import create_app
+from anchorflow_service.http import orjson_codec as images
+from anchorflow_service.http.orjson_codec import decoded
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
 from anchorflow_service.repository import BundleFolders, Repository
