@@ -9,7 +9,7 @@ from typing import ParamSpec, TypeVar
 import torch
 from torch import Tensor
 
-from anchorflow_client.contract.batch import STANDS
+from anchorflow_client.contract.batch import MIN_MOVE
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -36,10 +36,10 @@ def in_float32(geometry: Callable[P, R]) -> Callable[P, R]:
 
 def standing_still(poses: Tensor) -> Tensor:
     """Poses [..., T, D] in the frame of a car, x and y first (m), as they are, and of trajectories
-    that stay within STANDS all zeros: who goes no farther in some seconds is meant to stand.
+    that stay within MIN_MOVE all zeros: who goes no farther in some seconds is meant to stand.
 
     Networks answer a stop with some decimetres. Executed again every half a second, they make the
     car creep into what is ahead.
     """
-    moves = poses[..., :2].square().sum(-1).amax(-1) > STANDS**2
+    moves = poses[..., :2].square().sum(-1).amax(-1) > MIN_MOVE**2
     return poses * moves[..., None, None].to(poses.dtype)
