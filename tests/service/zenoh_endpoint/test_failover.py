@@ -101,7 +101,7 @@ def request_(fields: dict[str, Any]) -> AnchorRequest:
 
 
 def test_no_request_is_lost_while_a_replica_is_killed_and_comes_back(
-    two: list[Program], endpoint: str, request_: AnchorRequest
+    two: list[Program], endpoint: str, request_: AnchorRequest, until: Any
 ) -> None:
     by_name = {replica.name: replica for replica in two}
     with (
@@ -128,9 +128,10 @@ def test_no_request_is_lost_while_a_replica_is_killed_and_comes_back(
         before = Counter(seen.answered)
         for answer in asking.result():
             answer.result()  # no request is lost
+        # It answers again, if need be after the run: on a busy machine it starts slowly.
+        until(lambda: client.plan_request(request_) and (seen.answered - before)[killed])
 
     assert seen.silent[killed] >= 1  # it was queried, and died
-    assert (seen.answered - before)[killed] >= 1  # it answers again
     (other,) = {"a", "b"} - {killed}
     assert seen.answered[other] >= 1
 
