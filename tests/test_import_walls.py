@@ -100,6 +100,7 @@ EXCEPTIONS = {
     "anchorflow_driving.sensors.cameras": {"moderngl"},
     "anchorflow_driving.sensors.rendering": {"moderngl"},
     "anchorflow_driving.simulation": {"libsumo", "sumo"},
+    "anchorflow_models.generation": {"anchorflow_service"},  # runs the service's samplers
     "anchorflow_models.v2x_vlm": {"transformers"},
     "anchorflow_training.v2x": {"anchorflow_driving", "PIL", "tokenizers", "transformers"},
     "anchorflow_benchmarks.report": {"anchorflow_export"},  # --record

@@ -155,8 +155,9 @@ def finish_basis(finish: SplineEntry) -> SplineBasis:
 
 def with_descents(finish: SplineEntry, descents: int) -> SplineEntry:
     """Return the finish with another number of descents; with 0 it only smooths."""
-    changes = {"steps": descents} if descents else {"smooth": True, "project": False}
-    return finish.model_copy(update=changes)
+    if descents:
+        return replace(finish, steps=descents)
+    return replace(finish, smooth=True, project=False)
 
 
 def unfinished_scene(scene: Scene, limits: MotionLimits, finish: SplineEntry) -> Scene:

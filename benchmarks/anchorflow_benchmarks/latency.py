@@ -33,11 +33,13 @@ from anchorflow_benchmarks.turns import p50, p99, take_turns
 from anchorflow_cli.extras import needs_extra
 from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_card
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
+from anchorflow_service.bundle.graphs import OnnxGraphs
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
-from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
-from anchorflow_service.engine.samplers.ode import Beginning, OdeSampler
+from anchorflow_service.engine.samplers.flow import PRIOR_MEAN, Beginning
+from anchorflow_service.engine.samplers.ode import OdeSampler
+from anchorflow_trajectory.cores import usable_cores
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.threads import usable_cores
 
@@ -222,7 +224,7 @@ class SamplingWork:
 def _sampling_work(bundle: Bundle, request: ResolvedRequest) -> SamplingWork:
     scene = CostMapConditioning(bundle.manifest).scenes(request)[0]
     inputs = scene.inputs(bundle.manifest.graphs["encode"].input_names)
-    flow = OdeSampler(bundle, threads=1)
+    flow = OdeSampler(bundle.manifest, OnnxGraphs(bundle), threads=1)
     context = dict(flow.encode(scene))
     noise = flow.draw_noise(context, num_samples=request.num_samples, seed=SEED)
     return SamplingWork(inputs, context, flow.beginning(context, noise), flow)

@@ -88,7 +88,7 @@ def descending(bundle: Bundle, descents: int) -> Bundle:
     """Return the bundle with another number of descents in its finish; with 0 it only smooths."""
     finish = with_descents(spline_finish(bundle), descents)
     manifest = bundle.manifest.model_copy(update={"finish": finish})
-    return replace(bundle, manifest=manifest, card=replace(bundle.card, finish=finish.spec()))
+    return replace(bundle, manifest=manifest, card=manifest.card(sha256=bundle.card.sha256))
 
 
 def ablation_tables(

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from anchorflow_benchmarks import BenchmarkError
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
-from anchorflow_service.engine.samplers.ode import Beginning
-from anchorflow_trajectory.ode.integrate import PlainField, integrate_plainly
-from anchorflow_trajectory.ode.methods import method_named
+from anchorflow_service.engine.samplers.flow import PRIOR_MEAN, Beginning
+from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.ode.reference import PlainField, integrate_plainly
 
 Array = NDArray[np.float32]
 Arrays = Mapping[str, Array]

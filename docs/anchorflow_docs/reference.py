@@ -49,33 +49,22 @@ from anchorflow_docs.tables import (
     refusals,
 )
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_service.bundle.conditioning import (
-    CostMapEntry,
-    LimitsEntry,
-    TensorsEntry,
-    VisionLanguageEntry,
-)
 from anchorflow_service.bundle.manifest import (
-    AnswerEntry,
     FileEntry,
     GraphEntry,
     Manifest,
-    NoFinishEntry,
-    RequestEntry,
-    SplineEntry,
-    TimeEntry,
-)
-from anchorflow_service.bundle.samplers import (
-    NoiseLevelsEntry,
     OdeEntry,
     PriorEntry,
+    RequestEntry,
+    SplineEntry,
     TruncatedDiffusionEntry,
-    VocabularyEntry,
+    VisionLanguageEntry,
 )
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.schemas import AnchorAnswerBody, ErrorBody
 from anchorflow_service.planning import PlanningService
+from anchorflow_trajectory.ddim import NoiseLevels
 
 TYPES = (
     AnchorRequest,
@@ -106,19 +95,19 @@ TYPES = (
 ENTRIES = (
     Manifest,
     RequestEntry,
-    CostMapEntry,
-    LimitsEntry,
-    TensorsEntry,
+    CostMapSpec,
+    LimitsSpec,
+    TensorsSpec,
     VisionLanguageEntry,
     OdeEntry,
     PriorEntry,
-    VocabularyEntry,
+    VocabularySpec,
     TruncatedDiffusionEntry,
-    NoiseLevelsEntry,
+    NoiseLevels,
     SplineEntry,
-    NoFinishEntry,
-    TimeEntry,
-    AnswerEntry,
+    NoFinish,
+    TimeSpec,
+    AnswerSpec,
     GraphEntry,
     FileEntry,
 )

@@ -1,44 +1,57 @@
-"""What the exporter asks of a planner; each has an adapter in `planners/`."""
+"""A planner's adapter: its graphs, its part of the manifest, and the requests that prove it.
+
+The five planners' are in `planners/`. `trace` exports the graphs of any adapter, and
+`parity.prove_parity` compares them with the network.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
-import numpy as np
-import onnx
-from torch import Tensor
+import torch
 
-from anchorflow_client.contract import SamplerChoice, TensorSpec
-from anchorflow_service.bundle import Bundle
+from anchorflow_client.contract import (
+    AnchorRequest,
+    AnswerSpec,
+    CostMapSpec,
+    ModelCard,
+    NoFinish,
+    SamplerChoice,
+    TensorSpec,
+    TensorsSpec,
+    TimeSpec,
+    VocabularySpec,
+)
+from anchorflow_export.tracing import TracedGraph, random_tensor, trace
+from anchorflow_models.torch_graphs import Role
 from anchorflow_service.bundle.manifest import (
-    AnswerEntry,
-    CostMapEntry,
-    NoFinishEntry,
     OdeEntry,
     SplineEntry,
-    TensorsEntry,
-    TimeEntry,
     TruncatedDiffusionEntry,
     VisionLanguageEntry,
-    VocabularyEntry,
 )
-from anchorflow_trajectory.finish.refiner import DESCENT_RATE
-from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_service.engine.interfaces import Arrays
+from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.refine import DESCENT_RATE
 
-# Of a model whose data say nothing of limits.
+F32 = "float32"
+COMPONENTS = ("x", "y", "heading")  # of a pose
+# Limits of a model whose data say nothing of them.
 USUAL_LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
 USUAL_RANGES = {"horizon_s": (1.0, 120.0)}
+
+Sizes = Mapping[str, int]
+"""Sizes of open axes, by letter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportChoices:
-    """What may be chosen at export; `planners.USES` says which planner has a use for what.
+    """Choices at export; `planners.USES` lists those that each planner takes.
 
     sampler: over the planner's own default
     noise_scale: spread of the noise; 1: as in training
-    limits: v_max, a_max and horizon_s of the card, None where each anchor has its own duration
+    limits: v_max, a_max and horizon_s of the card, None if each anchor has its own duration
     ranges: least and greatest value of the limits that a request may set
     robot_radius, safety_margin: m, defaults of the card
     refine_steps: descents on each anchor; refine_rate: m, of the first of them
@@ -54,72 +67,77 @@ class ExportChoices:
     refine_rate: float = DESCENT_RATE
 
 
-@dataclass(frozen=True, eq=False)
-class TracedGraph:
-    """An ONNX graph and its signature."""
-
-    model: onnx.ModelProto
-    inputs: tuple[TensorSpec, ...]
-    outputs: tuple[TensorSpec, ...]
-
-
 @dataclass(frozen=True, kw_only=True)
 class PlannerParts:
-    """What a manifest says of the planner, beside its graphs.
+    """A planner's part of the manifest, beside its graphs.
 
     inputs: of a request
-    files: beside the graphs, by role: a name and what it holds
+    files: beside the graphs, by role: a name and the bytes
     """
 
     inputs: tuple[TensorSpec, ...]
-    conditioning: CostMapEntry | TensorsEntry | VisionLanguageEntry
-    sampler: OdeEntry | VocabularyEntry | TruncatedDiffusionEntry
-    finish: SplineEntry | NoFinishEntry
-    time: TimeEntry
-    answer: AnswerEntry
+    conditioning: CostMapSpec | TensorsSpec | VisionLanguageEntry
+    sampler: OdeEntry | VocabularySpec | TruncatedDiffusionEntry
+    finish: SplineEntry | NoFinish
+    time: TimeSpec
+    answer: AnswerSpec
     files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
-class GraphTrial:
-    """One call of a graph: what goes in, and what torch makes of it."""
-
-    what: str
-    role: str
-    inputs: Mapping[str, Tensor]
-    expected: Mapping[str, Tensor]
+def random_own(specs: Sequence[TensorSpec], _given: Arrays, sizes: Sizes, seed: int) -> Arrays:
+    """Return random numbers in the ranges of the specs."""
+    generator = torch.Generator().manual_seed(seed)
+    return {spec.name: random_tensor(spec, sizes, generator=generator).numpy() for spec in specs}
 
 
-@dataclass(frozen=True, eq=False)
-class SampleTrial:
-    """A whole sample: the engine's own, and torch's in a loop written the plain way.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlannerAdapter:
+    """A network on its way to a bundle.
 
-    relative: whether the greatest expected number, where it is over 1, is what a difference is
-        measured by; scores that sum logarithms can be hundreds
+    roles: its graphs by role, in an order in which each follows those whose outputs it takes
+    own: inputs of graphs that neither a request nor an earlier graph gives in this form
+    request: a random request for the card, with open axes of these sizes, of a seed
+    trials: sizes at which the graphs are compared with torch; none is that of the trace
+    scene_inputs: inputs of graphs that a scene of a request gives
+    draw: values of `own`, from those and the outputs of earlier graphs
+    unordered: outputs whose rows may change places if scores are nearly equal, by role; the first
+        tells the rows apart
+    sample_sizes, num_samples, samplers: of the requests whose samples are compared
     """
 
-    what: str
-    got: np.ndarray
-    expected: np.ndarray
-    relative: bool = False
+    parts: PlannerParts
+    roles: Mapping[str, Role]
+    own: tuple[TensorSpec, ...] = ()
+    request: Callable[[ModelCard, Sizes, int], AnchorRequest]
+    trials: Sequence[Sizes]
+    scene_inputs: tuple[str, ...] = ()
+    draw: Callable[[Sequence[TensorSpec], Arrays, Sizes, int], Arrays] = random_own
+    unordered: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    sample_sizes: Sizes = field(default_factory=lambda: {"B": 2})
+    num_samples: int | None = None
+    samplers: Sequence[SamplerChoice | None] = (None,)
+
+    def trace(self) -> dict[str, TracedGraph]:
+        """Export the graphs by role.
+
+        Raises:
+            ExportError: a graph cannot be traced, or holds only for the sizes of the trace.
+        """
+        graphs: dict[str, TracedGraph] = {}
+        given = {spec.name: spec for spec in (*self.parts.inputs, *self.own)}
+        for name, role in self.roles.items():
+            inputs = tuple(given[each] for each in role.inputs)
+            graphs[name] = trace(role, inputs=inputs, outputs=role.outputs)
+            for spec in graphs[name].outputs:
+                given.setdefault(spec.name, as_input(spec))
+        return graphs
 
 
-class PlannerAdapter(Protocol):
-    """A torch planner on its way to a bundle."""
+def as_input(spec: TensorSpec) -> TensorSpec:
+    """Return an output's spec as the input of a later graph, which takes one of K times at once.
 
-    @property
-    def parts(self) -> PlannerParts:
-        """What the manifest says of it."""
-        ...
-
-    def trace(self) -> Mapping[str, TracedGraph]:
-        """Its graphs by role. Raises `ExportError` where one cannot be traced."""
-        ...
-
-    def graph_trials(self, bundle: Bundle) -> Iterator[GraphTrial]:
-        """Calls of every graph, at sizes other than those of the trace."""
-        ...
-
-    def sample_trials(self, bundle: Bundle) -> Iterator[SampleTrial]:
-        """Samples of the written bundle by the card's own sampler, before the finish."""
-        ...
+    An axis whose size the earlier graph computes gets a name.
+    """
+    axes = (each for each in spec.shape if each != "K")
+    named = ("M" if isinstance(each, str) and not each.isidentifier() else each for each in axes)
+    return replace(spec, shape=tuple(named))

@@ -1,8 +1,7 @@
 """The graph that advances a flow's states on a device: x + weight · slope.
 
-It belongs to no bundle: it is the same for all of them, and ships with the service, which has no
-onnx to write it with. After a change here `write_add_scaled` writes it anew; a test holds the file
-against what this module says.
+It is the same for all bundles and ships with the service, which has no onnx to write it with. After
+a change here, run `write_add_scaled`; a test compares the file with this module.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import onnx
 from anchorflow_export.tracing import OPSET
 from anchorflow_service.engine.samplers.device_loop import ADD_SCALED
 
-# The product in a node of its own, and rounded: so the sum is numpy's to the last bit on a CPU.
+# The product is a node of its own, and rounded: so the sum is numpy's to the last bit on a CPU.
 TEXT = f"""
 <ir_version: 10, opset_import: ["": {OPSET}]>
 add_scaled (float[B,N,T,S] x, float[B,N,T,S] slope, float weight) => (float[B,N,T,S] advanced)
@@ -24,12 +23,12 @@ add_scaled (float[B,N,T,S] x, float[B,N,T,S] slope, float weight) => (float[B,N,
 
 
 def add_scaled() -> onnx.ModelProto:
-    """The graph, of tensors [B,N,T,S] and a number."""
+    """Return the graph, which takes tensors [B,N,T,S] and a number."""
     model = onnx.parser.parse_model(TEXT)
     onnx.checker.check_model(model, full_check=True)
     return model
 
 
 def write_add_scaled() -> None:
-    """Write the graph where the service reads it."""
+    """Write the graph to the file that the service reads."""
     onnx.save(add_scaled(), ADD_SCALED)

@@ -1,4 +1,4 @@
-"""From a torch model to a bundle on disk: traced, written, proved, and only then put in place."""
+"""Export a torch model to a bundle on disk: trace, write and prove it, then put it in place."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.zenoh_messages import anchors_key
-from anchorflow_export.adapter import PlannerAdapter, PlannerParts, TracedGraph
-from anchorflow_export.errors import ExportError
+from anchorflow_client.keys import anchors_key
+from anchorflow_export.adapter import PlannerAdapter, PlannerParts
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
-from anchorflow_export.tracing import OPSET
+from anchorflow_export.tracing import OPSET, ExportError, TracedGraph
 from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.bundle.manifest import (
     FILE_NAME,
@@ -24,16 +23,16 @@ from anchorflow_service.bundle.manifest import (
     GraphEntry,
     Manifest,
     RequestEntry,
+    parse_manifest,
 )
-from anchorflow_service.engine import Engine
 
 
 @dataclass(frozen=True, kw_only=True)
 class BundleDescription:
-    """What a manifest says of a bundle that its planner does not.
+    """The part of a manifest that the planner does not know.
 
     planner: its name in the registry of planners
-    training: provenance of the weights; quality: the judge's table, where it is known already
+    training: provenance of the weights; quality: the judge's table, if it is known already
     """
 
     name: str
@@ -50,18 +49,18 @@ def export_bundle(
     out: Path,
     tolerance: float = TOLERANCE,
 ) -> tuple[Difference, ...]:
-    """Write a torch planner as the bundle `out`, in the place of a bundle that is there.
+    """Write a torch planner as the bundle `out`, which may replace a bundle.
 
-    Returns how far ONNX and torch are apart, for every graph and for whole samples.
+    Returns the differences between ONNX and torch, for every graph and for whole samples.
 
     Raises:
         ExportError: the model cannot be traced, its parts make no manifest, ONNX and torch differ
-            by more than the tolerance, the service refuses the bundle, or `out` is something else
-            than a bundle or cannot be written. Nothing is left behind.
+            by more than the tolerance, the service refuses the bundle, or `out` is not a bundle or
+            cannot be written. Nothing is left behind.
     """
     with into_place(out) as folder:
         parts = adapter.parts
-        manifest = _manifest(parts, description)  # Its faults are told before a minute of tracing.
+        manifest = _manifest(parts, description)  # Refuse it before a minute of tracing.
         graphs = {
             role: _write(graph, folder / f"{role}.onnx") for role, graph in adapter.trace().items()
         }
@@ -72,18 +71,16 @@ def export_bundle(
         (folder / FILE_NAME).write_bytes(whole.to_json())
         try:
             bundle = load_bundle(folder)
-            differences = prove_parity(adapter, bundle, tolerance=tolerance)
-            Engine(bundle, threads=1)
+            return prove_parity(adapter, bundle, tolerance=tolerance)
         except BundleError as error:
             raise ExportError(f"expected a bundle that can be served, got {error}") from error
-        return differences
 
 
 def record_quality(bundle: Path, quality: Mapping[str, Any]) -> None:
-    """Put the quality that the judge measured on a bundle into its manifest.
+    """Write the quality that the judge measured into a bundle's manifest.
 
     Raises:
-        BundleError: there is no sound bundle at that path, or no place to write.
+        BundleError: there is no sound bundle at that path, or it cannot be written.
     """
     manifest = load_bundle(bundle).manifest.model_copy(update={"quality": dict(quality)})
     scratch = bundle / f".{FILE_NAME}"
@@ -112,13 +109,13 @@ def _write_file(path: Path, data: bytes) -> FileEntry:
 
 
 def _manifest(parts: PlannerParts, description: BundleDescription) -> Manifest:
-    """As it is before there are graphs and files."""
+    """Return the manifest without graphs and files."""
     try:
-        anchors_key(description.name)  # Under which the bundle is asked over zenoh.
+        anchors_key(description.name)  # Zenoh's key of the bundle.
     except InvalidRequest as error:
         raise ExportError(f"name: {error}") from error
     try:
-        return Manifest(
+        manifest = Manifest(
             format=FORMAT,
             name=description.name,
             version=description.version,
@@ -133,18 +130,19 @@ def _manifest(parts: PlannerParts, description: BundleDescription) -> Manifest:
             training=dict(description.training),
             quality=dict(description.quality),
         )
+        return parse_manifest(manifest.to_json())  # which checks the numbers of the parts too
     except ValueError as error:
-        # Of the first fault, without the whole manifest that pydantic puts after it.
+        # The first fault, without the whole manifest that pydantic appends.
         said = " ".join(str(error).partition("[type=")[0].split())
         raise ExportError(f"manifest of {description.name}: {said}") from error
 
 
 @contextmanager
 def into_place(out: Path) -> Iterator[Path]:
-    """A new folder that becomes `out` where the block succeeds, and vanishes where it fails.
+    """Yield a new folder that becomes `out` if the block succeeds, and vanishes if it fails.
 
     Raises:
-        ExportError: `out` is no bundle, cannot be replaced or cannot be written.
+        ExportError: `out` is not a bundle, cannot be replaced or cannot be written.
     """
     out = out.absolute()  # the parent of "." would be "." again
     try:

@@ -1,7 +1,7 @@
-"""Products of the field and convolutions of the encoder in eight bits: a third faster.
+"""Quantize products of the field and convolutions of the encoder to eight bits: a third faster.
 
-Weights are rounded once, a column at a time, activations by scales that random scenes gave. So an
-anchor is rounded alike whichever anchors are beside it, which scales of each call would not do.
+Weights are rounded once, a column at a time, activations by scales calibrated on random scenes. So
+rounding does not depend on the other anchors of a call, as it would with scales of each call.
 """
 
 from __future__ import annotations
@@ -23,32 +23,33 @@ from onnxruntime.quantization import (
     quantize_static,
 )
 
-from anchorflow_client.contract import OdeSpec
+from anchorflow_client.contract import CostMapSpec, OdeSpec, resolve_for_card
 from anchorflow_export.bundle import into_place
-from anchorflow_export.errors import ExportError
 from anchorflow_export.parity import Difference
-from anchorflow_export.planners.flowmp.adapter import SAMPLE_TRIAL
-from anchorflow_export.planners.flowmp.scenes import random_scenes
+from anchorflow_export.planners.random_requests import map_request
+from anchorflow_export.tracing import ExportError
 from anchorflow_service.bundle import Bundle, load_bundle
-from anchorflow_service.bundle.graphs import open_graph
-from anchorflow_service.bundle.manifest import FILE_NAME, CostMapEntry, GraphEntry
-from anchorflow_service.engine.conditioning.cost_map import MapScene
-from anchorflow_service.engine.parts import Arrays
-from anchorflow_service.engine.samplers.flow_score import PRIOR_MEAN
+from anchorflow_service.bundle.graphs import OnnxGraphs
+from anchorflow_service.bundle.manifest import FILE_NAME, GraphEntry
+from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning, MapScene
+from anchorflow_service.engine.interfaces import Arrays
+from anchorflow_service.engine.samplers.flow import PRIOR_MEAN
 from anchorflow_service.engine.samplers.ode import OdeSampler
 
 SCENES = 4
 CALIBRATION = 16  # scenes
-TRIAL_SHAPE = (SAMPLE_TRIAL.H, SAMPLE_TRIAL.W)
+CELLS = {"H": 64, "W": 48}  # of the random maps
+ANCHORS = 9
 ROUNDED = {"encode": ("Conv", 0), "field": ("MatMul", 1)}
-"""Nodes in eight bits, by graph, but for so many at its beginning: the field's first product reads
-states, whose numbers are of all sizes, and rounded it moves samples ten times as far."""
+"""Kind of node to quantize in each graph, and how many of them at its beginning to leave out: the
+field's first product reads states, whose numbers vary most, and rounding it moves samples ten times
+as far."""
 
 
 def quantize_bundle(path: Path) -> Difference:
-    """Put an eight-bit field and encoder in the place of a bundle's own.
+    """Replace a bundle's field and encoder by eight-bit ones.
 
-    Returns the root mean square of how far its samples moved, in m.
+    Returns the root mean square in m by which its samples moved.
 
     Raises:
         BundleError: there is no sound bundle at that path, which stays what it is.
@@ -56,13 +57,13 @@ def quantize_bundle(path: Path) -> Difference:
     """
     bundle = load_bundle(path)
     sampler, conditioning = bundle.manifest.sampler.kind, bundle.manifest.conditioning.kind
-    if not isinstance(bundle.manifest.conditioning, CostMapEntry) or sampler != "ode":
+    if not isinstance(bundle.manifest.conditioning, CostMapSpec) or sampler != "ode":
         raise ExportError(
             f"int8: expected a bundle with a field over a cost map, got {sampler} on {conditioning}"
         )
     with into_place(path) as folder:
         shutil.copytree(path, folder, dirs_exist_ok=True)
-        scenes = random_scenes(bundle, CALIBRATION, TRIAL_SHAPE, seed=1)
+        scenes = random_scenes(bundle, CALIBRATION, seed=1)
         asked = {"encode": _of_encode(bundle, scenes), "field": _of_field(bundle, scenes)}
         rounded = {role: _rounded(bundle, role, inputs, folder) for role, inputs in asked.items()}
         graphs = bundle.manifest.graphs | rounded
@@ -71,8 +72,15 @@ def quantize_bundle(path: Path) -> Difference:
         return _moved(bundle, load_bundle(folder))
 
 
+def random_scenes(bundle: Bundle, count: int, *, seed: int) -> list[MapScene]:
+    """Return scenes of random maps, as a request brings them."""
+    request = map_request(bundle.card, {"B": count, **CELLS}, seed)
+    scenes = CostMapConditioning(bundle.manifest).scenes(resolve_for_card(request, bundle.card))
+    return list(scenes)
+
+
 def _rounded(bundle: Bundle, role: str, inputs: Iterator[Arrays], folder: Path) -> GraphEntry:
-    """Write a graph in eight bits, its scales of what it makes of the inputs."""
+    """Write a graph in eight bits, with scales calibrated on the inputs."""
     entry, path = bundle.manifest.graphs[role], bundle.graph_path(role)
     with _quiet_quantizer():
         quantize_static(
@@ -83,7 +91,7 @@ def _rounded(bundle: Bundle, role: str, inputs: Iterator[Arrays], folder: Path) 
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
             per_channel=True,
-            # Seven bits of weight: where a processor lacks VNNI, sums of eight would saturate.
+            # Seven bits of weight: on a processor without VNNI, sums of eight would saturate.
             reduce_range=True,
             nodes_to_quantize=_nodes_with_weights(path, *ROUNDED[role]),
             extra_options={"OpTypesToExcludeOutputQuantization": ["MatMul"]},
@@ -101,30 +109,30 @@ class _Calibration(CalibrationDataReader):
 
 
 def _of_encode(bundle: Bundle, scenes: Sequence[MapScene]) -> Iterator[Arrays]:
-    """What the encoder is asked on scenes."""
+    """Return the encoder's inputs for scenes."""
     names = bundle.manifest.graphs["encode"].input_names
     return (scene.inputs(names) for scene in scenes)
 
 
 def _of_field(bundle: Bundle, scenes: Sequence[MapScene]) -> Iterator[Arrays]:
-    """What the field is asked on scenes, at every time of the card's schedule."""
-    flow, spec = OdeSampler(bundle, threads=1), bundle.card.sampler
+    """Yield the field's inputs for scenes, at every time of the card's schedule."""
+    graphs, spec = OnnxGraphs(bundle), bundle.card.sampler
+    flow = OdeSampler(bundle.manifest, graphs, threads=1)
     assert isinstance(spec, OdeSpec)
-    modulate, field = open_graph(bundle, "modulate"), open_graph(bundle, "field")
     times = np.array(spec.schedule, np.float32)
     for seed, scene in enumerate(scenes):
         context = flow.encode(scene)
-        modulation = modulate(**modulate.select({**context, "times": times}))["modulation"]
-        noise = flow.draw_noise(context, num_samples=SAMPLE_TRIAL.N, seed=seed)
+        modulation = graphs.run("modulate", {**context, "times": times})["modulation"]
+        noise = flow.draw_noise(context, num_samples=ANCHORS, seed=seed)
         begun = flow.beginning(context, noise)
         mean = {} if begun.mean is None else {PRIOR_MEAN: begun.mean[None]}
         for k, state in enumerate(flow.states(context, begun, spec)[:-1]):
             own = {"x_t": state[None], "modulation": modulation[:, k]}
-            yield field.select({**context, **mean, **own})
+            yield graphs.select("field", {**context, **mean, **own})
 
 
 def _nodes_with_weights(path: Path, kind: str, whole: int) -> list[str]:
-    """Names of a graph's nodes of a kind whose second input is learnt, after the first `whole`."""
+    """Return the nodes of a kind whose second input is a weight, after the first `whole`."""
     graph = onnx.load(path).graph
     learnt = {tensor.name for tensor in graph.initializer}
     nodes = [node for node in graph.node if node.op_type == kind and node.input[1] in learnt]
@@ -132,14 +140,16 @@ def _nodes_with_weights(path: Path, kind: str, whole: int) -> list[str]:
 
 
 def _moved(bundle: Bundle, rounded: Bundle) -> Difference:
-    """How far the card's samples lie from those of the bundle that was rounded."""
-    whole, coarse = (OdeSampler(one, threads=1) for one in (bundle, rounded))
+    """Return the distance between the card's samples of a bundle and of its rounded copy."""
+    whole, coarse = (
+        OdeSampler(one.manifest, OnnxGraphs(one), threads=1) for one in (bundle, rounded)
+    )
     D, spec = bundle.manifest.D, bundle.card.sampler
     assert isinstance(spec, OdeSpec)
     squares = []
-    for seed, scene in enumerate(random_scenes(bundle, SCENES, TRIAL_SHAPE, seed=0)):
+    for seed, scene in enumerate(random_scenes(bundle, SCENES, seed=0)):
         contexts = [flow.encode(scene) for flow in (whole, coarse)]
-        noise = whole.draw_noise(contexts[0], num_samples=SAMPLE_TRIAL.N, seed=seed)
+        noise = whole.draw_noise(contexts[0], num_samples=ANCHORS, seed=seed)
         states = [
             flow.integrate(context, flow.beginning(context, noise), spec)
             for flow, context in zip((whole, coarse), contexts, strict=True)
@@ -150,7 +160,7 @@ def _moved(bundle: Bundle, rounded: Bundle) -> Difference:
 
 @contextmanager
 def _quiet_quantizer() -> Iterator[None]:
-    """Without its advice to infer shapes first, which the graphs have; it asks the root logger."""
+    """Silence the advice to infer shapes first, which the graphs have; it uses the root logger."""
     logger = logging.getLogger()
 
     def is_no_advice(record: logging.LogRecord) -> bool:

@@ -1,4 +1,4 @@
-"""One torch module to one ONNX graph, with its axes left open and nothing of this machine in it."""
+"""Export one torch module to one ONNX graph with open axes and nothing of this machine in it."""
 
 from __future__ import annotations
 
@@ -16,22 +16,26 @@ from torch import Tensor, nn
 from torch.export import Dim
 
 from anchorflow_client.contract import TensorSpec
-from anchorflow_export.adapter import TracedGraph
-from anchorflow_export.errors import ExportError
+from anchorflow_client.errors import AnchorFlowError
+from anchorflow_models.torch_graphs import Role
 
 OPSET = 20
 
 
+class ExportError(AnchorFlowError):
+    """A model could not be exported, or its graphs do not give what torch gives."""
+
+
 @dataclass(frozen=True)
 class OpenAxis:
-    """An axis whose size a graph leaves open: its size in the trace, and how far it may reach."""
+    """An axis whose size a graph leaves open: its size in the trace, and its range."""
 
     example: int
     least: int = 1
     most: int = 65536
 
 
-# Those that the contract bounds, and the sizes that keep them apart in a trace.
+# Axes that the contract bounds, with sizes that tell them apart in a trace.
 AXES = {
     "B": OpenAxis(2, most=4096),
     "N": OpenAxis(3),
@@ -42,43 +46,19 @@ AXES = {
 ANOTHER_AXIS = OpenAxis(7)
 
 
-class Role(nn.Module):
-    """A method of a network as a module: its inputs by name, its outputs in order.
+@dataclass(frozen=True, eq=False)
+class TracedGraph:
+    """An ONNX graph and its signature."""
 
-    Inputs that the method does not name are its `context`.
-    """
-
-    def __init__(
-        self, model: Any, role: str, inputs: Sequence[str], outputs: Sequence[str]
-    ) -> None:
-        super().__init__()
-        self.model, self.role = model, role
-        self.inputs, self.outputs = tuple(inputs), tuple(outputs)
-        parameters = inspect.signature(getattr(model, role)).parameters
-        self.has_context = "context" in parameters
-        self.named = {*parameters} - {"context"}
-
-    def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
-        told = dict(zip(self.inputs, inputs, strict=True))
-        given: dict[str, Any] = {name: each for name, each in told.items() if name in self.named}
-        if self.has_context:
-            given["context"] = {name: each for name, each in told.items() if name not in given}
-        made = getattr(self.model, self.role)(**given)
-        return made if isinstance(made, Tensor) else tuple(made[name] for name in self.outputs)
-
-
-def trace_role(
-    model: Any, role: str, *, inputs: Sequence[TensorSpec], outputs: Sequence[str]
-) -> TracedGraph:
-    """The graph of a method of a network; as `trace`."""
-    names = [spec.name for spec in inputs]
-    return trace(Role(model, role, names, outputs), inputs=inputs, outputs=outputs)
+    model: onnx.ModelProto
+    inputs: tuple[TensorSpec, ...]
+    outputs: tuple[TensorSpec, ...]
 
 
 def trace(
     module: nn.Module, *, inputs: Sequence[TensorSpec], outputs: Sequence[str]
 ) -> TracedGraph:
-    """The ONNX graph of a module whose forward takes the inputs and gives the outputs in order.
+    """Export a module whose forward takes the inputs and returns the outputs in order.
 
     Every axis that is a letter in an input's spec is left open.
 
@@ -119,7 +99,7 @@ def random_tensor(
     *,
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """Numbers of a tensor's type and range, spread evenly; from 0 to 1 where it has no bounds.
+    """Draw numbers of a tensor's type and range evenly; from 0 to 1 if it has no bounds.
 
     sizes: of open axes by letter; the others have those of a trace
     """
@@ -133,7 +113,7 @@ def random_tensor(
 
 
 def _bounds(spec: TensorSpec, dtype: torch.dtype) -> tuple[float, float]:
-    """What is left open lies 1 from the bound that there is; a byte may be any."""
+    """Return the range; a missing bound lies 1 from the other, and a byte may be any."""
     if spec.range is None and dtype == torch.uint8:
         return 0, 255
     low, high = spec.range or (None, None)
@@ -150,7 +130,7 @@ def _spec(value: onnx.ValueInfoProto) -> TensorSpec:
 
 
 def _check_open_axes(spec: TensorSpec) -> None:
-    """An axis that an earlier graph computes, such as H//2, cannot be left open."""
+    """Refuse an axis that an earlier graph computes, such as H//2: it cannot be left open."""
     for axis in spec.shape:
         if isinstance(axis, str) and not axis.isidentifier():
             raise ExportError(
@@ -160,7 +140,7 @@ def _check_open_axes(spec: TensorSpec) -> None:
 
 
 def _dynamic_shapes(module: nn.Module, inputs: Sequence[TensorSpec]) -> tuple[Any, ...]:
-    """As torch.export wants it, which takes the tensors of *inputs for one argument."""
+    """Return the open axes as torch.export takes them, with *inputs as one argument."""
     shapes = tuple(_open_axes(spec) for spec in inputs)
     taken = inspect.signature(module.forward).parameters.values()
     starred = any(each.kind is inspect.Parameter.VAR_POSITIONAL for each in taken)
@@ -177,7 +157,7 @@ def _open(letter: str) -> Dim:
 
 
 def _check_axes(name: str, model: onnx.ModelProto, inputs: Sequence[TensorSpec]) -> None:
-    """The exporter closes an axis that the module fixes, and says nothing."""
+    """Refuse a graph whose axis the module has fixed, which the exporter does silently."""
     for value, spec in zip(model.graph.input, inputs, strict=True):
         shape = _spec(value).shape
         if shape != spec.shape:
@@ -189,13 +169,13 @@ def _check_axes(name: str, model: onnx.ModelProto, inputs: Sequence[TensorSpec])
 
 @contextmanager
 def _quiet_exporter() -> Iterator[None]:
-    """Without what torch has to say of itself."""
+    """Silence warnings of torch about itself."""
     registry = logging.getLogger("torch.onnx._internal.exporter._registration")
     level = registry.level
-    registry.setLevel(logging.ERROR)  # it warns that torchvision is not there
+    registry.setLevel(logging.ERROR)  # it warns that torchvision is missing
     try:
         with warnings.catch_warnings():
-            # torch's own use of an API that it deprecates.
+            # Torch uses an API that it deprecates.
             warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)
             # Several inputs share an axis on purpose.
             warnings.filterwarnings("ignore", message=r"# The axis name: \w+ will not be used")
@@ -205,7 +185,7 @@ def _quiet_exporter() -> Iterator[None]:
 
 
 def _forget_origin(model: onnx.ModelProto) -> None:
-    """Drop the traces of source files that the exporter leaves on every part of a graph."""
+    """Drop the source file names that the exporter writes on every part of a graph."""
     graph = model.graph
     values = (*graph.input, *graph.output, *graph.value_info, *graph.initializer)
     for part in (model, graph, *graph.node, *values):

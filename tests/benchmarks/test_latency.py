@@ -25,7 +25,7 @@ from anchorflow_benchmarks.turns import MIN_ROUNDS, p50, p99, take_turns
 from anchorflow_client.contract import OdeSpec
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
-from anchorflow_service.engine.samplers.ode import Beginning
+from anchorflow_service.engine.samplers.flow import Beginning
 from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.motion import MotionLimits

@@ -20,9 +20,10 @@ from anchorflow_benchmarks.network_ablation import (
 )
 from anchorflow_benchmarks.pictures import draw_cost_over_time
 from anchorflow_benchmarks.planners import limits_of
-from anchorflow_client.contract.fields import STYLES
+from anchorflow_client.contract import NoFinish
+from anchorflow_client.contract.styles import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
-from anchorflow_service.bundle.manifest import NoFinishEntry, SplineEntry
+from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.motion import MotionLimits
 
@@ -55,7 +56,7 @@ def test_a_finish_descends_as_often_as_it_is_told(bundle: Bundle, descents: int)
 
     assert isinstance(finish, SplineEntry)
     assert (finish.smooth, finish.project) == (True, descents > 0)
-    assert changed.card.finish == finish.spec()
+    assert changed.card.finish == changed.manifest.card(sha256="").finish
     assert not descents or finish.steps == descents
     assert load_bundle(DEFAULT_BUNDLE).manifest == bundle.manifest
 
@@ -118,6 +119,6 @@ def test_costs_are_compared_where_everybody_succeeds(
 
 
 def test_a_bundle_without_splines_has_no_descents(bundle: Bundle) -> None:
-    manifest = bundle.manifest.model_copy(update={"finish": NoFinishEntry()})
+    manifest = bundle.manifest.model_copy(update={"finish": NoFinish()})
     with pytest.raises(BenchmarkError, match="expected a bundle whose finish is a spline"):
         descending(replace(bundle, manifest=manifest), 5)

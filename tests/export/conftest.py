@@ -1,21 +1,41 @@
-"""A flow model that is traced in a second: a convolution, an attention layer, a map lookup."""
+"""Networks so small that they are traced in seconds, and bundles of them that are exported once.
+
+`SmallFlow` has every kind of operation that traces badly: a convolution, attention, a map lookup.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 import torch
+from small_v2x import small_sizes, small_v2x
+from tiny_diffusiondrive import TINY, tiny_diffusiondrive
+from tiny_wote import tiny_wote
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_client.contract import OdeSpec
+from anchorflow_client.contract import (
+    EIGHT_STEP_SCHEDULE,
+    CostMapSpec,
+    LimitsSpec,
+    OdeSpec,
+    SamplerChoice,
+)
+from anchorflow_export.adapter import ExportChoices, PlannerAdapter
 from anchorflow_export.bundle import BundleDescription, export_bundle
-from anchorflow_export.planners.flowmp import FlowMPAdapter
-from anchorflow_service.bundle.conditioning import CostMapEntry, LimitsEntry
+from anchorflow_export.parity import Difference
+from anchorflow_export.planners import adapter_of
+from anchorflow_export.planners.flowmp import flow_adapter
+from anchorflow_models import L2Config, create_l2_safety_cfm
+from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_service.bundle.manifest import SplineEntry
+from anchorflow_trajectory.cost import MotionLimits
 
 T, D, S, R, WIDTH = 8, 2, 7, 5, 16
 
@@ -101,15 +121,15 @@ def description() -> BundleDescription:
 
 
 @pytest.fixture(scope="session")
-def adapted() -> Callable[..., FlowMPAdapter]:
+def adapted() -> Callable[..., PlannerAdapter]:
     """Adapts a flow model; what is not told is as the small flow has it."""
 
-    def adapt(model: Any, *, H: int = 32, W: int = 32, **told: Any) -> FlowMPAdapter:
-        limits = LimitsEntry(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25)
+    def adapt(model: Any, *, H: int = 32, W: int = 32, **told: Any) -> PlannerAdapter:
+        limits = LimitsSpec(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25)
         parts: dict[str, Any] = {
             "T": T,
             "D": D,
-            "conditioning": CostMapEntry(
+            "conditioning": CostMapSpec(
                 channels=3, H=H, W=W, limits=limits, ranges={"robot_radius": (0.0, 5.0)}
             ),
             "sampler": OdeSpec("rk4", (0.0, 0.8, 0.9, 1.0)),
@@ -123,7 +143,7 @@ def adapted() -> Callable[..., FlowMPAdapter]:
                 degree=4,
             ),
         }
-        return FlowMPAdapter(model=model, **(parts | told))
+        return flow_adapter(model, **(parts | told))
 
     return adapt
 
@@ -131,7 +151,7 @@ def adapted() -> Callable[..., FlowMPAdapter]:
 @pytest.fixture(scope="session")
 def small_bundle(
     small_flow: Callable[[], SmallFlow],
-    adapted: Callable[..., FlowMPAdapter],
+    adapted: Callable[..., PlannerAdapter],
     description: BundleDescription,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:
@@ -142,3 +162,82 @@ def small_bundle(
     kinds = {part.what.split()[0] for part in differences}
     assert kinds == {"encode", "modulate", "field", "sample"}
     return out
+
+
+# With all that the small preset has and the published planner has not.
+DIFFUSION = replace(
+    TINY,
+    backbone=replace(TINY.backbone, lidar_before=True),
+    encounters=TINY.footprint,
+    ground_sight=True,
+    driven=True,
+    direction=True,
+    imitation=0.1,
+    pessimistic=True,
+)
+CHOICES = {
+    "flowmp": ExportChoices(
+        limits=MotionLimits(1.5, 2.5),
+        ranges={"v_max": (0.2, 4.0), "a_max": (0.3, 6.0), "horizon_s": (1.0, 60.0)},
+        robot_radius=0.3,
+        sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE),
+    )
+}
+
+
+def untaught(config: L2Config) -> nn.Module:
+    """A flow with the same weights every time; branches that start at zero would prove little."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        model = create_l2_safety_cfm(config).eval()
+        for parameter in model.parameters():
+            if not parameter.any():
+                nn.init.normal_(parameter, std=0.02)
+    model.prior.set_covariance(0.04 * np.eye(model.prior.rank))
+    return model
+
+
+def small_goalflow() -> nn.Module:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        config = GoalFlowConfig(
+            num_steps=2, goals=16, picked=5, width=16, channels=8, feature_channels=4, layers=1
+        )
+        return GoalFlow(config).eval()
+
+
+NETWORKS: dict[str, Callable[[], Any]] = {
+    "flowmp": lambda: untaught(
+        L2Config(map_size=16, num_steps=24, num_control_points=12, layers=1)
+    ),
+    "goalflow": small_goalflow,
+    "wote": tiny_wote,
+    "diffusiondrive": lambda: tiny_diffusiondrive(DIFFUSION),
+    "v2x_vlm": small_v2x,
+}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A planner's small network and its bundle; to read, not to change."""
+
+    network: Any
+    path: Path
+    differences: tuple[Difference, ...]
+
+
+@pytest.fixture(scope="session")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Exported]:
+    """Exports a planner's small network, once a session."""
+
+    @cache
+    def export(planner: str) -> Exported:
+        out = tmp_path_factory.mktemp(planner) / "bundle"
+        name = f"small-{planner.replace('_', '-')}"
+        description = BundleDescription(name=name, version="1.0.0", planner=planner)
+        with small_sizes():
+            network = NETWORKS[planner]()
+            adapter = adapter_of(planner, network, CHOICES.get(planner, ExportChoices()))
+            return Exported(network, out, export_bundle(adapter, description, out=out))
+
+    return export

@@ -8,7 +8,7 @@ import onnxruntime as ort
 import pytest
 
 from anchorflow_export.add_scaled import add_scaled
-from anchorflow_service.bundle.device import Device
+from anchorflow_service.bundle.providers import Device
 from anchorflow_service.engine.samplers.device_loop import ADD_SCALED
 
 SHAPE = (1, 5, 8, 7)

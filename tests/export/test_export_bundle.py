@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
@@ -12,19 +13,18 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
-from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, AnchorRequest, SamplerChoice
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, AnchorRequest
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle, record_quality
-from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.flowmp import flowmp_adapter
-from anchorflow_models.flowmp import L2Config, L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_export.tracing import ExportError
+from anchorflow_models.flowmp import L2Config, L2SafetyCFM
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.bundle.samplers import OdeEntry, PriorEntry
+from anchorflow_service.bundle.manifest import OdeEntry, PriorEntry
 from anchorflow_service.local import LocalClient
-from anchorflow_trajectory.motion import MotionLimits
 
 
 @pytest.fixture
@@ -154,37 +154,17 @@ def test_what_cannot_be_replaced_is_refused_before_it_is_traced(
     }
 
 
-def untaught(config: L2Config) -> L2SafetyCFM:
-    """Always of the same weights; branches start at zero, which would prove little."""
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        model = create_l2_safety_cfm(config)
-        for parameter in model.parameters():
-            if not parameter.any():
-                nn.init.normal_(parameter, std=0.02)
-    return model
-
-
-def test_the_planner_of_this_repository_exports(
-    description: BundleDescription, tmp_path: Path
-) -> None:
-    """As it is chosen: what has no range cannot be asked for, what has one only within it."""
-    choices = ExportChoices(
-        limits=MotionLimits(1.5, 2.5),
-        ranges={"v_max": (0.5, 2.0), "horizon_s": (2.0, 30.0)},
-        robot_radius=0.3,
-        sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE),
-    )
-    adapter = flowmp_adapter(untaught(L2Config()), choices)
-    differences = export_bundle(adapter, description, out=tmp_path / "bundle")
-    assert max(part.error for part in differences) <= 1e-4
-    card = load_bundle(tmp_path / "bundle").card
+def test_what_is_chosen_at_export_is_what_requests_may_ask(exported: Callable[[str], Any]) -> None:
+    """A limit without a range cannot be set, one with a range only within it."""
+    made = exported("flowmp")
+    card = load_bundle(made.path).card
     assert card.time.dt is None  # each anchor has its own
     limits = card.cost_map.limits
     assert (limits.v_max, limits.a_max, limits.robot_radius) == (1.5, 2.5, 0.3)
     assert limits.horizon_s is None
-    assert card.cost_map.ranges == {"v_max": (0.5, 2.0), "horizon_s": (2.0, 30.0)}
-    client = LocalClient.of(tmp_path / "bundle", threads=1)
+    assert card.cost_map.ranges["v_max"] == (0.2, 4.0)
+    assert card.ode.schedule == EIGHT_STEP_SCHEDULE
+    client = LocalClient.of(made.path, threads=1)
     request: dict[str, Any] = {
         "cost_map": {"data": np.zeros((1, 40, 40)), "resolution": 0.25},
         "x_curr": [-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -196,7 +176,7 @@ def test_the_planner_of_this_repository_exports(
     assert np.ptp(own.durations) > 0
     assert slow.durations.min() > own.durations.max()
     np.testing.assert_allclose(client.plan(**request, horizon_s=9.0).durations, 9.0)
-    for name, value in (("v_max", 3.0), ("a_max", 2.0), ("horizon_s", 1.0)):
+    for name, value in (("v_max", 5.0), ("robot_radius", 0.4), ("horizon_s", 0.5)):
         with pytest.raises(InvalidRequest, match=name):
             client.plan(**{**request, name: value})
 
@@ -205,8 +185,8 @@ def test_an_open_horizon_needs_its_range(
     description: BundleDescription, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = L2Config(map_size=16, feature_channels=4, layers=1)
-    adapter = flowmp_adapter(untaught(config), ExportChoices(ranges={}))
-    # It is told at once, and not after a minute of tracing.
+    adapter = flowmp_adapter(L2SafetyCFM(config), ExportChoices(ranges={}))
+    # It is refused at once, not after a minute of tracing.
     monkeypatch.setattr(type(adapter), "trace", lambda _: pytest.fail("it was traced"))
     with pytest.raises(ExportError, match=r"ranges\.horizon_s"):
         export_bundle(adapter, description, out=tmp_path / "bundle")
@@ -221,3 +201,13 @@ def test_a_name_that_no_key_can_hold_is_refused(
     with pytest.raises(ExportError, match=r"name: .*expected a name without spaces"):
         export_bundle(adapted(small_flow()), replace(description, name=name), out=out)
     assert not out.exists()
+
+
+def test_wider_noise_is_the_bundles_own() -> None:
+    model = L2SafetyCFM(L2Config(map_size=16, feature_channels=4))
+    before = model.prior.factor.clone()
+    choices = ExportChoices(noise_scale=1.4)
+    for _ in range(2):
+        adapted = flowmp_adapter(model, choices).roles["encode"].model
+        torch.testing.assert_close(adapted.prior.factor, 1.4 * before)
+    torch.testing.assert_close(model.prior.factor, before)

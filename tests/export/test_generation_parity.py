@@ -2,49 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
-from torch import nn
 
-from anchorflow_export.adapter import ExportChoices
-from anchorflow_export.bundle import BundleDescription, export_bundle
-from anchorflow_export.planners.flowmp import flowmp_adapter
-from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator, WarmStart
 from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.motion import MotionLimits
 
-CONFIG = L2Config(map_size=16, num_steps=24, num_control_points=12, layers=2)
 X_CURR, X_GOAL = [-1.5, 0.1, 0.4, 0.0, 0.0, 0.0], [1.5, -0.3, 0.0, 0.0]
 ARRAYS = ("trajectories", "velocities", "accelerations", "scores", "clearance", "durations")
-RANGES = {"v_max": (0.2, 4.0), "a_max": (0.3, 6.0), "horizon_s": (1.0, 60.0)}
-STEPS = GeneratorConfig().refine_steps
 PLAN = np.linspace([-1.5, 0.1], [1.5, -0.3], 30) + np.outer(np.sin(np.linspace(0, 3.1, 30)), [0, 1])
 
 
 @pytest.fixture(scope="module")
-def model() -> L2SafetyCFM:
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        made = create_l2_safety_cfm(CONFIG).eval()
-        for parameter in made.parameters():
-            if not parameter.any():
-                nn.init.normal_(parameter, std=0.02)
-    made.prior.set_covariance(0.04 * np.eye(made.prior.rank))
-    return made
-
-
-@pytest.fixture(scope="module")
-def client(
-    model: L2SafetyCFM, description: BundleDescription, tmp_path_factory: pytest.TempPathFactory
-) -> LocalClient:
-    out = tmp_path_factory.mktemp("parity") / "bundle"
-    adapter = flowmp_adapter(model, ExportChoices(ranges=RANGES, refine_steps=STEPS))
-    export_bundle(adapter, description, out=out)
-    return LocalClient.of(out, threads=1)
+def client(exported: Callable[[str], Any]) -> LocalClient:
+    return LocalClient.of(exported("flowmp").path, threads=1)
 
 
 @pytest.mark.parametrize("project", [False, True], ids=["drawn", "projected"])
@@ -62,7 +37,7 @@ def test_generator_and_engine_agree_from_a_seed(
     warm: dict[str, Any] | None,
     limits: dict[str, float],
     project: bool,
-    model: L2SafetyCFM,
+    exported: Callable[[str], Any],
     client: LocalClient,
 ) -> None:
     occupancy = np.zeros((1, 48, 48), np.float32)
@@ -82,11 +57,12 @@ def test_generator_and_engine_agree_from_a_seed(
     config = GeneratorConfig(
         method="heun", steps=3, num_samples=6, project=project, safety_margin=0.1
     )
-    drawn = TrajectoryGenerator(model, config).generate(
+    drawn = TrajectoryGenerator(exported("flowmp").network, config).generate(
         occupancy,
         X_CURR,
         X_GOAL,
-        motion=MotionLimits(**({"v_max": 2.0, "a_max": 3.0} | limits)),
+        motion=MotionLimits(**({"v_max": 1.5, "a_max": 2.5} | limits)),
+        robot_radius=0.3,
         seed=11,
         warm_start=None if warm is None else WarmStart(**warm),
     )

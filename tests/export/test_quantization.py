@@ -11,11 +11,11 @@ import onnx
 import pytest
 
 from anchorflow_client.contract import OdeSpec
-from anchorflow_export.errors import ExportError
 from anchorflow_export.planners import check_used
-from anchorflow_export.planners.flowmp.scenes import random_scenes
-from anchorflow_export.quantization import quantize_bundle
-from anchorflow_service.bundle import DEFAULT_BUNDLE, BundleError, load_bundle
+from anchorflow_export.quantization import quantize_bundle, random_scenes
+from anchorflow_export.tracing import ExportError
+from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, BundleError, load_bundle
+from anchorflow_service.bundle.graphs import OnnxGraphs
 from anchorflow_service.engine.samplers.ode import OdeSampler
 
 
@@ -23,6 +23,10 @@ from anchorflow_service.engine.samplers.ode import OdeSampler
 def bundle(small_bundle: Path, tmp_path: Path) -> Path:
     """One to round, or to break."""
     return shutil.copytree(small_bundle, tmp_path / "bundle")
+
+
+def sampler_of(bundle: Bundle) -> OdeSampler:
+    return OdeSampler(bundle.manifest, OnnxGraphs(bundle), threads=1)
 
 
 def operations(bundle: Path, role: str) -> set[str]:
@@ -45,12 +49,12 @@ def test_field_and_encoder_are_rounded(bundle: Path, caplog: pytest.LogCaptureFi
 
 
 def test_rounding_is_fine_and_anchors_do_not_depend_on_their_neighbours(bundle: Path) -> None:
-    whole = OdeSampler(load_bundle(bundle), threads=1)
+    whole = sampler_of(load_bundle(bundle))
     quantize_bundle(bundle)
     rounded = load_bundle(bundle)
-    flow, spec = OdeSampler(rounded, threads=1), rounded.card.sampler
+    flow, spec = sampler_of(rounded), rounded.card.sampler
     assert isinstance(spec, OdeSpec)
-    (scene,) = random_scenes(rounded, 1, (64, 48), seed=5)
+    (scene,) = random_scenes(rounded, 1, seed=5)
     context = flow.encode(scene)
     for name, array in whole.encode(scene).items():
         np.testing.assert_allclose(context[name], array, atol=0.02 * np.abs(array).max())

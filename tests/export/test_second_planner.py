@@ -17,18 +17,16 @@ from torch_camera_planner import (
     GOALS,
     NAME,
     STATUS,
-    CameraAdapter,
     CameraConfig,
     CameraPlanner,
     camera_adapter,
 )
 
 from anchorflow_client.contract import AnchorBatch, TensorSpec
-from anchorflow_export.adapter import ExportChoices, PlannerParts
+from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
-from anchorflow_export.errors import ExportError
 from anchorflow_export.quantization import quantize_bundle
-from anchorflow_export.tracing import random_tensor, trace
+from anchorflow_export.tracing import ExportError, random_tensor, trace
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
 
@@ -125,22 +123,14 @@ def test_a_drift_is_caught_in_the_graph_and_in_the_sample(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == []
 
 
-class Promising(CameraAdapter):
-    """Promises an array that no graph gives."""
-
-    @property
-    def parts(self) -> PlannerParts:
-        parts = super().parts
-        return replace(
-            parts, answer=parts.answer.model_copy(update={"arrays": ("scores", "clearance")})
-        )
-
-
 def test_a_bundle_that_the_service_refuses_replaces_none(bundle: Path, tmp_path: Path) -> None:
     out = tmp_path / "bundle"
     shutil.copytree(bundle, out)
+    adapter = camera_adapter(planner(), ExportChoices())
+    answer = replace(adapter.parts.answer, arrays=("scores", "clearance"))  # no graph gives it
+    promising = replace(adapter, parts=replace(adapter.parts, answer=answer))
     with pytest.raises(ExportError, match=r"expected a bundle that can be served, got .*clearance"):
-        export_bundle(Promising(planner()), replace(DESCRIPTION, version="2.0.0"), out=out)
+        export_bundle(promising, replace(DESCRIPTION, version="2.0.0"), out=out)
     assert load_bundle(out).card.version == DESCRIPTION.version
     assert list(tmp_path.iterdir()) == [out]
 

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
-from anchorflow_models.generation.scenes import basis_of
-from anchorflow_trajectory.spline.basis import Ends
+from anchorflow_trajectory.spline import Ends
 
 SIZE, EXTENT = 40, 8.0  # cells and m a side of the scenes' maps
 
@@ -78,7 +77,7 @@ def means_of() -> Callable[..., Tensor]:
     """
 
     def means(model: L2SafetyCFM, scene: Scene, count: int) -> Tensor:
-        basis, dim = basis_of(model.config), model.config.dim
+        basis, dim = model.config.basis, model.config.dim
         bulge = np.sin(np.linspace(0.0, np.pi, basis.num_control_points))[basis.free]
         every = []
         for x_curr, x_goal, limits in zip(

@@ -19,16 +19,15 @@ from torch import Tensor
 
 from anchorflow_client.contract import uniform_schedule
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.generation.integrate import Stage, integrate
 from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
 from anchorflow_training.config import AnchorJudgeConfig, EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_trajectory.cost.clearance import GridField
-from anchorflow_trajectory.finish.certificate import verify
-from anchorflow_trajectory.motion import MotionLimits
-from anchorflow_trajectory.ode.methods import MIDPOINT
-from anchorflow_trajectory.ode.schedule import stage_times
-from anchorflow_trajectory.spline.basis import Ends, SplineBasis, spline_basis
+from anchorflow_trajectory.clearance import GridField
+from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.ode.reference import integrate_plainly
+from anchorflow_trajectory.ode.tableau import MIDPOINT
+from anchorflow_trajectory.spline import Ends, SplineBasis, spline_basis
+from anchorflow_trajectory.verify import verify
 
 FloatArray = NDArray[np.float32]
 States = tuple[FloatArray, FloatArray, FloatArray]
@@ -88,13 +87,12 @@ def sample(
     context = model.encode(**inputs)
     x = model.draw(noise, prior_mean, context)
     schedule = uniform_schedule(steps)
-    times = torch.tensor(stage_times(MIDPOINT, schedule).times, device=x.device)
-    modulation = model.modulate(times, context)
 
-    def field(x_t: Tensor, stage: Stage) -> Tensor:
-        return model.field(x_t, prior_mean, modulation[:, stage.time_index], context)
+    def field(x_t: Tensor, t: float) -> Tensor:
+        modulation = model.modulate(torch.tensor([t], device=x_t.device), context)[:, 0]
+        return model.field(x_t, prior_mean, modulation, context)
 
-    return integrate(field, x, schedule=schedule, method=MIDPOINT)
+    return integrate_plainly(field, x, schedule=schedule, method=MIDPOINT)
 
 
 def flow_evaluator(dataset: SceneDataset, config: EvaluationConfig) -> Evaluator:

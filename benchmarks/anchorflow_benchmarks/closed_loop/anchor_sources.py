@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,7 +101,7 @@ class RoutesSource:
         asked = resolve_for_card(request, self.bundle.card)
         scene = scene_of(asked)
         finish = spline_finish(self.bundle)
-        finish = finish.model_copy(update={"certified_margin": asked.certified_margin})
+        finish = replace(finish, certified_margin=asked.certified_margin)
         planner = RoutesPlanner(scene.motion, finish, finish.steps)
         anchors = planner.plan(scene, num=asked.num_samples, seed=asked.seed)
         assert anchors.safe is not None  # the finish computes it

@@ -1,9 +1,9 @@
-"""The model card: what a bundle is, what it takes and gives, and how well it does."""
+"""The model card: a bundle's inputs, outputs, defaults and measured quality."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 from anchorflow_client.contract.kinds import (
@@ -17,8 +17,8 @@ from anchorflow_client.contract.kinds import (
     SamplerSpec,
     TensorSpec,
     TimeSpec,
-    known_fields,
     part_of,
+    read,
 )
 from anchorflow_client.contract.sampling import OdeSpec
 from anchorflow_client.errors import InvalidRequest
@@ -26,7 +26,7 @@ from anchorflow_client.errors import InvalidRequest
 
 @dataclass(frozen=True)
 class ModelId:
-    """Which weights answered."""
+    """Name, version and hash of the model that answered."""
 
     name: str
     version: str
@@ -35,15 +35,15 @@ class ModelId:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelCard:
-    """All that a caller may want to know of a bundle before asking it."""
+    """A bundle's inputs, answer, samplers and limits, as a caller needs them to write a request."""
 
     name: str
     version: str
     sha256: str
-    """Of the manifest's bytes."""
+    """The hash of the manifest's bytes."""
     planner: str
     inputs: tuple[TensorSpec, ...]
-    """What a request brings, by name; each with a leading B, which one scene may leave out."""
+    """Inputs of a request, by name; each has a leading B axis, which one scene may leave out."""
     conditioning: ConditioningSpec
     sampler: SamplerSpec
     finish: FinishSpec
@@ -54,7 +54,7 @@ class ModelCard:
 
     @property
     def id(self) -> ModelId:
-        """Name, version and hash, as every answer carries them."""
+        """Return the name, version and hash that every answer carries."""
         return ModelId(self.name, self.version, self.sha256)
 
     @property
@@ -69,15 +69,15 @@ class ModelCard:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """What a request's `outputs` may name: the answer's arrays, and dt where it is one."""
+        """Return the names that a request's `outputs` may list: the arrays, and dt if it is one."""
         return (*self.answer.names, *(("dt",) if self.time.dt is None else ()))
 
     @property
     def cost_map(self) -> CostMapSpec:
-        """The conditioning of a planner that is asked with a cost map.
+        """Return the conditioning of a planner that takes a cost map.
 
         Raises:
-            InvalidRequest: this planner is asked in another way.
+            InvalidRequest: this planner takes none.
         """
         if isinstance(self.conditioning, CostMapSpec):
             return self.conditioning
@@ -86,31 +86,31 @@ class ModelCard:
 
     @property
     def ode(self) -> OdeSpec:
-        """The sampler of a planner with a flow. Raises `InvalidRequest` where it has none."""
+        """Return the sampler of a planner with a flow. Raises `InvalidRequest` if it has none."""
         if isinstance(self.sampler, OdeSpec):
             return self.sampler
         raise InvalidRequest(f"{self.name} has no flow; it is a {self.sampler.kind}", "sampler")
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain types that any JSON writer takes."""
+        """Return the card in plain types that any JSON writer takes."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> ModelCard:
-        """Read `to_dict` back; keys and kinds that this version does not know are passed over.
+        """Read `to_dict` back; keys and kinds that this version does not know are ignored.
 
         Raises:
-            KeyError, TypeError, ValueError, AttributeError: a key is missing, or holds something
-                else than the card's.
+            KeyError, TypeError, ValueError, AttributeError: a key is missing, or its value is of
+                another type than the card's.
         """
         return cls(
-            **known_fields(cls, value)
+            **{each.name: value[each.name] for each in fields(cls) if each.name in value}
             | {
-                "inputs": tuple(map(TensorSpec.from_dict, value["inputs"])),
+                "inputs": tuple(read(TensorSpec, each) for each in value["inputs"]),
                 "conditioning": part_of(value["conditioning"], CONDITIONINGS),
                 "sampler": part_of(value["sampler"], SAMPLERS),
                 "finish": part_of(value["finish"], FINISHES),
-                "time": TimeSpec(**known_fields(TimeSpec, value["time"])),
-                "answer": AnswerSpec.from_dict(value["answer"]),
+                "time": read(TimeSpec, value["time"]),
+                "answer": read(AnswerSpec, value["answer"]),
             }
         )

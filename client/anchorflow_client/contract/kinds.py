@@ -1,7 +1,9 @@
-"""The parts of a planner that its card names by kind: conditioning, sampler, finish.
+"""The parts that a model card names by kind: conditioning, sampler and finish.
 
-Each part says its `kind` and what a caller may want to know of it. A service's manifest is made of
-the same parts; a card of a later version may hold kinds that are not known here.
+A part names its `kind` and the facts that a caller may need. A bundle's manifest holds the same
+classes: the service validates their JSON with pydantic, which reads the bounds of a number from
+its field's metadata (`gt`, `ge`, `min_length`). A card of a later version may name kinds that this
+version does not know; they are read as `UnknownPart`.
 """
 
 from __future__ import annotations
@@ -14,6 +16,11 @@ from anchorflow_client.contract.fields import SamplerChoice
 from anchorflow_client.contract.rows import uniform_schedule
 from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
 from anchorflow_client.errors import InvalidRequest
+
+ABOVE_0 = {"gt": 0}
+AT_LEAST_0 = {"ge": 0}
+
+Limit = Literal["robot_radius", "v_max", "a_max", "horizon_s"]
 
 
 @dataclass(frozen=True)
@@ -29,147 +36,114 @@ class TensorSpec:
     range: tuple[float | None, float | None] | None = None
     """Least and greatest value, both allowed; None is unbounded."""
     extent: tuple[float, float, float, float] | None = None
-    """m, of a raster [B,…,H,W] seen from above, in the frame of the anchors: least and greatest x,
-    least and greatest y. Its first row lies at the greatest x, its first column at the greatest y.
-    """
+    """For a raster [B,…,H,W] seen from above: least and greatest x, least and greatest y in m, in
+    the frame of the anchors. Its first row lies at the greatest x, its first column at the
+    greatest y."""
     optional: bool = False
-    """Of a request's input: it may be left out, and the answer tells where it was."""
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> TensorSpec:
-        """Read `asdict` back, lists in place of tuples included."""
-        limits, extent = value.get("range"), value.get("extent")
-        return cls(
-            name=value["name"],
-            dtype=value["dtype"],
-            shape=tuple(value["shape"]),
-            unit=value.get("unit", ""),
-            range=None if limits is None else tuple(limits),
-            extent=None if extent is None else tuple(extent),
-            optional=value.get("optional", False),
-        )
+    """Whether a request may leave this input out; the answer lists the inputs that were absent."""
 
 
 @dataclass(frozen=True)
 class TimeSpec:
-    """When an anchor's poses are: `first_s + k dt`, k from 0 to `steps` - 1."""
+    """The times of an anchor's poses: `first_s + k dt`, k from 0 to `steps` - 1."""
 
-    steps: int
-    first_s: float
-    """0 where the first pose is the present one."""
-    dt: float | None
-    """s between two poses; None: each anchor has its own, which the answer tells."""
+    steps: int = field(metadata={"ge": 2})
+    first_s: float = field(metadata=AT_LEAST_0)
+    """Seconds from now to the first pose; 0 beside a cost map."""
+    dt: float | None = field(metadata=ABOVE_0)
+    """Seconds between two poses; None if each anchor has its own, which the answer holds."""
 
 
 @dataclass(frozen=True)
 class AnswerSpec:
-    """What an answer holds beside its trajectories [N,T,D]."""
+    """The arrays of an answer beside its trajectories [N,T,D]."""
 
-    components: tuple[str, ...]
-    """Of a pose, such as x, y, heading: D of them."""
+    components: tuple[str, ...] = field(metadata={"min_length": 2})
+    """Names of the D components of a pose, such as x, y, heading."""
     arrays: tuple[str, ...] = ()
-    """Which of velocities, accelerations, scores, clearance and safe are always there."""
-    extras: tuple[TensorSpec, ...] = ()
-    """What is sent along where a request's `outputs` name it."""
+    """Which of velocities, accelerations, scores, clearance and safe every answer holds."""
+    extras: tuple[TensorSpec, ...] = field(default=(), metadata={"parts": TensorSpec})
+    """Further outputs of the graphs, sent if a request's `outputs` names them."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of all arrays that an answer may hold."""
+        """Names of all arrays that an answer may hold."""
         return ("trajectories", *self.arrays, *(spec.name for spec in self.extras))
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> AnswerSpec:
-        """Read `asdict` back."""
-        extras = tuple(map(TensorSpec.from_dict, value.get("extras", ())))
-        return cls(tuple(value["components"]), tuple(value.get("arrays", ())), extras)
 
 
 @dataclass(frozen=True)
 class LimitsSpec:
-    """What the anchors of a cost-map planner keep, as far as a request says nothing else."""
+    """The limits that anchors of a cost-map planner keep unless a request sets others."""
 
-    horizon_s: float | None
-    """s from an anchor's first pose to its last; None: each anchor has its own duration."""
-    v_max: float
+    horizon_s: float | None = field(metadata=ABOVE_0)
+    """Seconds from an anchor's first pose to its last; None if each anchor has its own duration."""
+    v_max: float = field(metadata=ABOVE_0)
     """m/s in the plane."""
-    a_max: float
+    a_max: float = field(metadata=ABOVE_0)
     """m/s^2 in the plane."""
-    robot_radius: float
+    robot_radius: float = field(metadata=AT_LEAST_0)
     """m."""
 
 
 @dataclass(frozen=True)
 class CostMapSpec:
-    """Asked with a cost map, a state, a goal and a style."""
+    """The planner takes a cost map, a state, a goal and a style."""
 
-    channels: int
-    """The most that a map may have."""
-    H: int
-    W: int
-    """The grid that the model was trained on; the service takes maps of other sizes too."""
-    limits: LimitsSpec
-    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """The limits that a request may set, each between the least and the greatest for which the
-    model was trained; any other is the model's own."""
+    channels: int = field(metadata=ABOVE_0)
+    """The most channels that a map may have."""
+    H: int = field(metadata=ABOVE_0)
+    W: int = field(metadata=ABOVE_0)
+    """Rows and columns of the grid that the model was trained on; other sizes work too."""
+    limits: LimitsSpec = field(metadata={"part": LimitsSpec})
+    ranges: Mapping[Limit, tuple[float, float]] = field(default_factory=dict)
+    """The limits that a request may set, and the least and greatest value of each; the other
+    limits are fixed."""
     kind: Literal["cost_map"] = "cost_map"
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> CostMapSpec:
-        """Read `asdict` back."""
-        limits = LimitsSpec(**known_fields(LimitsSpec, value["limits"]))
-        ranges = {name: (low, high) for name, (low, high) in value.get("ranges", {}).items()}
-        return cls(value["channels"], value["H"], value["W"], limits, ranges)
 
 
 @dataclass(frozen=True)
 class TensorsSpec:
-    """Asked with the tensors and texts that the card lists as inputs."""
+    """The planner takes the tensors and texts that the card lists as inputs."""
 
     kind: Literal["tensors"] = "tensors"
 
 
 @dataclass(frozen=True)
 class VisionLanguageSpec:
-    """Asked with pictures of any size and a text, which the service makes tokens of."""
+    """The planner takes pictures of any size and a text, which the service tokenizes."""
 
-    image_size: int
-    """Pixels along a side of what the model sees; pictures sent so are not resized."""
-    max_tokens: int
-    """Of the text."""
+    image_size: int = field(metadata=ABOVE_0)
+    """Pixels a side of the model's input; pictures of this size are not resized."""
+    max_tokens: int = field(metadata=ABOVE_0)
+    """The most tokens that a text may have."""
     kind: Literal["vision_language"] = "vision_language"
 
 
 @dataclass(frozen=True)
 class VocabularySpec:
-    """Chooses the best N of a fixed number of trajectories, which it may refine."""
+    """The planner chooses the best N of a fixed set of trajectories, which it may refine."""
 
-    size: int
+    size: int = field(metadata=ABOVE_0)
     """The most anchors that a request may ask for."""
     kind: Literal["vocabulary"] = "vocabulary"
 
 
 @dataclass(frozen=True)
 class TruncatedDiffusionSpec:
-    """A diffusion that begins near fixed trajectories, and chooses the best of what it makes."""
+    """A diffusion that starts near fixed trajectories, then chooses the best of its candidates."""
 
     size: int
     """The most anchors that a request may ask for: those that are scored finely."""
     candidates: int
-    """How many are scored coarsely for them."""
+    """How many trajectories are scored coarsely."""
     steps: int
-    """Of denoising."""
+    """Denoising steps."""
     choices: tuple[int, ...] = ()
     """The numbers of steps that a request may ask for, as `sampler.schedule` {"uniform": n}."""
     kind: Literal["truncated_diffusion"] = "truncated_diffusion"
 
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> TruncatedDiffusionSpec:
-        """Read `asdict` back."""
-        choices = tuple(value.get("choices", ()))
-        return cls(value["size"], value["candidates"], value["steps"], choices)
-
     def chosen(self, choice: SamplerChoice) -> TruncatedDiffusionSpec:
-        """With the number of steps that a request asks for.
+        """Return this sampler with the number of steps that a request asks for.
 
         Raises:
             InvalidRequest: it asks for a method, or for another number than those of `choices`.
@@ -221,15 +195,37 @@ FINISHES: Mapping[str, type] = {"spline": RefineSpec, "none": NoFinish}
 
 
 def part_of(value: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:
-    """The part that a card's JSON holds."""
+    """Read a part of a card's JSON as the class of its kind."""
     part = kinds.get(value["kind"])
-    if part is None:
-        return UnknownPart(value["kind"])
-    if hasattr(part, "from_dict"):
-        return part.from_dict(value)
-    return part(**known_fields(part, value))
+    return UnknownPart(value["kind"]) if part is None else read(part, value)
 
 
-def known_fields(kind: type, value: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a dataclass that a card's JSON holds; a later version may write more."""
-    return {item.name: value[item.name] for item in fields(kind) if item.name in value}
+def read(cls: type, value: Mapping[str, Any]) -> Any:
+    """Read a dataclass back from `asdict`; keys that this version does not know are ignored.
+
+    A JSON list becomes a tuple. A field's metadata names the class of a nested part (`part`), or
+    of each of several (`parts`).
+
+    Raises:
+        TypeError, AttributeError: a field is missing, or is of another type.
+    """
+    return cls(
+        **{each.name: _held(each, value[each.name]) for each in fields(cls) if each.name in value}
+    )
+
+
+def _held(item: Any, value: Any) -> Any:
+    if "part" in item.metadata:
+        return read(item.metadata["part"], value)
+    if "parts" in item.metadata:
+        return tuple(read(item.metadata["parts"], each) for each in value)
+    return _frozen(value)
+
+
+def _frozen(value: Any) -> Any:
+    """Lists as tuples, inside mappings too."""
+    if isinstance(value, list):
+        return tuple(map(_frozen, value))
+    if isinstance(value, dict):
+        return {name: _frozen(each) for name, each in value.items()}
+    return value

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 from anchorflow_client.contract.fields import RefineChoice, SamplerChoice
@@ -16,11 +16,6 @@ class OdeSpec(SamplerChoice):
     method: str = field()
     schedule: tuple[float, ...] = field()
     kind: Literal["ode"] = "ode"
-
-    @classmethod
-    def from_dict(cls, value: Mapping[str, Any]) -> OdeSpec:
-        """Read `asdict` back."""
-        return cls(value["method"], tuple(value["schedule"]))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""One adapter a planner: its graphs, what its manifest says, and the trials that prove them."""
+"""The adapters of the planners, by the name in the registry of planners."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter
-from anchorflow_export.errors import ExportError
 from anchorflow_export.planners.diffusiondrive import diffusiondrive_adapter
 from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_export.planners.goalflow import goalflow_adapter
 from anchorflow_export.planners.v2x_vlm import v2x_vlm_adapter
 from anchorflow_export.planners.wote import wote_adapter
+from anchorflow_export.tracing import ExportError
 
 ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
     "flowmp": flowmp_adapter,
@@ -20,19 +20,18 @@ ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
     "diffusiondrive": diffusiondrive_adapter,
     "v2x_vlm": v2x_vlm_adapter,
 }
-"""By the name in the registry of planners: from a network to its adapter."""
+"""From a network to its adapter."""
 
 USES: Mapping[str, tuple[str, ...]] = {
     "flowmp": (*ExportChoices.__dataclass_fields__, "int8"),
     "goalflow": ("sampler", "noise_scale"),
     "diffusiondrive": ("noise_scale",),
 }
-"""Which of the `ExportChoices`, and of `quantize_bundle`, a planner has a use for; one that is not
-listed has none for any."""
+"""The `ExportChoices`, and those of `quantize_bundle`, that a planner uses; others use none."""
 
 
 def check_used(planner: str, names: Iterable[str]) -> None:
-    """Raise `ExportError` where a planner has no use for one of these choices."""
+    """Raise `ExportError` if a planner does not use one of these choices."""
     used = USES.get(planner, ())
     for name in names:
         if name not in used:
@@ -43,7 +42,7 @@ def check_used(planner: str, names: Iterable[str]) -> None:
 
 
 def adapter_of(planner: str, model: Any, choices: ExportChoices) -> PlannerAdapter:
-    """The adapter of a planner's network. Raises `ExportError` where the planner has none."""
+    """Return the adapter of a planner's network. Raises `ExportError` if the planner has none."""
     if planner not in ADAPTERS:
         raise ExportError(f"planner: expected one of {', '.join(ADAPTERS)}, got {planner!r}")
     return ADAPTERS[planner](model, choices)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from anchorflow_models.generation.checks import check
+from anchorflow_models.checks import check
 from anchorflow_models.transfuser import (
     Places,
     TransfuserConfig,

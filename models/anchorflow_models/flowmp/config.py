@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
+from anchorflow_trajectory.spline import SplineBasis, spline_basis
+
 
 @dataclass(frozen=True)
 class TransformerSize:
@@ -97,6 +99,13 @@ class L2Config:
     def state_dim(self) -> int:
         """S: position, its derivatives by the trajectory's own time, and log duration."""
         return 3 * self.dim + 1
+
+    @property
+    def basis(self) -> SplineBasis:
+        """Return the splines of the anchors."""
+        return spline_basis(
+            self.num_steps, num_control_points=self.num_control_points, degree=self.degree
+        )
 
 
 def check_choice(name: str, value: object, choices: tuple[object, ...]) -> None:

@@ -1,16 +1,16 @@
-"""Generation in torch: anchors of a planner that has just been trained, no bundle needed.
+"""Generation in torch: draws anchors from a network that was just trained, without a bundle.
 
-A request is the contract's, and so are its checks and its `WarmStart`.
+A request is the contract's, with its checks and its `WarmStart`. The service's engine samples and
+finishes the anchors; guidance by any torch cost, a control barrier inside the flow and the adaptive
+solver rk45 exist only here.
 """
 
 from anchorflow_client.contract import WarmStart
-from anchorflow_models.generation.anchor_tensors import AnchorTensors
-from anchorflow_models.generation.clearance_map import ClearanceMap
-from anchorflow_models.generation.config import GeneratorConfig
-from anchorflow_models.generation.generator import TrajectoryGenerator
-from anchorflow_models.generation.guidance import Guidance
+from anchorflow_models.generation.config import AnchorTensors, GeneratorConfig
+from anchorflow_models.generation.generator import TrajectoryGenerator, generate_trajectory_anchors
 from anchorflow_models.generation.scenes import encode_inputs, requested_scenes
-from anchorflow_models.generation.trajectory_anchors import generate_trajectory_anchors
+from anchorflow_models.generation.steering import Guidance
+from anchorflow_models.layers.clearance_map import ClearanceMap
 
 __all__ = [
     "AnchorTensors",

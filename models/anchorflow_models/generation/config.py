@@ -1,12 +1,14 @@
-"""How a `TrajectoryGenerator` draws and finishes anchors."""
+"""The settings of a `TrajectoryGenerator`, and the anchors that it returns."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+
+from torch import Tensor
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
-from anchorflow_models.generation.checks import check
-from anchorflow_trajectory.ode.methods import METHODS as SOLVERS
+from anchorflow_models.checks import check
+from anchorflow_trajectory.ode.method import METHODS as SOLVERS
 from anchorflow_trajectory.ode.schedule import Schedule, check_schedule
 
 ADAPTIVE = "rk45"
@@ -16,24 +18,23 @@ SCHEDULES = ("uniform", "8step")
 
 @dataclass(frozen=True)
 class GeneratorConfig:
-    """One value for many scenes; what belongs to a scene goes to the generator's methods.
+    """Settings of many scenes; the generator's methods take what belongs to one scene.
 
     method: "euler", "midpoint", "heun", "rk4", "ab2", or "rk45": Dormand and Prince's pair of
-        orders 5 and 4 with steps of its own choice, which takes no more of a schedule than its
-        first time
+        orders 5 and 4, which chooses its own steps from the schedule's first time on
     schedule: "uniform", "8step", or flow times that rise strictly from 0 to 1
     steps: of the uniform schedule
     rtol, atol: of rk45 for each anchor; atol in the state's units, m and log duration
     num_samples: N
     smooth: fit the B-spline that meets both ends
-    project: push anchors out of obstacles and inside the limits; what remains unsafe goes back
-        towards the nearest anchor that is safe
+    project: push anchors out of obstacles and inside the limits, and pull those that stay unsafe
+        towards the nearest safe anchor
     safety_margin: m of clearance that projection and barrier aim at
     refine_steps: descents of the projection
     barrier: correct finished anchors that are not clear enough by a control barrier
     certified_margin: m of clearance that anchors called safe keep
     barrier_rate: of a control barrier that steers anchors clear while they are drawn: a shortfall
-        of clearance falls as exp(-rate t); about 5 where it is wanted, None: off
+        of clearance falls as exp(-rate t). 5 is a good value; None is off
 
     Raises:
         ValueError: a field is out of its range; the message names it.
@@ -69,7 +70,7 @@ class GeneratorConfig:
 
     @property
     def flow_times(self) -> Schedule:
-        """The schedule as flow times from 0 to 1."""
+        """Return the schedule as flow times from 0 to 1."""
         if self.schedule == "uniform":
             return uniform_schedule(self.steps)
         if self.schedule == "8step":
@@ -84,5 +85,32 @@ class GeneratorConfig:
             times = check_schedule(self.flow_times)
         except (TypeError, ValueError) as error:
             raise ValueError(f"schedule: {error}") from error
-        # A later start is a warm start's to ask for: x_0 is a state of t = 0.
+        # x_0 is a state of t = 0; only a warm start begins later.
         check("schedule", times[0] == 0.0, "a first flow time of 0", times[0])
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorTensors:
+    """N anchors of a scene in SI and the map's frame, on the model's device.
+
+    A B axis leads if scenes were batched.
+
+    trajectories, velocities, accelerations: [N, T, D] in m, m/s, m/s^2
+    scores: [N], minus the expert's cost for the style; higher is better
+    clearance: [N] m beyond the robot's radius, smallest along the path
+    safe: [N] bool: the clearance suffices along the whole path, and speed and acceleration keep
+        their limits
+    durations: [N] s from the first to the last time step
+    """
+
+    trajectories: Tensor
+    velocities: Tensor
+    accelerations: Tensor
+    scores: Tensor
+    clearance: Tensor
+    safe: Tensor
+    durations: Tensor
+
+    def scene(self, index: int) -> AnchorTensors:
+        """Return the anchors of one scene of a batch."""
+        return AnchorTensors(*(getattr(self, field.name)[index] for field in fields(self)))

@@ -1,8 +1,8 @@
-"""Scenes to generate in: the contract's request in arrays or tensors, as a model's encode wants."""
+"""Scenes to generate in: a request in arrays or tensors as inputs of a model's encode."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,13 +10,13 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from anchorflow_client.contract import AnchorRequest
+from anchorflow_client.contract import AnchorRequest, WarmStart
 from anchorflow_client.errors import InvalidRequest
+from anchorflow_models.checks import check
 from anchorflow_models.flowmp.config import L2Config
-from anchorflow_models.generation.checks import check
-from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_service.engine.samplers.flow import renoised
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import ROUTE_STATES, SCENE_INPUTS, Scene, with_neutral_channels
-from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 Numbers = ArrayLike | Tensor
 
@@ -38,13 +38,13 @@ def requested_scenes(
     robot_radius: float = DEFAULT_ROBOT_RADIUS,
     motion: MotionLimits = DEFAULT_MOTION,
 ) -> list[Scene]:
-    """What a service is asked, as scenes for a model of this configuration.
+    """Read a request into scenes for a model of this configuration.
 
     cost_map: [C, H, W], C up to the model's; channels left out are neutral
     x_curr: [3D]; x_goal: [2D]
     w_style: [3], scaled to sum to 1, or a style's name; balanced by default
     origin: [2] m; by default the map's centre is (0, 0)
-    motion: what anchors keep, and how long they last where that is given
+    motion: limits of the anchors, and their duration if it has a horizon
 
     Each but the origin may have a B axis; one without is the same in every scene.
 
@@ -77,43 +77,72 @@ def requested_scenes(
             x_goal=request.x_goal[b],
             w_style=request.w_style[b],
             motion=motion,
-            basis=basis_of(config),
+            basis=config.basis,
         )
         for b in range(request.num_scenes)
     ]
 
 
 def encode_inputs(scenes: Sequence[Scene], device: torch.device) -> dict[str, Tensor]:
-    """What a model's encode takes of B scenes, by name; their maps have one size."""
-    sizes = {scene.cost_map.shape for scene in scenes}
-    check("scenes", len(sizes) == 1, "maps of one size [C, H, W]", sorted(sizes))
-    inputs = [scene.inputs(ENCODED) for scene in scenes]
+    """Return the inputs of a model's encode for B scenes, by name; their maps have one size."""
     return {
-        name: torch.from_numpy(np.concatenate([one[name] for one in inputs])).to(device)
-        for name in ENCODED
+        name: torch.from_numpy(each).to(device) for name, each in stacked_inputs(scenes).items()
     }
 
 
-def prior_means(scenes: Sequence[Scene], count: int, device: torch.device) -> Tensor:
-    """[B, N, T, S]: the routes of each scene, dealt out in turn to N = `count` anchors."""
-    dealt = [scene.route_states[dealt_routes(scene, count)] for scene in scenes]
-    return torch.from_numpy(np.stack(dealt)).to(device)
+def stacked_inputs(scenes: Sequence[Scene]) -> dict[str, NDArray[Any]]:
+    """Return the same as arrays."""
+    sizes = {scene.cost_map.shape for scene in scenes}
+    check("scenes", len(sizes) == 1, "maps of one size [C, H, W]", sorted(sizes))
+    inputs = [scene.inputs(ENCODED) for scene in scenes]
+    return {name: np.concatenate([one[name] for one in inputs]) for name in ENCODED}
+
+
+def prior_means(scenes: Sequence[Scene], count: int) -> NDArray[np.float32]:
+    """Return [B, N, T, S]: the routes of each scene, dealt out in turn to N = `count` anchors."""
+    return np.stack([scene.route_states[dealt_routes(scene, count)] for scene in scenes])
 
 
 def dealt_routes(scene: Scene, count: int) -> NDArray[np.intp]:
-    """[N], the place of the route that each anchor begins on."""
+    """Return [N], the index of the route that each anchor begins on."""
     return np.arange(count) % len(scene.route_splines)
 
 
-def basis_of(config: L2Config) -> SplineBasis:
-    """The splines of a model's anchors."""
-    return spline_basis(
-        config.num_steps, num_control_points=config.num_control_points, degree=config.degree
+def warm_started(
+    x_0: NDArray[np.float32], warm_start: WarmStart, scenes: Sequence[Scene]
+) -> NDArray[np.float32]:
+    """Return x_tau = tau x_1 + (1 - tau) x_0 [B, N, T, S]; x_1 is the plan on its own route.
+
+    The plan is the contract's [T', D], [T', 2D] or [T', 3D], of any number of time steps, or
+    [B, T', ...] if each scene has its own.
+
+    Raises:
+        InvalidRequest: the plan or tau is not that; the message names it.
+    """
+    given = np.asarray(as_numpy(warm_start.trajectory))
+    plans = given if given.ndim == 3 else given[None]
+    if len(plans) not in (1, len(scenes)):
+        message = f"expected one plan, or {len(scenes)} as there are scenes, got {len(plans)}"
+        raise InvalidRequest(message, "warm_start.trajectory")
+    fields = {"tau": warm_start.tau, "dt": warm_start.dt}
+    each = np.broadcast_to(plans, (len(scenes), *plans.shape[1:]))
+    return np.stack(
+        [
+            _scene_warm_started(x, {**fields, "trajectory": p}, s)
+            for x, p, s in zip(x_0, each, scenes, strict=True)
+        ]
     )
 
 
+def _scene_warm_started(
+    x_0: NDArray[np.float32], fields: Mapping[str, Any], scene: Scene
+) -> NDArray[np.float32]:
+    checked = WarmStart.from_fields(fields, dim=len(scene.x_goal) // 2)
+    return renoised(checked, x_0, dealt_routes(scene, len(x_0)), scene)
+
+
 def as_numpy(value: Any) -> Any:
-    """A tensor of any device, as an array; anything else as it is."""
+    """Return a tensor of any device as an array; anything else as it is."""
     return value.detach().cpu().numpy() if isinstance(value, Tensor) else value
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from anchorflow_models.generation.checks import check
+from anchorflow_models.checks import check
 
 STATUS = 8
 """Numbers: the command as one of four, velocity x and y, acceleration x and y."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from torch import nn
 
-from anchorflow_models.generation.checks import check
+from anchorflow_models.checks import check
 
 STRIDE = 32
 """Pixels along a side of one cell of the vision tower's last stage."""

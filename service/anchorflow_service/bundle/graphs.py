@@ -1,10 +1,13 @@
-"""One ONNX graph, opened: arrays in by name, arrays out by name."""
+"""The graphs of a bundle in onnxruntime: named arrays in, named arrays out.
+
+`OnnxGraphs` runs them by role, as the engine's samplers do; `Graph` is one of them, opened.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import onnxruntime as ort
@@ -13,6 +16,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import TensorSpec
 from anchorflow_service.bundle.providers import (
     DEFAULT_PROVIDER,
+    DEVICES,
     check_obtained,
     preferences,
     provider_named,
@@ -21,7 +25,8 @@ from anchorflow_service.bundle.reader import Bundle, BundleError
 
 Array = NDArray[Any]
 Tensor = Array | ort.OrtValue
-"""An array in the host's memory, or a value that lies on a device."""
+"""An array in the host's memory, or a value on a device."""
+AnyTensor = TypeVar("AnyTensor", bound=Tensor)
 
 ONNX_TYPES = {
     "float32": "tensor(float)",
@@ -30,14 +35,66 @@ ONNX_TYPES = {
     "uint8": "tensor(uint8)",
     "bool": "tensor(bool)",
 }
-ONLY_ERRORS = 3  # onnxruntime's severity; its warnings are of no use to a caller
+ONLY_ERRORS = 3  # onnxruntime's severity; its warnings do not help a caller
+
+
+class OnnxGraphs:
+    """The graphs of a bundle, by role; several threads may run them at once.
+
+    A graph runs on one thread unless `settle` was called for it.
+
+    threads: onnxruntime's own within one call; the calling thread is one of them
+    provider: "cpu", "cuda", "tensorrt" or "openvino"
+
+    Raises:
+        BundleError, ProviderError: as `open_graph`.
+    """
+
+    def __init__(
+        self, bundle: Bundle, *, threads: int = 1, provider: str = DEFAULT_PROVIDER
+    ) -> None:
+        self._bundle, self._threads, self._provider = bundle, threads, provider
+        self.device = DEVICES.get(provider)
+        self._narrow = {
+            role: open_graph(bundle, role, provider=provider) for role in bundle.manifest.graphs
+        }
+        self._wide: dict[str, Graph] = {}
+
+    def run(self, role: str, inputs: Mapping[str, Array], *, threads: int = 1) -> dict[str, Array]:
+        """Run a graph on those of the inputs that it takes; return its outputs in new arrays."""
+        wide = self._wide.get(role) if threads > 1 else None
+        graph = wide or self._narrow[role]
+        return graph(**graph.select(inputs))
+
+    def bind(self, role: str, inputs: Mapping[str, Tensor]) -> BoundGraph:
+        """Fix some inputs of a graph for a loop that writes the outputs into its own arrays."""
+        return BoundGraph(self._narrow[role], self.select(role, inputs))
+
+    def select(self, role: str, arrays: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Return those of the arrays that a graph takes by name."""
+        return self._narrow[role].select(arrays)
+
+    def settle(self, role: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
+        """Decide whether a graph may run on several threads; return its outputs on one.
+
+        It may if both give the same bytes: on some machines the kernels differ by their threads,
+        and an answer must not depend on how busy the service is.
+        """
+        narrow = self._narrow[role]
+        taken = narrow.select(inputs)
+        outputs = narrow(**taken)
+        if self._threads > 1:
+            wide = open_graph(self._bundle, role, threads=self._threads, provider=self._provider)
+            others = wide(**taken)
+            if all(np.array_equal(outputs[name], others[name]) for name in outputs):
+                self._wide[role] = wide
+        return outputs
 
 
 class Graph:
-    """An inference session whose signature is the manifest's; safe to call from several threads.
+    """An inference session with the manifest's signature; safe to call from several threads.
 
-    threads: onnxruntime's own, within one call; the calling thread is one of them
-    provider: "cpu", "cuda", "tensorrt" or "openvino"
+    threads: onnxruntime's own within one call; the calling thread is one of them
     """
 
     def __init__(
@@ -58,24 +115,20 @@ class Graph:
             raise BundleError(path, wrong)
 
     def __call__(self, **inputs: Array) -> dict[str, Array]:
-        """Outputs by name, in new arrays."""
+        """Return the outputs by name, in new arrays."""
         outputs: Sequence[Any] = self.session.run(self.output_names, inputs)
         return dict(zip(self.output_names, outputs, strict=True))
 
-    def select(self, arrays: Mapping[str, Array]) -> dict[str, Array]:
-        """Those of the arrays that the graph takes by name."""
+    def select(self, arrays: Mapping[str, AnyTensor]) -> dict[str, AnyTensor]:
+        """Return those of the arrays that the graph takes by name."""
         return {name: arrays[name] for name in self.input_names if name in arrays}
-
-    def bind(self, **inputs: Tensor) -> BoundGraph:
-        """The graph with some inputs fixed, for a loop that writes where it is told."""
-        return BoundGraph(self, inputs)
 
 
 class BoundGraph:
-    """A graph with some of its inputs fixed; one for each loop, it is not shared by threads.
+    """A graph with some of its inputs fixed; each loop has its own, threads do not share it.
 
-    What lies on the device of the graph's provider is used where it is. An array crosses to it and
-    back, at every call unless it is fixed.
+    A value on the device of the graph's provider is used there. An array crosses to the device and
+    back at every call unless it is fixed.
     """
 
     def __init__(self, graph: Graph, inputs: Mapping[str, Tensor]) -> None:
@@ -86,13 +139,13 @@ class BoundGraph:
         self._bind_inputs(self._fixed)
 
     def __call__(self, inputs: Mapping[str, Tensor], *, outputs: Mapping[str, Tensor]) -> None:
-        """Run on the fixed inputs and these; the outputs are written into the tensors given.
+        """Run on the fixed inputs and these; write the outputs into the given tensors.
 
-        They are there when it returns, for another graph to read too: onnxruntime waits for the
-        device at the end of every run unless it is told not to.
+        The outputs are complete on return, for another graph to read too: onnxruntime waits for
+        the device at the end of every run by default.
         """
-        # Anew at each call, though they may be the same as before: what a node on another device
-        # reads is copied when it is bound, not when it is read.
+        # Bind again at each call, though the inputs may be the same: for a node on another device
+        # an input is copied when it is bound, not when it is read.
         self._bind_inputs(inputs)
         for name, tensor in outputs.items():
             if isinstance(tensor, ort.OrtValue):
@@ -111,44 +164,14 @@ class BoundGraph:
                 self._binding.bind_cpu_input(name, tensor)
 
 
-class WideGraph:
-    """A graph for callers who have one thread and for those who have many.
-
-    Its bytes are the same either way: where this machine's kernels differ with their threads, which
-    `settle` finds out, it stays on one.
-    """
-
-    def __init__(self, bundle: Bundle, role: str, *, threads: int, provider: str) -> None:
-        self._narrow = open_graph(bundle, role, provider=provider)
-        self._wide = (
-            open_graph(bundle, role, threads=threads, provider=provider)
-            if threads > 1
-            else self._narrow
-        )
-        self.input_names = self._narrow.input_names
-        self.select = self._narrow.select
-        self._is_settled = False
-
-    def settle(self, inputs: Mapping[str, Array]) -> dict[str, Array]:
-        """Look whether both give the same; the outputs of the narrow one."""
-        narrow, wide = self._narrow(**inputs), self._wide(**inputs)
-        self._is_settled = all(np.array_equal(narrow[name], wide[name]) for name in narrow)
-        return narrow
-
-    def __call__(self, inputs: Mapping[str, Array], *, threads: int = 1) -> dict[str, Array]:
-        """Outputs by name, in new arrays."""
-        graph = self._wide if threads > 1 and self._is_settled else self._narrow
-        return graph(**inputs)
-
-
 def open_graph(
     bundle: Bundle, role: str, *, threads: int = 1, provider: str = DEFAULT_PROVIDER
 ) -> Graph:
-    """The graph of a bundle's role.
+    """Open the graph of a bundle's role.
 
     Raises:
         BundleError: onnxruntime cannot open it, or its signature is not the manifest's.
-        ProviderError: the provider is not to be had.
+        ProviderError: the provider is not available.
     """
     entry, path = bundle.manifest.graphs[role], bundle.graph_path(role)
     return Graph(
@@ -162,7 +185,7 @@ def _open(path: Path, threads: int, provider: str) -> ort.InferenceSession:
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = ONLY_ERRORS
-    # Idle threads that spin take the cores from the other graphs and from refinement.
+    # Idle threads that spin would take cores from the other graphs and from refinement.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         session = ort.InferenceSession(path, options, providers=preferences(wanted))
@@ -175,7 +198,7 @@ def _open(path: Path, threads: int, provider: str) -> ort.InferenceSession:
 def _signature_faults(
     kind: str, nodes: Iterable[Any], specs: Sequence[TensorSpec]
 ) -> Iterator[str]:
-    """Where a graph's inputs or outputs are not those of the manifest."""
+    """Find inputs or outputs of a graph that differ from the manifest's."""
     found = {node.name: node for node in nodes}
     if set(found) != {spec.name for spec in specs}:
         names = ", ".join(spec.name for spec in specs)
@@ -190,7 +213,7 @@ def _signature_faults(
 
 
 def _shapes_agree(onnx_shape: Sequence[Any], shape: Sequence[str | int]) -> bool:
-    """Numbers stand where numbers stand; a letter is an axis that the graph leaves open."""
+    """Numbers have to be equal; a letter is an axis that the graph leaves open."""
     return len(onnx_shape) == len(shape) and all(
         got == axis if isinstance(axis, int) else not isinstance(got, int)
         for got, axis in zip(onnx_shape, shape, strict=True)

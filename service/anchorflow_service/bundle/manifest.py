@@ -1,8 +1,9 @@
-"""The manifest: what a bundle says of itself in manifest.json.
+"""The manifest: the description of a bundle in manifest.json.
 
-The reader checks it and the exporter writes it with the same classes. A planner is put together of
-parts by kind, each an entry of its own: how it is asked (conditioning), how anchors are drawn
-(sampler), what is done to them before they are answered (finish).
+The reader validates it and the exporter writes it with the same classes. A planner is made of parts
+by kind: conditioning (what a request brings), sampler (how anchors are drawn), finish (what is done
+to them before they are answered). A part is the class that stands on the model card, or a subclass
+with further fields that only a bundle holds.
 """
 
 from __future__ import annotations
@@ -10,12 +11,16 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import KW_ONLY, asdict, dataclass, field, fields
 from typing import Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
     Field,
     NonNegativeFloat,
+    NonNegativeInt,
     PositiveFloat,
     PositiveInt,
     ValidationError,
@@ -25,22 +30,26 @@ from pydantic import (
 from anchorflow_client.contract import (
     AnchorBatch,
     AnswerSpec,
+    CostMapSpec,
     ModelCard,
     NoFinish,
+    OdeSpec,
     RefineSpec,
     TensorSpec,
+    TensorsSpec,
     TimeSpec,
+    TruncatedDiffusionSpec,
+    VisionLanguageSpec,
+    VocabularySpec,
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.kinds import CONDITIONINGS, FINISHES, SAMPLERS, part_of
+from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_client.oip_codec import RESERVED
-from anchorflow_service.bundle.conditioning import (
-    CostMapEntry,
-    Entry,
-    TensorsEntry,
-    VisionLanguageEntry,
-)
-from anchorflow_service.bundle.samplers import OdeEntry, TruncatedDiffusionEntry, VocabularyEntry
-from anchorflow_trajectory.finish.refiner import DESCENT_RATE
+from anchorflow_trajectory.ddim import NoiseLevels
+from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.ode.schedule import check_schedule
+from anchorflow_trajectory.refine import DESCENT_RATE
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
@@ -51,25 +60,135 @@ FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
+@dataclass(frozen=True)
+class VisionLanguageEntry(VisionLanguageSpec):
+    """Conditioning on pictures and a text, with the inputs that hold them."""
+
+    _: KW_ONLY
+    images: Annotated[tuple[str, ...], Field(min_length=1)]
+    """The request's inputs that are pictures. The service remembers the features of the optional
+    ones by their content."""
+    text: str
+    """The request's input that is a text, tokenized by the bundle's file `tokenizer`."""
+
+
+@dataclass(frozen=True)
+class PriorEntry:
+    """The prior of a flow, which turns noise [N,R] into x_0 = mean + noise · basis."""
+
+    mean: str
+    """Name of [B,T,S] that encode gives; or of [B,M,T,S] that encode or the scene gives, the M
+    components of a mixture over which the anchors are dealt out in turn."""
+    basis: str
+    """Name of [B,R,T*S] that encode gives."""
+
+
+@dataclass(frozen=True)
+class OdeEntry(OdeSpec):
+    """A flow that carries noise to anchors by an explicit method; defaults of the card."""
+
+    method: Annotated[str, AfterValidator(lambda name: method_named(name).name)] = field()
+    """`euler`, `midpoint`, `rk4`, …."""
+    schedule: Annotated[tuple[float, ...], AfterValidator(check_schedule)] = field()
+    """Flow times, rising from 0 to 1."""
+    prior: PriorEntry | None = None
+    """Null if a flow begins with the noise itself, [N,T,S]."""
+
+
+@dataclass(frozen=True)
+class TruncatedDiffusionEntry(TruncatedDiffusionSpec):
+    """A diffusion that begins at anchors with a little noise; then the best, coarse to fine."""
+
+    size: int = field(init=False)
+    candidates: int = field(init=False)
+    choices: tuple[int, ...] = field(init=False)
+    _: KW_ONLY
+    anchors: PositiveInt
+    """Trajectories that the graphs start from."""
+    groups: PositiveInt
+    """Noises that each anchor begins with."""
+    variants: PositiveInt
+    """Variants of each denoised trajectory, the first without noise of its own."""
+    vocabulary: NonNegativeInt = 0
+    """Trajectories that the coarse graph adds to the candidates."""
+    keep: PositiveInt
+    """The best by coarse scores, which are scored finely."""
+    noise: NoiseLevels
+    start: NonNegativeInt
+    """The level at which anchors begin."""
+    schedules: Annotated[tuple[tuple[int, ...], ...], Field(min_length=1)]
+    """The levels at which each number of steps denoises."""
+    steps: PositiveInt
+    """Default number of steps."""
+
+    def __post_init__(self) -> None:
+        scored = self.anchors * self.groups * self.variants + self.vocabulary
+        derived = {
+            "size": self.keep,
+            "candidates": scored,
+            "choices": tuple(len(schedule) for schedule in self.schedules),
+        }
+        for name, value in derived.items():
+            object.__setattr__(self, name, value)
+        try:
+            for schedule in self.schedules:
+                self.noise.check_times(schedule)
+        except ValueError as error:
+            raise ValueError(f"schedules: {error}") from error
+        if self.start >= self.noise.levels:
+            raise ValueError(f"start: expected a level below {self.noise.levels}, got {self.start}")
+        if self.steps not in self.choices or len(set(self.choices)) < len(self.choices):
+            known = ", ".join(map(str, self.choices))
+            raise ValueError(f"steps: expected one of {known}, each once, got {self.steps}")
+        if self.keep > self.candidates:
+            raise ValueError(f"keep: expected at most {self.candidates}, got {self.keep}")
+
+    def levels_of(self, steps: int) -> tuple[int, ...]:
+        """Return the levels at which this number of steps denoises."""
+        return self.schedules[self.choices.index(steps)]
+
+
+@dataclass(frozen=True)
+class SplineEntry(RefineSpec):
+    """Splines that meet both ends: the card's defaults of a request's `refine`, and the spline."""
+
+    safety_margin: NonNegativeFloat = field()
+    guidance: NonNegativeFloat = field()
+    certified_margin: NonNegativeFloat = 0.0
+    _: KW_ONLY
+    steps: PositiveInt
+    """Descent steps of the projection."""
+    rate: PositiveFloat = DESCENT_RATE
+    """Step size in m of the first descent step."""
+    num_control_points: PositiveInt
+    degree: PositiveInt
+
+
+class Entry(BaseModel):
+    """A frozen object of the manifest; unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
 class FileEntry(Entry):
     """A file beside the graphs, such as a vocabulary or a tokenizer."""
 
     file: FileName
-    """In the bundle's own folder."""
+    """Name in the bundle's own folder."""
     sha256: Sha256
-    """Of its bytes, in hexadecimal digits."""
+    """Hash of the file's bytes, in hexadecimal digits."""
 
 
 class GraphEntry(FileEntry):
     """One ONNX graph of the bundle; the key it stands under is its role."""
 
     opset: PositiveInt
-    """Of ONNX."""
+    """ONNX opset."""
     precision: Literal["float32", "int8"] = "float32"
-    """Of its products."""
+    """Precision of the products."""
     inputs: tuple[TensorSpec, ...]
-    """In the graph's order; by their names they are found among what a request brings and what
-    other graphs give."""
+    """Inputs in the graph's order, found by name among a request's inputs and other graphs'
+    outputs."""
     outputs: tuple[TensorSpec, ...]
 
     @property
@@ -82,100 +201,39 @@ class GraphEntry(FileEntry):
 
 
 class RequestEntry(Entry):
-    """What a caller sends."""
+    """The inputs of a request."""
 
     inputs: Annotated[tuple[TensorSpec, ...], Field(min_length=1)]
-    """By name; the first axis of each is B."""
-
-
-class SplineEntry(Entry):
-    """Splines that meet both ends: the card's defaults, as a request's `refine` has them, and the
-    spline they are finished on."""
-
-    kind: Literal["spline"] = "spline"
-    smooth: bool
-    project: bool
-    safety_margin: NonNegativeFloat
-    guidance: NonNegativeFloat
-    barrier: bool = False
-    certified_margin: NonNegativeFloat = 0.0
-    steps: PositiveInt
-    """Descents of the projection."""
-    rate: PositiveFloat = DESCENT_RATE
-    """m, of the first of them."""
-    num_control_points: PositiveInt
-    degree: PositiveInt
-
-    def spec(self) -> RefineSpec:
-        """What the card says of it."""
-        return RefineSpec(
-            self.smooth,
-            self.project,
-            self.safety_margin,
-            self.guidance,
-            self.barrier,
-            self.certified_margin,
-        )
-
-
-class NoFinishEntry(Entry):
-    """Anchors are answered as they were sampled."""
-
-    kind: Literal["none"] = "none"
-
-    def spec(self) -> NoFinish:
-        """What the card says of it."""
-        return NoFinish()
-
-
-class TimeEntry(Entry):
-    """Poses at first_s + k dt, k from 0 to steps - 1."""
-
-    steps: Annotated[int, Field(ge=2)]
-    first_s: NonNegativeFloat
-    """s from now; 0 beside a cost map."""
-    dt: PositiveFloat | None
-    """s between two poses, above 0; null where each anchor has its own."""
-
-
-class AnswerEntry(Entry):
-    """What an answer holds beside its trajectories [N,T,D]."""
-
-    components: Annotated[tuple[str, ...], Field(min_length=2)]
-    """The names of D's parts."""
-    arrays: tuple[str, ...] = ()
-    """Which of the contract's are always there."""
-    extras: tuple[TensorSpec, ...] = ()
-    """Further outputs of the graphs, sent where a request asks for them."""
+    """Inputs by name; the first axis of each is B."""
 
 
 class Manifest(Entry):
-    """manifest.json; the axes of its tensors are letters, or numbers where the graph fixes them."""
+    """manifest.json; the axes of its tensors are letters, or numbers if the graph fixes them."""
 
     format: Literal[2]
     name: Annotated[str, Field(min_length=1)]
-    """By which requests ask for it as their `model`."""
+    """The name that a request's `model` asks for."""
     version: Annotated[str, Field(min_length=1)]
     planner: str
-    """Of `anchorflow train --planner`, or one of your own; the service does not read it."""
+    """A planner of `anchorflow train --planner`, or your own; the service does not read it."""
     request: RequestEntry
     conditioning: Annotated[
-        CostMapEntry | TensorsEntry | VisionLanguageEntry, Field(discriminator="kind")
+        CostMapSpec | TensorsSpec | VisionLanguageEntry, Field(discriminator="kind")
     ]
     sampler: Annotated[
-        OdeEntry | VocabularyEntry | TruncatedDiffusionEntry, Field(discriminator="kind")
+        OdeEntry | VocabularySpec | TruncatedDiffusionEntry, Field(discriminator="kind")
     ]
-    finish: Annotated[SplineEntry | NoFinishEntry, Field(discriminator="kind")]
-    time: TimeEntry
-    answer: AnswerEntry
+    finish: Annotated[SplineEntry | NoFinish, Field(discriminator="kind")]
+    time: TimeSpec
+    answer: AnswerSpec
     graphs: dict[str, GraphEntry]
-    """By role, which the sampler's kind asks for."""
+    """Graphs by role; the kind of sampler says which roles it needs."""
     files: dict[str, FileEntry] = Field(default_factory=dict)
-    """By role; others in the folder are not read."""
+    """Files by role; others in the folder are not read."""
     training: dict[str, Any] = Field(default_factory=dict)
-    """Where the weights come from: told on the card, read by nothing."""
+    """Provenance of the weights, for the card."""
     quality: dict[str, Any] = Field(default_factory=dict)
-    """What a benchmark measured: told likewise."""
+    """Results of a benchmark, for the card."""
 
     @model_validator(mode="after")
     def _parts_fit_together(self) -> Manifest:
@@ -185,11 +243,11 @@ class Manifest(Entry):
 
     def _time_faults(self) -> Iterator[str]:
         """A planner with a cost map answers from now to the horizon, or each anchor to its end."""
-        if not isinstance(self.conditioning, CostMapEntry):
+        if not isinstance(self.conditioning, CostMapSpec):
             if self.time.dt is None:
                 yield "time.dt is null, expected s between two poses of a planner without limits"
             return
-        yield from self.conditioning.faults()
+        yield from _range_faults(self.conditioning)
         horizon_s = self.conditioning.limits.horizon_s
         dt = None if horizon_s is None else horizon_s / (self.time.steps - 1)
         if self.time.dt is None or dt is None:
@@ -209,7 +267,7 @@ class Manifest(Entry):
             if "." in spec.name:
                 path = "which the binary form takes for a path"
                 yield f"request.inputs: {spec.name} has a dot, {path}"
-            if spec.name in RESERVED and not isinstance(self.conditioning, CostMapEntry):
+            if spec.name in RESERVED and not isinstance(self.conditioning, CostMapSpec):
                 yield f"request.inputs: {spec.name} is a name that requests with a cost map have"
 
     def _answer_faults(self) -> Iterator[str]:
@@ -227,30 +285,32 @@ class Manifest(Entry):
         return len(self.answer.components)
 
     def card(self, *, sha256: str) -> ModelCard:
-        """What callers see of it; sha256 is that of the manifest's bytes."""
-        answer = self.answer
+        """Return the model card, which leaves out what only the bundle needs.
+
+        sha256: hash of the manifest's bytes
+        """
         return ModelCard(
             name=self.name,
             version=self.version,
             sha256=sha256,
             planner=self.planner,
             inputs=self.request.inputs,
-            conditioning=self.conditioning.spec(),
-            sampler=self.sampler.spec(),
-            finish=self.finish.spec(),
-            time=TimeSpec(self.time.steps, self.time.first_s, self.time.dt),
-            answer=AnswerSpec(answer.components, answer.arrays, answer.extras),
+            conditioning=part_of(asdict(self.conditioning), CONDITIONINGS),
+            sampler=part_of(asdict(self.sampler), SAMPLERS),
+            finish=part_of(asdict(self.finish), FINISHES),
+            time=self.time,
+            answer=self.answer,
             quality=self.quality,
             training=self.training,
         )
 
     def to_json(self) -> bytes:
-        """The bytes of manifest.json."""
+        """Return the bytes of manifest.json."""
         return self.model_dump_json(indent=2).encode() + b"\n"
 
 
 def parse_manifest(data: bytes) -> Manifest:
-    """Check the bytes of manifest.json; ValueError says every field that is wrong, and how."""
+    """Validate the bytes of manifest.json. Raises ValueError, which names every wrong field."""
     _check_format(data)
     try:
         return Manifest.model_validate_json(data, strict=True)
@@ -260,11 +320,11 @@ def parse_manifest(data: bytes) -> Manifest:
 
 
 def _check_format(data: bytes) -> None:
-    """A bundle of another format has one thing wrong, and not twenty fields."""
+    """Report another format as one fault instead of twenty wrong fields."""
     try:
         found = json.loads(data).get("format")
     except (ValueError, AttributeError, RecursionError):
-        return  # the manifest's own check says what is wrong
+        return  # the validation of the manifest says what is wrong
     if isinstance(found, int) and found != FORMAT:
         again = "export its checkpoint anew with `anchorflow export CHECKPOINT --out FOLDER`"
         raise ValueError(f"format: expected {FORMAT}, got {found}: {again}")
@@ -272,4 +332,23 @@ def _check_format(data: bytes) -> None:
 
 def _describe(item: Any) -> str:
     path = ".".join(str(part) for part in item["loc"])
-    return f"{path}: {item['msg']}" if path else item["msg"]
+    # A dataclass reports an unknown key as Python would; a reader of JSON expects one message.
+    is_extra = item["type"] == "unexpected_keyword_argument"
+    message = "Extra inputs are not permitted" if is_extra else item["msg"]
+    return f"{path}: {message}" if path else message
+
+
+def _range_faults(spec: CostMapSpec) -> Iterator[str]:
+    """Find ranges that no request could use, or that exclude the bundle's own limit."""
+    for name, (low, high) in spec.ranges.items():
+        where, wide = f"conditioning.ranges.{name}", LIMIT_INTERVALS[name]
+        own = getattr(spec.limits, name)
+        if not wide.low <= low <= high <= wide.high:
+            yield f"{where} is [{low:g}, {high:g}], expected least and greatest {wide}"
+        elif own is not None and not low <= own <= high:
+            yield f"{where} is [{low:g}, {high:g}], without limits.{name} = {own:g}"
+    if spec.limits.horizon_s is None and "horizon_s" not in spec.ranges:
+        yield (
+            "conditioning.ranges.horizon_s is missing, expected least and greatest duration "
+            "of an anchor beside limits.horizon_s null"
+        )

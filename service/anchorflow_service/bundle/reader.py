@@ -1,8 +1,7 @@
-"""The bundle reader: a folder of manifest.json, ONNX graphs and other files, checked before it
-serves.
+"""The bundle reader: reads manifest.json and checks the bundle's files against it.
 
-What the graphs themselves say of their inputs and outputs is checked where they are opened, in
-`graphs.py`; whether they can be wired together, by the engine's parts.
+The signatures of the graphs are checked when `graphs.py` opens them, and how they fit together by
+the engine's samplers and conditionings.
 """
 
 from __future__ import annotations
@@ -23,13 +22,13 @@ DEFAULT_BUNDLE = Path(__file__).parents[1] / "bundles" / "default"
 class BundleError(AnchorFlowError):
     """A bundle on disk is broken; the message names the file and says what is wrong with it.
 
-    detail: what a library said, which may name paths and versions of this machine
+    detail: a library's message, which may name paths and versions of this machine
     """
 
     def __init__(self, file: Path, wrong: str, detail: str = "") -> None:
         self.file = file
         self.wrong = wrong
-        super().__init__(file, wrong, detail)  # as pickle makes it anew
+        super().__init__(file, wrong, detail)  # pickle restores it from these
 
     def __str__(self) -> str:
         file, wrong, detail = self.args
@@ -37,28 +36,28 @@ class BundleError(AnchorFlowError):
 
     @property
     def reason(self) -> str:
-        """The message without what only this machine's owner should read."""
+        """Return the message without paths and details of this machine."""
         return f"{self.file.name}: {self.wrong}"
 
 
 @dataclass(frozen=True)
 class Bundle:
-    """A bundle whose files are what its manifest says."""
+    """A bundle whose files match its manifest."""
 
     path: Path
     manifest: Manifest
     card: ModelCard
 
     def graph_path(self, role: str) -> Path:
-        """Where the graph of a role lies."""
+        """Return the path of a role's graph."""
         return self.path / self.manifest.graphs[role].file
 
     def file_path(self, role: str) -> Path:
-        """Where another file of a role lies."""
+        """Return the path of a role's other file."""
         return self.path / self.manifest.files[role].file
 
     def fault(self, wrong: str) -> BundleError:
-        """The error that says what is wrong with the manifest."""
+        """Return the error for something wrong in the manifest."""
         return BundleError(self.path / FILE_NAME, wrong)
 
 
@@ -66,8 +65,7 @@ def load_bundle(path: Path | str) -> Bundle:
     """Read a bundle's manifest and check its files against it.
 
     Raises:
-        BundleError: the manifest is missing or wrong, or a file is missing or is not the one that
-            was exported.
+        BundleError: the manifest is missing or wrong, or a file is missing or has another hash.
     """
     folder = Path(path)
     manifest_path = folder / FILE_NAME
@@ -82,10 +80,10 @@ def load_bundle(path: Path | str) -> Bundle:
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a bundle's file.
+    """Read a bundle's file.
 
     Raises:
-        BundleError: it cannot be read, or is a pipe or a device, which might never end.
+        BundleError: it cannot be read, or is a pipe or a device, which could block forever.
     """
     try:
         if not stat.S_ISREG(path.stat().st_mode):

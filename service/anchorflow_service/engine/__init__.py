@@ -1,8 +1,8 @@
-"""The engine: a request in, anchors out, in three parts that a bundle names by kind.
+"""The engine: plans anchors for a request, with three parts that a bundle names by kind.
 
-conditioning  what a request says, as the inputs of the graphs
-samplers      anchors drawn from the graphs
-finish        what is done to the anchors before they are answered
+conditioning  reads a request into the inputs of the graphs
+samplers      draw anchors with the graphs
+finish        turns them into the arrays of the answer
 """
 
 from anchorflow_service.engine.engine import Engine

@@ -1,44 +1,77 @@
-"""The engine: a request in, anchors out. It knows kinds of parts, not planners."""
+"""The engine: plans anchors for a request. It knows kinds of parts, not planners."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain
+from time import perf_counter
 
 import numpy as np
 
 from anchorflow_client.contract import AnchorBatch, ModelCard, ResolvedRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import Bundle, BundleError
+from anchorflow_service.bundle.graphs import OnnxGraphs
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.finish import FINISHES
-from anchorflow_service.engine.parts import DT, Arrays, Check, ConditionedScene, Sampler
+from anchorflow_service.engine.interfaces import (
+    DT,
+    Arrays,
+    Check,
+    ConditionedScene,
+    Graphs,
+    Sampler,
+    Samples,
+)
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
-from anchorflow_service.engine.timing import StageClock
-from anchorflow_trajectory.threads import usable_cores
+from anchorflow_trajectory.cores import usable_cores
 
 PROBED = 16  # anchors
+STAGES = ("queue", "encode", "sample", "refine", "total")
+
+
+class StageClock:
+    """Sums the wall-clock time [ms] of a request's stages; the server adds the queue's."""
+
+    def __init__(self) -> None:
+        self.elapsed_ms: dict[str, float] = dict.fromkeys(STAGES, 0.0)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to that of the stage."""
+        start = perf_counter()
+        try:
+            yield
+        finally:
+            self.elapsed_ms[name] += (perf_counter() - start) * 1e3
 
 
 class Engine:
     """A bundle, ready to plan; blocking, and safe to call from several threads.
 
-    It has planned once when it is made: what is broken is found there, and not by a caller.
+    It plans once in its constructor, so that a broken bundle fails there and not in a request.
 
-    threads: that one request may keep busy; None: the cores that this process may use
+    threads: the most that one request keeps busy; None: the cores that this process may use
     provider: where the graphs run: "cpu", "cuda", "tensorrt" or "openvino"
+    graphs: run in place of the bundle's own, such as those of the network that it was exported from
 
     Raises:
-        BundleError: the graphs of the bundle cannot be wired together, one cannot be opened or is
-            not what the manifest says, or the bundle fails at its first request.
-        ProviderError: the provider is not to be had; nothing falls back in silence.
+        BundleError: the graphs of the bundle do not fit together, one cannot be opened or differs
+            from the manifest, or the bundle fails at its first request.
+        ProviderError: the provider is not available; there is no silent fallback.
     """
 
     def __init__(
-        self, bundle: Bundle, *, threads: int | None = None, provider: str = DEFAULT_PROVIDER
+        self,
+        bundle: Bundle,
+        *,
+        threads: int | None = None,
+        provider: str = DEFAULT_PROVIDER,
+        graphs: Graphs | None = None,
     ) -> None:
         manifest = bundle.manifest
         kind = SAMPLERS[manifest.sampler.kind]
@@ -47,7 +80,8 @@ class Engine:
         self._conditioning = CONDITIONINGS[manifest.conditioning.kind](bundle)
         for fault in chain(kind.faults(manifest), self._conditioning.faults()):
             raise bundle.fault(fault)
-        self.sampler: Sampler = kind(bundle, threads=self._threads, provider=provider)
+        graphs = graphs or OnnxGraphs(bundle, threads=self._threads, provider=provider)
+        self.sampler: Sampler = kind(manifest, graphs, threads=self._threads)
         self._finish = FINISHES[manifest.finish.kind](manifest, threads=self._threads)
         self._warm_up(bundle)
 
@@ -66,12 +100,12 @@ class Engine:
 
         Args:
             request: what to plan, resolved for this engine's card.
-            threads: to keep busy; None: all of the engine's.
+            threads: the most to keep busy; None: all of the engine's.
             check: called before every stage and after every step of the sampler.
 
         Raises:
-            InvalidRequest: the request asks what this bundle cannot do.
-            UnknownModel: it asks for another model.
+            InvalidRequest: the request asks for something that this bundle cannot do.
+            UnknownModel: it names another model.
             Exception: what `check` raises.
         """
         threads = threads or self._threads
@@ -96,10 +130,26 @@ class Engine:
             ),
         )
 
-    def flow_states(self, request: ResolvedRequest, /) -> FlowStates:
-        """The states that `plan` passes through on its way to the first scene's anchors.
+    def samples(self, request: ResolvedRequest, /) -> list[Samples]:
+        """Return the samples of every scene as the sampler draws them, before the finish.
 
-        The last of them is what the finish starts from.
+        Raises:
+            InvalidRequest, UnknownModel: as `plan`.
+        """
+        return [
+            self.sampler.sample(
+                scene,
+                self.sampler.encode(scene, threads=self._threads),
+                threads=self._threads,
+                check=lambda: None,
+            )
+            for scene in self._scenes(request)
+        ]
+
+    def flow_states(self, request: ResolvedRequest, /) -> FlowStates:
+        """Return the states that `plan` passes through on its way to the first scene's anchors.
+
+        The finish starts from the last of them.
 
         Raises:
             InvalidRequest, UnknownModel: as `plan`; the planner has no flow.
@@ -109,11 +159,11 @@ class Engine:
         return self.sampler.flow_states(self._scenes(request)[0])
 
     def _common_time_step(self, request: ResolvedRequest) -> float:
-        """s between two time steps where all anchors are alike."""
+        """Return the seconds between two time steps, if they are the same for all anchors."""
         limits = request.limits
         if limits is not None and limits.horizon_s is not None:
             return limits.horizon_s / (self.card.T - 1)
-        assert self.card.time.dt is not None  # the manifest has one where there is no horizon
+        assert self.card.time.dt is not None  # the manifest has one if there is no horizon
         return self.card.time.dt
 
     def _scenes(self, request: ResolvedRequest) -> Sequence[ConditionedScene]:
@@ -122,7 +172,7 @@ class Engine:
         return self._conditioning.scenes(request)
 
     def _warm_up(self, bundle: Bundle) -> None:
-        """Plan once. Raises `BundleError` where that fails or gives nonsense."""
+        """Plan once. Raises `BundleError` if that fails or gives nonsense."""
         try:
             asked = resolve_for_card(self._conditioning.probe(), self.card)
             probe = replace(asked, num_samples=min(PROBED, asked.num_samples))
@@ -152,7 +202,7 @@ class Engine:
 
 
 def _stacked(scenes: Sequence[Arrays], *, batched: bool) -> Arrays:
-    """The arrays of an answer: those of the scenes on a B axis, or of the only one without."""
+    """Return the arrays of an answer: the scenes' on a B axis, or those of a single scene."""
     if not batched:
         return {**scenes[0]}
     return {name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]}

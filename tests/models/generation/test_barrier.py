@@ -16,8 +16,8 @@ from anchorflow_models.generation import (
     Guidance,
     TrajectoryGenerator,
 )
-from anchorflow_models.generation.barrier import SLACK, Barrier
-from anchorflow_trajectory.cost.clearance import clearance_field
+from anchorflow_models.generation.steering import SLACK, Barrier
+from anchorflow_trajectory.clearance import clearance_field
 
 RATE = 6.0
 SCENES, COUNT, STEPS = 2, 5, 9

@@ -57,7 +57,8 @@ def expected(gaussian_flow: Callable, free_room: Any) -> Tensor:
     flow = gaussian_flow(shift=SHIFT)
     scenes = requested_scenes(*free_room.ends, config=flow.config)
     cpu = torch.device("cpu")
-    context, mean = flow.encode(**encode_inputs(scenes, cpu)), prior_means(scenes, 5, cpu)
+    context = flow.encode(**encode_inputs(scenes, cpu))
+    mean = torch.from_numpy(prior_means(scenes, 5))
     size = 5, context["prior_basis"].shape[1]
     noise = np.random.Generator(np.random.PCG64(3)).standard_normal(size, dtype=np.float32)
     return flow.draw(torch.from_numpy(noise)[None], mean, context)[0] + SHIFT

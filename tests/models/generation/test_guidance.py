@@ -143,7 +143,8 @@ def test_the_service_guides_as_this_does(
     flow, cpu = gaussian_flow(), torch.device("cpu")
     motion = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=horizon_s)
     (scene,) = scenes = requested_scenes(*room.ends, config=flow.config, motion=motion)
-    context, mean = flow.encode(**encode_inputs(scenes, cpu)), prior_means(scenes, 6, cpu)
+    context = flow.encode(**encode_inputs(scenes, cpu))
+    mean = torch.from_numpy(prior_means(scenes, 6))
     basis, refiner = context["prior_basis"], Refiner(scene, 20)
 
     def cost_of(states: Tensor) -> Tensor:

@@ -65,7 +65,7 @@ def test_the_limits_are_the_scenes() -> None:
 
 def test_routes_are_dealt_out_in_turn() -> None:
     several = scenes(x_goal=[X_GOAL, [0.05, 1.8, 0, 0]])
-    means = prior_means(several, 5, CPU)
+    means = prior_means(several, 5)
     assert means.shape == (2, 5, 64, 7)
     for scene, mean in zip(several, means, strict=True):
         routes = scene.route_states

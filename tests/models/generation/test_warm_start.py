@@ -111,7 +111,7 @@ def test_each_scene_may_have_its_own_plan(
 @pytest.mark.parametrize(
     ("trajectory", "message"),
     [
-        (np.zeros((5, 5)), "columns of 2 a field, got 5"),
+        (np.zeros((5, 5)), r"\[T,2\] of positions, .* \(2, 4, 6 columns\), got 5 columns"),
         (np.zeros((1, 2)), r"shape \[T,2\] to \[T,6\], got \[1, 2\]"),
         (np.zeros((3, 5, 2)), "one plan, or 1 as there are scenes, got 3"),
         (np.full((5, 2), np.nan), "finite numbers"),

@@ -20,8 +20,7 @@ from asked_engine import AS_SAMPLED, Build, assert_same_bytes, plan
 
 from anchorflow_client.contract import SamplerChoice, resolve_for_card, uniform_schedule
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_service.bundle.device import DEVICES, Device
-from anchorflow_service.bundle.providers import PROVIDERS
+from anchorflow_service.bundle.providers import DEVICES, PROVIDERS, Device
 from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.samplers.device_loop import ADD_SCALED, DeviceLoop

@@ -12,8 +12,10 @@ import pytest
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, OdeSpec
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine.parts import Arrays, Context
-from anchorflow_service.engine.samplers.ode import Beginning, OdeSampler
+from anchorflow_service.bundle.graphs import OnnxGraphs
+from anchorflow_service.engine.interfaces import Arrays, Context
+from anchorflow_service.engine.samplers.flow import Beginning
+from anchorflow_service.engine.samplers.ode import OdeSampler
 
 RK4_8STEP = OdeSpec("rk4", EIGHT_STEP_SCHEDULE)
 X_CURR = np.array([[1.0, 2.0, 0.5, -0.5, 0.0, 0.1]], np.float32)
@@ -25,7 +27,12 @@ ROUTES = np.random.default_rng(0).normal(size=(3, 8, 7)).astype(np.float32)
 
 @pytest.fixture
 def flow(tiny_bundle: Path) -> OdeSampler:
-    return OdeSampler(load_bundle(tiny_bundle), threads=2)
+    return opened(tiny_bundle, threads=2)
+
+
+def opened(folder: Path, *, threads: int) -> OdeSampler:
+    bundle = load_bundle(folder)
+    return OdeSampler(bundle.manifest, OnnxGraphs(bundle, threads=threads), threads=threads)
 
 
 class Given:
@@ -113,9 +120,9 @@ def test_a_schedule_may_start_late(flow: OdeSampler) -> None:
 def test_a_mean_that_encode_gives_is_every_anchors(
     tiny_bundle: Path, edit_manifest: Callable[..., None]
 ) -> None:
-    encoded = encode(OdeSampler(load_bundle(tiny_bundle), threads=1))
+    encoded = encode(opened(tiny_bundle, threads=1))
     edit_manifest("sampler", "prior", "mean", to="own_mean")
-    flow = OdeSampler(load_bundle(tiny_bundle), threads=1)
+    flow = opened(tiny_bundle, threads=1)
     context = {**encoded, "own_mean": ROUTES[:1]}
     begun = flow.beginning(context, flow.draw_noise(context, num_samples=4, seed=1))
     np.testing.assert_allclose(begun.x - drawn(4, seed=1)[:, None], ROUTES[[0] * 4], atol=1e-6)
@@ -126,7 +133,7 @@ def test_without_a_prior_the_flow_starts_from_plain_noise(
     tiny_bundle: Path, edit_manifest: Callable[..., None]
 ) -> None:
     edit_manifest("sampler", "prior", to=None)
-    flow = OdeSampler(load_bundle(tiny_bundle), threads=1)
+    flow = opened(tiny_bundle, threads=1)
     context = encode(flow)
     noise = flow.draw_noise(context, num_samples=4, seed=1)
     assert noise.shape == (4, 8, 7)

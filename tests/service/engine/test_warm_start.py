@@ -13,7 +13,7 @@ from anchorflow_client.contract import AnchorRequest, WarmStart, resolve_for_car
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
-from anchorflow_service.engine.samplers.warm_start import renoised
+from anchorflow_service.engine.samplers.flow import renoised
 from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.warm_start import SLOWEST, warm_states

@@ -11,7 +11,7 @@ import torch
 
 from anchorflow_client.contract import RefineSpec
 from anchorflow_models import L2Config
-from anchorflow_models.generation.scenes import basis_of, encode_inputs
+from anchorflow_models.generation.scenes import encode_inputs
 from anchorflow_training.distillation.anchor_cost import AnchorCost
 from anchorflow_training.distillation.pairs import reference_times
 from anchorflow_training.scenes import RobotRanges, SceneError, draw_scene
@@ -45,7 +45,7 @@ def risky(scene: Scene) -> Scene:
 
 def disturbed(scenes: list[Scene], count: int = 8) -> np.ndarray:
     """[B, N, T, S] round each scene's first route: other ways and durations, and rough ones."""
-    rng, basis = np.random.default_rng(1), basis_of(CONFIG)
+    rng, basis = np.random.default_rng(1), CONFIG.basis
     first = np.stack([scene.route_states[:1] for scene in scenes])
     states = first + rng.normal(0.0, ROUGH, (len(scenes), count, *first.shape[2:]))
     for one in states:

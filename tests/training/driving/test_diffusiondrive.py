@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from types import SimpleNamespace
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -292,10 +293,22 @@ def test_the_winner_is_the_nearest_anchor() -> None:
 
 
 def test_training_denoises_as_the_service_does() -> None:
-    from anchorflow_export.planners.diffusiondrive.adapter import torch_sample
-    from anchorflow_service.engine.samplers.truncated_diffusion import Noise
+    from anchorflow_export.adapter import ExportChoices
+    from anchorflow_export.planners import adapter_of
+    from anchorflow_models.torch_graphs import TorchGraphs
+    from anchorflow_service.engine.samplers.truncated_diffusion import (
+        Noise,
+        TruncatedDiffusionSampler,
+    )
 
     model, given = tiny_diffusiondrive(), batch()
+    adapter = adapter_of("diffusiondrive", model, ExportChoices())
+    names = {
+        name: SimpleNamespace(input_names=role.inputs, output_names=role.outputs)
+        for name, role in adapter.roles.items()
+    }
+    manifest: Any = SimpleNamespace(**vars(adapter.parts), graphs=names)
+    sampler = TruncatedDiffusionSampler(manifest, TorchGraphs(adapter.roles), threads=1)
     own = {name: given[name][:1] for name in ("camera", "lidar", "ego_status")}
     count = TINY.anchors * TINY.groups
     start = torch.randn(count, T, 2)
@@ -305,8 +318,9 @@ def test_training_denoises_as_the_service_does() -> None:
         made = model.candidates(
             denoised(model, scene, start[None]).trajectories, torch.zeros(1, count, 1, 2)
         )
-        kept = torch_sample(model, own, noise, start=TINY.start, steps=TINY.steps)
-    apart = torch.cdist(kept["trajectories"].flatten(1), made[0].flatten(1))
+        context = {name: each.numpy() for name, each in model.encode(**own).items()}
+    served = sampler.denoised(context, noise, steps=TINY.steps, check=lambda: None)
+    apart = torch.cdist(torch.from_numpy(served).flatten(1), made[0].flatten(1))
     assert apart.min(dim=1).values.max() < 1e-3
 
 

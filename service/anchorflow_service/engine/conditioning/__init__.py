@@ -1,4 +1,4 @@
-"""Conditioning: from a request to the inputs of the graphs, by the kind that a manifest names."""
+"""Conditioning: reads a request into the inputs of the graphs, by the kind in the manifest."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
 from anchorflow_service.engine.conditioning.tensors import TensorConditioning
 from anchorflow_service.engine.conditioning.vision_language import VisionLanguageConditioning
-from anchorflow_service.engine.parts import Conditioning
+from anchorflow_service.engine.interfaces import Conditioning
 
 CONDITIONINGS: Mapping[str, Callable[[Bundle], Conditioning]] = {
     "cost_map": lambda bundle: CostMapConditioning(bundle.manifest),

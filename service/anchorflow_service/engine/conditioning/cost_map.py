@@ -16,9 +16,9 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.bundle.manifest import CostMapEntry, Manifest, SplineEntry
-from anchorflow_service.engine.parts import Arrays, unknown_names
-from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
+from anchorflow_service.engine.interfaces import Arrays, unknown_names
+from anchorflow_trajectory.cost import MotionLimits
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
@@ -34,7 +34,7 @@ class CostMapConditioning:
     """Scenes of maps; the graphs may be fed what a scene names in SCENE_INPUTS."""
 
     def __init__(self, manifest: Manifest) -> None:
-        assert isinstance(manifest.conditioning, CostMapEntry)
+        assert isinstance(manifest.conditioning, CostMapSpec)
         self._manifest = manifest
         self._entry = manifest.conditioning
         self._basis = _basis_of(manifest)

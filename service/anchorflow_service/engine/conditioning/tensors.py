@@ -10,7 +10,7 @@ import numpy as np
 from anchorflow_client.contract import AnchorRequest, ResolvedRequest, TensorSpec
 from anchorflow_client.contract.inputs import TEXT
 from anchorflow_service.bundle.manifest import Manifest
-from anchorflow_service.engine.parts import Array, Arrays, unknown_names
+from anchorflow_service.engine.interfaces import Array, Arrays, unknown_names
 
 PROBE_AXIS = 32
 """Size of an axis that the card leaves open."""

@@ -1,7 +1,17 @@
-"""Conditioning on pictures and a text: pixels of the size that the model sees, and tokens."""
+"""Conditioning on pictures and a text: pixels of the model's size, features of them, and tokens.
+
+    vision   pixels [1,3,S,S]                        -> features, once a picture
+    encode   NAME_features of each picture, …        -> …
+
+A roadside camera sends the same picture to many robots, and may be left out: the features of
+optional pictures are remembered by their content, up to MEMORY bytes.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import threading
+from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -14,9 +24,15 @@ from anchorflow_client.contract.inputs import TEXT
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import resized
 from anchorflow_service.bundle import Bundle, BundleError
-from anchorflow_service.bundle.manifest import VisionLanguageEntry
+from anchorflow_service.bundle.manifest import Manifest, VisionLanguageEntry
 from anchorflow_service.engine.conditioning.tensors import probe_of
-from anchorflow_service.engine.parts import Array, Arrays
+from anchorflow_service.engine.interfaces import (
+    Array,
+    Arrays,
+    ConditionedScene,
+    Graphs,
+    missing_roles,
+)
 
 if TYPE_CHECKING:
     from tokenizers import Tokenizer
@@ -24,11 +40,15 @@ if TYPE_CHECKING:
 TOKENS = "tokens"
 TOKENIZER = "tokenizer"
 HAS = "has_"
-"""Before the name of an optional picture: whether the request brought it."""
+"""Prefix of an optional picture's name: whether the request brought it."""
+VISION = "vision"
+PIXELS, FEATURES = "pixels", "features"
+MEMORY = 64 * 2**20
+"""Bytes of features that are kept."""
 
 
 class VisionLanguageConditioning:
-    """Scenes of pictures and a text.
+    """Reads scenes of pictures and a text.
 
     Raises:
         BundleError: the bundle has no tokenizer, it cannot be read, or the extra `language` is not
@@ -44,7 +64,7 @@ class VisionLanguageConditioning:
         self._tokenizer = _tokenizer(bundle)
 
     def faults(self) -> Iterator[str]:
-        """Pictures and texts that no request brings, and inputs of encode that are made of none."""
+        """Find pictures and texts that no request brings, and inputs that nothing uses."""
         entry = self._entry
         given = {spec.name: spec for spec in self._manifest.request.inputs}
         for name, dtype in (*((name, "uint8") for name in entry.images), (entry.text, TEXT)):
@@ -57,7 +77,7 @@ class VisionLanguageConditioning:
             yield f"request.inputs: {entry.text} is optional, expected only pictures to be"
 
     def scenes(self, request: ResolvedRequest) -> list[VisionLanguageScene]:
-        """The scenes of a request. Raises `InvalidRequest` for a picture or a text too large."""
+        """Return a request's scenes. Raises `InvalidRequest` if a picture or text is too large."""
         for name in self._entry.images:
             picture = request.inputs.get(name)
             height, width = picture.shape[-2:] if isinstance(picture, np.ndarray) else (1, 1)
@@ -72,7 +92,7 @@ class VisionLanguageConditioning:
         ]
 
     def probe(self) -> AnchorRequest:
-        """Black pictures and a word; what is optional too, so that every graph is run."""
+        """Return black pictures and a word, optional ones included, so that every graph is run."""
         inputs = {spec.name: probe_of(spec) for spec in self._manifest.request.inputs}
         return AnchorRequest.build(inputs=inputs, seed=0)
 
@@ -96,15 +116,15 @@ class VisionLanguageScene:
     image_size: int
 
     def has(self, name: str) -> bool:
-        """Whether the request brought a picture."""
+        """Return whether the request brought a picture."""
         return name in self.request.inputs
 
     def picture(self, name: str) -> Array:
-        """[3,H,W] as it came."""
+        """Return a picture [3,H,W] as it came."""
         return np.asarray(self.request.inputs[name])[self.index]
 
     def inputs(self, names: Iterable[str]) -> Arrays:
-        """Tokens, pixels [1,3,S,S] and what is there, by name."""
+        """Return tokens, pixels [1,3,S,S] and which pictures are there, by name."""
         return {name: self._input(name) for name in names}
 
     def _input(self, name: str) -> Array:
@@ -115,8 +135,89 @@ class VisionLanguageScene:
         return np.ascontiguousarray(resized(self.picture(name), self.image_size))[None]
 
     def answered(self, arrays: Arrays) -> Arrays:
-        """As they are: the frame is the planner's own."""
+        """Return them as they are: the frame is the planner's own."""
         return arrays
+
+
+class Views:
+    """Features of pictures by the graph `vision`; several threads may look at once."""
+
+    def __init__(self, manifest: Manifest, graphs: Graphs) -> None:
+        assert isinstance(manifest.conditioning, VisionLanguageEntry)
+        self._images = manifest.conditioning.images
+        optional = {spec.name for spec in manifest.request.inputs if spec.optional}
+        self._remembered_images = optional & set(self._images)
+        self._graphs = graphs
+        shape = manifest.graphs[VISION].outputs[0].shape[1:]
+        self._nothing = np.zeros((1, *map(int, shape)), np.float32)
+        self._memory: OrderedDict[bytes, Array] = OrderedDict()
+        self._lock = threading.Lock()
+
+    @property
+    def remembered(self) -> int:
+        """The number of pictures whose features are kept."""
+        return len(self._memory)
+
+    def settle(self, scene: ConditionedScene) -> None:
+        """Check whether the graph gives the same bytes on one thread and on many."""
+        self._graphs.settle(VISION, {PIXELS: scene.inputs(self._images[:1])[self._images[0]]})
+
+    def features(self, scene: ConditionedScene, *, threads: int) -> Arrays:
+        """Return the features of every picture of a scene, by encode's names for them."""
+        assert isinstance(scene, VisionLanguageScene)
+        return {
+            f"{name}_{FEATURES}": self._of(name, scene, threads)
+            if scene.has(name)
+            else self._nothing
+            for name in self._images
+        }
+
+    def _of(self, name: str, scene: VisionLanguageScene, threads: int) -> Array:
+        if name not in self._remembered_images:
+            return self._seen(name, scene, threads)
+        key = _content(scene.picture(name))
+        with self._lock:
+            if key in self._memory:
+                self._memory.move_to_end(key)
+                return self._memory[key]
+        features = self._seen(name, scene, threads)
+        with self._lock:
+            self._memory[key] = features
+            while len(self._memory) * features.nbytes > MEMORY:
+                self._memory.popitem(last=False)
+        return features
+
+    def _seen(self, name: str, scene: VisionLanguageScene, threads: int) -> Array:
+        pixels = scene.inputs((name,))[name]
+        return self._graphs.run(VISION, {PIXELS: pixels}, threads=threads)[FEATURES]
+
+
+def view_faults(manifest: Manifest) -> Iterator[str]:
+    """Find what keeps pictures and tokens from reaching the graphs."""
+    entry = manifest.conditioning
+    assert isinstance(entry, VisionLanguageEntry)
+    if missing := list(missing_roles(manifest, (VISION,))):
+        yield from missing
+        return
+    vision, encode = manifest.graphs[VISION], manifest.graphs["encode"]
+    if (vision.input_names, vision.output_names) != ((PIXELS,), (FEATURES,)):
+        yield f"graphs.{VISION}: expected {PIXELS} to {FEATURES}, got {vision.input_names}"
+    optional = [spec.name for spec in manifest.request.inputs if spec.optional]
+    wanted = {
+        *(f"{name}_{FEATURES}" for name in entry.images),
+        TOKENS,
+        *(HAS + n for n in optional),
+    }
+    if set(encode.input_names) != wanted:
+        came = ", ".join(encode.input_names)
+        yield f"graphs.encode.inputs: expected {', '.join(sorted(wanted))}, got {came}"
+
+
+def _content(picture: Array) -> bytes:
+    """Return a key that is the same for the same pixels in the same shape."""
+    digest = hashlib.blake2b(repr(picture.shape).encode(), digest_size=32)
+    digest.update(np.ascontiguousarray(picture).data)
+    return digest.digest()
 
 
 def _tokenizer(bundle: Bundle) -> Tokenizer:

@@ -1,6 +1,6 @@
-"""Samplers: how anchors are drawn from a bundle's graphs, by the kind that its manifest names.
+"""Samplers: draw anchors with a planner's graphs, by the kind that the manifest names.
 
-Each owns the roles of its graphs and says what keeps them from being wired together.
+Each kind owns the roles of its graphs and finds what keeps them from fitting together.
 """
 
 from __future__ import annotations
@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Protocol
 
-from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import Manifest
-from anchorflow_service.engine.parts import Sampler
+from anchorflow_service.engine.interfaces import Graphs, Sampler
 from anchorflow_service.engine.samplers.ode import OdeSampler
 from anchorflow_service.engine.samplers.truncated_diffusion import TruncatedDiffusionSampler
 from anchorflow_service.engine.samplers.vocabulary import VocabularySampler
@@ -19,12 +18,12 @@ from anchorflow_service.engine.samplers.vocabulary import VocabularySampler
 class SamplerKind(Protocol):
     """A class of samplers."""
 
-    def __call__(self, bundle: Bundle, *, threads: int, provider: str) -> Sampler:
-        """The graphs of a bundle, opened. Raises `BundleError`, `ProviderError`."""
+    def __call__(self, manifest: Manifest, graphs: Graphs, *, threads: int) -> Sampler:
+        """Return a sampler of a planner's graphs."""
         ...
 
     def faults(self, manifest: Manifest) -> Iterator[str]:
-        """What keeps the graphs from being wired together by name."""
+        """Find what keeps the graphs from fitting together by name."""
         ...
 
 

@@ -1,9 +1,8 @@
-"""The loop of a flow on the device that its graphs run on: states never leave it on their way.
+"""The loop of a flow in the memory of the device that its graphs run on.
 
-What the field reads is uploaded once, x_0 too, and x_1 comes back. Between them cross only the
-numbers that slopes are weighed with. onnxruntime has no arithmetic on what lies on a device, so
-the one operation that the loop needs is a graph of its own, the same for every bundle: see
-`anchorflow_export.add_scaled`.
+The field's inputs and x_0 are uploaded once, and x_1 comes back; between them only the weights of
+the slopes cross. onnxruntime has no arithmetic on a device's values, so the one operation that the
+loop needs is a graph of its own, the same for every bundle: see `anchorflow_export.add_scaled`.
 """
 
 from __future__ import annotations
@@ -16,9 +15,10 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import TensorSpec
-from anchorflow_service.bundle.device import Device
 from anchorflow_service.bundle.graphs import BoundGraph, Graph
-from anchorflow_service.engine.samplers.flow_field import FlowField
+from anchorflow_service.bundle.providers import Device
+from anchorflow_service.engine import interfaces
+from anchorflow_service.engine.samplers.flow import FlowField
 from anchorflow_trajectory.ode.integrate import integrate_in
 
 Array = NDArray[np.float32]
@@ -31,7 +31,7 @@ class DeviceLoop:
     """Carries anchors through a flow in a device's memory; several threads may at once.
 
     Raises:
-        ProviderError: the provider of the device's operations is not to be had.
+        ProviderError: the provider of the device's operations is not available.
     """
 
     def __init__(self, device: Device) -> None:
@@ -55,18 +55,18 @@ class DeviceLoop:
         *,
         on_step: Callable[[], object] = lambda: None,
     ) -> Array:
-        """The states at t = 1 [N,T,S] of states x at the schedule's first time.
+        """Return the states at t = 1 [N,T,S] of states x at the schedule's first time.
 
         mean: prior means [N,T,S] that they began on, if there are any
-        on_step: called after every step; what it raises ends the work and is raised
+        on_step: called after every step; an exception that it raises ends the work
         """
         upload = self._device.upload
         fixed = {name: upload(array) for name, array in field.fixed(mean).items()}
-        # A value each: a row in the midst of one would not be aligned as TensorRT wants it.
+        # One value each: a row inside a larger value would not be aligned as TensorRT requires.
         modulation = [upload(field.modulation[:, k]) for k in range(len(field.times))]
         carried = integrate_in(
-            _DeviceStates(self._device, (1, *x.shape), self._add_scaled.bind()),
-            _DeviceField(field.graph.bind(**fixed), modulation),
+            _DeviceStates(self._device, (1, *x.shape), BoundGraph(self._add_scaled, {})),
+            _DeviceField(field.graphs.bind("field", fixed), modulation),
             upload(x[None]),
             schedule=field.schedule,
             method=field.method,
@@ -87,7 +87,7 @@ class _DeviceStates:
     def add_scaled(
         self, x: ort.OrtValue, slope: ort.OrtValue, weight: float, *, out: ort.OrtValue
     ) -> None:
-        # The last node alone writes out, each number where it has read x's: they may be one.
+        # Only the last node writes out, each number after reading x's: x and out may be the same.
         self._add_scaled(
             {"x": x, "slope": slope, "weight": np.array(weight, np.float32)},
             outputs={"advanced": out},
@@ -100,7 +100,7 @@ class _DeviceField:
     modulation: a row [1,M] for each distinct stage time
     """
 
-    def __init__(self, field: BoundGraph, modulation: Sequence[ort.OrtValue]) -> None:
+    def __init__(self, field: interfaces.BoundGraph, modulation: Sequence[ort.OrtValue]) -> None:
         self._field, self._modulation = field, modulation
 
     def __call__(self, x: ort.OrtValue, time_index: int, out: ort.OrtValue) -> None:

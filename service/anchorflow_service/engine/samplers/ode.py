@@ -1,13 +1,13 @@
-"""The ode sampler: anchors drawn by carrying noise along the exported vector field.
+"""The ode sampler: draws anchors by carrying noise along the exported vector field.
 
     encode    once a scene                           -> context
-    modulate  once a scene, for all its flow times   -> modulation [K,M]
+    modulate  once a scene, for all flow times       -> modulation [K,M]
     field     at each stage of each step             -> dx/dt [N,T,S]
-    score     once, where a bundle has it            -> scores [N]
+    score     once, if the planner has it            -> scores [N]
 
-What a graph needs of the others it takes by name. Where the prior is a mixture, its components
-are a scene's own or what encode gives, the anchors are dealt out over them in turn, and the field
-may ask for each anchor's own as `prior_mean`.
+A graph takes what it needs of the others by name. If the prior is a mixture, its components are a
+scene's own or what encode gives, the anchors are dealt out over them in turn, and field and score
+may take each anchor's own component as `prior_mean`.
 """
 
 from __future__ import annotations
@@ -15,53 +15,48 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import OdeSpec
-from anchorflow_service.bundle import Bundle
-from anchorflow_service.bundle.device import DEVICES
-from anchorflow_service.bundle.graphs import WideGraph
-from anchorflow_service.bundle.manifest import Manifest, OdeEntry
-from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
+from anchorflow_client.contract import NoFinish, OdeSpec, RefineSpec
+from anchorflow_service.bundle.manifest import Manifest, OdeEntry, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
-from anchorflow_service.engine.parts import (
+from anchorflow_service.engine.finish import refiner_of
+from anchorflow_service.engine.interfaces import (
+    Array,
+    Arrays,
     Check,
     ConditionedScene,
     Context,
+    Graphs,
     Samples,
+    missing_roles,
+    unknown_names,
 )
 from anchorflow_service.engine.samplers.device_loop import DeviceLoop
-from anchorflow_service.engine.samplers.flow_field import FieldGraphs, FlowField
-from anchorflow_service.engine.samplers.flow_score import ROLE, FlowScore
-from anchorflow_service.engine.samplers.guided import guidance_of, guided
-from anchorflow_service.engine.samplers.ode_faults import ode_faults, state_shape
-from anchorflow_service.engine.samplers.warm_start import renoised
-from anchorflow_service.engine.side_by_side import Helpers
-from anchorflow_trajectory.ode.guidance import Guidance
-from anchorflow_trajectory.ode.integrate import drawn, integrate
+from anchorflow_service.engine.samplers.flow import (
+    PRIOR_MEAN,
+    Beginning,
+    FlowField,
+    flow_field,
+    renoised,
+)
+from anchorflow_service.engine.thread_pool import ThreadPool
+from anchorflow_trajectory.guidance import Guidance
+from anchorflow_trajectory.ode.integrate import integrate
 from anchorflow_trajectory.ode.schedule import remaining
 from anchorflow_trajectory.scene import ROUTE_STATES
 
-Array = NDArray[np.float32]
+MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it saves
+FIXED_SLICE = 16  # anchors, at most, if cutting changes the last digits
 
-MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it brings
-FIXED_SLICE = 16  # anchors, at most, where a cut changes the last digits
-
-
-@dataclass(frozen=True, eq=False)
-class Beginning:
-    """N anchors before the flow.
-
-    x: [N,T,S]; route: [N] the component of the prior that each began on
-    mean: [N,T,S], that component; None where the prior has none
-    """
-
-    x: Array
-    route: NDArray[np.intp]
-    mean: Array | None
+SCORE, SCORES = "score", "scores"
+# Inputs of each role besides the outputs of encode, and what it may take besides if the prior is a
+# mixture.
+OWN_INPUTS = {"modulate": ("times",), "field": ("x_t", "modulation"), SCORE: ("x_1",)}
+OF_A_MIXTURE = {"modulate": (), "field": (PRIOR_MEAN,), SCORE: (PRIOR_MEAN,)}
+OUTPUTS = {"modulate": "modulation", "field": "dx_t", SCORE: SCORES}
 
 
 @dataclass(frozen=True)
@@ -77,91 +72,85 @@ class FlowStates:
 
 
 class OdeSampler:
-    """The graphs of an "ode" bundle, opened; several threads may sample at once.
+    """Samples with the graphs of an "ode" planner; several threads may sample at once.
 
-    The anchors do not look at each other, so they are cut into a slice a thread and each slice is
+    Anchors do not depend on each other, so they are cut into a slice a thread and each slice is
     integrated to the end on its own. One call on several threads would wait for the slowest of
-    them at every node of every evaluation instead. A caller who has one thread leaves the anchors
-    in one piece, which takes less time in all.
+    them at every node of every evaluation instead. A caller with one thread keeps the anchors in
+    one piece, which takes less time in total.
 
     On a provider with a memory of its own they stay in one piece, and in that memory until t = 1.
-    Guidance and the states on the way need the host at every step, so with them the anchors are
-    integrated there, on such a provider too, and cross to it and back at every evaluation.
+    Guidance and the states on the way need the host at every step, so with them the anchors cross
+    to the device and back at every evaluation.
 
     Raises:
-        BundleError: a graph cannot be opened or its signature is not the manifest's.
-        ProviderError: the provider is not to be had.
+        ProviderError: the provider of the device's operations is not available.
     """
 
-    def __init__(self, bundle: Bundle, *, threads: int, provider: str = DEFAULT_PROVIDER) -> None:
-        self._manifest = bundle.manifest
-        assert isinstance(bundle.manifest.sampler, OdeEntry)
-        self._prior = bundle.manifest.sampler.prior
-        self._encode = WideGraph(bundle, "encode", threads=threads, provider=provider)
-        self._fields = FieldGraphs(bundle, provider=provider)
-        self._on_device = DeviceLoop(DEVICES[provider]) if provider in DEVICES else None
-        self._score = (
-            FlowScore(bundle, threads=threads, provider=provider)
-            if ROLE in bundle.manifest.graphs
-            else None
-        )
-        self._extras = [spec.name for spec in bundle.manifest.answer.extras]
-        self._state_shape = state_shape(bundle.manifest)
+    def __init__(self, manifest: Manifest, graphs: Graphs, *, threads: int) -> None:
+        assert isinstance(manifest.sampler, OdeEntry)
+        self._manifest, self._graphs, self._prior = manifest, graphs, manifest.sampler.prior
+        self._on_device = DeviceLoop(graphs.device) if graphs.device else None
+        self._is_scored = SCORE in manifest.graphs
+        self._extras = [spec.name for spec in manifest.answer.extras]
+        self._state_shape = state_shape(manifest)
         self._threads = threads
-        self._helpers = Helpers(threads, name="anchorflow-field")
+        self._pool = ThreadPool(threads, name="anchorflow-field")
         self.cuts_freely = False
-        """Whether anchors give the same bytes in one piece and in slices, as `settle` found out.
-        Where they do not, samples are always cut as for all threads."""
+        """Whether anchors give the same bytes in one piece and in slices, as `settle` found. If
+        they do not, samples are always cut as for all threads."""
 
     @staticmethod
     def faults(manifest: Manifest) -> Iterator[str]:
-        """What its manifest lacks: see `ode_faults`."""
+        """Find roles that are missing, and names that no other graph gives."""
         return ode_faults(manifest)
 
     def settle(self, scene: ConditionedScene) -> None:
-        """Look whether these graphs give the same bytes on one thread and on many, in one piece
-        and in slices, which a machine's kernels decide; so no answer depends on how busy the
-        service is.
+        """Check whether the graphs give the same bytes on one thread and on many, in one piece and
+        in slices. A machine's kernels decide that, and no answer may depend on how busy the service
+        is.
         """
-        encoded = self._encode.settle(scene.inputs(self._encode.input_names))
+        encoded = self._graphs.settle("encode", self._scene_inputs(scene))
         context = {**self._own_prior(scene), **encoded}
-        most = max(self._threads, 2)  # one thread shall answer what two do
+        most = max(self._threads, 2)  # one thread has to answer what two do
         noise = self.draw_noise(context, num_samples=MIN_SLICE * most, seed=scene.request.seed)
         begun = self.beginning(context, noise)
-        if self._score:
-            self._score.settle(context, begun.x, begun.mean)
-        field = self._fields.over(context, OdeSpec("euler", (0.0, 1.0)))
+        if self._is_scored:
+            self._graphs.settle(SCORE, _score_inputs(context, begun.x, begun.mean))
+        field = flow_field(self._graphs, context, OdeSpec("euler", (0.0, 1.0)))
         whole = _evaluated(field, begun)
         self.cuts_freely = all(
             np.array_equal(
-                whole,
-                np.concatenate([_evaluated(field, part) for part in _cut(begun, parts)]),
+                whole, np.concatenate([_evaluated(field, part) for part in begun.cut(parts)])
             )
             for parts in range(2, most + 1)
         )
 
     def encode(self, scene: ConditionedScene, *, threads: int = 1) -> Context:
-        """What the other graphs need to know of a scene, and the components of its prior."""
-        inputs = scene.inputs(self._encode.input_names)
+        """Return what the other graphs need to know of a scene, and the components of its prior."""
+        inputs = self._scene_inputs(scene)
         if threads == 1 or not self._searches:
-            return {**self._own_prior(scene), **self._encode(inputs, threads=threads)}
-        # A graph lets go of the interpreter's lock, and so does the search for a scene's routes. It
-        # is the shorter of the two as a rule: were the graph left to another thread, this one would
-        # have gone to sleep by its end, and took up to a millisecond to wake.
+            return {**self._own_prior(scene), **self._graphs.run("encode", inputs, threads=threads)}
+        # A graph releases the interpreter's lock, and so does the search for a scene's routes. The
+        # graph is usually the shorter of the two: on another thread it would leave this one asleep
+        # at its end, and waking takes up to a millisecond.
         tasks = (
-            partial(self._encode, inputs, threads=threads - 1),
+            partial(self._graphs.run, "encode", inputs, threads=threads - 1),
             partial(self._own_prior, scene),
         )
-        encoded, own = self._helpers.side_by_side(tasks)
+        encoded, own = self._pool.run(tasks)
         return {**own, **encoded}
+
+    def _scene_inputs(self, scene: ConditionedScene) -> Arrays:
+        return scene.inputs(self._manifest.graphs["encode"].input_names)
 
     @property
     def _searches(self) -> bool:
         """Whether the prior is a mixture whose components are a scene's own."""
         return self._prior is not None and self._prior.mean == ROUTE_STATES
 
-    def _own_prior(self, scene: ConditionedScene) -> Context:
-        """The components [1,M,T,S] of such a mixture; of another prior, encode gives them."""
+    def _own_prior(self, scene: ConditionedScene) -> Arrays:
+        """Return the components [1,M,T,S] of such a mixture; encode gives those of other priors."""
         return scene.inputs((ROUTE_STATES,)) if self._searches else {}
 
     def sample(
@@ -172,20 +161,21 @@ class OdeSampler:
         threads: int,
         check: Check = lambda: None,
     ) -> Samples:
-        """States [N,T,S] at t = 1."""
+        """Return states [N,T,S] at t = 1."""
         begun, spec = self._begin(scene, context)
         guidance = guidance_of(self._manifest, scene, context)
         states = self.integrate(
             context, begun, spec, guidance=guidance, threads=threads, check=check
         )
         arrays = {name: context[name][0] for name in self._extras}
-        if self._score:
-            arrays["scores"] = self._score(context, states, begun.mean, threads=threads)
+        if self._is_scored:
+            inputs = _score_inputs(context, states, begun.mean)
+            arrays[SCORES] = self._graphs.run(SCORE, inputs, threads=threads)[SCORES][0]
             check()
         return Samples(states, begun.route, arrays)
 
     def flow_states(self, scene: ConditionedScene) -> FlowStates:
-        """The states that `sample` passes through, noise and the last included."""
+        """Return the states that `sample` passes through, noise and the last included."""
         context = self.encode(scene)
         begun, spec = self._begin(scene, context)
         guidance = guidance_of(self._manifest, scene, context)
@@ -193,7 +183,7 @@ class OdeSampler:
         return FlowStates(np.array(spec.schedule), states[..., : self._manifest.D])
 
     def _begin(self, scene: ConditionedScene, context: Context) -> tuple[Beginning, OdeSpec]:
-        """The anchors at the first time of the schedule that is left to run."""
+        """Return the anchors at the first time of the schedule that is left to run."""
         request, spec = scene.request, scene.request.sampler
         assert isinstance(spec, OdeSpec)
         noise = self.draw_noise(context, num_samples=request.num_samples, seed=request.seed)
@@ -205,9 +195,9 @@ class OdeSampler:
         return begun, spec
 
     def draw_noise(self, context: Context, *, num_samples: int, seed: int) -> Array:
-        """Standard normal noise: [N,R] for the bundle's prior, [N,T,S] where it has none.
+        """Draw standard normal noise: [N,R] for the planner's prior, [N,T,S] if it has none.
 
-        A seed's first n anchors are the same whatever N is.
+        A seed's first n anchors are the same for every N.
         """
         prior = self._prior
         size = context[prior.basis].shape[1:2] if prior else self._state_shape
@@ -215,7 +205,7 @@ class OdeSampler:
         return generator.standard_normal((num_samples, *size), dtype=np.float32)
 
     def beginning(self, context: Context, noise: Array) -> Beginning:
-        """x_0 = prior mean + noise · prior basis; the noise itself without a prior."""
+        """Return x_0 = prior mean + noise · prior basis; the noise itself without a prior."""
         prior, first = self._prior, np.zeros(len(noise), np.intp)
         if prior is None:
             return Beginning(noise, first, None)
@@ -237,36 +227,36 @@ class OdeSampler:
         threads: int | None = None,
         check: Callable[[], object] = lambda: None,
     ) -> Array:
-        """The states at t = 1 [N,T,S] of anchors at the schedule's first time.
+        """Return the states at t = 1 [N,T,S] of anchors at the schedule's first time.
 
-        guidance: what corrects the field of this scene
+        guidance: corrects the field of this scene
         threads: to spread over; None: all of them
-        check: called after every step of every slice; what it raises ends the work and is raised
+        check: called after every step of every slice; an exception that it raises ends the work
         """
-        field = self._fields.over(context, sampler)
+        field = flow_field(self._graphs, context, sampler)
         if self._on_device and guidance is None:
             return self._on_device.integrate(field, begun.x, begun.mean, on_step=check)
         threads = threads or self._threads
 
         def integrate_slice(part: Beginning) -> Array:
             return integrate(
-                guided(field, part.mean, guidance),
+                field.bound(part.mean, guidance),
                 part.x,
                 schedule=field.schedule,
                 method=field.method,
                 on_step=lambda _: check(),
             )
 
-        # The products of guidance round a row by the number of rows beside it: on any machine these
-        # are the same.
+        # The products of guidance round a row by the number of rows beside it; with slices of a
+        # fixed size these are the same on any machine.
         if self.cuts_freely and guidance is None:
-            slices = _cut(begun, min(threads, -(-len(begun.x) // MIN_SLICE)))
+            slices = begun.cut(min(threads, -(-len(begun.x) // MIN_SLICE)))
         else:
-            slices = _cut(begun, -(-len(begun.x) // FIXED_SLICE))
+            slices = begun.cut(-(-len(begun.x) // FIXED_SLICE))
         if threads == 1 or len(slices) == 1:
             return np.concatenate([integrate_slice(part) for part in slices])
         tasks = [partial(integrate_slice, part) for part in slices]
-        return np.concatenate(self._helpers.side_by_side(tasks))
+        return np.concatenate(self._pool.run(tasks))
 
     def states(
         self,
@@ -276,10 +266,10 @@ class OdeSampler:
         *,
         guidance: Guidance | None = None,
     ) -> Array:
-        """The states at every time of the schedule [K,N,T,S]; the first are those begun with."""
-        visited, field = [begun.x], self._fields.over(context, sampler)
+        """Return the states at every time of the schedule [K,N,T,S], the first included."""
+        visited, field = [begun.x], flow_field(self._graphs, context, sampler)
         integrate(
-            guided(field, begun.mean, guidance),
+            field.bound(begun.mean, guidance),
             begun.x,
             schedule=field.schedule,
             method=field.method,
@@ -288,22 +278,91 @@ class OdeSampler:
         return np.stack(visited)
 
 
-def _cut(begun: Beginning, parts: int) -> list[Beginning]:
-    """The anchors in parts of about the same size."""
-    count = len(begun.x)
-    bounds = [count * part // parts for part in range(parts + 1)]
-    return [
-        Beginning(
-            begun.x[begin:end],
-            begun.route[begin:end],
-            None if begun.mean is None else begun.mean[begin:end],
-        )
-        for begin, end in pairwise(bounds)
-    ]
+def guidance_of(manifest: Manifest, scene: ConditionedScene, context: Context) -> Guidance | None:
+    """Return the guidance that a request asks for, by the cost and style of its finish.
+
+    Without a prior, x_0 is standard normal in every number of a state.
+    """
+    spec = scene.request.refine
+    if not isinstance(spec, RefineSpec) or spec.guidance == 0.0:
+        return None
+    assert isinstance(scene, MapScene)
+    assert isinstance(manifest.sampler, OdeEntry)
+    prior = manifest.sampler.prior
+    size = manifest.time.steps * (3 * manifest.D + 1)
+    return Guidance(
+        refiner_of(manifest, scene).cost(spec),
+        scene.scene.ends,
+        prior_basis=context[prior.basis][0] if prior else np.eye(size, dtype=np.float32),
+        scale=spec.guidance,
+    )
 
 
 def _evaluated(field: FlowField, begun: Beginning) -> Array:
-    """dx/dt at the first of the field's times."""
+    """Return dx/dt at the first of the field's times."""
     slope = np.empty_like(begun.x)
     field.bound(begun.mean)(begun.x, 0, slope)
     return slope
+
+
+def _score_inputs(context: Context, states: Array, mean: Array | None) -> Arrays:
+    """Return the score graph's inputs for states [N,T,S] at t = 1 that began on prior means."""
+    own = {"x_1": states[None]} | ({} if mean is None else {PRIOR_MEAN: mean[None]})
+    return {**context, **own}
+
+
+def state_shape(manifest: Manifest) -> tuple[int, int]:
+    """Return T and S of a flow's states, poses of D components first, as its field takes them."""
+    graph = manifest.graphs["field"]
+    steps, size = next(spec.shape[-2:] for spec in graph.inputs if spec.name == "x_t")
+    return steps, size  # pyright: ignore[reportReturnType] - `ode_faults` looks for letters
+
+
+def has_mixture(manifest: Manifest) -> bool:
+    """Return whether the prior has several means for a scene, and each anchor has its own."""
+    assert isinstance(manifest.sampler, OdeEntry)
+    prior = manifest.sampler.prior
+    if prior is None or prior.mean == ROUTE_STATES:
+        return prior is not None
+    given = {spec.name: spec for spec in manifest.graphs["encode"].outputs}
+    return prior.mean in given and len(given[prior.mean].shape) == 4
+
+
+def ode_faults(manifest: Manifest) -> Iterator[str]:
+    """Find roles that are missing, inputs that no other graph gives, and wrong states."""
+    assert isinstance(manifest.sampler, OdeEntry)
+    if missing := list(missing_roles(manifest, ("encode", "modulate", "field"))):
+        yield from missing
+        return
+    graphs, prior = manifest.graphs, manifest.sampler.prior
+    context = graphs["encode"].output_names
+    if prior is not None:
+        yield from unknown_names("sampler.prior", (prior.basis,), context)
+        yield from unknown_names("sampler.prior", (prior.mean,), (*context, ROUTE_STATES))
+    is_mixture = has_mixture(manifest)
+    for role, own in OWN_INPUTS.items():
+        if role in graphs:
+            known = (*own, *(OF_A_MIXTURE[role] if is_mixture else ()), *context)
+            yield from _graph_faults(manifest, role, known)
+    yield from unknown_names(
+        "answer.extras", [spec.name for spec in manifest.answer.extras], context
+    )
+    if isinstance(manifest.finish, NoFinish):
+        given = ("trajectories", *((SCORES,) if SCORE in graphs else ()))
+        yield from unknown_names("answer.arrays", manifest.answer.arrays, given)
+    steps, size = state_shape(manifest)
+    least = 3 * manifest.D + 1 if isinstance(manifest.finish, SplineEntry) else manifest.D
+    if steps != manifest.time.steps or not isinstance(size, int) or size < least:
+        own = f"{[steps, size]} for [T,S]"
+        wanted = f"{manifest.time.steps} and at least {least} numbers"
+        yield f"graphs.field.inputs: x_t has {own}, expected {wanted}"
+
+
+def _graph_faults(manifest: Manifest, role: str, known: tuple[str, ...]) -> Iterator[str]:
+    graph, where = manifest.graphs[role], f"graphs.{role}.inputs"
+    yield from unknown_names(where, graph.input_names, known)
+    if role != SCORE:
+        yield from unknown_names(where, OWN_INPUTS[role], graph.input_names)
+    if graph.output_names != (OUTPUTS[role],):
+        names = ", ".join(graph.output_names)
+        yield f"graphs.{role}.outputs: expected {OUTPUTS[role]}, got {names}"

@@ -19,15 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import TruncatedDiffusionSpec
-from anchorflow_service.bundle import Bundle
-from anchorflow_service.bundle.graphs import WideGraph
-from anchorflow_service.bundle.manifest import Manifest
-from anchorflow_service.bundle.samplers import TruncatedDiffusionEntry
-from anchorflow_service.engine.parts import (
+from anchorflow_service.bundle.manifest import Manifest, TruncatedDiffusionEntry
+from anchorflow_service.engine.interfaces import (
     Arrays,
     Check,
     ConditionedScene,
     Context,
+    Graphs,
     Samples,
     best,
     missing_roles,
@@ -40,7 +38,7 @@ Array = NDArray[np.float32]
 
 ANCHORS, TRAJECTORIES, CANDIDATES = "anchors", "trajectories", "candidates"
 COARSE_SCORES, SCORES = "coarse_scores", "scores"
-# What each role is fed besides the outputs of encode, and what the loop needs of it.
+# Inputs of each role besides the outputs of encode, and the outputs that the loop needs.
 FED = {"denoise": ("x_t", "t"), "coarse": (TRAJECTORIES, "diversity"), "fine": (CANDIDATES,)}
 NEEDED = {
     "encode": (ANCHORS,),
@@ -52,9 +50,9 @@ NEEDED = {
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """All that is random in an answer.
+    """The random numbers of an answer.
 
-    start: [A G, T, 2], what the anchors of each group begin with
+    start: [A G, T, 2], noise that the anchors of each group begin with
     diversity: [A G, V, 2], of each denoised trajectory's variants; 0 for the first
     """
 
@@ -63,37 +61,26 @@ class Noise:
 
 
 class TruncatedDiffusionSampler:
-    """The graphs of a "truncated_diffusion" bundle, opened; several threads may sample at once.
+    """Samples with the graphs of a "truncated_diffusion" planner; several threads may at once."""
 
-    graphs: by role
-
-    Raises:
-        BundleError: a graph cannot be opened or its signature is not the manifest's.
-        ProviderError: the provider is not to be had.
-    """
-
-    def __init__(self, bundle: Bundle, *, threads: int, provider: str) -> None:
-        manifest = bundle.manifest
+    def __init__(self, manifest: Manifest, graphs: Graphs, *, threads: int) -> None:  # noqa: ARG002
         assert isinstance(manifest.sampler, TruncatedDiffusionEntry)
-        self._entry = manifest.sampler
-        self._signal = self._entry.noise.variances().signal
-        self.graphs = {
-            role: WideGraph(bundle, role, threads=threads, provider=provider) for role in NEEDED
-        }
+        self._manifest, self._graphs, self._entry = manifest, graphs, manifest.sampler
+        self._signal = self._entry.noise.signal
         self._T = manifest.time.steps
         extras = manifest.answer.extras
         self._of_each = names_of_each(extras)
         self._extras = {spec.name for spec in extras}
         fine = manifest.graphs["fine"]
         coarse = manifest.graphs["coarse"].output_names
-        # By candidate, so that the best are picked out of it; the rest of coarse is not read on.
+        # Outputs of coarse that hold one entry a candidate, of which the best are picked.
         self._by_candidate = {
             name for name in coarse if name in (*fine.input_names, *self._of_each)
         }
 
     @staticmethod
     def faults(manifest: Manifest) -> Iterator[str]:
-        """Roles, inputs and outputs that are missing."""
+        """Find roles, inputs and outputs that are missing."""
         assert isinstance(manifest.sampler, TruncatedDiffusionEntry)
         if missing := list(missing_roles(manifest, NEEDED)):
             yield from missing
@@ -115,27 +102,28 @@ class TruncatedDiffusionSampler:
             yield f"graphs.encode.outputs: {ANCHORS} is {[*anchors]}, expected {['B', *wanted]}"
 
     def settle(self, scene: ConditionedScene) -> None:
-        """Look whether each graph gives the same bytes on one thread and on many."""
-        graphs, entry = self.graphs, self._entry
-        context = graphs["encode"].settle(scene.inputs(graphs["encode"].input_names))
+        """Check whether each graph gives the same bytes on one thread and on many."""
+        graphs, entry = self._graphs, self._entry
+        context = graphs.settle("encode", self._scene_inputs(scene))
         noise = self.draw_noise(seed=0)
         level = self._t(entry.start)
         x_t = self.beginning(context, noise)
-        denoised = graphs["denoise"].settle(
-            graphs["denoise"].select({**context, "x_t": x_t[None], "t": level})
+        denoised = graphs.settle("denoise", {**context, "x_t": x_t[None], "t": level})
+        coarse = graphs.settle(
+            "coarse", {**context, **denoised, "diversity": noise.diversity[None]}
         )
-        fed = {**context, **denoised, "diversity": noise.diversity[None]}
-        coarse = graphs["coarse"].settle(graphs["coarse"].select(fed))
         best = self._picked(coarse, np.arange(entry.keep))
-        graphs["fine"].settle(graphs["fine"].select({**context, **best}))
+        graphs.settle("fine", {**context, **best})
 
     def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
-        """What the first graph gives."""
-        encode = self.graphs["encode"]
-        return encode(scene.inputs(encode.input_names), threads=threads)
+        """Return the outputs of the first graph."""
+        return self._graphs.run("encode", self._scene_inputs(scene), threads=threads)
+
+    def _scene_inputs(self, scene: ConditionedScene) -> Arrays:
+        return scene.inputs(self._manifest.graphs["encode"].input_names)
 
     def draw_noise(self, *, seed: int) -> Noise:
-        """Standard normal, of a seed."""
+        """Draw standard normal noise of a seed."""
         entry, generator = self._entry, np.random.Generator(np.random.PCG64(seed))
         count = entry.anchors * entry.groups
         start = generator.standard_normal((count, self._T, 2), dtype=np.float32)
@@ -144,49 +132,48 @@ class TruncatedDiffusionSampler:
         return Noise(start, diversity)
 
     def beginning(self, context: Context, noise: Noise) -> Array:
-        """x [A G, T, 2] where the diffusion is cut off; every group has each anchor."""
+        """Return x [A G, T, 2] at the first level; every group has each anchor."""
         anchors = np.tile(context[ANCHORS][0], (self._entry.groups, 1, 1))
         return noised(anchors, noise.start, np.float32(self._signal[self._entry.start]))
 
     def denoised(
         self, context: Context, noise: Noise, *, steps: int, threads: int = 1, check: Check
     ) -> Array:
-        """Trajectories [A G, T, D] after so many steps; `check` is called after each."""
-        denoise = self.graphs["denoise"]
+        """Return trajectories [A G, T, D] after these steps; `check` is called after each."""
         levels = self._entry.levels_of(steps)
         signals = [*(float(self._signal[level]) for level in levels), CLEAN]
-        x, fixed, told = self.beginning(context, noise), denoise.select(context), {}
+        x, outputs = self.beginning(context, noise), {}
         for level, (signal, following) in zip(levels, pairwise(signals), strict=True):
-            told = denoise({**fixed, "x_t": x[None], "t": self._t(level)}, threads=threads)
-            x = ddim_step(x, told["x_0"][0], signal, following=following).astype(np.float32)
+            inputs = {**context, "x_t": x[None], "t": self._t(level)}
+            outputs = self._graphs.run("denoise", inputs, threads=threads)
+            x = ddim_step(x, outputs["x_0"][0], signal, following=following).astype(np.float32)
             check()
-        return told[TRAJECTORIES][0]
+        return outputs[TRAJECTORIES][0]
 
     def sample(
         self, scene: ConditionedScene, context: Context, *, threads: int, check: Check
     ) -> Samples:
-        """The best N by the fine scores, the best first."""
+        """Return the best N by the fine scores, the best first."""
         request, spec = scene.request, scene.request.sampler
         assert isinstance(spec, TruncatedDiffusionSpec)
         noise = self.draw_noise(seed=request.seed)
         found = self.denoised(context, noise, steps=spec.steps, threads=threads, check=check)
-        fed = {**context, TRAJECTORIES: found[None], "diversity": noise.diversity[None]}
-        coarse, fine = self.graphs["coarse"], self.graphs["fine"]
-        judged = coarse(coarse.select(fed), threads=threads)
+        inputs = {**context, TRAJECTORIES: found[None], "diversity": noise.diversity[None]}
+        coarse = self._graphs.run("coarse", inputs, threads=threads)
         check()
-        kept = self._picked(judged, best(judged[COARSE_SCORES][0], self._entry.keep))
-        told = {**context, **kept}
-        told |= fine(fine.select(told), threads=threads)
-        chosen = best(told[SCORES][0], request.num_samples)
-        arrays = {name: told[name][0] for name in (*self._extras, SCORES)}
+        kept = self._picked(coarse, best(coarse[COARSE_SCORES][0], self._entry.keep))
+        given = {**context, **kept}
+        given |= self._graphs.run("fine", given, threads=threads)
+        chosen = best(given[SCORES][0], request.num_samples)
+        arrays = {name: given[name][0] for name in (*self._extras, SCORES)}
         arrays = {
             name: array[chosen] if name in self._of_each or name == SCORES else array
             for name, array in arrays.items()
         }
-        return Samples(told[CANDIDATES][0][chosen], arrays=arrays)
+        return Samples(given[CANDIDATES][0][chosen], arrays=arrays)
 
     def _picked(self, coarse: Arrays, kept: NDArray[np.intp]) -> Arrays:
-        """Of what coarse says of each candidate, what it says of these."""
+        """Return the coarse outputs of some candidates."""
         return {name: np.ascontiguousarray(coarse[name][:, kept]) for name in self._by_candidate}
 
     def _t(self, level: int) -> Array:

@@ -1,4 +1,4 @@
-"""Tasks of one request, done by the thread that asks and by others beside it."""
+"""A thread pool for the tasks of one request, which run on the calling thread and beside it."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from typing import Any, Generic, TypeVar
 Result = TypeVar("Result")
 
 
-class Helpers:
-    """Threads that stand by for the tasks of requests, and end with this.
+class ThreadPool:
+    """Threads that wait for tasks, and end when the pool is collected.
 
-    A task of theirs begins and is waited for in a third of the time that an executor's takes, which
-    tells in requests of a few milliseconds.
+    A task starts and is joined in a third of the time that an executor takes, which matters for
+    requests of a few milliseconds.
 
-    count: of threads, which begin when they are first needed
+    count: number of threads, which start when they are first needed
     """
 
     def __init__(self, count: int, *, name: str) -> None:
         self._count, self._name = count, name
         self._tasks: SimpleQueue[_Task[Any] | None] = SimpleQueue()
-        self._beginning, self._has_begun = Lock(), False
+        self._starting, self._has_started = Lock(), False
 
-    def side_by_side(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
-        """What the tasks return; the first is done by the caller, the others beside it.
+    def run(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
+        """Return what the tasks return. The first runs on the calling thread, the others beside it.
 
-        It comes back once all have ended: one that is left behind would keep a core busy unseen.
+        Returns when all tasks have ended: one that was left behind would keep a core busy.
 
         Raises:
-            Exception: what the first of the tasks raises that does.
+            Exception: that of the first task that raises one.
         """
         others = [_Task(task) for task in tasks[1:]]
         if others:
-            self._begin()
+            self._start()
         for other in others:
             self._tasks.put(other)
         try:
@@ -45,19 +45,19 @@ class Helpers:
                 other.wait()
         return [own, *(other.result() for other in others)]
 
-    def _begin(self) -> None:
-        with self._beginning:
-            if self._has_begun:
+    def _start(self) -> None:
+        with self._starting:
+            if self._has_started:
                 return
-            self._has_begun = True
+            self._has_started = True
             for number in range(self._count):
                 name = f"{self._name}-{number}"
-                Thread(target=_stand_by, args=(self._tasks,), name=name, daemon=True).start()
+                Thread(target=_work, args=(self._tasks,), name=name, daemon=True).start()
             weakref.finalize(self, _dismiss, self._tasks, self._count)
 
 
 class _Task(Generic[Result]):
-    """Something to do, and what became of it."""
+    """A task and its result or exception."""
 
     def __init__(self, work: Callable[[], Result]) -> None:
         self._work = work
@@ -65,10 +65,10 @@ class _Task(Generic[Result]):
         self._ended.acquire()
         self._fault: BaseException | None = None
 
-    def do(self) -> None:
+    def run(self) -> None:
         try:
             self._result = self._work()
-        except BaseException as fault:  # noqa: BLE001 - it is raised where it is waited for
+        except BaseException as fault:  # noqa: BLE001 - `result` raises it on the calling thread
             self._fault = fault
         finally:
             self._ended.release()
@@ -82,10 +82,10 @@ class _Task(Generic[Result]):
         return self._result
 
 
-def _stand_by(tasks: SimpleQueue[_Task[Any] | None]) -> None:
+def _work(tasks: SimpleQueue[_Task[Any] | None]) -> None:
     while (task := tasks.get()) is not None:
-        task.do()
-        del task  # nothing of a request is kept until the next
+        task.run()
+        del task  # keep nothing of a request until the next one
 
 
 def _dismiss(tasks: SimpleQueue[_Task[Any] | None], count: int) -> None:

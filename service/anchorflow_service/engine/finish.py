@@ -1,43 +1,64 @@
-"""Splines that meet both ends, pushed clear of obstacles, and measured."""
+"""Finishes: what is done to samples before they are answered, by the kind in the manifest.
+
+none     answer the samples as they are
+spline   fit splines that meet both ends, push them clear of obstacles, and measure them
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import pairwise
 
 from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
-from anchorflow_service.engine.parts import DT, Arrays, ConditionedScene, Samples
-from anchorflow_service.engine.side_by_side import Helpers
-from anchorflow_trajectory.finish.refiner import Refiner
-from anchorflow_trajectory.threads import Spread, in_one
+from anchorflow_service.engine.interfaces import DT, Arrays, ConditionedScene, Finish, Samples
+from anchorflow_service.engine.thread_pool import ThreadPool
+from anchorflow_trajectory.attempt import Spread, in_one
+from anchorflow_trajectory.refine import Refiner
 from anchorflow_trajectory.warm_up import compile_loops
 
-MIN_PART = 16  # anchors; a thread that gets fewer costs more than it brings
+MIN_PART = 16  # anchors; a thread that gets fewer costs more than it saves
+
+
+class NoFinish:
+    """Answers the first D components of the states."""
+
+    def __init__(self, manifest: Manifest, *, threads: int) -> None:  # noqa: ARG002 - a Finish's
+        self._D = manifest.D
+
+    def finish(
+        self,
+        samples: Samples,
+        scene: ConditionedScene,  # noqa: ARG002 - a Finish's
+        *,
+        threads: int,  # noqa: ARG002
+    ) -> Arrays:
+        """Return trajectories [N,T,D] and the sampler's arrays."""
+        return {"trajectories": samples.states[..., : self._D], **samples.arrays}
 
 
 def refiner_of(manifest: Manifest, scene: MapScene, *, spread: Spread = in_one) -> Refiner:
-    """How a manifest whose finish is one of splines finishes the anchors of a scene."""
+    """Return the refiner of a scene, for a manifest whose finish is "spline"."""
     entry = manifest.finish
     assert isinstance(entry, SplineEntry)
     return Refiner(scene.scene, entry.steps, entry.rate, spread)
 
 
 class SplineFinish:
-    """What `anchorflow_trajectory` does, on the spline that the manifest describes.
+    """Refines anchors on the spline that the manifest describes.
 
-    Its loops are compiled when the first of these is made.
+    The first instance compiles the loops.
     """
 
     def __init__(self, manifest: Manifest, *, threads: int) -> None:
         self._manifest = manifest
-        self._helpers = Helpers(threads, name="anchorflow-finish")
+        self._pool = ThreadPool(threads, name="anchorflow-finish")
         compile_loops()
 
     def finish(self, samples: Samples, scene: ConditionedScene, *, threads: int) -> Arrays:
-        """Anchors that meet both ends, and what they are worth."""
+        """Return anchors that meet both ends, with their derivatives, scores and clearance."""
         assert isinstance(scene, MapScene)
         spec = scene.request.refine
         assert isinstance(spec, RefineSpec)
@@ -45,7 +66,7 @@ class SplineFinish:
         def spread(work: Callable[[int, int], None], count: int) -> None:
             parts = max(1, min(threads, count // MIN_PART))
             bounds = [count * part // parts for part in range(parts + 1)]
-            self._helpers.side_by_side([partial(work, *ends) for ends in pairwise(bounds)])
+            self._pool.run([partial(work, *ends) for ends in pairwise(bounds)])
 
         refiner = refiner_of(self._manifest, scene, spread=spread)
         refined = refiner.refine(samples.states, samples.route, spec)
@@ -61,3 +82,6 @@ class SplineFinish:
             **own,
             **samples.arrays,
         }
+
+
+FINISHES: Mapping[str, Callable[..., Finish]] = {"spline": SplineFinish, "none": NoFinish}

@@ -1,0 +1,97 @@
+"""GoalFlow's adapter: a flow to goals, on a raster of a car's surroundings."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from functools import partial
+
+from anchorflow_client.contract import (
+    AnswerSpec,
+    NoFinish,
+    OdeSpec,
+    SamplerChoice,
+    TensorSpec,
+    TensorsSpec,
+    TimeSpec,
+    uniform_schedule,
+)
+from anchorflow_client.sensors import ROUTE_POINTS
+from anchorflow_export.adapter import (
+    COMPONENTS,
+    F32,
+    ExportChoices,
+    PlannerAdapter,
+    PlannerParts,
+)
+from anchorflow_export.planners.flowmp import PRIOR_BASIS, TIMES, drawn_states, flow_roles
+from anchorflow_export.planners.random_requests import STATUS_UNIT, street_request
+from anchorflow_models.goalflow import BevLayout, GoalFlow
+from anchorflow_models.goalflow.goalflow import STATE, SURROUNDINGS
+from anchorflow_models.torch_graphs import Role
+from anchorflow_service.bundle.manifest import OdeEntry, PriorEntry
+from anchorflow_service.engine.samplers.flow import PRIOR_MEAN
+
+ENCODE_OUTPUTS = (
+    *(PRIOR_MEAN, PRIOR_BASIS, "goals", "goal_scores", "features", "context", "course"),
+    *SURROUNDINGS,
+)
+TRIALS = ({"B": 1, "N": 7, "K": 3}, {"B": 3, "N": 5, "K": 1})
+SAMPLED = 17  # anchors, enough for two slices
+DEFAULT_SAMPLER = OdeSpec("euler", uniform_schedule(1))
+
+MOST_STATUS = 32.0
+"""m/s, and m/s²: a faster car leaves the raster within four seconds, however it brakes."""
+STATUS = TensorSpec("ego_status", F32, ("B", 8), STATUS_UNIT, (-MOST_STATUS, MOST_STATUS))
+SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
+ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
+
+
+def bev_spec(layout: BevLayout) -> TensorSpec:
+    """Return the spec of the raster that a request brings."""
+    shape = ("B", layout.channels, layout.rows, layout.columns)
+    return TensorSpec("bev", "uint8", shape, extent=layout.extent)
+
+
+def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
+    """Adapt a copy of a trained network, whose noise gets the spread of the choices."""
+    model = deepcopy(model)
+    model.noise_scale = choices.noise_scale
+    config, sampler = model.config, choices.sampler.over(DEFAULT_SAMPLER)
+    inputs = (bev_spec(config.bev), STATUS, SIZE, ROUTE)
+    names = tuple(spec.name for spec in inputs)
+    scored = ("x_1", PRIOR_MEAN, *model.context_for_score)
+    states = ("B", "N", config.num_steps, STATE)
+    return PlannerAdapter(
+        parts=PlannerParts(
+            inputs=inputs,
+            conditioning=TensorsSpec(),
+            sampler=OdeEntry(
+                method=sampler.method,
+                schedule=sampler.schedule,
+                prior=PriorEntry(mean=PRIOR_MEAN, basis=PRIOR_BASIS),
+            ),
+            finish=NoFinish(),
+            time=TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt),
+            answer=AnswerSpec(
+                components=COMPONENTS,
+                arrays=("scores",),
+                extras=(
+                    TensorSpec("goals", F32, ("B", config.goals, 2), "m"),
+                    TensorSpec("goal_scores", F32, ("B", config.goals), "", (0.0, 1.0)),
+                ),
+            ),
+        ),
+        roles={
+            "encode": Role(model, "encode", inputs=names, outputs=ENCODE_OUTPUTS),
+            **flow_roles(model, model.context_for_modulate, model.context_for_field),
+            "score": Role(model, "score", inputs=scored, outputs=("scores",)),
+        },
+        own=(TIMES, *(TensorSpec(name, F32, states) for name in ("x_t", PRIOR_MEAN, "x_1"))),
+        request=partial(street_request, config.bev),
+        trials=TRIALS,
+        scene_inputs=names,
+        draw=drawn_states(PRIOR_MEAN),
+        unordered={"encode": ("goals", "goal_scores")},
+        num_samples=SAMPLED,
+        samplers=(SamplerChoice("euler", uniform_schedule(3)),),
+    )

@@ -1,0 +1,41 @@
+"""Every planner's bundle computes what its network computes: graph by graph, and whole samples."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from anchorflow_client.contract import ModelCard
+from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.planners import ADAPTERS, adapter_of
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.local import LocalClient
+
+
+@pytest.mark.parametrize("planner", ADAPTERS)
+def test_every_graph_and_whole_samples_are_torchs(
+    exported: Callable[[str], Any], planner: str
+) -> None:
+    made = exported(planner)
+    bundle = load_bundle(made.path)
+    compared = {difference.what.split()[0] for difference in made.differences}
+    assert compared == {*bundle.manifest.graphs, "sample"}
+    assert max(difference.error for difference in made.differences) <= 1e-4
+    card = bundle.card
+    assert ModelCard.from_dict(json.loads(json.dumps(card.to_dict()))) == card
+
+
+@pytest.mark.parametrize("planner", [name for name in ADAPTERS if name != "flowmp"])
+def test_a_batch_has_the_bytes_of_its_scenes(exported: Callable[[str], Any], planner: str) -> None:
+    """For maps, tests/service/engine shows the same."""
+    made = exported(planner)
+    client = LocalClient.of(made.path, threads=2)
+    adapter = adapter_of(planner, made.network, ExportChoices())
+    inputs = adapter.request(client.engine.card, {"B": 2}, 3).inputs
+    both = client.plan(inputs=inputs, seed=1)
+    for b in range(2):
+        alone = client.plan(inputs={name: array[b] for name, array in inputs.items()}, seed=1)
+        assert both.trajectories[b].tobytes() == alone.trajectories.tobytes()
