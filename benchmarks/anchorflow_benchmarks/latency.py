@@ -39,7 +39,6 @@ from anchorflow_service.engine import Engine
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
 from anchorflow_service.engine.samplers.flow import PRIOR_MEAN, Beginning
 from anchorflow_service.engine.samplers.ode import OdeSampler
-from anchorflow_trajectory.cores import usable_cores
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.threads import usable_cores
 

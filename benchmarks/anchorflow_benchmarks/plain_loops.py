@@ -18,8 +18,8 @@ from anchorflow_benchmarks import BenchmarkError
 from anchorflow_client.contract import OdeSpec
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.engine.samplers.flow import PRIOR_MEAN, Beginning
-from anchorflow_trajectory.ode.method import method_named
-from anchorflow_trajectory.ode.reference import PlainField, integrate_plainly
+from anchorflow_trajectory.ode.integrate import PlainField, integrate_plainly
+from anchorflow_trajectory.ode.methods import method_named
 
 Array = NDArray[np.float32]
 Arrays = Mapping[str, Array]

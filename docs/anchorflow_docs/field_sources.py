@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from textwrap import dedent
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
+import pydantic.dataclasses
 from annotated_types import Ge, Gt, Le, Lt
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -217,9 +218,11 @@ def properties(kind: type) -> list[list[str]]:
     return rows
 
 
-def model_section(kind: type[BaseModel]) -> str:
-    """Return a model in Markdown: heading, description and fields."""
+def model_section(kind: type) -> str:
+    """Markdown of a model or dataclass: a heading, what it is, and its fields."""
     said, types = field_docstrings(kind), get_type_hints(kind)
+    checked = kind if issubclass(kind, BaseModel) else pydantic.dataclasses.dataclass(kind)
+    found: dict[str, FieldInfo] = checked.__pydantic_fields__  # type: ignore[attr-defined]
     rows = [
         Field(
             name,
@@ -228,7 +231,7 @@ def model_section(kind: type[BaseModel]) -> str:
             value=_default_of_model(info),
             meaning=said.get(name, ""),
         )
-        for name, info in kind.model_fields.items()
+        for name, info in found.items()
     ]
     return "\n\n".join([f"## {kind.__name__}", first_paragraph(kind), field_table(rows, HEADS)])
 

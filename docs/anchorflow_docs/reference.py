@@ -64,7 +64,7 @@ from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.schemas import AnchorAnswerBody, ErrorBody
 from anchorflow_service.planning import PlanningService
-from anchorflow_trajectory.ddim import NoiseLevels
+from anchorflow_trajectory.ode.ddim import NoiseLevels
 
 TYPES = (
     AnchorRequest,

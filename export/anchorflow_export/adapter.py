@@ -32,8 +32,8 @@ from anchorflow_service.bundle.manifest import (
     VisionLanguageEntry,
 )
 from anchorflow_service.engine.interfaces import Arrays
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.refine import DESCENT_RATE
+from anchorflow_trajectory.finish.refiner import DESCENT_RATE
+from anchorflow_trajectory.motion import MotionLimits
 
 F32 = "float32"
 COMPONENTS = ("x", "y", "heading")  # of a pose

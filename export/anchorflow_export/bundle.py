@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.keys import anchors_key
+from anchorflow_client.zenoh_messages import anchors_key
 from anchorflow_export.adapter import PlannerAdapter, PlannerParts
 from anchorflow_export.parity import TOLERANCE, Difference, prove_parity
 from anchorflow_export.tracing import OPSET, ExportError, TracedGraph

@@ -21,7 +21,7 @@ from anchorflow_benchmarks.network_ablation import (
 from anchorflow_benchmarks.pictures import draw_cost_over_time
 from anchorflow_benchmarks.planners import limits_of
 from anchorflow_client.contract import NoFinish
-from anchorflow_client.contract.styles import STYLES
+from anchorflow_client.contract.fields import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.scenes import FamilyScene

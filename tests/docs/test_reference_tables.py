@@ -12,15 +12,18 @@ from anchorflow_client import RequestError, TransportError
 from anchorflow_client.contract.fields import DEFAULT_NUM_SAMPLES, REQUEST, V_MAX
 from anchorflow_client.contract.request import MapScenes
 from anchorflow_docs import reference
-from anchorflow_docs.dataclass_fields import dataclass_section, field_docstrings, held_fields
-from anchorflow_docs.field_table import HELD, field_table
-from anchorflow_docs.field_table import Field as Row
-from anchorflow_docs.markdown import table
-from anchorflow_docs.model_fields import model_section
-from anchorflow_docs.schema_fields import schema_fields
-from anchorflow_docs.service_tables import endpoints, failures, refusals
+from anchorflow_docs.field_sources import (
+    dataclass_section,
+    field_docstrings,
+    held_fields,
+    model_section,
+    request_fields,
+    schema_fields,
+)
+from anchorflow_docs.tables import HELD, endpoints, failures, field_table, refusals, table
+from anchorflow_docs.tables import Field as Row
 from anchorflow_service.bundle.manifest import Manifest
-from anchorflow_service.http.schemas import AnchorAnswerBody, AnchorRequestBody
+from anchorflow_service.http.schemas import AnchorAnswerBody
 
 
 class Inner(BaseModel):

@@ -35,7 +35,7 @@ from anchorflow_export.planners.flowmp import flow_adapter
 from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_service.bundle.manifest import SplineEntry
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 
 T, D, S, R, WIDTH = 8, 2, 7, 5, 16
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
-from anchorflow_trajectory.spline import Ends
+from anchorflow_trajectory.spline.basis import Ends
 
 SIZE, EXTENT = 40, 8.0  # cells and m a side of the scenes' maps
 

@@ -22,12 +22,12 @@ from anchorflow_models import L2SafetyCFM
 from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
 from anchorflow_training.config import AnchorJudgeConfig, EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_trajectory.clearance import GridField
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ode.reference import integrate_plainly
-from anchorflow_trajectory.ode.tableau import MIDPOINT
-from anchorflow_trajectory.spline import Ends, SplineBasis, spline_basis
-from anchorflow_trajectory.verify import verify
+from anchorflow_trajectory.cost.clearance import GridField
+from anchorflow_trajectory.finish.certificate import verify
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.ode.integrate import integrate_plainly
+from anchorflow_trajectory.ode.methods import MIDPOINT
+from anchorflow_trajectory.spline.basis import Ends, SplineBasis, spline_basis
 
 FloatArray = NDArray[np.float32]
 States = tuple[FloatArray, FloatArray, FloatArray]

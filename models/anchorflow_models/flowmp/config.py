@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-from anchorflow_trajectory.spline import SplineBasis, spline_basis
+from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 
 @dataclass(frozen=True)

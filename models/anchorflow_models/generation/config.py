@@ -8,7 +8,7 @@ from torch import Tensor
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, uniform_schedule
 from anchorflow_models.checks import check
-from anchorflow_trajectory.ode.method import METHODS as SOLVERS
+from anchorflow_trajectory.ode.methods import METHODS as SOLVERS
 from anchorflow_trajectory.ode.schedule import Schedule, check_schedule
 
 ADAPTIVE = "rk45"

@@ -32,11 +32,10 @@ from anchorflow_models.generation.steering import Barrier, Guidance, Steering
 from anchorflow_models.layers.clearance_map import ClearanceMap
 from anchorflow_models.torch_graphs import CPU, Role, TorchGraphs
 from anchorflow_service.engine.samplers.flow import PRIOR_MEAN, flow_field
-from anchorflow_trajectory.cost import MotionLimits
-from anchorflow_trajectory.ode.integrate import VectorField, integrate
+from anchorflow_trajectory.finish.refiner import Refined, Refiner
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.ode.integrate import VectorField, drawn, integrate
 from anchorflow_trajectory.ode.schedule import Schedule, remaining
-from anchorflow_trajectory.prior import drawn
-from anchorflow_trajectory.refine import Refined, Refiner
 from anchorflow_trajectory.scene import Scene
 
 Array = NDArray[np.float32]

@@ -15,7 +15,7 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_models.checks import check
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_service.engine.samplers.flow import renoised
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import ROUTE_STATES, SCENE_INPUTS, Scene, with_neutral_channels
 
 Numbers = ArrayLike | Tensor

@@ -42,7 +42,7 @@ from torch import Tensor
 
 from anchorflow_models.checks import check
 from anchorflow_models.layers.clearance_map import ClearanceMap
-from anchorflow_trajectory.control_barrier import SHARPNESS, SLACK
+from anchorflow_trajectory.finish.control_barrier import SHARPNESS, SLACK
 
 Cost = Callable[[Tensor], Tensor]
 

@@ -43,13 +43,13 @@ from anchorflow_client.contract import (
     VocabularySpec,
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.fields import LIMITS
 from anchorflow_client.contract.kinds import CONDITIONINGS, FINISHES, SAMPLERS, part_of
-from anchorflow_client.contract.request import LIMIT_INTERVALS
 from anchorflow_client.oip_codec import RESERVED
-from anchorflow_trajectory.ddim import NoiseLevels
-from anchorflow_trajectory.ode.method import method_named
+from anchorflow_trajectory.finish.refiner import DESCENT_RATE
+from anchorflow_trajectory.ode.ddim import NoiseLevels
+from anchorflow_trajectory.ode.methods import method_named
 from anchorflow_trajectory.ode.schedule import check_schedule
-from anchorflow_trajectory.refine import DESCENT_RATE
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
@@ -341,7 +341,7 @@ def _describe(item: Any) -> str:
 def _range_faults(spec: CostMapSpec) -> Iterator[str]:
     """Find ranges that no request could use, or that exclude the bundle's own limit."""
     for name, (low, high) in spec.ranges.items():
-        where, wide = f"conditioning.ranges.{name}", LIMIT_INTERVALS[name]
+        where, wide = f"conditioning.ranges.{name}", LIMITS[name]
         own = getattr(spec.limits, name)
         if not wide.low <= low <= high <= wide.high:
             yield f"{where} is [{low:g}, {high:g}], expected least and greatest {wide}"

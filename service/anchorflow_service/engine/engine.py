@@ -28,7 +28,7 @@ from anchorflow_service.engine.interfaces import (
 )
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
-from anchorflow_trajectory.cores import usable_cores
+from anchorflow_trajectory.threads import usable_cores
 
 PROBED = 16  # anchors
 STAGES = ("queue", "encode", "sample", "refine", "total")

@@ -15,8 +15,8 @@ from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.interfaces import DT, Arrays, ConditionedScene, Finish, Samples
 from anchorflow_service.engine.thread_pool import ThreadPool
-from anchorflow_trajectory.attempt import Spread, in_one
-from anchorflow_trajectory.refine import Refiner
+from anchorflow_trajectory.finish.refiner import Refiner
+from anchorflow_trajectory.threads import Spread, in_one
 from anchorflow_trajectory.warm_up import compile_loops
 
 MIN_PART = 16  # anchors; a thread that gets fewer costs more than it saves

@@ -17,7 +17,7 @@ from anchorflow_models.generation import (
     TrajectoryGenerator,
 )
 from anchorflow_models.generation.steering import SLACK, Barrier
-from anchorflow_trajectory.clearance import clearance_field
+from anchorflow_trajectory.cost.clearance import clearance_field
 
 RATE = 6.0
 SCENES, COUNT, STEPS = 2, 5, 9

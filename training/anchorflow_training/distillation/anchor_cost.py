@@ -13,11 +13,12 @@ from torch import Tensor, nn
 
 from anchorflow_models import L2Config
 from anchorflow_models.layers.clearance_map import ClearanceMap
-from anchorflow_models.layers.in_float32 import in_float32
-from anchorflow_trajectory.cost import TURN, CostWeights
-from anchorflow_trajectory.cost_fields import RISK, TRAVERSABILITY
-from anchorflow_trajectory.cost_kernels import DEEP
-from anchorflow_trajectory.spline import END_ORDERS
+from anchorflow_models.layers.geometry import in_float32
+from anchorflow_trajectory.cost.fields import RISK, TRAVERSABILITY
+from anchorflow_trajectory.cost.kernels import DEEP
+from anchorflow_trajectory.cost.trajectory_cost import CostWeights
+from anchorflow_trajectory.motion import TURN
+from anchorflow_trajectory.spline.basis import END_ORDERS
 
 WEIGHTS = CostWeights()  # the expert's
 LEAST_SQUARE = 1e-18  # beside a squared size, whose root then has a slope at rest too

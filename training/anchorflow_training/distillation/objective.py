@@ -13,11 +13,12 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.layers.in_float32 import in_float32
-from anchorflow_trajectory.ode.method import Method
-from anchorflow_trajectory.ode.reference import integrate_plainly
+from anchorflow_models.flow_matching import LossWeights, flow_matching_loss
+from anchorflow_models.layers.geometry import in_float32
+from anchorflow_training.distillation.anchor_cost import AnchorCost
+from anchorflow_trajectory.ode.integrate import integrate_plainly
+from anchorflow_trajectory.ode.methods import EULER, Method
 from anchorflow_trajectory.ode.schedule import Schedule
-from anchorflow_trajectory.ode.tableau import EULER, MIDPOINT
 
 Context = dict[str, Tensor]
 
@@ -52,14 +53,6 @@ class NormalisedFlow:
             return self.velocity(z, torch.tensor([t]).to(z))
 
         return integrate_plainly(field, z_0, schedule=schedule, method=method)
-
-    def stepped(self, z: Tensor, t: Tensor, stride: float) -> Tensor:
-        """z at t + stride from z [B, N, T, S] at t [B, N], by one midpoint step."""
-
-        def field(z: Tensor, share: float) -> Tensor:  # of the stride
-            return stride * self.velocity(z, t + stride * share)
-
-        return integrate_plainly(field, z, schedule=(0.0, 1.0), method=MIDPOINT)
 
     def in_si(self, z: Tensor) -> Tensor:
         """States in SI and the map's frame."""

@@ -18,7 +18,7 @@ from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
-from anchorflow_trajectory.cost import MotionLimits
+from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 

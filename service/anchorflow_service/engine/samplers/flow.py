@@ -20,11 +20,10 @@ from anchorflow_client.contract import OdeSpec, WarmStart
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.engine.interfaces import Arrays, BoundGraph, Context, Graphs
 from anchorflow_trajectory.ode.integrate import VectorField
-from anchorflow_trajectory.ode.method import Method, method_named
+from anchorflow_trajectory.ode.methods import Method, method_named
 from anchorflow_trajectory.ode.schedule import Schedule, stage_strides, stage_times
-from anchorflow_trajectory.resample import whole_fields
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.warm_start import warm_states
+from anchorflow_trajectory.warm_start import warm_states, whole_fields
 
 Array = NDArray[np.float32]
 

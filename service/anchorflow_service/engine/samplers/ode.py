@@ -43,8 +43,8 @@ from anchorflow_service.engine.samplers.flow import (
     renoised,
 )
 from anchorflow_service.engine.thread_pool import ThreadPool
-from anchorflow_trajectory.guidance import Guidance
-from anchorflow_trajectory.ode.integrate import integrate
+from anchorflow_trajectory.ode.guidance import Guidance
+from anchorflow_trajectory.ode.integrate import drawn, integrate
 from anchorflow_trajectory.ode.schedule import remaining
 from anchorflow_trajectory.scene import ROUTE_STATES
 
