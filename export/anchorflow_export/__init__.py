@@ -1,1 +1,1 @@
-"""From a checkpoint to a bundle: ONNX graphs, parity proof, manifest."""
+"""Export a checkpoint to a bundle: trace ONNX graphs, prove parity, write the manifest."""

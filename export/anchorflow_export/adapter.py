@@ -101,7 +101,7 @@ class PlannerAdapter:
     scene_inputs: inputs of graphs that a scene of a request gives
     draw: values of `own`, from those and the outputs of earlier graphs
     unordered: outputs whose rows may change places if scores are nearly equal, by role; the first
-        tells the rows apart
+        identifies a row
     sample_sizes, num_samples, samplers: of the requests whose samples are compared
     """
 

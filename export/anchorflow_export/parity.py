@@ -100,7 +100,7 @@ def _sample_differences(
     arrays, wanted, D = dict(got.arrays), dict(expected.arrays), bundle.manifest.D
     if bundle.manifest.sampler.kind != "ode" and "scores" in arrays:
         yield _difference(f"{what}, the best first", arrays["scores"], wanted["scores"])
-    # Scores that are nearly equal may stand in either order, so each anchor is found by its place.
+    # Nearly equal scores may be in either order, so match each anchor by its poses.
     rows = _nearest(got.states, expected.states)
     each = {*names_of_each(bundle.manifest.answer.extras), "scores"}
     wanted = {name: a[rows] if name in each else a for name, a in wanted.items()}

@@ -35,7 +35,7 @@ class OpenAxis:
     most: int = 65536
 
 
-# Axes that the contract bounds, with sizes that tell them apart in a trace.
+# Axes that the contract bounds, with sizes that differ in a trace.
 AXES = {
     "B": OpenAxis(2, most=4096),
     "N": OpenAxis(3),

@@ -12,7 +12,7 @@ from torch import Tensor
 
 
 def interpolate(x_0: Tensor, x_1: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-    """The point x_t on the straight path and the field's target there, x_1 - x_0.
+    """Return x_t on the straight path and the field's target there, x_1 - x_0.
 
     x_0, x_1: [B, N, T, S]; t: [B, N] in [0, 1].
     """
@@ -53,11 +53,11 @@ def flow_matching_loss(
     *,
     sample_weights: Tensor | None = None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Weighted mean squared error of the fields, and each term by itself, unweighted.
+    """Return the weighted mean squared error of the fields, and each term unweighted.
 
     predicted, target: [B, N, T, 3D + 1], u, v, w and that of log duration after one another (or the
         states that they lead to), normalised so that each has unit spread
-    sample_weights: [B, N], what each sample counts in every mean; about 1 on average
+    sample_weights: [B, N], the weight of each sample in every mean; about 1 on average
     """
     error = predicted - target
     velocity, acceleration, jerk = error[..., :-1].chunk(3, -1)

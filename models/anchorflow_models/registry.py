@@ -1,4 +1,4 @@
-"""The planners, by the name that configurations, checkpoints and bundles give them.
+"""The planners, by their name in configurations, checkpoints and bundles.
 
 A new planner is a folder with a configuration and a network, and a line here; one more in
 `anchorflow_training.planners` to train it, one in `anchorflow_export.planners` to export it.
@@ -23,8 +23,8 @@ from anchorflow_models.wote import WoteConfig, create_wote
 class Planner:
     """A kind of planner.
 
-    config: dataclass of all that fixes its network's shape and units
-    create: a network of such a configuration, its weights drawn at random
+    config: dataclass that fixes its network's shape and units
+    create: makes a network of a configuration, with random weights
     """
 
     name: str
@@ -44,11 +44,11 @@ PLANNERS: Mapping[str, Planner] = {
 }
 
 UNNAMED = "flowmp"
-"""Whose the checkpoints and configuration files are that name no planner."""
+"""The planner of checkpoints and configuration files that name none."""
 
 
 def planner_named(name: str) -> Planner:
-    """The planner of that name.
+    """Return the planner of a name.
 
     Raises:
         ValueError: there is none; the message names those that there are.

@@ -23,7 +23,7 @@ CPU = torch.device("cpu")
 class Role(nn.Module):
     """A method of a network as a graph: named tensors in, named tensors out.
 
-    A tensor goes to the parameter of its name; the others go to the parameter `context`, if there
+    A tensor is passed to the parameter of its name, the others as the parameter `context`, if there
     is one. A method that returns one tensor gives the first of the outputs.
 
     inputs: names, in the order in which `forward` takes them

@@ -114,7 +114,7 @@ def small_flow() -> Callable[[], SmallFlow]:
 
 @pytest.fixture(scope="session")
 def description() -> BundleDescription:
-    """What the small flow's manifest says beside its planner."""
+    """The small flow's name, version and provenance."""
     return BundleDescription(
         name="small-flow", version="0.0.1", planner="stand-in", training={"checkpoint": "none"}
     )
@@ -164,7 +164,7 @@ def small_bundle(
     return out
 
 
-# With all that the small preset has and the published planner has not.
+# Every option of the small preset that the published planner lacks.
 DIFFUSION = replace(
     TINY,
     backbone=replace(TINY.backbone, lidar_before=True),

@@ -1,4 +1,4 @@
-"""What is exported is what torch computes, at sizes that it was not traced at; or nothing is."""
+"""A bundle computes what torch computes, at sizes other than the trace's, or is not written."""
 
 from __future__ import annotations
 

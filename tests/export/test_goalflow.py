@@ -64,7 +64,7 @@ def test_the_checkpoint_has_the_weights_of_the_bundle_that_ships() -> None:
 
 
 def test_at_the_greatest_speed_it_takes_the_bundle_that_ships_drives_on() -> None:
-    """From 40 m/s on it leaves its raster, however it brakes, and turns off the road."""
+    """At 40 m/s and more it leaves its raster, however it brakes, and turns off the road."""
     bev = np.zeros((20, 192, 128), np.uint8)
     bev[0, :, 52:76] = bev[1, :, 63:65] = 255  # a straight road, and a lane that leads ahead
     inputs = {"bev": bev, "vehicle_size": np.array([4.6, 1.9], np.float32)}

@@ -19,7 +19,7 @@ ARRAYS = ("trajectories", "velocities", "accelerations", "scores", "clearance", 
 
 
 def plan(engine: Engine, request: AnchorRequest, **how: Any) -> AnchorBatch:
-    """With what the request leaves to the engine's card."""
+    """Plan a request, completed by the engine's card."""
     return engine.plan(resolve_for_card(request, engine.card), **how)
 
 

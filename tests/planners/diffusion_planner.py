@@ -113,7 +113,7 @@ def fan() -> np.ndarray:
 
 
 def expected(speed: float, *, seed: int, steps: int = STEPS) -> dict[str, np.ndarray]:
-    """What the answer holds, for all that are scored finely: the best first."""
+    """Return the answer's arrays for all that are scored finely: the best first."""
     generator = np.random.Generator(np.random.PCG64(seed))
     start = generator.standard_normal((A * GROUPS, T, 2), dtype=np.float32)
     diversity = generator.standard_normal((A * GROUPS, VARIANTS, 2), dtype=np.float32)

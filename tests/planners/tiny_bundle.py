@@ -156,7 +156,7 @@ def write_tiny_bundle(folder: Path) -> None:
 
 
 def set_in_manifest(folder: Path, *path: str | int, to: Any) -> None:
-    """Set what lies at a path of keys in a bundle's manifest."""
+    """Set the value at a path of keys in a bundle's manifest."""
     file = folder / "manifest.json"
     manifest = json.loads(file.read_text())
     place = manifest

@@ -47,7 +47,7 @@ TINY = DiffusionDriveConfig(
 
 
 def tiny_diffusiondrive(config: DiffusionDriveConfig = TINY) -> DiffusionDriveV2:
-    """Of random weights, those that begin at zero too."""
+    """Return a network of random weights, including those that begin at zero."""
     torch.manual_seed(0)
     model = create_diffusiondrive(config).eval()
     with torch.no_grad():

@@ -35,13 +35,13 @@ TINY = WoteConfig(
 
 
 def tiny_wote(config: WoteConfig = TINY) -> WoTE:
-    """Of the same random weights every time, the offsets' as large as the others'."""
+    """Return a network with the same random weights every time."""
     torch.manual_seed(0)
     return create_wote(config).eval()
 
 
 def sensors(config: WoteConfig = TINY, B: int = 2) -> dict[str, Tensor]:
-    """What B scenes are asked with, none like another."""
+    """Return the inputs of B scenes, all different."""
     generator = torch.Generator().manual_seed(1)
     sizes = dict(config.backbone.input_sizes())
     status = torch.zeros(B, 8)

@@ -1,5 +1,5 @@
-"""The camera planner of image_planner.py as a torch network, with an adapter of its own: what
-stands beside the exporter, the trainer and the registry where they are shown a second planner.
+"""The camera planner of image_planner.py as a torch network, with an adapter of its own: a second
+planner for tests of the exporter, the trainer and the registry.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ def parabolas(dim: int = 2) -> np.ndarray:
 
 
 def l2_arrays(**changed: Any) -> dict[str, Any]:
-    """All that a file may tell; any of it can be changed."""
+    """Return every field of a file; arguments replace some."""
     return {
         "positions": parabolas(),
         "dt": 0.1,

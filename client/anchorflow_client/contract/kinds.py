@@ -37,8 +37,8 @@ class TensorSpec:
     """Least and greatest value, both allowed; None is unbounded."""
     extent: tuple[float, float, float, float] | None = None
     """For a raster [B,…,H,W] seen from above: least and greatest x, least and greatest y in m, in
-    the frame of the anchors. Its first row lies at the greatest x, its first column at the
-    greatest y."""
+    the frame of the anchors. Row 0 is at the greatest x, column 0 at the greatest
+    y."""
     optional: bool = False
     """Whether a request may leave this input out; the answer lists the inputs that were absent."""
 
@@ -124,7 +124,7 @@ class VocabularySpec:
     """The planner chooses the best N of a fixed set of trajectories, which it may refine."""
 
     size: int = field(metadata=ABOVE_0)
-    """The most anchors that a request may ask for."""
+    """The most anchors of a request."""
     kind: Literal["vocabulary"] = "vocabulary"
 
 
@@ -133,20 +133,20 @@ class TruncatedDiffusionSpec:
     """A diffusion that starts near fixed trajectories, then chooses the best of its candidates."""
 
     size: int
-    """The most anchors that a request may ask for: those that are scored finely."""
+    """The most anchors of a request: those that are scored finely."""
     candidates: int
     """How many trajectories are scored coarsely."""
     steps: int
     """Denoising steps."""
     choices: tuple[int, ...] = ()
-    """The numbers of steps that a request may ask for, as `sampler.schedule` {"uniform": n}."""
+    """The numbers of steps that a request may choose, as `sampler.schedule` {"uniform": n}."""
     kind: Literal["truncated_diffusion"] = "truncated_diffusion"
 
     def chosen(self, choice: SamplerChoice) -> TruncatedDiffusionSpec:
-        """Return this sampler with the number of steps that a request asks for.
+        """Return this sampler with the number of steps that a request chooses.
 
         Raises:
-            InvalidRequest: it asks for a method, or for another number than those of `choices`.
+            InvalidRequest: it names a method, or another number than those of `choices`.
         """
         if choice.method is not None:
             raise InvalidRequest(

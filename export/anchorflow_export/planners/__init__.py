@@ -20,7 +20,7 @@ ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
     "diffusiondrive": diffusiondrive_adapter,
     "v2x_vlm": v2x_vlm_adapter,
 }
-"""From a network to its adapter."""
+"""Functions that adapt a network."""
 
 USES: Mapping[str, tuple[str, ...]] = {
     "flowmp": (*ExportChoices.__dataclass_fields__, "int8"),

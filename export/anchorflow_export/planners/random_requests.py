@@ -22,7 +22,7 @@ from anchorflow_export.tracing import random_tensor
 from anchorflow_models.goalflow import BevLayout
 from anchorflow_models.transfuser import AGENT_STATE, LIDAR_BEFORE, MOTION, STATUS, TransfuserConfig
 
-CELLS_A_BLOB = 40  # one square obstacle for so many cells of a map
+CELLS_A_BLOB = 40  # cells of a map for each square obstacle
 COMMANDS = MOTION.start  # of the ego status
 FASTEST_STATUS = 60.0  # m/s, and m/s²: bounds of a status
 STATUS_UNIT = (
@@ -98,7 +98,7 @@ def sensor_inputs(backbone: TransfuserConfig) -> tuple[TensorSpec, ...]:
 
 
 def perceived(backbone: TransfuserConfig, *, agents: int, classes: int) -> tuple[TensorSpec, ...]:
-    """Return the extras of such a planner's perception: agents, and classes on the ground."""
+    """Return the extras of a backbone's perception: agents, and classes on the ground."""
     reach = backbone.lidar_range
     return (
         TensorSpec("agents", F32, ("B", agents, AGENT_STATE), "m, m, rad, m, m"),

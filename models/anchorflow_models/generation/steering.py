@@ -6,7 +6,7 @@ Matching", ICML 2025):
 
     u' = u - scale Cov(x_1 | x_t) / (1 - t) ∇J(x̂_1),    x̂_1 = E[x_1 | x_t] = x_t + (1 - t) u
 
-The cost is evaluated at x̂_1, where the anchor is going; x_t is mostly noise while there is still
+The cost is evaluated at x̂_1, the expected end of the flow; x_t is mostly noise while there is still
 something to decide. The gradient does not pass through the network: the covariance is that of data
 with the prior's covariance Σ_0, which the prior takes from the data (the same r_t^2 as Pokle et
 al., "Training-free Linear Image Inverses via Flows", TMLR 2024):

@@ -8,12 +8,12 @@ BACKBONES = ("mlp", "transformer")
 MULTIPLES = {"channels": 8, "width": 4}
 """Groups of the scene encoder's normalisation, and heads of the transformer."""
 HALTINGS = (1.5, 3.0, 5.0)
-"""m/s² by which the halts brake: ways to no goal, which are driven as they are."""
+"""m/s² by which the halts brake: ways to no goal, which are driven without a change."""
 TURNS = ((0.1, 5.0), (0.2, 5.0), (0.2, 2.5))
-"""1/m that the turns bend at most, to either side, and m/s that they come to; as halts, they are
-driven as they are."""
+"""Greatest curvature in 1/m, to either side, and final speed in m/s of the turns; like halts, they
+are driven without a change."""
 PACES = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
-"""m/s that ways along a route come to; beside them, some halt on it as HALTINGS say."""
+"""Final speeds in m/s of ways along a route; further ways halt on it by HALTINGS."""
 ASIDE = (0.0, 1.0, -1.0)
 """m to the left of the route that ways along it keep; first the route itself."""
 LEAST = {"goals": 8, "picked": 1, "feature_channels": 1, "width": 16, "layers": 1, "channels": 8}
@@ -41,7 +41,7 @@ class BevLayout:
 
 @dataclass(frozen=True)
 class ScoreWeights:
-    """What a trajectory is worth; see `trajectory_score`.
+    """Weights of a trajectory's score; see `trajectory_score`.
 
     route, goal, drivable: exponents of how likely it follows the route, ends near where was driven
         and stays on the road, as the network thinks
@@ -69,9 +69,9 @@ class GoalFlowConfig:
     goals: K of the vocabulary; picked: how many of them trajectories are drawn to, beside a shadow,
         turns and halts
     spacing: m that picked goals keep from each other
-    sigma: spread of the noise, in units of what trajectories stray from the way to their goal
-    outcomes: whether trajectories are scored by what is learnt to become of them, too, and not by
-        the rules of `trajectory_score` alone
+    sigma: spread of the noise, in units of the distance of trajectories from the way to their goal
+    outcomes: whether learnt outcomes count in the score of trajectories, beside the rules of
+        `trajectory_score`
     backbone: "mlp" or "transformer", the network that is the vector field
     width, layers: of the backbone; channels: of the scene encoder's first level
     feature_channels: that poses look up at their places
@@ -113,11 +113,11 @@ class GoalFlowConfig:
 
     @property
     def ways(self) -> int:
-        """That trajectories begin on: to each picked goal, the shadow, the turns, the halts, and
+        """Ways that trajectories begin on: to each picked goal, the shadow, the turns, the halts, and
         those along a route."""
         return self.picked + 1 + 2 * len(TURNS) + len(HALTINGS) + self.along
 
     @property
     def along(self) -> int:
-        """Ways along a route that is told; where none is, the others come again."""
+        """Number of ways along a given route; without one, the other ways are repeated."""
         return len(HALTINGS) + len(PACES) * len(ASIDE)

@@ -1,8 +1,8 @@
-"""The vector field: where a trajectory on its way through the flow ought to end, and so its slope.
+"""The vector field of GoalFlow, from the trajectory that it expects at the end of the flow.
 
-Both networks say the controls of the trajectory that they expect at t = 1, as differences from
-those of the way that it began on. A car rolls them out, so that every answer can be driven, and the
-slope of the straight path follows: u = (x_1 - x_t) / (1 - t).
+Both networks predict the controls of that trajectory, as differences from those of the way that it
+began on. The kinematic model rolls them out, so that every answer can be driven, and the slope of
+the straight path follows: u = (x_1 - x_t) / (1 - t).
 """
 
 from __future__ import annotations

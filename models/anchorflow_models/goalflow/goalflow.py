@@ -1,7 +1,7 @@
 """GoalFlow: trajectories drawn to goals by conditional flow matching (Xing et al., CVPR 2025).
 
     encode     a scene                     -> goals with scores, the ways that trajectories begin on
-    modulate   flow times                  -> what the field is told of them
+    modulate   flow times                  -> the field's modulation
     field      x_t on the way to a goal    -> dx/dt
     score      trajectories                -> scores
 
@@ -47,25 +47,27 @@ Context = dict[str, Tensor]
 
 POSE = 3
 STATE = 6  # x, y, heading; has a goal, acceleration, curvature of the way it began on
-CONTEXT = 96  # numbers that tell of a scene as a whole
+CONTEXT = 96  # numbers of a scene as a whole
 SCORER = 96  # width
 OUTCOMES = 192  # width
 UNITS = (10.0, 3.0, 1.0)  # m/s, m/s², rad/s, in which a motion is heard of
 TIME_LEFT = 0.02  # least, that a slope is divided by
 FULL = 255.0
-BEND = 10.0  # m, in which networks hear of curvatures
-STRAYS = (0.4, 4.0)  # m, before the data are known, at the first pose and at the last
+BEND = 10.0  # m, scales curvatures for the networks
+STRAYS = (0.4, 4.0)  # m, before training, at the first pose and at the last
 SETTLED = -1.0  # in place of whether it has a goal: the way itself is the trajectory
 LEANING = 2.5  # m/s² to the side, at most, of turns
 SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most, of turns
 CERTAIN = 20.0  # a logit, of what is known
 GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
 SURROUNDINGS = tuple(each.name for each in fields(Surroundings))
-"""Names of what a score looks at."""
+"""Names of a score's inputs."""
 
 
 class GoalFlow(nn.Module):
-    """vocabulary: [K, 2] m, the goals; stray: [T, 3] how far poses lie from the way to their goal
+    """The network.
+
+    vocabulary: [K, 2] m, the goals; stray: [T, 3] distance of poses from the way to their goal
 
     noise_scale: of sigma, when trajectories are drawn; 1: as in training
     """
@@ -85,7 +87,7 @@ class GoalFlow(nn.Module):
             inputs=config.bev.channels, channels=config.channels, features=features, context=CONTEXT
         )
         self.scorer = WayScorer(steps=steps, features=features, context=CONTEXT, width=SCORER)
-        # A pose's own numbers, those of the way, what lies there; has a goal, controls of the way.
+        # A pose's numbers, those of the way, the features there; has a goal, controls of the way.
         token = POSE + 4 + features + 3
         self.flow = BACKBONES[config.backbone](config, token=token, context=CONTEXT)
         self.outcomes = (
@@ -106,8 +108,8 @@ class GoalFlow(nn.Module):
 
         Returns by name: goals [B, K, 2] and goal_scores [B, K], those that are picked first, then
         by score; prior_mean [B, ways, T, S], after the goals' the shadow, the turns and the halts,
-        and by turns with them those along the route; prior_basis [B, 3T, T·S]; and what the other
-        graphs ask for.
+        and by turns with them those along the route; prior_basis [B, 3T, T·S]; and the inputs of
+        the other graphs.
         """
         context = self.look(bev, ego_status, vehicle_size, route)
         ways = self.ways_to(self.vocabulary.expand(bev.shape[0], -1, -1), context["speed"])
@@ -117,7 +119,7 @@ class GoalFlow(nn.Module):
         )
 
     def order(self, scores: Tensor) -> Tensor:
-        """Goals [B, K] by their scores [B, K]: those that are picked, and then the others."""
+        """Return the order of goals [B, K] by scores [B, K]: the picked ones, then the others."""
         count = self.config.picked
         picked = pick(self.vocabulary, scores, count=count, spacing=self.config.spacing)
         first = 2.0 - torch.arange(count, device=scores.device) / count
@@ -126,7 +128,7 @@ class GoalFlow(nn.Module):
     def arranged(
         self, ways: Tensor, scores: Tensor, order: Tensor, ego_status: Tensor, route: Tensor
     ) -> Context:
-        """Goals and the ways to them [B, K, T, S], in an order [B, K]: encode's own outputs.
+        """Return encode's outputs of goals and the ways to them [B, K, T, S], in an order [B, K].
 
         route: [B, P, 2]
         """
@@ -147,7 +149,7 @@ class GoalFlow(nn.Module):
     def look(
         self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor, route: Tensor | None = None
     ) -> Context:
-        """What the networks see of a scene, and the route."""
+        """Return the features of a scene, and the route."""
         untold = torch.zeros(bev.shape[0], ROUTE_POINTS, 2, device=bev.device)
         layout, cells = self.config.bev, bev.float() / FULL
         features, context = self.scene(cells, ego_status, vehicle_size)
@@ -177,18 +179,18 @@ class GoalFlow(nn.Module):
         return self._way(speed, acceleration, curvature, aimed=1.0)
 
     def shadow(self, ego_status: Tensor, speed: Tensor) -> Tensor:
-        """The way [B, 1, T, S] that goes on as the ego moves now, to no goal."""
+        """Return the way [B, 1, T, S] that continues the ego's present motion, to no goal."""
         bend = curvature_of(ego_status[:, VELOCITY:])[:, None].clamp(-SHARPEST, SHARPEST)
         # What accelerates now does not for 4 s.
         acceleration = (0.5 * ego_status[:, None, VELOCITY + 2]).clamp(-BRAKING, PULLING)
         return self._way(speed[:, None], acceleration[..., None], bend[..., None], aimed=0.0)
 
     def turns(self, speed: Tensor) -> Tensor:
-        """Ways [B, 2 TURNS, T, S] that bend to the left and to the right, as far as LEANING lets
-        them, of cars that come to a turn's speed from speeds [B].
+        """Return ways [B, 2 TURNS, T, S] that bend to the left and to the right, as far as LEANING
+        allows, of cars that change from speeds [B] to a turn's speed.
 
-        No flow moves them: a slow car that has come to stand askew before a corner is nowhere in
-        what is drawn to goals, for people take corners in one go.
+        No flow moves them: trajectories drawn to goals never start from a slow car that is askew
+        before a corner, because people take corners in one go.
         """
         steps, dt = self.config.num_steps, self.config.dt
         turns = [(side * bend, to) for bend, to in TURNS for side in (1.0, -1.0)]
@@ -212,9 +214,9 @@ class GoalFlow(nn.Module):
         return self._way(speed[:, None].expand(bend.shape[:2]), braking, bend, aimed=SETTLED)
 
     def with_route(self, ways: Tensor, route: Tensor, speed: Tensor, curvature: Tensor) -> Tensor:
-        """Ways [B, V, T, S] and those along routes [B, P, 2], by turns, so that of both there are
-        some where few anchors are asked for: [B, c V, T, S], c rounds of the former or, where a
-        route is told, both once and the first again.
+        """Return ways [B, V, T, S] and those along routes [B, P, 2], alternating, so that a few
+        anchors have some of both: [B, c V, T, S], c rounds of the former or, given a route, both
+        once and the first again.
         """
         along = self.along(route, speed, curvature)
         both = min(ways.shape[1], along.shape[1])
@@ -241,14 +243,14 @@ class GoalFlow(nn.Module):
         return torch.cat([poses, torch.full_like(poses[..., :1], aimed), controls], -1)
 
     def rate(self, poses: Tensor, context: Context) -> WayScores:
-        """Logits of ways [B, P, T, 3]."""
+        """Return the logits of ways [B, P, T, 3]."""
         return self.scorer(
             poses, context["features"], context["context"], extent=self.config.bev.extent
         )
 
     @staticmethod
     def goal_scores(ways: WayScores) -> Tensor:
-        """delta = delta_dac · delta_dis, [B, P]."""
+        """Return delta = delta_dac · delta_dis, [B, P]."""
         return ways.drivable.sigmoid() * ways.distance.sigmoid()
 
     def basis(self) -> Tensor:
@@ -285,8 +287,8 @@ class GoalFlow(nn.Module):
     def expected(
         self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: Context
     ) -> Tensor:
-        """Poses [B, N, T, 3] that x_t [B, N, T, S] is expected to come to at t = 1; those that
-        hardly move stand, but in training.
+        """Return poses [B, N, T, 3] expected at t = 1 of x_t [B, N, T, S]; poses that hardly move
+        are made to stand still, except in training.
 
         modulation: [B, 1 or N, M]
         """
@@ -305,7 +307,7 @@ class GoalFlow(nn.Module):
         return expected if self.training else standing_still(torch.where(settled, way, expected))
 
     def score(self, x_1: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
-        """Scores [B, N] of trajectories and of the ways that they began on, [B, N, T, S]."""
+        """Return scores [B, N] of trajectories that began on ways, both [B, N, T, S]."""
         poses, way = x_1[..., :POSE], prior_mean[..., :POSE]
         judged = self.judged(poses, context)
         missed = (poses[..., -1, :2] - way[..., -1, :2]).square().sum(-1).sqrt()
@@ -318,16 +320,16 @@ class GoalFlow(nn.Module):
         return scores * follows(poses[..., -1, :2], route)
 
     def judged(self, poses: Tensor, context: Context) -> Judged:
-        """Trajectories [B, N, T, 3] by the rules."""
+        """Judge trajectories [B, N, T, 3] by the rules."""
         return judge(poses, _surroundings(context), self.config)
 
     def outcome(self, judged: Judged, context: Context) -> Tensor:
-        """Logits [B, N, 4] of what becomes of trajectories."""
+        """Return the logits [B, N, 4] of trajectories' outcomes."""
         assert self.outcomes is not None
         return self.outcomes(self.told(judged, context), context["context"])
 
     def told(self, judged: Judged, context: Context) -> Tensor:
-        """[B, N, F] that outcomes are learnt from."""
+        """Return the features [B, N, F] that outcomes are learnt from."""
         poses = judged.driven.poses
         seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
         moves = [values / unit for values, unit in zip(judged.motion, UNITS, strict=True)]
@@ -341,7 +343,7 @@ def _surroundings(context: Context) -> Surroundings:
 
 
 def _fan(count: int) -> Tensor:
-    """Goals [K, 2] over 50 m and 10 m to either side, before those of the data are known."""
+    """Return goals [K, 2] over 50 m and 10 m to either side, before training replaces them."""
     rows = max(1, round((count / 2) ** 0.5))
     number = torch.arange(count)
     columns = -(-count // rows)

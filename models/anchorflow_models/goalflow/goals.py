@@ -1,4 +1,4 @@
-"""Goals: where a trajectory may end, how good each is, and which are taken."""
+"""Goals: the possible ends of trajectories, their scores, and the choice among them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from anchorflow_models.goalflow.raster import Extent, at_places
 
 X_UNIT, Y_UNIT = 40.0, 20.0
-"""m, in which networks hear of places."""
+"""m, scales of places for the networks."""
 TAKEN = -1e9
 
 
@@ -24,13 +24,13 @@ class WayScores(NamedTuple):
 
 
 def in_units(poses: Tensor) -> Tensor:
-    """Poses [..., 3] as the networks hear of them: [..., 4]."""
+    """Scale poses [..., 3] for the networks: [..., 4]."""
     x, y, heading = poses.unbind(-1)
     return torch.stack([x / X_UNIT, y / Y_UNIT, heading.cos(), heading.sin()], -1)
 
 
 class WayScorer(nn.Module):
-    """delta = delta_dac · delta_dis of ways to goals, by what lies at their poses."""
+    """Scores delta = delta_dac · delta_dis of ways to goals, by the features at their poses."""
 
     def __init__(self, *, steps: int, features: int, context: int, width: int) -> None:
         super().__init__()
@@ -50,10 +50,10 @@ class WayScorer(nn.Module):
 
 
 def pick(goals: Tensor, scores: Tensor, *, count: int, spacing: float) -> Tensor:
-    """Indices [B, count] of the best goals that keep their spacing, the best first.
+    """Return indices [B, count] of the best goals that keep their spacing, the best first.
 
-    goals: [K, 2] m; scores: [B, K] from 0 to 1. Where too few are left, those
-    near to the fewest that are picked come after.
+    goals: [K, 2] m; scores: [B, K] from 0 to 1. If too few are left, those near
+    to the fewest picked goals follow.
     """
     near = (goals[:, None] - goals).square().sum(-1) < spacing**2
     number = torch.arange(goals.shape[0], device=goals.device)

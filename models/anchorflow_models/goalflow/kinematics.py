@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 SUBSTEPS = 4
-"""Of the integration, between two poses."""
+"""Integration steps between two poses."""
 BRAKING, PULLING = 6.0, 2.3
 """m/s², of the acceleration that is drawn."""
 SHARPEST = 0.2
@@ -51,15 +51,15 @@ def within(curvature: Tensor, sharpest: Tensor) -> Tensor:
 
 
 def arc_to(goal: Tensor, speed: Tensor, *, duration: float) -> tuple[Tensor, Tensor]:
-    """Constant acceleration and curvature [...] of the arc that ends at goals [..., 2] in time.
+    """Return constant acceleration and curvature [...] of the arc that ends at goals [..., 2].
 
-    speed: [...] m/s now; where the goal is nearer than a halt in time, it halts there
+    speed: [...] m/s now; a car that cannot reach the goal at a speed above 0 halts there
     """
     x, y = goal[..., 0], goal[..., 1]
     square = (x.square() + y.square()).clamp(min=_LEAST)
     curvature = (2 * y / square).clamp(-SHARPEST, SHARPEST)
     chord = square.sqrt()
-    # Of half the arc's angle; a chord is as long as the arc times sinc of it.
+    # Half the arc's angle; a chord is as long as the arc times sinc of it.
     half = (0.5 * curvature * chord).clamp(-0.999, 0.999).asin()
     bent = half.abs() > _LEAST
     way = chord * torch.where(bent, half / half.sin().where(bent, 1.0), 1.0)

@@ -1,4 +1,4 @@
-"""What becomes of a trajectory, as learnt: sub-scores of the PDM score."""
+"""Learnt outcomes of a trajectory: sub-scores of the PDM score."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ simulated windows (docs/goalflow-bundle.md)."""
 
 
 class OutcomeScorer(nn.Module):
-    """Logits [B, N, 4] of trajectories, by what lies at their poses, who is met there, and what the
-    rules say, which know others' present velocities and no turn.
+    """Logits [B, N, 4] of trajectories, from the features and occupancy at their poses, and from the
+    rules, which know others' present velocities and no turn.
     """
 
     def __init__(self, *, steps: int, features: int, context: int, width: int) -> None:

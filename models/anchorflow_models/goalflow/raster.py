@@ -11,10 +11,10 @@ Extent = tuple[float, float, float, float]
 
 
 def at_places(cells: Tensor, places: Tensor, extent: Extent) -> Tensor:
-    """What a raster holds at places: [B, H, W, F], [B, ..., 2] m -> [B, ..., F].
+    """Look up a raster at places: [B, H, W, F], [B, ..., 2] m -> [B, ..., F].
 
-    extent: least and greatest x, least and greatest y; row 0 lies at the greatest x, column 0 at
-        the greatest y. Beyond its edge the raster goes on as it ends.
+    extent: least and greatest x, least and greatest y; row 0 is at the greatest x, column 0 at
+        the greatest y. Beyond its edge the raster repeats its last cells.
     """
     low_x, high_x, low_y, high_y = extent
     across = 1 - 2 * (places[..., 1] - low_y) / (high_y - low_y)
@@ -25,7 +25,7 @@ def at_places(cells: Tensor, places: Tensor, extent: Extent) -> Tensor:
 
 
 def at_times(layers: Tensor, places: Tensor, layer: Tensor, extent: Extent) -> Tensor:
-    """What a stack of rasters holds at places, each asked in a layer of its own.
+    """Look up a stack of rasters at places, each in a layer of its own.
 
     layers: [B, K, H, W]; places: [B, ..., P, 2] m; layer: [P] from 0 to K - 1; returns [B, ..., P]
     """

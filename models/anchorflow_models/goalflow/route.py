@@ -1,4 +1,4 @@
-"""A route that a car is told, and ways along it, by pure pursuit (Coulter, CMU-RI-TR-92-01).
+"""The route of a car, and ways along it, by pure pursuit (Coulter, CMU-RI-TR-92-01).
 
 A route is P = ROUTE_POINTS places, ROUTE_SPACING_M apart, as `anchorflow_client.sensors` makes it.
 """
@@ -17,8 +17,8 @@ SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most
 LEANING = 1.6  # m/s² to the side, at most, in a route's bends
 EASING = 1.0  # m/s², by which it slows down before a bend
 SHARPEST = 0.3  # 1/m, of ways along a route, whose corners are those of the map
-STEERS_S = 0.4  # s, by which a car steers later than it is told to
-LOOKS_S, NEAREST = 0.6, 2.5  # s and m, at least, ahead of the car: where it steers for
+STEERS_S = 0.4  # s, delay of the steering
+LOOKS_S, NEAREST = 0.6, 2.5  # s and m, at least, from the car to the point that it steers for
 STRETCHES = 2  # of constant controls, between two poses
 FOLLOWS = 2.0  # m from a route, at which half as much is left of a score
 _LEAST = 1e-3
@@ -116,7 +116,7 @@ def _allowed(heading: Tensor) -> Tensor:
 
 
 def _at(values: Tensor, first: Tensor, ahead: Tensor) -> Tensor:
-    """Values [B, P, 2] so many points [B, W] ahead of the first [B, W]: [B, W, 2]."""
+    """Return values [B, P, 2] at points [B, W] ahead of the first [B, W]: [B, W, 2]."""
     place = (first + ahead).clamp(max=ROUTE_POINTS - 1 - _LEAST)
     low = place.floor()
     share = (place - low)[..., None]

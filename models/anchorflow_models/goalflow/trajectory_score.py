@@ -1,6 +1,6 @@
-"""What a trajectory is worth: a soft PDM score among boxes at constant velocity.
+"""The score of a trajectory: a soft PDM score among boxes at constant velocity.
 
-Who is hit and what is left of the road is asked of what a car drives that follows it (`tracking`).
+Collisions and the road are judged on the motion of a car that tracks the trajectory (`tracking`).
 
     score = route^a · goal^b · drivable^d · reach · DAC · NC · (e EP + t TTC + c C) / (e + t + c)
 
@@ -23,19 +23,19 @@ from anchorflow_models.lqr_rollout import WHEELBASE, Driven, Start, driven, halv
 
 FRONT, REAR = 0.7823, -0.2177
 """Of the bumpers before the rear axle, in lengths (`anchorflow_driving.window.REAR_AXLE`)."""
-# Who is hit with what lies behind these was not hit by the ego's fault.
+# A collision behind these points is not the ego's fault.
 ROWS, FILES = (FRONT, 0.53, 0.28), (-1.0, 0.0, 1.0)
 GAP = 0.2
-"""Of a length, that is kept free ahead."""
+"""Share of a length that is kept free ahead."""
 AHEAD_S = (0.5, 0.9)
-"""That the time to collision looks ahead."""
+"""Seconds that the time to collision looks ahead."""
 LOOKS_S = (0.0, 0.5, 1.0, -0.5)
-"""How far ahead of where it drives the ego is taken to be, each time it is asked whom it meets."""
-WIDER = (2.0, 1.2)  # m more in length and width, of the ego that is asked once more
+"""Seconds ahead of its poses at which the ego's front is looked up, one for each look."""
+WIDER = (2.0, 1.2)  # m more in length and width, of a second look-up
 LOOKS = len(LOOKS_S) + 1
 PULL = 1.5  # m/s², of a car that nothing holds up
 HALF, SHARP = 0.5, 0.1  # of a cell's share: what counts as covered, and how sharply
-MOVING = 0.3  # m/s; who stands hits nobody
+MOVING = 0.3  # m/s; a standing ego is not at fault
 # Bounds of comfort and how sharply each is kept: m/s², m/s², m/s², m/s³, rad/s.
 COMFORT = {
     "pulling": (2.3, 0.1),
@@ -48,7 +48,7 @@ COMFORT = {
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What a score looks at.
+    """Inputs of a score.
 
     drivable: [B, H, W, 1]; occupied: [B, 1 + K, H, W] now and foretold, all from 0 to 1
     speed, acceleration, curvature: [B] now, m/s, m/s² and 1/m to the left
@@ -64,7 +64,7 @@ class Surroundings:
 
     @property
     def start(self) -> Start:
-        """Where a controller begins."""
+        """The start of a controller."""
         wheelbase = WHEELBASE * self.size[:, 0]
         return Start(self.speed, self.acceleration, self.curvature, wheelbase)
 
@@ -104,7 +104,7 @@ class Judged(NamedTuple):
 
 
 def motion_of(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Motion:
-    """Of trajectories [B, N, T, 3]."""
+    """Return the motion along trajectories [B, N, T, 3]."""
     speed = _speeds(poses, dt=config.dt)
     now = around.speed[:, None, None].expand_as(speed[..., :1])
     heading = torch.cat([torch.zeros_like(poses[..., :1, 2]), poses[..., 2]], -1)
@@ -116,7 +116,7 @@ def motion_of(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Mo
 
 
 def judge(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Judged:
-    """Trajectories [B, N, T, 3]; where they lead is asked of what is driven."""
+    """Judge trajectories [B, N, T, 3] on the motion that follows them."""
     motion = motion_of(poses, around, config)
     own = driven(poses, around.start, dt=config.dt)
     rules = Rules(
@@ -186,7 +186,7 @@ def _on_road(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Ten
 
 
 def _clear(poses: Tensor, speed: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:
-    """[B, N]: whether the front of a moving ego touches nobody, nor comes closer than the gap."""
+    """Return [B, N]: whether a moving ego's front keeps the gap to every box."""
     moving = (speed / MOVING).clamp(0.0, 1.0)
     layer = torch.arange(poses.shape[-2], device=poses.device)
     middles = halved(poses)[..., ::2, :]
@@ -200,7 +200,7 @@ def _clear(poses: Tensor, speed: Tensor, around: Surroundings, config: GoalFlowC
 def _time_to_collision(
     poses: Tensor, speed: Tensor, around: Surroundings, config: GoalFlowConfig
 ) -> Tensor:
-    """[B, N]: whether nobody is touched straight on at the same speed for AHEAD_S."""
+    """Return [B, N]: whether driving straight on at the same speed hits no box for AHEAD_S."""
     count, steps = around.occupied.shape[1] - 1, poses.shape[-2]
     moving = (speed / MOVING).clamp(0.0, 1.0)
     layers = torch.arange(steps, device=poses.device) + 1

@@ -2,8 +2,8 @@
 
 The reader validates it and the exporter writes it with the same classes. A planner is made of parts
 by kind: conditioning (what a request brings), sampler (how anchors are drawn), finish (what is done
-to them before they are answered). A part is the class that stands on the model card, or a subclass
-with further fields that only a bundle holds.
+to them before they are answered). A part is the model card's class, or a subclass with
+further fields that only a bundle holds.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ class Manifest(Entry):
 
     format: Literal[2]
     name: Annotated[str, Field(min_length=1)]
-    """The name that a request's `model` asks for."""
+    """The name that a request's `model` gives."""
     version: Annotated[str, Field(min_length=1)]
     planner: str
     """A planner of `anchorflow train --planner`, or your own; the service does not read it."""

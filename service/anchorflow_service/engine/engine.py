@@ -56,7 +56,7 @@ class Engine:
     It plans once in its constructor, so that a broken bundle fails there and not in a request.
 
     threads: the most that one request keeps busy; None: the cores that this process may use
-    provider: where the graphs run: "cpu", "cuda", "tensorrt" or "openvino"
+    provider: of the graphs: "cpu", "cuda", "tensorrt" or "openvino"
     graphs: run in place of the bundle's own, such as those of the network that it was exported from
 
     Raises:
@@ -104,7 +104,7 @@ class Engine:
             check: called before every stage and after every step of the sampler.
 
         Raises:
-            InvalidRequest: the request asks for something that this bundle cannot do.
+            InvalidRequest: the request needs something that this bundle cannot do.
             UnknownModel: it names another model.
             Exception: what `check` raises.
         """

@@ -31,7 +31,7 @@ class GaussianFlow:
     where m_r is the route that a sample begins on.
 
     shift: [S], added at every time step
-    asked: the flow times that `modulate` was asked for, call by call
+    asked: the flow times of each call of `modulate`
     """
 
     config: L2Config = SMALL

@@ -112,7 +112,7 @@ class StateCost(torch.autograd.Function):
     """The `TrajectoryCost` of the splines fitted to states [N, T, S], for autograd.
 
     Its gradient is of central differences along each unit of the prior's noise, which is all that
-    guidance asks of it.
+    guidance needs.
     """
 
     @staticmethod

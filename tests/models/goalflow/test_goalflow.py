@@ -1,4 +1,4 @@
-"""GoalFlow's graphs in torch: what they give, and that neither scenes nor anchors hear others."""
+"""GoalFlow's graphs in torch: their outputs, and independence of scenes and anchors."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def statuses(*speeds: float) -> Tensor:
 SIZE = torch.tensor([[4.6, 1.9]])
 SETTLED_WAYS = 2 * len(TURNS) + len(HALTINGS)
 ONCE = 7 + 1 + SETTLED_WAYS
-"""Ways of a model that is told no route, before they come again."""
+"""Return the ways of a model without a route, before they repeat."""
 
 
 @pytest.fixture(params=["mlp", "transformer"])
@@ -51,7 +51,7 @@ def sampled(model: GoalFlow, context: Context, noise: Tensor, *, steps: int) -> 
 
 @torch.no_grad()
 def shaken(model: GoalFlow) -> GoalFlow:
-    """With a field that does something."""
+    """Return a model with a field that is not zero."""
     for parameter in model.flow.parameters():
         parameter.add_(0.05 * torch.randn(parameter.shape))
     return model

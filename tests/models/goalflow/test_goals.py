@@ -15,7 +15,7 @@ def test_the_best_goals_that_keep_apart() -> None:
     scores = torch.tensor([[0.8, 0.9, 0.1, 0.5], [0.9, 0.8, 0.1, 0.5]])
 
     assert pick(goals, scores, count=3, spacing=2.0).tolist() == [[1, 3, 2], [0, 3, 2]]
-    # Where no more stand apart, those near to the fewest come, in the order of their scores.
+    # If no more are apart, those near to the fewest follow, in the order of their scores.
     assert pick(goals, scores, count=4, spacing=100.0).tolist() == [[1, 0, 3, 2], [0, 1, 3, 2]]
 
 

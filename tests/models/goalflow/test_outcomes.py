@@ -52,7 +52,7 @@ def test_what_becomes_well_is_worth_one() -> None:
         ({"ep": -SURE}, {}, 7 / 12),
         ({"ttc": -SURE}, {}, 7 / 12),
         ({}, {"comfort": 0.0}, 10 / 12),
-        ({}, {"ahead": 0.0, "progress": 0.0}, 1.0),  # which the scorer hears of and outweighs
+        ({}, {"ahead": 0.0, "progress": 0.0}, 1.0),  # which the scorer reads and outweighs
         ({"nc": 0.0}, {}, 0.125),
         ({}, {"by_rules": 0.25}, 0.5),
     ],
@@ -64,7 +64,7 @@ def test_sub_scores_count_as_in_the_pdm_score(
 
 
 def along(speed: float) -> tuple[Tensor, Surroundings]:
-    """Straight on at a steady speed, on a road where nobody is."""
+    """Return a straight drive at a steady speed on an empty road."""
     controls = torch.zeros(1, 1, T)
     poses = roll_out(torch.tensor([[speed]]), controls, controls, dt=CONFIG.dt)
     bev = CONFIG.bev
@@ -86,7 +86,7 @@ def looks(poses: Tensor, around: Surroundings) -> Tensor:
 
 
 def test_who_is_met_now_later_before_and_beside() -> None:
-    """A box that is there at 2 s alone, where the ego is then; the road runs along the columns."""
+    """Return a box on the ego's path at 2 s alone; the road runs along the columns."""
     poses, around = along(8.0)
     assert looks(poses, around).sum() == 0
     front = poses[0, 0, 3, 0] + 0.6 * 4.6
@@ -96,7 +96,7 @@ def test_who_is_met_now_later_before_and_beside() -> None:
     assert planned.argmax() == wide.argmax() == 3
     assert planned[3] > 0.9
     assert planned[[0, 1, 5, 6]].sum() == 0
-    # Half a second ahead it is asked for the layer of 2 s where it plans to be at 1.5 s.
+    # Half a second ahead, the layer of 2 s is looked up at the pose of 1.5 s.
     assert half_ahead.argmax() == 2
     assert whole_ahead.argmax() == 1
     assert behind.max() < 0.5
@@ -120,7 +120,7 @@ def test_the_scorer_hears_of_everything() -> None:
     assert told.shape == (1, 1, model.outcomes.of_way.in_features)  # pyright: ignore[reportOptionalMemberAccess]
     other = dict(context, features=features + 1)
     assert (model.told(judged, other) != told).sum() == T * CONFIG.feature_channels
-    context["course"] = torch.zeros(1, ROUTE_POINTS, 2)  # no route is told
+    context["course"] = torch.zeros(1, ROUTE_POINTS, 2)  # without a route
     assert model.score(poses_as_states(poses), poses_as_states(poses), context).shape == (1, 1)
 
 

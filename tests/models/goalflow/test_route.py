@@ -1,4 +1,4 @@
-"""Ways along a route that is told, and what a route does to scores."""
+"""Ways along a route, and the effect of a route on scores."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def moved(route: Tensor, left: float, turned: float) -> Tensor:
 
 
 def along(route: Tensor, speed: float, curvature: float = 0.0) -> tuple[Tensor, Tensor]:
-    """Of one car: poses [W, T, 3], and controls [W, T, 2]."""
+    """Return one car's poses [W, T, 3] and controls [W, T, 2]."""
     now = torch.tensor([speed]), torch.tensor([curvature])
     poses, controls = ways_along(route[None], *now, steps=STEPS, dt=DT)
     return poses[0], controls[0]
@@ -152,7 +152,7 @@ def test_of_two_scenes_one_may_be_told_a_route(model: GoalFlow) -> None:
 
 @torch.no_grad()
 def test_who_knows_the_route_chooses_what_follows_it(model: GoalFlow) -> None:
-    """Everything may be driven on, and nobody is there: the route alone tells left from right."""
+    """On an empty plane that is all drivable, only the route distinguishes left from right."""
     left = corner(10.0, 8.0)
     for route in (left, left * torch.tensor([1.0, -1.0])):
         context = model.encode(*asked(1), route[None])

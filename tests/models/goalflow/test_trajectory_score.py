@@ -1,4 +1,4 @@
-"""What a trajectory is worth, each part of it by itself, against what the hand works out."""
+"""Each part of a trajectory's score by itself, against values worked out by hand."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def score(
     occupied: Tensor | None = None,
     missed: float = 0.0,
 ) -> float:
-    """Of poses on a road without an edge where only that part of the mean counts."""
+    """Score poses on a road without an edge, with only that part of the mean."""
     weights = replace(ScoreWeights(), progress=0.0, time_to_collision=0.0, comfort=0.0)
     around = Surroundings(
         drivable=torch.ones(1, 192, 128, 1),
@@ -61,7 +61,7 @@ def score(
     rules = judge(poses, around, config).rules
     ways = WayScores(certain, certain, certain)
     worth = trajectory_scores(rules, torch.tensor([[missed]]), ways, config)
-    return float(worth) / SURE**2  # on the road, and nobody touched
+    return float(worth) / SURE**2  # on the road, and no box touched
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_comfort_counts_from_the_speed_of_now() -> None:
 @pytest.mark.parametrize(
     ("metres", "layers", "free"),
     [
-        (46.0, slice(None), False),  # the front comes to 43.6 m, and half a second later to 48.6 m
+        (46.0, slice(None), False),  # the front reaches 43.6 m, and half a second later 48.6 m
         (60.0, slice(None), True),
         (46.0, slice(8), True),  # gone when the ego would be there
     ],
@@ -130,7 +130,7 @@ def test_who_brakes_comes_to_a_halt_farther_on_than_planned(metres: float, free:
 
 
 def on_road(poses: Tensor, curvature: float) -> float:
-    """At 5 m/s, in a bend of that curvature now; 3 m to the right the road ends."""
+    """Return a start at 5 m/s in a bend of that curvature; the road ends 3 m to the right."""
     drivable = torch.ones(1, 192, 128, 1)
     drivable[:, :, 70:] = 0.0
     around = Surroundings(

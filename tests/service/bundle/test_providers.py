@@ -1,4 +1,4 @@
-"""A provider that is asked for and not obtained is an error, not a quiet run on the CPU."""
+"""A provider that is requested and not obtained is an error, not a quiet run on the CPU."""
 
 from __future__ import annotations
 

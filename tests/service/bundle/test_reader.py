@@ -73,7 +73,7 @@ def test_a_missing_file_is_named(tiny_bundle: Path, name: str) -> None:
 @pytest.mark.parametrize("name", ["field.onnx", "manifest.json"])
 @pytest.mark.timeout(60)
 def test_what_is_no_file_is_named(tiny_bundle: Path, name: str, make: Edit) -> None:
-    """A pipe would be waited for, until somebody writes to it."""
+    """Reading a pipe would block until a writer comes."""
     (tiny_bundle / name).unlink()
     make(tiny_bundle / name)
     with pytest.raises(BundleError, match=r"cannot be read: not a regular file$") as caught:

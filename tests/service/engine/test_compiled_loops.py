@@ -20,7 +20,7 @@ EVERYTHING = {"project": True, "barrier": True, "guidance": 0.5, "certified_marg
 
 def variants() -> dict[str, int]:
     """How many types each of this project's loops is compiled for."""
-    # By type: `isinstance` would wake what stands in for modules that are loaded late.
+    # Compare types: `isinstance` would load modules that are imported lazily.
     found = (each for each in gc.get_objects() if issubclass(type(each), Dispatcher))
     return {
         f"{each.py_func.__module__}.{each.py_func.__name__}": len(each.overloads)

@@ -1,4 +1,4 @@
-"""What a request says of a scene, as the inputs of an encode graph."""
+"""A request's scenes become the inputs of an encode graph."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A flow in a device's memory: the host's memory stands in for it, bound as a GPU's would be.
+"""A flow in a device's memory: the host's memory replaces it, bound as a GPU's would be.
 
-What needs a GPU is skipped by the provider's name.
+Tests that need a GPU are skipped by the provider's name.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def test_states_and_context_cross_once_however_many_steps(
     plan(bound, request)
     assert sorted(seen.up) == [*[(1, 3)] * times, *[(1, 20, 8, 7)] * 2]
     assert seen.down == [(1, 20, 8, 7)]
-    # Of a step: four evaluations, three sums before them and four at its end.
+    # A step has four evaluations, three sums before them and four at its end.
     assert seen.runs == steps * (4 + 3 + 4)
     assert seen.at_a_run == ["weight"] * (steps * (3 + 4))
 
@@ -195,7 +195,7 @@ def needing(provider: str, named: str) -> Any:
 
 
 def obtained(wanted: str) -> Sequence[str]:
-    """The providers of a session that was asked for one."""
+    """Return the providers of a session that requested one."""
     options = ort.SessionOptions()
     options.log_severity_level = 4  # what cannot be loaded is no news here
     return ort.InferenceSession(ADD_SCALED, options, providers=[wanted]).get_providers()

@@ -134,7 +134,7 @@ def test_a_heading_is_answered_between_both_ends(
 def test_it_asks_between_the_steps_whether_to_go_on(
     engine: Engine, small_request: Build, threads: int
 ) -> None:
-    """Before each of the two stages, and after each of the two steps of each slice."""
+    """It checks before each of the two stages, and after each of the two steps of each slice."""
     calls: list[float] = []
     plan(engine, small_request(num_samples=16), threads=threads, check=ask_in_turn(calls))
 

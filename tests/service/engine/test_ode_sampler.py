@@ -112,7 +112,7 @@ def test_euler_on_the_same_field_has_its_own_answer(flow: OdeSampler) -> None:
 
 
 def test_a_schedule_may_start_late(flow: OdeSampler) -> None:
-    """From tau the field carries the rest of the way: 1 - tau⁴."""
+    """Beginning at tau, the field carries the rest of the way: 1 - tau⁴."""
     got = flow.integrate(encode(flow), standing(3), OdeSpec("rk4", EIGHT_STEP_SCHEDULE[1:]))
     np.testing.assert_allclose(got[2, 5], CARRIED * (1 - 0.8**4), atol=1e-6)
 

@@ -1,4 +1,4 @@
-"""What a request's `refine` asks of the shipped bundle: guidance, barrier, certified margin."""
+"""A request's `refine` on the shipped bundle: guidance, barrier, certified margin."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The same answer to the last bit, whatever stands beside it."""
+"""The same answer to the last bit, whatever else is planned at the time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tasks of one request on several threads: in order, ended before it goes on, and no fault lost."""
+"""Tasks of one request on several threads: in order, all joined, and no exception lost."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def test_it_stops_between_any_two_steps(engine: Engine, after: int) -> None:
             raise Cancelled
 
     request = AnchorRequest.build(inputs={"ego_status": np.ones(4, np.float32)}, seed=0)
-    # Before encode, after it, after each of two steps, after coarse.
+    # Checks run before encode, after it, after each of two steps, after coarse.
     if after == 5:
         engine.plan(resolve_for_card(request, engine.card), check=check)
         assert calls == 5

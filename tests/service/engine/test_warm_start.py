@@ -31,7 +31,7 @@ def scene_of(folder: Path, request: AnchorRequest) -> Scene:
 
 @pytest.fixture
 def scene(free_bundle: Path, small_request: Build) -> Scene:
-    """With two routes, and anchors of their own durations."""
+    """Return a scene with two routes, and anchors with their own durations."""
     return scene_of(free_bundle, small_request())
 
 
@@ -143,7 +143,7 @@ def turning(steps: int) -> np.ndarray:
 
 @pytest.fixture
 def turning_scene(free_bundle: Path, small_request: Build) -> Scene:
-    """Of a robot with a heading."""
+    """Return a scene of a robot with a heading."""
     planar = scene_of(free_bundle, small_request())
     states = turning(2)
     return Scene(

@@ -27,11 +27,11 @@ REACH = 2.0
 MARGIN = 2.0
 """Side of the probe's map, in such ways."""
 DIGITS = 8
-"""Of a position in m that are left of one that lies far from zero."""
+"""Decimal digits kept of a position in m that is far from zero."""
 
 
 class CostMapConditioning:
-    """Scenes of maps; the graphs may be fed what a scene names in SCENE_INPUTS."""
+    """Reads scenes of maps; a scene provides the inputs that SCENE_INPUTS names."""
 
     def __init__(self, manifest: Manifest) -> None:
         assert isinstance(manifest.conditioning, CostMapSpec)
@@ -40,12 +40,12 @@ class CostMapConditioning:
         self._basis = _basis_of(manifest)
 
     def faults(self) -> Iterator[str]:
-        """Inputs of encode that no scene has."""
+        """Find inputs of encode that no scene provides."""
         encode = self._manifest.graphs["encode"]
         yield from unknown_names("graphs.encode.inputs", encode.input_names, SCENE_INPUTS)
 
     def scenes(self, request: ResolvedRequest) -> list[MapScene]:
-        """The scenes of a request, near the origin of their own frame.
+        """Return the scenes of a request, near the origin of their own frame.
 
         Raises:
             InvalidRequest: the map has more channels than the card's.
@@ -62,7 +62,7 @@ class CostMapConditioning:
         return [MapScene(near, self._scene(near, b), reference) for b in range(request.num_scenes)]
 
     def _scene(self, request: ResolvedRequest, index: int) -> Scene:
-        """One of a request's scenes, on a map of all the model's channels."""
+        """Return a scene of a request, on a map of all the model's channels."""
         cost_map, limits = request.cost_map, _limits(request)
         return Scene(
             cost_map=with_neutral_channels(cost_map.data[index], self._entry.channels),
@@ -78,7 +78,7 @@ class CostMapConditioning:
         )
 
     def probe(self) -> AnchorRequest:
-        """From one side of a free map to the other."""
+        """Return a request from one side of a free map to the other."""
         entry, dim = self._entry, self._manifest.D
         way = REACH * entry.limits.v_max  # m
         rest = np.zeros(2 * dim)
@@ -110,22 +110,22 @@ class MapScene:
 
     @property
     def limits(self) -> LimitsSpec:
-        """What the anchors keep."""
+        """The limits of the anchors."""
         return _limits(self.request)
 
     def inputs(self, names: Iterable[str]) -> Arrays:
-        """Those of SCENE_INPUTS that are named, with a B axis of 1."""
+        """Return those of SCENE_INPUTS that are named, with a B axis of 1."""
         return self.scene.inputs(names)
 
     def answered(self, arrays: Arrays) -> Arrays:
-        """The same with trajectories back in the request's own frame, float64 where that is far."""
+        """Return the arrays with trajectories in the request's own frame, in float64 if it is far."""
         if not self.reference.any():
             return arrays
         return arrays | {"trajectories": _displaced(arrays["trajectories"], self.reference)}
 
 
 def _basis_of(manifest: Manifest) -> SplineBasis:
-    """The splines of the finish, along which routes are laid too."""
+    """Return the splines of the finish, which routes use too."""
     entry, steps = manifest.finish, manifest.time.steps
     if not isinstance(entry, SplineEntry):
         return spline_basis(steps)
@@ -138,12 +138,12 @@ def _limits(request: ResolvedRequest) -> LimitsSpec:
 
 
 def _reference(cost_map: CostMap) -> NDArray[np.float64]:
-    """[2] m: where a frame begins in which float32 resolves the map; zero where the map is near.
+    """Return [2] m: the origin of a frame in which float32 resolves the map; zero if it is near.
 
-    A map in UTM coordinates lies where float32 steps by half a metre. Its frame begins at the
-    map's centre or at its corner, whichever is the rounder number: there callers have their zero
-    at home too. A map that is centred at home is answered as there; one that lies elsewhere is
-    worked on in another frame, whose rounding moves some of the anchors.
+    In UTM coordinates float32 steps by half a metre. The frame begins at the map's centre or at its
+    corner, whichever is the rounder number, because callers choose their own zero that way. A map
+    centred on that zero has the same answer as near home; any other is planned in another frame,
+    whose rounding moves some of the anchors.
     """
     corner, opposite = extent = cost_map.extent
     if np.abs(extent).max() <= NEAR:
@@ -152,12 +152,12 @@ def _reference(cost_map: CostMap) -> NDArray[np.float64]:
 
 
 def _decimals(numbers: NDArray[np.float64]) -> int:
-    """Digits behind the point, of numbers that have three at most."""
+    """Return the decimal digits of numbers that have three at most."""
     return next(k for k in range(4) if np.array_equal(np.round(numbers, k), numbers))
 
 
 def _moved(request: ResolvedRequest, reference: NDArray[np.float64]) -> ResolvedRequest:
-    """The request in a frame that begins at the reference."""
+    """Return the request in a frame that begins at the reference."""
     scenes, warm = request.on_map, request.warm_start
     cost_map = replace(scenes.cost_map, origin=_near(scenes.cost_map.origin, reference))
     moved = replace(
@@ -172,10 +172,10 @@ def _moved(request: ResolvedRequest, reference: NDArray[np.float64]) -> Resolved
 
 
 def _near(vectors: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors in the frame of the reference, without the digits that they lost to their distance.
+    """Return vectors in the reference's frame, without the digits that distance has rounded off.
 
-    A double steps by a nanometre at 5,000 km: what stood on the border of two cells would stand
-    in one of them, and start another search.
+    A double steps by a nanometre at 5,000 km: a point on the border of two cells would move into
+    one of them, and start another search.
     """
     moved = _displaced(vectors, -reference)
     moved[..., :2] = np.round(moved[..., :2], DIGITS) + 0.0  # no negative zero
@@ -183,7 +183,7 @@ def _near(vectors: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArr
 
 
 def _displaced(vectors: NDArray[np.floating], by: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors [...,≥2] in float64 whose first two components, x and y in m, are moved."""
+    """Move the first two components, x and y in m, of vectors [...,≥2]; return float64."""
     moved = vectors.astype(np.float64)
     moved[..., :2] += by
     return moved

@@ -1,4 +1,4 @@
-"""Conditioning on tensors: what a request brings is what the graphs are fed."""
+"""Conditioning on tensors: a request's inputs are the graphs' inputs."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.interfaces import Array, Arrays, unknown_names
 
 PROBE_AXIS = 32
-"""Size of an axis that the card leaves open."""
+"""Size of an open axis in the probe."""
 
 
 class TensorConditioning:
-    """Scenes of named tensors; of those that are optional zeros, where a request brings none."""
+    """Reads scenes of named tensors; a missing optional one is replaced by zeros."""
 
     def __init__(self, manifest: Manifest) -> None:
         self._manifest = manifest
 
     def faults(self) -> Iterator[str]:
-        """Inputs of encode that no request brings, or that it brings in another type, and optional
-        ones whose size nobody knows where they are left out."""
+        """Find inputs of encode that no request brings or brings in another type, and optional ones
+        without a fixed size."""
         given = {spec.name: spec for spec in self._manifest.request.inputs}
         encode = self._manifest.graphs["encode"]
         yield from unknown_names("graphs.encode.inputs", encode.input_names, given)
@@ -38,7 +38,7 @@ class TensorConditioning:
                 yield f"request.inputs: {spec.name} is optional, {told}"
 
     def scenes(self, request: ResolvedRequest) -> list[TensorScene]:
-        """The scenes of a request, whose inputs are bound to the card's."""
+        """Return the scenes of a request."""
         absent = {
             spec.name: np.asarray(probe_of(spec))[None]
             for spec in self._manifest.request.inputs
@@ -47,21 +47,21 @@ class TensorConditioning:
         return [TensorScene(request, b, absent) for b in range(request.num_scenes)]
 
     def probe(self) -> AnchorRequest:
-        """Zeros, or the nearest to them that the card allows."""
+        """Return zeros, or the nearest values that the card allows."""
         inputs = {spec.name: probe_of(spec) for spec in self._manifest.request.inputs}
         return AnchorRequest.build(inputs=inputs, seed=0)
 
 
 @dataclass(frozen=True)
 class TensorScene:
-    """One scene of a request; absent: what stands for the optional inputs that it left out."""
+    """One scene of a request; absent: replacements of the optional inputs that it left out."""
 
     request: ResolvedRequest
     index: int
     absent: Arrays
 
     def inputs(self, names: Iterable[str]) -> Arrays:
-        """The request's own, with a B axis of 1."""
+        """Return the request's inputs, with a B axis of 1."""
         own = slice(self.index, self.index + 1)
         return {
             name: self.absent[name]
@@ -71,12 +71,12 @@ class TensorScene:
         }
 
     def answered(self, arrays: Arrays) -> Arrays:
-        """As they are: the frame is the planner's own."""
+        """Return them as they are: the frame is the planner's own."""
         return arrays
 
 
 def probe_of(spec: TensorSpec) -> Array | str:
-    """Of one input without its B axis: zeros, or the nearest to them that the card allows."""
+    """Return zeros for an input without its B axis, or the nearest values that the card allows."""
     if spec.dtype == TEXT:
         return "probe"
     low, high = spec.range or (None, None)

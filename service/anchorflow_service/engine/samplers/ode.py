@@ -150,7 +150,7 @@ class OdeSampler:
         return self._prior is not None and self._prior.mean == ROUTE_STATES
 
     def _own_prior(self, scene: ConditionedScene) -> Arrays:
-        """Return the components [1,M,T,S] of such a mixture; encode gives those of other priors."""
+        """Return the components [1,M,T,S] of that mixture; encode gives those of other priors."""
         return scene.inputs((ROUTE_STATES,)) if self._searches else {}
 
     def sample(
@@ -279,7 +279,7 @@ class OdeSampler:
 
 
 def guidance_of(manifest: Manifest, scene: ConditionedScene, context: Context) -> Guidance | None:
-    """Return the guidance that a request asks for, by the cost and style of its finish.
+    """Return a request's guidance, by the cost and style of its finish.
 
     Without a prior, x_0 is standard normal in every number of a state.
     """
