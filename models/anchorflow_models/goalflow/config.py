@@ -113,8 +113,8 @@ class GoalFlowConfig:
 
     @property
     def ways(self) -> int:
-        """Ways that trajectories begin on: to each picked goal, the shadow, the turns, the halts, and
-        those along a route."""
+        """Ways that trajectories begin on: to each picked goal, the shadow, the turns, the halts,
+        and those along a route."""
         return self.picked + 1 + 2 * len(TURNS) + len(HALTINGS) + self.along
 
     @property

@@ -15,7 +15,7 @@ simulated windows (docs/goalflow-bundle.md)."""
 
 
 class OutcomeScorer(nn.Module):
-    """Logits [B, N, 4] of trajectories, from the features and occupancy at their poses, and from the
+    """Logits [B, N, 4] of trajectories, from the features and occupancy at their poses, and the
     rules, which know others' present velocities and no turn.
     """
 

@@ -89,8 +89,8 @@ def strays_from(places: Tensor, route: Tensor) -> Tensor:
 
 
 def follows(places: Tensor, route: Tensor) -> Tensor:
-    """[B, N] from 0 to 1: how well what ends at places [B, N, 2] follows routes [B, P, 2]; 1 where
-    none is told.
+    """Return [B, N] from 0 to 1: how well trajectories that end at places [B, N, 2] follow routes
+    [B, P, 2]; 1 without a route.
     """
     kept = 1 / (1 + (strays_from(places, route) / FOLLOWS).square())
     return torch.where(is_told(route)[:, None], kept, 1.0)

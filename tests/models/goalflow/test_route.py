@@ -138,7 +138,7 @@ def test_of_two_scenes_one_may_be_told_a_route(model: GoalFlow) -> None:
     assert torch.equal(untold, model.encode(*asked(1))["prior_mean"][0])
     once = model.config.ways - ALONG
     assert torch.equal(untold, untold[:once].repeat(2, 1, 1))  # as if it took no route
-    # By turns, so that of nine anchors four go along the route.
+    # They alternate, so that four of nine anchors follow the route.
     by_turns = told[: 2 * ALONG]
     assert torch.equal(
         torch.cat([by_turns[::2], told[2 * ALONG : model.config.ways]]), untold[:once]

@@ -118,7 +118,7 @@ class MapScene:
         return self.scene.inputs(names)
 
     def answered(self, arrays: Arrays) -> Arrays:
-        """Return the arrays with trajectories in the request's own frame, in float64 if it is far."""
+        """Return the arrays with trajectories in the request's own frame, float64 if it is far."""
         if not self.reference.any():
             return arrays
         return arrays | {"trajectories": _displaced(arrays["trajectories"], self.reference)}
