@@ -9,7 +9,7 @@ constraint, in the metric M in which smoothness is round (`whitening`):
 
     δ = M g max(0, -α h) / (g·M g + ε^2),    g = ∇h(c)
 
-The program is that of `anchorflow_models.generation.barrier`, which steers anchors during sampling
+The program is that of `anchorflow_models.generation.steering`, which steers anchors during sampling
 in torch (Ames et al., ECC 2019; SafeDiffuser; SafeFlow). This one acts at t = 1, on the spline, and
 repeats because clearance is not linear. It keeps clearance only: `certificate` checks the limits,
 and `bisection` moves the anchors that remain unsafe.

@@ -8,7 +8,7 @@ The flow of p(x_1) becomes one of p(x_1) exp(-scale J(x_1)) by the covariance-we
 J is the `TrajectoryCost` of the spline that is fitted to x̂_1. The fit is linear, so the gradient
 goes back through its transpose. Σ_0 = basis' basis is the prior's covariance, so a correction is
 itself a smooth curve that leaves both ends where they are. The torch generator takes any
-differentiable cost in this same form (`anchorflow_models.generation.guidance`, with the sources).
+differentiable cost in this same form (`anchorflow_models.generation.steering`, with the sources).
 
 J is stiff where an anchor crosses an obstacle, and a solver's step would overshoot it by metres. So
 a step moves an anchor by at most REACH standard deviations of the prior, whatever the scale is.
