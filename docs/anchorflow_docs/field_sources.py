@@ -142,6 +142,7 @@ def class_fields(kind: type) -> list[Field]:
             plain, row = get_args(plain)
             meaning = row.meaning
         name = plain.__name__ if isinstance(plain, type) else str(plain).replace("typing.", "")
+        name = "NDArray[np.float64]" if "ndarray" in name else name
         rows.append(Field(each.name, kind=code(name), value=default_of(each), meaning=meaning))
     return rows
 

@@ -185,7 +185,7 @@ def test_along_a_route_the_best_is_the_best_that_ends_there() -> None:
 
 
 def test_who_comes_back_to_the_route_follows_it() -> None:
-    """Beside the route by 3 m, it is the ones that come back which are meant, not who stands."""
+    """An anchor that returns from 3 m beside the route follows it; one that waits does not."""
     ahead = np.linspace(0.0, 15.0, 4)
     paths = np.stack([np.stack([ahead, 3.0 - ahead / 5], -1), np.stack([0 * ahead, 0 * ahead], -1)])
     given = dict.fromkeys(("trajectories", "velocities", "accelerations"), paths)

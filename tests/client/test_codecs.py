@@ -1,4 +1,4 @@
-"""Every codec: what goes in comes out, to the last bit."""
+"""Every codec reads back what it wrote, to the last bit."""
 
 from __future__ import annotations
 

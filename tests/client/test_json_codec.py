@@ -1,4 +1,4 @@
-"""The JSON codec: what goes in comes out, and what cannot be read is refused."""
+"""The JSON codec reads back what it wrote, and refuses bytes that it cannot parse."""
 
 from __future__ import annotations
 

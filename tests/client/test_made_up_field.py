@@ -68,7 +68,7 @@ print(json.dumps({
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What a program finds where the table has one more field, and one more of `refine`."""
+    """Run a program with one more field in the table, and one more in `refine`."""
     folder = tmp_path_factory.mktemp("client")
     package = folder / "anchorflow_client"
     shutil.copytree(Path(anchorflow_client.__file__).parent, package)

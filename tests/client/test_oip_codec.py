@@ -269,7 +269,7 @@ def test_a_body_that_can_be_written_is_read_only_all_the_same() -> None:
 
 
 def test_nothing_of_a_maps_place_is_rounded() -> None:
-    """In float32 a map in UTM coordinates would move by a quarter of a metre."""
+    """A map in UTM coordinates would move by a quarter of a metre in float32."""
     fields = {"x_curr": [689124.5, 5400322.5, 1 / 7, 0, 0, 0], "x_goal": [689126.1, 5400323, 0, 0]}
     cost_map = {"data": np.zeros((1, 16, 16)), "resolution": 0.7, "origin": [689123.4, 5400321.7]}
     request = AnchorRequest.build(cost_map=cost_map, **fields)

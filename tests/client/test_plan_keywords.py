@@ -17,7 +17,7 @@ from anchorflow_client import (
 from anchorflow_client.contract.fields import REQUEST
 
 PLACE = {"resolution", "origin"}
-"""Of a map that is given as an array."""
+"""The place of a map that is given as an array."""
 NOT_OF_UPDATE = {"request_id", "inputs"}
 """The planner gives its requests their ids, and plans on maps alone."""
 

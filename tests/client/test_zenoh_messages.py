@@ -1,4 +1,4 @@
-"""Attachments, and what a replica tells of itself."""
+"""Zenoh's keys, attachments and replica information."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anchorflow_client import InvalidAnswer, InvalidRequest, ModelCard
+from anchorflow_client import InvalidAnswer, InvalidRequest, ModelCard, zenoh_messages
 from anchorflow_client.zenoh_messages import (
     AnswerAttachment,
     Load,
@@ -121,3 +121,23 @@ def test_a_busy_replica_is_expected_to_take_longer(
     load: Load, more: int, expected_ms: float
 ) -> None:
     assert load.expected_ms(more) == expected_ms
+
+
+def test_the_keys_are_the_contracts() -> None:
+    assert zenoh_messages.anchors_key("flowmp-small") == "anchorflow/v1/anchors/flowmp-small"
+    assert zenoh_messages.replica_key("a") == "anchorflow/v1/replica/a"
+    assert zenoh_messages.replica_anchors_key("a", "m") == "anchorflow/v1/replica/a/anchors/m"
+    assert zenoh_messages.info_key("a") == "anchorflow/v1/replica/a/info"
+
+
+def test_a_token_names_its_replica() -> None:
+    assert zenoh_messages.replica_of(zenoh_messages.replica_key("a1")) == "a1"
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "*", "a*", "$x", "a?b", "a#b", "a b", "é", "\n"])
+def test_a_name_that_no_key_holds_is_refused(name: str) -> None:
+    with pytest.raises(InvalidRequest, match="model: expected a name without spaces") as caught:
+        zenoh_messages.anchors_key(name)
+    assert caught.value.field == "model"
+    with pytest.raises(InvalidRequest, match="replica: "):
+        zenoh_messages.info_key(name)

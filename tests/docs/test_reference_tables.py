@@ -118,7 +118,7 @@ class Base:
     """The base."""
 
     first: int
-    """Of all."""
+    """The first."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def test_a_dataclass_becomes_a_section() -> None:
         "",
         "| field | type | default | meaning |",
         "| --- | --- | --- | --- |",
-        "| `first` | `int` | required | Of all. |",
+        "| `first` | `int` | required | The first. |",
         "| `second` | `str | None` | `None` |  |",
         "",
         "| property | type | meaning |",
@@ -160,7 +160,7 @@ class Holder:
 
     word: str
     share: float
-    """Of the whole."""
+    """A share."""
     times: tuple[float, ...]
     ranges: dict[str, tuple[float, float]]
     told: dict[str, float]
@@ -181,10 +181,10 @@ def test_an_instance_becomes_rows_of_what_it_holds() -> None:
         "| field | value | meaning |",
         "| --- | --- | --- |",
         "| `word` | `a` |  |",
-        "| `share` | 0.3333 | Of the whole. |",
+        "| `share` | 0.3333 | A share. |",
         "| `times` | 0, 0.5, 1 |  |",
         "| `ranges` | `v_max` 0.1 to 6; `robot_radius` 0 to 1 |  |",
-        "| `inside.first` | 7 | Of all. |",
+        "| `inside.first` | 7 | The first. |",
         "| `is_there` | `true` |  |",
     ]
 

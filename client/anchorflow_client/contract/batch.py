@@ -158,8 +158,8 @@ class AnchorBatch:
     def best_along(self, route: ArrayLike, *, within: float = 2.0) -> int:
         """Return the index of the best anchor that follows a route, for a caller who knows one.
 
-        An anchor follows the route if it ends within `within` of it. If none of these moves by a
-        metre, the index is `best`: a robot that stands beside a route does not follow it.
+        An anchor follows the route if it ends within `within` of it. If none of them moves by a
+        metre, the index is `best`, as a robot that waits beside a route does not follow it.
 
         Args:
             route: [V, 2] m, a polyline in the request's frame, as far as the robot can get in the

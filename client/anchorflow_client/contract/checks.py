@@ -30,7 +30,7 @@ MAX_DIMENSIONS = 4
 MAX_AXES = 8
 """Axes of a tensor given as bytes, B included."""
 SCALAR_COMPARISONS = 16
-"""Up to so many numbers Python compares faster than numpy."""
+"""Python compares up to this many numbers faster than numpy."""
 DTYPES = {
     name: np.dtype(name).newbyteorder("<")
     for name in ("bool", "uint8", "int64", "float32", "float64")
@@ -58,20 +58,20 @@ class Interval:
     open_high: bool = False
 
     def contains(self, values: ArrayLike) -> NDArray[np.bool_]:
-        """Return element by element whether it lies inside; NaN lies in no interval."""
+        """Return element by element whether it is inside; NaN is in no interval."""
         values = np.asarray(values)
         above = values > self.low if self.open_low else values >= self.low
         below = values < self.high if self.open_high else values <= self.high
         return above & below
 
     def holds(self, number: float) -> bool:
-        """Return whether one number lies inside."""
+        """Return whether one number is inside."""
         above = number > self.low if self.open_low else number >= self.low
         below = number < self.high if self.open_high else number <= self.high
         return bool(above and below)
 
     def holds_all(self, values: NDArray[Any]) -> bool:
-        """Return whether every number lies inside."""
+        """Return whether every number is inside."""
         if values.size <= SCALAR_COMPARISONS:
             inside = all(map(self.holds, values.ravel().tolist()))
         else:  # the minimum and maximum of an array with a NaN are NaN

@@ -82,7 +82,7 @@ class CostMap:
         return np.array(self._bounds).reshape(2, 2)
 
     def contains(self, x: float, y: float) -> bool:
-        """Return whether a point in m lies on the map, border included."""
+        """Return whether a point in m is on the map, border included."""
         x_low, y_low, x_high, y_high = self._bounds
         return x_low <= x <= x_high and y_low <= y <= y_high
 
@@ -113,7 +113,7 @@ def _grid(data: Any) -> NDArray[np.float32]:
     if isinstance(data, np.ndarray) and data.dtype == np.bool_:
         data = frozen(data.astype(np.float32))
     if isinstance(data, np.ndarray) and data.dtype == np.float32:
-        # Views of the request's bytes are kept without a copy: nobody can write to them.
+        # Views of the request's bytes are kept without a copy, as they are read-only.
         grid = within(unshared(data), field, UNIT)
     else:
         grid = frozen(numbers(data, field, UNIT, MAP_SHAPE).astype(np.float32))

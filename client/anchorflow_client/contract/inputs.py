@@ -39,7 +39,7 @@ TEXT = "text"
 IMAGE_FORMATS = ("png", "jpeg")
 INT64 = Interval(-(2**63), 2**63 - 1)
 EXACT = 2.0**53
-"""From here on float64 does not hold every whole number."""
+"""The first whole number beyond which float64 skips some."""
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class TimingBody(BaseModel):
 class AnchorAnswerBody(BaseModel):
     """N anchors a scene; a B axis leads every array if the request was batched.
 
-    The extras that `outputs` named stand beside these by their own names.
+    The extras that `outputs` named are further fields.
     """
 
     model_config = ConfigDict(extra="allow")

@@ -127,7 +127,7 @@ def test_a_service_answers_both_forms_alike(service: Any, fields: dict[str, Any]
     answers = []
     for data in (png(GRID), (GRID[None].astype(np.float32) / np.float32(255)).tolist()):
         body = fields | {"cost_map": {"data": data, "resolution": 0.5}, "seed": 1}
-        came = service.request("POST", "/anchors", content=json.dumps(body).encode())
+        came = service.post(body)
         assert came.status_code == 200, came.text
         answers.append(came.json()["trajectories"])
     assert answers[0] == answers[1]
