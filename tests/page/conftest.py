@@ -1,4 +1,4 @@
-"""Headless Chromium in front of the real service: `anchorflow serve` on a port of this machine."""
+"""Headless Chromium and the real service: `anchorflow serve` on a port of this machine."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ CHROMIUM_FLAGS = (
     "--disable-gpu",
     "--disable-background-networking",
 )
-# The service and the browser may share a core with other tests.
+# The service and the browser may share a core with other processes.
 PATIENCE_S = 60
 MAP_M = 9.6
-"""Side of the sample maps, which are centred on (0, 0)."""
+"""Side of the sample maps, whose centre is (0, 0)."""
 SERVE = "import sys; from anchorflow_cli.main import main; main(['serve', *sys.argv[1:]])"
 
 HEADER_LENGTH = "inference-header-content-length"
@@ -47,10 +47,10 @@ Point = tuple[float, float]
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """Chromium of the system, in ANCHORFLOW_CHROMIUM or on the path.
+    """Chromium from ANCHORFLOW_CHROMIUM or the path.
 
-    For a module only: while it is open, an event loop runs in this thread and no test may make
-    another.
+    The scope is a module, because Playwright keeps an event loop running in this thread, and other
+    tests need their own.
     """
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     found = filter(
@@ -66,7 +66,7 @@ def browser() -> Iterator[Browser]:
 
 
 class Served:
-    """The service with its default bundle in a process of its own, always on the same port."""
+    """The service in a process of its own, always on the same port."""
 
     def __init__(self, *options: str) -> None:
         self._options = options
@@ -76,7 +76,7 @@ class Served:
         self._process: subprocess.Popen[str] | None = None
 
     def start(self) -> None:
-        """Returns when it listens, at once where it does."""
+        """Start the process unless it runs; return when it listens."""
         if self._process is not None:
             return
         self._process = subprocess.Popen(
@@ -88,7 +88,7 @@ class Served:
         assert self.url in self._process.stdout.readline()
 
     def stop(self) -> None:
-        """As Ctrl+C does; returns when it is gone."""
+        """Stop the process as Ctrl+C does; return when it has ended."""
         if self._process is None:
             return
         with self._process:
@@ -98,7 +98,7 @@ class Served:
 
 @pytest.fixture(scope="session")
 def served() -> Iterator[Served]:
-    """One service for all tests; whoever stops it starts it again."""
+    """A service with the default bundle; a test that stops it starts it again."""
     served = Served()
     served.start()
     yield served
@@ -106,10 +106,11 @@ def served() -> Iterator[Served]:
 
 
 @pytest.fixture(scope="session")
-def served_both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A service with the default bundle, and one that is asked with a camera image."""
+def served_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A service with two planners with a map, and three without one."""
     camera = write_image_bundle(tmp_path_factory.mktemp("camera"))
-    served = Served("--bundle", str(DEFAULT_BUNDLE), "--bundle", str(camera))
+    shipped = [DEFAULT_BUNDLE.parent / name for name in ("student", "v2x", "goalflow")]
+    served = Served(*bundle_options([DEFAULT_BUNDLE, camera, *shipped]))
     served.start()
     yield served
     served.stop()
@@ -117,65 +118,24 @@ def served_both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 @pytest.fixture
 def served_copies(tmp_path: Path) -> Iterator[tuple[Served, list[Path]]]:
-    """A service with both, in folders that a test may change."""
+    """A service with a map planner and a camera planner, in folders that a test may change."""
     camera = tmp_path / "camera"
     camera.mkdir()
     copies = [Path(shutil.copytree(DEFAULT_BUNDLE, tmp_path / "map")), write_image_bundle(camera)]
-    served = Served(*(option for copy in copies for option in ("--bundle", str(copy))))
+    served = Served(*bundle_options(copies))
     served.start()
     yield served, copies
     served.stop()
 
 
-@pytest.fixture(scope="session")
-def served_driving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A service with GoalFlow, and with a planner that asks for something else."""
-    camera = write_image_bundle(tmp_path_factory.mktemp("camera"))
-    served = Served("--bundle", str(DEFAULT_BUNDLE.parent / "goalflow"), "--bundle", str(camera))
-    served.start()
-    yield served
-    served.stop()
-
-
-@pytest.fixture(scope="session")
-def served_v2x() -> Iterator[Served]:
-    """A service with the default bundle, and one that takes two pictures of any size and a text."""
-    served = Served("--bundle", str(DEFAULT_BUNDLE), "--bundle", str(DEFAULT_BUNDLE.parent / "v2x"))
-    served.start()
-    yield served
-    served.stop()
-
-
-@pytest.fixture(scope="session")
-def served_student() -> Iterator[Served]:
-    """A service with the default bundle, its student, and V2X, which is asked without a map."""
-    names = ("default", "student", "v2x")
-    folders = (str(DEFAULT_BUNDLE.parent / name) for name in names)
-    served = Served(*(option for folder in folders for option in ("--bundle", folder)))
-    served.start()
-    yield served
-    served.stop()
-
-
-@pytest.fixture(scope="session")
-def served_one_robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    """A service whose card lets a request set no limit, and whose anchors all last 8 s."""
-    folder = tmp_path_factory.mktemp("robot") / "bundle"
-    shutil.copytree(DEFAULT_BUNDLE, folder)
-    manifest = json.loads((folder / "manifest.json").read_text())
-    manifest["conditioning"]["ranges"] = {}
-    manifest["conditioning"]["limits"]["horizon_s"] = 8.0
-    manifest["time"]["dt"] = 8.0 / (manifest["time"]["steps"] - 1)
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    served = Served("--bundle", str(folder))
-    served.start()
-    yield served
-    served.stop()
+def bundle_options(folders: list[Path]) -> list[str]:
+    """Options of `anchorflow serve`."""
+    return [option for folder in folders for option in ("--bundle", str(folder))]
 
 
 @pytest.fixture
 def guarded(tmp_path: Path) -> Iterator[Served]:
-    """A service that asks for the token "open sesame"."""
+    """A service that requires the token "open sesame"."""
     digest = hashlib.sha256(b"open sesame").hexdigest()
     (tmp_path / "tokens").write_text(f"visitor infer sha256:{digest}\n")
     guarded = Served("--tokens", str(tmp_path / "tokens"))
@@ -186,54 +146,58 @@ def guarded(tmp_path: Path) -> Iterator[Served]:
 
 @pytest.fixture(scope="session")
 def artefacts(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where screenshots are kept: ANCHORFLOW_ARTEFACTS, or a temporary folder."""
+    """The folder for screenshots: ANCHORFLOW_ARTEFACTS, or a temporary one."""
     folder = Path(os.environ.get("ANCHORFLOW_ARTEFACTS") or tmp_path_factory.mktemp("page"))
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 class Visit:
-    """A page that is open, with the map in metres and the service's answers."""
+    """An open page, with points of the map in metres and the responses of the service."""
 
-    def __init__(self, page: Page) -> None:
+    def __init__(self, page: Page, url: str) -> None:
         self.page = page
+        self.url = url
         self.errors: list[str] = []
-        """What the browser wrote to its console as an error."""
+        """Errors in the console of the browser."""
         self.requests: list[Request] = []
-        """Those that have been answered."""
+        """Requests that have been answered."""
         page.on("requestfinished", lambda request: self.requests.append(request))  # noqa: PLW0108
         page.on("console", self._note)
         page.on("pageerror", lambda error: self.errors.append(str(error)))
+
+    def open(self) -> None:
+        self.page.goto(self.url)
 
     def locate(self, selector: str) -> Any:
         return self.page.locator(selector)
 
     def at(self, point: Point) -> Point:
-        """Where a point in m is, in pixels of the window."""
+        """Convert a point in m to pixels of the window."""
         box = self.locate("#canvas").bounding_box()
         x, y = (value / MAP_M + 0.5 for value in point)
         return box["x"] + x * box["width"], box["y"] + (1 - y) * box["height"]
 
     def handle(self, name: str) -> Point:
-        """The middle of a handle in pixels of the window."""
+        """Return the middle of a handle in pixels of the window."""
         box = self.locate(f"[data-handle={name}]").bounding_box()
         return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
     def drag(self, start: Point, end: Point, *, steps: int = 6) -> None:
-        """Press, move, let go; in pixels of the window."""
+        """Drag the pointer, in pixels of the window."""
         self.page.mouse.move(*start)
         self.page.mouse.down()
         self.page.mouse.move(*end, steps=steps)
         self.page.mouse.up()
 
     def drag_end(self, name: str, point: Point) -> None:
-        """Bring the start or the goal to a point in m."""
+        """Drag the start or the goal to a point in m."""
         self.drag(self.handle(name), self.at(point))
 
     def answer(
         self, act: Callable[[], object], when: Callable[[Any], bool], *, to: str = "/anchors"
     ) -> Exchange:
-        """The first exchange after `act` whose request, parsed, is what is waited for."""
+        """Return the first exchange after `act` whose parsed request satisfies `when`."""
 
         def fits(response: Response) -> bool:
             return response.url.endswith(to) and when(asked_in(response))
@@ -243,7 +207,7 @@ class Visit:
         return Exchange(caught.value)
 
     def choose_empty_map(self) -> Exchange:
-        """The exchange about a map without obstacles, straight from left to right."""
+        """Choose the empty map, with the goal straight to the right of the start."""
         self.locate("#sample").select_option("empty")
         self.drag_end("start", (-4.0, 0.0))
         return self.answer(
@@ -252,31 +216,31 @@ class Visit:
         )
 
     def wait_for_anchors(self) -> None:
-        """Until an answer to the scene is shown: the page can be used from then on."""
+        """Wait for the first anchors; from then on the page can be used."""
         wait_for_text(self, "#summary", "anchors are safe")
 
     def choose_camera(self) -> None:
-        """Ask the camera planner from now on; returns when its first answer is shown."""
+        """Choose the camera planner; return when its first anchors are on the page."""
         self.wait_for_anchors()
         self.locate("#bundle").select_option("tiny-camera")
         wait_for_text(self, "#summary", "6 anchors")
 
     @staticmethod
     def occupied(asked: Any) -> np.ndarray:
-        """[H,W] whether a cell of a request's map is an obstacle."""
+        """Return [H,W] bool, the obstacles in a request's map."""
         return np.array(asked["cost_map"]["data"][0]) >= OCCUPIED
 
     def forget_errors(self, reason: str) -> None:
-        """The browser notes every answer that is not 200; here one was provoked."""
+        """Forget an error that the test has provoked; the browser logs each status but 200."""
         assert any(reason in error for error in self.errors)
         self.errors[:] = [error for error in self.errors if reason not in error]
 
     def picture(self) -> bytes:
-        """The map with what is on it."""
+        """Return a screenshot of the map."""
         return self.locate("#board").screenshot()
 
     def wait_for_another_picture(self, before: bytes) -> None:
-        """Until the map looks different."""
+        """Wait until the map looks different."""
         for _ in range(10 * PATIENCE_S):
             if self.picture() != before:
                 return
@@ -289,7 +253,7 @@ class Visit:
 
 
 class Exchange:
-    """A request to the service and what came back, both in the contract's JSON."""
+    """A request to the service and its response, both in the contract's JSON."""
 
     def __init__(self, response: Response) -> None:
         self.status = response.status
@@ -298,7 +262,7 @@ class Exchange:
 
 
 def asked_in(response: Response) -> Any:
-    """What the request of a response says, be it right or wrong."""
+    """Parse the request of a response, valid or not."""
     request = response.request
     length = request.headers.get(HEADER_LENGTH)
     if length is None:
@@ -313,7 +277,7 @@ def asked_in(response: Response) -> Any:
 
 
 def answered_in(response: Response) -> Any:
-    """What a response says."""
+    """Parse a response."""
     length = response.headers.get(HEADER_LENGTH)
     if length is None:
         return response.json()
@@ -323,16 +287,17 @@ def answered_in(response: Response) -> Any:
 
 @pytest.fixture
 def open_page(browser: Browser, served: Served) -> Iterator[Callable[..., Visit]]:
-    """Opens the page in a browser of its own; the options are those of a Playwright context."""
+    """Open the page in a browser context of its own, with options of Playwright."""
     contexts = []
 
-    def open_with(url: str = served.url, **options: Any) -> Visit:
+    def open_with(url: str = served.url, *, at_once: bool = True, **options: Any) -> Visit:
         desk: dict[str, Any] = {"viewport": {"width": 1440, "height": 900}}
         context = browser.new_context(**desk | options)
         context.set_default_timeout(1e3 * PATIENCE_S)
         contexts.append(context)
-        visit = Visit(context.new_page())
-        visit.page.goto(url)
+        visit = Visit(context.new_page(), url)
+        if at_once:
+            visit.open()
         return visit
 
     yield open_with
@@ -340,25 +305,10 @@ def open_page(browser: Browser, served: Served) -> Iterator[Callable[..., Visit]
         context.close()
 
 
-@pytest.fixture(scope="module")
-def call(browser: Browser, served: Served) -> Iterator[Callable[..., Any]]:
-    """Calls a function of JavaScript with `m`, the module of that name, and an argument."""
-    context = browser.new_context()
-    page = context.new_page()
-    page.goto(served.url)
-
-    def run(module: str, function: str, argument: Any = None) -> Any:
-        script = f"async (argument) => ({function})(await import('/page/js/{module}.js'), argument)"
-        return page.evaluate(script, argument)
-
-    yield run
-    context.close()
-
-
 @pytest.fixture
-def camera(open_page: Callable[..., Visit], served_both: Served) -> Iterator[Visit]:
-    """The page with the camera planner chosen, its first answer shown."""
-    visit = open_page(served_both.url)
+def camera(open_page: Callable[..., Visit], served_all: Served) -> Iterator[Visit]:
+    """The page with the camera planner chosen and its first anchors."""
+    visit = open_page(served_all.url)
     visit.choose_camera()
     yield visit
     assert visit.errors == []
@@ -366,7 +316,7 @@ def camera(open_page: Callable[..., Visit], served_both: Served) -> Iterator[Vis
 
 @pytest.fixture
 def copied() -> Callable[[Visit, str], str]:
-    """Presses a button and gives what it put on the clipboard."""
+    """Press a button and return the text that it copies."""
 
     def copy(visit: Visit, button: str) -> str:
         visit.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
@@ -380,7 +330,7 @@ def copied() -> Callable[[Visit, str], str]:
 
 @pytest.fixture
 def visit(open_page: Callable[..., Visit]) -> Iterator[Visit]:
-    """The page on a desk, its first answer shown; the test ends with an empty console."""
+    """The page on a desktop with its first anchors; errors in the console fail the test."""
     visit = open_page()
     visit.wait_for_anchors()
     yield visit
@@ -388,7 +338,7 @@ def visit(open_page: Callable[..., Visit]) -> Iterator[Visit]:
 
 
 def wait_for_text(visit: Visit, selector: str, text: str) -> None:
-    """Until an element shows a text."""
+    """Wait until an element shows a text."""
     from playwright.sync_api import expect
 
     expect(visit.locate(selector)).to_contain_text(text, timeout=1e3 * PATIENCE_S)

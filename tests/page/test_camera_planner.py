@@ -1,4 +1,4 @@
-"""The page before a planner without a map: its card, its inputs, its anchors seen from above."""
+"""A planner with a camera: its card, its inputs, and its anchors from above."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ expect = sync_api.expect
 
 PATIENCE_MS = 60_000
 MAP_TOOLS = ("#canvas", "#board", "#brush", "#sample", "[data-handle=goal]", "#triangle")
-MAP_ACTS = ("#drive", "#replay", "#open", "#save", "#sampler", "#radius", "#margin", "#charts")
+MAP_ACTS = ("#drive", "#replay", "#open", "#save", "#sampler-method", "#robot_radius", "#charts")
 REFUSED = "status of 422"
 CARD_WITH_MORE = [
     {"name": "prompt", "dtype": "text", "shape": ["B"], "unit": "", "range": None},
@@ -33,7 +33,7 @@ CARD_WITH_MORE = [
 
 
 def picture(folder: Path, *, width: int = WIDTH, height: int = HEIGHT) -> Path:
-    """A PNG file, red from left to right, green from top to bottom."""
+    """Write a PNG file, red from left to right, green from top to bottom."""
     row, column = np.mgrid[:height, :width]
     red, green = 255 * column // width, 255 * row // height
     pixels = np.stack([red, green, np.full_like(red, 90)], -1).astype(np.uint8)
@@ -43,7 +43,7 @@ def picture(folder: Path, *, width: int = WIDTH, height: int = HEIGHT) -> Path:
 
 
 def pixels_of(sent: dict[str, str]) -> np.ndarray:
-    """[3,H,W] of an image as a request carries it."""
+    """Return [3,H,W] of an image in a request."""
     (data,) = sent.values()
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")).transpose(
         2, 0, 1
@@ -51,7 +51,7 @@ def pixels_of(sent: dict[str, str]) -> np.ndarray:
 
 
 def plan(visit: Any) -> Any:
-    """The exchange that the button brings about."""
+    """Press Plan and return the exchange."""
     return visit.answer(lambda: visit.locate("#plan").click(), lambda asked: "inputs" in asked)
 
 
@@ -140,7 +140,7 @@ def test_every_anchor_is_drawn_where_it_leads(camera: Any, tmp_path: Path) -> No
         if name != "Best anchor" and int(name.split()[1]) not in met:
             met.append(int(name.split()[1]))
 
-    # From left to right, that is from the greatest y to the smallest.
+    # From left to right is from the greatest y to the smallest.
     aside = np.array(answered["trajectories"])[:, -1, 1]
     assert met == np.argsort(-aside).tolist()
 
@@ -183,7 +183,7 @@ def test_extras_are_sent_along_where_one_wants_them(camera: Any) -> None:
 
 
 def test_fewer_anchors_are_the_best_ones(camera: Any) -> None:
-    camera.locate("#num").fill("2")
+    camera.locate("#num_samples").fill("2")
     camera.locate("#seed").fill("5")
 
     told = plan(camera)
@@ -225,11 +225,11 @@ def test_a_file_that_is_no_picture_is_not_sent(camera: Any, tmp_path: Path) -> N
 
 
 def test_a_robot_stops_where_another_planner_is_chosen(
-    open_page: Callable[..., Any], served_both: Any
+    open_page: Callable[..., Any], served_all: Any
 ) -> None:
-    visit = open_page(served_both.url)
+    visit = open_page(served_all.url)
     visit.wait_for_anchors()
-    visit.locate("#num").fill("4")
+    visit.locate("#num_samples").fill("4")
     visit.answer(lambda: visit.locate("#drive").click(), lambda asked: asked["num_samples"] == 4)
 
     visit.choose_camera()
@@ -275,20 +275,20 @@ def test_a_new_version_of_the_chosen_bundle_is_taken_up(
 
 
 @pytest.fixture
-def patched(open_page: Callable[..., Any], served_both: Any) -> Callable[..., Any]:
-    """Opens the page with the camera planner's card changed on its way."""
+def patched(open_page: Callable[..., Any], served_all: Any) -> Callable[..., Any]:
+    """Open the page with a changed card of the camera planner, which is the first in the list."""
 
     def open_with(change: Callable[[dict[str, Any]], None]) -> Any:
-        visit = open_page("about:blank")
+        visit = open_page(served_all.url, at_once=False)
 
         def answer(route: Any) -> None:
             told = route.fetch()
-            models = told.json()["models"]
-            change(models[1])
-            route.fulfill(response=told, json={"models": models[::-1]})
+            models = {card["name"]: card for card in told.json()["models"]}
+            change(models["tiny-camera"])
+            route.fulfill(response=told, json={"models": [models["tiny-camera"]]})
 
         visit.page.route("**/v2/models", answer)
-        visit.page.goto(served_both.url)
+        visit.open()
         return visit
 
     return open_with
@@ -299,7 +299,7 @@ def test_texts_and_tensors_have_fields_too(patched: Callable[..., Any]) -> None:
     expect(visit.locate("#inputs .input")).to_have_count(4)
     visit.locate("#input-prompt").fill('Turn "left" at the café\n')
 
-    # The page asks of itself when it opens, perhaps only now.
+    # The page also sends a request by itself when it opens.
     with_text = visit.answer(
         lambda: visit.locate("#plan").click(), lambda asked: asked.get("inputs", {}).get("prompt")
     )
@@ -332,7 +332,7 @@ def test_a_picture_of_known_extent_lies_under_the_anchors(patched: Callable[...,
         np.asarray(Image.open(io.BytesIO(shot)).convert("L"), int)
         for shot in (with_picture, visit.locate("#birds-eye").screenshot())
     ]
-    # Ahead of the ego, where no anchor leads; as black as the image that nobody has chosen.
+    # A place ahead of the ego without anchors; it is as black as the image that is not filled in.
     height, width = colours[0].shape
     assert colours[0][height // 3, width // 2 + 30] < colours[1][height // 3, width // 2 + 30] - 60
 
@@ -371,21 +371,12 @@ def test_the_request_copied_for_python_runs_and_gives_the_same(
     np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-5)
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_phone_is_enough(
-    open_page: Callable[..., Any], served_both: Any, artefacts: Path, scheme: str
-) -> None:
-    visit = open_page(
-        served_both.url,
-        viewport={"width": 390, "height": 844},
-        has_touch=True,
-        is_mobile=True,
-        device_scale_factor=2,
-        color_scheme=scheme,
-    )
+def test_a_phone_is_enough(open_page: Callable[..., Any], served_all: Any, artefacts: Path) -> None:
+    phone: dict[str, Any] = {"has_touch": True, "is_mobile": True, "color_scheme": "dark"}
+    visit = open_page(served_all.url, viewport={"width": 390, "height": 844}, **phone)
     visit.choose_camera()
 
     assert plan(visit).status == 200
     assert visit.page.evaluate("document.documentElement.scrollWidth") == 390
-    visit.page.screenshot(path=artefacts / f"camera-phone-{scheme}.png", full_page=True)
+    visit.page.screenshot(path=artefacts / "camera-phone.png", full_page=True)
     assert visit.errors == []

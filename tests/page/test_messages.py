@@ -1,8 +1,12 @@
-"""What the page says when something is wrong."""
+"""Messages about refusals and about a service that is away."""
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -43,7 +47,7 @@ def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any, artefacts: Pat
 
 
 SHOWN = "what is shown is its last answer."
-"""How the summary ends where the newest question has no answer."""
+"""The end of the summary if the newest request has no response."""
 
 
 def test_the_figures_of_an_old_answer_are_told_and_faded(visit: Any, artefacts: Path) -> None:
@@ -77,9 +81,9 @@ def test_a_change_before_a_planner_without_a_map_fades_the_figures(camera: Any) 
 
 
 def test_another_bundle_begins_without_the_figures_of_the_one_before(
-    open_page: Callable[..., Any], served_v2x: Any
+    open_page: Callable[..., Any], served_all: Any
 ) -> None:
-    visit = open_page(served_v2x.url)
+    visit = open_page(served_all.url)
     visit.wait_for_anchors()
     heads = visit.locate("#best thead th")
     expect(heads).not_to_have_count(0)
@@ -135,7 +139,7 @@ def test_a_service_that_stops_is_missed_and_taken_up_again(
 
 
 def start_and_retry(visit: Any, served: Any) -> None:
-    """The page may have found the service by itself: then its button is hidden and does nothing."""
+    """Start the service and press Try now, which does nothing if the page was faster."""
     served.start()
     visit.locate("#retry").evaluate("button => button.click()")
 
@@ -173,8 +177,9 @@ def test_a_service_that_is_overloaded_is_waited_for(visit: Any) -> None:
     visit.forget_errors("status of 429")
 
 
-def test_a_service_that_asks_for_a_token_gets_one(
-    open_page: Callable[..., Any], guarded: Any
+@pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
+def test_a_service_that_requires_a_token_gets_one_and_copies_read_it_from_the_environment(
+    open_page: Callable[..., Any], guarded: Any, copied: Callable[[Any, str], str]
 ) -> None:
     visit = open_page(guarded.url)
     expect(visit.locate("#token-form")).to_be_visible(timeout=PATIENCE_MS)
@@ -194,9 +199,18 @@ def test_a_service_that_asks_for_a_token_gets_one(
     expect(visit.locate("#token-form")).to_be_hidden()
     visit.forget_errors("status of 401")
     assert visit.errors == []
+    environment = {**os.environ, "ANCHORFLOW_TOKEN": "open sesame"}
+    for button, shell in (("#copy-curl", "bash"), ("#copy-python", sys.executable)):
+        text = copied(visit, button)
+        assert "open sesame" not in text
+        told = subprocess.run(
+            [shell, "-c", text], check=True, capture_output=True, env=environment, timeout=120
+        )
+        assert b"trajectories" in told.stdout or b"anchors are safe" in told.stdout
+    expect(visit.locate("#scene-note")).to_contain_text("it takes the token from ANCHORFLOW_TOKEN")
 
 
-def test_a_service_that_is_away_while_it_asks_for_a_token_is_taken_up_again(
+def test_a_service_that_is_away_while_the_page_waits_for_a_token_is_taken_up_again(
     open_page: Callable[..., Any], guarded: Any
 ) -> None:
     visit = open_page(guarded.url)
@@ -216,17 +230,3 @@ def test_a_service_that_is_away_while_it_asks_for_a_token_is_taken_up_again(
     visit.forget_errors("status of 401")
     visit.forget_errors(UNREACHABLE)
     assert visit.errors == []
-
-
-def test_a_question_that_cannot_be_put_does_not_silence_the_page(call: Callable[..., Any]) -> None:
-    make = """async (m) => {
-        let asked = 0;
-        const planner = new m.Planner(() => {
-            asked++;
-            throw new Error("no question");
-        });
-        planner.ask();
-        planner.ask();
-        return [asked, planner.busy];
-    }"""
-    assert call("planner", make) == [2, False]

@@ -1,4 +1,4 @@
-"""The page before V2X-VLM: pictures of any size, one of which may be left out, and one anchor."""
+"""V2X-VLM: pictures of any size, one of them optional, and one anchor."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ PROMPT = "The ego vehicle drives at 7.4 m/s. Plan its path for 4.5 seconds."
 
 
 @pytest.fixture
-def visit(open_page: Callable[..., Any], served_v2x: Any) -> Iterator[Any]:
-    """The page with V2X chosen, behind the first answer of another bundle."""
-    visit = open_page(served_v2x.url)
+def visit(open_page: Callable[..., Any], served_all: Any) -> Iterator[Any]:
+    """The page with V2X-VLM chosen after the first anchors of another bundle."""
+    visit = open_page(served_all.url)
     visit.wait_for_anchors()
     visit.locate("#bundle").select_option("v2x")
     yield visit
@@ -30,7 +30,7 @@ def visit(open_page: Callable[..., Any], served_v2x: Any) -> Iterator[Any]:
 
 
 def picture(folder: Path, name: str, *, width: int, height: int) -> Path:
-    """A file, from dark to light."""
+    """Write a picture from dark to light."""
     levels = np.linspace(0, 255, width * height).astype(np.uint8).reshape(height, width)
     Image.fromarray(levels).convert("RGB").save(folder / name)
     return folder / name
@@ -42,7 +42,7 @@ def choose(visit: Any, field: str, file: Path) -> None:
 
 
 def plan(visit: Any) -> Any:
-    """The exchange that the button brings about."""
+    """Press Plan and return the exchange."""
     return visit.answer(lambda: visit.locate("#plan").click(), lambda asked: "inputs" in asked)
 
 
@@ -50,7 +50,7 @@ def test_nothing_is_asked_before_there_is_a_picture(visit: Any) -> None:
     summary = visit.locate("#summary")
     expect(summary).to_have_text("Not asked. vehicle_image: expected a picture, got none.")
     expect(visit.locate("#inputs .wrong:visible")).to_have_text("expected a picture, got none")
-    # Nor are there figures of the bundle before.
+    # The figures of the bundle before are gone, too.
     expect(visit.locate("#best tbody tr")).to_have_count(0)
     expect(visit.locate("#anchor-figures")).to_be_empty()
 
@@ -135,19 +135,7 @@ def test_one_anchor_is_told_as_one(visit: Any, tmp_path: Path) -> None:
     expect(visit.locate("#summary")).to_have_text("1 anchor, in gold.")
     expect(visit.locate("#bundle-hint")).to_have_text("What answers: 45 poses up to 4.5 s.")
     expect(visit.locate("#best-name")).to_have_text("The anchor")
-    expect(visit.locate("#num")).to_be_hidden()
-    expect(visit.locate("#num-value")).to_have_text("1")
+    expect(visit.locate("#num_samples")).to_be_hidden()
+    expect(visit.locate("#num_samples-value")).to_have_text("1")
     expect(visit.locate("#poses tbody tr").last).to_contain_text("4.50")
     expect(visit.locate("#anchor-figures")).to_have_text("4.5 s")
-
-
-def test_a_file_that_is_no_picture_is_not_sent(visit: Any, tmp_path: Path) -> None:
-    (tmp_path / "notes.png").write_text("no picture")
-
-    visit.locate(CAR).set_input_files(tmp_path / "notes.png")
-    expect(visit.locate(f".picture:has({CAR}) .hint")).to_have_text(
-        "notes.png: expected a PNG or JPEG picture."
-    )
-    visit.locate("#plan").click()
-
-    expect(visit.locate("#summary")).to_contain_text("expected a picture, got none")

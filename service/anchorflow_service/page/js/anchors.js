@@ -1,51 +1,45 @@
-/** An answer of the contract, brought to flat arrays, and what the page works out from them. */
+/** The anchors of a response in flat arrays, and the figures that the page derives from them. */
 
-/** Below this speed [m/s] a curvature says nothing. */
+/** At lower speeds [m/s] the curvature is not defined well enough to show. */
 const STANDSTILL = 0.05;
 
 export class Anchors {
   /**
-   * @param {object} answer  arrays as {shape, values} by name, and dt, first_s, seed, timing;
-   *   dt is a number where all anchors are alike, else one of these arrays, or a list
+   * @param {object} answer  arrays as {shape, values} by name, and dt, first_s, seed, timing_ms;
+   *   dt is a number if all anchors are alike, else one of these arrays or a list
    * @param {object} card  of the bundle that answered
-   * @param {object} limits  that were asked for; the card's where nothing was
+   * @param {object} limits  of the request; by default those of the card
    */
   constructor(answer, card, limits = card.conditioning.limits) {
     const { trajectories, velocities, accelerations, scores, clearance, safe } = answer;
-    this.card = card;
-    /** What the anchors keep, where the card says it. */
-    this.limits = limits;
+    const { dt, first_s: first = 0, seed, timing_ms: timing } = answer;
     [this.count, this.steps] = trajectories.shape;
-    /** [N,T,2] m, flat; likewise m/s and m/s². A heading is left out. Null: not given. */
+    Object.assign(this, { card, limits, trajectories, first, seed, timing });
+    /** [N,T,2] m, flat, without a heading; likewise in m/s and m/s². Null: not in the response. */
     this.positions = planar(trajectories);
     this.velocities = velocities ? planar(velocities) : null;
     this.accelerations = accelerations ? planar(accelerations) : null;
-    /** [N,T], or null. */
-    this.speeds = velocities ? lengths(this.velocities) : null;
-    this.pulls = accelerations ? lengths(this.accelerations) : null;
+    /** [N,T] norms, or null. */
+    this.speeds = velocities ? norms(this.velocities) : null;
+    this.pulls = accelerations ? norms(this.accelerations) : null;
     /** [N], or null. */
     this.scores = scores ? Array.from(scores.values) : null;
     this.clearance = clearance ? Array.from(clearance.values) : null;
-    /** [N]; all of them where nobody has looked. */
+    /** [N]; all true if the planner does not check. */
     this.safe = Array.from({ length: this.count }, (_, n) => !safe || Boolean(safe.values[n]));
-    const { dt, first_s: first = 0, seed, timing } = answer;
-    Object.assign(this, { trajectories, first, seed, timing });
     const own = typeof dt === "number" ? null : Array.isArray(dt) ? dt : dt.values;
-    /** Whether each has its own duration. */
+    /** Whether each anchor has its own duration. */
     this.hasOwnTime = own !== null;
-    /** [N] s between two of an anchor's time steps. */
+    /** [N] s between two time steps. */
     this.dts = Float64Array.from({ length: this.count }, (_, n) => (own ? own[n] : dt));
-    /** Safe ones first, then by score: the order in which one would take them. */
-    this.order = this.safe.map((_, n) => n).sort((a, b) => this.safe[b] - this.safe[a] || this.#score(b) - this.#score(a));
+    const score = (n) => this.scores?.[n] ?? 0;
+    /** Indices, safe anchors first, then by score. */
+    this.order = this.safe.map((_, n) => n).sort((a, b) => this.safe[b] - this.safe[a] || score(b) - score(a));
     this.best = this.order[0];
     this.numSafe = this.safe.filter(Boolean).length;
   }
 
-  #score(n) {
-    return this.scores ? this.scores[n] : 0;
-  }
-
-  /** [D], one of the [N,T] poses. */
+  /** [D], the pose of anchor n at time step t. */
   pose(n, t) {
     const dim = this.trajectories.shape[2];
     const at = dim * (n * this.steps + t);
@@ -57,19 +51,19 @@ export class Anchors {
     return this.first + t * this.dts[n];
   }
 
-  /** s from now to an anchor's last time step. */
+  /** s from now to the last time step of anchor n. */
   duration(n) {
     return this.time(n, this.steps - 1);
   }
 
-  /** "4.2 to 9.1 s" of the safe ones, of all where none is; "8.0 s" where they are alike. */
+  /** "4.2 to 9.1 s" over the safe anchors, or over all if none is; "8.0 s" if they are alike. */
   get durationsText() {
-    const told = this.order.filter((n) => this.safe[n] || !this.numSafe).map((n) => this.duration(n));
-    const [least, most] = [Math.min(...told), Math.max(...told)].map((seconds) => seconds.toFixed(1));
+    const seconds = this.order.filter((n) => this.safe[n] || !this.numSafe).map((n) => this.duration(n));
+    const [least, most] = [Math.min(...seconds), Math.max(...seconds)].map((value) => value.toFixed(1));
     return least === most ? `${most} s` : `${least} to ${most} s`;
   }
 
-  /** Length of the way in m. */
+  /** Length of the path of anchor n in m. */
   length(n) {
     let sum = 0;
     for (let t = 1; t < this.steps; t++) {
@@ -84,34 +78,33 @@ export class Anchors {
     return Math.max(...values.subarray(n * this.steps, (n + 1) * this.steps));
   }
 
-  /** [T] 1/m, |v × a| / |v|³; NaN where it stands still. */
+  /** [T] 1/m, |v × a| / |v|³; NaN at a standstill. */
   curvature(n) {
     return this.#along(n, (at, speed) => {
-      if (speed < STANDSTILL) return NaN;
       const [v, a] = [this.velocities, this.accelerations];
       return Math.abs(v[at] * a[at + 1] - v[at + 1] * a[at]) / speed ** 3;
     });
   }
 
-  /** [T] 1/m, the curvature at which going round takes all of a_max; NaN where it stands still. */
+  /** [T] 1/m, the curvature at which the turn alone takes all of a_max; NaN at a standstill. */
   curvatureLimit(n) {
-    return this.#along(n, (_, speed) => (speed < STANDSTILL ? NaN : this.limits.a_max / speed ** 2));
-  }
-
-  /** Why no anchor is safe, in words; "" where one is. */
-  get trouble() {
-    if (this.numSafe) return "";
-    const { v_max: fastest, horizon_s: horizon } = this.limits;
-    const fast = this.order.filter((n) => this.greatest(this.speeds, n) > fastest).length;
-    if (horizon !== null && fast > this.count / 2) return `the way is too long for ${horizon} s at ${fastest} m/s`;
-    return "each comes too close to an obstacle or breaks a limit";
+    return this.#along(n, (_, speed) => this.limits.a_max / speed ** 2);
   }
 
   #along(n, value) {
     return Float64Array.from({ length: this.steps }, (_, t) => {
       const index = n * this.steps + t;
-      return value(2 * index, this.speeds[index]);
+      return this.speeds[index] < STANDSTILL ? NaN : value(2 * index, this.speeds[index]);
     });
+  }
+
+  /** Why no anchor is safe, in words; "" if one is. */
+  get trouble() {
+    if (this.numSafe) return "";
+    const { v_max: fastest, horizon_s: horizon } = this.limits;
+    const numTooFast = this.order.filter((n) => this.greatest(this.speeds, n) > fastest).length;
+    if (horizon !== null && numTooFast > this.count / 2) return `the way is too long for ${horizon} s at ${fastest} m/s`;
+    return "each comes too close to an obstacle or breaks a limit";
   }
 }
 
@@ -121,6 +114,6 @@ function planar({ shape: [count, steps, dim], values }) {
   return values.constructor.from({ length: 2 * count * steps }, (_, k) => values[dim * (k >> 1) + (k & 1)]);
 }
 
-function lengths(flat) {
+function norms(flat) {
   return Float32Array.from({ length: flat.length / 2 }, (_, k) => Math.hypot(flat[2 * k], flat[2 * k + 1]));
 }

@@ -1,51 +1,57 @@
-/** Puts the page together: whichever bundle is chosen, the view of its kind asks and shows. */
+/** Puts the page together: the view of the chosen bundle's kind asks the planner and shows its anchors. */
 
-import { Amount } from "./amount.js";
-import { CardPanel } from "./card.js";
-import { Connection } from "./connection.js";
+import { Bundles } from "./bundles.js";
 import { byId } from "./dom.js";
+import { Form, RequestFields } from "./fields.js";
+import { say } from "./figures.js";
 import { MapView } from "./map/view.js";
-import { Models } from "./models.js";
-import { say } from "./panels.js";
-import { Planner } from "./planner.js";
+import { Connection, Planner } from "./planner.js";
+import { ask } from "./service.js";
 import { TensorView } from "./tensors/view.js";
 
-/** By the conditioning of a card; a kind that is not known is asked with what its card lists. */
+/** By the conditioning of a card; any other kind gets a field for each input of its card. */
 const VIEWS = { cost_map: MapView, tensors: TensorView };
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
+/** Seeds of the button "Another" are smaller, so that one can read them out. */
+const SHORT_SEED = 1e6;
 
 /**
- * A view says {kind}, what it asks, `question()`, and takes
- *   useCard(card)     it is chosen; it asks at once
- *   leave()           another one is
- *   choose(options)   of `Amount`
- *   answered({question, answer, sentAt}), refused({question, error}), down()
+ * A view has question(), useCard(card), leave(), choose(options) with fields of the form by path,
+ * answered({question, answer, sentAt}), refused({question, error}) and down().
  */
 class App {
   #views = {};
   /** null until a bundle is known. */
-  view = null;
+  #view = null;
 
   constructor() {
-    this.models = new Models();
-    this.planner = new Planner(() => ({ ...this.view?.question(), view: this.view }));
-    this.connection = new Connection(this.planner);
-    this.amount = new Amount((options, time) => this.view.choose(options, time));
-    this.card = new CardPanel();
+    this.connection = new Connection(() => this.planner.retry());
+    this.bundles = new Bundles((card) => this.#use(card));
+    this.planner = new Planner({
+      question: () => ({ ...this.#view?.question(), view: this.#view }),
+      onAnswer: (exchange) => this.#take("answered", exchange),
+      onRefusal: (exchange) => this.#take("refused", exchange),
+      onDown: (state) => {
+        this.connection.down(state);
+        this.#view?.down();
+      },
+      onUp: () => {
+        this.connection.up();
+        this.#refresh();
+      },
+    });
     byId("ask").addEventListener("submit", (event) => event.preventDefault());
-    this.models.addEventListener("choose", (event) => this.#use(event.detail));
-    this.planner.addEventListener("answer", (event) => this.#take("answered", event.detail));
-    this.planner.addEventListener("refusal", (event) => this.#take("refused", event.detail));
-    this.planner.addEventListener("down", () => this.view?.down());
-    this.planner.addEventListener("up", () => this.#refresh());
+    byId("reseed").addEventListener("click", () => this.#view.choose({ seed: Math.floor(Math.random() * SHORT_SEED) }));
   }
 
-  /** The page needs the cards before it can ask; it waits for a service that is still starting. */
+  /** Read the request's schema and the cards; a service that is still starting is waited for. */
   async begin() {
+    this.planner.watch();
     for (let wait = FIRST_WAIT_MS; ; wait = Math.min(2 * wait, LONGEST_WAIT_MS)) {
       try {
-        await this.models.refresh();
+        this.form ??= new Form(new RequestFields(await ask("openapi.json")), (options) => this.#view.choose(options));
+        await this.bundles.refresh();
         return;
       } catch (error) {
         this.connection.wait(error.message);
@@ -56,29 +62,29 @@ class App {
 
   #use(card) {
     const kind = card.conditioning.kind in VIEWS ? card.conditioning.kind : "tensors";
-    const view = (this.#views[kind] ??= new VIEWS[kind](this.planner, this.amount, this.models));
-    if (view !== this.view) this.view?.leave();
-    this.view = view;
+    const view = (this.#views[kind] ??= new VIEWS[kind](this));
+    if (view !== this.#view) this.#view?.leave();
+    this.#view = view;
     document.body.dataset.kind = kind;
-    this.connection.useCard(card);
-    this.card.show(card);
+    this.connection.card = card;
+    this.connection.up();
     view.useCard(card);
     byId("layout").inert = false;
   }
 
-  /** What comes back is for the view that has asked, as long as it is looked at. */
-  #take(event, detail) {
+  /** Pass a response on to the view that has asked, if it is still the one on the page. */
+  #take(event, exchange) {
     this.connection.up();
-    const { question, answer, error } = detail;
+    const { question, answer, error } = exchange;
     const isAnother = answer && answer.model.sha256 !== question.card.sha256;
     if (isAnother || error?.code === "unknown_model") this.#refresh();
-    if (question.view === this.view) this.view[event](detail);
+    if (question.view === this.#view) this.#view[event](exchange);
   }
 
-  /** Bundles come and go, with a service that was started again or in one that runs. */
+  /** Bundles may be loaded and unloaded while the service runs. */
   async #refresh() {
     try {
-      await this.models.refresh();
+      await this.bundles.refresh();
     } catch (error) {
       say(error.message);
     }

@@ -1,10 +1,9 @@
-/** Short ways to the elements of the page. */
+/** Elements of the page, and numbers as text. */
 
 const SVG = "http://www.w3.org/2000/svg";
-/** Where no number of a kind is as large, digits behind the point would say 0 of all. */
+/** If every number of a kind is smaller, two decimals would print 0 for all of them. */
 const TINY = 0.01;
 
-/** The element with this id. */
 export const byId = (id) => document.getElementById(id);
 
 /** A new element with properties and children. */
@@ -23,8 +22,8 @@ export function makeSvg(tag, attributes = {}, text = "") {
 }
 
 /**
- * A number with so many digits and a true minus sign, which 0 has none of; with two significant
- * digits where `all` numbers of its kind are tiny.
+ * A number with a fixed count of decimals and a true minus sign; 0 has no sign. If all numbers of
+ * its kind (`all`) are tiny, it has two significant digits instead.
  */
 export function figure(value, digits = 2, all = null) {
   const isTiny = value !== 0 && all !== null && all.every((other) => Math.abs(other) < TINY);
@@ -32,14 +31,22 @@ export function figure(value, digits = 2, all = null) {
   return text.replaceAll("-", "−");
 }
 
-/** A number with no more digits than it needs, three behind the point at most. */
+/** A number without trailing zeros, with at most three decimals. */
 export const plain = (value) => String(Number(value.toFixed(3))).replace("-", "−");
 
-/** A number between low and high. */
 export const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 
-/** Lets a range input show how far it is filled. */
+/** Colour a range input up to its thumb. */
 export function showFill(input) {
   const share = (input.value - input.min) / (input.max - input.min);
   input.style.setProperty("--fill", `${100 * share}%`);
+}
+
+/** A button that is pressed or not, with its text and icon. */
+export function press(id, pressed, text, icon) {
+  const button = byId(id);
+  button.setAttribute("aria-pressed", pressed);
+  if (icon) button.querySelector("use").setAttribute("href", `#i-${icon}`);
+  if (button.querySelector("span")) button.querySelector("span").textContent = text;
+  else button.setAttribute("aria-label", text);
 }

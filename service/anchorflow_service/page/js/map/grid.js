@@ -1,15 +1,22 @@
-/** An occupancy grid in the contract's frame: row grows with y, column with x, metres outside. */
+/** An occupancy grid in the contract's frame (row grows with y, column with x) and what is measured on it. */
+
+import { clamp } from "../dom.js";
 
 export const FREE = 0;
 export const OCCUPIED = 1;
-/** Unknown space of a ROS map; it is sent as occupied. */
+/** Unknown space of a ROS map; requests carry it as occupied. */
 export const UNKNOWN = 2;
+
+/** m between the robot and an obstacle at the start and the goal that the page chooses. */
+const SPARE = 0.12;
+/** Way over distance up to which a detour makes a goal more interesting. */
+const LONGEST_DETOUR = 1.3;
 
 export class Grid {
   /**
    * @param {number} rows, columns  16 to 512 each
    * @param {number} resolution  m/cell
-   * @param {number[]} origin  [2] m, outer corner of cell (0, 0); centred on (0, 0) by default
+   * @param {number[]} origin  [2] m, outer corner of cell (0, 0); by default the map is centred on (0, 0)
    */
   constructor(rows, columns, resolution, origin = [(-columns * resolution) / 2, (-rows * resolution) / 2]) {
     Object.assign(this, { rows, columns, resolution, origin, cells: new Uint8Array(rows * columns) });
@@ -20,12 +27,12 @@ export class Grid {
     return [this.columns * this.resolution, this.rows * this.resolution];
   }
 
-  /** Cell coordinates of a point in m, not rounded: [row, column]. */
+  /** [row, column] of a point in m, not rounded. */
   toCells(x, y) {
     return [(y - this.origin[1]) / this.resolution, (x - this.origin[0]) / this.resolution];
   }
 
-  /** The middle of a cell, in m: [x, y]. */
+  /** [x, y] in m of the middle of a cell. */
   centre(row, column) {
     const at = (index, axis) => this.origin[axis] + (index + 0.5) * this.resolution;
     return [at(column, 0), at(row, 1)];
@@ -35,7 +42,7 @@ export class Grid {
     return row >= 0 && column >= 0 && row < this.rows && column < this.columns;
   }
 
-  /** What lies there; beyond the map everything is occupied. */
+  /** The value of a cell; beyond the map everything is occupied. */
   at(row, column) {
     return this.contains(row, column) ? this.cells[row * this.columns + column] : OCCUPIED;
   }
@@ -44,7 +51,7 @@ export class Grid {
     if (this.contains(row, column)) this.cells[row * this.columns + column] = value;
   }
 
-  /** m from a point to the nearest obstacle; to the edge of its cell, 0 inside it. */
+  /** m from a point to the edge of the nearest cell that is not free; 0 inside it. */
   gap(x, y) {
     const [row, column] = this.toCells(x, y);
     let nearest = Infinity;
@@ -57,16 +64,13 @@ export class Grid {
     return this.resolution * Math.sqrt(nearest);
   }
 
-  /** The point inside the map that is nearest, half a cell off its edge. */
+  /** The nearest point that is half a cell inside the edge of the map. */
   inside(x, y) {
     const half = this.resolution / 2;
-    return [x, y].map((value, axis) => {
-      const low = this.origin[axis];
-      return Math.min(low + this.size[axis] - half, Math.max(low + half, value));
-    });
+    return [x, y].map((value, axis) => clamp(value, this.origin[axis] + half, this.origin[axis] + this.size[axis] - half));
   }
 
-  /** Fills all cells whose middle is within `radius` m of the segment from a to b ([x, y] each). */
+  /** Set all cells whose middle is within `radius` m of the segment from a to b ([x, y] each). */
   stroke(a, b, radius, value) {
     const [rowA, columnA] = this.toCells(...a);
     const [rowB, columnB] = this.toCells(...b);
@@ -76,32 +80,130 @@ export class Grid {
     for (let row = Math.floor(Math.min(rowA, rowB) - reach); row <= Math.max(rowA, rowB) + reach; row++) {
       for (let column = Math.floor(Math.min(columnA, columnB) - reach); column <= Math.max(columnA, columnB) + reach; column++) {
         const [r, c] = [row + 0.5 - rowA, column + 0.5 - columnA];
-        const along = Math.min(1, Math.max(0, (r * dr + c * dc) / length2));
+        const along = clamp((r * dr + c * dc) / length2, 0, 1);
         if (Math.hypot(r - along * dr, c - along * dc) <= reach) this.set(row, column, value);
       }
     }
   }
 
-  /** The cells [[row, column]] of the obstacle at a cell, joined by edges or corners. */
-  obstacleAt(row, column) {
-    if (this.at(row, column) !== OCCUPIED || !this.contains(row, column)) return [];
-    const seen = new Set([row * this.columns + column]);
-    const found = [[row, column]];
-    for (const [r, c] of found) {
-      for (let k = 0; k < 9; k++) {
-        const [nr, nc] = [r - 1 + Math.floor(k / 3), c - 1 + (k % 3)];
-        const index = nr * this.columns + nc;
-        if (!this.contains(nr, nc) || this.cells[index] !== OCCUPIED || seen.has(index)) continue;
-        seen.add(index);
-        found.push([nr, nc]);
-      }
+  /** Indices and distances in cells of the cells beside one, those across a corner included. */
+  *neighbours(index) {
+    const [row, column] = [Math.floor(index / this.columns), index % this.columns];
+    for (let k = 0; k < 9; k++) {
+      const [dr, dc] = [Math.floor(k / 3) - 1, (k % 3) - 1];
+      if (k === 4 || !this.contains(row + dr, column + dc)) continue;
+      yield [index + dr * this.columns + dc, Math.hypot(dr, dc)];
     }
-    return found;
   }
 
-  /** [H][W] of 0 and 1, as `cost_map.data` wants one channel. */
+  /** Indices of the obstacle at a cell, joined by edges or corners. */
+  obstacleAt(row, column) {
+    if (!this.contains(row, column)) return [];
+    return region(this, row * this.columns + column, (index) => this.cells[index] === OCCUPIED, 2);
+  }
+
+  /** [H][W] of 0 and 1, one channel of `cost_map.data`. */
   occupancy() {
     const row = (r) => this.cells.subarray(r * this.columns, (r + 1) * this.columns);
     return Array.from({ length: this.rows }, (_, r) => Array.from(row(r), (cell) => (cell ? 1 : 0)));
   }
+}
+
+/** Indices of the admissible cells that are joined to the first by steps of at most `step` cells. */
+function region(grid, first, admissible, step, seen = new Uint8Array(grid.cells.length)) {
+  if (seen[first] || !admissible(first)) return [];
+  seen[first] = 1;
+  const found = [first];
+  for (const index of found) {
+    for (const [next, cells] of grid.neighbours(index)) {
+      if (cells > step || seen[next] || !admissible(next)) continue;
+      seen[next] = 1;
+      found.push(next);
+    }
+  }
+  return found;
+}
+
+/** m from the middle of each cell to the edge of the nearest cell that is not free; Float32Array. */
+export function distanceField({ rows, columns, cells, resolution }) {
+  const far = 1e9;
+  const squared = Float64Array.from(cells, (cell) => (cell ? 0 : far));
+  for (let column = 0; column < columns; column++) lowerEnvelope(squared, column, columns, rows);
+  for (let row = 0; row < rows; row++) lowerEnvelope(squared, row * columns, 1, columns);
+  // The middle of a cell is half a cell away from its edge.
+  return Float32Array.from(squared, (d) => resolution * Math.max(0, Math.sqrt(d) - 0.5));
+}
+
+/** Lower envelope of parabolas along one line, in place (Felzenszwalb and Huttenlocher, 2012). */
+function lowerEnvelope(values, offset, stride, count) {
+  const line = Float64Array.from({ length: count }, (_, k) => values[offset + k * stride]);
+  const apex = new Int32Array(count);
+  const from = new Float64Array(count + 1);
+  let last = 0;
+  from[0] = -Infinity;
+  from[1] = Infinity;
+  for (let k = 1; k < count; k++) {
+    const crossing = (i) => (line[k] + k * k - line[i] - i * i) / (2 * (k - i));
+    while (crossing(apex[last]) <= from[last]) last--;
+    from[last + 1] = crossing(apex[last]);
+    apex[++last] = k;
+    from[last + 1] = Infinity;
+  }
+  for (let k = 0, piece = 0; k < count; k++) {
+    while (from[piece + 1] < k) piece++;
+    values[offset + k * stride] = (k - apex[piece]) ** 2 + line[apex[piece]];
+  }
+}
+
+/**
+ * Choose a start near a corner and a goal far from it, clear of obstacles and joined by a way.
+ *
+ * @param {{radius: number, reach: number}} robot  its radius, and the longest way, m
+ * @returns {{start: object, goal: object}}  {x, y, vx, vy} each, at rest
+ */
+export function placeEnds(grid, { radius, reach }) {
+  const clear = distanceField(grid);
+  const seen = new Uint8Array(grid.cells.length);
+  let joined = [];
+  for (let first = 0; first < seen.length; first++) {
+    const found = region(grid, first, (index) => clear[index] > radius + SPARE, 1, seen);
+    if (found.length > joined.length) joined = found;
+  }
+  const point = (index) => {
+    const [x, y] = grid.centre(Math.floor(index / grid.columns), index % grid.columns);
+    return { x, y, vx: 0, vy: 0 };
+  };
+  if (!joined.length) return { start: point(0), goal: point(grid.cells.length - 1) };
+  const distance = (a, b) => Math.hypot(a.x - b.x, a.y - b.y);
+  const [width, height] = grid.size;
+  const corner = { x: grid.origin[0] + 0.1 * width, y: grid.origin[1] + 0.12 * height };
+  const nearest = (best, index) => (distance(point(index), corner) < distance(point(best), corner) ? index : best);
+  const first = joined.reduce(nearest);
+  const start = point(first);
+  const ways = wayLengths(grid, joined, first);
+  const worth = (index) => Math.min(ways.get(index), LONGEST_DETOUR * distance(point(index), start));
+  const goal = joined.reduce((best, index) => (ways.get(index) <= reach && worth(index) > worth(best) ? index : best), first);
+  return { start, goal: point(goal) };
+}
+
+/** Length in m of the shortest way along edges and diagonals from one cell to each of a region. */
+function wayLengths(grid, cells, start) {
+  const lengths = new Map(cells.map((index) => [index, Infinity]));
+  const bucketOf = (length) => Math.round((10 * length) / grid.resolution);
+  // Dijkstra's algorithm with a bucket for each tenth of a cell.
+  const buckets = [[start]];
+  lengths.set(start, 0);
+  for (let due = 0; due < buckets.length; due++) {
+    for (const index of buckets[due] ?? []) {
+      const here = lengths.get(index);
+      if (bucketOf(here) !== due) continue;
+      for (const [next, step] of grid.neighbours(index)) {
+        const there = here + step * grid.resolution;
+        if (!(there < (lengths.get(next) ?? -1) - 1e-9)) continue;
+        lengths.set(next, there);
+        (buckets[bucketOf(there)] ??= []).push(next);
+      }
+    }
+  }
+  return lengths;
 }

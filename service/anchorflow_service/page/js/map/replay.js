@@ -1,19 +1,20 @@
-/** The replay: how the flow carries noise to trajectories, and what the finish makes of them. */
+/** The replay: how the flow carries noise to trajectories, and then the step to the finished anchors. */
 
-import { ask } from "../service.js";
 import { byId, make } from "../dom.js";
+import { ask } from "../service.js";
 
 const PLAY_MS = 3200;
-/** Share of the bar that belongs to the flow; the rest is the finish. */
+/** Share of the slider for the flow; the rest is for the finish. */
 const FLOW_SHARE = 0.85;
-const MOST_ANCHORS = 64;
+/** POST /page/flow takes no more anchors. */
+const MAX_ANCHORS = 64;
 
-/** `onEnd()` is called when the replay is over. */
 export class Replay {
   #states = null;
-  /** Counts what was begun, so that what is over does not come back. */
+  /** Counts what was begun, so that an outdated response or animation ends. */
   #run = 0;
 
+  /** `onEnd()` is called when the replay is over. */
   constructor(stage, onEnd) {
     Object.assign(this, { stage, onEnd });
     byId("flow-time").addEventListener("input", () => {
@@ -26,16 +27,16 @@ export class Replay {
     return this.#states !== null;
   }
 
-  /** Show how `anchors` came from what `question` asked. Rejects with the service's refusal. */
+  /** Show how the anchors that answered `question` came about. Rejects if the service refuses. */
   async begin(question, anchors) {
     const run = ++this.#run;
-    const asked = { ...question.body, seed: anchors.seed, num_samples: Math.min(MOST_ANCHORS, anchors.count) };
-    const { times, positions } = await ask("page/flow", asked);
+    const num = Math.min(MAX_ANCHORS, anchors.count);
+    const { times, positions } = await ask("page/flow", { ...question.body, seed: anchors.seed, num_samples: num });
     if (run !== this.#run) return;
-    this.anchors = anchors;
-    this.times = times;
-    // [K][N,T,2]; what is beyond MOST_ANCHORS stays as it came back.
-    this.#states = positions.map((state) => Float32Array.from([...state.flat(2), ...anchors.positions.subarray(2 * state.length * anchors.steps)]));
+    // [K][N,T,2]; further anchors stay as they are.
+    const others = anchors.positions.subarray(2 * num * anchors.steps);
+    this.#states = positions.map((state) => Float32Array.from([...state.flat(2), ...others]));
+    Object.assign(this, { anchors, times });
     byId("board").dataset.replay = "";
     byId("scrub").hidden = false;
     byId("flow-ticks").replaceChildren(...times.map((time) => {
@@ -58,20 +59,20 @@ export class Replay {
   }
 
   #play() {
-    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const run = ++this.#run;
     const begun = performance.now();
     const step = () => {
       if (run !== this.#run) return;
-      const share = still ? 0 : Math.min(1, (performance.now() - begun) / PLAY_MS);
+      const share = isStill ? 0 : Math.min(1, (performance.now() - begun) / PLAY_MS);
       byId("flow-time").value = share;
       this.#showAt(share);
-      if (share < 1 && !still) requestAnimationFrame(step);
+      if (share < 1 && !isStill) requestAnimationFrame(step);
     };
     step();
   }
 
-  /** The picture at a share of the bar: straight between the states that the solver visited. */
+  /** Show a share of the slider: straight lines between the states that the solver visited. */
   #showAt(share) {
     const { times, anchors } = this;
     byId("flow-time").style.setProperty("--fill", `${100 * share}%`);

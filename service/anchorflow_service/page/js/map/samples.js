@@ -1,4 +1,4 @@
-/** Sample maps made by code: 96 x 96 cells of 0.1 m, the same for the same number. */
+/** Sample maps of 96 × 96 cells of 0.1 m, drawn from a seed. */
 
 import { FREE, Grid, OCCUPIED } from "./grid.js";
 
@@ -7,15 +7,15 @@ const RESOLUTION = 0.1;
 /** Radius and shift of a post, in cells. */
 const POSTS = [[1.6, 0], [1.6, 0.5], [2.3, 0]];
 
-/** The map of a kind ("forest", "rooms", "city", "maze", "empty") and a number. */
+/** The map of a kind (forest, rooms, city, maze or empty) with this number. */
 export function sampleMap(kind, number) {
   const grid = new Grid(CELLS, CELLS, RESOLUTION);
   LAYOUTS[kind](new Pen(grid, number));
   return grid;
 }
 
-/** Numbers from 0 to 1 out of a seed (mulberry32). */
-export function randomNumbers(seed) {
+/** A generator of numbers from 0 to 1 (mulberry32). */
+function randomNumbers(seed) {
   let state = (seed + 1) * 0x9e3779b9;
   return () => {
     state = (state + 0x6d2b79f5) | 0;
@@ -25,19 +25,18 @@ export function randomNumbers(seed) {
   };
 }
 
-/** Draws on a grid in cells. */
+/** Draws on a grid, in cells. */
 class Pen {
   constructor(grid, seed) {
     this.grid = grid;
     this.random = randomNumbers(seed);
   }
 
-  /** A number from low up to high. */
   between(low, high) {
     return low + (high - low) * this.random();
   }
 
-  /** A whole number from low to high. */
+  /** A whole number from low to high, both included. */
   whole(low, high) {
     return Math.floor(this.between(low, high + 1));
   }
@@ -54,7 +53,7 @@ class Pen {
   }
 }
 
-/** Posts clumped by a cellular automaton, as the worlds of BARN are made (Perille et al., 2020). */
+/** Posts clumped by a cellular automaton, like the worlds of BARN (Perille et al., 2020). */
 function forest(pen) {
   const count = 24;
   const share = pen.between(0.17, 0.23);
@@ -71,13 +70,13 @@ function forest(pen) {
   alive.forEach((on, index) => {
     if (!on) return;
     const [row, column] = [Math.floor(index / count), index % count].map((k) => 4 * k + 2 + pen.whole(-1, 1));
-    // Round a cell's middle or round its corner: three round shapes of 9, 12 and 21 cells.
+    // Around the middle or the corner of a cell: three discs of 9, 12 and 21 cells.
     const [radius, shift] = POSTS[pen.whole(0, POSTS.length - 1)];
     pen.disc(row + shift, column + shift, radius);
   });
 }
 
-/** A house cut into rooms, a door in every wall and a table here and there. */
+/** A house cut into rooms, with a door in every wall and some tables. */
 function rooms(pen) {
   pen.box(0, 0, CELLS, CELLS);
   pen.box(2, 2, CELLS - 4, CELLS - 4, FREE);
@@ -94,7 +93,7 @@ function divide(pen, { row, column, rows, columns }) {
     if (pen.random() < 0.6) pen.box(row + pen.whole(9, rows - 16), column + pen.whole(9, columns - 16), pen.whole(4, 7), pen.whole(4, 7));
     return;
   }
-  // A wall does not end in a door.
+  // A wall must not end in a door.
   const solid = (cut, beside) => {
     for (let k = cut - 5; k < cut + 7; k++) {
       if (!(across ? pen.grid.at(row + k, column + beside) : pen.grid.at(row + beside, column + k))) return false;
@@ -120,7 +119,7 @@ function divide(pen, { row, column, rows, columns }) {
   }
 }
 
-/** Buildings between streets: whole blocks, corners cut off, yards, a square left open. */
+/** Buildings between streets: whole blocks, blocks with a corner cut off, yards, open squares. */
 function city(pen) {
   const streets = () => {
     const built = [];
@@ -143,7 +142,7 @@ function city(pen) {
   }
 }
 
-/** A spanning tree of corridors with some walls taken out again. */
+/** A spanning tree of corridors, with some more walls removed. */
 function maze(pen) {
   const count = 6;
   const pitch = CELLS / count;
@@ -172,6 +171,4 @@ function maze(pen) {
   }
 }
 
-function empty() {}
-
-const LAYOUTS = { forest, rooms, city, maze, empty };
+const LAYOUTS = { forest, rooms, city, maze, empty() {} };

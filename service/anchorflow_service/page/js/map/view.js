@@ -1,55 +1,56 @@
-/** The view of planners with a cost map: the scene asks, the planner answers, the stage shows. */
+/** The view of planners with a cost map: one draws a scene, and the anchors follow. */
 
 import { Anchors } from "../anchors.js";
-import { byId } from "../dom.js";
-import { pick, showLegend } from "../lines.js";
-import { clearAnswer, columnsOf, fadeFigures, nameAnchor, say, showBest, showTimes } from "../panels.js";
-import { Bubble } from "./bubble.js";
-import { drawCharts } from "./charts.js";
-import { Controls } from "./controls.js";
-import { Drive } from "./drive.js";
-import { Files } from "./files.js";
-import { Handles } from "./handles.js";
-import { Painting } from "./painting.js";
+import { byId, clamp, make, press } from "../dom.js";
+import { drawCharts, say } from "../figures.js";
+import { plan } from "../service.js";
+import { listenForCopies, listenForDrops, toCurl } from "../share.js";
+import { AnchorView } from "../view.js";
+import { readMap } from "./map_files.js";
 import { Replay } from "./replay.js";
+import { Robot } from "./robot.js";
 import { sampleMap } from "./samples.js";
 import { Scene } from "./scene.js";
+import { readScene, toJson, toPython } from "./scene_file.js";
 import { Stage } from "./stage.js";
-import { plan } from "./wire.js";
+import { StyleControl } from "./style.js";
+import { Handles, Painting } from "./tools.js";
 
-/** Samples of each kind that one sees first; later ones are counted on from here. */
+/** The number of the sample that is shown first, by kind; the dice counts on from here. */
 const FIRST_SAMPLE = { forest: 5, rooms: 4, city: 5, maze: 2, empty: 0 };
-/** Measurements that are kept for whoever opens the browser's profiler. */
-const MOST_MEASURES = 500;
-/** What an anchor can be coloured by, and the array of the answer that says it. */
+/** What an anchor can be coloured by, and the array of the response that it needs. */
 const COLOURED = { score: "scores", speed: "velocities", clearance: "clearance" };
+/** Fields of a request that have a place on the map. */
+const PLACES = { x_goal: "goal", x_curr: "start" };
 
-export class MapView {
-  active = false;
-  /** The question whose answer is shown, and the anchor that was clicked. */
-  shown = null;
-  kept = null;
+export class MapView extends AnchorView {
+  #samples = { ...FIRST_SAMPLE };
+  /** The question whose answer is on the screen. */
+  #answered = null;
 
-  constructor(planner, amount, models) {
-    this.planner = planner;
-    this.scene = new Scene();
-    this.controls = new Controls(this.scene, amount);
-    this.numbers = { ...FIRST_SAMPLE };
-    this.stage = new Stage(byId("canvas"), this.scene);
-    this.handles = new Handles(this.stage, this.scene);
-    this.painting = new Painting(this.stage, this.scene, (left, top) => this.#hover(left, top));
-    this.bubble = new Bubble(this.stage, this.scene);
-    this.files = new Files(this.scene, this.controls, models, { isShown: () => this.active, onOpen: () => this.#rest() });
-    this.replay = new Replay(this.stage, () => this.#press("replay", false, "Replay the flow"));
-    this.drive = new Drive(this.stage, this.scene, {
-      ask: () => this.planner.busy || this.planner.ask(),
-      onFrame: (note) => this.#showDrive(note),
+  constructor({ planner, form, bundles }) {
+    const scene = new Scene(form.fields);
+    super(new Stage(byId("canvas"), scene), byId("legend"));
+    Object.assign(this, { planner, form, bundles, scene });
+    this.handles = new Handles(this.surface, scene);
+    this.painting = new Painting(this.surface, scene, (left, top) => this.#hover(left, top));
+    this.bubble = new Bubble(this.surface, scene);
+    this.style = new StyleControl((style) => this.#set({ style }));
+    this.replay = new Replay(this.surface, () => press("replay", false, "Replay the flow"));
+    this.robot = new Robot(this.surface, scene, {
+      ask: () => planner.busy || planner.ask(),
+      onFrame: (note) => this.#showRobot(note),
     });
+    this.surface.onFit = () => {
+      this.handles.place();
+      this.bubble.place();
+    };
     this.#listen();
   }
 
   #listen() {
-    this.scene.addEventListener("change", (event) => this.#changed(event.detail));
+    const isShown = () => this.active;
+    this.scene.onChange((what) => this.#changed(what));
     byId("drive").addEventListener("click", () => this.#toggleDrive());
     byId("replay").addEventListener("click", () => this.#toggleReplay());
     byId("sample").addEventListener("change", () => this.#showSample(0));
@@ -57,19 +58,36 @@ export class MapView {
     document.addEventListener("keydown", (event) => {
       if (event.key === "Escape") this.#rest();
     });
-    this.stage.canvas.addEventListener("theme", () => this.#showAnchors());
     for (const radio of document.querySelectorAll("[name=colour]")) {
-      radio.addEventListener("change", () => this.#colour(radio.value));
+      radio.addEventListener("change", () => {
+        this.surface.show.colourBy = radio.value;
+        this.showAnchors();
+        this.surface.draw();
+      });
     }
+    byId("open").addEventListener("click", () => byId("files").click());
+    byId("files").addEventListener("change", () => {
+      this.#read([...byId("files").files]);
+      byId("files").value = "";
+    });
+    byId("save").addEventListener("click", () => this.#save());
+    const { scene } = this;
+    listenForCopies(isShown, { curl: () => toCurl(toJson(scene.request())), python: () => toPython(scene.request()) });
+    listenForDrops(byId("board"), isShown, (files) => this.#read(files));
   }
 
-  /** Another bundle; the map stays. */
+  get card() {
+    return this.scene.card;
+  }
+
+  /** Ask another bundle; the map stays. */
   useCard(card) {
     this.active = true;
     this.#rest();
-    this.#clear();
+    this.clear();
+    this.bubble.clear();
     this.scene.useCard(card);
-    this.controls.show();
+    this.#showForm();
     const gives = (...names) => names.every((name) => card.answer.arrays.includes(name));
     byId("drive").disabled = !gives("velocities", "accelerations");
     byId("replay").disabled = !this.scene.hasFlow;
@@ -83,181 +101,202 @@ export class MapView {
     this.#rest();
   }
 
-  /** `options` of the scene have been chosen outside of its own controls. */
-  choose(options, time) {
-    this.controls.set(options, time);
+  /** Take options of the form. */
+  choose(options) {
+    Object.assign(this.scene.options, options);
+    this.#set({});
   }
 
-  /** What the planner sends: the newest scene, at the moment of sending. */
+  #set(parts) {
+    Object.assign(this.scene, parts);
+    this.#showForm();
+    this.scene.changed("options");
+  }
+
+  #showForm() {
+    const { scene, card } = this;
+    this.form.show(scene.options, card);
+    this.style.show(scene.style);
+    const { horizon_s: horizon } = card.conditioning.limits;
+    byId("bundle-hint").textContent = `What answers: ${horizon === null ? "each anchor in its own time" : `${horizon} s`}, in ${card.time.steps} steps.`;
+  }
+
+  /** The request about the scene as it is now. */
   question() {
-    const { scene, drive } = this;
-    const { card, changedAt, limits } = scene;
-    const asked = drive.active ? drive.question() : { body: scene.request() };
-    return { ...asked, send: plan, card, limits, changedAt, driven: drive.active };
+    const { scene, robot } = this;
+    const { card, limits } = scene;
+    const asked = robot.active ? robot.question() : { body: scene.request() };
+    return { ...asked, send: plan, card, limits, driven: robot.active };
   }
 
   #changed(what) {
     this.replay.end();
-    if (what !== "ends") this.stage.redraw();
+    if (what !== "ends") this.surface.redraw();
     if (what === "map") this.kept = null;
-    this.stage.drawTop();
-    if (this.active && !this.drive.active) this.planner.ask();
+    this.surface.drawTop();
+    if (this.active && !this.robot.active) this.planner.ask();
   }
 
   async answered({ question, answer, sentAt }) {
-    if (question.card !== this.scene.card || question.driven !== this.drive.active) return;
+    if (question.card !== this.card || question.driven !== this.robot.active) return;
     this.replay.end();
     const anchors = new Anchors(answer, question.card, question.limits);
-    this.shown = question;
+    this.#answered = question;
     this.bubble.clear();
-    if (this.drive.active) this.drive.take(anchors, question);
-    if (this.kept >= anchors.count) this.kept = null;
-    Object.assign(this.stage.show, { anchors, stale: false, focus: this.kept, step: null });
-    fadeFigures(false);
-    this.#showAnchors();
-    const shownAt = await this.stage.draw();
-    if (!this.active || question.card !== this.scene.card) return; // another bundle was chosen meanwhile
-    showTimes(anchors.timing, shownAt - sentAt);
-    this.#measure({ question, sentAt, shownAt, engineMs: anchors.timing.total });
+    if (this.robot.active) this.robot.take(anchors, question);
+    await this.present(anchors, { card: question.card, sentAt });
   }
 
   refused({ error }) {
-    if (this.drive.active) this.drive.refused(error.message);
+    if (this.robot.active) this.robot.refused(error.message);
     this.bubble.refuse(error);
-    this.#fade("The service refused");
+    this.#fadeBecause("The service refused");
   }
 
   down() {
-    this.#fade("Waiting for the service");
+    this.#fadeBecause("Waiting for the service");
   }
 
-  /** What is shown is old; `why` begins the sentence that says so. */
-  #fade(why) {
-    const { show } = this.stage;
-    show.stale = true;
-    say(`${why}${show.anchors ? ": what is shown is its last answer" : ""}.`);
-    fadeFigures(true);
-    this.stage.draw();
+  #fadeBecause(reason) {
+    say(`${reason}${this.surface.show.anchors ? ": what is shown is its last answer" : ""}.`);
+    this.fade();
   }
 
-  /** Nothing has come back of this bundle. */
-  #clear() {
-    this.kept = null;
-    Object.assign(this.stage.show, { anchors: null, stale: false, focus: null, step: null });
-    this.bubble.clear();
-    say("");
-    clearAnswer();
-    byId("charts").replaceChildren();
-    byId("legend").hidden = true;
-    this.stage.draw();
+  summarize({ count, numSafe, trouble, durationsText }) {
+    say(numSafe ? `${numSafe} of ${count} anchors are safe, ${durationsText}.` : `No anchor is safe: ${this.scene.tightEnd || trouble}.`);
   }
 
-  /** All figures of the answer that is shown. */
-  #showAnchors() {
-    const { anchors, focus, step, stale, colourBy } = this.stage.show;
-    if (!anchors || !this.active) return;
-    const { count, numSafe, trouble } = anchors;
-    if (!stale) say(numSafe ? `${numSafe} of ${count} anchors are safe, ${anchors.durationsText}.` : `No anchor is safe: ${this.scene.tightEnd || trouble}.`);
-    const looked = focus ?? anchors.best;
-    drawCharts(anchors, looked, step);
-    nameAnchor(anchors, focus);
-    showBest(this.stage, anchors, {
-      columns: columnsOf(anchors),
-      by: colourBy,
-      focus: looked,
-      onLook: (n) => this.#look(n, null),
-      onKeep: (n) => { this.kept = this.kept === n ? null : n; this.#look(this.kept, null); },
-    });
-    showLegend(byId("legend"), anchors, colourBy);
+  showDetails(anchors, n, step) {
+    drawCharts(anchors, n, step);
   }
 
   #hover(left, top) {
-    const { anchors } = this.stage.show;
-    if (!anchors || this.replay.active || this.drive.active) return;
-    const found = left === null ? null : pick(this.stage, anchors, left, top);
-    this.#look(found?.anchor ?? null, found?.step ?? null);
-  }
-
-  /** Bring anchor n into focus; null: the one that was clicked, or the best. */
-  #look(n, step) {
-    const { show } = this.stage;
-    const focus = n ?? this.kept;
-    if (show.focus === focus && show.step === step) return;
-    Object.assign(show, { focus, step });
-    this.#showAnchors();
-    this.stage.draw();
-  }
-
-  #colour(by) {
-    this.stage.show.colourBy = by;
-    this.#showAnchors();
-    this.stage.draw();
+    if (!this.replay.active && !this.robot.active) this.hover(left, top);
   }
 
   #showSample(further) {
     const kind = byId("sample").value === "own" ? "forest" : byId("sample").value;
     this.#rest();
-    this.numbers[kind] += further;
+    this.#samples[kind] += further;
     byId("sample").value = kind;
-    this.scene.useMap(sampleMap(kind, this.numbers[kind]));
+    this.scene.useMap(sampleMap(kind, this.#samples[kind]));
   }
 
   #toggleDrive() {
-    if (this.drive.active) {
+    if (this.robot.active) {
       this.#rest();
       return;
     }
     this.replay.end();
     this.kept = null;
-    this.stage.show.focus = null;
+    this.surface.show.focus = null;
     byId("board").dataset.drive = "";
-    this.#press("drive", true, "Stop");
+    press("drive", true, "Stop", "stop");
     byId("replay").disabled = true;
-    this.drive.begin();
+    this.robot.begin();
   }
 
-  #showDrive(note) {
+  #showRobot(note) {
     byId("drive-note").hidden = false;
     if (byId("drive-note").textContent !== note) byId("drive-note").textContent = note;
     this.handles.place();
   }
 
   async #toggleReplay() {
-    const { anchors } = this.stage.show;
+    const { anchors } = this.surface.show;
     const isOpen = byId("replay").getAttribute("aria-pressed") === "true";
     this.replay.end();
     if (isOpen || !anchors) return;
-    this.#press("replay", true, "Close");
+    press("replay", true, "Close");
     try {
-      await this.replay.begin(this.shown, anchors);
+      await this.replay.begin(this.#answered, anchors);
     } catch (error) {
       say(error.message);
-      this.#press("replay", false, "Replay the flow");
+      press("replay", false, "Replay the flow");
     }
   }
 
-  /** Neither drive nor replay. */
+  /** End the drive and the replay. */
   #rest() {
     this.replay.end();
-    if (!this.drive.active) return;
-    this.drive.end();
+    if (!this.robot.active) return;
+    this.robot.end();
     delete byId("board").dataset.drive;
     byId("drive-note").hidden = true;
-    this.#press("drive", false, "Drive");
+    press("drive", false, "Drive", "play");
     byId("replay").disabled = !this.scene.hasFlow;
     this.scene.changed("ends");
   }
 
-  #press(id, pressed, text) {
-    byId(id).setAttribute("aria-pressed", pressed);
-    byId(id).querySelector("span").textContent = text;
-    if (id === "drive") byId(id).querySelector("use").setAttribute("href", pressed ? "#i-stop" : "#i-play");
+  async #read(files) {
+    if (!files.length) return;
+    try {
+      const json = files.find(({ name }) => /\.json$/i.test(name));
+      if (json) this.#openScene(json.name, await json.text());
+      else if (files.some(({ name }) => /\.(pgm|png|ya?ml)$/i.test(name))) {
+        const { grid, note } = await readMap(files);
+        this.#openMap(grid, undefined, note);
+      } else throw new Error(`${files[0].name}: expected .json, .yaml with its picture, .pgm or .png.`);
+    } catch (error) {
+      byId("scene-note").textContent = error.message;
+    }
   }
 
-  /** For the browser's profiler, and for whoever tests the page. */
-  #measure({ question, sentAt, shownAt, engineMs }) {
-    const detail = { engineMs, roundTripMs: shownAt - sentAt, num: question.body.num_samples };
-    performance.measure("anchors-on-screen", { start: Math.min(question.changedAt, sentAt), end: shownAt, detail });
-    if (performance.getEntriesByName("anchors-on-screen").length > MOST_MEASURES) performance.clearMeasures("anchors-on-screen");
+  /** Open a scene for the bundle that it names, if that is served. */
+  #openScene(name, text) {
+    const { card, grid, ends, style, options, left } = readScene(name, text, this.card, this.bundles, this.form.fields);
+    if (card.name !== this.card.name) this.bundles.choose(card);
+    else this.scene.useCard(card);
+    Object.assign(this.scene.options, options);
+    if (style) this.scene.style = style;
+    this.#openMap(grid, ends, `${name} is open.${left.length ? ` Left out: ${left.join(", ")}.` : ""}`);
+  }
+
+  #openMap(grid, ends, note) {
+    this.#rest();
+    byId("sample").value = "own";
+    this.scene.useMap(grid, ends);
+    this.#showForm();
+    byId("scene-note").textContent = note;
+  }
+
+  #save() {
+    const url = URL.createObjectURL(new Blob([toJson(this.scene.request())], { type: "application/json" }));
+    make("a", { href: url, download: "anchorflow-scene.json" }).click();
+    URL.revokeObjectURL(url);
+    byId("scene-note").textContent = "Saved: the file is a request that POST /anchors takes.";
+  }
+}
+
+/** The reason for a refusal, beside the place on the map that it is about. */
+class Bubble {
+  constructor(stage, scene) {
+    Object.assign(this, { stage, scene });
+    scene.onChange(() => this.place());
+  }
+
+  clear() {
+    byId("bubble").hidden = true;
+  }
+
+  refuse({ field, message }) {
+    this.at = PLACES[field?.split(".")[0]] ?? null;
+    const title = this.at ? `The ${this.at} cannot be there.` : "The service refused.";
+    byId("bubble").replaceChildren(make("b", {}, title), make("span", {}, message));
+    byId("bubble").hidden = false;
+    this.place();
+  }
+
+  /** Stay on the board, above or below the place. */
+  place() {
+    const bubble = byId("bubble");
+    if (bubble.hidden) return;
+    const { width, height } = this.stage;
+    const end = this.at && this.scene[this.at];
+    const [left, top] = end ? this.stage.toScreen(end.x, end.y) : [width / 2, 60];
+    const { offsetWidth: wide, offsetHeight: tall } = bubble;
+    const x = clamp(left - wide / 2, 10, Math.max(10, width - wide - 10));
+    const y = top - tall - 26 > 8 ? top - tall - 26 : top + 26;
+    bubble.style.transform = `translate(${x}px, ${clamp(y, 8, Math.max(8, height - tall - 8))}px)`;
   }
 }

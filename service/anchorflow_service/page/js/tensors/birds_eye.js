@@ -1,172 +1,221 @@
-/** The ego's frame from above: x forward is up, y is to the left, a grid in metres. */
+/** The ego's frame from above (x forward is up, y is to the left), with the street of a recorded drive. */
 
-import { drawAnchors, toScreen } from "../lines.js";
+import { Surface, circle, drawAnchors, stroke, toScreen } from "../drawing.js";
 import { plain } from "../dom.js";
-import { Surface } from "../surface.js";
 
-/** Between the picture's edge and what is farthest out. */
+/** px between the edge of the picture and the farthest point. */
 const MARGIN_PX = 34;
-/** m that are shown at least, so that a car that stands still is not looked at through a glass. */
-const LEAST_M = 12;
-/** px between two lines of the grid, at least. */
-const LEAST_STRIDE_PX = 56;
+/** m that are always shown, also for a vehicle that stands still. */
+const MIN_M = 12;
+/** px between two lines of the grid, at least, and their distances in m. */
+const MIN_STRIDE_PX = 56;
 const STRIDES_M = [1, 2, 5, 10, 20, 50, 100, 200, 500];
 const GRID_OPACITY = 0.4;
+const RASTER_OPACITY = 0.55;
 const POSE_PX = 3.5;
 const HEADING_PX = 11;
+/** Colours of boxes by the type in a driving log. */
+const BOX_COLOURS = ["wall", "goal", "goal", "soft"];
+const RECORDED_DASH = [4, 9];
+const ROUTE = { width: 10, opacity: 0.25 };
+/** Share of a box's length that its nose takes. */
+const NOSE = 0.22;
 
 export class BirdsEye extends Surface {
-  /**
-   * What is drawn, as `lines.js` takes it; `raster` lies below where its extent is known, and of
-   * the drive that is open its `street` as it is in a `frame`, and the `routes` that it tells.
-   */
-  show = { anchors: null, raster: null, street: null, frame: null, routes: [], colourBy: "score", focus: null, step: null, stale: false, replayed: null, robot: null };
   /** px of an anchor. */
   lineWidth = 2;
-  #middle = [0, 0];
   scale = 1;
+  /** x in m at the middle of the canvas. */
+  middle = 0;
 
   constructor(canvas) {
     super(canvas);
+    // A raster whose extent is known is below the anchors; the street of a drive as it is in a frame.
+    Object.assign(this.show, { raster: null, street: null, frame: null, routes: [] });
     this.resize();
   }
 
   /** [left, top] in CSS pixels of a point in m. */
   toScreen(x, y) {
-    return [this.width / 2 - (y - this.#middle[1]) * this.scale, this.height / 2 - (x - this.#middle[0]) * this.scale];
+    return [this.width / 2 - y * this.scale, this.height / 2 - (x - this.middle) * this.scale];
   }
 
   paint() {
     const { context, colours, density, show } = this;
+    const { anchors, frame, raster, street } = show;
     this.#fit();
     context.setTransform(density, 0, 0, density, 0, 0);
     context.fillStyle = colours.map;
     context.fillRect(0, 0, this.width, this.height);
-    if (show.street) show.street.paintRoad(this, show.frame);
-    if (show.raster?.extent) this.#paintRaster(show.raster);
+    if (street) street.paintRoad(this, frame);
+    if (raster?.extent) this.#paintRaster(raster);
     this.#paintGrid();
-    if (show.street) {
-      show.street.paintRoutes(this, show.routes);
-      show.street.paintOthers(this, show.frame);
-    } else this.#paintEgo();
-    if (show.anchors) drawAnchors(context, this, show);
-    if (show.street) show.street.paintEgo(this, show.frame);
-    if (show.anchors && !show.stale) this.#paintPoses(show.anchors, show.focus ?? show.anchors.best);
+    if (street) street.paintTraffic(this, frame, show.routes);
+    else this.#paintEgo();
+    if (anchors) drawAnchors(context, this);
+    if (street) street.paintEgo(this, frame);
+    if (anchors && !show.stale) this.#paintPoses(anchors, show.focus ?? anchors.best);
     return true;
   }
 
-  /** The ego and all anchors, and the picture below them, fit; a drive stays as large as it is. */
+  /** Scale to the ego, the anchors and the raster; to the whole street of a drive while one is open. */
   #fit() {
-    const { street, raster } = this.show;
-    const anchors = street ? null : this.show.anchors;
-    const [xs, ys] = [[0], [0]];
-    if (street) {
-      xs.push(...street.extent.slice(0, 2));
-      ys.push(...street.extent.slice(2));
+    const { anchors, raster, street } = this.show;
+    let [bottom, top, right, left] = street?.extent ?? raster?.extent ?? [0, 0, 0, 0];
+    [bottom, top, right, left] = [Math.min(bottom, 0), Math.max(top, 0), Math.min(right, 0), Math.max(left, 0)];
+    const positions = street ? [] : (anchors?.positions ?? []);
+    for (let k = 0; k < positions.length; k += 2) {
+      [bottom, top] = [Math.min(bottom, positions[k]), Math.max(top, positions[k])];
+      [right, left] = [Math.min(right, positions[k + 1]), Math.max(left, positions[k + 1])];
     }
-    for (let k = 0; k < (anchors?.positions.length ?? 0); k += 2) {
-      xs.push(anchors.positions[k]);
-      ys.push(anchors.positions[k + 1]);
-    }
-    if (raster?.extent && !street) {
-      xs.push(...raster.extent.slice(0, 2));
-      ys.push(...raster.extent.slice(2));
-    }
-    const [[left, right], [bottom, top]] = [ys, xs].map((values) => values.reduce(([low, high], value) => [Math.min(low, value), Math.max(high, value)], [0, 0]));
     // The ego stays in the middle between left and right.
-    const wide = 2 * Math.max(-left, right);
-    this.#middle = [(bottom + top) / 2, 0];
-    this.scale = Math.min((this.width - 2 * MARGIN_PX) / Math.max(wide, LEAST_M), (this.height - 2 * MARGIN_PX) / Math.max(top - bottom, LEAST_M));
+    const wide = 2 * Math.max(-right, left);
+    this.middle = (bottom + top) / 2;
+    this.scale = Math.min((this.width - 2 * MARGIN_PX) / Math.max(wide, MIN_M), (this.height - 2 * MARGIN_PX) / Math.max(top - bottom, MIN_M));
   }
 
   #paintRaster({ canvas, extent: [backward, forward, right, left] }) {
     const { context } = this;
     const [x0, y0] = this.toScreen(forward, left);
     const [x1, y1] = this.toScreen(backward, right);
+    context.save();
     context.imageSmoothingEnabled = false;
-    context.globalAlpha = 0.55;
+    context.globalAlpha = RASTER_OPACITY;
     context.drawImage(canvas, x0, y0, x1 - x0, y1 - y0);
-    context.globalAlpha = 1;
+    context.restore();
   }
 
-  /** Lines at round metres, and how far ahead or aside they are. */
+  /** Lines at round metres, with how far ahead or aside they are. */
   #paintGrid() {
-    const { context, colours } = this;
-    const stride = STRIDES_M.find((metres) => metres * this.scale >= LEAST_STRIDE_PX) ?? STRIDES_M.at(-1);
-    const reach = [this.height, this.width].map((size) => size / 2 / this.scale);
+    const { context, colours, height, width } = this;
+    const stride = STRIDES_M.find((metres) => metres * this.scale >= MIN_STRIDE_PX) ?? STRIDES_M.at(-1);
     context.font = `11px ${getComputedStyle(this.canvas).fontFamily}`;
-    context.lineWidth = 1;
-    for (const axis of [0, 1]) {
-      const from = Math.ceil((this.#middle[axis] - reach[axis]) / stride);
-      const to = Math.floor((this.#middle[axis] + reach[axis]) / stride);
-      for (let k = from; k <= to; k++) {
-        const [left, top] = axis ? this.toScreen(0, k * stride) : this.toScreen(k * stride, 0);
-        context.strokeStyle = colours.unknown;
-        context.globalAlpha = k ? GRID_OPACITY : 1;
-        context.beginPath();
-        if (axis) context.rect(Math.round(left) + 0.5, 0, 0, this.height);
-        else context.rect(0, Math.round(top) + 0.5, this.width, 0);
-        context.stroke();
-        context.globalAlpha = 1;
-        this.#write(plain(k * stride), axis, axis ? left : top);
+    context.fillStyle = colours.soft;
+    for (const [middle, size, isAside] of [[this.middle, height, false], [0, width, true]]) {
+      const reach = size / 2 / this.scale;
+      for (let k = Math.ceil((middle - reach) / stride); k <= (middle + reach) / stride; k++) {
+        const [left, top] = this.toScreen(isAside ? 0 : k * stride, isAside ? k * stride : 0).map((at) => Math.round(at) + 0.5);
+        const line = isAside ? [[left, 0], [left, height]] : [[0, top], [width, top]];
+        stroke(context, line, { colour: colours.unknown, width: 1, opacity: k ? GRID_OPACITY : 1 });
+        context.textAlign = isAside ? "center" : "left";
+        const text = plain(k * stride);
+        // The names of the axes are in the corners.
+        if (isAside && left > 40 && left < width - 60) context.fillText(text, left, height - 8);
+        if (!isAside && top > 36 && top < height - 24) context.fillText(text, 8, top - 5);
       }
     }
     context.textAlign = "left";
     context.fillText("x [m]", 8, 18);
     context.textAlign = "right";
-    context.fillText("y [m]", this.width - 8, this.height - 8);
+    context.fillText("y [m]", width - 8, height - 8);
   }
 
-  /** A number at a line of the grid, unless the axis' name stands there. */
-  #write(text, axis, at) {
-    const { context, height, width } = this;
-    context.fillStyle = this.colours.soft;
-    context.textAlign = axis ? "center" : "left";
-    if (axis && at > 40 && at < width - 60) context.fillText(text, at, height - 8);
-    if (!axis && at > 36 && at < height - 24) context.fillText(text, 8, at - 5);
-  }
-
-  /** Where the planner sits, looking up. */
+  /** The ego as an arrow head that points up. */
   #paintEgo() {
     const { context, colours } = this;
     const [left, top] = this.toScreen(0, 0);
+    const points = [[0, -12], [9, 10], [0, 5], [-9, 10], [0, -12]].map(([dx, dy]) => [left + dx, top + dy]);
+    stroke(context, points, { colour: colours.card, width: 2 });
     context.fillStyle = colours.start;
-    context.strokeStyle = colours.card;
-    context.lineWidth = 2;
-    context.lineJoin = "round";
-    context.beginPath();
-    context.moveTo(left, top - 12);
-    context.lineTo(left + 9, top + 10);
-    context.lineTo(left, top + 5);
-    context.lineTo(left - 9, top + 10);
-    context.closePath();
     context.fill();
-    context.stroke();
   }
 
-  /** The poses of one anchor, and where each of them looks. */
+  /** The poses of one anchor with their headings. */
   #paintPoses(anchors, n) {
-    const { context, colours } = this;
+    const { context, colours, show } = this;
     const hasHeading = anchors.trajectories.shape[2] > 2;
     const first = 2 * n * anchors.steps;
     const screen = toScreen(this, anchors.positions.subarray(first, first + 2 * anchors.steps));
-    context.lineWidth = 1.5;
     for (let t = 0; t < anchors.steps; t++) {
       const [left, top] = [screen[2 * t], screen[2 * t + 1]];
       if (hasHeading) {
         const [, , heading] = anchors.pose(n, t);
-        context.strokeStyle = colours.ink;
-        context.beginPath();
-        context.moveTo(left, top);
-        context.lineTo(left - HEADING_PX * Math.sin(heading), top - HEADING_PX * Math.cos(heading));
-        context.stroke();
+        const nose = [left - HEADING_PX * Math.sin(heading), top - HEADING_PX * Math.cos(heading)];
+        stroke(context, [[left, top], nose], { colour: colours.ink, width: 1.5 });
       }
-      context.fillStyle = t === this.show.step ? colours.focus : colours.ink;
-      context.strokeStyle = colours.map;
-      context.beginPath();
-      context.arc(left, top, t === this.show.step ? POSE_PX + 2 : POSE_PX, 0, 2 * Math.PI);
-      context.fill();
-      context.stroke();
+      const isLooked = t === show.step;
+      const fill = isLooked ? colours.focus : colours.ink;
+      circle(context, [left, top], isLooked ? POSE_PX + 2 : POSE_PX, { fill, colour: colours.map, width: 1.5 });
     }
   }
+}
+
+/** What is around the ego in a recorded drive: the road, the others, and the recorded way. */
+export class Street {
+  constructor({ ego, map, extent }) {
+    Object.assign(this, { ego, extent });
+    const [open, closed] = [false, true].map((closes) => (lines) => pathOf(lines, closes));
+    this.areas = { drivable: closed(map.drivable), crosswalk: closed(map.crosswalk) };
+    this.lines = { line: open(map.line), centre: open(map.centre) };
+  }
+
+  /** The road around the ego of a frame. */
+  paintRoad(eye, { pose: [x, y, heading] }) {
+    const { context, colours, scale } = eye;
+    const [along, across] = [scale * Math.cos(heading), scale * Math.sin(heading)];
+    const [left, top] = eye.toScreen(0, 0);
+    context.fillStyle = colours.verge;
+    context.fillRect(0, 0, eye.width, eye.height);
+    context.save();
+    context.transform(across, -along, -along, -across, left - across * x + along * y, top + along * x + across * y);
+    context.fillStyle = colours.road;
+    context.fill(this.areas.drivable, "evenodd");
+    context.fillStyle = colours.zebra;
+    context.fill(this.areas.crosswalk);
+    // Widths in m, as the drawing is scaled.
+    context.lineWidth = 1.2 / scale;
+    context.strokeStyle = colours.unknown;
+    context.stroke(this.lines.line);
+    context.setLineDash([1.5, 2.5]);
+    context.stroke(this.lines.centre);
+    context.restore();
+  }
+
+  /** The boxes of the others, over routes of places x0, y0, x1, y1, … */
+  paintTraffic(eye, { boxes }, routes) {
+    for (const places of routes) {
+      const points = Array.from({ length: places.length / 2 }, (_, k) => eye.toScreen(places[2 * k], places[2 * k + 1]));
+      stroke(eye.context, points, { colour: eye.colours.start, ...ROUTE });
+    }
+    for (const [x, y, heading, length, width, type] of boxes) {
+      paintBox(eye, [x, y, heading, length, width], eye.colours[BOX_COLOURS[type] ?? "soft"]);
+    }
+  }
+
+  /** The ego, and its recorded way from here on. */
+  paintEgo(eye, { recorded }) {
+    const { context, colours } = eye;
+    const points = [[0, 0], ...recorded].map(([x, y]) => eye.toScreen(x, y));
+    stroke(context, points, { colour: colours.card, width: 4.5, dash: RECORDED_DASH });
+    stroke(context, points, { colour: colours.start, width: 2.5, dash: RECORDED_DASH });
+    paintBox(eye, this.ego, colours.start);
+  }
+}
+
+/** A box with a nose, by its middle, heading, length and width. */
+function paintBox(eye, [x, y, heading, length, width], colour) {
+  const { context, colours, scale } = eye;
+  const [half, side] = [(scale * length) / 2, (scale * width) / 2];
+  context.save();
+  context.translate(...eye.toScreen(x, y));
+  context.rotate(-heading);
+  Object.assign(context, { fillStyle: colour, strokeStyle: colours.card, lineWidth: 1.5 });
+  context.beginPath();
+  context.roundRect(-side, -half, 2 * side, 2 * half, Math.min(side, half) / 2);
+  context.fill();
+  context.stroke();
+  const nose = -half + 2 * NOSE * half;
+  stroke(context, [[-0.7 * side, nose], [0, -0.85 * half], [0.7 * side, nose]], { colour: colours.card, width: 1.5 });
+  context.restore();
+}
+
+/** A path of lines x0, y0, x1, y1, … */
+function pathOf(lines, closes) {
+  const path = new Path2D();
+  for (const line of lines) {
+    path.moveTo(line[0], line[1]);
+    for (let k = 2; k < line.length; k += 2) path.lineTo(line[k], line[k + 1]);
+    if (closes) path.closePath();
+  }
+  return path;
 }

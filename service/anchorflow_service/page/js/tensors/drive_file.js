@@ -1,9 +1,9 @@
-/** A drive that `anchorflow data frames` has made: what a planner is asked along a way, by time. */
+/** A file of `anchorflow data frames`: the inputs of a planner along a recorded drive, by time. */
 
-import { typeText } from "../card.js";
-import { ARRAYS, axesOf, base64 } from "./tensor.js";
+import { typeText } from "../bundles.js";
+import { ARRAYS, axesOf, fromBase64, toBase64 } from "./tensor.js";
 
-export const FORMAT = "anchorflow-drive";
+const FORMAT = "anchorflow-drive";
 const VERSION = 1;
 
 const isObject = (value) => typeof value === "object" && value !== null && !Array.isArray(value);
@@ -11,7 +11,7 @@ const isNumbers = (count) => (values) => Array.isArray(values) && values.length 
 const isListOf = (isGood) => (values) => Array.isArray(values) && values.every(isGood);
 const isInput = (input) => typeof input?.name === "string" && typeof input.dtype === "string" && Array.isArray(input.shape);
 const LINES = ["lists of numbers", isListOf(isNumbers())];
-/** What the page reads of a drive, of its map and of each frame: [what it is, whether it is that]. */
+/** The parts of a drive, of its map and of each frame that the page reads: [expected, test]. */
 const DRIVE = {
   inputs: ["a list of name, dtype and shape", isListOf(isInput)],
   ego: ["5 numbers", isNumbers(5)],
@@ -27,12 +27,12 @@ const FRAME = {
   inputs: ["an object", isObject],
 };
 
-/** m that are shown around the ego at least. */
+/** m around the ego that are always shown. */
 const SHOWN = { behind: 12, ahead: 36, aside: 20 };
-/** How much farther one sees than was driven: proposals may be faster. */
-const BEYOND = 1.3;
+/** The view reaches farther than the recording by this factor, as anchors may be faster. */
+const REACH_FACTOR = 1.3;
 
-/** An input of the card that the drive does not have as the card wants it. */
+/** The drive lacks an input of the card, or has it in another shape. */
 export class InputMismatch extends Error {
   constructor(name, message) {
     super(`${name}: ${message}`);
@@ -41,7 +41,7 @@ export class InputMismatch extends Error {
 }
 
 export class DriveFile {
-  /** `text`: of the file. Throws an Error that says what is wrong with it. */
+  /** Throws an Error that names the file and the part that is wrong. */
   constructor(text, name) {
     let held;
     try {
@@ -56,7 +56,7 @@ export class DriveFile {
     Object.assign(this, held, { name });
   }
 
-  /** Throws an `InputMismatch` about the first input of a card that the drive cannot fill in. */
+  /** Throws an `InputMismatch` for the first input of a card that the drive cannot fill in. */
   checkFits(card) {
     for (const spec of card.inputs) {
       const wanted = { dtype: spec.dtype, shape: axesOf(spec) };
@@ -67,17 +67,17 @@ export class DriveFile {
     }
   }
 
-  /** {name: value} of a frame, as the contract's JSON has them, of the inputs that a card lists. */
+  /** {name: value} of the inputs of a card in a frame, as the contract's JSON has them. */
   async values(index, card) {
     const { inputs } = this.frames[index];
     const entries = card.inputs.map(async ({ name }) => [name, await unpack(inputs[name], `${this.name}: frame ${index}: ${name}`)]);
     return Object.fromEntries(await Promise.all(entries));
   }
 
-  /** [least x, greatest x, least y, greatest y] m of the ego's frame, the same for all frames. */
+  /** [x_min, x_max, y_min, y_max] m around the ego to show, the same for all frames. */
   get extent() {
     const driven = this.frames.flatMap(({ recorded }) => recorded.map(([x]) => x));
-    return [-SHOWN.behind, Math.max(SHOWN.ahead, BEYOND * Math.max(...driven)), -SHOWN.aside, SHOWN.aside];
+    return [-SHOWN.behind, Math.max(SHOWN.ahead, REACH_FACTOR * Math.max(...driven)), -SHOWN.aside, SHOWN.aside];
   }
 }
 
@@ -87,7 +87,7 @@ function check(held, parts, place) {
   }
 }
 
-/** Deflated bytes become bytes in base64; everything else is what it is. */
+/** Inflate a value if its bytes are deflated. */
 async function unpack(value, place) {
   if (value === undefined || value === null) throw new Error(`${place}: expected a value, got none.`);
   if (!value.zlib) return value;
@@ -98,11 +98,10 @@ async function unpack(value, place) {
   });
   const expected = shape.reduce((count, size) => count * size, ARRAYS[dtype].BYTES_PER_ELEMENT);
   if (bytes.length !== expected) throw new Error(`${place}: expected ${expected} bytes, got ${bytes.length}.`);
-  return { dtype, shape, base64: base64(bytes) };
+  return { dtype, shape, base64: toBase64(bytes) };
 }
 
 async function inflate(text) {
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const stream = new Blob([fromBase64(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }

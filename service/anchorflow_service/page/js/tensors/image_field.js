@@ -1,20 +1,19 @@
-/** An input that is a picture: a file, in its own size or brought to the one that the card lists. */
+/** The field of an input that is a picture: a file, in its own size or drawn to that of the card. */
 
 import { make } from "../dom.js";
-import { Raster } from "./raster.js";
-import { axesOf, base64, unpacked } from "./tensor.js";
+import { axesOf, drawPicture, toBase64, toPicture, unpack } from "./tensor.js";
 
 const FORMATS = { "image/png": "png", "image/jpeg": "jpeg" };
 
 export class ImageField {
-  /** Counts what was chosen, so that a slow file does not come after a later one. */
+  /** Counts choices, so that a slow file does not replace a later one. */
   #reads = 0;
 
   static fits = (spec) => spec.dtype === "uint8" && axesOf(spec).length === 3 && axesOf(spec)[0] === 3;
 
   constructor(spec, id, onChange) {
     const [, height, width] = axesOf(spec);
-    /** Pixels, or the letter of an axis that is as long as a file makes it. */
+    /** Pixels; for an axis that the card leaves open its letter. */
     this.size = { width, height };
     this.optional = Boolean(spec.optional);
     this.isBlackAtFirst = !this.optional && [width, height].every(Number.isInteger);
@@ -23,7 +22,6 @@ export class ImageField {
     this.hint = `A picture${what}; ${first} until you choose one`;
     this.onChange = onChange;
     this.picture = make("canvas", { className: "thumbnail" });
-    this.context = this.picture.getContext("2d");
     this.file = make("input", { id, type: "file", accept: Object.keys(FORMATS).join() });
     this.file.addEventListener("change", () => this.#read(this.file.files[0]));
     this.note = make("p", { className: "hint" });
@@ -41,18 +39,16 @@ export class ImageField {
     this.#clear();
   }
 
-  /** As the contract's JSON has it; undefined: left out. Throws an Error where there has to be one. */
   value() {
-    if (this.picture.hidden && this.optional) return undefined;
-    if (this.picture.hidden) throw new Error("expected a picture, got none");
-    return this.original ?? { png: this.picture.toDataURL("image/png").split(",")[1] };
+    if (!this.picture.hidden) return this.original ?? { png: this.picture.toDataURL("image/png").split(",")[1] };
+    if (this.optional) return undefined;
+    throw new Error("expected a picture, got none");
   }
 
   /** `value`: {dtype, shape, base64} of its pixels. */
   fill(value) {
     this.#clear();
-    const raster = new Raster({ range: [0, 255] }, unpacked(value), []);
-    this.#draw(raster.canvas);
+    this.#draw(drawPicture(new OffscreenCanvas(1, 1), toPicture({ range: [0, 255] }, unpack(value), [])));
   }
 
   #clear() {
@@ -66,17 +62,19 @@ export class ImageField {
 
   #blacken({ width, height }) {
     Object.assign(this.picture, { width, height });
-    this.context.fillRect(0, 0, width, height);
+    const context = this.picture.getContext("2d");
+    context.fillRect(0, 0, width, height);
+    return context;
   }
 
-  /** Where the card leaves the size open, it is the picture's own. */
+  /** Draw on black, in the size of the card, or in the picture's own where the card leaves it open. */
   #draw(picture) {
     const [width, height] = ["width", "height"].map((side) => (Number.isInteger(this.size[side]) ? this.size[side] : picture[side]));
-    this.#blacken({ width, height });
+    const context = this.#blacken({ width, height });
     this.picture.hidden = false;
     this.leaveOut.hidden = !this.optional;
-    this.context.imageSmoothingQuality = "high";
-    this.context.drawImage(picture, 0, 0, width, height);
+    context.imageSmoothingQuality = "high";
+    context.drawImage(picture, 0, 0, width, height);
     return { width, height };
   }
 
@@ -93,15 +91,15 @@ export class ImageField {
   #show(picture, format, bytes) {
     const { width, height } = this.#draw(picture);
     const fits = picture.width === width && picture.height === height;
-    const asItIs = fits && isOpaque(picture);
+    const isUnchanged = fits && isOpaque(picture);
     const drawn = fits ? ", drawn on black" : `, drawn to ${width} × ${height}`;
-    this.note.textContent = `${picture.width} × ${picture.height} pixels${asItIs ? "" : drawn}`;
-    // A file of the right size goes as it is; what is drawn loses nothing more as PNG.
-    if (asItIs && format) this.original = { [format]: base64(new Uint8Array(bytes)) };
+    this.note.textContent = `${picture.width} × ${picture.height} pixels${isUnchanged ? "" : drawn}`;
+    // A file of the right size is sent as it is; a drawn one as PNG, which loses nothing more.
+    if (isUnchanged && format) this.original = { [format]: toBase64(new Uint8Array(bytes)) };
   }
 }
 
-/** Whether one sees through it nowhere; the service takes colours without their alpha. */
+/** Whether no pixel is transparent; the service ignores alpha. */
 function isOpaque(picture) {
   const { width, height } = picture;
   const context = new OffscreenCanvas(width, height).getContext("2d");

@@ -1,12 +1,99 @@
-/** A field for every input that a card lists, and what is wrong with it. */
+/** A field for each input that a card lists, and what is wrong with its value. */
 
-import { limitsText, typeText } from "../card.js";
-import { byId, make } from "../dom.js";
+import { limitsText, typeText } from "../bundles.js";
+import { byId, make, plain } from "../dom.js";
 import { ImageField } from "./image_field.js";
-import { NumbersField } from "./numbers_field.js";
-import { TensorField } from "./tensor_field.js";
-import { axesOf } from "./tensor.js";
-import { TextField } from "./text_field.js";
+import { axesOf, countOf, filled, neutral } from "./tensor.js";
+
+/** Longer vectors are shown as tensors. */
+const MAX_IN_A_LINE = 64;
+/** Characters of base64 in the placeholder of a tensor. */
+const SHOWN_BASE64 = 24;
+
+/**
+ * Fields have `spec`, `control`, `hint`, fill(value), and value() as the contract's JSON has it:
+ * undefined if it is left out; it throws an Error if there is no value yet.
+ */
+class TextField {
+  static fits = ({ dtype }) => dtype === "text";
+  hint = "A text";
+
+  constructor(spec, id, onChange) {
+    this.spec = spec;
+    this.control = make("textarea", { id, rows: 4, spellcheck: false });
+    this.control.addEventListener("input", onChange);
+  }
+
+  fill(value) {
+    this.control.value = value;
+  }
+
+  value() {
+    return this.control.value || !this.spec.optional ? this.control.value : undefined;
+  }
+}
+
+/** A line of a few numbers. */
+class NumbersField {
+  static fits = (spec) => axesOf(spec).length <= 1 && axesOf(spec).every(Number.isInteger) && countOf(spec) <= MAX_IN_A_LINE;
+
+  constructor(spec, id, onChange) {
+    this.spec = spec;
+    this.count = countOf(spec);
+    this.hint = this.count === 1 ? "A number" : `${this.count} numbers`;
+    this.control = make("input", { id, type: "text", autocomplete: "off", spellcheck: false });
+    this.control.addEventListener("input", onChange);
+    if (!spec.optional) this.fill(Array(this.count).fill(neutral(spec)));
+  }
+
+  fill(value) {
+    this.control.value = [value].flat().join(", ");
+  }
+
+  value() {
+    const parts = this.control.value.trim().replace(/^\[|\]$/g, "").split(/[\s,;]+/).filter(Boolean);
+    if (!parts.length && this.spec.optional) return undefined;
+    const values = parts.map(Number);
+    const wrong = parts.find((_, k) => !Number.isFinite(values[k]));
+    if (wrong !== undefined) throw new Error(`expected numbers, got ${wrong}`);
+    if (values.length !== this.count) throw new Error(`expected ${this.count} numbers, got ${values.length}`);
+    return axesOf(this.spec).length ? values : values[0];
+  }
+}
+
+/** Any other tensor: the neutral value everywhere, unless a drive fills it in or one pastes JSON. */
+class TensorField {
+  static fits = () => true;
+
+  constructor(spec, id, onChange) {
+    this.spec = spec;
+    this.first = spec.optional ? "left out" : `${plain(neutral(spec))} everywhere`;
+    this.hint = `${this.first}, unless you paste JSON: lists, or {"dtype", "shape", "base64"}`;
+    this.control = make("textarea", { id, rows: 2, spellcheck: false, placeholder: this.first });
+    this.control.addEventListener("input", () => {
+      this.held = undefined;
+      this.control.placeholder = this.first;
+      onChange();
+    });
+  }
+
+  /** `value`: {dtype, shape, base64}, which is too long to show and is kept until one types. */
+  fill(value) {
+    this.held = value;
+    this.control.value = "";
+    this.control.placeholder = JSON.stringify({ ...value, base64: `${value.base64.slice(0, SHOWN_BASE64)}…` });
+  }
+
+  value() {
+    const text = this.control.value.trim();
+    if (!text) return this.held ?? (this.spec.optional ? undefined : filled(this.spec));
+    try {
+      return JSON.parse(text);
+    } catch (cause) {
+      throw new Error(`expected JSON: ${cause.message}`, { cause });
+    }
+  }
+}
 
 /** The first that fits an input is its field. */
 const FIELDS = [TextField, ImageField, NumbersField, TensorField];
@@ -14,7 +101,7 @@ const FIELDS = [TextField, ImageField, NumbersField, TensorField];
 export class Inputs {
   #fields = new Map();
 
-  /** `onChange()` is called when a value is another than before. */
+  /** `onChange()` is called when the user changes a value. */
   constructor(onChange) {
     this.onChange = onChange;
   }
@@ -24,10 +111,7 @@ export class Inputs {
     byId("inputs").replaceChildren(...card.inputs.map((spec) => this.#row(spec)));
   }
 
-  /**
-   * {values: {name: value} as the contract's JSON has them, wrong}: what the first that is no value
-   * lacks, or null. One that is optional and not filled in is left out.
-   */
+  /** {values: {name: value}, wrong}: what the first input without a value lacks, or null. */
   values() {
     this.clear();
     const values = {};
@@ -44,13 +128,13 @@ export class Inputs {
     return { values, wrong };
   }
 
-  /** Fill in {name: value}, as the contract's JSON has them; nobody is told of a change. */
+  /** Fill in {name: value} as the contract's JSON has them, without a call of `onChange`. */
   fill(values) {
     for (const [name, value] of Object.entries(values)) this.#fields.get(name).field.fill(value);
     this.clear();
   }
 
-  /** Shows a refusal beside the input that it names; whether there is one. */
+  /** Show a refusal beside the input that it names; returns whether there is one. */
   refuse({ field, message }) {
     const [group, name] = field?.split(".") ?? [];
     if (group !== "inputs" || !this.#fields.has(name)) return false;
@@ -58,7 +142,6 @@ export class Inputs {
     return true;
   }
 
-  /** Nothing is wrong any more. */
   clear() {
     for (const name of this.#fields.keys()) this.#say(name, "");
   }

@@ -1,52 +1,43 @@
-/** The view of planners that are asked with the inputs on their card: images, numbers, texts. */
+/** The view of planners without a map: one fills in the inputs on their card and presses Plan. */
 
 import { Anchors } from "../anchors.js";
-import { limitsText, typeText } from "../card.js";
-import { byId, make } from "../dom.js";
-import { listenForCopies, toCurl } from "../exchange.js";
-import { pick, showLegend } from "../lines.js";
-import { clearAnswer, columnsOf, fadeFigures, nameAnchor, say, showBest, showTimes } from "../panels.js";
+import { limitsText, typeText } from "../bundles.js";
+import { byId, figure, make, plain } from "../dom.js";
+import { heading, say } from "../figures.js";
 import { ask } from "../service.js";
+import { listenForCopies, python, pythonProgram, toCurl } from "../share.js";
+import { AnchorView } from "../view.js";
 import { BirdsEye } from "./birds_eye.js";
-import { Drive } from "./drive.js";
-import { END, showExtras, showPoses } from "./figures.js";
 import { Inputs } from "./inputs.js";
-import { RASTER, Raster } from "./raster.js";
-import { toJson, toPython } from "./request_text.js";
-import { unnest } from "./tensor.js";
+import { Recording } from "./recording.js";
+import { drawPicture, toPicture, unnest } from "./tensor.js";
 
-/** Anchors of a large vocabulary that are asked for unless one wants more. */
-const FEW_ANCHORS = 64;
-/** What the contract takes, where the card says nothing. */
-const MOST_ANCHORS = 512;
+/** The extra output that is a picture from above. */
+const RASTER = "bev_semantics";
+const UNITS = { x: "m", y: "m", heading: "rad" };
+/** Columns for the last pose of an anchor: ahead of the ego, and to its left. */
+const END = [
+  { name: "Ahead", unit: "m", value: (anchors, n) => anchors.pose(n, anchors.steps - 1)[0] },
+  { name: "Left", unit: "m", value: (anchors, n) => anchors.pose(n, anchors.steps - 1)[1] },
+];
 
-export class TensorView {
-  active = false;
-  options = { num: FEW_ANCHORS, seed: 0 };
+export class TensorView extends AnchorView {
+  options = {};
   /** Counts changes of what is asked. */
   version = 0;
-  kept = null;
 
-  constructor(planner, amount) {
-    Object.assign(this, { planner, amount });
+  constructor({ planner, form }) {
+    super(new BirdsEye(byId("birds-eye")), byId("birds-eye-legend"), END);
+    Object.assign(this, { planner, form });
     this.inputs = new Inputs(() => this.#changed());
-    this.eye = new BirdsEye(byId("birds-eye"));
-    this.drive = new Drive({
-      inputs: this.inputs,
-      eye: this.eye,
-      isShown: () => this.active,
-      version: () => this.version,
-      onFilled: () => this.planner.ask(),
-      onClose: () => this.planner.ask(),
-    });
+    this.recording = new Recording(this, () => planner.ask());
     byId("ask").addEventListener("submit", () => {
-      if (this.active) this.planner.ask();
+      if (this.active) planner.ask();
     });
-    const { canvas } = this.eye;
-    canvas.addEventListener("pointermove", ({ offsetX, offsetY }) => this.#hover(offsetX, offsetY));
-    canvas.addEventListener("pointerleave", () => this.#look(null, null));
-    canvas.addEventListener("click", ({ offsetX, offsetY }) => this.#keep(this.#under(offsetX, offsetY)?.anchor ?? null));
-    canvas.addEventListener("theme", () => this.#showAnchors());
+    const { canvas } = this.surface;
+    canvas.addEventListener("pointermove", ({ offsetX, offsetY }) => this.hover(offsetX, offsetY));
+    canvas.addEventListener("pointerleave", () => this.hover(null));
+    canvas.addEventListener("click", ({ offsetX, offsetY }) => this.keep(this.under(offsetX, offsetY)?.anchor ?? null));
     const body = () => {
       const { body: asked } = this.question();
       if (!asked) throw new Error("One of the inputs is no value yet.");
@@ -56,35 +47,35 @@ export class TensorView {
   }
 
   useCard(card) {
-    const { kind, size = MOST_ANCHORS, candidates = kind === "vocabulary" ? size : 0 } = card.sampler;
-    Object.assign(this, { card, active: true, most: size, kept: null });
-    this.options.num = Math.min(FEW_ANCHORS, size);
-    Object.assign(this.eye.show, { anchors: null, raster: null, focus: null, step: null });
-    this.eye.request();
+    Object.assign(this, { card, active: true });
+    this.options = this.form.fields.defaults(card);
+    this.clear();
+    Object.assign(this.surface.show, { raster: null });
     this.inputs.useCard(card);
     this.#listExtras(card.answer.extras);
-    this.#clearFigures();
+    this.#showExtras({}, null);
+    const { kind, size = 0, candidates = kind === "vocabulary" ? size : 0 } = card.sampler;
     const { steps, first_s: first, dt } = card.time;
-    const lasting = dt === null ? "each anchor in its own time" : `up to ${(first + (steps - 1) * dt).toFixed(1)} s`;
-    byId("bundle-hint").textContent = `What answers: ${steps} poses ${lasting}${candidates > 1 ? `, the best of ${candidates}` : ""}.`;
-    this.amount.show({ ...this.options, most: this.most });
-    this.drive.useCard(card);
-    if (!this.drive.isOpen) this.planner.ask();
+    const duration = dt === null ? "each anchor in its own time" : `up to ${(first + (steps - 1) * dt).toFixed(1)} s`;
+    byId("bundle-hint").textContent = `What answers: ${steps} poses ${duration}${candidates > 1 ? `, the best of ${candidates}` : ""}.`;
+    this.form.show(this.options, card);
+    this.recording.useCard(card);
+    if (!this.recording.drive) this.planner.ask();
   }
 
   leave() {
     this.active = false;
   }
 
-  /** `options` {num} or {seed} have been chosen. */
+  /** Take options of the form. */
   choose(options) {
     Object.assign(this.options, options);
-    this.amount.show({ ...this.options, most: this.most });
+    this.form.show(this.options, this.card);
     this.#changed();
-    if (this.drive.isOpen) this.planner.ask();
+    if (this.recording.drive) this.planner.ask();
   }
 
-  /** What the planner sends: the inputs as they are now; no body where one of them is no value. */
+  /** The request with the inputs as they are now; without a body if one of them has no value. */
   question() {
     const { card, options, version } = this;
     const { values: inputs, wrong } = this.inputs.values();
@@ -93,56 +84,58 @@ export class TensorView {
       return {};
     }
     const outputs = [...byId("outputs").querySelectorAll("input:checked")].map((box) => box.value);
-    const body = { inputs, num_samples: options.num, seed: options.seed, model: card.name, ...(outputs.length && { outputs }) };
-    return { body, card, version, held: this.drive.held, send: (asked) => ask("anchors", asked) };
+    const body = { inputs, ...this.form.fields.toRequest(options, card), model: card.name, ...(outputs.length && { outputs }) };
+    return { body, card, version, held: this.recording.held, send: (asked) => ask("anchors", asked) };
   }
 
   async answered({ question, answer, sentAt }) {
-    if (question.card !== this.card || question.held?.drive !== this.drive.held?.drive) return;
-    const { arrays, extras } = parts(answer, question.body.outputs ?? []);
-    const anchors = new Anchors({ ...answer, ...arrays, timing: answer.timing_ms }, question.card);
-    const spec = this.card.answer.extras.find(({ name }) => name === RASTER);
-    const raster = extras[RASTER] ? new Raster(spec, unnest(extras[RASTER]), this.eye.colours.classes) : null;
-    if (this.kept >= anchors.count) this.kept = null;
-    const stale = question.version !== this.version;
-    Object.assign(this.eye.show, { anchors, raster, stale, focus: this.kept, step: null });
-    fadeFigures(stale);
-    this.drive.answered(question);
-    this.#showAnchors();
+    if (question.card !== this.card || question.held?.drive !== this.recording.held?.drive) return;
+    const { arrays, extras } = partsOf(answer, question.body.outputs ?? []);
+    const anchors = new Anchors({ ...answer, ...arrays }, question.card);
+    const raster = extras[RASTER] ? this.#rasterOf(extras[RASTER]) : null;
     this.#showExtras(extras, raster);
-    const shownAt = await this.eye.request();
-    if (!this.active || question.card !== this.card) return; // another bundle was chosen meanwhile
-    showTimes(anchors.timing, shownAt - sentAt);
-    this.drive.shown(question.held);
+    this.recording.answered(question);
+    const stale = question.version !== this.version;
+    const isCurrent = await this.present(anchors, { card: question.card, sentAt, stale, raster });
+    if (isCurrent) this.recording.shown(question.held);
   }
 
-  /** Beside the input that it is about, or in the place of the answer. */
+  /** The reason is shown beside the input, or in place of the summary. */
   refused({ error }) {
     this.down();
-    if (!this.inputs.refuse(error)) say(error.message);
-    else say("The service refused an input.");
+    say(this.inputs.refuse(error) ? "The service refused an input." : error.message);
   }
 
-  /** What is shown is old. */
   down() {
-    this.drive.silent();
-    this.#fade();
-  }
-
-  #fade() {
-    this.eye.show.stale = true;
-    fadeFigures(true);
-    this.eye.request();
+    this.recording.silent();
+    this.fade();
   }
 
   #changed() {
     this.version++;
-    if (!this.eye.show.anchors) {
+    if (!this.surface.show.anchors) {
       say("Press Plan to ask.");
       return;
     }
     say("What is asked has changed: plan again.");
-    this.#fade();
+    this.fade();
+  }
+
+  summarize({ count, scores }) {
+    say(count === 1 ? "1 anchor, in gold." : `${count} anchors, the ${scores ? "best by score" : "first"} in gold.`);
+  }
+
+  /** The poses of anchor n by time; `step` is the one under the pointer. */
+  showDetails(anchors, n, step) {
+    const { components } = anchors.card.answer;
+    const heads = [{ name: "Time", unit: "s" }, ...components.map((name) => ({ name, unit: UNITS[name] }))].map(heading);
+    const rows = Array.from({ length: anchors.steps }, (_, t) => {
+      const cells = [anchors.time(n, t), ...anchors.pose(n, t)].map((value) => make("td", {}, figure(value)));
+      const row = make("tr", {}, ...cells);
+      row.setAttribute("aria-current", t === step);
+      return row;
+    });
+    byId("poses").replaceChildren(make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...rows));
   }
 
   #listExtras(specs) {
@@ -151,74 +144,61 @@ export class TensorView {
       const box = make("input", { type: "checkbox", value: spec.name, checked: spec.name === RASTER });
       box.setAttribute("role", "switch");
       box.addEventListener("change", () => this.#changed());
-      const text = make("span", {}, spec.name, make("span", { className: "type" }, [typeText(spec), limitsText(spec)].filter(Boolean).join(", ")));
-      return make("label", { className: "switch" }, text, box);
+      const type = [typeText(spec), limitsText(spec)].filter(Boolean).join(", ");
+      return make("label", { className: "switch" }, make("span", {}, spec.name, make("span", { className: "type" }, type)), box);
     }));
   }
 
-  #clearFigures() {
-    say("");
-    clearAnswer();
-    byId("poses").replaceChildren();
-    byId("birds-eye-legend").hidden = true;
-    this.#showExtras({}, null);
+  #rasterOf(nested) {
+    const spec = this.card.answer.extras.find(({ name }) => name === RASTER);
+    const picture = toPicture(spec, unnest(nested), this.surface.colours.classes);
+    return { ...picture, spec, extent: spec.extent ?? null, canvas: drawPicture(new OffscreenCanvas(1, 1), picture) };
   }
 
+  /** List the extras with their ranges of values; show the raster by itself if its extent is not known. */
   #showExtras(extras, raster) {
     byId("extras-block").hidden = !Object.keys(extras).length;
-    showExtras(extras);
-    byId("raster-block").hidden = !raster || Boolean(raster.extent);
-    if (raster && !raster.extent) raster.showBeside();
-  }
-
-  #showAnchors() {
-    const { anchors, focus, step, stale, colourBy } = this.eye.show;
-    if (!anchors || !this.active) return;
-    if (!stale) say(anchors.count === 1 ? "1 anchor, in gold." : `${anchors.count} anchors, the ${anchors.scores ? "best by score" : "first"} in gold.`);
-    const looked = focus ?? anchors.best;
-    nameAnchor(anchors, focus);
-    showPoses(anchors, looked, step);
-    showLegend(byId("birds-eye-legend"), anchors, colourBy);
-    showBest(this.eye, anchors, {
-      columns: columnsOf(anchors, END),
-      by: colourBy,
-      focus: looked,
-      onLook: (n) => this.#look(n, null),
-      onKeep: (n) => this.#keep(n),
-    });
-  }
-
-  #under(left, top) {
-    const { anchors } = this.eye.show;
-    return anchors && pick(this.eye, anchors, left, top);
-  }
-
-  #hover(left, top) {
-    const found = this.#under(left, top);
-    this.#look(found?.anchor ?? null, found?.step ?? null);
-  }
-
-  /** A click keeps an anchor in focus, or lets it go. */
-  #keep(n) {
-    this.kept = this.kept === n ? null : n;
-    this.#look(this.kept, null);
-  }
-
-  /** Bring anchor n into focus; null: the one that was clicked, or the best. */
-  #look(n, step) {
-    const { show } = this.eye;
-    const focus = n ?? this.kept;
-    if (show.focus === focus && show.step === step) return;
-    Object.assign(show, { focus, step });
-    this.#showAnchors();
-    this.eye.request();
+    byId("extras").replaceChildren(...Object.entries(extras).map(([name, nested]) => {
+      const { shape, values } = unnest(nested);
+      const [low, high] = values.reduce(([least, most], value) => [Math.min(least, value), Math.max(most, value)], [Infinity, -Infinity]);
+      return make("li", {}, make("b", {}, name), ` [${shape.join(", ")}] `, make("span", {}, `${plain(low)} to ${plain(high)}`));
+    }));
+    byId("raster-block").hidden = !raster || raster.extent !== null;
+    if (byId("raster-block").hidden) return;
+    drawPicture(byId("raster"), raster);
+    const kind = { 0: "classes", 1: "grey levels", 3: "red, green, blue" }[raster.channels] ?? `the strongest of ${raster.channels} classes`;
+    byId("raster-note").textContent = `${typeText(raster.spec)}: ${kind}. The card does not say how many metres it spans, so it is not under the anchors.`;
+    byId("raster-key").replaceChildren(...raster.classes.map((index) => {
+      const mark = make("i");
+      mark.style.background = `rgb(${raster.colour(index).join(" ")})`;
+      return make("li", {}, mark, String(index));
+    }));
   }
 }
 
-/** The arrays of an answer in JSON, flat, and its extras as they came. */
-function parts(answer, outputs) {
+/** The arrays of a response in JSON, flat, and the extras that were asked, nested. */
+function partsOf(answer, outputs) {
   const names = Object.keys(answer).filter((name) => Array.isArray(answer[name]));
   const arrays = names.filter((name) => !outputs.includes(name)).map((name) => [name, unnest(answer[name])]);
   const extras = outputs.filter((name) => names.includes(name)).map((name) => [name, answer[name]]);
   return { arrays: Object.fromEntries(arrays), extras: Object.fromEntries(extras) };
+}
+
+/** A request as JSON, an input a line. */
+function toJson({ inputs, ...rest }) {
+  const lines = Object.entries(inputs).map(([name, value]) => `  ${JSON.stringify(name)}: ${JSON.stringify(value)}`);
+  return `{"inputs": {\n${lines.join(",\n")}},\n${JSON.stringify(rest).slice(1)}\n`;
+}
+
+/** A request as a program in Python; only JSON carries files, the client's binary form carries pixels. */
+function toPython({ inputs, ...fields }) {
+  const lines = Object.entries(inputs).map(([name, value]) => `            ${python(name)}: ${python(value)},\n`);
+  const hasFiles = Object.values(inputs).some((value) => value?.png ?? value?.jpeg);
+  return pythonProgram({
+    imports: `from anchorflow_client import AnchorClient${hasFiles ? ", JsonCodec" : ""}`,
+    options: hasFiles ? ["codec=JsonCodec()"] : [],
+    named: `        inputs={\n${lines.join("")}        },\n`,
+    fields,
+    after: 'print(f"{len(anchors.trajectories)} anchors, the best:")',
+  });
 }

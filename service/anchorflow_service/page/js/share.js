@@ -1,20 +1,19 @@
-/** In and out: dropped files; requests for other programs, by way of the clipboard. */
+/** Requests as text for a shell and for Python, the clipboard, and files that are dropped on the page. */
 
 import { byId, make } from "./dom.js";
-import { authorization } from "./token.js";
+import { authorization } from "./service.js";
 
-/** Where a copied request finds the token; the token itself is not copied. */
+/** The environment variable from which a copied request reads the token; the token itself is not copied. */
 const TOKEN = "ANCHORFLOW_TOKEN";
 const needsToken = () => "Authorization" in authorization();
 
-/** A request in JSON, for a shell; nothing in it is the shell's. */
+/** A request in JSON as a command for a shell. */
 export function toCurl(json) {
-  const url = new URL("anchors", document.baseURI);
   const token = needsToken() ? ` -H "Authorization: Bearer $${TOKEN}"` : "";
-  return `curl -s ${url} -H 'Content-Type: application/json'${token} --data-binary @- <<'JSON'\n${json}JSON\n`;
+  return `curl -s ${new URL("anchors", document.baseURI)} -H 'Content-Type: application/json'${token} --data-binary @- <<'JSON'\n${json}JSON\n`;
 }
 
-/** A value of JSON as Python writes it. */
+/** A value of JSON as a literal of Python. */
 export function python(value) {
   if (typeof value === "boolean") return value ? "True" : "False";
   if (Array.isArray(value)) return `[${value.map(python).join(", ")}]`;
@@ -24,20 +23,23 @@ export function python(value) {
   return value === null ? "None" : JSON.stringify(value);
 }
 
-/** {imports, opened}: what opens a client in Python; `options`: arguments beyond address and token. */
-export function pythonClient(options = []) {
+/** A program that calls `plan` with `named` arguments, whose text is given, and with `fields`. */
+export function pythonProgram({ imports, before = "", options = [], named, fields, after }) {
   const address = new URL(".", document.baseURI).href.replace(/\/$/, "");
   const token = needsToken() ? [`token=os.environ["${TOKEN}"]`] : [];
-  const given = [`"${address}"`, ...options, ...token].join(", ");
-  return { imports: token.length ? "import os\n\n" : "", opened: `AnchorClient(${given})` };
+  const keywords = Object.entries(fields).map(([name, value]) => `        ${name}=${python(value)},\n`);
+  return `${token.length ? "import os\n\n" : ""}${imports}
+${before}
+with AnchorClient(${[`"${address}"`, ...options, ...token].join(", ")}) as client:
+    anchors = client.plan(
+${named}${keywords.join("")}    )
+
+${after}
+print(anchors.trajectories[anchors.best])
+`;
 }
 
-/** Keyword arguments, a line each. */
-export function pythonArguments(fields, indent) {
-  return Object.entries(fields).map(([name, value]) => `${indent}${name}=${python(value)},\n`).join("");
-}
-
-/** The buttons that copy: `write.curl()` and `write.python()` give what is copied. */
+/** The buttons that copy the request: `write.curl()` and `write.python()` return the text. */
 export function listenForCopies(isShown, write) {
   const buttons = { "copy-curl": ["curl", write.curl], "copy-python": ["Python", write.python] };
   for (const [id, [name, text]] of Object.entries(buttons)) {
@@ -53,13 +55,28 @@ export function listenForCopies(isShown, write) {
   }
 }
 
-/** `read(files)` gets what is dropped anywhere on the page while `isShown()`; the board says so. */
+async function copy(text) {
+  try {
+    await navigator.clipboard.writeText(text);
+  } catch {
+    // Browsers close the clipboard to pages that came over plain HTTP from another machine.
+    const focused = document.activeElement;
+    const field = make("textarea", { value: text, className: "unseen" });
+    document.body.append(field);
+    field.select();
+    document.execCommand("copy");
+    field.remove();
+    focused.focus();
+  }
+}
+
+/** `read(files)` gets the files that are dropped anywhere on the page while `isShown()`. */
 export function listenForDrops(board, isShown, read) {
   const root = document.documentElement;
   for (const type of ["dragenter", "dragover"]) {
     root.addEventListener(type, (event) => {
       if (!isShown() || !event.dataTransfer.types.includes("Files")) return;
-      // An input may take it for itself.
+      // An input field may handle the drop by itself.
       board.toggleAttribute("data-drop", !event.defaultPrevented);
       event.preventDefault();
     });
@@ -73,23 +90,4 @@ export function listenForDrops(board, isShown, read) {
     event.preventDefault();
     read([...event.dataTransfer.files]);
   });
-}
-
-async function copy(text) {
-  try {
-    await navigator.clipboard.writeText(text);
-  } catch {
-    copyBySelection(text);
-  }
-}
-
-/** The clipboard is closed to pages that came over plain HTTP from another machine. */
-function copyBySelection(text) {
-  const focused = document.activeElement;
-  const field = make("textarea", { value: text, className: "unseen" });
-  document.body.append(field);
-  field.select();
-  document.execCommand("copy");
-  field.remove();
-  focused.focus();
 }

@@ -1,0 +1,215 @@
+/** Maps in files: map_server's YAML with its PGM or PNG picture, or a picture alone. Nothing is uploaded. */
+
+import { FREE, Grid, OCCUPIED, UNKNOWN } from "./grid.js";
+
+/** On a larger map several cells become one, which is occupied if one of them is. */
+const MAX_CELLS = 160;
+const MIN_CELLS = 16;
+/** A larger picture would cost time and memory for a map that is made coarser anyway. */
+const MAX_PIXELS = 16e6;
+const PNG_SIGNATURE = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a];
+/** Bytes of a PNG up to the end of its width and height, and where these are. */
+const [PNG_HEAD, WIDTH_AT, HEIGHT_AT] = [24, 16, 20];
+/** For a picture without a YAML file, as `map_saver` writes them. */
+const DEFAULTS = { resolution: 0.05, origin: [0, 0], negate: 0, occupied_thresh: 0.65, free_thresh: 0.25, mode: "trinary" };
+const MODES = ["trinary", "scale", "raw"];
+/** m, as in the contract. */
+const MAX_COORDINATE = 1e7;
+/** Numbers and words of YAML 1.1. */
+const NUMBER = /^[-+]?(\d+|(\d+\.\d*|\.\d+)(e[-+]\d+)?)$/i;
+const WORDS = { true: true, yes: true, on: true, false: false, no: false, off: false, null: null, "~": null, "": null };
+
+/** {grid, note} of the files [File] of one map. Throws an Error for the user. */
+export async function readMap(files) {
+  const yaml = files.find(({ name }) => /\.ya?ml$/i.test(name));
+  const fields = yaml ? readYaml(await yaml.text(), yaml.name) : DEFAULTS;
+  const wanted = fields.image?.split("/").at(-1);
+  const picture = files.find(({ name }) => (yaml ? name === wanted : /\.(pgm|png)$/i.test(name)));
+  if (!picture) throw new Error(`${yaml.name} names the picture ${fields.image}: choose both files together.`);
+  const shades = /\.pgm$/i.test(picture.name) ? readPgm(new Uint8Array(await picture.arrayBuffer()), picture.name) : await readPng(picture);
+  const grid = coarser(trimmed(toGrid(shades, fields), picture.name));
+  const [width, height] = grid.size.map((metres) => metres.toFixed(1));
+  const guess = yaml ? "" : `, taking ${DEFAULTS.resolution} m a pixel for want of a .yaml file`;
+  return { grid, note: `${picture.name}: ${width} × ${height} m, ${grid.resolution.toFixed(2)} m a cell${guess}.` };
+}
+
+/**
+ * {image, resolution, origin: [x, y], negate, mode, free_thresh, occupied_thresh} of a YAML file, which is
+ * refused as `anchorflow plan` refuses it. Throws an Error that names the field.
+ */
+export function readYaml(text, name) {
+  const lines = text.replace(/^\ufeff/, "").split(/\r?\n/).map((line) => line.replace(/(^|\s)#.*$/, ""));
+  if (/^(---)?\s*\{/.test(lines.join("\n").trim())) throw new Error(`${name}: expected a line for each field; a flow mapping, {…}, is not read here.`);
+  const found = topLevel(lines);
+  if (!Object.keys(found).length) throw new Error(`${name}: expected a map_server YAML file with named fields.`);
+  const fields = { mode: "trinary", negate: 0, ...found };
+  const require = (isGood, key, expected, got = fields[key]) => {
+    if (!isGood) throw new Error(`${name}: ${key}: expected ${expected}, got ${JSON.stringify(got ?? null)}.`);
+  };
+  const isNumber = (value) => typeof value === "number";
+  const isWithin = (key, low, high) => isNumber(fields[key]) && fields[key] >= low && fields[key] <= high;
+  const { image, mode, negate, origin } = fields;
+  require(typeof image === "string", "image", "a file name");
+  require(MODES.includes(mode), "mode", `one of ${MODES.join(", ")}`);
+  for (const key of ["free_thresh", "occupied_thresh"]) require(isWithin(key, 0, 1), key, "a number from 0 to 1");
+  require(fields.free_thresh < fields.occupied_thresh, "free_thresh", "less than occupied_thresh");
+  require([0, 1, false, true].includes(negate), "negate", "one of 0, 1");
+  require(isWithin("resolution", 1e-6, 100), "resolution", "a number from 1e-06 to 100");
+  require(Array.isArray(origin) && origin.length === 3 && origin.every(isNumber), "origin", "three numbers x, y, yaw");
+  require(origin[2] === 0, "origin", "a yaw of 0 (turned maps are not supported)", origin[2]);
+  require(origin.every((value) => Math.abs(value) <= MAX_COORDINATE), "origin", "numbers in [-1e+07, 1e+07] m");
+  return { ...fields, origin: origin.slice(0, 2) };
+}
+
+/** {key: value} of the keys that are not indented, if their values are scalars or lists. */
+function topLevel(lines) {
+  const values = {};
+  let last;
+  for (const line of lines) {
+    const [, key, value] = line.match(/^(\w+)\s*:(?:\s+(.*))?$/) ?? [];
+    if (key) values[(last = key)] = [value ?? ""];
+    else values[last]?.push(line);
+  }
+  return Object.fromEntries(Object.entries(values).map(([key, parts]) => [key, valueOf(parts.join("\n").trim())]));
+}
+
+function valueOf(text) {
+  if (text.startsWith("- ")) return text.split(/^\s*-\s+/m).slice(1).map(scalar);
+  if (text.startsWith("[")) return text.replace(/^\[|,?\s*\]$/g, "").split(",").map(scalar);
+  return scalar(text);
+}
+
+function scalar(text) {
+  const word = text.trim();
+  if (NUMBER.test(word)) return Number(word);
+  const known = WORDS[word.toLowerCase()];
+  return known === undefined ? word.replace(/^(["'])(.*)\1$/, "$2") : known;
+}
+
+function checkSize(width, height, name) {
+  if (width * height > MAX_PIXELS) throw new Error(`${name}: expected at most ${MAX_PIXELS / 1e6} million pixels, got ${width} × ${height}.`);
+}
+
+/**
+ * {width, height, shade: [H*W] in [0, 1]} of a PGM, P2 (text) or P5 (bytes), 8 or 16 bits a pixel, top row
+ * first. Throws an Error that names the file.
+ */
+export function readPgm(bytes, name) {
+  const wrong = (expected) => new Error(`${name}: expected ${expected}.`);
+  let at = 0;
+  // Words of the header; a comment runs from # to the end of its line.
+  const word = () => {
+    let text = "";
+    while (at < bytes.length) {
+      const character = String.fromCharCode(bytes[at++]);
+      if (character === "#") while (at < bytes.length && bytes[at++] !== 10);
+      else if (!/\s/.test(character)) text += character;
+      else if (text) break;
+    }
+    return text;
+  };
+  const kind = word();
+  if (kind !== "P5" && kind !== "P2") throw wrong("a PGM picture that begins with P5 or P2");
+  const [width, height, most] = [word(), word(), word()].map(Number);
+  const isSize = (value) => Number.isInteger(value) && value > 0;
+  if (!isSize(width) || !isSize(height) || !(most > 0 && most < 65536)) throw wrong("width, height and greatest value");
+  checkSize(width, height, name);
+  const size = most < 256 ? 1 : 2;
+  if (kind === "P5" && bytes.length - at < width * height * size) throw wrong(`${width} × ${height} pixels, but the file ends before`);
+  const pixel = () => {
+    if (kind === "P2") return Number(word() || NaN);
+    return size === 1 ? bytes[at++] : 256 * bytes[at++] + bytes[at++];
+  };
+  const shade = Float32Array.from({ length: width * height }, () => pixel() / most);
+  if (shade.some(Number.isNaN)) throw wrong(`${width} × ${height} numbers`);
+  return { width, height, shade };
+}
+
+/** {width, height, shade: [H*W] in [0, 1], opaque: [H*W]} of a PNG, top row first. */
+async function readPng(file) {
+  const wrong = (cause) => new Error(`${file.name}: expected a PNG picture.`, { cause });
+  const head = new Uint8Array(await file.slice(0, PNG_HEAD).arrayBuffer());
+  if (head.length < PNG_HEAD || PNG_SIGNATURE.some((byte, k) => head[k] !== byte)) throw wrong();
+  const view = new DataView(head.buffer);
+  checkSize(view.getUint32(WIDTH_AT), view.getUint32(HEIGHT_AT), file.name);
+  const bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" }).catch((cause) => {
+    throw wrong(cause);
+  });
+  const { width, height } = bitmap;
+  const context = new OffscreenCanvas(width, height).getContext("2d");
+  context.drawImage(bitmap, 0, 0);
+  const { data } = context.getImageData(0, 0, width, height);
+  const pixels = (value) => Float32Array.from({ length: width * height }, (_, k) => value(4 * k));
+  return { width, height, shade: pixels((k) => (data[k] + data[k + 1] + data[k + 2]) / 765), opaque: pixels((k) => data[k + 3] === 255) };
+}
+
+/** A grid of what map_server reads in the shades; its first row is the last of the picture. */
+function toGrid({ width, height, shade, opaque }, fields) {
+  const grid = new Grid(height, width, fields.resolution, [...fields.origin]);
+  for (let row = 0; row < height; row++) {
+    for (let column = 0; column < width; column++) {
+      const k = (height - 1 - row) * width + column;
+      grid.set(row, column, opaque && !opaque[k] ? UNKNOWN : cellOf(shade[k], fields));
+    }
+  }
+  return grid;
+}
+
+function cellOf(shade, { mode, negate, occupied_thresh: occupied, free_thresh: free }) {
+  if (mode === "raw") {
+    const percent = Math.round(255 * shade);
+    if (percent > 100) return UNKNOWN;
+    return percent >= 50 ? OCCUPIED : FREE;
+  }
+  const darkness = negate ? shade : 1 - shade;
+  // In the contract an occupancy of 0.5 is an obstacle.
+  if (mode === "scale") return (darkness - free) / (occupied - free) >= 0.5 ? OCCUPIED : FREE;
+  if (darkness > occupied) return OCCUPIED;
+  return darkness < free ? FREE : UNKNOWN;
+}
+
+/** The grid without the unknown margin that mapping programs leave. */
+function trimmed(grid, name) {
+  const [rows, columns] = [[Infinity, -1], [Infinity, -1]];
+  const widen = (range, value) => {
+    range[0] = Math.min(range[0], value);
+    range[1] = Math.max(range[1], value);
+  };
+  grid.cells.forEach((cell, k) => {
+    if (cell === UNKNOWN) return;
+    widen(rows, Math.floor(k / grid.columns));
+    widen(columns, k % grid.columns);
+  });
+  if (rows[1] < 0) throw new Error(`${name}: every cell of this map is unknown.`);
+  const span = ([low, high], count) => {
+    const [from, to] = [Math.max(0, low - 2), Math.min(count, high + 3)];
+    return [from, Math.max(to - from, MIN_CELLS)];
+  };
+  const [top, height] = span(rows, grid.rows);
+  const [left, width] = span(columns, grid.columns);
+  return resampled(grid, { top, left, height, width, factor: 1 });
+}
+
+function coarser(grid) {
+  const factor = Math.ceil(Math.max(grid.rows, grid.columns) / MAX_CELLS);
+  const side = (cells) => Math.max(MIN_CELLS, Math.ceil(cells / factor));
+  return resampled(grid, { top: 0, left: 0, height: side(grid.rows), width: side(grid.columns), factor });
+}
+
+/** A window of `height` × `width` cells, each the worst of factor × factor cells. */
+function resampled(grid, { top, left, height, width, factor }) {
+  const origin = [grid.origin[0] + left * grid.resolution, grid.origin[1] + top * grid.resolution];
+  const window = new Grid(height, width, factor * grid.resolution, origin);
+  for (let row = 0; row < height; row++) {
+    for (let column = 0; column < width; column++) {
+      let worst = FREE;
+      for (let k = 0; k < factor * factor; k++) {
+        const [r, c] = [top + row * factor + Math.floor(k / factor), left + column * factor + (k % factor)];
+        const cell = grid.contains(r, c) ? grid.at(r, c) : UNKNOWN;
+        if (cell === OCCUPIED || (cell === UNKNOWN && worst === FREE)) worst = cell;
+      }
+      window.set(row, column, worst);
+    }
+  }
+  return window;
+}

@@ -1,0 +1,248 @@
+/** What the pointer and the keyboard do on the map: paint, erase and push obstacles, move the ends. */
+
+import { byId, clamp, showFill } from "../dom.js";
+import { FREE, OCCUPIED } from "./grid.js";
+
+const TOOL_KEYS = { b: "paint", e: "erase", v: "move" };
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+/** m or m/s that an arrow key moves an end or its velocity; Shift makes it five times as much. */
+const KEY_STEP = 0.1;
+const SHIFT_STEPS = 5;
+const [MIN_BRUSH, MAX_BRUSH] = [0.1, 1.6];
+
+/** Tools on the canvas; `onHover(left, top)` gets the place of an idle pointer, null if it leaves. */
+export class Painting {
+  tool = "paint";
+  /** Radius in m. */
+  brush = 0.2;
+  /** [x, y] in m of the cursor that arrow keys move. */
+  #cursor = null;
+  #stroke = null;
+
+  constructor(stage, scene, onHover) {
+    Object.assign(this, { stage, scene, onHover });
+    const listeners = {
+      pointerdown: (event) => this.#begin(event),
+      pointermove: (event) => this.#move(event),
+      pointerup: (event) => this.#end(event),
+      pointercancel: (event) => this.#end(event),
+      pointerleave: () => this.#leave(),
+      contextmenu: (event) => event.preventDefault(),
+      keydown: (event) => this.#key(event),
+      blur: () => this.#leave(),
+    };
+    for (const [type, listener] of Object.entries(listeners)) stage.canvas.addEventListener(type, listener);
+    document.addEventListener("keydown", (event) => this.#shortcut(event));
+    this.buttons = [...document.querySelectorAll("[data-tool][aria-pressed]")];
+    for (const button of this.buttons) button.addEventListener("click", () => this.#choose(button.dataset.tool));
+    byId("brush").addEventListener("input", () => this.#resize(Number(byId("brush").value)));
+    byId("undo").addEventListener("click", () => scene.undo());
+    scene.onChange(() => { byId("undo").disabled = !scene.canUndo; });
+    showFill(byId("brush"));
+  }
+
+  #choose(tool) {
+    this.tool = tool;
+    byId("board").dataset.tool = tool;
+    for (const button of this.buttons) button.setAttribute("aria-pressed", button.dataset.tool === tool);
+    this.#showBrush(null);
+  }
+
+  #resize(width) {
+    this.brush = width / 2;
+    byId("brush").value = width;
+    byId("brush-value").value = `${width.toFixed(1)} m`;
+    showFill(byId("brush"));
+  }
+
+  #begin(event) {
+    if (event.button > 2) return;
+    if (this.#stroke) {
+      // A second finger pinches, so the stroke of the first was not meant.
+      this.#stroke = null;
+      this.scene.undo();
+      return;
+    }
+    const { pointerId: pointer } = event;
+    const at = this.#where(event);
+    const { grid } = this.scene;
+    if (this.tool === "move") {
+      const from = grid.toCells(...at).map(Math.floor);
+      const cells = grid.obstacleAt(...from);
+      if (!cells.length) return;
+      this.scene.remember();
+      this.#stroke = { pointer, cells, before: grid.cells.slice(), from, moved: [0, 0] };
+    } else {
+      this.scene.remember();
+      this.#stroke = { pointer, last: at, value: this.#erases(event) ? FREE : OCCUPIED };
+      this.#paintTo(at);
+    }
+    this.stage.canvas.setPointerCapture(pointer);
+  }
+
+  #move(event) {
+    if (this.#stroke && this.#stroke.pointer !== event.pointerId) return;
+    const at = this.#where(event);
+    if (!this.#stroke) {
+      this.#showBrush(this.tool === "move" ? null : at, this.#erases(event));
+      this.onHover(...this.#place(event));
+    } else if (this.#stroke.cells) {
+      this.#push(at);
+    } else {
+      for (const point of event.getCoalescedEvents?.() ?? [event]) this.#paintTo(this.#where(point));
+      this.#showBrush(at, this.#stroke.value === FREE);
+    }
+  }
+
+  #end(event) {
+    if (this.#stroke?.pointer === event.pointerId) this.#stroke = null;
+  }
+
+  #leave() {
+    this.#cursor = null;
+    this.#showBrush(null);
+    this.onHover(null);
+  }
+
+  #paintTo(at) {
+    this.scene.grid.stroke(this.#stroke.last, at, this.brush, this.#stroke.value);
+    this.#stroke.last = at;
+    this.scene.changed("map");
+  }
+
+  /** Move the obstacle under the pointer by whole cells. */
+  #push(at) {
+    const { grid } = this.scene;
+    const { cells, before, from, moved } = this.#stroke;
+    const now = grid.toCells(...at).map((value, axis) => Math.floor(value) - from[axis]);
+    if (now[0] === moved[0] && now[1] === moved[1]) return;
+    this.#stroke.moved = now;
+    grid.cells.set(before);
+    for (const index of cells) grid.cells[index] = FREE;
+    for (const index of cells) grid.set(Math.floor(index / grid.columns) + now[0], (index % grid.columns) + now[1], OCCUPIED);
+    this.scene.changed("map");
+  }
+
+  /** Arrow keys move a cursor, Space and Enter paint or erase under it. */
+  #key(event) {
+    const { grid, start } = this.scene;
+    if (event.key in ARROWS) {
+      event.preventDefault();
+      const [x, y] = this.#cursor ?? [start.x, start.y];
+      const [dx, dy] = steps(event, grid.resolution);
+      this.#cursor = grid.inside(x + dx, y + dy);
+      this.#showBrush(this.#cursor, this.tool === "erase");
+      this.onHover(...this.stage.toScreen(...this.#cursor));
+    } else if (event.key === " " || event.key === "Enter") {
+      event.preventDefault();
+      if (!this.#cursor || this.tool === "move") return;
+      this.scene.remember();
+      grid.stroke(this.#cursor, this.#cursor, this.brush, this.tool === "erase" ? FREE : OCCUPIED);
+      this.scene.changed("map");
+    }
+  }
+
+  #shortcut(event) {
+    const isTyping = event.target.matches("input:not([type=range]):not([type=checkbox]):not([type=radio]), select, textarea");
+    if (isTyping || event.altKey || !this.stage.width) return;
+    if (event.ctrlKey || event.metaKey) {
+      if (event.key === "z") this.scene.undo();
+    } else if (event.key in TOOL_KEYS) {
+      this.#choose(TOOL_KEYS[event.key]);
+    } else if (event.key === "[" || event.key === "]") {
+      this.#resize(clamp(2 * this.brush + (event.key === "]" ? 0.1 : -0.1), MIN_BRUSH, MAX_BRUSH));
+    }
+  }
+
+  #showBrush(at, erase) {
+    this.stage.show.brush = at && { x: at[0], y: at[1], radius: this.brush, erase };
+    this.stage.drawTop();
+  }
+
+  #erases(event) {
+    return this.tool === "erase" || event.shiftKey || event.button === 2 || (event.buttons & 2) > 0;
+  }
+
+  /** In CSS pixels of the canvas; coalesced events have no offsetX. */
+  #place({ clientX, clientY }) {
+    const { left, top } = this.stage.canvas.getBoundingClientRect();
+    return [clientX - left, clientY - top];
+  }
+
+  #where(event) {
+    return this.stage.toWorld(...this.#place(event));
+  }
+}
+
+const steps = ({ key, shiftKey }, step) => ARROWS[key].map((sign) => sign * step * (shiftKey ? SHIFT_STEPS : 1));
+
+/** Start, goal and the tips of their velocity arrows: buttons over the canvas that one drags. */
+export class Handles {
+  constructor(stage, scene) {
+    Object.assign(this, { stage, scene });
+    this.handles = [...document.querySelectorAll("[data-handle]")].map((button) => {
+      const [end, tip] = button.dataset.handle.split("-");
+      return { button, name: end === "start" ? "Start" : "Goal", end: () => scene[end], isTip: Boolean(tip) };
+    });
+    for (const handle of this.handles) {
+      handle.button.addEventListener("pointerdown", (event) => this.#drag(event, handle));
+      handle.button.addEventListener("keydown", (event) => this.#key(event, handle));
+    }
+    scene.onChange(() => this.place());
+  }
+
+  /** Move the buttons to where the ends are. */
+  place() {
+    const { stage, scene } = this;
+    if (!scene.grid || !stage.width) return;
+    for (const { button, name, end, isTip } of this.handles) {
+      const { x, y, vx, vy } = end();
+      const [left, top] = isTip ? stage.arrowTip(end()) : stage.toScreen(x, y);
+      button.style.transform = `translate(${clamp(left, 8, stage.width - 8)}px, ${clamp(top, 8, stage.height - 8)}px)`;
+      const text = (isTip ? [vx, vy] : [x, y]).map((number) => number.toFixed(2)).join(", ");
+      button.setAttribute("aria-label", `${name} ${isTip ? "velocity" : "position"} ${text} ${isTip ? "m/s" : "m"}`);
+      button.title = isTip ? `${name} velocity: drag the tip` : `${name}: drag it`;
+    }
+  }
+
+  #drag(event, { button, end, isTip }) {
+    button.setPointerCapture(event.pointerId);
+    const board = byId("board");
+    const frame = board.getBoundingClientRect();
+    // The point of the button that was grabbed stays under the pointer.
+    const place = button.getBoundingClientRect();
+    const slip = [event.clientX - (place.left + place.width / 2), event.clientY - (place.top + place.height / 2)];
+    const done = new AbortController();
+    const { signal } = done;
+    button.addEventListener("pointermove", (move) => {
+      const left = move.clientX - slip[0] - frame.left - board.clientLeft;
+      const top = move.clientY - slip[1] - frame.top - board.clientTop;
+      if (isTip) this.#setVelocity(end(), this.stage.arrowVelocity(end(), left, top));
+      else this.#setPosition(end(), this.stage.toWorld(left, top));
+    }, { signal });
+    for (const type of ["pointerup", "pointercancel"]) button.addEventListener(type, () => done.abort(), { signal });
+  }
+
+  #key(event, { end, isTip }) {
+    if (!(event.key in ARROWS)) return;
+    event.preventDefault();
+    const [dx, dy] = steps(event, KEY_STEP);
+    const { x, y, vx, vy } = end();
+    if (isTip) {
+      const share = Math.min(1, this.scene.limits.v_max / (Math.hypot(vx + dx, vy + dy) || 1));
+      this.#setVelocity(end(), [(vx + dx) * share, (vy + dy) * share]);
+    } else {
+      this.#setPosition(end(), [x + dx, y + dy]);
+    }
+  }
+
+  #setPosition(end, point) {
+    [end.x, end.y] = this.scene.grid.inside(...point);
+    this.scene.changed("ends");
+  }
+
+  #setVelocity(end, velocity) {
+    [end.vx, end.vy] = velocity;
+    this.scene.changed("ends");
+  }
+}

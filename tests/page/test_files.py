@@ -1,0 +1,206 @@
+"""Scenes and maps of ROS in files, and requests that are copied for other programs."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from ros_maps import drawing, map_files, pgm
+
+from anchorflow_cli.ros_map import load_ros_map
+from anchorflow_client.contract import AnchorRequest
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+expect = sync_api.expect
+
+
+def png(grey: np.ndarray) -> bytes:
+    """A PNG file; two of its pixels are transparent, which means unknown in any colour."""
+    channels = np.dstack([grey, grey, grey, np.full_like(grey, 255)])
+    channels[30, 40:42, 3] = 0
+    file = io.BytesIO()
+    Image.fromarray(channels).save(file, "png")
+    return file.getvalue()
+
+
+def open_files(visit: Any, files: list[Path]) -> None:
+    visit.locate("#files").set_input_files(files)
+
+
+@pytest.mark.parametrize(
+    ("name", "picture"), [("text.pgm", pgm(drawing(), text=True)), ("a.png", png(drawing()))]
+)
+def test_a_ros_map_is_read_as_the_command_line_reads_it(
+    visit: Any, tmp_path: Path, name: str, picture: bytes
+) -> None:
+    files = map_files(tmp_path, name, picture)
+    expected = load_ros_map(files[0])
+
+    asked = visit.answer(
+        lambda: open_files(visit, files),
+        lambda asked: asked["cost_map"]["origin"] == pytest.approx(expected.origin),
+    ).asked["cost_map"]
+
+    np.testing.assert_array_equal(np.array(asked["data"][0]) >= 0.5, expected.occupancy >= 0.5)
+    assert asked["resolution"] == expected.resolution
+    expect(visit.locate("#scene-note")).to_contain_text(f"{name}: 5.0 × 4.0 m")
+    expect(visit.locate("#sample")).to_have_value("own")
+
+
+def test_a_file_that_cannot_be_read_is_explained(visit: Any, tmp_path: Path) -> None:
+    (tmp_path / "cut.png").write_bytes(png(drawing())[:60])
+    (tmp_path / "a.txt").write_text("hello")
+    note = visit.locate("#scene-note")
+
+    open_files(visit, [tmp_path / "cut.png"])
+    expect(note).to_have_text("cut.png: expected a PNG picture.")
+    open_files(visit, [tmp_path / "a.txt"])
+    expect(note).to_contain_text("a.txt: expected .json, .yaml with its picture")
+
+
+def test_a_robot_stops_when_a_map_is_opened(visit: Any, tmp_path: Path) -> None:
+    files = map_files(tmp_path, "far.pgm", pgm(drawing()))
+    files[0].write_text(files[0].read_text().replace("[-2.0, 1.5", "[100.0, 50.0"))
+    visit.answer(lambda: visit.locate("#drive").click(), lambda asked: "warm_start" in asked)
+
+    opened = visit.answer(
+        lambda: open_files(visit, files), lambda asked: asked["cost_map"]["origin"][0] == 100
+    )
+
+    assert opened.status == 200
+    assert opened.asked["x_curr"][0] > 100
+    expect(visit.locate("#drive")).to_have_attribute("aria-pressed", "false")
+    expect(visit.locate("#drive-note")).to_be_hidden()
+
+
+DROP = """(element, [name, text]) => {
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([text], name));
+  const fire = (type) =>
+    element.dispatchEvent(new DragEvent(type, { dataTransfer, bubbles: true, cancelable: true }));
+  fire("dragover");
+  const said = document.querySelector("#board").hasAttribute("data-drop");
+  return [said, fire("drop"), document.querySelector("#board").hasAttribute("data-drop")];
+}"""
+"""Drop a file: was the board marked, would the browser open it, and does the mark stay."""
+
+
+@pytest.mark.parametrize("where", ["#board", "#bundle"])
+def test_a_drop_anywhere_on_the_page_opens_the_file(visit: Any, where: str) -> None:
+    outcome = visit.locate(where).evaluate(DROP, ["a.json", '{"x_curr": [1, 2]}'])
+
+    assert outcome == [True, False, False]
+    expect(visit.locate("#scene-note")).to_contain_text("a.json: x_curr: expected 6 numbers")
+
+
+def test_a_saved_scene_is_a_request_and_opens_again(visit: Any, tmp_path: Path) -> None:
+    visit.locate("#num_samples").fill("8")
+    visit.locate("#seed").fill("7")
+    before = visit.answer(
+        lambda: visit.locate("#seed").press("Enter"), lambda asked: asked["seed"] == 7
+    )
+    with visit.page.expect_download() as download:
+        visit.locate("#save").click()
+    saved = tmp_path / download.value.suggested_filename
+    download.value.save_as(saved)
+
+    AnchorRequest.from_fields(json.loads(saved.read_text()))
+    assert json.loads(saved.read_text()) == before.asked
+    visit.answer(
+        lambda: visit.locate("#sample").select_option("maze"),
+        lambda asked: asked["cost_map"] != before.asked["cost_map"],
+    )
+    again = visit.answer(
+        lambda: open_files(visit, [saved]),
+        lambda asked: asked["cost_map"] == before.asked["cost_map"],
+    )
+
+    assert again.asked == before.asked
+    assert again.answered["trajectories"] == before.answered["trajectories"]
+
+
+def test_a_scene_is_asked_of_the_bundle_that_it_names(
+    open_page: Callable[..., Any], served_all: Any, tmp_path: Path
+) -> None:
+    visit = open_page(served_all.url)
+    visit.wait_for_anchors()
+    file = tmp_path / "scene.json"
+    free = {"data": np.zeros((1, 50, 60)).tolist(), "resolution": 0.1}
+    scene = {"cost_map": free, "x_curr": [-2, 0, 0, 0, 0, 0], "x_goal": [2, 0, 0, 0]}
+
+    for model in ("flowmp-small-student", "v2x", "another"):
+        file.write_text(json.dumps(scene | {"model": model, "robot_radius": 0.3}))
+        asked = visit.answer(
+            lambda: open_files(visit, [file]),
+            lambda asked: np.shape(asked["cost_map"]["data"]) == (1, 50, 60),
+        ).asked
+        assert (asked["model"], asked["robot_radius"]) == ("flowmp-small-student", 0.3)
+
+    expect(visit.locate("#bundle")).to_have_value("flowmp-small-student")
+    expect(visit.locate("#scene-note")).to_have_text(
+        "scene.json is open. Left out: model, as no another with a map is served."
+    )
+    assert visit.errors == []
+
+
+def ask_for_few(visit: Any) -> Any:
+    visit.locate("#num_samples").fill("4")
+    return visit.answer(
+        lambda: visit.locate("#refine-safety_margin").fill("0.15"),
+        lambda asked: (asked["num_samples"], asked["refine"]["safety_margin"]) == (4, 0.15),
+    )
+
+
+def test_the_request_copied_for_python_runs_and_gives_the_same(
+    visit: Any, copied: Callable[[Any, str], str]
+) -> None:
+    shown = ask_for_few(visit).answered
+    program = (
+        copied(visit, "#copy-python")
+        + "\nimport json\nprint('JSON', json.dumps(anchors.trajectories.tolist()))\n"
+    )
+
+    run = subprocess.run(
+        [sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=120
+    )
+
+    assert f"{shown['safe'].count(True)} of 4 anchors are safe" in run.stdout
+    paths = json.loads(re.search(r"^JSON (.*)$", run.stdout, re.MULTILINE)[1])  # type: ignore[index]
+    np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-5)
+
+
+@pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
+def test_the_request_copied_for_curl_runs_and_gives_the_same(
+    visit: Any, copied: Callable[[Any, str], str]
+) -> None:
+    shown = ask_for_few(visit).answered
+
+    run = subprocess.run(
+        ["bash", "-c", copied(visit, "#copy-curl")], check=True, capture_output=True, timeout=120
+    )
+
+    paths = json.loads(run.stdout)["trajectories"]
+    np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-6)
+
+
+def test_a_copy_without_the_clipboard_leaves_the_focus_where_it_is(visit: Any) -> None:
+    """A page that came over plain HTTP from another machine has no clipboard."""
+    visit.page.evaluate(
+        "() => { navigator.clipboard.writeText = () => Promise.reject(new Error()); }"
+    )
+    visit.locate("#copy-curl").focus()
+
+    visit.page.keyboard.press("Enter")
+
+    expect(visit.locate("#scene-note")).to_have_text("Copied for curl.")
+    expect(visit.locate("#copy-curl")).to_be_focused()
