@@ -95,22 +95,6 @@ def test_what_was_painted_can_be_undone_and_erased(visit: Any) -> None:
     assert undone.asked["cost_map"] == erased.asked["cost_map"]
 
 
-def test_an_obstacle_can_be_pushed(visit: Any) -> None:
-    visit.choose_empty_map()
-    spot = visit.at((0.0, 2.0))
-    dot = visit.answer(lambda: visit.drag(spot, spot), lambda asked: visit.occupied(asked).any())
-    visit.page.keyboard.press("v")
-
-    pushed = visit.answer(
-        lambda: visit.drag(spot, visit.at((1.0, 1.0))),
-        lambda asked: visit.occupied(asked)[58, 58],
-    )
-
-    np.testing.assert_array_equal(
-        np.roll(visit.occupied(dot.asked), (-10, 10), (0, 1)), visit.occupied(pushed.asked)
-    )
-
-
 def test_the_style_changes_request_and_picture(visit: Any) -> None:
     visit.page.wait_for_timeout(300)
     picture = visit.picture()

@@ -145,7 +145,9 @@ def test_every_anchor_is_drawn_where_it_leads(camera: Any, tmp_path: Path) -> No
     assert met == np.argsort(-aside).tolist()
 
 
-def test_a_picture_of_another_size_is_drawn_to_the_cards(camera: Any, tmp_path: Path) -> None:
+def test_a_picture_of_another_size_is_drawn_to_the_cards_and_another_file_is_not_sent(
+    camera: Any, tmp_path: Path
+) -> None:
     fill_in(camera, picture(tmp_path, width=480, height=320), "1, 0, 0, 0")
     expect(camera.locate(".picture .hint")).to_have_text("480 × 320 pixels, drawn to 24 × 16")
 
@@ -156,6 +158,11 @@ def test_a_picture_of_another_size_is_drawn_to_the_cards(camera: Any, tmp_path: 
     assert sent.shape == (3, HEIGHT, WIDTH)
     small = pixels_of({"png": base64.b64encode(picture(tmp_path).read_bytes()).decode()})
     assert np.abs(sent.astype(int) - small).max() < 16
+    (tmp_path / "notes.png").write_text("no picture")
+    camera.locate("#input-camera").set_input_files(tmp_path / "notes.png")
+    note = camera.locate(".picture .hint")
+    expect(note).to_have_text("notes.png: expected a PNG or JPEG picture.")
+    assert not pixels_of(plan(camera).asked["inputs"]["camera"]).any()
 
 
 def test_the_picture_that_the_planner_gives_stands_beside(camera: Any, tmp_path: Path) -> None:
@@ -172,25 +179,23 @@ def test_the_picture_that_the_planner_gives_stands_beside(camera: Any, tmp_path:
     assert np.abs(rgb - sent.astype(int)).max() <= 1
 
 
-def test_extras_are_sent_along_where_one_wants_them(camera: Any) -> None:
+def test_fewer_anchors_are_the_best_ones_and_extras_are_a_choice(camera: Any) -> None:
+    camera.locate("#num_samples").fill("2")
+    camera.locate("#seed").fill("5")
+    camera.page.keyboard.press("Tab")
+    expect(camera.locate("#poses")).to_have_css("opacity", "0.4")
     camera.locate("#outputs input[value=goals]").check()
     camera.locate("#outputs input[value=bev_semantics]").uncheck()
 
-    assert plan(camera).asked["outputs"] == ["goals"]
-
-    expect(camera.locate("#extras")).to_contain_text("goals [6, 2]")
-    expect(camera.locate("#raster-block")).to_be_hidden()
-
-
-def test_fewer_anchors_are_the_best_ones(camera: Any) -> None:
-    camera.locate("#num_samples").fill("2")
-    camera.locate("#seed").fill("5")
-
     told = plan(camera)
 
-    assert (told.asked["num_samples"], told.asked["seed"]) == (2, 5)
+    names = ("num_samples", "seed", "outputs")
+    assert [told.asked[name] for name in names] == [2, 5, ["goals"]]
     np.testing.assert_allclose(told.answered["trajectories"], expected(0.0, 0.0)[0][:2], atol=1e-6)
     expect(camera.locate("#best tbody tr")).to_have_count(2)
+    expect(camera.locate("#poses")).to_have_css("opacity", "1", timeout=PATIENCE_MS)
+    expect(camera.locate("#extras")).to_contain_text("goals [2, 2]")
+    expect(camera.locate("#raster-block")).to_be_hidden()
 
 
 def test_a_refused_input_is_explained_beside_it(camera: Any) -> None:
@@ -212,16 +217,6 @@ def test_a_refused_input_is_explained_beside_it(camera: Any) -> None:
     expect(field.locator(".wrong")).to_have_text("expected 4 numbers, got 2")
     sent = [request.url for request in camera.requests[asked:]]
     assert not [url for url in sent if url.endswith("/anchors")]
-
-
-def test_a_file_that_is_no_picture_is_not_sent(camera: Any, tmp_path: Path) -> None:
-    (tmp_path / "notes.png").write_text("no picture")
-
-    camera.locate("#input-camera").set_input_files(tmp_path / "notes.png")
-
-    note = camera.locate(".picture .hint")
-    expect(note).to_have_text("notes.png: expected a PNG or JPEG picture.")
-    assert not pixels_of(plan(camera).asked["inputs"]["camera"]).any()
 
 
 def test_a_robot_stops_where_another_planner_is_chosen(
@@ -338,37 +333,30 @@ def test_a_picture_of_known_extent_lies_under_the_anchors(patched: Callable[...,
 
 
 @pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
-def test_the_request_copied_for_curl_runs_and_gives_the_same(
+def test_the_copied_requests_run_and_give_the_same(
     camera: Any, copied: Callable[[Any, str], str], tmp_path: Path
 ) -> None:
     fill_in(camera, picture(tmp_path), "3, 0, 0, 0")
     shown = plan(camera).answered
 
-    run = subprocess.run(
-        ["bash", "-c", copied(camera, "#copy-curl")], check=True, capture_output=True, timeout=120
-    )
+    told = json.loads(run("bash", copied(camera, "#copy-curl")))
+    assert told["trajectories"] == shown["trajectories"]
+    assert told["bev_semantics"] == shown["bev_semantics"]
 
-    answer = json.loads(run.stdout)
-    assert answer["trajectories"] == shown["trajectories"]
-    assert answer["bev_semantics"] == shown["bev_semantics"]
-
-
-def test_the_request_copied_for_python_runs_and_gives_the_same(
-    camera: Any, copied: Callable[[Any, str], str], tmp_path: Path
-) -> None:
-    fill_in(camera, picture(tmp_path), "3, 0, 0, 0")
-    shown = plan(camera).answered
-    program = (
-        copied(camera, "#copy-python")
-        + "\nimport json\nprint('JSON', anchors.trajectories.tolist())\n"
-    )
-
-    run = subprocess.run(
-        [sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=120
-    )
-
-    paths = json.loads(run.stdout.rpartition("JSON ")[2])
+    program = f"""{copied(camera, "#copy-python")}
+import json
+print("JSON", anchors.trajectories.tolist())
+"""
+    paths = json.loads(run(sys.executable, program).rpartition("JSON ")[2])
     np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-5)
+
+
+def run(shell: str, program: str) -> str:
+    """Run a program and return what it prints."""
+    ran = subprocess.run(
+        [shell, "-c", program], check=True, capture_output=True, text=True, timeout=120
+    )
+    return ran.stdout
 
 
 def test_a_phone_is_enough(open_page: Callable[..., Any], served_all: Any, artefacts: Path) -> None:

@@ -78,6 +78,9 @@ def test_the_slider_asks_about_its_time_and_draws_the_answer(
     frames = drive["frames"]
     np.testing.assert_array_equal(sent(first), drawn(frames[0]))
     expect(driving.locate("#drive-text")).to_have_text("2.0 s")
+    # The route is drawn on the street, and is not a picture beside it.
+    expect(driving.locate("#drive-route")).to_be_visible()
+    expect(driving.locate("#sensed figcaption")).to_have_text(["bev"])
     expect(driving.locate("#poses tbody")).to_have_text(best_poses(first))
     before = driving.locate("#birds-eye").screenshot()
 
@@ -96,14 +99,6 @@ def test_the_slider_asks_about_its_time_and_draws_the_answer(
     shown = driving.locate("#input-ego_status").input_value().split(", ")
     assert [*map(float, shown)] == frames[-1]["inputs"]["ego_status"]
     driving.page.screenshot(path=artefacts / "drive.png")
-
-
-def test_a_route_is_drawn_on_the_street_and_is_no_picture(
-    driving: Any, drive: dict[str, Any], tmp_path: Path
-) -> None:
-    opened(driving, drive, tmp_path)
-    expect(driving.locate("#drive-route")).to_be_visible()
-    expect(driving.locate("#sensed figcaption")).to_have_text(["bev"])
 
 
 def test_keys_and_the_play_button_go_through_the_drive(
@@ -157,32 +152,23 @@ def test_a_planner_that_asks_for_something_else_names_it(
     expect(driving.locate("#drive-bar")).to_be_hidden()
     expect(driving.locate("#sensed")).to_be_hidden()
     expect(driving.locate("#summary")).to_contain_text("6 anchors", timeout=PATIENCE_MS)
-
-
-def test_trouble_with_a_drive_is_over_with_the_answer_to_a_change(
-    driving: Any, drive: dict[str, Any], tmp_path: Path
-) -> None:
-    opened(driving, drive, tmp_path)
-    trouble = driving.locate("#drive-trouble")
-    driving.locate("#bundle").select_option("tiny-camera")
-    expect(driving.locate("#summary")).to_contain_text("6 anchors", timeout=PATIENCE_MS)
-    # The request that the page sent by itself has not removed the message.
-    expect(trouble).to_contain_text("camera: the drive has no such input")
-
+    # The request that the page sends by itself leaves the message; the next one removes it.
+    expect(driving.locate("#drive-trouble")).to_contain_text(why)
     driving.locate("#seed").fill("7")
     driving.page.keyboard.press("Tab")
     driving.answer(lambda: driving.locate("#plan").click(), lambda asked: asked["seed"] == 7)
+    expect(driving.locate("#drive-trouble")).to_be_hidden()
 
-    expect(trouble).to_be_hidden()
 
-
-def test_a_drive_of_other_shapes_is_refused(
+def test_a_drive_that_does_not_fit_or_is_broken_is_refused(
     driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:
     bev, *others = drive["inputs"]
     other = {**drive, "inputs": [{**bev, "shape": [20, 96, 64]}, *others]}
     (tmp_path / "other.json").write_text(json.dumps(other))
-    (tmp_path / "scene.json").write_text('{"frames": []}')
+    broken = copy.deepcopy(drive)
+    broken["frames"][0]["inputs"]["bev"]["zlib"] = "AAAA"
+    (tmp_path / "cut.json").write_text(json.dumps(broken))
     trouble = driving.locate("#drive-trouble")
 
     driving.locate("#drive-file").set_input_files(tmp_path / "other.json")
@@ -192,31 +178,16 @@ def test_a_drive_of_other_shapes_is_refused(
     )
     beside = driving.locate("#inputs .input").first.locator(".wrong")
     expect(beside).to_contain_text("bev: expected uint8 [20, 192, 128]")
-    driving.locate("#drive-file").set_input_files(tmp_path / "scene.json")
-    expect(trouble).to_contain_text("scene.json: expected a drive")
-
-    expect(driving.locate("#drive-bar")).to_be_hidden()
-
-
-def test_what_is_broken_in_a_drive_is_named(
-    driving: Any, drive: dict[str, Any], tmp_path: Path
-) -> None:
-    broken = copy.deepcopy(drive)
-    broken["frames"][0]["inputs"]["bev"]["zlib"] = "AAAA"
-    (tmp_path / "cut.json").write_text(json.dumps(broken))
-
     driving.locate("#drive-file").set_input_files(tmp_path / "cut.json")
+    expect(trouble).to_have_text("cut.json: frame 0: bev: expected deflated bytes in base64.")
 
-    expect(driving.locate("#drive-trouble")).to_have_text(
-        "cut.json: frame 0: bev: expected deflated bytes in base64."
-    )
     expect(driving.locate("#drive-bar")).to_be_hidden()
 
 
-def test_a_drive_that_is_closed_leaves_the_last_inputs(
+def test_a_drive_that_is_closed_leaves_its_inputs_until_they_are_left_out(
     driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:
-    opened(driving, drive, tmp_path)
+    assert "route" in opened(driving, drive, tmp_path).asked["inputs"]
 
     told = driving.answer(
         lambda: driving.locate("#close-drive").click(), lambda asked: "inputs" in asked
@@ -226,22 +197,13 @@ def test_a_drive_that_is_closed_leaves_the_last_inputs(
     expect(driving.locate("#sensed")).to_be_hidden()
     np.testing.assert_array_equal(sent(told), drawn(drive["frames"][0]))
     expect(driving.locate("#summary")).to_contain_text("64 anchors")
-
-
-def test_what_a_drive_has_filled_in_can_be_left_out_again(
-    driving: Any, drive: dict[str, Any], tmp_path: Path
-) -> None:
-    assert "route" in opened(driving, drive, tmp_path).asked["inputs"]
-    driving.locate("#close-drive").click()
     route = driving.locate("#input-route")
     route.fill("[[1, 2]]")
     route.fill("")
     expect(route).to_have_attribute("placeholder", "left out")
-
     told = driving.answer(
         lambda: driving.locate("#plan").click(), lambda asked: "route" not in asked["inputs"]
     )
-
     assert told.status == 200
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import shutil
 import subprocess
 import sys
@@ -153,44 +152,34 @@ def test_a_scene_is_asked_of_the_bundle_that_it_names(
     assert visit.errors == []
 
 
-def ask_for_few(visit: Any) -> Any:
+@pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
+def test_the_copied_requests_run_and_give_the_same(
+    visit: Any, copied: Callable[[Any, str], str]
+) -> None:
     visit.locate("#num_samples").fill("4")
-    return visit.answer(
+    shown = visit.answer(
         lambda: visit.locate("#refine-safety_margin").fill("0.15"),
         lambda asked: (asked["num_samples"], asked["refine"]["safety_margin"]) == (4, 0.15),
-    )
+    ).answered
 
-
-def test_the_request_copied_for_python_runs_and_gives_the_same(
-    visit: Any, copied: Callable[[Any, str], str]
-) -> None:
-    shown = ask_for_few(visit).answered
-    program = (
-        copied(visit, "#copy-python")
-        + "\nimport json\nprint('JSON', json.dumps(anchors.trajectories.tolist()))\n"
-    )
-
-    run = subprocess.run(
-        [sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=120
-    )
-
-    assert f"{shown['safe'].count(True)} of 4 anchors are safe" in run.stdout
-    paths = json.loads(re.search(r"^JSON (.*)$", run.stdout, re.MULTILINE)[1])  # type: ignore[index]
-    np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-5)
-
-
-@pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
-def test_the_request_copied_for_curl_runs_and_gives_the_same(
-    visit: Any, copied: Callable[[Any, str], str]
-) -> None:
-    shown = ask_for_few(visit).answered
-
-    run = subprocess.run(
-        ["bash", "-c", copied(visit, "#copy-curl")], check=True, capture_output=True, timeout=120
-    )
-
-    paths = json.loads(run.stdout)["trajectories"]
+    paths = json.loads(run("bash", copied(visit, "#copy-curl")))["trajectories"]
     np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-6)
+
+    program = f"""{copied(visit, "#copy-python")}
+import json
+print("JSON", anchors.trajectories.tolist())
+"""
+    said, _, paths = run(sys.executable, program).rpartition("JSON ")
+    assert f"{shown['safe'].count(True)} of 4 anchors are safe" in said
+    np.testing.assert_allclose(json.loads(paths), shown["trajectories"], atol=1e-5)
+
+
+def run(shell: str, program: str) -> str:
+    """Run a program and return what it prints."""
+    ran = subprocess.run(
+        [shell, "-c", program], check=True, capture_output=True, text=True, timeout=120
+    )
+    return ran.stdout
 
 
 def test_a_copy_without_the_clipboard_leaves_the_focus_where_it_is(visit: Any) -> None:

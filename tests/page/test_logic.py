@@ -75,12 +75,13 @@ def openapi() -> dict[str, Any]:
 
 
 def distances() -> dict[str, Any]:
-    """A random grid and the distances of SciPy, which are between the middles of cells."""
+    """A random grid and its cells near an obstacle; SciPy measures between the middles of cells."""
     occupied = np.random.default_rng(0).random((20, 31)) < 0.05
     occupied[3, 4] = True
     between = np.asarray(ndimage.distance_transform_edt(~occupied))
-    field = 0.2 * np.maximum(between - 0.5, 0)
-    return {"resolution": 0.2, "occupied": occupied.tolist(), "field": field.ravel().tolist()}
+    near = 0.2 * np.maximum(between - 0.5, 0) <= 0.55
+    inflated = near.astype(int).tolist()
+    return {"resolution": 0.2, "occupied": occupied.tolist(), "radius": 0.55, "inflated": inflated}
 
 
 def ros_map(folder: Path, text: str) -> dict[str, Any]:

@@ -19,6 +19,8 @@ expect = sync_api.expect
 PATIENCE_MS = 60_000
 REFUSED = "status of 422"
 UNREACHABLE = "net::ERR_CONNECTION_REFUSED"
+SHOWN = "what is shown is its last answer."
+"""The end of the summary if the newest request has no response."""
 
 
 def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any, artefacts: Path) -> None:
@@ -39,23 +41,7 @@ def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any, artefacts: Pat
     box, goal = bubble.bounding_box(), visit.handle("goal")
     assert abs(box["x"] + box["width"] / 2 - goal[0]) < 60
     assert 0 < goal[1] - (box["y"] + box["height"]) < 60
-    visit.page.screenshot(path=artefacts / "goal-in-obstacle.png")
-
-    visit.drag_end("goal", (3.0, 1.0))
-    expect(bubble).to_be_hidden(timeout=PATIENCE_MS)
-    visit.forget_errors(REFUSED)
-
-
-SHOWN = "what is shown is its last answer."
-"""The end of the summary if the newest request has no response."""
-
-
-def test_the_figures_of_an_old_answer_are_told_and_faded(visit: Any, artefacts: Path) -> None:
-    visit.choose_empty_map()
-    spot = visit.at((1.0, 1.0))
-    visit.drag(spot, spot)
-    visit.drag_end("goal", (1.0, 1.0))
-
+    # The last answer stays, with its figures faded.
     summary = visit.locate("#summary")
     expect(summary).to_have_text(f"The service refused: {SHOWN}", timeout=PATIENCE_MS)
     for told in ("#anchor-figures", "#times", "#charts", "#best", "#legend"):
@@ -63,38 +49,13 @@ def test_the_figures_of_an_old_answer_are_told_and_faded(visit: Any, artefacts: 
     visit.locate("#best tbody tr").nth(3).hover()
     expect(visit.locate("#anchor-name")).to_contain_text(re.compile(r"^Anchor \d+$"))
     expect(summary).to_have_text(f"The service refused: {SHOWN}")
-    visit.page.screenshot(path=artefacts / "refused.png")
+    visit.page.screenshot(path=artefacts / "goal-in-obstacle.png")
 
     visit.drag_end("goal", (3.0, 1.0))
+    expect(bubble).to_be_hidden(timeout=PATIENCE_MS)
     visit.wait_for_anchors()
     expect(visit.locate("#best")).to_have_css("opacity", "1")
     visit.forget_errors(REFUSED)
-
-
-def test_a_change_before_a_planner_without_a_map_fades_the_figures(camera: Any) -> None:
-    camera.locate("#seed").fill("7")
-    camera.page.keyboard.press("Tab")
-    expect(camera.locate("#poses")).to_have_css("opacity", "0.4")
-
-    camera.locate("#plan").click()
-    expect(camera.locate("#poses")).to_have_css("opacity", "1", timeout=PATIENCE_MS)
-
-
-def test_another_bundle_begins_without_the_figures_of_the_one_before(
-    open_page: Callable[..., Any], served_all: Any
-) -> None:
-    visit = open_page(served_all.url)
-    visit.wait_for_anchors()
-    heads = visit.locate("#best thead th")
-    expect(heads).not_to_have_count(0)
-
-    visit.locate("#bundle").select_option("v2x")
-    expect(heads).to_have_count(0)
-
-    visit.locate("#bundle").select_option("flowmp-small")
-    visit.wait_for_anchors()
-    expect(heads).not_to_have_count(0)
-    assert visit.errors == []
 
 
 def test_a_map_planner_that_refuses_shows_nothing_of_the_one_before(
@@ -127,30 +88,13 @@ def test_a_service_that_stops_is_missed_and_taken_up_again(
         visit.page.screenshot(path=artefacts / "stopped.png")
         visit.drag_end("goal", (-3.0, -3.0))
         back = visit.answer(
-            lambda: start_and_retry(visit, served),
+            served.start,
             lambda asked: asked["x_goal"][:2] == pytest.approx([-3.0, -3.0], abs=0.05),
         )
     finally:
         served.start()
 
     assert back.status == 200
-    expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
-    visit.forget_errors(UNREACHABLE)
-
-
-def start_and_retry(visit: Any, served: Any) -> None:
-    """Start the service and press Try now, which does nothing if the page was faster."""
-    served.start()
-    visit.locate("#retry").evaluate("button => button.click()")
-
-
-def test_a_service_that_is_back_is_found_without_a_hand(visit: Any, served: Any) -> None:
-    served.stop()
-    try:
-        expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
-    finally:
-        served.start()
-
     expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
     expect(visit.locate("#link")).to_have_attribute("data-state", "up")
     visit.forget_errors(UNREACHABLE)

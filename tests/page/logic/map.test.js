@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { FREE, Grid, OCCUPIED, distanceField, placeEnds } from "../../../service/anchorflow_service/page/js/map/grid.js";
+import { FREE, Grid, OCCUPIED, placeEnds } from "../../../service/anchorflow_service/page/js/map/grid.js";
 import { readMap, readYaml } from "../../../service/anchorflow_service/page/js/map/map_files.js";
 import { sampleMap } from "../../../service/anchorflow_service/page/js/map/samples.js";
 import { close, range, references } from "./shared.js";
@@ -10,14 +10,14 @@ import { close, range, references } from "./shared.js";
 const KINDS = ["forest", "rooms", "city", "maze", "empty"];
 const file = (name, ...parts) => new File(parts, name);
 
-test("distances are those of SciPy", () => {
-  const { occupied, resolution, field } = references.distances;
+test("a grid is inflated by distances of SciPy", () => {
+  const { occupied, resolution, radius, inflated } = references.distances;
   const grid = new Grid(occupied.length, occupied[0].length, resolution);
   occupied.forEach((row, r) => row.forEach((cell, c) => grid.set(r, c, cell ? OCCUPIED : FREE)));
 
-  close(distanceField(grid), field);
-  const [x, y] = grid.centre(10, 12);
-  assert.ok(Math.abs(grid.gap(x, y) - field[10 * grid.columns + 12]) <= 0.1 + 1e-6);
+  assert.deepEqual(grid.inflated(radius).occupancy(), inflated);
+  const [x, y] = grid.centre(3, 4);
+  assert.ok(grid.gap(x, y) === 0 && grid.gap(x, y + 0.15) <= 0.05 + 1e-9);
 });
 
 for (const kind of KINDS) {
@@ -34,17 +34,17 @@ for (const kind of KINDS) {
     for (const number of range(4)) {
       const grid = sampleMap(kind, number);
       const { start, goal } = placeEnds(grid, { radius: 0.25, reach: 8 });
-      const clear = distanceField(grid);
+      const blocked = grid.inflated(0.25);
       const [from, to] = [start, goal].map(({ x, y }) => {
         const [row, column] = grid.toCells(x, y).map(Math.floor);
         return row * grid.columns + column;
       });
       const reached = new Set([from]);
       for (const index of reached) {
-        for (const [next] of grid.neighbours(index)) if (clear[next] > 0.25) reached.add(next);
+        for (const [next] of grid.neighbours(index)) if (!blocked.cells[next]) reached.add(next);
       }
 
-      assert.ok(clear[from] > 0.25 && clear[to] > 0.25);
+      assert.ok(grid.gap(start.x, start.y) > 0.25 && grid.gap(goal.x, goal.y) > 0.25);
       assert.ok(reached.has(to));
       const gap = Math.hypot(goal.x - start.x, goal.y - start.y);
       assert.ok(gap > 3 && gap <= 8);

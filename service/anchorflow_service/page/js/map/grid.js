@@ -86,6 +86,16 @@ export class Grid {
     }
   }
 
+  /** The grid with all cells set whose middle is within `radius` m of the edge of one that is not free. */
+  inflated(radius) {
+    const wide = new Grid(this.rows, this.columns, this.resolution, this.origin);
+    this.cells.forEach((cell, k) => {
+      const middle = this.centre(Math.floor(k / this.columns), k % this.columns);
+      if (cell) wide.stroke(middle, middle, radius + this.resolution / 2, OCCUPIED);
+    });
+    return wide;
+  }
+
   /** Indices and distances in cells of the cells beside one, those across a corner included. */
   *neighbours(index) {
     const [row, column] = [Math.floor(index / this.columns), index % this.columns];
@@ -124,37 +134,6 @@ function region(grid, first, admissible, step, seen = new Uint8Array(grid.cells.
   return found;
 }
 
-/** m from the middle of each cell to the edge of the nearest cell that is not free; Float32Array. */
-export function distanceField({ rows, columns, cells, resolution }) {
-  const far = 1e9;
-  const squared = Float64Array.from(cells, (cell) => (cell ? 0 : far));
-  for (let column = 0; column < columns; column++) lowerEnvelope(squared, column, columns, rows);
-  for (let row = 0; row < rows; row++) lowerEnvelope(squared, row * columns, 1, columns);
-  // The middle of a cell is half a cell away from its edge.
-  return Float32Array.from(squared, (d) => resolution * Math.max(0, Math.sqrt(d) - 0.5));
-}
-
-/** Lower envelope of parabolas along one line, in place (Felzenszwalb and Huttenlocher, 2012). */
-function lowerEnvelope(values, offset, stride, count) {
-  const line = Float64Array.from({ length: count }, (_, k) => values[offset + k * stride]);
-  const apex = new Int32Array(count);
-  const from = new Float64Array(count + 1);
-  let last = 0;
-  from[0] = -Infinity;
-  from[1] = Infinity;
-  for (let k = 1; k < count; k++) {
-    const crossing = (i) => (line[k] + k * k - line[i] - i * i) / (2 * (k - i));
-    while (crossing(apex[last]) <= from[last]) last--;
-    from[last + 1] = crossing(apex[last]);
-    apex[++last] = k;
-    from[last + 1] = Infinity;
-  }
-  for (let k = 0, piece = 0; k < count; k++) {
-    while (from[piece + 1] < k) piece++;
-    values[offset + k * stride] = (k - apex[piece]) ** 2 + line[apex[piece]];
-  }
-}
-
 /**
  * Choose a start near a corner and a goal far from it, clear of obstacles and joined by a way.
  *
@@ -162,11 +141,11 @@ function lowerEnvelope(values, offset, stride, count) {
  * @returns {{start: object, goal: object}}  {x, y, vx, vy} each, at rest
  */
 export function placeEnds(grid, { radius, reach }) {
-  const clear = distanceField(grid);
+  const blocked = grid.inflated(radius + SPARE);
   const seen = new Uint8Array(grid.cells.length);
   let joined = [];
   for (let first = 0; first < seen.length; first++) {
-    const found = region(grid, first, (index) => clear[index] > radius + SPARE, 1, seen);
+    const found = region(grid, first, (index) => !blocked.cells[index], 1, seen);
     if (found.length > joined.length) joined = found;
   }
   const point = (index) => {
@@ -189,20 +168,14 @@ export function placeEnds(grid, { radius, reach }) {
 /** Length in m of the shortest way along edges and diagonals from one cell to each of a region. */
 function wayLengths(grid, cells, start) {
   const lengths = new Map(cells.map((index) => [index, Infinity]));
-  const bucketOf = (length) => Math.round((10 * length) / grid.resolution);
-  // Dijkstra's algorithm with a bucket for each tenth of a cell.
-  const buckets = [[start]];
   lengths.set(start, 0);
-  for (let due = 0; due < buckets.length; due++) {
-    for (const index of buckets[due] ?? []) {
-      const here = lengths.get(index);
-      if (bucketOf(here) !== due) continue;
-      for (const [next, step] of grid.neighbours(index)) {
-        const there = here + step * grid.resolution;
-        if (!(there < (lengths.get(next) ?? -1) - 1e-9)) continue;
-        lengths.set(next, there);
-        (buckets[bucketOf(there)] ??= []).push(next);
-      }
+  const queue = [start];
+  for (const index of queue) {
+    for (const [next, step] of grid.neighbours(index)) {
+      const there = lengths.get(index) + step * grid.resolution;
+      if (!(there < (lengths.get(next) ?? -1) - 1e-9)) continue;
+      lengths.set(next, there);
+      queue.push(next);
     }
   }
   return lengths;
