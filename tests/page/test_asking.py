@@ -222,7 +222,7 @@ def test_a_field_that_is_added_to_the_schema_gets_a_row_and_is_sent(
     open_page: Callable[..., Any],
 ) -> None:
     visit = open_page(at_once=False)
-    field = {"type": "number", "minimum": 0, "maximum": 4, "default": None, "unit": "m"}
+    field = {"type": "number", "minimum": 0, "maximum": 4, "default": None, "x-unit": "m"}
 
     def answer(route: Any) -> None:
         told = route.fetch()

@@ -16,8 +16,8 @@ import pytest
 from PIL import Image
 from ros_maps import drawing, map_files, pgm
 
-from anchorflow_cli.ros_map import load_ros_map
 from anchorflow_client.contract import AnchorRequest
+from anchorflow_client.ros_map import load_ros_map
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 expect = sync_api.expect

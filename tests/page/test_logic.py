@@ -19,8 +19,8 @@ import pytest
 from ros_maps import PLAIN, REFUSED, WRITTEN, drawing, map_files, pgm
 from scipy import ndimage
 
-from anchorflow_cli.ros_map import RosMapError, load_ros_map
 from anchorflow_client.contract.fields import STYLES
+from anchorflow_client.ros_map import RosMapError, load_ros_map
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app

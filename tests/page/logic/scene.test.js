@@ -38,7 +38,7 @@ test("the form has the scalar fields of the schema", () => {
 });
 
 test("a scalar field that is added to the schema appears, is sent and is read", () => {
-  const property = { anyOf: [{ type: "number", minimum: 0, maximum: 4 }, { type: "null" }], default: null, description: "Distance between axles [m]." };
+  const property = { anyOf: [{ type: "number", minimum: 0, maximum: 4 }, { type: "null" }], default: null, description: "Distance between axles.", "x-unit": "m" };
   const more = new RequestFields(schemaWith("wheel_base", property));
 
   const { label, unit, text, block } = named("wheel_base", more);

@@ -48,14 +48,15 @@ export class RequestFields {
     return schema.$ref ? { ...this.#schemas[schema.$ref.split("/").at(-1)], ...schema } : schema;
   }
 
-  /** The field at a path if it is a scalar; those inside if it is an object; else none. */
+  /** The field at a path if it is a scalar, or those inside if it is a group. */
   #read(path, schema) {
     const whole = this.#resolve(schema);
     const forms = (whole.anyOf ?? whole.oneOf ?? whole.allOf ?? [whole]).map((form) => this.#resolve(form));
     const scalar = forms.find(({ type, enum: options }) => options || ["number", "integer", "boolean"].includes(type));
     if (scalar) return [describe(path, whole, scalar)];
-    const object = forms.find(({ properties }) => properties);
-    return Object.entries(object?.properties ?? {}).flatMap(([name, part]) => this.#read(`${path}.${name}`, part));
+    // An array may also be bytes in base64; that is another form of its value, not a group of fields.
+    const groups = forms.filter(({ properties }) => properties && !properties.base64);
+    return groups.flatMap(({ properties }) => Object.entries(properties).flatMap(([name, part]) => this.#read(`${path}.${name}`, part)));
   }
 
   /** The fields that a request to this bundle can carry. */
@@ -117,18 +118,17 @@ export function described(value) {
   return value === undefined ? "nothing" : JSON.stringify(value).slice(0, 40);
 }
 
-function describe(path, { description = "", default: initial = null, unit }, { type, enum: options, ...ends }) {
+function describe(path, { description = "", default: initial = null, "x-unit": unit = "" }, { type, enum: options, ...ends }) {
   const [group] = path.split(".");
   const name = path.split(".").at(-1).replaceAll("_", " ");
-  const inText = description.match(/ \[([^\]]*)\]\.?$/); // "… [m/s^2]." if the schema has no unit of its own
   return {
     path,
     kind: options ? "choice" : type,
     options,
     low: ends.minimum ?? ends.exclusiveMinimum ?? -Infinity,
     high: Math.min(ends.maximum ?? ends.exclusiveMaximum ?? Infinity, Number.MAX_SAFE_INTEGER),
-    unit: (unit ?? inText?.[1] ?? "").replace("^2", "²"),
-    text: inText && !unit ? `${description.slice(0, inText.index)}.` : description,
+    unit: unit.replace("^2", "²"),
+    text: description,
     initial,
     block: BLOCKS_OF_GROUPS[group] ?? "more",
     label: name[0].toUpperCase() + name.slice(1),
