@@ -59,7 +59,7 @@ def union_rings(
 
 
 def keyholed(exterior: Array, holes: Sequence[Array]) -> Array:
-    """A polygon with holes as one ring [V, 2]: it goes to each hole and back on the same line."""
+    """A polygon with holes as one ring [V, 2]: a line leads to each hole and back."""
     parts = [exterior]
     for hole in holes:
         parts += [exterior[:1], hole, hole[:1]]
@@ -134,7 +134,7 @@ def _linked(joined: dict[int, list[int]], points: dict[int, Array]) -> list[Arra
 
 
 def _fill(covered: NDArray[np.float32], polygon: Array, value: float) -> None:
-    """Sets the cells whose middles lie in a polygon given in cells."""
+    """Set the cells with their middle inside a polygon, given in cells."""
     low = np.maximum(np.floor(polygon.min(0)).astype(int), 0)
     high = np.maximum(np.ceil(polygon.max(0)).astype(int) + 1, 0)
     block = covered[low[1] : high[1], low[0] : high[0]]

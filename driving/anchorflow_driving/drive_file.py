@@ -1,4 +1,4 @@
-"""A drive as a file that the page plays: what a planner is asked on one vehicle's way, by time.
+"""A drive as a file that the page plays: the inputs of a planner along one vehicle's path.
 
 JSON. Metres, radians, seconds; `map` and `pose` in the frame that the ego's rear axle has first,
 `recorded` and `boxes` in the one that it has then.
@@ -38,12 +38,12 @@ _FEW = 64  # numbers that are written out, not packed
 def windows_on_the_way(
     log: DrivingLog, *, track: int | None = None, every_s: float = 0.5
 ) -> DrivingLog:
-    """The log asked about one vehicle alone, from first to last.
+    """Return the log with windows about one vehicle alone, along its whole record.
 
     Route and speed limit are those of the vehicle's nearest window; the command follows from the
     route, as in simulated logs.
 
-    track: one that the log has a window about; by default the one that drives farthest
+    track: one with a window; by default the one that drives farthest
     every_s: s from one window to the next, in whole frames
 
     Raises:
@@ -79,12 +79,12 @@ def windows_on_the_way(
 def drive_file(
     log: DrivingLog, specs: Sequence[TensorSpec], *, of: str
 ) -> tuple[dict[str, Any], Iterator[dict[str, Any]]]:
-    """A drive without its `frames`, and these, one by one: the windows of a log about one vehicle.
+    """Return a drive without its `frames`, and an iterator over them, of a log on one vehicle.
 
-    specs: of the inputs that bundle `of` asks for
+    specs: inputs of bundle `of`
 
     Raises:
-        SensorError: a card asks for what no log tells.
+        SensorError: no log has one of the inputs.
     """
     check_inputs(specs, of=of)
     windows = list(Scenes(log))
@@ -135,7 +135,7 @@ def _command(log: DrivingLog, ego: int, frame: int, route: Array) -> int:
 
 
 def _map(log: DrivingLog, windows: Sequence[Window], origin: Array) -> dict[str, Any]:
-    """Lines that come within sight of the ego anywhere, each x0, y0, x1, y1, …"""
+    """Return the lines within SIGHT of the ego anywhere, each x0, y0, x1, y1, …"""
     way = np.stack([window.view.state.pose[:2] for window in windows])
     low, high = way.min(0) - SIGHT, way.max(0) + SIGHT
     return {

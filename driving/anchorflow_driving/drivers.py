@@ -1,7 +1,7 @@
-"""Rule-based drivers: what a learned planner has to beat, and the record itself.
+"""Rule-based drivers: baselines of a learned planner, and the record itself.
 
-Each takes a window and gives poses [T, 3] of the rear axle in the ego's frame, at times in seconds.
-All but `human` look at the window's `view` alone.
+Each takes a window and returns poses [T, 3] of the rear axle in the ego's frame, at times [s].
+All but `human` read the window's `view` alone.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Driver(Protocol):
 
 
 def human(window: Window, times: Array = PLAN_TIMES) -> Array:
-    """What was recorded: no planner, since it knows the future."""
+    """Drive the record: no planner, since it knows the future."""
     return window.recorded(times)
 
 
@@ -101,7 +101,7 @@ def collides(window: Window, waypoints: Array) -> bool:
 
 
 def waypoint_headings(waypoints: Array) -> Array:
-    """[T] the course from each waypoint's predecessor; the first comes from the origin."""
+    """[T] the course from each waypoint's predecessor; the first starts at the origin."""
     step = np.diff(waypoints, axis=0, prepend=np.zeros((1, 2)))
     moves = np.hypot(*step.T) > STANDING
     # The last moving step up to each; index 0 stands for the ego's own heading.

@@ -1,4 +1,4 @@
-"""What is wrong with a recording, or with what is asked of it."""
+"""Errors of recordings, sensors and simulations."""
 
 from __future__ import annotations
 
@@ -22,9 +22,7 @@ UNREADABLE = (
     zlib.error,
     zipfile.BadZipFile,
 )
-"""What numpy and zipfile raise over a damaged file of arrays: RuntimeError where it asks for a
-password or for what zipfile cannot do, MemoryError where it says that it holds more than there is.
-"""
+"""Errors of numpy and zipfile on a damaged file of arrays."""
 
 
 class LogError(AnchorFlowError):
@@ -35,7 +33,7 @@ class LogError(AnchorFlowError):
         super().__init__(f"{path}: {field}: expected {expected}, found {found}")
 
     def __reduce__(self) -> tuple[Callable[..., LogError], tuple[str, str]]:
-        # Processes send it to each other, and would make it of its message alone.
+        # An exception is unpickled from its message alone by default.
         return partial(LogError, expected=self.expected, found=self.found), (self.path, self.field)
 
 

@@ -28,7 +28,7 @@ def out_of_frame(points: Array, frame: Array) -> Array:
 def into_frame(points: Array, frame: Array) -> Array:
     """Points [..., 2] or poses [..., 3], seen from a frame (x, y, heading) of the same parent.
 
-    Headings come out as they went in, less the frame's: not wrapped.
+    Headings are reduced by the frame's and not wrapped.
     """
     cos, sin = np.cos(frame[..., 2]), np.sin(frame[..., 2])
     x, y = points[..., 0] - frame[..., 0], points[..., 1] - frame[..., 1]
@@ -51,6 +51,16 @@ def ahead_of(poses: Array, distance: float | Array) -> Array:
     moved[..., 0] += distance * np.cos(poses[..., 2])
     moved[..., 1] += distance * np.sin(poses[..., 2])
     return moved
+
+
+def arc_lengths(line: Array) -> Array:
+    """Return the arc length [V] m at each point of a polyline [V, 2]."""
+    return np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
+
+
+def at_places(places: Array, marks: Array, line: Array) -> Array:
+    """Interpolate the columns of a line [V, D], known at marks [V], at places [...]."""
+    return np.stack([np.interp(places, marks, axis) for axis in line.T], -1)
 
 
 def box_corners(poses: Array, size: Array) -> Array:

@@ -90,7 +90,7 @@ class DrivingLog:
     track_state: NDArray[np.float32]  # [K, F, 5] x, y, heading, vx, vy of the box's middle, or NaN
     lane_points: NDArray[np.float32]  # polygons
     lane_offsets: NDArray[np.int32]
-    lane_intersection: NDArray[np.bool_]  # [L] lies in a junction
+    lane_intersection: NDArray[np.bool_]  # [L] belongs to a junction
     lane_edges: NDArray[np.int32]  # [E, 2] the second lane follows the first
     centre_points: NDArray[np.float32]  # the lanes' centrelines, in driving direction
     centre_offsets: NDArray[np.int32]
@@ -108,7 +108,7 @@ class DrivingLog:
     route_points: NDArray[np.float32]  # a centreline a window
     route_offsets: NDArray[np.int32]
     path: str = "a log in memory"
-    """Where it was read, for messages."""
+    """The file that it was read from, for messages."""
 
     def __post_init__(self) -> None:
         sizes: dict[str, int] = {}
@@ -323,3 +323,42 @@ def line_fields(
     offsets = np.cumsum([0, *(len(line) for line in lines)]).astype(np.int32)
     points = np.concatenate([*lines, np.zeros((0, 2))]) * [1.0, mirror]
     return {f"{name}_points": points.astype(np.float32), f"{name}_offsets": offsets}
+
+
+NO_WINDOWS: dict[str, Any] = {
+    "window_ego": np.zeros(0, np.int32),
+    "window_frame": np.zeros(0, np.int32),
+    "window_command": np.zeros(0, np.uint8),
+    "window_speed_limit": np.zeros(0, np.float32),
+    **line_fields("route", []),
+}
+
+
+def map_fields(
+    families: Mapping[str, Sequence[NDArray[np.float64]]],
+    *,
+    in_junction: Sequence[bool],
+    edges: Sequence[tuple[int, int]],
+    solid: Sequence[bool],
+    mirror: float = 1.0,
+) -> dict[str, Any]:
+    """Return a log's fields of a map: polylines by family, and attributes of lanes and lines."""
+    fields: dict[str, Any] = {}
+    for name, lines in families.items():
+        fields |= line_fields(name, lines, mirror=mirror)
+    return fields | {
+        "lane_intersection": np.array(in_junction, bool),
+        "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
+        "line_solid": np.array(solid, bool),
+    }
+
+
+def track_fields(
+    kinds: Sequence[int], sizes: Sequence[tuple[float, float]], states: NDArray[np.float64]
+) -> dict[str, Any]:
+    """Return a log's fields of tracks, with states [K, F, 5]."""
+    return {
+        "track_type": np.array(kinds, np.uint8),
+        "track_size": np.array(sizes, np.float32),
+        "track_state": states.astype(np.float32),
+    }

@@ -1,4 +1,4 @@
-"""Where one may drive, and which lanes a point lies in."""
+"""The drivable area and the lanes of a map, by point."""
 
 from __future__ import annotations
 
@@ -46,8 +46,9 @@ class Road:
         return held.reshape(len(self._lanes), *points.shape[:-1])
 
     def against_lanes(self, poses: Array) -> NDArray[np.bool_]:
-        """[...] whether poses [..., 3] lie in lanes, all of which lead the other way: by more than
-        a right angle. Where lanes cross or share a place, one of them is enough.
+        """Return [...] whether poses [..., 3] are in lanes that all lead the other way.
+
+        The other way is more than a right angle off; in a crossing one matching lane is enough.
         """
         flat = poses.reshape(-1, 3)
         held = self.in_lanes(flat[:, :2])
@@ -66,10 +67,7 @@ class Road:
 
 
 class DrivableGrid:
-    """Cells whose middles lie inside an odd number of rings.
-
-    Worked out in tiles where somebody first asks, so that a map may be wide.
-    """
+    """Cells with their middle inside an odd number of rings, computed in tiles on first use."""
 
     def __init__(self, rings: Polylines) -> None:
         corners = np.concatenate([*rings, np.zeros((0 if rings else 1, 2))])
@@ -77,13 +75,13 @@ class DrivableGrid:
         self._low = corners.min(0) - 1.0
         columns, rows = np.ceil((corners.max(0) + 1.0 - self._low) / CELL).astype(int)
         self._shape = int(rows), int(columns)
-        # In cells, with their middles at whole numbers.
+        # Edges in units of cells, with the cells' middles at whole numbers.
         self._start, self._end = (
             (np.concatenate([*each, np.zeros((0, 2))]) - self._low) / CELL - 0.5
             for each in (rings, ends)
         )
-        # By a tile's row and column its place among those that there are, or -1; and those.
-        # Replaced as one, since threads may ask at once.
+        # An index into the computed tiles by row and column, or -1, and the tiles; both are
+        # replaced at once because of threads.
         place = np.full((-(-rows // TILE), -(-columns // TILE)), -1)
         self._known = place, np.zeros((0, TILE, TILE), bool)
 
@@ -106,7 +104,7 @@ class DrivableGrid:
     def _added(
         self, place: NDArray[np.int_], tiles: NDArray[np.bool_], wanted: NDArray[np.bool_]
     ) -> tuple[NDArray[np.int_], NDArray[np.bool_]]:
-        """What is known and the tiles that are wanted."""
+        """Return the known tiles with the wanted ones added."""
         added = [
             cells_inside(self._start, self._end, (TILE, TILE), first=(row * TILE, column * TILE))
             for row, column in np.argwhere(wanted).tolist()

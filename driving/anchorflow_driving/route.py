@@ -1,4 +1,4 @@
-"""A route: a polyline by its arc length."""
+"""Routes and driven lines: polylines by arc length, smoothed, extended and blended."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
-from anchorflow_driving.geometry import out_of_frame
+from anchorflow_driving.geometry import arc_lengths, at_places, out_of_frame
 
 Array = NDArray[np.float64]
 
@@ -41,10 +41,10 @@ class Route:
 
     def __init__(self, polyline: Array) -> None:
         kept = without_repeats(polyline)
-        given = np.concatenate([[0.0], np.linalg.norm(np.diff(kept, axis=0), axis=1).cumsum()])
+        given = arc_lengths(kept)
         count = max(2, int(np.ceil(given[-1] / ROUTE_SPACING)) + 1)
         self.arc_length = np.linspace(0.0, given[-1], count)
-        self.points = np.stack([np.interp(self.arc_length, given, axis) for axis in kept.T], -1)
+        self.points = at_places(self.arc_length, given, kept)
         self._edges = np.diff(self.points, axis=0)
         slope = np.gradient(self.points, self.arc_length, axis=0)
         self.heading = np.unwrap(np.arctan2(slope[:, 1], slope[:, 0]))
@@ -55,13 +55,13 @@ class Route:
         return float(self.arc_length[-1])
 
     def moved(self, frame: Array) -> Route:
-        """The same route in the frame's parent, where it was given in the frame."""
+        """Return the route in the frame's parent, if it was given in the frame."""
         return Route(out_of_frame(self.points, frame))
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Arc length and distance to the left of the nearest place to points [..., 2]."""
         _, nearest = self._tree.query(points)
-        # The foot lies on one of the two edges that meet at the nearest vertex.
+        # The foot is on one of the two edges that meet at the nearest vertex.
         edge = np.clip(np.stack([nearest - 1, nearest], -1), 0, len(self._edges) - 1)
         along, start = self._edges[edge], self.points[edge]
         length = np.linalg.norm(along, axis=-1)
@@ -102,9 +102,8 @@ def smooth_line(points: Array, *, before: float = 0.0, sigma: float = LINE_SIGMA
     line = np.concatenate(
         [points[:1] + lead * backwards, points, points[-1:] + 4 * sigma * onwards]
     )
-    length = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
-    at = np.arange(0.0, length[-1], SPACING)
-    even = np.stack([np.interp(at, length, axis) for axis in line.T], -1)
+    length = arc_lengths(line)
+    even = at_places(np.arange(0.0, length[-1], SPACING), length, line)
     smoothed = gaussian_filter1d(even, sigma / SPACING, axis=0, mode="nearest")
     return smoothed[round((lead - before) / SPACING) :]
 
@@ -112,7 +111,7 @@ def smooth_line(points: Array, *, before: float = 0.0, sigma: float = LINE_SIGMA
 def blended(points: Array, driven: Array) -> Array:
     """A line without the points around sideways steps, so that it goes over gradually.
 
-    points: [V, 2], the first of which belong to where somebody drove [F, 2]
+    points: [V, 2]; the first F belong to the driven positions [F, 2]
     """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     recorded = len(driven)

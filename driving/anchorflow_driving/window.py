@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 REAR_AXLE = 0.2823
 """Behind the middle of the box, in lengths: the proportions of the car that NAVSIM scores with."""
 WHEELBASE = 0.5968
-"""In lengths, likewise."""
+"""In lengths, from the same car."""
 _SLOWEST_TURN = 1.0  # m/s; below it a curvature is noise
 
 
@@ -64,9 +64,9 @@ class EgoState:
 
 @dataclass(frozen=True, eq=False)
 class PlannerView:
-    """What a planner may see of a window: the past, the map, the route and the command.
+    """The inputs of a planner: the past, the map, the route and the command.
 
-    All is in the ego's frame but `state.pose` and what `road` is asked about.
+    All is in the ego's frame but `state.pose` and `road`.
     """
 
     state: EgoState  # from the past alone
@@ -135,12 +135,12 @@ class Window:
 
     @cached_property
     def state(self) -> EgoState:
-        """The ego now, its rates by differences across now: where the score starts from."""
+        """Return the ego now, its rates by central differences: the start of the score."""
         return self._state(self.frame - 1, self.frame + 1)
 
     @cached_property
     def route(self) -> Route:
-        """In the log's frame."""
+        """Return the route in the log's frame."""
         return Route(self.log.route(self.index))
 
     @cached_property
@@ -185,7 +185,7 @@ def planner_view(
     speed_limit: float,
     scenes: Scenes,
 ) -> PlannerView:
-    """What a planner may see of the last frames of tracks [K, H + 1, 5], given in the log's frame.
+    """Make a view of the last frames of tracks [K, H + 1, 5], given in the log's frame.
 
     route: [V, 2] in the log's frame; scenes: whose map it is
     """

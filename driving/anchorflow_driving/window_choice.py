@@ -1,4 +1,4 @@
-"""Which vehicles, and when, a log asks a planner about."""
+"""Choose the windows of a log: vehicles and frames."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.geometry import box_corners, boxes_overlap
+from anchorflow_driving.geometry import arc_lengths, at_places, box_corners, boxes_overlap
 from anchorflow_driving.log import (
     COMMANDS,
     FRAME_S,
@@ -34,7 +34,7 @@ EGO_LENGTH = (3.4, 7.0)  # m
 MOVING = 5.0  # m in the recorded future
 TURNING = np.deg2rad(20.0)
 COMMAND_M = (15.0, 60.0)
-"""At least and at most that the command looks along the route, m."""
+"""Least and greatest distance that the command looks along the route, m."""
 COMMAND_BEYOND = 10.0  # m past the end of the recorded future
 STRIDE, TURNING_STRIDE = 10, 5  # frames
 STANDING_SHARE = 0.04
@@ -212,7 +212,7 @@ def _good(
 
 
 def _tracked_fault(window: Window) -> str | None:
-    """What the PDM score finds wrong with the recorded future, tracked."""
+    """Return the fault that the PDM score finds in the tracked recorded future, if any."""
     traffic = recorded_traffic(window)
     motion = tracked(window.recorded(PLAN_TIMES)[None], traffic.start, traffic.vehicle)
     scores = rate(motion, traffic).scores
@@ -261,8 +261,7 @@ def command(line: Array, now: float, end: float) -> int:
 
 def _stretch(line: Array, begin: float, end: float, *, spacing: float) -> Array:
     """The line [V, 2] from one arc length to another, as far as it goes."""
-    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    length = np.concatenate([[0.0], steps.cumsum()])
+    length = arc_lengths(line)
     begin, end = max(begin, 0.0), min(end, length[-1])
     at = np.linspace(begin, end, max(2, round((end - begin) / spacing) + 1))
-    return np.stack([np.interp(at, length, axis) for axis in line.T], -1)
+    return at_places(at, length, line)

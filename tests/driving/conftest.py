@@ -92,7 +92,7 @@ def street() -> Callable[..., DrivingLog]:
 
 @pytest.fixture(scope="session")
 def on_street(street: Callable[..., DrivingLog]) -> Callable[..., Window]:
-    """The one window of such a log."""
+    """The only window of the log."""
 
     def make(*others: Other, **changed: Any) -> Window:
         return Scenes(street(*others, **changed))[0]

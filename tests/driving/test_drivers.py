@@ -63,7 +63,7 @@ def test_stopping_ends_where_the_brakes_say(on_street: OnStreet) -> None:
 
 
 def test_idm_keeps_its_distance_from_a_leader(on_street: OnStreet, other) -> None:
-    """In the route's lane, standing; its tail is 40 m before the ego's front."""
+    """A standing vehicle in the route's lane, its tail 40 m before the ego's front."""
     window = on_street(other(45.0, 0.0), speed=10.0)
 
     plan = DRIVERS["idm"](window, DENSE_TIMES)

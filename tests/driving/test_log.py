@@ -20,7 +20,7 @@ Street = Callable[..., DrivingLog]
 
 @pytest.fixture
 def arrays(street: Street, tmp_path: Path) -> dict[str, Any]:
-    """A log's arrays as they lie in its file."""
+    """A log's arrays in its file."""
     write_log(street(), tmp_path / "sound.npz")
     with np.load(tmp_path / "sound.npz") as file:
         return {key: file[key] for key in file.files}

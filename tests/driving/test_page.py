@@ -40,7 +40,7 @@ def test_the_bundle_that_ships_drives_the_street(
     known: dict[str, Any] = {}
     exec(compile(program.text, program.place, "exec"), known)
 
-    # At 10 m/s on an empty street of two lanes: on, without leaving it.
+    # The ego drives at 10 m/s on an empty street of two lanes and stays on it.
     plan = known["plan"]
     assert 30.0 < plan[-1, 0] < 60.0
     assert (np.abs(plan[:, 1]) < 4.0).all()

@@ -1,6 +1,6 @@
-"""Cooperative recordings: what a car's camera and one on a pole see of the same street.
+"""Cooperative recordings: pictures of a car's camera and of a roadside camera.
 
-layout      the folder that DAIR-V2X published, written
-painter     pictures of boxes on a plane, by a pinhole camera
-crossings   made scenes in which the pole sees who crosses before the car does
+layout      writes recordings in DAIR-V2X's layout
+painter     draws boxes on a plane by a pinhole camera
+crossings   synthetic scenes in which only the roadside camera sees the crossing car
 """

@@ -1,8 +1,8 @@
-"""Made crossings: a house at the corner hides from the car who comes, and a pole sees him.
+"""Synthetic crossings: a house hides the crossing car from the ego, and a roadside camera sees it.
 
-The ego drives towards a junction. Where somebody crosses at the moment when it would be there, it
-brakes, lets him pass and drives on; else it keeps its speed, or follows who drives slowly ahead.
-A share of the scenes has no house, so that the car sees for itself.
+The ego drives towards a junction. If another car would be there at the same time, the ego brakes,
+lets it pass and drives on; otherwise it keeps its speed, or follows a slow leader. A share of the
+scenes has no house.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STEP_S = 0.1
 FRAMES = 66
 CAR = (4.6, 1.9)
 STOP = 7.0
-"""m before the junction's middle, where the middle of the ego's box waits."""
+"""m from the junction's middle to the middle of the waiting ego's box."""
 BRAKE, PULL = 2.5, 2.0  # m/s²
 LANE = 3.5
 HOUSE_COLOURS = ((150, 110, 90), (130, 130, 140), (170, 150, 120))
@@ -36,10 +36,11 @@ POLE = (34.0, -6.0, 8.0)
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """frames: of the drive; occluded: [F], whether a house hides who crosses from the car then
+    """A drive through a crossing.
 
-    shown: [F], whether the pole's picture shows who crosses
-    conflict: whether the ego has to let somebody pass
+    occluded: [F] whether a house hides the crossing car from the ego
+    shown: [F] whether the roadside picture shows the crossing car
+    conflict: whether the ego has to give way
     """
 
     frames: list[CooperativeFrame]
@@ -50,23 +51,20 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Setting:
-    """What is drawn of a scene, in the junction's frame: the ego comes along x from the left."""
+    """The parameters of a scene in the junction's frame; the ego drives along x."""
 
     speed: float
     begin: float  # m before the junction's middle
     house: bool
     crosses: bool
-    side: int  # from which he comes: 1 left, -1 right
+    side: int  # of the crossing car: 1 left, -1 right
     other_speed: float
-    other_time: float  # s, when he is at the junction
+    other_time: float  # s, when it is at the junction
     leader: float | None  # m ahead of the ego
 
 
 def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int = 4) -> Crossing:
-    """A drawn scene; pictures of width and height `size` at every n-th frame.
-
-    The same seed gives the same scene.
-    """
+    """Draw the scene of a seed; every n-th frame has pictures of `size` (width, height)."""
     rng = np.random.default_rng([seed, 7])
     setting = _draw_setting(rng)
     world = np.array([*rng.uniform(-500, 500, 2), rng.uniform(-np.pi, np.pi)])
@@ -104,7 +102,7 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
 
 
 def roadside_camera(size: tuple[int, int]) -> Camera:
-    """The pole's, with pictures of width and height `size`, in the junction's frame."""
+    """Return the roadside camera, in the junction's frame; size: width, height of its picture."""
     return Camera(POLE, np.pi, 0.25, 0.55 * size[0], *size)
 
 
@@ -115,10 +113,10 @@ def draw_crossings(scenes: int, *, seed: int = 0) -> Iterator[tuple[str, list[Co
 
 
 def _draw_setting(rng: np.random.Generator) -> Setting:
-    # Short enough a time that the pole sees who will be there when the ego is.
+    # Short enough that the roadside camera sees the car that will meet the ego.
     speed, arrival = rng.uniform(6.0, 11.0), rng.uniform(2.4, 4.2)
     crosses = rng.random() < 0.7
-    # Half of those who cross do so when the ego would.
+    # Over half of the crossing cars arrive with the ego.
     early = rng.uniform(-1.0, 1.0) if rng.random() < 0.6 else rng.choice([-1, 1]) * 3.2
     return Setting(
         speed=speed,
@@ -137,7 +135,7 @@ def _conflicts(setting: Setting) -> bool:
 
 
 def _ego_path(setting: Setting) -> Array:
-    """[F] m along x of the middle of its box, 0 at the junction's middle."""
+    """Return the x [F] of the middle of its box, 0 at the junction's middle."""
     position, speed = -setting.begin, setting.speed
     path = []
     for number in range(FRAMES):
@@ -181,7 +179,7 @@ def _others(setting: Setting, time: float, looks: dict[str, int]) -> tuple[Array
 
 
 def _house(setting: Setting, rng: np.random.Generator) -> Array:
-    """[5], at the corner on the side from which somebody comes, before the junction."""
+    """Return a box [5] at the corner before the junction, on the side of the crossing car."""
     length, width = rng.uniform(14, 20), rng.uniform(14, 24)
     gap = 5.0
     return np.array([-gap - length / 2, setting.side * (gap + width / 2), 0.0, length, width])

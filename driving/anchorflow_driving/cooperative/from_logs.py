@@ -1,7 +1,7 @@
-"""Cooperative recordings of driving logs: simulated pictures of the car and of a roadside camera.
+"""Cooperative recordings from driving logs: simulated pictures of the car and a roadside camera.
 
-A sequence is one ego of one log. Every frame at which it is there has its pose and the others'
-boxes; the frames of the log's windows have pictures.
+A sequence is one ego of one log. Every frame of the ego has its pose and the others' boxes; the
+frames of the log's windows have pictures.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from anchorflow_driving.window import Scenes, Vehicle, Window
 Array = NDArray[np.float64]
 
 OTHERS_WITHIN = 80.0
-"""m from the ego, within which boxes are told."""
+"""m from the ego within which boxes are labelled."""
 
 
 def log_drives(

@@ -27,7 +27,7 @@ QUALITY = 85  # of JPEG files
 MICROSECONDS = 1e6
 SIDES = ("vehicle-side", "infrastructure-side", "cooperative")
 INFO = "data_info.json"
-"""Of each side: what frames it has."""
+"""The list of frames of each side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +49,9 @@ class CooperativeFrame:
 def write_recording(
     folder: Path, drives: Iterable[tuple[str, Iterable[CooperativeFrame]]], *, hz: float = 10.0
 ) -> int:
-    """A recording of drives by name; how many pairs of pictures it has.
+    """Write a recording of named drives; return its number of picture pairs.
 
-    Every frame has its pose, its time and its label; those with pictures are pairs as well.
+    Every frame has a pose, a time and a label; frames with pictures are pairs as well.
 
     Raises:
         LogError: a file cannot be written.
@@ -60,7 +60,7 @@ def write_recording(
     infrastructure: list[dict[str, Any]] = []
     pairs: list[dict[str, Any]] = []
     number = 0
-    for side in SIDES:  # Until all is written, what is cut off is no recording.
+    for side in SIDES:  # A recording that is cut off has no list.
         (folder / side / INFO).unlink(missing_ok=True)
     for name, frames in drives:
         began = number / hz

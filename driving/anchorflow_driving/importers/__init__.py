@@ -21,7 +21,7 @@ SUFFIXES = {
     ".pkl": Layout.NAVSIM,
     ".pickle": Layout.NAVSIM,
 }
-# What a folder holds.
+# Files that identify a folder.
 HELD = {
     "scene.json": Layout.NUSCENES,
     "v1.0-*/scene.json": Layout.NUSCENES,

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.contours import union_rings
 from anchorflow_driving.errors import LogError
+from anchorflow_driving.geometry import arc_lengths, at_places
 from anchorflow_driving.importers.fields import Entry
 from anchorflow_driving.importers.recording import (
     Lane,
     RoadMap,
     Track,
     recorded_log,
-    resampled,
 )
 from anchorflow_driving.log import CYCLIST, FRAME_S, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
 
@@ -173,6 +173,6 @@ def _between(left: Array, right: Array) -> Array:
     share = np.linspace(0.0, 1.0, max(len(left), len(right), 10))
     sides = []
     for side in (left, right):
-        length = np.linalg.norm(np.diff(side, axis=0), axis=1).cumsum()
-        sides.append(resampled(np.append(0.0, length) / max(length[-1], 1e-9), side, share))
+        length = arc_lengths(side)
+        sides.append(at_places(share, length / max(length[-1], 1e-9), side))
     return (sides[0] + sides[1]) / 2

@@ -72,8 +72,8 @@ def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
     """The log of a scenario, with every window whose recorded future is good, and what was counted.
 
     States are interpolated to 10 Hz. Obstacles without a trajectory (occupancy sets) are left out.
-    The frame is the scenario's; where the first obstacle begins more than FAR from its zero, that
-    place becomes (0, 0).
+    The frame is the scenario's, unless the first obstacle begins more than FAR from its zero: then
+    that position becomes (0, 0).
 
     Raises:
         LogError: names the file, the field, what was expected and what was found.

@@ -1,4 +1,4 @@
-"""Mappings and lists of a file, with errors that name the file and the field."""
+"""Read fields of JSON, pickle and XML files, with errors that name the file and the field."""
 
 from __future__ import annotations
 
@@ -17,11 +17,27 @@ NAMES = ("token", "id")
 """Keys by which an entry of a list is called, before its index."""
 
 
-class Entry:
-    """A value of a file, and where it stands in it."""
+class Located:
+    """A part of a file, known by the file's path and the field's name."""
+
+    def __init__(self, path: Path, field: str) -> None:
+        self.path, self.field = path, field
+
+    def refuse(self, expected: str, found: object, *, within: str = "") -> LogError:
+        """Return the error that names the file and this field, or the one `within`."""
+        field = self._inner(within) if within else self.field
+        return LogError(self.path, field or "root", expected=expected, found=str(found))
+
+    def _inner(self, key: str) -> str:
+        return f"{self.field}.{key}" if self.field else key
+
+
+class Entry(Located):
+    """A value of a JSON or pickle file, with its name."""
 
     def __init__(self, path: Path, field: str, value: Any) -> None:
-        self.path, self.field, self.value = path, field, value
+        super().__init__(path, field)
+        self.value = value
 
     @classmethod
     def of_json(cls, path: Path) -> Entry:
@@ -35,10 +51,6 @@ class Entry:
         except (OSError, ValueError, RecursionError) as error:
             raise LogError(path, "file", expected="a JSON file", found=str(error)) from error
 
-    def refuse(self, expected: str, found: object, *, within: str = "") -> LogError:
-        field = self._inner(within) if within else self.field
-        return LogError(self.path, field or "root", expected=expected, found=str(found))
-
     def __getitem__(self, key: str) -> Entry:
         found = self.maybe(key)
         if found is None:
@@ -51,12 +63,12 @@ class Entry:
         return None if value is None else Entry(self.path, self._inner(key), value)
 
     def values(self) -> Iterator[Entry]:
-        """Of a mapping."""
+        """Iterate over the values of a mapping."""
         for key, value in self._mapping().items():
             yield Entry(self.path, self._inner(str(key)), value)
 
     def __iter__(self) -> Iterator[Entry]:
-        """Of a list."""
+        """Iterate over a list."""
         if not isinstance(self.value, (list, tuple)):
             raise self.refuse("a list", _kind(self.value))
         for index, value in enumerate(self.value):
@@ -109,9 +121,6 @@ class Entry:
             raise self.refuse("a mapping", _kind(self.value))
         return self.value
 
-    def _inner(self, key: str) -> str:
-        return f"{self.field}.{key}" if self.field else key
-
 
 def by_token(entries: Entry) -> dict[str, Entry]:
     """The entries of a list by their tokens."""
@@ -128,11 +137,12 @@ def _kind(value: Any) -> str:
     return type(value).__name__
 
 
-class Element:
-    """An element of a file, and where it stands in it."""
+class Element(Located):
+    """An element of an XML file, with its name."""
 
     def __init__(self, path: Path, field: str, node: ElementTree.Element) -> None:
-        self.path, self.field, self._node = path, field, node
+        super().__init__(path, field)
+        self._node = node
 
     @classmethod
     def of_file(cls, path: Path, tag: str) -> Element:
@@ -149,10 +159,6 @@ class Element:
             raise LogError(path, "root element", expected=tag, found=root.tag)
         return cls(path, tag, root)
 
-    def refuse(self, expected: str, found: object, *, within: str = "") -> LogError:
-        field = f"{self.field}.{within}" if within else self.field
-        return LogError(self.path, field, expected=expected, found=str(found))
-
     def attribute(self, name: str) -> str:
         if name not in self._node.attrib:
             raise self.refuse("the attribute", "none", within=name)
@@ -161,7 +167,7 @@ class Element:
     def children(self, tag: str) -> Iterator[Element]:
         for index, node in enumerate(self._node.findall(tag)):
             name = node.attrib.get("id", node.attrib.get("ref", str(index)))
-            yield Element(self.path, f"{self.field}.{tag}[{name}]", node)
+            yield Element(self.path, self._inner(f"{tag}[{name}]"), node)
 
     def child(self, tag: str) -> Element:
         found = self.maybe(tag)
@@ -171,14 +177,14 @@ class Element:
 
     def maybe(self, tag: str) -> Element | None:
         node = self._node.find(tag)
-        return None if node is None else Element(self.path, f"{self.field}.{tag}", node)
+        return None if node is None else Element(self.path, self._inner(tag), node)
 
     @property
     def text(self) -> str:
         return (self._node.text or "").strip()
 
     def number(self, tag: str) -> float:
-        """Of a child: its text, or that of `exact`, or the middle of an interval."""
+        """Return a child's number: its text, its `exact`, or the middle of its interval."""
         child = self.child(tag)
         if child.maybe("exact") is not None:
             return child.number("exact")

@@ -58,7 +58,7 @@ def layers(path: Path) -> set[str]:
 
 
 def key_value(path: Path, table: str, key: str) -> str:
-    """Of a table of keys and values."""
+    """Return the value of a key in a table of keys and values."""
     values = dict(_rows(path, table, "key", "value"))
     if key not in values:
         raise LogError(path, f"{table}.key", expected=key, found=", ".join(map(str, values)))

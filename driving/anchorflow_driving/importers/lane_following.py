@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anchorflow_driving.geometry import wrap_angle
+from anchorflow_driving.geometry import arc_lengths, at_places, wrap_angle
 from anchorflow_driving.log import VEHICLE, DrivingLog
 from anchorflow_driving.route import ROUTE_SIGMA, blended, places_on, smooth_line
 from anchorflow_driving.window_choice import Driven
@@ -26,7 +26,7 @@ CHANGE = 12.0
 HOPS = 3
 """Lanes that a vehicle may pass between two frames."""
 BEYOND = 60.0
-"""m that the line goes on past the record."""
+"""m by which the line extends past the record."""
 
 
 class LaneFollowing:
@@ -128,10 +128,9 @@ def _reachable(following: list[list[int]], lane: int) -> set[int]:
 
 def _sampled(centre: Array) -> tuple[Array, Array]:
     """Points of a centreline every SAMPLE m, and its heading there."""
-    steps = np.linalg.norm(np.diff(centre, axis=0), axis=1)
-    length = np.concatenate([[0.0], steps.cumsum()])
+    length = arc_lengths(centre)
     at = np.linspace(0.0, length[-1], max(2, int(np.ceil(length[-1] / SAMPLE)) + 1))
-    points = np.stack([np.interp(at, length, axis) for axis in centre.T], -1)
+    points = at_places(at, length, centre)
     slope = np.gradient(points, axis=0)
     return points, np.arctan2(slope[:, 1], slope[:, 0])
 

@@ -174,9 +174,9 @@ def _texts(entry: Entry, count: int) -> list[str]:
 
 
 def read_map(path: Path, box: tuple[Array, Array], counts: Counter[str]) -> RoadMap:
-    """What lies near a box (its low and high corner, in UTM coordinates) of the map.
+    """Read the map near a box (its low and high corner, in UTM coordinates).
 
-    Lane connectors lie in a junction. Painted lines are left out: their kinds have no names there.
+    Lane connectors belong to a junction. Painted lines are left out: they have no named kinds.
 
     Raises:
         LogError: names the file, the layer, what was expected and what was found.
@@ -236,7 +236,7 @@ def _lanes(path: Path, zone: int, box: tuple[Array, Array]) -> list[Lane]:
 
 
 def _name(kind: str, feature: Feature, key: str) -> str:
-    """Lanes and connectors are numbered apart; a column with gaps comes in floats."""
+    """Lanes and connectors are numbered apart; a column with gaps has floats."""
     value = feature.values[key]
     return f"{kind} {int(value) if isinstance(value, float) else value}"
 

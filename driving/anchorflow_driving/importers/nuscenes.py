@@ -36,7 +36,7 @@ EGO_SIZE = (4.084, 1.730)
 """Length and width of the recording Renault Zoe, m."""
 EGO_AHEAD = 1.385
 """m from its rear axle, whose pose is recorded, to its middle."""
-# By the beginning of a category's name; the first that fits.
+# Keyed by prefixes of a category's name; the first match counts.
 KINDS = {
     "vehicle.bicycle": CYCLIST,
     "vehicle.motorcycle": CYCLIST,
@@ -105,7 +105,7 @@ def chosen_scene(scenes: Sequence[Entry], name: str | None, path: Path) -> Entry
 
 
 class _Tables:
-    """The tables of a folder, read when they are asked for."""
+    """The tables of a folder, read on first use."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder

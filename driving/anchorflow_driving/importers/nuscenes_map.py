@@ -23,9 +23,9 @@ TURNS = {"L": 1.0, "S": 0.0, "R": -1.0}
 
 
 def read_map(path: Path, box: tuple[Array, Array], counts: Counter[str]) -> RoadMap:
-    """What lies near a box (its low and high corner) of the map.
+    """Read the map near a box (its low and high corner).
 
-    A connector lies in a junction. The drivable area is the union of its layer's polygons.
+    A connector belongs to a junction. The drivable area is the union of its layer's polygons.
 
     Raises:
         LogError: names the file, the field, what was expected and what was found.

@@ -1,8 +1,8 @@
 """Pickles of plain data: arrays, numbers, texts and containers. Nothing in them is run.
 
-A pickle is a program that may call whatever it names. Here it may name what numpy's arrays and
-sets are made of, and gets a stand-in for each: not even numpy's own constructors, which trust what
-they are given, see a byte of the file before its size and type are checked.
+A pickle is a program that may call any global it names. Here it may name only the parts of numpy
+arrays and sets, and gets a stand-in for each: even numpy's own constructors, which trust their
+arguments, see no byte of the file before its size and type are checked.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _UNREADABLE = (
 
 
 def load_plain_pickle(path: Path) -> Any:
-    """What a file holds: containers, numbers, texts, and objects that `numpy.asarray` takes.
+    """Load a file of containers, numbers, texts, and objects that `numpy.asarray` takes.
 
     Raises:
-        LogError: the file cannot be read, or names anything else, which is then not called.
+        LogError: the file cannot be read, or names any other global, which is not called.
     """
     try:
         with path.open("rb") as stream:
@@ -64,7 +64,7 @@ class _Type:
         self.order = order
 
     def array(self, raw: Any, shape: tuple[int, ...], order: str) -> NDArray:
-        """Of a buffer, or of a list where elements are objects."""
+        """Make an array from a buffer, or from a list if its elements are objects."""
         if self.code.startswith("O"):
             if not isinstance(raw, list) or len(raw) != math.prod(shape):
                 raise ValueError("an array of objects without a list of them")

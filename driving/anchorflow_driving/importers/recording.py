@@ -1,4 +1,4 @@
-"""Tracks and a map, whatever layout they came in, as a driving log with its windows."""
+"""Turn imported tracks and a map into a driving log with its windows."""
 
 from __future__ import annotations
 
@@ -11,8 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.geometry import at_places
 from anchorflow_driving.importers.lane_following import LaneFollowing
-from anchorflow_driving.log import FRAME_S, VEHICLE, DrivingLog, line_fields
+from anchorflow_driving.log import (
+    FRAME_S,
+    NO_WINDOWS,
+    VEHICLE,
+    DrivingLog,
+    map_fields,
+    track_fields,
+)
 from anchorflow_driving.window_choice import all_windows
 
 Array = NDArray[np.float64]
@@ -26,14 +34,14 @@ _SLACK = 1e-6  # s
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Somebody's recorded states, at times of their own."""
+    """The recorded states of one object, at its own times."""
 
     kind: int  # VEHICLE, PEDESTRIAN, CYCLIST or STATIC
     size: tuple[float, float]  # length, width
     time: Array  # [M] s, growing from 0
     poses: Array  # [M, 3] x, y, heading of the box's middle; headings may jump by 2 pi
     velocity: Array  # [M, 2]
-    always: bool = False  # stands in every frame, at its only state
+    always: bool = False  # present in every frame, at its only state
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +85,7 @@ def recorded_log(
         dt=FRAME_S,
         **_track_fields(tracks, origin),
         **_map_fields(road, origin),
-        window_ego=np.zeros(0, np.int32),
-        window_frame=np.zeros(0, np.int32),
-        window_command=np.zeros(0, np.uint8),
-        window_speed_limit=np.zeros(0, np.float32),
-        **line_fields("route", []),
+        **NO_WINDOWS,
         path=str(path),
     )
     counts: Counter[str] = Counter()
@@ -97,19 +101,14 @@ def recorded_log(
 
 
 def frame_times(seconds: float) -> Array:
-    """Of the log's frames, from 0 to so many seconds."""
+    """Return the times of the log's frames from 0 to `seconds`."""
     frames = 1 + int(np.floor(seconds / FRAME_S + _SLACK))
     return np.array([FRAME_S * frame for frame in range(frames)])
 
 
-def resampled(time: Array, values: Array, now: Array) -> Array:
-    """Columns of values [M, ...] at other times, by straight lines."""
-    return np.stack([np.interp(now, time, axis) for axis in values.T], -1)
-
-
 def resampled_poses(time: Array, poses: Array, now: Array) -> Array:
     """Poses [M, 3] at other times; headings turn the short way."""
-    return resampled(time, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]), now)
+    return at_places(now, time, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))
 
 
 def velocities(time: Array, positions: Array) -> Array:
@@ -142,17 +141,13 @@ def _track_fields(tracks: Sequence[Track], origin: Array) -> dict[str, Any]:
     for state, track in zip(states, tracks, strict=True):
         seen = np.ones(frames, bool) if track.always else _seen(track.time, now)
         poses = resampled_poses(track.time, track.poses, now[seen])
-        velocity = resampled(track.time, track.velocity, now[seen])
+        velocity = at_places(now[seen], track.time, track.velocity)
         state[seen] = np.concatenate([poses - [*origin, 0.0], velocity], axis=1)
-    return {
-        "track_type": np.array([track.kind for track in tracks], np.uint8),
-        "track_size": np.array([track.size for track in tracks], np.float32),
-        "track_state": states.astype(np.float32),
-    }
+    return track_fields([track.kind for track in tracks], [track.size for track in tracks], states)
 
 
 def _seen(time: Array, now: Array) -> NDArray[np.bool_]:
-    """Which frames lie at a state or in a gap that is closed."""
+    """Return which frames coincide with a state or fall into a short gap."""
     before = np.searchsorted(time, now + _SLACK, side="right") - 1
     after = np.searchsorted(time, now - _SLACK, side="left")
     inside = (before >= 0) & (after < len(time))
@@ -175,11 +170,9 @@ def _map_fields(road: RoadMap, origin: Array) -> dict[str, Any]:
         "crosswalk": road.crosswalks,
         "line": [line for line, _ in road.lines],
     }
-    fields: dict[str, Any] = {}
-    for kind, lines in polylines.items():
-        fields |= line_fields(kind, [line - origin for line in lines])
-    return fields | {
-        "lane_intersection": np.array([lane.in_junction for lane in road.lanes], bool),
-        "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
-        "line_solid": np.array([solid for _, solid in road.lines], bool),
-    }
+    return map_fields(
+        {name: [line - origin for line in lines] for name, lines in polylines.items()},
+        in_junction=[lane.in_junction for lane in road.lanes],
+        edges=edges,
+        solid=[solid for _, solid in road.lines],
+    )

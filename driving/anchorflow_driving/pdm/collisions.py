@@ -19,7 +19,7 @@ from anchorflow_driving.road import Road
 from anchorflow_driving.window import Vehicle
 
 STOPPED = 0.05
-"""m/s, at or below which nobody is at fault for being hit, and hitting is everybody's."""
+"""m/s, at or below which an ego is never at fault, and hitting another always counts."""
 TTC_STOPPED = 0.005
 """m/s, below which an ego is not asked about."""
 LOOKAHEAD_FRAMES = (0, 3, 6, 9)
@@ -54,7 +54,7 @@ class Contacts:
 
 
 class Placement:
-    """How plans' boxes lie on the road; lanes are looked up where somebody asks."""
+    """The positions of plans' boxes relative to the road; lanes are looked up on demand."""
 
     def __init__(self, motion: Motion, vehicle: Vehicle, road: Road) -> None:
         self._road, self._axle = road, motion.poses[..., :2]
@@ -63,7 +63,7 @@ class Placement:
         """[P, T] a corner is not drivable."""
 
     def straddles(self, plan: Integers, step: Integers) -> NDArray[np.bool_]:
-        """[M] the box lies in several lanes and whole in none, or off the road."""
+        """Return [M] whether the box is in several lanes and whole in none, or off the road."""
         inside = self._road.in_lanes(self._corners[plan, step])
         several = (inside.any(-1).sum(0) > 1) & ~inside.all(-1).any(0)
         return several | self.off_road[plan, step]
@@ -159,7 +159,7 @@ def _near(
 def _at_fault(
     contacts: Contacts, motion: Motion, traffic: Traffic, placement: Placement
 ) -> NDArray[np.bool_]:
-    """Of a moving ego: what stands was hit; else the front bumper hits, or it left its lane."""
+    """Whether a moving ego hit a standing object, hit with its front bumper, or left its lane."""
     others, vehicle = traffic.others, traffic.vehicle
     plan, step, track = contacts.plan, contacts.step, contacts.track
     state = others.states[track, step]

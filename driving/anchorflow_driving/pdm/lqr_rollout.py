@@ -1,4 +1,4 @@
-"""From a plan to a motion: LQR on a kinematic bicycle, as nuPlan's simulation has it."""
+"""Roll out a plan by LQR on a kinematic bicycle, as nuPlan's simulation does."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from anchorflow_driving.window import EgoState
 Array = NDArray[np.float64]
 
 STEPS = 40
-"""Of FRAME_S each: 4 s."""
+"""Steps of FRAME_S in a rollout: 4 s."""
 LOOKAHEAD = 10
 """Steps over which the controller holds one command."""
 
@@ -55,7 +55,7 @@ def interpolate(poses: Array) -> Array:
 
 
 def track(reference: Array, start: EgoState, *, wheelbase: float) -> Motion:
-    """What a vehicle drives that is to follow a reference [P, 41, 3], in the frame of `start`."""
+    """Roll out a vehicle that follows a reference [P, 41, 3], in the frame of `start`."""
     speeds, curvatures = reference_profiles(reference)
     curvatures = np.concatenate(
         [curvatures, np.repeat(curvatures[:, -1:], LOOKAHEAD, axis=1)], axis=1
@@ -166,7 +166,7 @@ def _steering_rate(
     error = wrap_angle(pose[:, 2] - heading)
     turn = arc * (present[:, None] - curvature)
     turn_of_rate = arc * (np.arange(LOOKAHEAD) * FRAME_S / wheelbase)
-    # What a turn at one step shifts sideways over the steps after it.
+    # A turn at one step shifts the remaining steps sideways.
     rest = arc.sum(1, keepdims=True) - arc.cumsum(1)
     lateral = lateral + error * arc.sum(1) + (turn * rest).sum(1)
     lateral_of_rate = (turn_of_rate * rest).sum(1)
@@ -181,5 +181,5 @@ def _steering(start: EgoState, wheelbase: float) -> float:
 
 
 def _share(lag: float) -> float:
-    """Of a command that a first-order lag passes on in one step."""
+    """Return the share of a command that a first-order lag passes on in one step."""
     return FRAME_S / (FRAME_S + lag)

@@ -85,7 +85,7 @@ def idm_proposals(traffic: Traffic) -> Array:
 
 
 def idm_acceleration(speed: Array, wanted: Array, *, gap: Array, leader_speed: Array) -> Array:
-    """Treiber, Hennecke and Helbing, 2000; m/s². A gap is infinite where nobody leads."""
+    """Return IDM's acceleration, m/s² (Treiber, Hennecke and Helbing, 2000); no leader: gap inf."""
     closing = speed * (speed - leader_speed) / (2 * np.sqrt(ACCELERATION * DECELERATION))
     wanted_gap = GAP + np.maximum(0.0, speed * HEADWAY + closing)
     interaction = (wanted_gap / np.maximum(gap, SMALLEST_GAP)) ** 2
@@ -104,15 +104,15 @@ class _Leaders:
         along, left = route.project(np.concatenate([corners, states[..., None, :2]], axis=-2))
         self._tail, self._head = along.min(-1), along.max(-1)
         self._right, self._left = left.min(-1), left.max(-1)
-        # Of a box between two arms of a bent route, corners may belong to either: only a box whose
-        # middle is near the path can lie on it.
+        # The corners of a box between two arms of a bent route may project on either: only a box
+        # with its middle near the path can be on it.
         self._middle = left[..., -1]
         self._reach = np.hypot(*others.size.T) / 2
         heading = np.interp(along[..., -1], route.arc_length, route.heading)
         self._speed = states[..., 3] * np.cos(heading) + states[..., 4] * np.sin(heading)
 
     def ahead_of(self, place: Array, offset: Array, step: int) -> tuple[Array, Array]:
-        """Gap (m, inf where free) and speed along the route [P] of who drives before whom.
+        """Return the gap (m, inf if free) and the leader's speed along the route, [P] each.
 
         place: [P] arc length of the rear axle; offset: [P] of the path, to the left
         """

@@ -62,7 +62,7 @@ class PdmScorer:
         return metres_against(motion, self._traffic)
 
     def motion(self, plans: Array) -> Motion:
-        """What the vehicle drives that follows the plans, in the log's frame."""
+        """Roll out the plans, in the log's frame."""
         plans = np.asarray(plans, np.float64)
         if plans.ndim != 3 or plans.shape[1:] not in ((8, 3), (40, 3)):
             raise ValueError(f"plans: expected [P, 8, 3] or [P, 40, 3], got {list(plans.shape)}")
@@ -72,7 +72,7 @@ class PdmScorer:
 
 
 def tracked(plans: Array, start: EgoState, vehicle: Vehicle) -> Motion:
-    """What a vehicle drives that follows plans [P, 8, 3] or [P, 40, 3], in the frame of `start`."""
+    """Roll out a vehicle that follows plans [P, 8, 3] or [P, 40, 3], in the frame of `start`."""
     poses = np.concatenate([np.zeros((len(plans), 1, 3)), plans], axis=1)
     reference = interpolate(out_of_frame(poses, start.pose))
     return track(reference, start, wheelbase=vehicle.wheelbase)

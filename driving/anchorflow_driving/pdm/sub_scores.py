@@ -17,7 +17,7 @@ from anchorflow_driving.pdm.traffic import Traffic
 Array = NDArray[np.float64]
 
 FREE_PROGRESS = 5.0
-"""m; where nobody gets farther, nobody is judged by it."""
+"""m; progress counts only if some motion exceeds it."""
 BOUNDS = {
     "longitudinal_acceleration": (-4.05, 2.40),  # m/s²
     "lateral_acceleration": (-4.89, 4.89),
@@ -138,5 +138,5 @@ def metres_against(motion: Motion, traffic: Traffic) -> Array:
 
 
 def direction_compliance(against: Array) -> Array:
-    """In (0, 1], of m against the lanes."""
+    """Return the compliance in (0, 1] for metres against the lanes."""
     return np.exp(-np.maximum(against - FREE_M, 0.0) / FADING_M)

@@ -63,7 +63,7 @@ class Traffic:
 
 
 def recorded_traffic(window: Window) -> Traffic:
-    """With the others as they were recorded."""
+    """Return a window's traffic with the others as recorded."""
     log, frame = window.log, window.frame
     recorded = log.track_state[:, frame : frame + FRAMES].astype(np.float64)
     states = np.full((len(recorded), FRAMES, 5), np.nan)
@@ -80,7 +80,7 @@ def recorded_traffic(window: Window) -> Traffic:
 
 
 def seen_traffic(view: PlannerView) -> Traffic:
-    """With the others as a planner sees them now, and predicts them."""
+    """Return the traffic that a planner sees now, with the others predicted."""
     pose = view.state.pose
     now = view.tracks[:, -1:]
     turn = np.array([0.0, 0.0, pose[2]])

@@ -1,1 +1,1 @@
-"""What a planner's sensors would tell of a window, drawn from its log: simulated sensors."""
+"""Simulated sensors: a planner's inputs, drawn from a window of a log."""

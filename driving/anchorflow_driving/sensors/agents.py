@@ -1,6 +1,4 @@
-"""Others as lists of boxes, which planners learn to find: the nearest vehicles, as NAVSIM has them,
-and whoever stands farther ahead than a LiDAR's square reaches.
-"""
+"""The others as boxes: vehicles nearby, as in NAVSIM, objects far ahead, solids with heights."""
 
 from __future__ import annotations
 
@@ -50,7 +48,7 @@ def far_others(view: PlannerView) -> Boxes:
 
 
 def _boxes(view: PlannerView, others: Solids, seen: NDArray[np.bool_], *, most: int) -> Boxes:
-    """Of those that are seen, the nearest."""
+    """Return the nearest of the seen."""
     found = np.flatnonzero(seen)
     away = np.linalg.norm(others.poses[found, :2], axis=1)
     order = found[np.argsort(away, kind="stable")][:most]
@@ -64,7 +62,7 @@ def _boxes(view: PlannerView, others: Solids, seen: NDArray[np.bool_], *, most: 
 
 @dataclass(frozen=True)
 class Solids:
-    """M boxes that stand on the ground."""
+    """M boxes on the ground."""
 
     poses: Array  # [M, 3] of the middles, in the frame of the ego's rear axle
     size: Array  # [M, 3] length, width, height

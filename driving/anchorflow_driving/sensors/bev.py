@@ -27,7 +27,7 @@ DRAWING = 2
 FINE = 4
 """Cells of the drawing to a cell of the raster, a side."""
 PLACES = 2
-"""Of a cell, a side, where it is asked whether one may drive there."""
+"""Sample points a side of a cell for the drivable area."""
 EDGE = 0.25
 """Cells of the drawing by which Pillow's polygons are too large in the mean, a side."""
 SPACING = 0.4

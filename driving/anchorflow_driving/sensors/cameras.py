@@ -23,7 +23,7 @@ POLE_AHEAD = (15.0, 45.0)
 """m before the ego at which a roadside camera stands: at the next junction, if there is one."""
 POLE_ASIDE = 8.0  # m
 POLE_FOCAL = 1.1
-"""Of its picture's width."""
+"""Focal length in widths of its picture."""
 
 
 def camera_images(view: PlannerView, renderer: Renderer) -> tuple[Bytes, Bytes, Bytes]:
@@ -55,7 +55,7 @@ def roadside_camera(view: PlannerView) -> PinholeCamera:
 
 
 def simulated_roadside(view: PlannerView, renderer: Renderer) -> Bytes:
-    """What the roadside camera sees, the ego among the others: uint8 [270, 480, 3]."""
+    """Draw the roadside camera's picture, the ego included: uint8 [270, 480, 3]."""
     return renderer.draw(view, roadside_camera(view), with_ego=True)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.errors import SensorError
-from anchorflow_driving.geometry import points_in_polygon
+from anchorflow_driving.geometry import arc_lengths, points_in_polygon
 from anchorflow_driving.window import PlannerView
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ STRIPE_PERIOD = 1.0  # m, of a crosswalk's stripes and gaps
 
 @dataclass(frozen=True, eq=False)
 class GroundPicture:
-    """Row 0 lies at the lowest y, column 0 at the lowest x, of the log's frame."""
+    """A picture in the log's frame; row 0 is at the lowest y, column 0 at the lowest x."""
 
     pixels: NDArray[np.uint8]  # [H, W, 3]
     low: Array  # [2] m, its corner
@@ -85,7 +85,7 @@ def _paint_stripes(pixels: NDArray[np.float32], polygon: Array, low: Array) -> N
 
 
 def _paint_line(pixels: NDArray[np.float32], line: Array, low: Array, *, solid: bool) -> None:
-    length = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
+    length = arc_lengths(line)
     for (begin, end), (start, stop) in zip(pairwise(length), pairwise(line), strict=True):
         step = max(int(np.ceil((end - begin) / (CELL / 2))), 1)
         share = (np.arange(step) + 0.5) / step

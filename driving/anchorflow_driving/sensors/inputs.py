@@ -1,4 +1,4 @@
-"""What a planner's sensors tell of a view, by the names of the inputs on its card."""
+"""The inputs of a planner from a view, by their names on its card."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _bev(view: PlannerView, _: TensorSpec) -> NDArray[np.uint8]:
 
 
 def _camera(view: PlannerView, spec: TensorSpec) -> NDArray[np.uint8]:
-    """The simulated cameras, in the size that the card asks for."""
+    """Draw the simulated cameras in the card's size."""
     # Here, because it needs the extra "driving", which other inputs do without.
     from anchorflow_driving.sensors.cameras import simulated_camera
 
@@ -56,14 +56,14 @@ SENSORS: Mapping[str, Sensor] = {
     "route": lambda view, _: route_ahead(view.route.points),
     "vehicle_size": lambda view, _: view.vehicle.size.astype(np.float32),
 }
-"""What a bundle may ask for, by the name of its input; camera and LiDAR are simulated."""
+"""The possible inputs of a bundle, by name; camera and LiDAR are simulated."""
 
 
 def check_inputs(specs: Iterable[TensorSpec], *, of: str) -> None:
-    """Whether a view tells all that the card of bundle `of` asks for.
+    """Check that a view has all inputs on the card of bundle `of`.
 
     Raises:
-        SensorError: it does not.
+        SensorError: it lacks one.
     """
     for spec in specs:
         if spec.name not in SENSORS:
@@ -75,7 +75,7 @@ def draw_inputs(view: PlannerView, specs: Iterable[TensorSpec]) -> dict[str, NDA
     """The inputs of one scene, without the leading B, by their names.
 
     Raises:
-        SensorError: one is asked for in another shape than its sensor has.
+        SensorError: the card's shape differs from the sensor's.
     """
     inputs = {}
     for spec in specs:

@@ -26,7 +26,7 @@ REACH = 60.0  # m
 
 
 def simulated_points(view: PlannerView) -> NDArray[np.float32]:
-    """Where the beams end: [P, 3] x, y, z above the ground, in the frame of the rear axle, m."""
+    """Return the ends [P, 3] m of the beams: x, y, z above the ground, in the rear axle's frame."""
     azimuth = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     slope = np.tan(np.deg2rad(np.linspace(LOWEST, HIGHEST, BEAMS)))
     others = solids(view, reach=REACH + 10.0)

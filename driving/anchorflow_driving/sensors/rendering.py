@@ -1,7 +1,7 @@
 """Pictures of a window as a pinhole camera would see it: painted ground and boxes, by OpenGL.
 
-Draws without a screen, through EGL (Debian: libegl1, libgl1-mesa-dri). What logs do not hold, as
-houses, trees and weather, is not there: simulated pictures are no photographs.
+Draws without a screen, through EGL (Debian: libegl1, libgl1-mesa-dri). Logs have no
+houses, trees or weather, so simulated pictures are no photographs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ BACKEND: dict[str, Any] = {"backend": "egl"}
 NEAR, FAR = 0.2, 400.0
 SKY = (0.62, 0.72, 0.84)
 CABIN = (0.72, 0.92, 0.55, 0.62)
-"""Of a vehicle's length, width and height, how much its cabin takes; its height begins last."""
+"""A cabin's shares of its vehicle's length, width and height, and the share at which it begins."""
 COLOURS = np.array(
     [
         [0.80, 0.80, 0.82],
@@ -109,7 +109,7 @@ class RenderingUnavailable(AnchorFlowError):
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Where a camera stands in the ego's frame, where it looks, and its picture.
+    """A camera's position and direction in the ego's frame, and its picture.
 
     place: x, y, z above the ground, m
     yaw, pitch: rad; to the left, and up
@@ -173,7 +173,7 @@ class Renderer:
         self, view: PlannerView, camera: PinholeCamera, *, with_ego: bool = False
     ) -> NDArray[np.uint8]:
         """The camera's picture [rows, columns, 3], red first."""
-        with self._gl:  # where there are two in a process, the other's may be the current one
+        with self._gl:  # another context of the process may be the current one
             self._gl.gc()
             target = self._target(camera.rows, camera.columns)
             target.use()

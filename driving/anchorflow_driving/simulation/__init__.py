@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class LogConfig:
-    """What a simulated log holds.
+    """The settings of simulated logs.
 
     seconds: recorded
     windows: at most, a third of them turning where there are as many
     left_hand: share of logs in which traffic keeps left
-    deviating: share of logs in which vehicles leave their lines, and windows ask for the way back
+    deviating: share of logs in which vehicles leave their lines, with windows on the way back
     arterial: share of logs on nets of long, fast streets
-    speed_limits: whether windows tell their lanes' limits, which few recordings do
+    speed_limits: whether windows have their lanes' limits, as few recordings do
     """
 
     seed: int = 0

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
 from anchorflow_driving.errors import SimulationError
-from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, SIMULATED, VEHICLE, DrivingLog
+from anchorflow_driving.log import (
+    FRAME_S,
+    FUTURE_FRAMES,
+    NO_WINDOWS,
+    SIMULATED,
+    VEHICLE,
+    DrivingLog,
+)
 from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
 from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.pdm.score import tracked
@@ -33,7 +40,7 @@ from anchorflow_driving.simulation.driven import (
 from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.roadside import all_that_stands
 from anchorflow_driving.simulation.routes import line_ahead
-from anchorflow_driving.simulation.simulated_log import NO_WINDOWS, map_fields
+from anchorflow_driving.simulation.simulated_log import net_fields
 from anchorflow_driving.simulation.street_plan import make_net
 from anchorflow_driving.simulation.sumo_traffic import LiveTraffic, Seen
 from anchorflow_driving.window import (
@@ -51,12 +58,12 @@ Array = NDArray[np.float64]
 ATTEMPTS = 10
 """Draws until a vehicle is found that can drive so far."""
 LEAST_SPEED = 3.0
-"""m/s of the vehicle that is taken over: who holds its speed would stand for ever."""
+"""m/s of the vehicle that is taken over: a driver that holds its speed must not start at rest."""
 BEHIND, AHEAD = 20.0, 150.0
 """m of the route that a planner is given."""
 COMMAND_S = 4.5
 DENSEST = 12.0
-"""Vehicles a lane and kilometre: in queues without lights nobody would get through in time."""
+"""Vehicles a lane and kilometre: denser queues without lights would not clear in time."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,7 @@ class RouteResult:
 
 
 class LiveWindow(Window):
-    """What a driver is asked while it drives: there is a view, and no record of what comes."""
+    """The window of a live drive: it has a view and no recorded future."""
 
     def __init__(self, view: PlannerView, scenes: Scenes) -> None:
         self.view, self.state, self.vehicle = view, view.state, view.vehicle
@@ -116,7 +123,7 @@ def drive_route(
 ) -> RouteResult:
     """One route; its net, its traffic and its start depend on the seed and the index alone.
 
-    Junctions have no traffic lights, since planners are not told of them.
+    Junctions have no traffic lights, since no planner has them as input.
 
     keep: takes the drive as a log, as `DrivenLog` makes it. The driver then drives on past the
         route's end, so that the last window has its future.
@@ -148,7 +155,7 @@ def _drive(
     demand = make_demand(
         net, rng, folder, warm_up_s=warm_up_s, seconds=config.seconds, densest=DENSEST
     )
-    fields = map_fields(net, level=0.2, mirror=1.0)
+    fields = net_fields(net, level=0.2, mirror=1.0)
     scenes = Scenes(_bare_log(fields))
     standing = all_that_stands(net, rng)
     with LiveTraffic(path, demand, seed=int(rng.integers(2**31)), standing=standing) as traffic:
@@ -208,7 +215,7 @@ class _Drive:
         traffic.take_over(ego)
 
     def go(self, *, on_s: float) -> RouteResult:
-        """on_s: driven on after the end, of which nothing is told"""
+        """Drive the route; on_s: seconds to drive after its end, without judging them."""
         state: EgoState | None = None
         outcome, stride = "time", round(self._config.replan_s / FRAME_S)
         for _ in range(round(self._config.seconds / self._config.replan_s)):
@@ -260,7 +267,7 @@ class _Drive:
             speed_limit=self._limit,
             scenes=self._scenes,
         )
-        # The tracker's own state goes on without the errors of differences.
+        # The rollout's own state has no errors of finite differences.
         return LiveWindow(view if state is None else replace(view, state=state), self._scenes)
 
     def _planned(self, window: LiveWindow) -> Motion:
@@ -270,7 +277,7 @@ class _Drive:
         return tracked(plan[None], window.view.state, self._vehicle)
 
     def _execute(self, motion: Motion, stride: int) -> str | None:
-        """Drives so many steps; what ends the route, if anything does."""
+        """Drive `stride` steps; return the outcome if they end the route."""
         for step in range(1, stride + 1):
             middle = self._vehicle.middles(motion.poses[0, step])
             self._traffic.step(self._ego, middle, float(motion.speed[0, step]))

@@ -12,9 +12,9 @@ from anchorflow_driving.log import CYCLIST, VEHICLE
 from anchorflow_driving.simulation.road_net import RoadNet
 
 ROUTE_M = 700.0
-"""Of each vehicle, unless its net ends before."""
+"""Length of each vehicle's route, unless the net is smaller."""
 TURN_WEIGHT = 2.2
-"""Of a turn against going straight, where a vehicle has the choice."""
+"""Weight of a turn against going straight ahead."""
 TYPES = 14
 
 

@@ -1,4 +1,4 @@
-"""A drive in traffic that reacts, as a log: what a driver meets where it has come to itself."""
+"""A drive in reacting traffic: its motion, its progress along the route, and its log."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class DrivenLog:
     """Notes frames and windows of a drive as they pass.
 
     Args:
-        traffic: stepped by somebody else; what it remembers is the log's beginning.
+        traffic: stepped by the caller; its past frames begin the log.
         ego: the vehicle that is driven.
         map_fields: of the log.
     """
@@ -48,7 +48,7 @@ class DrivenLog:
         self._windows: list[tuple[int, Array, int, float]] = []
 
     def note_frame(self) -> None:
-        """What is now, after a step of the traffic."""
+        """Note the frame after a step of the traffic."""
         self._frames.append(self._traffic.past[-1])
 
     def note_window(self, route: Array, command: int, speed_limit: float) -> None:
@@ -79,7 +79,7 @@ class DrivenLog:
         )
 
     def _kept(self, states: NDArray[np.float32]) -> list[tuple[int, Array, int, float]]:
-        """Of the windows, by the ego's states [F, 5]."""
+        """Select windows by the ego's states [F, 5]."""
         kept: list[tuple[int, Array, int, float]] = []
         for window in self._windows:
             first, last = window[0] - HISTORY_FRAMES, window[0] + FUTURE_FRAMES

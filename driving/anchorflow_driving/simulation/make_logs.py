@@ -1,4 +1,4 @@
-"""A folder of simulated logs. Log i depends on the seed and on i alone, whoever makes it."""
+"""Make a folder of simulated logs; log i depends on the seed and on i alone."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def make_logs(
 
 
 def _refuse_others(folder: Path, made: set[str]) -> None:
-    """Whoever learns from a folder learns from all its logs."""
+    """Refuse a folder with other logs, since training reads all of them."""
     others = sorted(path.name for path in folder.glob("*.npz") if path.name not in made)
     if others:
         raise LogError(

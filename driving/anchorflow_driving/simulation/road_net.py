@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.contours import union_rings
+from anchorflow_driving.geometry import arc_lengths, at_places
 
 Array = NDArray[np.float64]
 
@@ -37,8 +38,7 @@ class NetLane:
 
     @cached_property
     def arc_length(self) -> Array:
-        steps = np.linalg.norm(np.diff(self.centre, axis=0), axis=1)
-        return np.concatenate([[0.0], steps.cumsum()])
+        return arc_lengths(self.centre)
 
     @property
     def polygon(self) -> Array:
@@ -47,19 +47,19 @@ class NetLane:
     def points(self, positions: Array) -> Array:
         """[F, 2] of the centreline at positions [F] as SUMO counts them."""
         at = positions / self.sumo_length * self.arc_length[-1]
-        return np.stack([np.interp(at, self.arc_length, axis) for axis in self.centre.T], -1)
+        return at_places(at, self.arc_length, self.centre)
 
 
 @dataclass(frozen=True)
 class Turn:
-    """From an edge to the next."""
+    """A connection to the next edge."""
 
     edge: str
     direction: str  # SUMO's: s, r, l, R, L or t
 
 
 class RoadNet:
-    """What a .net.xml says of lanes and their surroundings.
+    """The lanes of a .net.xml and their surroundings.
 
     lanes: those of cars, by name
     following: the lanes after a lane

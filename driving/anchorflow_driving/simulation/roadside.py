@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import box_corners
+from anchorflow_driving.geometry import arc_lengths, at_places, box_corners
 from anchorflow_driving.log import PEDESTRIAN, STATIC, VEHICLE
 from anchorflow_driving.road import DrivableGrid
 from anchorflow_driving.simulation.road_net import NetLane, RoadNet
@@ -79,10 +79,7 @@ def _kerbs(
     length = lane.arc_length
     place = END + rng.exponential(spacing)
     while place < length[-1] - END:
-        here, next_ = (
-            np.array([np.interp(at, length, axis) for axis in lane.centre.T])
-            for at in (place, place + 1.0)
-        )
+        here, next_ = at_places(np.array([place, place + 1.0]), length, lane.centre)
         kerb = _Kerb(here, (next_ - here) / np.linalg.norm(next_ - here))
         aside = np.arange(0.0, FARTHEST, STEP)
         outside = ~road.holds(kerb.at(np.stack([np.zeros_like(aside), aside], -1)))
@@ -205,12 +202,10 @@ def _along(band: Array) -> tuple[Array, Array, Array]:
     """The middle line of a band, the way across it at each vertex, and m along it."""
     right, left = band[: len(band) // 2], band[len(band) // 2 :][::-1]
     middle = (right + left) / 2
-    steps = np.linalg.norm(np.diff(middle, axis=0), axis=1)
-    return middle, left - right, np.concatenate([[0.0], steps.cumsum()])
+    return middle, left - right, arc_lengths(middle)
 
 
 def _state(line: Array, length: Array, place: float, *, turn: float = 0.0) -> Array:
-    x, y = (np.interp(place, length, axis) for axis in line.T)
-    ahead = [np.interp(place + 1.0, length, axis) for axis in line.T]
+    (x, y), ahead = at_places(np.array([place, place + 1.0]), length, line)
     heading = np.arctan2(ahead[1] - y, ahead[0] - x) + turn
     return np.array([x, y, heading, 0.0, 0.0])

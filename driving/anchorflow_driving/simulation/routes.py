@@ -1,4 +1,4 @@
-"""The centreline that a simulated driver followed, and goes on to follow."""
+"""The centreline that a simulated driver followed, extended past the record."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 CHANGING_SPACING = 2.0
 """m between points where a line changes lanes."""
 BEYOND = 60.0
-"""m that a route goes on past the record."""
+"""m by which a route extends past the record."""
 
 
 def followed_line(net: RoadNet, vehicle: VehicleRecord) -> tuple[Array, Array]:
@@ -46,7 +46,7 @@ def _runs(lane: list[tuple[str, float]]) -> Iterator[tuple[str, int, list[tuple[
 
 
 def _on_lane(net: RoadNet, name: str, positions: list[float], front: Array) -> Array:
-    """[F, 2] of the lane's centreline; where SUMO names none of ours, where the vehicle was."""
+    """Return [F, 2] of the lane's centreline, or the vehicle's positions on an unknown lane."""
     lane = net.lanes.get(name)
     return lane.points(np.array(positions)) if lane else front
 
@@ -88,7 +88,7 @@ def _exit(net: RoadNet, lane: NetLane, edge: str) -> tuple[NetLane, list[str]]:
 
 
 def _changing(lane: NetLane, leaves: NetLane, start: float) -> Array:
-    """From a share of a lane on to the end of another beside it, gradually."""
+    """Return a line that changes from a lane to another beside it, from `start` on."""
     count = max(2, round((1 - start) * lane.arc_length[-1] / CHANGING_SPACING) + 1)
     share = np.linspace(start, 1.0, count)
     if leaves is lane:

@@ -17,10 +17,12 @@ from anchorflow_driving.log import (
     FRAME_S,
     FUTURE_FRAMES,
     HISTORY_FRAMES,
+    NO_WINDOWS,
     PEDESTRIAN,
     SIMULATED,
     DrivingLog,
-    line_fields,
+    map_fields,
+    track_fields,
 )
 from anchorflow_driving.simulation import LogConfig
 from anchorflow_driving.simulation.demand import make_demand
@@ -37,14 +39,7 @@ Array = NDArray[np.float64]
 ATTEMPTS = 5
 """Draws of a log before it is taken as it is."""
 LEAST_FRAMES = 3
-"""Of a track; who is seen more briefly is left out."""
-NO_WINDOWS = {
-    "window_ego": np.zeros(0, np.int32),
-    "window_frame": np.zeros(0, np.int32),
-    "window_command": np.zeros(0, np.uint8),
-    "window_speed_limit": np.zeros(0, np.float32),
-    **line_fields("route", []),
-}
+"""Least frames of a track; shorter ones are dropped."""
 AFTER = 10
 """Frames simulated past the log's end, so that smoothing knows how its motions go on."""
 
@@ -105,8 +100,10 @@ def _simulated(
     for each in [*all_that_stands(net, rng), *beside.standing]:
         tracks.add(each.kind, each.size, np.repeat(each.state[None], frames, axis=0))
     mirror = -1.0 if rng.random() < config.left_hand else 1.0
-    fields = map_fields(net, level=level, mirror=mirror, also=beside.areas)
-    fields |= _track_fields(tracks, mirror=mirror)
+    fields = net_fields(net, level=level, mirror=mirror, also=beside.areas)
+    states = np.stack(tracks.states)
+    states[..., [1, 2, 4]] *= mirror
+    fields |= track_fields(tracks.kind, tracks.size, states)
     for each in driven:
         each.line[:, 1] *= mirror
     log = DrivingLog(
@@ -135,7 +132,7 @@ def _tracks(
 ) -> tuple[Tracks, list[Driven]]:
     """Tracks of the frames from `begin`, and the lines that the vehicles among them followed.
 
-    deviations: draws where vehicles leave those lines; nobody does where there is none
+    deviations: draws deviations from those lines; None for none
     """
     tracks, driven = Tracks([], [], []), []
     for vehicle in recording.vehicles:
@@ -177,7 +174,7 @@ def _cut(values: Array, first: int, *, begin: int, frames: int) -> Array:
     return held
 
 
-def map_fields(
+def net_fields(
     net: RoadNet, *, level: float, mirror: float, also: Sequence[Array] = ()
 ) -> dict[str, Any]:
     """Fields of a log's map; level and also: as `drivable_rings` takes them."""
@@ -185,23 +182,17 @@ def map_fields(
     number = {lane.name: index for index, lane in enumerate(lanes)}
     edges = [(number[a], number[b]) for a, after in net.following.items() for b in after]
     lines = list(net.lines())
-    return {
-        **line_fields("lane", [lane.polygon for lane in lanes], mirror=mirror),
-        "lane_intersection": np.array([lane.in_junction for lane in lanes], bool),
-        "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
-        **line_fields("centre", [lane.centre for lane in lanes], mirror=mirror),
-        **line_fields("drivable", net.drivable_rings(level=level, also=also), mirror=mirror),
-        **line_fields("crosswalk", net.crossings, mirror=mirror),
-        **line_fields("line", [line for line, _ in lines], mirror=mirror),
-        "line_solid": np.array([solid for _, solid in lines], bool),
+    families = {
+        "lane": [lane.polygon for lane in lanes],
+        "centre": [lane.centre for lane in lanes],
+        "drivable": net.drivable_rings(level=level, also=also),
+        "crosswalk": net.crossings,
+        "line": [line for line, _ in lines],
     }
-
-
-def _track_fields(tracks: Tracks, *, mirror: float) -> dict[str, Any]:
-    states = np.stack(tracks.states)
-    states[..., [1, 2, 4]] *= mirror
-    return {
-        "track_type": np.array(tracks.kind, np.uint8),
-        "track_size": np.array(tracks.size, np.float32),
-        "track_state": states.astype(np.float32),
-    }
+    return map_fields(
+        families,
+        in_junction=[lane.in_junction for lane in lanes],
+        edges=edges,
+        solid=[solid for _, solid in lines],
+        mirror=mirror,
+    )

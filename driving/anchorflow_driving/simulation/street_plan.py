@@ -301,7 +301,7 @@ def _add_edge(
         "id": name,
         "from": start,
         "to": end,
-        # A ring goes before its arms, a wide street before a narrow one.
+        # A ring has priority over its arms, a wide street over a narrow one.
         "priority": str(10 if street.one_way and not one_way_street else street.lanes),
         "numLanes": str(street.lanes + street.parking),
         "speed": f"{street.speed:.2f}",

@@ -1,4 +1,4 @@
-"""A run of SUMO, recorded at 10 Hz as SUMO tells it: front bumpers on lanes."""
+"""SUMO's traffic at 10 Hz: recorded runs, and live runs in which the ego is driven by a planner."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class SumoRun:
 
 
 def record(net: Path, demand: Demand, *, seed: int, frames: int) -> Recording:
-    """Runs the traffic from its start for so many frames."""
+    """Run the traffic from its start for `frames` frames."""
     vehicles: dict[str, VehicleRecord] = {}
     people: dict[str, PersonRecord] = {}
     with SumoRun(net, demand, seed=seed) as traffic:
@@ -137,7 +137,7 @@ def as_array(points: list[tuple[float, float]]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Seen:
-    """Everybody in F frames; K tracks, of which those without a name stand beside the road."""
+    """All K tracks in F frames; those without a name are standing objects."""
 
     names: list[str]
     states: Array  # [K, F, 5], NaN where absent; the last frame is now
@@ -146,9 +146,9 @@ class Seen:
 
 
 class LiveTraffic:
-    """Steps SUMO, moves the ego, remembers who was where.
+    """Steps SUMO, moves the ego and keeps the last frames.
 
-    standing: what stands beside the road all the time
+    standing: objects beside the road
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class LiveTraffic:
         libsumo.vehicle.setLaneChangeMode(name, UNCHECKED)
 
     def step(self, ego: str | None = None, pose: Array | None = None, speed: float = 0.0) -> None:
-        """One frame; the middle of the ego's box goes to `pose` [3] and has `speed`."""
+        """One frame; the middle of the ego's box moves to `pose` [3] at `speed`."""
         if ego is not None and pose is not None:
             front = ahead_of(pose, self._size[ego][0] / 2)
             bearing = 90.0 - np.rad2deg(pose[2])

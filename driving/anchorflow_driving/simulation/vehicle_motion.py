@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from anchorflow_driving.geometry import arc_lengths, at_places
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.route import SPACING, smooth_line
 from anchorflow_driving.window import REAR_AXLE
@@ -35,7 +36,7 @@ ALONG = 1.5
 LEAVING_S, RETURNING_S, ALONG_S = 2.0, (2.5, 4.0), 2.5
 """s that a deviation takes to grow and, at least and at most, to fade; and along the line."""
 LEAST_SPEED = 2.0
-"""m/s, below which nobody deviates."""
+"""m/s, below which no vehicle deviates."""
 NORMAL_SIGMA = 3.0
 """m, of the Gaussian over the line that sideways is square to."""
 
@@ -51,14 +52,14 @@ def vehicle_states(front: Array, length: float) -> Array:
     # Where on the line the middle of the box is.
     at = _smoothed(driven, TIME_SIGMA / FRAME_S) + before - length / 2
     along = np.arange(len(line)) * SPACING
-    middle = np.stack([np.interp(at, along, axis) for axis in line.T], -1)
+    middle = at_places(at, along, line)
     velocity = np.gradient(middle, FRAME_S, axis=0) if len(at) > 1 else 0 * middle
     velocity[np.linalg.norm(velocity, axis=1) < STANDING] = 0.0
     return np.column_stack([middle, np.interp(at, along, heading), velocity])
 
 
 def person_states(place: Array) -> Array:
-    """States [F, 5] of somebody who walks, facing where they go."""
+    """Return the states [F, 5] of a pedestrian who faces the walking direction."""
     x, y = (_smoothed(axis, 3.0) for axis in place.T)
     velocity = np.gradient(np.stack([x, y], -1), FRAME_S, axis=0) if len(x) > 1 else 0 * place
     speed = np.linalg.norm(velocity, axis=1)
@@ -96,13 +97,12 @@ def _dragged(line: Array, arm: float) -> Array:
 def deviating(front: Array, rng: np.random.Generator, *, first: int) -> tuple[Array, Booleans]:
     """A front bumper [F, 2] that leaves its course now and then, and the frames [F] to ask about.
 
-    A deviation is largest between 1 s after and 0.4 s before its frame, so the vehicle returns, or
-    is about to. Who stands stays where it is: sideways goes with the distance driven.
+    A deviation is largest between 1 s after and 0.4 s before its frame, so the vehicle returns or
+    is about to. Deviations grow with the distance driven, so a standing vehicle stays.
 
-    first: the frame of front[0], of which those asked about are multiples of STRIDE
+    first: the frame of front[0]; frames of windows are multiples of STRIDE
     """
-    moved = np.linalg.norm(np.diff(front, axis=0), axis=1)
-    driven = np.concatenate([[0.0], moved.cumsum()])
+    driven = arc_lengths(front)
     asked = np.zeros(len(front), bool)
     frames = np.arange(rng.integers(EVERY), len(front), EVERY)
     frames -= (frames + first) % STRIDE
@@ -128,15 +128,14 @@ def deviating(front: Array, rng: np.random.Generator, *, first: int) -> tuple[Ar
     line, normal = _line(front, driven)
     place = at / SPACING
     along = np.arange(len(line))
-    points = [np.interp(place, along, axis) for axis in line.T]
-    across = [np.interp(place, along, axis) for axis in normal.T]
-    return np.stack(points, -1) + aside[:, None] * np.stack(across, -1), asked
+    across = at_places(place, along, normal)
+    return at_places(place, along, line) + aside[:, None] * across, asked
 
 
 def _line(front: Array, driven: Array) -> tuple[Array, Array]:
-    """What was driven, [V, 2] every SPACING m, and to the left of it [V, 2]."""
+    """Return the driven line [V, 2] every SPACING m, and its left normals [V, 2]."""
     at = np.arange(0.0, driven[-1] + SPACING, SPACING)
-    line = np.stack([np.interp(at, driven, axis) for axis in front.T], -1)
+    line = at_places(at, driven, front)
     smooth = gaussian_filter1d(line, NORMAL_SIGMA / SPACING, axis=0, mode="nearest")
     towards = np.gradient(smooth, axis=0)
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
@@ -144,5 +143,5 @@ def _line(front: Array, driven: Array) -> tuple[Array, Array]:
 
 
 def _bump(x: Array) -> Array:
-    """From 0 at -1 to 1 at 0 and back to 0 at 1, smoothly."""
+    """Return a smooth bump: 0 at -1, 1 at 0, 0 at 1."""
     return np.where(np.abs(x) < 1, (1 + np.cos(np.pi * x)) / 2, 0.0)

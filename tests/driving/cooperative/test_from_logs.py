@@ -19,7 +19,7 @@ from anchorflow_training.v2x.recording import EGO
 def test_a_plan_hits_in_the_recording_whom_it_hits_in_the_log(
     street: Callable, other: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Somebody stands 30 m ahead, and somebody comes from behind."""
+    """A vehicle stands 30 m ahead, and another approaches behind."""
     pytest.importorskip("moderngl", reason="moderngl is not installed")
     from anchorflow_driving.cooperative import from_logs
 
@@ -35,7 +35,7 @@ def test_a_plan_hits_in_the_recording_whom_it_hits_in_the_log(
     window = Scenes(logs[0])[0]
     times = 0.1 * np.arange(1, 46)
 
-    # To 25.4 m, where the boxes touch ahead, and from 19.6 m, where they do behind.
+    # Up to 25.4 m, the contact ahead, and from 19.6 m, the contact behind.
     for way in np.arange(18.05, 28.0, 0.1).tolist():
         plan = np.stack([way * times / 4.5, np.zeros(45)], -1)
         row = judge(pairs, np.array([0]), plan[None])

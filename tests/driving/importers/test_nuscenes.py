@@ -200,7 +200,7 @@ def test_a_scene_becomes_a_log(folder: Path, tmp_path: Path) -> None:
     assert log.frames == 10 * SECONDS + 1
     t = np.arange(log.frames) * 0.1
     ego, lead, walker = log.track_state.astype(float)
-    # The frame begins at the ego's middle; the axle's poses lie behind it.
+    # The frame begins at the ego's middle; the axle's poses are behind it.
     np.testing.assert_allclose(ego[:, 0], SPEED * t, atol=1e-4)
     np.testing.assert_allclose(lead[:, 0], 30 - EGO_AHEAD + SPEED * t, atol=1e-4)
     np.testing.assert_allclose(lead[:, 3:], [[SPEED, 0.0]] * log.frames, atol=1e-4)

@@ -1,4 +1,4 @@
-"""What a log's pickle may hold, and that nothing else in it is ever called."""
+"""A log's pickle may hold plain data; no other global in it is called."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a vehicle makes of a plan, and how comfortable that is."""
+"""Rollouts of plans, and their comfort."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The PDM score of plans whose score can be told without it."""
+"""The PDM score of plans with a known score."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_metres_against_the_lanes(on_street: OnStreet) -> None:
 
 
 def test_a_lane_that_is_shared_leads_both_ways(on_street: OnStreet) -> None:
-    """As in a junction: where one lane leads along, nobody goes against another."""
+    """In a junction, a motion along one lane is not against another."""
     lanes = np.array([[-100, -2], [200, -2], [200, 2], [-100, 2]] * 2, np.float32)
     centres = np.array([[-100, 0], [200, 0], [200, 0], [-100, 0]], np.float32)
     window = on_street(lane_points=lanes, centre_points=centres)

@@ -22,7 +22,7 @@ def channel(window: Window, name: str, grid: BevGrid = BEV) -> np.ndarray:
 
 
 def at(raster: np.ndarray, x: float, y: float) -> int:
-    """What the cell holds that a place of the ego's frame lies in."""
+    """Return the cell at a position of the ego's frame."""
     row = int((BEV.extent[1] - x) / BEV.cell)
     column = int((BEV.extent[3] - y) / BEV.cell)
     return int(raster[row, column])
@@ -64,7 +64,7 @@ def test_a_box_ahead_to_the_left_lies_up_and_left(on_street: Street, other: Any)
 def test_boxes_lie_where_they_are_and_are_as_large(
     length: float, width: float, too_large: float
 ) -> None:
-    """In the mean of many that lie anyhow: each is rounded to cells of an eighth of a metre."""
+    """The mean of many random boxes: each is rounded to cells of an eighth of a metre."""
     rng = np.random.default_rng(0)
     size = np.array([[length, width]])
     places = rng.uniform([10, -20, 0], [60, 20, 2 * np.pi], (400, 3))

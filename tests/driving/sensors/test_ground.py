@@ -26,7 +26,7 @@ def test_what_leads_beyond_the_road_is_painted_as_far_as_there_is_ground(
     ground = paint_ground(Scenes(log)[0].view)
     rows, columns = np.nonzero((ground.pixels == colour).all(-1))
     y, x = rows * CELL + ground.low[1], columns * CELL + ground.low[0]
-    # From end to end, and only where it is: nothing comes in again from the other side.
+    # The line is painted from end to end, without wrapping around the picture.
     assert (x.min(), x.max()) == pytest.approx(
         (ground.low[0], ground.low[0] + ground.size[0]), abs=2.0
     )

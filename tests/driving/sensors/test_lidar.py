@@ -19,7 +19,7 @@ from anchorflow_driving.sensors.lidar import (
 from anchorflow_driving.window import Window
 
 AXLE = 0.2823 * 5.0
-"""m that the ego's rear axle lies behind the street's x = 0."""
+"""m from the ego's rear axle to the street's x = 0."""
 
 
 def struck(histogram: np.ndarray) -> np.ndarray:

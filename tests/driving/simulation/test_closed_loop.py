@@ -71,7 +71,7 @@ def test_a_driver_sees_itself_where_it_drove_and_no_future(loop: Any) -> None:
     for before, view in pairwise(views):
         ego = view.tracks[view.ego]
         assert np.isfinite(ego).all()
-        # Its rear axle is the origin: where it was 0.5 s ago lies behind it.
+        # The rear axle is the origin, and its position 0.5 s ago is behind it.
         moved = np.linalg.norm(view.state.pose[:2] - before.state.pose[:2])
         assert np.linalg.norm(ego[-1, :2] - ego[-6, :2]) == pytest.approx(moved, abs=0.05)
         assert ego[-1, 0] == pytest.approx(view.vehicle.rear_axle, abs=1e-6)
@@ -96,7 +96,7 @@ def test_a_drive_is_kept_as_a_log_of_what_was_seen_and_driven(loop: Any, tmp_pat
     alone = loop.drive_route(idm, config, 1)
     assert (result.outcome, result.driven_m) == (alone.outcome, alone.driven_m)
     assert (log.name, log.windows) == ("driven-5-00001", 5)
-    # Of plans twice a second every other one.
+    # Every other plan, at two plans a second.
     for window, (view, later) in zip(Scenes(log), pairwise(views[::2]), strict=False):
         assert window.command == view.command
         np.testing.assert_allclose(window.state.pose, view.state.pose, atol=0.2)

@@ -65,7 +65,7 @@ def test_who_stops_aside_stays_there() -> None:
     for seed in range(20):
         stops = np.concatenate([straight(90), np.repeat(straight(90)[-1:], 60, axis=0)])
         front, _ = deviating(stops, np.random.default_rng(seed), first=0)
-        # Along the line somebody may still catch up; sideways nobody slides.
+        # A vehicle may still catch up along the line, and never slides sideways.
         still = np.abs(np.diff(front[:, 0])) < 1e-9
         assert np.abs(np.diff(front[:, 1]))[still].max() < 1e-9
 

@@ -1,4 +1,4 @@
-"""What is put beyond the kerb of a straight street, and between its directions."""
+"""Objects beyond the kerb of a straight street, and between its directions."""
 
 from __future__ import annotations
 
