@@ -3,9 +3,9 @@
 uvicorn's `limit_concurrency` refuses health checks too, and uvicorn has no timeout for a request's
 bytes. `AnchorProtocol` is uvicorn's HTTP protocol (its `http` setting) with both bounds: it
 overrides callbacks of `asyncio.Protocol` and uvicorn's plain-text refusal of invalid HTTP, and
-calls public methods of the transport. `OverloadGuard` is the middleware that tells a connection
-when a request begins and ends. They find each other through the state of ASGI's lifespan, which
-uvicorn passes to every connection, and the connection to every request.
+calls public methods of the transport. `OverloadGuard` is the middleware that notifies a connection
+when a request begins and ends. Both use the state of ASGI's lifespan: uvicorn passes it to every
+connection, which passes it to its requests.
 """
 
 from __future__ import annotations

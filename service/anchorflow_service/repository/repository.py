@@ -87,7 +87,7 @@ class Repository:
 
     Args:
         engines: the engines that requests choose from.
-        folders: where the bundles are.
+        folders: the folders of bundles.
         open_engine: opens and warms up the bundle of a folder; `BundleError` if it is invalid.
     """
 
