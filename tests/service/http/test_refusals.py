@@ -85,7 +85,7 @@ BAD_VALUES: dict[str, tuple[str, Any, str]] = {
         "expected times at least 1e-06 apart, got [0.0, 1e-38, 1.0]",
     ),
     "fixed limit": ("v_max", 9.0, "expected 2 m/s, which lines 1.2.3 was made for"),
-    "object for a list": ("x_curr", {}, "got an object"),
+    "string for a list": ("x_curr", "fast", "got the string 'fast'"),
     "list for an object": ("cost_map", [], "expected an object, got a list of 0"),
     "no map": ("cost_map", None, "this field is required"),
 }
