@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
 import torch
 from tiny_wote import TINY, sensors, tiny_wote
+
+from anchorflow_models.transfuser import placed
 
 
 @torch.no_grad()
@@ -43,3 +46,15 @@ def test_nothing_to_look_up_is_an_error() -> None:
     context = model.encode(**sensors())
     with pytest.raises(ValueError, match="fine: expected"):
         model.score(context["bev_tokens"], context["ego"])
+
+
+def places_of(x: float, y: float, heading: float) -> list[list[float]]:
+    """Places of the car of one pose: its middle, and 3 m ahead and 1 m to its left."""
+    return placed(torch.tensor([x, y, heading]), torch.tensor([(0.0, 0.0), (3.0, 1.0)])).tolist()
+
+
+def test_places_turn_with_the_car() -> None:
+    assert places_of(10.0, 2.0, 0.0) == [[10.0, 2.0], [13.0, 3.0]]
+    (x, y) = places_of(10.0, 2.0, math.pi / 2)[1]
+    assert math.isclose(x, 9.0, abs_tol=1e-5)
+    assert math.isclose(y, 5.0, abs_tol=1e-5)
