@@ -128,7 +128,7 @@ def test_it_learns_what_it_is_shown(
     pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
 ) -> None:
     run = V2XRun(config, pairs, tmp_path)
-    batch = {name: torch.from_numpy(each) for name, each in run._batch(0).items()}
+    batch = {name: torch.from_numpy(each) for name, each in run.batch(0).items()}
     nothing = torch.zeros(3, dtype=torch.bool)
     optimiser = torch.optim.Adam(run.model.parameters(), 3e-3)
     losses = []
@@ -145,7 +145,7 @@ def test_the_tower_learns_where_the_nearest_other_is(
     pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
 ) -> None:
     run = V2XRun(replace(config, loss=LossConfig(alignment=0.0, location=1.0)), pairs, tmp_path)
-    batch = {name: torch.from_numpy(each) for name, each in run._batch(0).items()}
+    batch = {name: torch.from_numpy(each) for name, each in run.batch(0).items()}
     _, terms = run.objective.module(batch, torch.zeros(3, dtype=torch.bool))
     assert {*terms} == {"regression", "location"}
     terms["location"].backward()
@@ -172,7 +172,7 @@ def test_a_withheld_picture_is_never_used(
     pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
 ) -> None:
     withheld = V2XRun(replace(config, roadside_dropout=1.0), pairs, tmp_path)
-    batch = {name: torch.from_numpy(each) for name, each in withheld._batch(0).items()}
+    batch = {name: torch.from_numpy(each) for name, each in withheld.batch(0).items()}
     changed = {**batch, "infrastructure_image": 255 - batch["infrastructure_image"]}
     objective = withheld.objective.module
     (drawn,) = objective.draw(3, 1, torch.Generator().manual_seed(0))
@@ -188,7 +188,7 @@ def test_a_withheld_picture_is_never_used(
 def test_without_text_all_prompts_are_the_same(
     pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
 ) -> None:
-    tokens = V2XRun(replace(config, text=False), pairs, tmp_path)._batch(0)["tokens"]
+    tokens = V2XRun(replace(config, text=False), pairs, tmp_path).batch(0)["tokens"]
     assert (tokens == tokens[0]).all()
 
 

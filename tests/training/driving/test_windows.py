@@ -16,7 +16,7 @@ from anchorflow_driving.sensors.bev import BEV, draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import augmentation
-from anchorflow_training.driving.anchors import clustered, read_vocabulary
+from anchorflow_training.driving.anchors import clustered, read_points
 from anchorflow_training.driving.augmentation import AugmentationConfig, disturbed, poses_on
 from anchorflow_training.driving.log_cache import write_arrays
 from anchorflow_training.driving.windows import KEPT, SPACING, DrivingWindows, open_windows
@@ -158,19 +158,30 @@ def test_retimed_targets_begin_at_their_speed_and_never_reverse() -> None:
     assert np.abs(ways[1, :, 0] - 4.0).max() < 0.5
 
 
-def test_a_vocabulary_of_the_ends_or_of_ones_own(tmp_path: Path) -> None:
+def test_a_vocabulary_of_the_ends() -> None:
     ends = np.repeat([[10.0, 0.0], [30.0, 5.0], [2.0, 0.0]], 20, axis=0)
     found = clustered(
         ends + 0.01 * np.random.default_rng(0).normal(size=ends.shape), count=3, seed=0
     )
     np.testing.assert_allclose(found, [[2, 0], [10, 0], [30, 5]], atol=0.05)
 
-    np.save(tmp_path / "goals.npy", found)
-    np.testing.assert_array_equal(read_vocabulary(tmp_path / "goals.npy", count=3), found)
-    with pytest.raises(ConfigError, match=r"goals.npy: expected \[4, 2\], got \[3, 2\]"):
-        read_vocabulary(tmp_path / "goals.npy", count=4)
-    whole = (tmp_path / "goals.npy").read_bytes()
+
+@pytest.mark.parametrize(("setting", "shape"), [("vocabulary", (3, 2)), ("anchors", (3, 8, 3))])
+def test_points_of_ones_own_are_read_or_refused(
+    setting: str, shape: tuple[int, ...], tmp_path: Path
+) -> None:
+    points, file = (
+        np.random.default_rng(0).normal(size=shape).astype(np.float32),
+        tmp_path / "own.npy",
+    )
+    np.save(file, points)
+    np.testing.assert_array_equal(read_points(file, shape, setting=setting), points)
+    more = (shape[0] + 1, *shape[1:])
+    expected = f"{setting}: .*own.npy: expected shape {[*more]}, got {[*shape]}"
+    with pytest.raises(ConfigError, match=expected.replace("[", r"\[").replace("]", r"\]")):
+        read_points(file, more, setting=setting)
+    whole = file.read_bytes()
     for damaged in (b"", whole[:-1], whole.replace(b")", b" ")):
-        (tmp_path / "goals.npy").write_bytes(damaged)
-        with pytest.raises(ConfigError, match=r"vocabulary: .*goals.npy: "):
-            read_vocabulary(tmp_path / "goals.npy", count=3)
+        file.write_bytes(damaged)
+        with pytest.raises(ConfigError, match=f"{setting}: .*own.npy: "):
+            read_points(file, shape, setting=setting)

@@ -31,7 +31,6 @@ from anchorflow_training.driving.anchors import (
     anchor_scores,
     examples_of,
     pdms,
-    read_anchors,
     trajectory_anchors,
 )
 from anchorflow_training.driving.labels import CLASSES
@@ -219,7 +218,7 @@ def test_without_an_example_there_are_no_anchors() -> None:
         trajectory_anchors(np.zeros((0, 8, 3)), count=4, seed=0)
 
 
-def test_anchors_are_centres_of_what_was_driven(tmp_path: Path) -> None:
+def test_anchors_are_centres_of_what_was_driven() -> None:
     rng = np.random.default_rng(0)
     kinds = np.zeros((3, 8, 3))
     kinds[:, :, 0] = np.arange(1, 9) * np.array([[1.0], [5.0], [9.0]])
@@ -227,17 +226,6 @@ def test_anchors_are_centres_of_what_was_driven(tmp_path: Path) -> None:
     futures = np.repeat(kinds, 20, axis=0) + rng.normal(0, 0.05, (60, 8, 3))
     anchors = trajectory_anchors(futures, count=3, seed=0)
     np.testing.assert_allclose(anchors, kinds, atol=0.05)
-    np.save(tmp_path / "anchors.npy", anchors)
-    np.testing.assert_array_equal(read_anchors(tmp_path / "anchors.npy", count=3, steps=8), anchors)
-    with pytest.raises(
-        ConfigError, match=r"anchors: .*expected shape \[4, 8, 3\], got \[3, 8, 3\]"
-    ):
-        read_anchors(tmp_path / "anchors.npy", count=4, steps=8)
-    whole = (tmp_path / "anchors.npy").read_bytes()
-    for damaged in (b"", whole[:-1], whole.replace(b")", b" ")):
-        (tmp_path / "anchors.npy").write_bytes(damaged)
-        with pytest.raises(ConfigError, match=r"anchors: .*anchors\.npy: "):
-            read_anchors(tmp_path / "anchors.npy", count=3, steps=8)
 
 
 def test_a_run_goes_on_as_if_it_had_not_stopped(logs: list[Path], tmp_path: Path) -> None:

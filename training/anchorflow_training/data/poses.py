@@ -91,10 +91,8 @@ def read_novatel(folder: Path, pose_rate_hz: float) -> list[PoseTrack]:
     axis = forward_axis(matrices)
     tracks = []
     for (name, drive), matrix in zip(drives.items(), matrices, strict=True):
-        ahead = matrix[:, :2, :3] @ axis
-        heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-        poses = np.concatenate([matrix[:, :2, 3], heading[:, None]], 1)
-        tracks.append(PoseTrack(name, np.array([time for _, time in drive]), poses))
+        times = np.array([time for _, time in drive])
+        tracks.append(PoseTrack(name, times, planar_poses(matrix, axis)))
     return tracks
 
 
@@ -170,6 +168,13 @@ def novatel_pose(file: Path) -> NDArray[np.float64]:
             raise DatasetError(f"{file}: {key}: expected {list(shape)}, found {list(values.shape)}")
         parts.append(values.reshape(shape))
     return np.concatenate(parts, 1)
+
+
+def planar_poses(matrices: NDArray[np.float64], axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return x, y [m] and heading [rad] of matrices [P, 3, 4] as [P, 3]; axis: `forward_axis`."""
+    ahead = matrices[:, :2, :3] @ axis
+    heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return np.concatenate([matrices[:, :2, 3], heading[:, None]], 1)
 
 
 def forward_axis(drives: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -54,23 +54,6 @@ def _spread(
     return np.stack(centres)
 
 
-def read_vocabulary(path: Path, *, count: int) -> NDArray[np.float32]:
-    """Goals [K, 2] of a .npy file.
-
-    Raises:
-        ConfigError: it cannot be read, or holds anything but K pairs of finite numbers.
-    """
-    try:
-        goals = np.load(path, allow_pickle=False)
-    except UNREADABLE as error:
-        raise ConfigError(f"vocabulary: {path}: {error}") from error
-    if goals.shape != (count, 2):
-        raise ConfigError(f"vocabulary: {path}: expected [{count}, 2], got {list(goals.shape)}")
-    if goals.dtype.kind not in "iuf" or not np.isfinite(goals).all():
-        raise ConfigError(f"vocabulary: {path}: expected finite numbers, got {goals.dtype}")
-    return goals.astype(np.float32)
-
-
 Floats = NDArray[np.float32]
 
 HEADING_M = 5.0
@@ -97,22 +80,22 @@ def trajectory_anchors(futures: NDArray[np.floating], *, count: int, seed: int) 
     return (centres.reshape(count, -1, 3) / units).astype(np.float32)
 
 
-def read_anchors(path: Path, *, count: int, steps: int) -> Floats:
-    """Anchors [K, T, 3] of a .npy file.
+def read_points(path: Path, shape: tuple[int, ...], *, setting: str) -> Floats:
+    """Return the goals or anchors of a .npy file.
 
     Raises:
-        ConfigError: it cannot be read, or holds anything but K trajectories of finite numbers.
+        ConfigError: naming the setting; the file is unreadable, of another shape, or not finite.
     """
     try:
-        anchors = np.load(path, allow_pickle=False)
+        points = np.load(path, allow_pickle=False)
     except UNREADABLE as error:
-        raise ConfigError(f"anchors: {path}: {error}") from error
-    if anchors.shape != (count, steps, 3):
-        wanted = [count, steps, 3]
-        raise ConfigError(f"anchors: {path}: expected shape {wanted}, got {list(anchors.shape)}")
-    if anchors.dtype.kind not in "iuf" or not np.isfinite(anchors).all():
-        raise ConfigError(f"anchors: {path}: expected finite numbers, got {anchors.dtype}")
-    return anchors.astype(np.float32)
+        raise ConfigError(f"{setting}: {path}: {error}") from error
+    if points.shape != shape:
+        found = [*points.shape]
+        raise ConfigError(f"{setting}: {path}: expected shape {[*shape]}, got {found}")
+    if points.dtype.kind not in "iuf" or not np.isfinite(points).all():
+        raise ConfigError(f"{setting}: {path}: expected finite numbers, got {points.dtype}")
+    return points.astype(np.float32)
 
 
 def anchor_scores(

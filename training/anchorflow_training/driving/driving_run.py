@@ -27,7 +27,7 @@ from anchorflow_training.batches import (
     reflection,
 )
 from anchorflow_training.config import HeldOutConfig, RunConfig
-from anchorflow_training.driving.anchors import read_anchors, trajectory_anchors
+from anchorflow_training.driving.anchors import read_points, trajectory_anchors
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.sensor_windows import SensorSizes, disturb, open_sensor_windows
 from anchorflow_training.pretrained import BACKBONE, load_resnet, load_sight, sight_of
@@ -187,8 +187,8 @@ class SensorRun(DrivingRun):
     def first_anchors(self, *, count: int, steps: int) -> torch.Tensor:
         """Return anchors [K, T, 3] to begin with: the configured file's, or clustered ones."""
         if self.config.anchors:
-            found = read_anchors(Path(self.config.anchors), count=count, steps=steps)
-            return torch.from_numpy(found)
+            file, shape = Path(self.config.anchors), (count, steps, 3)
+            return torch.from_numpy(read_points(file, shape, setting="anchors"))
         numbers, learnt = self.windows.numbers, slice(self.count)
         examples = numbers["future"][learnt][numbers["is_example"][learnt] > 0]
         return torch.from_numpy(

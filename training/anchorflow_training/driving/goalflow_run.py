@@ -23,7 +23,7 @@ from anchorflow_training.batches import (
     reflection,
 )
 from anchorflow_training.config import HeldOutConfig, RunConfig
-from anchorflow_training.driving.anchors import clustered, pdms, read_vocabulary
+from anchorflow_training.driving.anchors import clustered, pdms, read_points
 from anchorflow_training.driving.augmentation import (
     AugmentationConfig,
     draw,
@@ -116,7 +116,7 @@ class GoalFlowRun(DrivingRun):
         ends = np.concatenate([ends, ends * [1, -1]])
         count, file = config.model.goals, config.vocabulary
         goals = (
-            read_vocabulary(Path(file), count=count)
+            read_points(Path(file), (count, 2), setting="vocabulary")
             if file
             else clustered(ends, count=count, seed=config.batch.seed)
         )

@@ -38,6 +38,7 @@ from anchorflow_training.data.poses import (
     forward_axis,
     microseconds,
     novatel_pose,
+    planar_poses,
     read_json,
 )
 from anchorflow_training.dataset import DatasetError
@@ -146,9 +147,7 @@ def read_recording(folder: Path, *, fault: Fault | None = None) -> list[Sequence
     axis = forward_axis([*of_drives.values()])
     sequences = []
     for name, drive in ordered.items():
-        ahead = of_drives[name][:, :2, :3] @ axis
-        heading = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-        poses = np.concatenate([of_drives[name][:, :2, 3], heading[:, None]], 1)
+        poses = planar_poses(of_drives[name], axis)
         own = {number: pairs[path] for number, (_, path) in enumerate(drive) if path in pairs}
         times = np.array([time for time, _ in drive]) - drive[0][0]
         files = [folder / COOPERATIVE / LABELS / f"{Path(path).stem}.json" for _, path in drive]
