@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import signal
-from collections.abc import Generator, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -85,10 +84,9 @@ class CameraRun(TrainingRun):
     def new_objective(self, model: CameraPlanner) -> nn.Module:
         return CameraObjective(model)
 
-    def stream(self, indices: Iterable[int]) -> Generator[Batch]:
-        for index in indices:
-            rows = np.arange(2) + index
-            yield {name: array[rows % SCENES] for name, array in self.arrays.items()}
+    def batch(self, index: int) -> Batch:
+        rows = np.arange(2) + index
+        return {name: array[rows % SCENES] for name, array in self.arrays.items()}
 
     @property
     def data(self) -> dict[str, Any]:
