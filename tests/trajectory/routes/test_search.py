@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import label
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from anchorflow_trajectory.cost.clearance import clearance_field
-from anchorflow_trajectory.routes.dijkstra import LENGTHS, STEPS, free_steps
+from anchorflow_trajectory.routes.dijkstra import LENGTHS, STEPS, cell_index, free_steps
 from anchorflow_trajectory.routes.homotopy import ObstacleRays
 from anchorflow_trajectory.routes.search import (
     MOST_ROUTES,
@@ -272,3 +273,65 @@ def plain_search(case: World, *, most: int, stretch: float) -> dict[tuple[int, .
             )
             heapq.heappush(heap, (length + float(np.hypot(dr, dc)), (row, column), crossed))
     return found
+
+
+def test_a_point_is_in_its_cell_and_one_beyond_in_the_nearest() -> None:
+    origin = np.array([-1.0, 2.0])
+
+    def cell(x: float, y: float) -> int:
+        return cell_index(np.array([x, y]), origin, 0.5, (4, 6))
+
+    assert cell(-0.9, 2.1) == 0
+    assert cell(0.1, 2.6) == 6 + 2
+    assert cell(9.0, 9.0) == 4 * 6 - 1
+    assert cell(-9.0, 2.6) == 6
+
+
+def test_the_step_back_stands_in_the_mirrored_place() -> None:
+    np.testing.assert_array_equal(STEPS, -STEPS[::-1])
+    np.testing.assert_array_equal(LENGTHS, np.hypot(*STEPS.T))
+
+
+def test_steps_lead_between_free_cells_and_cut_no_corner() -> None:
+    free = np.array([[1, 1, 0], [1, 1, 1]], bool)
+    found = {
+        (cell, cell + STEPS[k, 0] * 3 + STEPS[k, 1])
+        for cell, steps in enumerate(free_steps(free).tolist())
+        for k in range(8)
+        if steps >> k & 1
+    }
+    there = {(0, 1), (0, 3), (0, 4), (1, 3), (1, 4), (3, 4), (4, 5)}  # not from 1 to 5
+    assert found == there | {(head, tail) for tail, head in there}
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from((0.05, 0.2, 0.4)))
+def test_obstacles_are_the_connected_parts_that_touch_no_edge(seed: int, share: float) -> None:
+    blocked = np.random.default_rng(seed).random((20, 30)) < share
+    labels = np.asarray(label(blocked, np.ones((3, 3)))[0])  # pyright: ignore[reportIndexIssue]
+    outer = {0, *labels[0], *labels[-1], *labels[:, 0], *labels[:, -1]}
+    numbers, first = np.unique(labels, return_index=True)
+    cells = [cell for number, cell in zip(numbers, first, strict=True) if number not in outer]
+
+    rays = ObstacleRays.of(np.where(blocked, -1.0, 1.0))
+    assert (rays.rows * 30 + rays.columns).tolist() == cells
+    assert rays.shape == (20, 30)
+
+
+def test_a_path_crosses_the_rays_above_which_it_passes() -> None:
+    clearance = np.ones((9, 9))
+    clearance[2, 2] = clearance[4, 6] = -1.0
+    above = np.array([[0.5, 5.5], [8.5, 5.5]])
+    between = np.array([[0.5, 3.5], [4.5, 3.5], [4.5, 2.5], [8.5, 2.5]])
+    twice = np.array([[2.5, 5.5], [3.5, 5.5], [3.5, 1.5], [1.5, 1.5], [1.5, 5.5], [3.5, 5.5]])
+
+    def signature(path: np.ndarray) -> tuple[int, ...]:
+        origin = np.array([10.0, -20.0])
+        (found,) = ObstacleRays.of(clearance).signatures(
+            path[None] * 0.5 + origin, resolution=0.5, origin=origin
+        )
+        return found
+
+    assert signature(above) == (1, 1)
+    assert signature(above[::-1]) == (-1, -1)
+    assert signature(between) == (1, 0)
+    assert signature(twice) == (2, 0)

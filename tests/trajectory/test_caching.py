@@ -1,11 +1,15 @@
-"""Fields of maps are worked out once, for as many maps as there is room for."""
+"""Fields of maps are computed once within a memory bound; cached attributes need no lock."""
 
+from __future__ import annotations
+
+import threading
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.caching import MapCache
+from anchorflow_trajectory.caching import MapCache, cached_property
 from anchorflow_trajectory.cost import clearance
 from anchorflow_trajectory.cost.clearance import clearance_field, signed_distance
 
@@ -96,3 +100,25 @@ def test_robots_of_all_sizes_share_a_map(monkeypatch: pytest.MonkeyPatch) -> Non
 
     assert calls == [1.0]
     assert small[3, 3] - large[3, 3] == pytest.approx(0.25)
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    barrier: threading.Barrier
+
+    @cached_property
+    def met(self) -> object:
+        """Met."""
+        self.barrier.wait(timeout=10)
+        return object()
+
+
+def test_attributes_of_two_objects_are_worked_out_at_a_time() -> None:
+    """Each thread waits until the other computes too; the second access does not wait."""
+    barrier = threading.Barrier(2)
+    fields = [Field(barrier), Field(barrier)]
+    with ThreadPoolExecutor(2) as pool:
+        first = list(pool.map(lambda field: field.met, fields))
+    assert first[0] is not first[1]
+    assert [field.met for field in fields] == first
+    assert Field.met.__doc__ == "Met."
