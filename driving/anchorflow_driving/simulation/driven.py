@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,10 @@ from anchorflow_driving.log import (
 from anchorflow_driving.pdm.lqr_rollout import STEPS, Motion
 from anchorflow_driving.pdm.sub_scores import comfort
 from anchorflow_driving.route import SPACING
-from anchorflow_driving.simulation.sumo_traffic import LiveTraffic
 from anchorflow_driving.window import EgoState
+
+if TYPE_CHECKING:
+    from anchorflow_driving.simulation.sumo_traffic import LiveTraffic
 
 Array = NDArray[np.float64]
 
