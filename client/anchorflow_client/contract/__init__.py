@@ -21,6 +21,8 @@ from anchorflow_client.contract.kinds import (
     CostMapSpec,
     LimitsSpec,
     NoFinish,
+    OdeSpec,
+    RefineSpec,
     TensorSpec,
     TensorsSpec,
     TimeSpec,
@@ -31,7 +33,6 @@ from anchorflow_client.contract.kinds import (
 from anchorflow_client.contract.request import AnchorRequest
 from anchorflow_client.contract.resolve import ResolvedRequest, resolve_for_card
 from anchorflow_client.contract.rows import EIGHT_STEP_SCHEDULE, uniform_schedule
-from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
 
 __all__ = [
     "DEFAULT_NUM_SAMPLES",

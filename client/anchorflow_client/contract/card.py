@@ -14,13 +14,13 @@ from anchorflow_client.contract.kinds import (
     ConditioningSpec,
     CostMapSpec,
     FinishSpec,
+    OdeSpec,
     SamplerSpec,
     TensorSpec,
     TimeSpec,
     part_of,
     read,
 )
-from anchorflow_client.contract.sampling import OdeSpec
 from anchorflow_client.errors import InvalidRequest
 
 

@@ -228,8 +228,8 @@ class WarmStart:
             return read_only(states)
 
         value = vars(value) if isinstance(value, WarmStart) else value
-        read: dict[str, Any] = WARM_START.read(value, "warm_start", trajectory=trajectory)
-        return cls(**({"tau": DEFAULT_TAU} | read))
+        asked: dict[str, Any] = {"tau": DEFAULT_TAU}
+        return cls(**(asked | WARM_START.read(value, "warm_start", trajectory=trajectory)))
 
 
 SAMPLER = Group("The solver of the flow; fields left out are the card's.", rows_of(SamplerChoice))

@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypeAlias
 
-from anchorflow_client.contract.fields import SamplerChoice
+from anchorflow_client.contract.fields import RefineChoice, SamplerChoice
 from anchorflow_client.contract.rows import uniform_schedule
-from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
 from anchorflow_client.errors import InvalidRequest
 
 ABOVE_0 = {"gt": 0}
@@ -117,6 +116,28 @@ class VisionLanguageSpec:
     max_tokens: int = field(metadata=ABOVE_0)
     """The most tokens that a text may have."""
     kind: Literal["vision_language"] = "vision_language"
+
+
+@dataclass(frozen=True)
+class OdeSpec(SamplerChoice):
+    """A complete solver of a flow: method by name, and schedule."""
+
+    method: str = field()
+    schedule: tuple[float, ...] = field()
+    kind: Literal["ode"] = "ode"
+
+
+@dataclass(frozen=True)
+class RefineSpec(RefineChoice):
+    """A complete refinement of splines."""
+
+    smooth: bool = field()
+    project: bool = field()
+    safety_margin: float = field()
+    guidance: float = field()
+    barrier: bool = False
+    certified_margin: float = 0.0
+    kind: Literal["spline"] = "spline"
 
 
 @dataclass(frozen=True)

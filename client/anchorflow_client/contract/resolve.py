@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import secrets
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,12 +25,13 @@ from anchorflow_client.contract.kinds import (
     CostMapSpec,
     FinishSpec,
     LimitsSpec,
+    OdeSpec,
+    RefineSpec,
     SamplerSpec,
     TruncatedDiffusionSpec,
     VocabularySpec,
 )
 from anchorflow_client.contract.request import AnchorRequest
-from anchorflow_client.contract.sampling import OdeSpec, RefineSpec
 from anchorflow_client.errors import InvalidRequest
 
 DRAWN_SEED_BITS = 53
@@ -164,11 +166,12 @@ def _limit(name: str, request: AnchorRequest, card: ModelCard, own: float | None
     if asked is None or (own is not None and math.isclose(asked, own, rel_tol=1e-6)):
         return own
     made_for, unit = f"which {card.name} {card.version}", LIMITS[name].unit
-    if name not in card.cost_map.ranges:
+    ranges: Mapping[Any, tuple[float, float]] = card.cost_map.ranges
+    if name not in ranges:
         only = "none, as each anchor has its own" if own is None else f"{own:g} {unit}"
         expected = f"expected {only}, {made_for} was made for and its card does not let change"
         raise InvalidRequest(f"{expected}, got {asked:g}", name)
-    low, high = card.cost_map.ranges[name]
+    low, high = ranges[name]
     nearest = min(max(asked, low), high)
     if math.isclose(asked, nearest, rel_tol=1e-6):
         return nearest
