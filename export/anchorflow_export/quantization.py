@@ -114,7 +114,7 @@ def _of_encode(bundle: Bundle, scenes: Sequence[MapScene]) -> Iterator[Arrays]:
     return (scene.inputs(names) for scene in scenes)
 
 
-def _of_field(bundle: Bundle, scenes: Sequence[MapScene]) -> Iterator[Arrays]:
+def _of_field(bundle: Bundle, scenes: Sequence[MapScene]) -> Iterator[dict[str, Any]]:
     """Yield the field's inputs for scenes, at every time of the card's schedule."""
     graphs, spec = OnnxGraphs(bundle), bundle.card.sampler
     flow = OdeSampler(bundle.manifest, graphs, threads=1)

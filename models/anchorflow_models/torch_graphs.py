@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -35,7 +35,8 @@ class Role(nn.Module):
     ) -> None:
         super().__init__()
         self.model, self.role = model, role
-        self.inputs, self.outputs = tuple(inputs), tuple(outputs)
+        self.inputs: tuple[str, ...] = tuple(inputs)
+        self.outputs: tuple[str, ...] = tuple(outputs)
         parameters = inspect.signature(getattr(model, role)).parameters
         self.takes_all = any(each.kind is each.VAR_KEYWORD for each in parameters.values())
         self.has_context = "context" in parameters and not self.takes_all
@@ -76,7 +77,7 @@ class TorchGraphs:
 
     roles: Mapping[str, Role]
     place: torch.device = CPU
-    device: ClassVar[None] = None
+    device: None = None
     """A device that onnxruntime computes on, which torch does not need."""
 
     @torch.no_grad()

@@ -6,36 +6,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
 import pytest
 import torch
-from small_v2x import small_sizes, small_v2x
-from tiny_diffusiondrive import TINY, tiny_diffusiondrive
-from tiny_wote import tiny_wote
+from exported_bundles import Exported, export_once
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from anchorflow_client.contract import (
-    EIGHT_STEP_SCHEDULE,
     CostMapSpec,
     LimitsSpec,
     OdeSpec,
-    SamplerChoice,
 )
-from anchorflow_export.adapter import ExportChoices, PlannerAdapter
+from anchorflow_export.adapter import PlannerAdapter
 from anchorflow_export.bundle import BundleDescription, export_bundle
-from anchorflow_export.parity import Difference
-from anchorflow_export.planners import adapter_of
 from anchorflow_export.planners.flowmp import flow_adapter
-from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_service.bundle.manifest import SplineEntry
-from anchorflow_trajectory.motion import MotionLimits
 
 T, D, S, R, WIDTH = 8, 2, 7, 5, 16
 
@@ -164,80 +152,7 @@ def small_bundle(
     return out
 
 
-# Every option of the small preset that the published planner lacks.
-DIFFUSION = replace(
-    TINY,
-    backbone=replace(TINY.backbone, lidar_before=True),
-    encounters=TINY.footprint,
-    ground_sight=True,
-    driven=True,
-    direction=True,
-    imitation=0.1,
-    pessimistic=True,
-)
-CHOICES = {
-    "flowmp": ExportChoices(
-        limits=MotionLimits(1.5, 2.5),
-        ranges={"v_max": (0.2, 4.0), "a_max": (0.3, 6.0), "horizon_s": (1.0, 60.0)},
-        robot_radius=0.3,
-        sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE),
-    )
-}
-
-
-def untaught(config: L2Config) -> nn.Module:
-    """A flow with the same weights every time; branches that start at zero would prove little."""
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        model = create_l2_safety_cfm(config).eval()
-        for parameter in model.parameters():
-            if not parameter.any():
-                nn.init.normal_(parameter, std=0.02)
-    model.prior.set_covariance(0.04 * np.eye(model.prior.rank))
-    return model
-
-
-def small_goalflow() -> nn.Module:
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        config = GoalFlowConfig(
-            num_steps=2, goals=16, picked=5, width=16, channels=8, feature_channels=4, layers=1
-        )
-        return GoalFlow(config).eval()
-
-
-NETWORKS: dict[str, Callable[[], Any]] = {
-    "flowmp": lambda: untaught(
-        L2Config(map_size=16, num_steps=24, num_control_points=12, layers=1)
-    ),
-    "goalflow": small_goalflow,
-    "wote": tiny_wote,
-    "diffusiondrive": lambda: tiny_diffusiondrive(DIFFUSION),
-    "v2x_vlm": small_v2x,
-}
-
-
-@dataclass(frozen=True)
-class Exported:
-    """A planner's small network and its bundle; to read, not to change."""
-
-    network: Any
-    path: Path
-    differences: tuple[Difference, ...]
-
-
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Exported]:
     """Exports a planner's small network, once a session."""
-
-    @cache
-    def export(planner: str) -> Exported:
-        out = tmp_path_factory.mktemp(planner) / "bundle"
-        name = f"small-{planner.replace('_', '-')}"
-        description = BundleDescription(name=name, version="1.0.0", planner=planner)
-        with small_sizes():
-            network = NETWORKS[planner]()
-            adapter = adapter_of(planner, network, CHOICES.get(planner, ExportChoices()))
-            return Exported(network, out, export_bundle(adapter, description, out=out))
-
-    return export
+    return lambda planner: export_once(planner, tmp_path_factory.getbasetemp())

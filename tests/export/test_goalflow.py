@@ -30,21 +30,14 @@ def test_the_spread_of_the_noise_is_the_bundles_and_not_the_networks(
     assert (adapter.roles["encode"].model.noise_scale, model.noise_scale) == (2.0, 1.0)
 
 
-@pytest.mark.parametrize(("shipped", "least"), [(False, 0.005), (True, 0.01)])
-def test_random_scenes_have_scores_that_differ(
-    exported: Callable[[str], Any], shipped: bool, least: float
-) -> None:
-    """Scores that are all zero would prove nothing, by the rules alone or by the trained scorer."""
-    path = SHIPPED if shipped else exported("goalflow").path
-    adapter = goalflow_adapter(
-        GoalFlow(GoalFlowConfig()) if shipped else exported("goalflow").network, ExportChoices()
-    )
-    with LocalClient.of(path, threads=1) as client:
-        inputs = adapter.request(client.engine.card, {"B": 4}, 0).inputs
-        scores = client.plan(inputs=inputs, num_samples=9, seed=0).scores
-    for scene in scores[:1] if shipped else scores:
-        assert scene.max() > least
-        assert scene.max() > 1.1 * scene.min()
+def test_random_scenes_have_scores_that_differ() -> None:
+    """Scores that are all zero would prove nothing."""
+    adapter = goalflow_adapter(GoalFlow(GoalFlowConfig()), ExportChoices())
+    with LocalClient.of(SHIPPED, threads=1) as client:
+        inputs = adapter.request(client.engine.card, {"B": 1}, 0).inputs
+        (scores,) = client.plan(inputs=inputs, num_samples=9, seed=0).scores
+    assert scores.max() > 0.01
+    assert scores.max() > 1.1 * scores.min()
 
 
 def test_the_bundle_that_ships_takes_what_the_adapter_says() -> None:

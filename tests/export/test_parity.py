@@ -34,7 +34,7 @@ def test_a_batch_has_the_bytes_of_its_scenes(exported: Callable[[str], Any], pla
     made = exported(planner)
     client = LocalClient.of(made.path, threads=2)
     adapter = adapter_of(planner, made.network, ExportChoices())
-    inputs = adapter.request(client.engine.card, {"B": 2}, 3).inputs
+    inputs: Any = adapter.request(client.engine.card, {"B": 2}, 3).inputs
     both = client.plan(inputs=inputs, seed=1)
     for b in range(2):
         alone = client.plan(inputs={name: array[b] for name, array in inputs.items()}, seed=1)

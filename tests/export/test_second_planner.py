@@ -101,15 +101,6 @@ def test_served_anchors_are_torchs(client: LocalClient) -> None:
         np.testing.assert_allclose(answer.scores[b], scores[:4], atol=1e-4)
 
 
-def test_a_batch_of_three_is_its_scenes_alone(client: LocalClient) -> None:
-    together = asked(client, pictures(), STATES)
-    for b, (camera, status) in enumerate(zip(pictures(), STATES, strict=True)):
-        alone = asked(client, camera, status)
-        assert list(alone.arrays) == list(together.arrays)
-        for name, array in alone.arrays.items():
-            assert together.arrays[name][b].tobytes() == array.tobytes(), name
-
-
 def test_a_drift_is_caught_in_the_graph_and_in_the_sample(tmp_path: Path) -> None:
     class Drifting(CameraPlanner):
         def score(self, brightness: Tensor, speed: Tensor) -> dict[str, Tensor]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import onnxruntime
 import pytest
@@ -108,7 +110,7 @@ def test_it_is_torchs_where_sigmoids_end() -> None:
 
 def test_every_number_of_the_ego_status_varies() -> None:
     card = load_bundle(DEFAULT_BUNDLE.parent / "wote").card
-    status = sensor_request(card, {"B": 64}, 0).inputs["ego_status"]
+    status: Any = sensor_request(card, {"B": 64}, 0).inputs["ego_status"]
     assert (status[:, :4].sum(1) == 1).all()
     assert (status.std(0) > 0.3).all()
     assert (status[:, 4] >= 0).all()

@@ -16,6 +16,7 @@ from anchorflow_client.contract import (
     NoFinish,
     TensorSpec,
     TimeSpec,
+    VisionLanguageSpec,
     VocabularySpec,
 )
 from anchorflow_export.adapter import (
@@ -112,6 +113,7 @@ def v2x_vlm_adapter(model: V2XVLM, _choices: ExportChoices) -> PlannerAdapter:
 
 def _request(card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
     """Return pictures of noise, and a text; of two scenes the second's is shorter."""
+    assert isinstance(card.conditioning, VisionLanguageSpec)
     size = card.conditioning.image_size
     generator = np.random.default_rng(seed)
     pictures = generator.integers(0, 256, (2, sizes["B"], 3, size, size), dtype=np.uint8)

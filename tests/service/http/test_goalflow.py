@@ -10,51 +10,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from driven_bend import bend
+from exported_bundles import GOALFLOW, export_once
 
 from anchorflow_client import AnchorBatch, AnchorClient, JsonCodec, OipCodec
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
-from anchorflow_export.adapter import ExportChoices
-from anchorflow_export.bundle import BundleDescription, export_bundle
-from anchorflow_export.planners import adapter_of
-from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
 
-MODEL, K, N, T = "goalflow", 16, 12, 2
-# Ways along a route are a loop over the steps, which a trace unrolls: two are enough.
-CONFIG = GoalFlowConfig(
-    num_steps=T,
-    goals=K,
-    picked=5,
-    width=16,
-    channels=8,
-    feature_channels=4,
-    layers=1,
-    outcomes=True,
-)
+MODEL, K, N, T = "small-goalflow", GOALFLOW.goals, 12, GOALFLOW.num_steps
 
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("goalflow") / "bundle"
-    torch.manual_seed(0)
-    model = GoalFlow(CONFIG).eval()
-    with torch.no_grad():
-        for parameter in model.parameters():
-            parameter.add_(0.05 * torch.randn(parameter.shape))
-    adapter = adapter_of("goalflow", model, ExportChoices())
-    description = BundleDescription(name=MODEL, version="1.0.0", planner="goalflow")
-    worst = max(difference.error for difference in export_bundle(adapter, description, out=out))
-    assert worst < 1e-4
-    return out
+    made = export_once("goalflow", tmp_path_factory.getbasetemp())
+    assert max(difference.error for difference in made.differences) < 1e-4
+    return made.path
 
 
 @pytest.fixture(scope="module")
@@ -147,7 +124,7 @@ def test_threads_do_not_change_an_answer(bundle: Path, local: LocalClient) -> No
 
 def test_noise_makes_draws_to_one_goal_differ(local: LocalClient) -> None:
     # Ways are dealt out in turn, those to goals first; turns and halts, which no noise moves, last.
-    again, once = CONFIG.picked, CONFIG.ways - CONFIG.along
+    again, once = GOALFLOW.picked, GOALFLOW.ways - GOALFLOW.along
     asked: dict[str, Any] = {"inputs": inputs_of(0), "num_samples": once + again}
     first, second = (local.plan(**asked, seed=seed).trajectories for seed in (1, 2))
 

@@ -38,7 +38,9 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     description = BundleDescription(name=MODEL, version="1.0.0", planner="wote")
     differences = export_bundle(adapter, description, out=out)
     tried = {part.what.split(",")[0] for part in differences}
-    assert tried == {f"{r} at B={B}" for r in ("encode", "score") for B in (1, 3)} | {"sample"}
+    assert tried == {f"{r} at B={B}" for r in ("encode", "score") for B in (1, 3)} | {
+        "sample of scene 0"
+    }
     assert max(part.error for part in differences) <= 1e-5
     return out
 

@@ -1,0 +1,112 @@
+"""A small network of each planner and its bundle, exported once for all tests that need one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+import torch
+from small_v2x import small_sizes, small_v2x
+from tiny_diffusiondrive import TINY, tiny_diffusiondrive
+from tiny_wote import tiny_wote
+from torch import nn
+
+from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, SamplerChoice
+from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.bundle import BundleDescription, export_bundle
+from anchorflow_export.parity import Difference
+from anchorflow_export.planners import adapter_of
+from anchorflow_models import L2Config, create_l2_safety_cfm
+from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_trajectory.motion import MotionLimits
+
+# Every option of the small preset that the published planner lacks.
+DIFFUSION = replace(
+    TINY,
+    backbone=replace(TINY.backbone, lidar_before=True),
+    encounters=TINY.footprint,
+    ground_sight=True,
+    driven=True,
+    direction=True,
+    imitation=0.1,
+    pessimistic=True,
+)
+# Ways along a route are a loop over the steps, which a trace unrolls: two are enough.
+GOALFLOW = GoalFlowConfig(
+    num_steps=2,
+    goals=16,
+    picked=5,
+    width=16,
+    channels=8,
+    feature_channels=4,
+    layers=1,
+    outcomes=True,
+)
+CHOICES = {
+    "flowmp": ExportChoices(
+        limits=MotionLimits(1.5, 2.5),
+        ranges={"v_max": (0.2, 4.0), "a_max": (0.3, 6.0), "horizon_s": (1.0, 60.0)},
+        robot_radius=0.3,
+        sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE),
+    )
+}
+
+
+def untaught(config: L2Config) -> nn.Module:
+    """A flow with the same weights every time; branches that start at zero would prove little."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        model = create_l2_safety_cfm(config).eval()
+        for parameter in model.parameters():
+            if not parameter.any():
+                nn.init.normal_(parameter, std=0.02)
+    model.prior.set_covariance(0.04 * np.eye(model.prior.rank))
+    return model
+
+
+def small_goalflow() -> nn.Module:
+    """A GoalFlow whose scores are the rules' and the learnt outcomes'."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        model = GoalFlow(GOALFLOW).eval()
+        with torch.no_grad():
+            for parameter in model.parameters():
+                parameter.add_(0.05 * torch.randn(parameter.shape))
+    return model
+
+
+NETWORKS: dict[str, Callable[[], Any]] = {
+    "flowmp": lambda: untaught(
+        L2Config(map_size=16, num_steps=24, num_control_points=12, layers=1)
+    ),
+    "goalflow": small_goalflow,
+    "wote": tiny_wote,
+    "diffusiondrive": lambda: tiny_diffusiondrive(DIFFUSION),
+    "v2x_vlm": small_v2x,
+}
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A planner's small network and its bundle; to read, not to change."""
+
+    network: Any
+    path: Path
+    differences: tuple[Difference, ...]
+
+
+@cache
+def export_once(planner: str, folder: Path) -> Exported:
+    """Export a planner's small network as `small-PLANNER`, once for each folder."""
+    out = Path(mkdtemp(dir=folder)) / "bundle"
+    name = f"small-{planner.replace('_', '-')}"
+    description = BundleDescription(name=name, version="1.0.0", planner=planner)
+    with small_sizes():
+        network = NETWORKS[planner]()
+        adapter = adapter_of(planner, network, CHOICES.get(planner, ExportChoices()))
+        return Exported(network, out, export_bundle(adapter, description, out=out))
