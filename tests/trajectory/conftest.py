@@ -44,7 +44,7 @@ class Stage:
         splines = self.basis.rest_curves(ends, duration * np.exp(rng.normal(0.0, 0.3, count)))
         control = splines.control.astype(np.float64)
         free = control[..., self.basis.free]
-        # Least at the ends, where the control points lie close and a shift is a jolt.
+        # Least at the ends: control points are dense there, and a shift is a jolt.
         bulge = np.sin(np.linspace(0.0, np.pi, free.shape[-1]))
         free += rng.normal(0.0, spread, free.shape) * bulge
         return Splines(control, splines.duration.astype(np.float32).astype(np.float64))

@@ -82,7 +82,7 @@ def test_threads_share_it() -> None:
         fields = list(pool.map(lambda k: cache.of(with_cell(k), 0.5, work_out), places))
 
     assert all(field.flat[k] == 0.5 for field, k in zip(fields, places, strict=True))
-    for place in range(12, 20):  # as many are kept as there is room for, whatever came before
+    for place in range(12, 20):  # the cache keeps as many as it has room for
         cache.of(with_cell(place), 0.5, work_out)
         assert len(cache) == 4
 

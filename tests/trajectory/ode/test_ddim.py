@@ -31,7 +31,7 @@ def test_noise_keeps_the_variance() -> None:
 
 
 def test_steps_follow_one_noise_where_the_data_are_known() -> None:
-    # With the true x_0 every level of the path is the data with the same noise, so that it does not
+    # Given the true x_0, every level of the path is the data with the same noise, so that it does not
     # matter how many steps lead there.
     x_0, noise = np.array([0.3, -0.7]), np.array([1.5, 0.2])
     x = noised(x_0, noise, float(SIGNAL[900]))

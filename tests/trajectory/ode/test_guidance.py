@@ -79,7 +79,7 @@ def test_the_correction_is_the_gradient_through_the_fit(guidance: Guidance) -> N
 
 
 def test_log_duration_is_left_alone_where_there_is_a_horizon(guidance: Guidance) -> None:
-    """And pulled at elsewhere: a prior that moves nothing else tells it."""
+    """Only the prior's rows move: a prior that moves nothing else shows it."""
     field, x_t = flow(guidance)
     basis = np.zeros((1, *x_t.shape[1:]))
     basis[..., -1] = 0.1

@@ -97,7 +97,7 @@ class Boxes:
 
 @EACH_METHOD
 def test_the_loop_is_the_same_wherever_states_are_kept(method: Method) -> None:
-    """To the last bit, each step in turn; what was not written yet would not be there to read."""
+    """Results are equal to the last bit at each step; a state read before it is written would be empty."""
     schedule, start = EIGHT_STEP_SCHEDULE, [0.3]
     in_array = logistic(method, schedule)
 

@@ -91,7 +91,7 @@ def test_a_spline_stays_near_its_route_and_is_no_faster_than_a_cruise() -> None:
 
 
 def test_splines_along_straight_routes_keep_the_limits() -> None:
-    """Where no bend stands in the way: a descent begins within them."""
+    """On straight routes a descent begins within the limits."""
     for limits in (LIMITS, MotionLimits(v_max=0.5, a_max=0.25), MotionLimits(v_max=6.0, a_max=3.0)):
         for length in (0.5, 2.0, 6.0, 20.0):
             ends = Ends(np.zeros(6), np.array([length, 0.0, 0.0, 0.0]))
