@@ -97,7 +97,7 @@ class Boxes:
 
 @EACH_METHOD
 def test_the_loop_is_the_same_wherever_states_are_kept(method: Method) -> None:
-    """Results are equal to the last bit at each step; a state read before it is written would be empty."""
+    """Each step is equal to the last bit; a state read before it is written would be empty."""
     schedule, start = EIGHT_STEP_SCHEDULE, [0.3]
     in_array = logistic(method, schedule)
 
