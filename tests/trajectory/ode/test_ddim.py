@@ -31,8 +31,8 @@ def test_noise_keeps_the_variance() -> None:
 
 
 def test_steps_follow_one_noise_where_the_data_are_known() -> None:
-    # Given the true x_0, each level of the path is the data with the same noise, whatever the number
-    # of steps.
+    # Given the true x_0, each level of the path is the data with the same noise, whatever the
+    # number of steps.
     x_0, noise = np.array([0.3, -0.7]), np.array([1.5, 0.2])
     x = noised(x_0, noise, float(SIGNAL[900]))
     for level, after in pairwise((900, 400, 50, 8)):
