@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
+Real = NDArray[np.floating] | NDArray[np.integer]
 
 # Front left, front right, rear right, rear left, in half lengths and half widths.
 _CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
@@ -58,7 +59,7 @@ def arc_lengths(line: Array) -> Array:
     return np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
 
 
-def at_places(places: Array, marks: Array, line: Array) -> Array:
+def at_places(places: Real, marks: Real, line: Real) -> Array:
     """Interpolate the columns of a line [V, D], known at marks [V], at places [...]."""
     return np.stack([np.interp(places, marks, axis) for axis in line.T], -1)
 
