@@ -90,12 +90,12 @@ def test_the_teacher_s_network_and_the_options_make_the_configuration(
     checkpoint: Path, tiny_dataset_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "distill.yaml"
-    file.write_text("cost_margin: 0.2\nteacher: {pairs: 8}\nmodel: {layers: 1}\n")
+    file.write_text("method: reflow\nteacher: {pairs: 8}\nmodel: {layers: 1}\n")
     words = ["--print-config", "--config", file, "--layers", "3", "--noise-scale", "1.5"]
     command(checkpoint, tiny_dataset_path, *words)
     file.write_text(capsys.readouterr().out)
     printed = layers(DistillConfig, {}, file)
-    assert printed.cost_margin == 0.2
+    assert printed.method == "reflow"
     assert (printed.teacher.pairs, printed.teacher.noise_scale) == (8, 1.5)
     assert (printed.model.layers, printed.model.map_size) == (3, 16)
 
@@ -106,7 +106,7 @@ def test_the_teacher_s_network_and_the_options_make_the_configuration(
         ([], "--out: expected the folder of the run"),
         (["--schedule", "0.5,1", "--out", "x"], "schedule: expected its first time to be 0"),
         (["--model.degree", "5", "--out", "x"], "model.degree: expected 4, the teacher's"),
-        (["--method", "magic"], "method: expected one of direct"),
+        (["--method", "magic"], "method: expected one of reflow, direct, consistency"),
     ],
 )
 def test_a_wrong_command_is_one_line_and_makes_nothing(

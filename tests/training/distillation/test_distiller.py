@@ -26,14 +26,19 @@ from anchorflow_training.trainer import CFMTrainer
 
 Distil = Callable[..., Distiller]
 
+every_method = pytest.mark.parametrize("method", ["reflow", "direct", "consistency"])
+
 
 class Cut(Exception):
     """Ends a run from its own report."""
 
 
-def test_only_the_student_learns(config: DistillConfig, distil: Distil, teacher: Teacher) -> None:
+@every_method
+def test_only_the_student_learns(
+    method: str, config: DistillConfig, distil: Distil, teacher: Teacher
+) -> None:
     before = {name: value.clone() for name, value in teacher.model.state_dict().items()}
-    run = distil(replace(config, steps=2))
+    run = distil(replace(config, method=method, steps=2))
     run.fit()
     moved = [
         name for name, value in run.model.named_parameters() if not torch.equal(value, before[name])
@@ -47,10 +52,11 @@ def test_only_the_student_learns(config: DistillConfig, distil: Distil, teacher:
     assert held == {id(p) for p in run.model.parameters()}
 
 
+@every_method
 def test_rounded_products_leave_the_loss_nearly_where_it_was(
-    config: DistillConfig, distil: Distil
+    method: str, config: DistillConfig, distil: Distil
 ) -> None:
-    settings = replace(config, steps=1)
+    settings = replace(config, method=method, steps=1)
     exact, rounded = distil(settings, "exact"), distil(replace(settings, precision="bfloat16"), "b")
     for run in (exact, rounded):
         run.fit()
@@ -65,10 +71,11 @@ def test_the_student_comes_nearer_to_its_teacher(config: DistillConfig, distil: 
     assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:5])
 
 
+@every_method
 def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(
-    config: DistillConfig, distil: Distil
+    method: str, config: DistillConfig, distil: Distil
 ) -> None:
-    settings = config
+    settings = replace(config, method=method)
 
     def cut(step: int, _: dict[str, float]) -> None:
         if step == 3:
@@ -109,12 +116,12 @@ def test_the_checkpoint_knows_its_teacher_and_its_steps(
 def test_a_run_goes_on_with_its_own_teacher_only(
     config: DistillConfig, distil: Distil, teacher: Teacher, tiny_dataset: SceneDataset
 ) -> None:
-    settings = replace(config, steps=1)
+    settings = replace(config, method="consistency", steps=1)
     run = distil(settings)
     run.fit()
     other = replace(teacher, sha256="6" * 64)
     with pytest.raises(CheckpointError, match=r"checkpoint\.pt: expected the teacher .*555.*666"):
-        Distiller(settings, tiny_dataset, run.out, teacher=other, pairs=run.out / "other")
+        Distiller(settings, tiny_dataset, run.out, teacher=other, pairs=run.out)
     flow = TrainerConfig(model=settings.model, batch=settings.batch)
     with pytest.raises(CheckpointError, match=r"expected the teacher .* got None"):
         CFMTrainer(flow, tiny_dataset, run.out)
@@ -152,13 +159,20 @@ def test_only_scenes_that_are_trained_on_have_pairs(config: DistillConfig, disti
     assert distil(replace(config, teacher=few)).bank.scenes == 3
 
 
+def test_consistency_makes_no_pairs(config: DistillConfig, distil: Distil) -> None:
+    run = distil(replace(config, method="consistency", steps=1))
+    run.fit()
+    assert not run.bank.path.exists()
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
         ({"schedule": [0.2, 1.0]}, "schedule: expected its first time to be 0"),
         ({"schedule": [0.0, 0.9]}, "strictly rising to 1"),
-        ({"method": "magic"}, "method: expected one of direct"),
+        ({"method": "magic"}, "method: expected one of reflow, direct, consistency"),
         ({"cost_weight": -1}, "cost_weight: expected at least 0"),
+        ({"at_schedule": 1.5}, "at_schedule: expected at most 1"),
         ({"teacher": {"method": "rk5"}}, "teacher.method: expected one of euler"),
     ],
 )

@@ -14,8 +14,10 @@ from torch import Tensor, nn
 from anchorflow_client.contract import uniform_schedule
 from anchorflow_models.flow_matching import LossWeights
 from anchorflow_training.distillation.objective import (
+    ConsistencyObjective,
     DirectObjective,
     NormalisedFlow,
+    ReflowObjective,
     drawn,
     start_states,
     started,
@@ -68,6 +70,12 @@ def pair_batch() -> dict[str, Tensor]:
     z_0 = torch.randn(B, N, T, S, generator=torch.Generator().manual_seed(0))
     told = {"limits": torch.zeros(B, 4), "prior_mean": torch.zeros(B, N, T, S)}
     return {**told, "z_0": z_0, "z_1": END * z_0, "reference_s": torch.ones(B)}
+
+
+def data_batch() -> dict[str, Tensor]:
+    states = torch.randn(B, N, T, S, generator=torch.Generator().manual_seed(1))
+    batch = {"limits": torch.zeros(B, 4), "prior_mean": torch.zeros(B, N, T, S)}
+    return {**batch, "states": states, "route": torch.zeros(B, N, dtype=torch.long)}
 
 
 def loss_of(objective: nn.Module, batch: dict[str, Tensor], seed: int = 0) -> Tensor:
@@ -136,6 +144,90 @@ def test_direct_learns_to_cost_less() -> None:
     assert gain.grad > 0.1  # a smaller end costs less
 
 
+def reflow(gain: Gain, *, at_schedule: float = 0.3) -> ReflowObjective:
+    model: Any = LinearFlow(gain)
+    schedule = (0.0, 0.5, 1.0)
+    return ReflowObjective(model, schedule=schedule, at_schedule=at_schedule, weights=WEIGHTS)
+
+
+def consistency(gain: Gain, *, intervals: int) -> ConsistencyObjective:
+    student: Any = LinearFlow(gain)
+    teacher: Any = LinearFlow(constant(-RATE))
+    return ConsistencyObjective(
+        student, teacher, intervals=intervals, optimal_transport=False, weights=WEIGHTS
+    )
+
+
+def straight(t: Tensor) -> Tensor:
+    """The field of straight lines from z to END z, at their point at t."""
+    return (END - 1) / (1 + t * (END - 1))
+
+
+def test_reflow_learns_the_straight_field() -> None:
+    assert loss_of(reflow(straight), pair_batch()) < 1e-12
+    assert loss_of(reflow(constant(-RATE)), pair_batch()) > 1e-2
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_reflow_s_times_are_the_schedule_s_or_all(share: float) -> None:
+    (t,) = reflow(straight, at_schedule=share).draw(50, 40, torch.Generator().manual_seed(0))
+    at_schedule = (t == 0.0) | (t == 0.5)
+    assert at_schedule.float().mean() == share
+    if share:
+        assert 0.4 < (t == 0.5).float().mean() < 0.6
+    else:
+        assert 0.45 < t.mean() < 0.55
+
+
+def seen_from(rate: float) -> Gain:
+    """The field whose straight path from any t ends at e^(-rate (1 - t)) z."""
+
+    def gain(t: Tensor) -> Tensor:
+        left = (1 - t).clamp(min=1e-6)
+        return (torch.exp(-rate * left) - 1) / left
+
+    return gain
+
+
+def test_consistency_sees_one_end_along_the_teacher_s_path() -> None:
+    """Up to the error of a midpoint step: third order, so 64 times less in intervals a quarter as
+    long, and its square in the loss."""
+    coarse, fine = (
+        loss_of(consistency(seen_from(RATE), intervals=n), data_batch()).item() for n in (4, 16)
+    )
+    assert coarse < 1e-4
+    assert fine < coarse / 1000
+    assert loss_of(consistency(constant(-RATE), intervals=4), data_batch()) > 1e-3
+
+
+def test_consistency_targets_pass_no_gradient() -> None:
+    """With g constant the end seen from t is (1 + (1 - t) g) z; the target does not move with g."""
+    gain = torch.tensor(-0.5, requires_grad=True)
+    objective, batch = consistency(constant(gain), intervals=2), data_batch()
+    loss_of(objective, batch).backward()
+    assert gain.grad is not None
+    frozen = gain.detach()
+    _, t = objective.draw(B, N, torch.Generator().manual_seed(0))
+
+    def loss_with(change: float) -> float:
+        """The loss if g changes at the samples' own times alone, not at the targets'."""
+
+        def law(at: Tensor) -> Tensor:
+            return frozen + 0 * at + (change if torch.equal(at, t) else 0.0)
+
+        return loss_of(consistency(law, intervals=2), batch).item()
+
+    step = 1e-2
+    slope = (loss_with(step) - loss_with(-step)) / (2 * step)
+    assert gain.grad.item() == pytest.approx(slope, rel=1e-4)
+
+
+def test_one_interval_of_consistency_is_a_regression_on_the_teacher() -> None:
+    """From t = 0 a midpoint step over [0, 1] ends at (1 - a + a^2 / 2) z."""
+    end = 1 - RATE + RATE**2 / 2
+    assert loss_of(consistency(constant(end - 1), intervals=1), data_batch()) < 1e-12
+
+
 Inputs = dict[str, torch.Tensor]
 
 
@@ -155,6 +247,7 @@ def test_noise_begins_at_the_same_normalised_state_in_every_scene(
     assert not z_0[2, ..., -1].any()
     x_0 = model.draw(noise, prior_mean, flow.context)
     torch.testing.assert_close(flow.in_si(z_0), x_0, rtol=1e-5, atol=1e-4)
+    torch.testing.assert_close(flow.normalised(flow.in_si(z_0)), z_0, rtol=0, atol=1e-5)
 
 
 def test_both_ways_of_sampling_agree(

@@ -15,7 +15,13 @@ from anchorflow_models import L2SafetyCFM
 from anchorflow_training.batches import Batch
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.anchor_cost import AnchorCost
-from anchorflow_training.distillation.objective import DirectObjective, drawn, start_states
+from anchorflow_training.distillation.objective import (
+    ConsistencyObjective,
+    DirectObjective,
+    ReflowObjective,
+    drawn,
+    start_states,
+)
 from anchorflow_training.distillation.pairs import (
     DistillConfig,
     PairBank,
@@ -73,14 +79,22 @@ class Distiller(CostMapRun):
 
     def new_objective(self, model: L2SafetyCFM) -> nn.Module:
         config = self.config
+        schedule, weights = config.schedule, config.weights
+        if config.method == "reflow":
+            return ReflowObjective(
+                model, schedule=schedule, at_schedule=config.at_schedule, weights=weights
+            )
+        if config.method == "consistency":
+            return ConsistencyObjective(
+                model,
+                self.teacher.model,
+                intervals=config.intervals,
+                optimal_transport=self.teacher.optimal_transport,
+                weights=weights,
+            )
+        cost = AnchorCost(config.model, margin=config.cost_margin) if config.cost_weight else None
         return DirectObjective(
-            model,
-            schedule=config.schedule,
-            weights=config.weights,
-            cost=(
-                AnchorCost(config.model, margin=config.cost_margin) if config.cost_weight else None
-            ),
-            cost_weight=config.cost_weight,
+            model, schedule=schedule, weights=weights, cost=cost, cost_weight=config.cost_weight
         )
 
     def new_evaluator(self, held_out: SceneDataset) -> Evaluator:
@@ -89,7 +103,7 @@ class Distiller(CostMapRun):
         return Evaluator(held_out, self.config.evaluation, sampler)
 
     def batch(self, index: int) -> Batch:
-        return self._pair_batches.draw(index)
+        return self._pair_batches.draw(index) if self.needs_pairs else super().batch(index)
 
     @cached_property
     def _pair_batches(self) -> PairBatches:
@@ -113,6 +127,11 @@ class Distiller(CostMapRun):
     def learnt_from(self) -> dict[str, Any]:
         return self.teacher.description
 
+    @property
+    def needs_pairs(self) -> bool:
+        """Whether the method learns from the teacher's pairs."""
+        return self.config.method != "consistency"
+
     @cached_property
     def bank(self) -> PairBank:
         """The teacher's pairs; whole after `prepare`."""
@@ -120,6 +139,8 @@ class Distiller(CostMapRun):
 
     def prepare(self, progress: Progress = lambda *_: None) -> None:
         """Make the pairs that are missing, each process its share of them."""
+        if not self.needs_pairs:
+            return
         missing = self.bank.missing()
         if self.leads:
             self.bank.begin()

@@ -1,7 +1,6 @@
-"""The distillation loss: the student's few steps end where the teacher's many do.
+"""The losses of the three distillation methods: direct, reflow and consistency.
 
-With one step it is the regression of Luhman & Luhman (2021); with more, the gradient runs through
-all of them, so that a later evaluation learns to correct what an earlier one really left.
+All work on normalised states: residuals of unit spread, in the scene's frame.
 """
 
 from __future__ import annotations
@@ -13,11 +12,12 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.flow_matching import LossWeights, flow_matching_loss
+from anchorflow_models.flow_matching import LossWeights, flow_matching_loss, interpolate
 from anchorflow_models.layers.geometry import in_float32
 from anchorflow_training.distillation.anchor_cost import AnchorCost
+from anchorflow_training.objective import paired
 from anchorflow_trajectory.ode.integrate import integrate_plainly
-from anchorflow_trajectory.ode.methods import EULER, Method
+from anchorflow_trajectory.ode.methods import EULER, MIDPOINT, Method
 from anchorflow_trajectory.ode.schedule import Schedule
 
 Context = dict[str, Tensor]
@@ -54,9 +54,25 @@ class NormalisedFlow:
 
         return integrate_plainly(field, z_0, schedule=schedule, method=method)
 
+    def stepped(self, z: Tensor, t: Tensor, stride: float) -> Tensor:
+        """z at t + stride from z [B, N, T, S] at t [B, N], by one midpoint step."""
+
+        def field(z: Tensor, share: float) -> Tensor:
+            return stride * self.velocity(z, t + stride * share)
+
+        return integrate_plainly(field, z, schedule=(0.0, 1.0), method=MIDPOINT)
+
+    def end_from(self, z: Tensor, t: Tensor) -> Tensor:
+        """The end at t = 1 of a straight path from z [B, N, T, S] at t [B, N]."""
+        return z + (1.0 - t)[..., None, None] * self.velocity(z, t)
+
     def in_si(self, z: Tensor) -> Tensor:
         """States in SI and the map's frame."""
         return self.prior_mean + self.model.prior.to_si(z.float(), self.context["si_units"])
+
+    def normalised(self, x: Tensor) -> Tensor:
+        """The inverse of `in_si`."""
+        return self.model.prior.normalise(x - self.prior_mean, self.context["units"])
 
 
 def start_states(model: L2SafetyCFM) -> Tensor:
@@ -97,6 +113,9 @@ class DirectObjective(nn.Module):
 
         loss = flow matching loss + cost_weight mean(log(1 + J))
 
+    With one step it is the regression of Luhman & Luhman (2021); with more, the gradient runs
+    through all, so that a later evaluation learns to correct what an earlier one really left.
+
     cost: J of the splines that the finish fits to the student's ends; None: it does not count
     """
 
@@ -128,3 +147,88 @@ class DirectObjective(nn.Module):
             return loss, terms
         cost = torch.log1p(self.cost(flow.in_si(end), inputs, reference_s)).mean()
         return loss + self.cost_weight * cost, {**terms, "cost": cost}
+
+
+class ReflowObjective(nn.Module):
+    """Flow matching on pairs (Liu et al., 2023): the field at t z_1 + (1 - t) z_0 is z_1 - z_0.
+
+    at_schedule: share of the samples at the schedule's times; the others are spread over [0, 1],
+        which keeps the field a flow for any solver
+    """
+
+    def __init__(
+        self, model: L2SafetyCFM, *, schedule: Schedule, at_schedule: float, weights: LossWeights
+    ) -> None:
+        super().__init__()
+        self.model, self.weights, self.at_schedule = model, weights, at_schedule
+        self.times = torch.tensor(schedule[:-1])
+
+    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:
+        """Flow times [B, N]."""
+        shape = scenes, samples
+        t = torch.rand(shape, generator=generator)
+        scheduled = self.times[torch.randint(len(self.times), shape, generator=generator)]
+        chosen = torch.rand(shape, generator=generator) < self.at_schedule
+        return (torch.where(chosen, scheduled, t),)
+
+    def forward(self, batch: Mapping[str, Tensor], t: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """batch: as of `PairBatches`; t: [B, N]."""
+        inputs = dict(batch)
+        z_0, z_1, mean, _ = (inputs.pop(name) for name in PAIRED)
+        z_t, target = interpolate(z_0, z_1, t)
+        predicted = NormalisedFlow.of(self.model, inputs, mean).velocity(z_t, t)
+        return flow_matching_loss(predicted, target, self.weights)
+
+
+class ConsistencyObjective(nn.Module):
+    """Every point of a teacher's path leads to one end (Song et al., 2023).
+
+        f(z_t, t) = z_t + (1 - t) v(z_t, t)   ->   f(z_s, s),  z_s a step of the teacher from z_t
+
+    z_t lies between data and noise, as in the teacher's training, so no pairs are needed. The
+    target passes no gradient; it is the student's own, not an average (Song & Dhariwal, 2024).
+
+    intervals: equal parts of [0, 1]; a midpoint step of the teacher crosses one
+    optimal_transport: whether noise and data are coupled, as in the teacher's training
+    """
+
+    def __init__(
+        self,
+        model: L2SafetyCFM,
+        teacher: L2SafetyCFM,
+        *,
+        intervals: int,
+        optimal_transport: bool,
+        weights: LossWeights,
+    ) -> None:
+        super().__init__()
+        self.model, self.teacher, self.weights = model, teacher, weights
+        self.intervals, self.optimal_transport = intervals, optimal_transport
+
+    def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, ...]:
+        """Noise [B, N, R] and the intervals' first times [B, N]."""
+        noise = torch.randn(scenes, samples, self.model.prior.rank, generator=generator)
+        interval = torch.randint(self.intervals, (scenes, samples), generator=generator)
+        return noise, interval / self.intervals
+
+    def forward(
+        self, batch: Mapping[str, Tensor], noise: Tensor, t: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """batch: as of `FlowObjective`, states in SI; noise: [B, N, R]; t: [B, N]."""
+        inputs, model = dict(batch), self.model
+        states, mean, route = (inputs.pop(name) for name in ("states", "prior_mean", "route"))
+        starts, sample_weights = (inputs.pop(name, None) for name in ("starts", "sample_weights"))
+        flow = NormalisedFlow.of(model, inputs, mean)
+        with torch.no_grad():
+            teacher = NormalisedFlow.of(self.teacher, inputs, mean)
+            if starts is not None:
+                x_0 = mean + model.prior.disturbed(starts)
+            else:
+                x_0 = teacher.in_si(started(model, noise, inputs["limits"]))
+                if self.optimal_transport:
+                    x_0 = paired(x_0, states, route, model.config.dim)
+            z_t = teacher.normalised(interpolate(x_0, states, t)[0])
+            h = 1.0 / self.intervals
+            target = flow.end_from(teacher.stepped(z_t, t, h), (t + h).clamp(max=1.0))
+        seen = flow.end_from(z_t, t)
+        return flow_matching_loss(seen, target, self.weights, sample_weights=sample_weights)

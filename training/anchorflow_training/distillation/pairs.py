@@ -74,15 +74,23 @@ class DistillConfig(CostMapRunConfig):
         ValueError: the schedule does not rise from 0 to 1.
     """
 
-    method: Literal["direct"] = setting("direct", "The student's steps end where its teacher ends.")
+    method: Literal["reflow", "direct", "consistency"] = setting(
+        "direct", "What the student learns; docs/distillation.md."
+    )
     schedule: tuple[float, ...] = setting((0.0, 1.0), "Flow times of its Euler steps, from 0 to 1.")
     steps: int = other_default(CostMapRunConfig, "steps", 4000)
     learning_rate: float = other_default(CostMapRunConfig, "learning_rate", 5e-4)
     warmup: int = other_default(CostMapRunConfig, "warmup", 200)
-    cost_weight: float = setting(
-        0.0, "Of log(1 + J), J the cost that the finish begins with.", ge=0
+    at_schedule: float = setting(
+        0.5, "reflow: share of samples at the schedule's own times.", ge=0, le=1
     )
-    cost_margin: float = setting(0.1, "m of clearance that J asks for, as the finish does.", ge=0)
+    cost_weight: float = setting(
+        0.0, "direct: of log(1 + J), J the cost that the finish begins with.", ge=0
+    )
+    cost_margin: float = setting(
+        0.1, "direct: m of clearance that J asks for, as the finish does.", ge=0
+    )
+    intervals: int = setting(8, "consistency: intervals that [0, 1] is cut into.", ge=1)
     weights: LossWeights = field(default_factory=LossWeights)
     teacher: TeacherConfig = field(default_factory=TeacherConfig)
 
@@ -277,9 +285,6 @@ def _ends(
             z_0, schedule=uniform_schedule(config.steps), method=method_named(config.method)
         )
     return z_1.half().cpu().numpy()
-
-
-FloatArray = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)

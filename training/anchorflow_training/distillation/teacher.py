@@ -23,12 +23,14 @@ class Teacher:
     """A trained model that learns no more.
 
     sha256: of its checkpoint's file; step: at which that was written
+    optimal_transport: whether noise and data were coupled in its training
     noise_scale: how wide the noise is drawn that it is asked with; 1: as in its training
     """
 
     model: L2SafetyCFM
     sha256: str
     step: int
+    optimal_transport: bool = True
     noise_scale: float = 1.0
 
     @property
@@ -53,7 +55,8 @@ def load_teacher(path: Path) -> Teacher:
     checkpoint = load_checkpoint(path)
     model = restore_flow(checkpoint).requires_grad_(False)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return Teacher(model, digest, checkpoint.step)
+    coupled = checkpoint.config.get("flow", {}).get("optimal_transport", True)
+    return Teacher(model, digest, checkpoint.step, coupled)
 
 
 # Settings that a student may choose; the others define an anchor.
