@@ -15,7 +15,6 @@ from anchorflow_benchmarks.planners import (
     Proposals,
     driven_along,
     limits_of,
-    without_fields,
 )
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
@@ -44,7 +43,7 @@ class ExpertPlanner:
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         config = ExpertConfig(num_samples=NUM_SAMPLES, tries=num, steps=self.steps)
-        scene, rng = without_fields(scene, self.limits), np.random.default_rng(seed)
+        scene, rng = replace(scene, motion=self.limits), np.random.default_rng(seed)
         solution = solve(scene, config=config, rng=rng)
         return Proposals.of_spline(scene.basis, solution.splines, safe=solution.good)
 
@@ -220,9 +219,8 @@ def named_baselines(
 ) -> list[Planner]:
     """Return the baselines of these names with the finish of a bundle, within its limits.
 
-    Raises:
-        BenchmarkError: a name is unknown.
-        ModuleNotFoundError: rrt needs OMPL, which is not installed.
+    Raises `BenchmarkError` if a name is unknown; `ModuleNotFoundError` if rrt needs OMPL, which is
+    not installed.
     """
     if unknown := [name for name in names if name not in BASELINES]:
         raise BenchmarkError(f"expected baselines of {', '.join(BASELINES)}, got {unknown[0]!r}")

@@ -16,8 +16,15 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from anchorflow_benchmarks import BenchmarkError, options
-from anchorflow_benchmarks.operations import PRODUCT_FLOPS, MatrixProduct, count_flops
-from anchorflow_benchmarks.plain_loops import Arrays, Loop, onnx_loop, torch_loop
+from anchorflow_benchmarks.plain_loops import (
+    PRODUCT_FLOPS,
+    Arrays,
+    Loop,
+    MatrixProduct,
+    count_flops,
+    onnx_loop,
+    torch_loop,
+)
 from anchorflow_benchmarks.planners import (
     bundle_names,
     evaluations,
@@ -83,9 +90,8 @@ def latency_tables(
 ) -> list[ResultTable]:
     """Return the times of a request by stage, and their ratios to the loops and the floor.
 
-    Raises:
-        BenchmarkError: a loop's anchors differ from the engine's: it does other work.
-        ProviderError: a provider is not available here.
+    Raises `BenchmarkError` if a loop's anchors differ from the engine's: it does other work;
+    `ProviderError` if a provider is not available here.
     """
     stages, ratios, elsewhere = [], [], []
     with threadpool_limits(config.threads):

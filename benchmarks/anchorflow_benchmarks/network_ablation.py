@@ -37,7 +37,6 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.motion import MotionLimits
-from anchorflow_trajectory.scene import Scene
 
 BUNDLE_DESCENTS = DESCENTS[:-1]
 ROUTES = "routes"
@@ -51,35 +50,23 @@ class Contender:
     descents: int
     planner: Planner
 
-    @property
-    def name(self) -> str:
-        return f"{self.source} + finish, {self.descents} descents"
-
-    @property
-    def evaluations(self) -> int | None:
-        return self.planner.evaluations
-
-    def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
-        return self.planner.plan(scene, num=num, seed=seed)
-
 
 def contenders(
     bundles: Sequence[Bundle], *, sampler: str, threads: int | None = None
 ) -> list[Contender]:
     """Return bundles with BUNDLE_DESCENTS, and routes with DESCENTS of the first bundle's finish.
 
-    Raises:
-        BenchmarkError: a bundle's finish is not a spline, or the sampler is unknown.
-        BundleError: a graph of a bundle cannot be opened.
+    Raises `BenchmarkError` if a bundle's finish is not a spline, or the sampler is unknown;
+    `BundleError` if a graph of a bundle cannot be opened.
     """
     finish, limits = spline_finish(bundles[0]), limits_of(bundles[0])
     rivals = [Contender(ROUTES, n, RoutesPlanner(limits, finish, n)) for n in DESCENTS]
     ours = [
-        Contender(name, descents, EnginePlanner(name, engine, spec))
+        Contender(name, n, EnginePlanner(f"{name} + finish, {n} descents", engine, spec))
         for name, bundle in zip(bundle_names(bundles), bundles, strict=True)
         for spec in [parse_sampler(sampler, bundle.card)]
-        for descents in BUNDLE_DESCENTS
-        for engine in [Engine(descending(bundle, descents), threads=threads)]
+        for n in BUNDLE_DESCENTS
+        for engine in [Engine(descending(bundle, n), threads=threads)]
     ]
     return [*ours, *rivals]
 
@@ -104,14 +91,14 @@ def ablation_tables(
     J is the cost of the successes, best J that of the best success. Both are averages over the
     scenes that every contender solves, so that no contender gains by failing in hard scenes.
     """
-    tables = []
+    tables, planners = [], [one.planner for one in contending]
     for style, weights in STYLES.items():
         styled = [in_style(scene, np.array(weights)) for scene in scenes]
-        plans = judge_planners(contending, styled, limits=limits, num=num, progress=progress)
+        plans = judge_planners(planners, styled, limits=limits, num=num, progress=progress)
         solved = [
             index
             for index in range(len(scenes))
-            if all(plans[one.name][index].verdict.success.any() for one in contending)
+            if all(plans[one.planner.name][index].verdict.success.any() for one in contending)
         ]
         rows = [_row(one, plans, solved) for one in contending]
         note = f"J over the {len(solved)} of {len(scenes)} scenes that every contender solves"
@@ -120,10 +107,9 @@ def ablation_tables(
 
 
 def _row(one: Contender, plans: Plans, solved: Sequence[int]) -> Row:
-    row = quality_row(one, plans[one.name])
-    costs = [
-        _cost(plan.anchors)[plan.verdict.success] for plan in (plans[one.name][i] for i in solved)
-    ]
+    own = plans[one.planner.name]
+    row = quality_row(one.planner, own)
+    costs = [_cost(own[i].anchors)[own[i].verdict.success] for i in solved]
     return {
         "source": one.source,
         "descents": one.descents,

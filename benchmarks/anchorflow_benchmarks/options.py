@@ -59,9 +59,7 @@ Out = Annotated[Path, folder_option("Folder that the results are written to.")]
 def first_card(url: str) -> ModelCard:
     """Return the card of a service's default model.
 
-    Raises:
-        TransportError: the service does not answer.
-        BenchmarkError: it serves no model.
+    Raises `TransportError` if the service does not answer; `BenchmarkError` if it serves no model.
     """
     with AnchorClient(url) as client:
         for card in client.models():

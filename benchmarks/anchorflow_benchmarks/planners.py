@@ -147,8 +147,7 @@ def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> Anchor
 def requests_on(bundle: Bundle, scenes: str, *, num: int, sampler: str) -> list[AnchorRequest]:
     """Build a request for each scene of a source.
 
-    Raises:
-        BenchmarkError: the sampler is unknown, or the scenes cannot be read.
+    Raises `BenchmarkError` if the sampler is unknown, or the scenes cannot be read.
     """
     spec = parse_sampler(sampler, bundle.card)
     found = load_scenes(scenes, limits=limits_of(bundle))
@@ -170,11 +169,6 @@ def scene_of(request: ResolvedRequest) -> Scene:
         motion=MotionLimits(request.limits.v_max, request.limits.a_max, request.limits.horizon_s),
         certified_margin=request.certified_margin,
     )
-
-
-def without_fields(scene: Scene, limits: MotionLimits) -> Scene:
-    """Return the scene for these limits without its cached fields: every request computes them."""
-    return replace(scene, motion=limits)
 
 
 def driven_along(
@@ -200,9 +194,8 @@ def engine_planners(
 ) -> list[EnginePlanner]:
     """Return each bundle with each sampler and guidance scale.
 
-    Raises:
-        BundleError: a graph of a bundle cannot be opened.
-        BenchmarkError: a sampler is unknown.
+    Raises `BundleError` if a graph of a bundle cannot be opened; `BenchmarkError` if a sampler is
+    unknown.
     """
     return [
         EnginePlanner(
@@ -223,9 +216,8 @@ def engine_planners(
 def open_bundle(folder: Path) -> Bundle:
     """Load a bundle whose planner takes a cost map.
 
-    Raises:
-        BundleError: the bundle is broken.
-        BenchmarkError: the planner takes no cost map, so it has no scene to judge anchors on.
+    Raises `BundleError` if the bundle is broken; `BenchmarkError` if the planner takes no cost map,
+    so it has no scene to judge anchors on.
     """
     bundle = load_bundle(folder)
     kind = bundle.card.conditioning.kind
@@ -256,8 +248,7 @@ def limits_of(bundle: Bundle) -> MotionLimits:
 def parse_sampler(text: str, card: ModelCard) -> OdeSpec:
     """Return the sampler `METHOD:8step` or `METHOD:uniformN`; `card` is the card's own.
 
-    Raises:
-        BenchmarkError: the text has another form, or the contract has no such sampler.
+    Raises `BenchmarkError` if the text has another form, or the contract has no such sampler.
     """
     if text == CARD:
         return card.ode

@@ -98,8 +98,7 @@ def running(program: Program) -> Iterator[Program]:
 def served(*options: str) -> Iterator[str]:
     """Run `anchorflow serve` with these options on a free port and yield its URL.
 
-    Raises:
-        BenchmarkError: it did not start.
+    Raises `BenchmarkError` if it did not start.
     """
     command = [sys.executable, "-u", "-c", CLI, "serve", "--port", "0", *options]
     name = f"anchorflow serve {' '.join(options)}"

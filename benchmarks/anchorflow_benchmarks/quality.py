@@ -102,8 +102,7 @@ def judge_planners(
 
     routes: those of each scene, shortest first; None to search for them
 
-    Raises:
-        BenchmarkError: a planner's answer holds numbers that are not finite.
+    Raises `BenchmarkError` if a planner's answer holds numbers that are not finite.
     """
     plans: Plans = {planner.name: [] for planner in planners}
     for planner in planners:

@@ -6,7 +6,7 @@ OMPL simplifies each path; the time law and spline are those of the other baseli
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from anchorflow_benchmarks.planners import (
     NUM_SAMPLES,
     Proposals,
     driven_along,
-    without_fields,
 )
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
@@ -48,7 +47,7 @@ class RrtConnectPlanner:
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         seed_generators(seed)
         straight = np.stack([scene.x_curr[:2], scene.x_goal[:2]])
-        space = _space(without_fields(scene, self.limits), self.margin)
+        space = _space(replace(scene, motion=self.limits), self.margin)
         paths, failures = [], 0
         for _ in range(num):
             path = _solved(space, straight) if failures < MAX_FAILURES else None

@@ -48,8 +48,7 @@ def load_scenes(
 ) -> list[FamilyScene]:
     """Load the scenes of a file or of `drawn:COUNT:SEED`; at most `limit`, evenly spread.
 
-    Raises:
-        BenchmarkError: the file holds no scenes, or the text has another form.
+    Raises `BenchmarkError` if the file holds no scenes, or the text has another form.
     """
     kind, _, rest = source.partition(":")
     if kind == DRAWN:
@@ -71,8 +70,7 @@ def read_scenes(path: Path, *, limits: MotionLimits) -> list[FamilyScene]:
     resolution m/cell; x_curr [S, 6]; x_goal [S, 4]; robot_radius m; family [S], of which the
     part before a slash counts.
 
-    Raises:
-        BenchmarkError: the file cannot be read or lacks a key.
+    Raises `BenchmarkError` if the file cannot be read or lacks a key.
     """
     keys = ("occupancy", "resolution", "x_curr", "x_goal", "robot_radius", "family")
     arrays = read_arrays(path, keys, what="scenes")
@@ -94,8 +92,7 @@ def read_routes(path: Path) -> list[list[Signature]]:
     The keys of the .npz file: count [S] routes of each scene; size [R] length of each route's
     signature; signature, all of them concatenated. Obstacles are in the order of `ObstacleRays`.
 
-    Raises:
-        BenchmarkError: the file cannot be read or lacks a key.
+    Raises `BenchmarkError` if the file cannot be read or lacks a key.
     """
     count, size, flat = read_arrays(path, ("count", "size", "signature"), what="routes").values()
     if count.sum() != len(size) or size.sum() != len(flat):
@@ -111,8 +108,7 @@ def load_routes(path: Path, *, scenes: int, limit: int | None = None) -> list[li
 
     scenes: how many it returned
 
-    Raises:
-        BenchmarkError: the file holds no routes, or those of another number of scenes.
+    Raises `BenchmarkError` if the file holds no routes, or those of another number of scenes.
     """
     found = spread_evenly(read_routes(path), limit)
     if len(found) != scenes:
@@ -123,8 +119,7 @@ def load_routes(path: Path, *, scenes: int, limit: int | None = None) -> list[li
 def read_arrays(path: Path, keys: Sequence[str], *, what: str) -> dict[str, NDArray[Any]]:
     """Read the arrays of a .npz file that holds `what`.
 
-    Raises:
-        BenchmarkError: the file cannot be read or lacks one of the keys.
+    Raises `BenchmarkError` if the file cannot be read or lacks one of the keys.
     """
     try:
         with np.load(path) as file:

@@ -12,10 +12,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from anchorflow_cli.data_anchors import anchors, sensors
-from anchorflow_cli.data_drive import drive
-from anchorflow_cli.data_frames import frames
-from anchorflow_cli.data_import_log import import_log
+from anchorflow_cli.data_driving import anchors, drive, frames, import_log, sensors
 from anchorflow_cli.data_pairs import crossings, pairs, verify
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import command_app, new_file, new_folder, picture_option
@@ -85,14 +82,8 @@ def make(
         typer.echo(line)
 
 
-app.command()(drive)
-app.command()(import_log)
-app.command()(frames)
-app.command()(anchors)
-app.command()(sensors)
-app.command()(crossings)
-app.command()(verify)
-app.command()(pairs)
+for command in (drive, import_log, frames, anchors, sensors, crossings, verify, pairs):
+    app.command()(command)
 
 
 @app.command("import")

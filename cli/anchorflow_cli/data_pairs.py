@@ -38,7 +38,7 @@ def crossings(
 
 def verify(recording: RecordingArgument) -> None:
     """Say what a cooperative recording lacks; every fault names its file."""
-    with _counted("pairs") as progress:
+    with counted("pairs") as progress:
         verdict = verify_recording(recording, progress=progress)
     for line in verdict.lines:
         typer.echo(line)
@@ -65,7 +65,7 @@ def pairs(
     seed: Annotated[int, typer.Option(min=0, help="Of which sequences are held out.")] = 0,
 ) -> None:
     """Make pairs of pictures, prompts and waypoints of a cooperative recording."""
-    with _counted("pairs") as progress:
+    with counted("pairs") as progress:
         dataset = make_pairs(
             recording,
             out,
@@ -84,7 +84,8 @@ def pairs(
 
 
 @contextmanager
-def _counted(what: str) -> Iterator[Callable[[int, int], None]]:
+def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar; the function yielded takes how many are done, and of how many."""
     with Progress() as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -64,8 +64,7 @@ def is_loopback(listener: socket.socket) -> bool:
 def within_open_files(limits: ConnectionLimits) -> ConnectionLimits:
     """Raise this process's limit on open files for the connections, or allow fewer of them.
 
-    Raises:
-        OpenFilesError: there would be no connection left.
+    Raises `OpenFilesError` if there would be no connection left.
     """
     if sys.platform == "win32":
         return limits

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_client.errors import AnchorFlowError
@@ -19,28 +20,29 @@ from anchorflow_client.errors import AnchorFlowError
 
 @dataclass(frozen=True)
 class Command:
-    """The module of a command, and the extra that it needs."""
+    """Where a command's typer app is, `MODULE` or `MODULE:NAME`, and the extra that it needs."""
 
-    module: str
+    place: str
     summary: str
     extra: str  # of pyproject.toml, without which the module does not import
 
+    def app(self) -> Any:
+        """Import the typer app."""
+        module, _, name = self.place.partition(":")
+        return getattr(import_module(f"anchorflow_cli.{module}"), name or "app")
+
 
 COMMANDS = {
-    "serve": Command("anchorflow_cli.serve", "Serve a bundle over HTTP.", extra="service"),
-    "token": Command("anchorflow_cli.token", "Make a token for a service.", extra="service"),
-    "plan": Command("anchorflow_cli.plan", "Plan on a ROS map and draw it.", extra="service"),
-    "data": Command("anchorflow_cli.data", "Make a dataset to train on.", extra="train"),
-    "train": Command("anchorflow_cli.train", "Train a planner on a dataset.", extra="train"),
-    "average": Command(
-        "anchorflow_cli.average", "Average the weights of checkpoints.", extra="train"
-    ),
-    "distill": Command("anchorflow_cli.distill", "Teach a student of few steps.", extra="train"),
-    "generate": Command(
-        "anchorflow_cli.generate", "Draw anchors from a checkpoint.", extra="train"
-    ),
-    "export": Command("anchorflow_cli.export", "Make a bundle of a checkpoint.", extra="train"),
-    "bench": Command("anchorflow_cli.bench", "Measure quality, latency and load.", extra="bench"),
+    "serve": Command("serve", "Serve a bundle over HTTP.", "service"),
+    "token": Command("token", "Make a token for a service.", "service"),
+    "plan": Command("plan", "Plan on a ROS map and draw it.", "service"),
+    "data": Command("data", "Make a dataset to train on.", "train"),
+    "train": Command("training:train_app", "Train a planner on a dataset.", "train"),
+    "average": Command("training:average_app", "Average the weights of checkpoints.", "train"),
+    "distill": Command("training:distill_app", "Teach a student of few steps.", "train"),
+    "generate": Command("generate", "Draw anchors from a checkpoint.", "train"),
+    "export": Command("export", "Make a bundle of a checkpoint.", "train"),
+    "bench": Command("bench", "Measure quality, latency and load.", "bench"),
 }
 
 
@@ -62,23 +64,17 @@ def run(name: str, arguments: Sequence[str]) -> None:
     """Run one command of `COMMANDS`."""
     who = f"anchorflow {name}"
     with needs_extra(COMMANDS[name].extra, who=who):
-        module = import_module(COMMANDS[name].module)
+        app = COMMANDS[name].app()
     try:
-        module.app(list(arguments), prog_name=who)
+        app(list(arguments), prog_name=who)
     except AnchorFlowError as error:
         raise SystemExit(f"{who}: {error}") from error
 
 
 def usage() -> str:
     """Return the list of commands."""
-    lines = [f"  {name:<8} {command.summary}" for name, command in COMMANDS.items()]
-    return "\n".join(
-        [
-            "Usage: anchorflow COMMAND [OPTIONS]",
-            "",
-            *lines,
-            "",
-            "`anchorflow COMMAND --help` lists a command's options.",
-            "",
-        ]
+    lines = "".join(f"  {name:<8} {command.summary}\n" for name, command in COMMANDS.items())
+    return (
+        f"Usage: anchorflow COMMAND [OPTIONS]\n\n{lines}\n"
+        "`anchorflow COMMAND --help` lists a command's options.\n"
     )

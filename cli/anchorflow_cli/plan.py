@@ -24,7 +24,6 @@ from anchorflow_cli.options import (
     StartVelocityOption,
     StyleOption,
     UnknownIsFreeOption,
-    Vector,
     VMaxOption,
     command_app,
     end_states,
@@ -33,7 +32,7 @@ from anchorflow_cli.options import (
 )
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
 from anchorflow_client.http import AnchorClient
-from anchorflow_client.ros_map import RosMap, load_ros_map, map_window
+from anchorflow_client.ros_map import load_ros_map, map_window
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.local import LocalClient
 
@@ -83,21 +82,14 @@ def plan(
         robot_radius=radius,
         horizon_s=horizon,
     )
-    anchors = ask_server(url, request) if url else ask_engine(bundle or DEFAULT_BUNDLE, request)
+    opened = AnchorClient(url) if url else LocalClient.of(bundle or DEFAULT_BUNDLE)
+    with opened as client:
+        anchors = client.plan_request(request)
     Console(markup=False).print(table(anchors))
     if out is not None:
-        draw(anchors, seen, start=start[:2], goal=goal[:2], path=out)
-
-
-def ask_server(url: str, request: AnchorRequest) -> AnchorBatch:
-    """Plan on a server."""
-    with AnchorClient(url) as client:
-        return client.plan_request(request)
-
-
-def ask_engine(bundle: Path, request: AnchorRequest) -> AnchorBatch:
-    """Plan with an engine in this process."""
-    return LocalClient.of(bundle).plan_request(request)
+        with needs_extra("plot", who="anchorflow plan --out"):
+            from anchorflow_cli.plots import draw_anchors
+        draw_anchors(anchors, seen, start=start[:2], goal=goal[:2], path=out)
 
 
 def table(anchors: AnchorBatch) -> Table:
@@ -124,10 +116,3 @@ def table(anchors: AnchorBatch) -> Table:
         figures = (values[best], values.min(), np.median(values), values.max())
         grid.add_row(name, *(f"{figure:.2f}" for figure in figures))
     return grid
-
-
-def draw(anchors: AnchorBatch, ros_map: RosMap, *, start: Vector, goal: Vector, path: Path) -> None:
-    """Draw the picture; only this loads matplotlib."""
-    with needs_extra("plot", who="anchorflow plan --out"):
-        from anchorflow_cli.plots import draw_anchors
-    draw_anchors(anchors, ros_map, start=start, goal=goal, path=path)

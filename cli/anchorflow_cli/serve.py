@@ -9,14 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from anchorflow_cli.listening import within_open_files
-from anchorflow_cli.model_options import (
-    BatchOption,
-    BatchWaitOption,
-    BundlesOption,
-    RepositoryOption,
-    ThreadsOption,
-    WaitingOption,
-)
 from anchorflow_cli.options import command_app, url_option
 from anchorflow_cli.serving import LogFormat, LogLevel, Provider, ServeChoice, serve_until_stopped
 from anchorflow_cli.zenoh_options import ZenohChoice, with_zenoh_options
@@ -34,6 +26,30 @@ def option(help_text: str, *names: str, least: float | None = None, shown: bool 
     return typer.Option(*names, help=help_text, min=least, show_default=shown)
 
 
+BundlesOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--bundle",
+        help="Folder of a bundle; repeatable, the first is the default model.",
+        show_default="the one that ships",
+    ),
+]
+RepositoryOption = Annotated[
+    Path | None,
+    option(
+        "Folder of bundles, FOLDER/NAME or FOLDER/NAME/VERSION, to load and unload from.",
+        shown=False,
+    ),
+]
+BatchOption = Annotated[int, option("Requests of a micro-batch; 1: one after the other.", least=1)]
+BatchWaitOption = Annotated[
+    float, option("How long [ms] a micro-batch waits for others to join it.", least=0)
+]
+WaitingOption = Annotated[int, option("Requests that may wait; more are refused.", least=0)]
+ThreadsOption = Annotated[
+    int | None,
+    typer.Option(min=1, help="Threads that requests share.", show_default="the cores"),
+]
 HostOption = Annotated[str, option("Address to listen on.")]
 PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 takes a free one.")]
 ProviderOption = Annotated[Provider, option("Where onnxruntime runs the graphs.")]

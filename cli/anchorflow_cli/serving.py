@@ -28,9 +28,8 @@ from uvicorn.supervisors import Multiprocess
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.listening import is_loopback, listen, url_of
-from anchorflow_cli.model_options import described, folders_of
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_service.bundle import load_bundle
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
@@ -39,7 +38,7 @@ from anchorflow_service.http.tokens import TokenFile
 from anchorflow_service.observability.logs import set_up_logging
 from anchorflow_service.observability.metrics import SHARED_FOLDER, reserve_shared_files
 from anchorflow_service.planning import PlanningService, ServiceLimits
-from anchorflow_service.repository import FixedRepository, Repository, open_all
+from anchorflow_service.repository import BundleFolders, FixedRepository, Repository, open_all
 from anchorflow_trajectory.threads import usable_cores
 
 if TYPE_CHECKING:
@@ -84,6 +83,12 @@ class ServeChoice:
     workers: int = 1
 
     @property
+    def folders(self) -> BundleFolders:
+        """Return the folders of the models, by default the bundle that ships."""
+        named = self.bundles or ([] if self.repository else [DEFAULT_BUNDLE])
+        return BundleFolders(named, repository=self.repository)
+
+    @property
     def token_file(self) -> TokenFile | None:
         """Read the tokens. Raises `TokenFileError` if they cannot be used."""
         return None if self.tokens is None else TokenFile(self.tokens)
@@ -99,8 +104,7 @@ def serve_until_stopped(
 ) -> None:
     """Listen, open the service and answer until a signal arrives.
 
-    Raises:
-        AnchorFlowError: the service cannot start.
+    Raises `AnchorFlowError` if the service cannot start.
     """
     if choice.workers > 1:
         _check_workers(zenoh)
@@ -139,7 +143,7 @@ def open_service(
     def open_engine(folder: Path) -> Engine:
         return Engine(load_bundle(folder), threads=choice.limits.threads, provider=choice.provider)
 
-    folders = folders_of(choice.bundles, choice.repository)
+    folders = choice.folders
     engines = open_all(folders, open_engine)
     service = PlanningService(engines, default=next(iter(engines)), limits=choice.limits)
     endpoints: list[AbstractAsyncContextManager[object]] = [GracefulExit(service, choice.draining)]
@@ -148,7 +152,7 @@ def open_service(
         tracing = _tracing(service, choice.traces)
         endpoints.append(tracing)
         middleware.append(Middleware(tracing.middleware))
-    message = described(engines)
+    message = ", ".join(f"{each.card.name} {each.card.version}" for each in engines.values())
     if zenoh is not None:
         endpoint = _zenoh_endpoint(service, zenoh)
         endpoints.append(endpoint)
@@ -189,9 +193,8 @@ def print_line(line: str) -> None:
 
 
 def _announce(choice: ServeChoice, listener: socket.socket, models: str) -> None:
-    folders = folders_of(choice.bundles, choice.repository)
     workers = f", {choice.workers} workers" if choice.workers > 1 else ""
-    print_line(f"{models} at {url_of(listener, tls=bool(choice.tls))} ({folders}){workers}")
+    print_line(f"{models} at {url_of(listener, tls=bool(choice.tls))} ({choice.folders}){workers}")
 
 
 def _tracing(service: PlanningService, url: str) -> Tracing:

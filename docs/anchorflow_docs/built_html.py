@@ -100,7 +100,7 @@ class _Loads(HTMLParser):
             if value is None:
                 continue
             if name in LOADING or (tag == "link" and name == "href"):
-                self._note(value)
+                self.found += [value] if EXTERNAL.match(value) else []
             elif name == "style":
                 self.found += loads_of_style(value)
             elif name == "class" and MERMAID in value.split():
@@ -112,7 +112,3 @@ class _Loads(HTMLParser):
     def handle_data(self, data: str) -> None:
         if self._in_style:
             self.found += loads_of_style(data)
-
-    def _note(self, url: str) -> None:
-        if EXTERNAL.match(url):
-            self.found.append(url)

@@ -3,32 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Any
 
-from anchorflow_client.contract import (
-    AnchorBatch,
-    AnchorRequest,
-    AnswerSpec,
-    CostMap,
-    CostMapSpec,
-    EncodedImage,
-    LimitsSpec,
-    ModelCard,
-    ModelId,
-    NoFinish,
-    OdeSpec,
-    RefineChoice,
-    RefineSpec,
-    SamplerChoice,
-    TensorSpec,
-    TensorsSpec,
-    TimeSpec,
-    TruncatedDiffusionSpec,
-    VisionLanguageSpec,
-    VocabularySpec,
-    WarmStart,
-)
+from anchorflow_client import contract
 from anchorflow_client.contract.fields import REQUEST
 from anchorflow_client.contract.request import MapScenes
 from anchorflow_client.planner import Plan, PlannerConfig
@@ -39,27 +15,8 @@ from anchorflow_docs.field_sources import (
     request_fields,
     schema_fields,
 )
-from anchorflow_docs.tables import (
-    ANSWERED,
-    HELD,
-    SENT,
-    endpoints,
-    failures,
-    field_table,
-    refusals,
-)
-from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_service.bundle.manifest import (
-    FileEntry,
-    GraphEntry,
-    Manifest,
-    OdeEntry,
-    PriorEntry,
-    RequestEntry,
-    SplineEntry,
-    TruncatedDiffusionEntry,
-    VisionLanguageEntry,
-)
+from anchorflow_docs.tables import ANSWERED, HELD, SENT, endpoints, failures, field_table, refusals
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle, manifest
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.schemas import AnchorAnswerBody, ErrorBody
@@ -67,49 +24,49 @@ from anchorflow_service.planning import PlanningService
 from anchorflow_trajectory.ode.ddim import NoiseLevels
 
 TYPES = (
-    AnchorRequest,
+    contract.AnchorRequest,
     MapScenes,
-    CostMap,
-    EncodedImage,
-    SamplerChoice,
-    RefineChoice,
-    WarmStart,
-    AnchorBatch,
-    ModelCard,
-    ModelId,
-    TensorSpec,
-    CostMapSpec,
-    LimitsSpec,
-    TensorsSpec,
-    OdeSpec,
-    VisionLanguageSpec,
-    VocabularySpec,
-    TruncatedDiffusionSpec,
-    RefineSpec,
-    NoFinish,
-    TimeSpec,
-    AnswerSpec,
+    contract.CostMap,
+    contract.EncodedImage,
+    contract.SamplerChoice,
+    contract.RefineChoice,
+    contract.WarmStart,
+    contract.AnchorBatch,
+    contract.ModelCard,
+    contract.ModelId,
+    contract.TensorSpec,
+    contract.CostMapSpec,
+    contract.LimitsSpec,
+    contract.TensorsSpec,
+    contract.OdeSpec,
+    contract.VisionLanguageSpec,
+    contract.VocabularySpec,
+    contract.TruncatedDiffusionSpec,
+    contract.RefineSpec,
+    contract.NoFinish,
+    contract.TimeSpec,
+    contract.AnswerSpec,
     PlannerConfig,
     Plan,
 )
 ENTRIES = (
-    Manifest,
-    RequestEntry,
-    CostMapSpec,
-    LimitsSpec,
-    TensorsSpec,
-    VisionLanguageEntry,
-    OdeEntry,
-    PriorEntry,
-    VocabularySpec,
-    TruncatedDiffusionEntry,
+    manifest.Manifest,
+    manifest.RequestEntry,
+    contract.CostMapSpec,
+    contract.LimitsSpec,
+    contract.TensorsSpec,
+    manifest.VisionLanguageEntry,
+    manifest.OdeEntry,
+    manifest.PriorEntry,
+    contract.VocabularySpec,
+    manifest.TruncatedDiffusionEntry,
     NoiseLevels,
-    SplineEntry,
-    NoFinish,
-    TimeSpec,
-    AnswerSpec,
-    GraphEntry,
-    FileEntry,
+    manifest.SplineEntry,
+    contract.NoFinish,
+    contract.TimeSpec,
+    contract.AnswerSpec,
+    manifest.GraphEntry,
+    manifest.FileEntry,
 )
 OPENAPI = "reference/openapi.json"
 
@@ -202,12 +159,14 @@ differs or a graph whose names and shapes are others is refused with the field's
 
 def reference_pages() -> dict[str, str]:
     """Markdown, and one JSON document, by their places below docs/."""
-    openapi = _openapi()
+    engine = Engine(load_bundle(DEFAULT_BUNDLE), threads=1)
+    service = PlanningService({engine.card.name: engine}, default=engine.card.name)
+    openapi = create_app(service).openapi()
     return {
         "reference/http.md": HTTP.format(endpoints=endpoints(openapi)),
         "reference/request.md": REQUEST_PAGE.format(
             fields=field_table(request_fields(REQUEST), SENT),
-            card=field_table(held_fields(_card()), HELD),
+            card=field_table(held_fields(engine.card), HELD),
         ),
         "reference/answer.md": ANSWER.format(
             fields=field_table(schema_fields(AnchorAnswerBody), ANSWERED)
@@ -221,14 +180,3 @@ def reference_pages() -> dict[str, str]:
         "reference/python.md": PYTHON.format(types="\n\n".join(map(dataclass_section, TYPES))),
         OPENAPI: json.dumps(openapi, indent=2),
     }
-
-
-def _card() -> ModelCard:
-    return load_bundle(DEFAULT_BUNDLE).card
-
-
-def _openapi() -> Mapping[str, Any]:
-    """Return the document of a service that `anchorflow serve` starts."""
-    engine = Engine(load_bundle(DEFAULT_BUNDLE), threads=1)
-    service = PlanningService({engine.card.name: engine}, default=engine.card.name)
-    return create_app(service).openapi()

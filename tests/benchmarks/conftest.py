@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from collections.abc import Callable
 from types import ModuleType
 
@@ -42,15 +42,15 @@ def scene(limits: MotionLimits) -> Callable[..., FamilyScene]:
 
 
 @pytest.fixture(scope="session")
-def shared_judge(request: pytest.FixtureRequest) -> ModuleType:
-    """Import the judge beside the checkout, or skip the test if it is missing."""
+def shared_tool(request: pytest.FixtureRequest) -> Callable[[str], ModuleType]:
+    """Import a program beside the checkout by its name, or skip the test if it is missing."""
     folder = request.config.rootpath.parent / "shared" / "tools"
-    path = folder / "score_anchors.py"
-    if not path.exists():
-        pytest.skip(f"the shared judge {path.name} is not in {folder}")
-    spec = importlib.util.spec_from_file_location("shared_judge", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+
+    def load(name: str) -> ModuleType:
+        if not (folder / f"{name}.py").exists():
+            pytest.skip(f"the shared judge {name}.py is not in {folder}")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.syspath_prepend(folder)
+            return importlib.import_module(name)
+
+    return load

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,6 +32,7 @@ from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.spline.basis import spline_basis
 
 SceneMaker = Callable[..., FamilyScene]
+Tools = Callable[[str], ModuleType]
 
 
 def random_anchors(scene: FamilyScene, *, count: int, seed: int, size: float) -> Proposals:
@@ -45,9 +45,26 @@ def random_anchors(scene: FamilyScene, *, count: int, seed: int, size: float) ->
     return Proposals.of_spline(basis, splines)
 
 
+def bows(scene: FamilyScene, *heights: float) -> Proposals:
+    """An anchor for each height [m] at which it passes the middle."""
+    basis = spline_basis(64)
+    splines = basis.rest_curves(scene.ends, np.full(len(heights), 8.0))
+    side = splines.control[1, :, basis.free]
+    bow = np.sin(np.linspace(0.0, np.pi, side.shape[1]))
+    side += np.array(heights, np.float32)[:, None] * bow
+    return Proposals.of_spline(basis, splines)
+
+
+def arguments(plan: Proposals, case: FamilyScene) -> tuple[Any, ...]:
+    """Return what the judge outside the project takes."""
+    states = (plan.positions, plan.velocities, plan.accelerations)
+    of_map = (case.occupied, case.resolution)
+    return (*states, plan.dt, *of_map, case.x_curr, case.x_goal, case.robot_radius)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_it_agrees_with_the_judge_outside_the_project(
-    seed: int, scene: SceneMaker, limits: MotionLimits, shared_judge: ModuleType
+    seed: int, scene: SceneMaker, limits: MotionLimits, shared_tool: Tools
 ) -> None:
     rng = np.random.default_rng(seed)
     occupied = rng.random((40, 40)) < [0.004, 0.008, 0.014][seed % 3]
@@ -71,21 +88,9 @@ def test_it_agrees_with_the_judge_outside_the_project(
         acceleration / slower**2,
         plan.dt * slower.ravel(),
     )
-    velocity, acceleration = plan.velocities, plan.accelerations
 
     verdict = SceneJudge(case, limits).judge(plan)
-    expected = shared_judge.score_scene(
-        position,
-        velocity,
-        acceleration,
-        plan.dt,
-        occupied,
-        case.resolution,
-        case.x_curr,
-        case.x_goal,
-        case.robot_radius,
-        timing=True,
-    )
+    expected = shared_tool("score_anchors").score_scene(*arguments(plan, case), timing=True)
 
     assert verdict.success.any()
     verdict.measures["lasts"] = verdict.measures["duration"]
@@ -94,21 +99,11 @@ def test_it_agrees_with_the_judge_outside_the_project(
 
 
 def test_it_agrees_on_public_scenes(
-    limits: MotionLimits, shared_judge: ModuleType, shared_data: Callable[[str], Path]
+    limits: MotionLimits, shared_tool: Tools, shared_data: Callable[[str], Path]
 ) -> None:
     for case in load_scenes(str(shared_data("scenes_public.npz")), limits=limits, limit=2):
         plan = random_anchors(case, count=32, seed=3, size=1.0)
-        expected = shared_judge.score_scene(
-            plan.positions,
-            plan.velocities,
-            plan.accelerations,
-            plan.dt,
-            case.occupied,
-            case.resolution,
-            case.x_curr,
-            case.x_goal,
-            case.robot_radius,
-        )
+        expected = shared_tool("score_anchors").score_scene(*arguments(plan, case))
         measures = SceneJudge(case, limits).judge(plan).measures
         got = {name: measures[name] for name in expected}
         np.testing.assert_allclose(
@@ -116,18 +111,9 @@ def test_it_agrees_on_public_scenes(
         )
 
 
-def straight(scene: FamilyScene, offset: float = 0.0) -> Proposals:
-    """One anchor from start to goal, bent sideways by `offset` m."""
-    basis = spline_basis(64)
-    splines = basis.rest_curves(scene.ends, np.full(1, 8.0))
-    splines.control[1, :, basis.free] += offset
-    return Proposals.of_spline(basis, splines)
-
-
 def test_a_straight_way_past_nothing_succeeds(scene: SceneMaker, limits: MotionLimits) -> None:
-    verdict = SceneJudge(scene(np.zeros((32, 32), bool)), limits).judge(
-        straight(scene(np.zeros((32, 32), bool)))
-    )
+    case = scene(np.zeros((32, 32), bool))
+    verdict = SceneJudge(case, limits).judge(bows(case, 0.0))
 
     assert verdict.success.all()
     assert verdict.measures["classes"] == 1.0
@@ -163,7 +149,7 @@ def test_the_least_duration_is_from_rest_to_rest(
 
 def test_haste_is_the_quickest_successs(scene: SceneMaker, limits: MotionLimits) -> None:
     case = scene(np.zeros((32, 32), bool))
-    one = straight(case)
+    one = bows(case, 0.0)
     factors = np.array([1.0, 2.0, 0.25])  # the last breaks the limits
     stretch = factors[:, None, None]
     three = Proposals(
@@ -184,7 +170,7 @@ def test_a_promise_that_does_not_hold_is_counted(scene: SceneMaker, limits: Moti
     occupied = np.zeros((64, 64), bool)
     occupied[30:34, 30:34] = True
     case = scene(occupied)
-    one = straight(case)
+    one = bows(case, 0.0)
 
     for safe, count in ((True, 1.0), (False, 0.0)):
         measures = SceneJudge(case, limits).judge(replace(one, safe=np.array([safe]))).measures
@@ -238,41 +224,11 @@ def test_the_shortest_way_goes_round() -> None:
     assert 8.0 < shortest_grid_path(passable, (4, 0), (4, 8)) < 8.0 + 2 * 4
 
 
-SceneMaker = Callable[..., FamilyScene]
-
-
-@pytest.fixture(scope="session")
-def shared_route_judge(shared_judge: ModuleType, request: pytest.FixtureRequest) -> ModuleType:
-    """The judge of routes beside the checkout, which imports the one of anchors by its name."""
-    path = request.config.rootpath.parent / "shared" / "tools" / "routes.py"
-    if not path.exists():
-        pytest.skip(f"the shared judge {path.name} is not in {path.parent}")
-    spec = importlib.util.spec_from_file_location("shared_route_judge", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "score_anchors", shared_judge)
-        patch.setattr(sys, "path", sys.path.copy())
-        spec.loader.exec_module(module)
-    return module
-
-
 def post(offset: int = 0) -> np.ndarray:
     """[64, 64] cells of 0.1 m with a post of four, `offset` cells above the straight way."""
     occupied = np.zeros((64, 64), bool)
     occupied[31 + offset : 33 + offset, 31:33] = True
     return occupied
-
-
-def bows(scene: FamilyScene, *heights: float) -> Proposals:
-    """An anchor for each height [m] at which it passes the middle."""
-    basis = spline_basis(64)
-    splines = basis.rest_curves(scene.ends, np.full(len(heights), 8.0))
-    side = splines.control[1, :, basis.free]
-    bow = np.sin(np.linspace(0.0, np.pi, side.shape[1]))
-    side += np.array(heights, np.float32)[:, None] * bow
-    return Proposals.of_spline(basis, splines)
 
 
 def test_ways_on_one_side_are_one_of_two_routes(scene: SceneMaker, limits: MotionLimits) -> None:
@@ -352,18 +308,16 @@ def test_a_file_of_routes_is_read_scene_by_scene(tmp_path: Path) -> None:
     ],
 )
 def test_routes_agree_with_the_judge_outside_the_project(
-    scenes: str,
-    routes: str,
-    shared_data: Callable[[str], Path],
-    shared_route_judge: ModuleType,
+    scenes: str, routes: str, shared_data: Callable[[str], Path], shared_tool: Tools
 ) -> None:
+    outside = shared_tool("routes")
     bundle = load_bundle(DEFAULT_BUNDLE)
     limits, finish = limits_of(bundle), bundle.manifest.finish
     assert isinstance(finish, SplineEntry)
     planner = RoutesPlanner(limits, finish, descents=5)
     cases = load_scenes(str(shared_data(scenes)), limits=limits, limit=4)
     known = load_routes(shared_data(routes), scenes=4, limit=4)
-    whole = shared_route_judge.read_routes(shared_data(routes))
+    whole = outside.read_routes(shared_data(routes))
     spread = [whole[i] for i in np.linspace(0, len(whole) - 1, 4).astype(int)]
     judged = 0
     for case, signatures, listed in zip(cases, known, spread, strict=True):
@@ -372,18 +326,8 @@ def test_routes_agree_with_the_judge_outside_the_project(
             continue
         judged += 1
         plan = planner.plan(case, num=24, seed=5)
-        good = shared_route_judge.successes(
-            plan.positions,
-            plan.velocities,
-            plan.accelerations,
-            plan.dt,
-            case.occupied,
-            case.resolution,
-            case.x_curr,
-            case.x_goal,
-            case.robot_radius,
-        )
-        expected = shared_route_judge.score_routes(
+        good = outside.successes(*arguments(plan, case))
+        expected = outside.score_routes(
             plan.positions, good, case.occupied, case.resolution, case.robot_radius, listed
         )
         measures = SceneJudge(case, limits, signatures).judge(plan).measures

@@ -17,8 +17,7 @@ import torch
 
 from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.latency import Contest, LatencyConfig, latency_tables, onnx_loop
-from anchorflow_benchmarks.operations import count_flops
-from anchorflow_benchmarks.plain_loops import repeated, torch_loop
+from anchorflow_benchmarks.plain_loops import count_flops, repeated, torch_loop
 from anchorflow_benchmarks.planners import parse_sampler
 from anchorflow_benchmarks.scene_files import draw_scenes
 from anchorflow_benchmarks.turns import MIN_ROUNDS, p50, p99, take_turns
@@ -210,39 +209,36 @@ def graph(tmp_path: Path) -> Callable[[str], Path]:
     return write
 
 
-def array(*shape: int) -> np.ndarray:
-    return np.ones(shape, np.float32)
-
-
-def test_products_inside_a_graph_are_counted(graph: Callable[[str], Path]) -> None:
-    path = graph(
-        """g (float[N,3,4] x, float[4,5] w, float[5,6] v) => (float[N,3,6] y) {
-            h = MatMul (x, w)
-            s = Sigmoid (h)
-            y = MatMul (s, v)
-        }"""
-    )
-    inputs = {"x": array(7, 3, 4), "w": array(4, 5), "v": array(5, 6)}
-
-    assert count_flops(path, inputs) == 2 * 7 * 3 * (4 * 5 + 5 * 6)
-
-
-def test_a_transposed_product_is_counted_by_its_common_axis(
-    graph: Callable[[str], Path],
+@pytest.mark.parametrize(
+    ("text", "shapes", "flops"),
+    [
+        (
+            """g (float[N,3,4] x, float[4,5] w, float[5,6] v) => (float[N,3,6] y) {
+                h = MatMul (x, w)
+                s = Sigmoid (h)
+                y = MatMul (s, v)
+            }""",
+            {"x": (7, 3, 4), "w": (4, 5), "v": (5, 6)},
+            2 * 7 * 3 * (4 * 5 + 5 * 6),
+        ),
+        (  # transposed: by the common axis
+            "g (float[3,2] a, float[3,5] b) => (float[2,5] y) { y = Gemm <transA = 1> (a, b) }",
+            {"a": (3, 2), "b": (3, 5)},
+            2 * 2 * 5 * 3,
+        ),
+        (
+            "g (float[1,2,8,8] x, float[4,2,3,3] w) => (float[1,4,6,6] y) { y = Conv (x, w) }",
+            {"x": (1, 2, 8, 8), "w": (4, 2, 3, 3)},
+            2 * 4 * 6 * 6 * 2 * 3 * 3,
+        ),
+    ],
+    ids=["products", "transposed", "convolution"],
+)
+def test_operations_are_counted(
+    text: str, shapes: dict[str, tuple[int, ...]], flops: int, graph: Callable[[str], Path]
 ) -> None:
-    path = graph(
-        "g (float[3,2] a, float[3,5] b) => (float[2,5] y) { y = Gemm <transA = 1> (a, b) }"
-    )
-
-    assert count_flops(path, {"a": array(3, 2), "b": array(3, 5)}) == 2 * 2 * 5 * 3
-
-
-def test_a_convolution_is_counted_by_its_kernel(graph: Callable[[str], Path]) -> None:
-    path = graph("g (float[1,2,8,8] x, float[4,2,3,3] w) => (float[1,4,6,6] y) { y = Conv (x, w) }")
-
-    assert count_flops(path, {"x": array(1, 2, 8, 8), "w": array(4, 2, 3, 3)}) == (
-        2 * 4 * 6 * 6 * 2 * 3 * 3
-    )
+    inputs = {name: np.ones(shape, np.float32) for name, shape in shapes.items()}
+    assert count_flops(graph(text), inputs) == flops
 
 
 def test_an_operation_that_hides_its_products_is_refused(graph: Callable[[str], Path]) -> None:
@@ -252,4 +248,4 @@ def test_an_operation_that_hides_its_products_is_refused(graph: Callable[[str], 
         }"""
     )
     with pytest.raises(BenchmarkError, match="Einsum"):
-        count_flops(path, {"a": array(2, 3), "b": array(3, 5)})
+        count_flops(path, {"a": np.ones((2, 3)), "b": np.ones((3, 5))})

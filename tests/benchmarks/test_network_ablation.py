@@ -65,7 +65,7 @@ def test_more_descents_cost_less(bundle: Bundle, case: FamilyScene) -> None:
     """Scored by the same cost; few descents may mend less of what fails than fewer do."""
     scores = []
     for descents in DESCENTS:
-        anchors = rival(bundle, descents).plan(case, num=12, seed=1)
+        anchors = rival(bundle, descents).planner.plan(case, num=12, seed=1)
         assert anchors.scores is not None
         scores.append(float(np.median(anchors.scores)))
     assert scores[0] < min(scores[1:])
@@ -76,7 +76,7 @@ def test_more_descents_cost_less(bundle: Bundle, case: FamilyScene) -> None:
 def test_routes_are_given_to_both_sides_and_last_as_long_as_they_need(
     bundle: Bundle, case: FamilyScene
 ) -> None:
-    anchors = rival(bundle, 5).plan(case, num=12, seed=1)
+    anchors = rival(bundle, 5).planner.plan(case, num=12, seed=1)
     beside = anchors.positions[:, 32, 1]
 
     assert (beside > 0.5).any()

@@ -30,9 +30,7 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.motion import MotionLimits
 
-
-def test_a_planner_of_cost_maps_is_opened() -> None:
-    assert open_bundle(DEFAULT_BUNDLE).path == DEFAULT_BUNDLE
+SceneMaker = Callable[..., FamilyScene]
 
 
 def test_a_planner_without_a_cost_map_is_refused_by_name(tmp_path: Path) -> None:
@@ -68,9 +66,6 @@ def test_a_name_and_its_cost(name: str, cost: int, card: ModelCard) -> None:
 
     assert sampler_name(sampler) == name
     assert evaluations(sampler) == cost
-
-
-def test_the_cards_own(card: ModelCard) -> None:
     assert parse_sampler("card", card) == card.sampler
 
 
@@ -78,9 +73,6 @@ def test_the_cards_own(card: ModelCard) -> None:
 def test_an_unknown_one_is_refused(text: str, card: ModelCard) -> None:
     with pytest.raises(BenchmarkError, match="sampler"):
         parse_sampler(text, card)
-
-
-SceneMaker = Callable[..., FamilyScene]
 
 
 def wall(gap: bool) -> np.ndarray:

@@ -18,39 +18,30 @@ TABLE = ResultTable(
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.97349, "0.973"), (12.34, "12.3"), (4321.9, "4322"), (-0.5, "-0.500"), (7, "7"), ("x", "x")],
+    [
+        (0.97349, "0.973"),
+        (12.34, "12.3"),
+        (4321.9, "4322"),
+        (-0.5, "-0.500"),
+        (7, "7"),
+        ("x", "x"),
+        (None, "–"),
+        (float("nan"), "–"),
+    ],
 )
 def test_numbers_are_short(value: Cell, text: str) -> None:
     assert formatted(value) == text
 
 
-def test_what_is_not_there_is_a_dash() -> None:
-    assert formatted(None) == formatted(float("nan")) == "–"
-
-
-def test_markdown_has_a_row_a_row() -> None:
-    assert TABLE.to_markdown().splitlines()[2:] == [
-        "| who | ms | N |",
-        "| --- | ---: | ---: |",
-        "| a | 1.235 | 3 |",
-        "| b | – | – |",
+def test_markdown_has_a_row_a_row_and_a_dash_for_what_it_lacks() -> None:
+    table = ResultTable("Uneven", [*TABLE.rows, {"who": "c", "torch": 1.0}])
+    assert table.to_markdown().splitlines()[2:] == [
+        "| who | ms | N | torch |",
+        "| --- | ---: | ---: | ---: |",
+        "| a | 1.235 | 3 | – |",
+        "| b | – | – | – |",
+        "| c | – | – | 1.000 |",
     ]
-
-
-def test_a_column_that_a_row_lacks_is_empty_there() -> None:
-    table = ResultTable("Uneven", [{"who": "a"}, {"who": "b", "torch": 1.0}])
-    assert table.cells == [["a", "–"], ["b", "1.000"]]
-
-
-def test_both_files_are_written(tmp_path: Path) -> None:
-    report = Report("Speed", {"commit": "abc"}, [TABLE])
-    paths = report.write(tmp_path / "results")
-
-    assert [path.name for path in paths] == ["speed.json", "speed.md"]
-    read = json.loads(paths[0].read_text())
-    assert read["about"] == {"commit": "abc"}
-    assert read["tables"][0]["rows"][1] == {"who": "b", "ms": None, "N": None}
-    assert "- commit: abc" in paths[1].read_text()
 
 
 def test_both_files_say_first_what_was_typed(
@@ -59,11 +50,13 @@ def test_both_files_say_first_what_was_typed(
     options = ["bench", "quality", "--bundle", "my bundles/a", "--samplers", "card,rk4:8step"]
     monkeypatch.setattr(sys, "argv", [".venv/bin/anchorflow", *options, "--out", "results"])
     report = Report("Speed", {"commit": "abc"}, [TABLE])
-    of_json, of_markdown = report.write(tmp_path)
+    of_json, of_markdown = report.write(tmp_path / "results")
 
+    assert (of_json.name, of_markdown.name) == ("speed.json", "speed.md")
     command = "anchorflow bench quality --bundle 'my bundles/a' --samplers card,rk4:8step"
-    about = json.loads(of_json.read_text())["about"]
-    assert [*about.items()] == [("command", command), ("commit", "abc")]
+    read = json.loads(of_json.read_text())
+    assert [*read["about"].items()] == [("command", command), ("commit", "abc")]
+    assert read["tables"][0]["rows"][1] == {"who": "b", "ms": None, "N": None}
     assert of_markdown.read_text().splitlines()[2:4] == [f"- command: {command}", "- commit: abc"]
 
 

@@ -100,9 +100,6 @@ def test_drawn_scenes_depend_on_the_seed_and_are_not_those_of_a_dataset(
     assert not np.array_equal(first[0].x_curr, trained.x_curr)
     assert not np.array_equal(first[0].x_curr, first[1].x_curr)
     assert {scene.motion for scene in first} == {limits}  # one robot, and no horizon
-
-
-def test_a_draw_can_be_asked_for_by_name(limits: MotionLimits) -> None:
     assert len(load_scenes("drawn:2:7", limits=limits)) == 2
 
 

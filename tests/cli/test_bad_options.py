@@ -9,17 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import failure
+from ros_maps import write_map
 
-from anchorflow_cli.main import main
+from anchorflow_service.bundle import DEFAULT_BUNDLE
 
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Run a command that must fail, and return its message on one line."""
-    with pytest.raises(SystemExit) as caught:
-        main(arguments)
-    assert caught.value.code not in (0, None)
-    said = capsys.readouterr().err if caught.value.code == 2 else str(caught.value.code)
-    return " ".join(said.split())
+V2X = DEFAULT_BUNDLE.parent / "v2x"
 
 
 FILE_WANTED, FOLDER_WANTED = "expected a file to write, got", "expected a folder to write, got"
@@ -52,11 +47,10 @@ FILE_WANTED, FOLDER_WANTED = "expected a file to write, got", "expected a folder
         ("bench closed-loop drawn:1:0 --log DIR", FILE_WANTED),
         ("bench quality --scenes none.npz --out FILE", FOLDER_WANTED),
         ("bench drive --logs DIR --plans FILE", FOLDER_WANTED),
+        ("bench drive-closed-loop --drivers nobody --keep FILE", FOLDER_WANTED),
     ],
 )
-def test_a_place_that_cannot_be_written(
-    command: str, wanted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_place_that_cannot_be_written(command: str, wanted: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     places = {"FILE": str(tmp_path / "file"), "DIR": str(tmp_path), "EMPTY": ""}
     words = [
@@ -65,7 +59,7 @@ def test_a_place_that_cannot_be_written(
         else places.get(word, word)
         for word in command.split()
     ]
-    said = refused(capsys, *words)
+    said = failure(*words)
     assert any(f"{wanted} {form}" in said for form in (words[-1] or "''", repr(words[-1])))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
 
@@ -78,12 +72,15 @@ def test_a_place_that_cannot_be_written(
         "data frames log.npz --bundle x --out x.json --every inf",
         "bench latency --scenes none.npz --budget-s nan",
         "bench drive-closed-loop --drivers nobody --seconds inf",
+        "serve --bundle none --notice-s inf",
         "serve --bundle none --drain-s inf",
+        "serve --bundle none --batch-wait-ms inf",
+        "data from-poses DIR p.npz --rate-hz inf",
     ],
 )
-def test_a_number_without_an_end(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_number_without_an_end(command: str) -> None:
     *words, option, number = command.split()
-    said = refused(capsys, *words, option, number)
+    said = failure(*words, option, number)
     assert f"'{option}': expected a finite number, got {number}" in said
 
 
@@ -97,9 +94,9 @@ def test_a_number_without_an_end(command: str, capsys: pytest.CaptureFixture[str
         "serve --bundle none",
     ],
 )
-def test_a_url_of_no_service(command: str, url: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_url_of_no_service(command: str, url: str) -> None:
     option = "--traces" if command.startswith("serve") else "--url"
-    said = refused(capsys, *command.split(), option, url)
+    said = failure(*command.split(), option, url)
     assert f"'{option}': expected http://host[:port] or https://host[:port], got {url!r}" in said
 
 
@@ -112,32 +109,35 @@ def test_a_url_of_no_service(command: str, url: str, capsys: pytest.CaptureFixtu
     ],
 )
 @pytest.mark.parametrize("command", ["plan --map no.yaml", "generate --checkpoint no.pt"])
-def test_an_end_beyond_the_contract(
-    command: str, option: str, value: str, interval: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_end_beyond_the_contract(command: str, option: str, value: str, interval: str) -> None:
     words = {"--start": "0,0", "--goal": "1,1", option: value}
-    said = refused(capsys, *command.split(), *(word for pair in words.items() for word in pair))
+    said = failure(*command.split(), *(word for pair in words.items() for word in pair))
     assert f"'{option}': expected numbers in {interval}, got {value!r}" in said
 
 
-def test_a_server_and_a_bundle(capsys: pytest.CaptureFixture[str]) -> None:
-    words = "plan --map no.yaml --start 0,0 --goal 1,1 --bundle x --url http://127.0.0.1"
-    assert "expected --url or --bundle, got both" in refused(capsys, *words.split())
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        (
+            "plan --map no.yaml --start 0,0 --goal 1,1 --bundle x --url http://127.0.0.1",
+            "expected --url or --bundle, got both",
+        ),
+        (
+            "serve --bundle none --port 0 --host=",
+            "--host: expected an address, such as 127.0.0.1, got ''",
+        ),
+        ("plan --map m.yaml --start 1;2 --goal 1,1", "2 or 3 numbers X,Y[,HEADING], got '1;2'"),
+        (f"bench pairs {DEFAULT_BUNDLE}", "expected a bundle asked with pictures, got cost_map"),
+        (f"bench pairs {V2X} {V2X}", "expected bundles of different names, got v2x"),
+        ("data anchors DIR --out a.npy", "expected logs (*.npz)"),
+        ("bench drive --logs DIR --out x", ": folder: expected logs (*.npz), found none"),
+    ],
+)
+def test_what_cannot_be_done_is_said(command: str, said: str, tmp_path: Path) -> None:
+    assert said in failure(*command.replace("DIR", str(tmp_path)).split())
 
 
-def test_no_host(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "--host: expected an address, such as 127.0.0.1, got ''" in refused(
-        capsys, "serve", "--bundle", "none", "--host", "", "--port", "0"
-    )
-
-
-def test_a_square_too_small(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from PIL import Image
-
-    Image.fromarray(np.full((100, 100), 254, np.uint8)).save(tmp_path / "map.pgm")
-    (tmp_path / "map.yaml").write_text(
-        "image: map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
-        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
-    )
-    words = f"generate --checkpoint a.pt --start 1,1 --goal 9,9 --map {tmp_path}/map.yaml --size 3"
-    assert "--size: expected more than 8 m" in refused(capsys, *words.split())
+def test_a_square_too_small(tmp_path: Path) -> None:
+    room = write_map(tmp_path, np.full((100, 100), 254, np.uint8))
+    words = "generate --checkpoint a.pt --start 1,1 --goal 9,9 --size 3 --map"
+    assert "--size: expected more than 8 m" in failure(*words.split(), room)

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import failure, succeed
 from driven_bend import SIZE, bend
 from image_planner import write_image_bundle
 
-from anchorflow_cli.main import main
 from anchorflow_client.sensors import route_ahead
 from anchorflow_driving.drive_file import windows_on_the_way
 from anchorflow_driving.drivers import PLAN_TIMES
@@ -28,14 +28,16 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE
 GOALFLOW = DEFAULT_BUNDLE.parent / "goalflow"
 
 
-def frames(tmp_path: Path, *options: str, bundle: Path = GOALFLOW) -> tuple[int | str, Any]:
-    """Exit status or message, and the file."""
+def command(tmp_path: Path, *options: str, bundle: Path = GOALFLOW) -> tuple[object, ...]:
+    """Return the words of the command for a log that is written here."""
     log, out = tmp_path / "bend.npz", tmp_path / "drive.json"
     write_log(bend(0), log)
-    command = ["data", "frames", str(log), "--bundle", str(bundle), "--out", str(out)]
-    with pytest.raises(SystemExit) as ended:
-        main([*command, *options])
-    return ended.value.code or 0, json.loads(out.read_text()) if out.exists() else None
+    return ("data", "frames", log, "--bundle", bundle, "--out", out, *options)
+
+
+def drawn(tmp_path: Path, *options: str) -> dict[str, Any]:
+    succeed(*command(tmp_path, *options))
+    return json.loads((tmp_path / "drive.json").read_text())
 
 
 def unpacked(value: dict[str, Any]) -> np.ndarray:
@@ -46,15 +48,11 @@ def unpacked(value: dict[str, Any]) -> np.ndarray:
 def test_every_frame_holds_what_the_card_asks_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, drive = frames(tmp_path, "--every", "0.4")
+    drive = drawn(tmp_path, "--every", "0.4")
 
-    assert status == 0
     assert "7 frames of track 0, 2 to 4.4 s" in capsys.readouterr().out
-    assert (drive["format"], drive["version"], drive["bundle"]) == (
-        "anchorflow-drive",
-        1,
-        "goalflow",
-    )
+    head = {"format": "anchorflow-drive", "version": 1, "bundle": "goalflow"}
+    assert {name: drive[name] for name in head} == head
     names = [each["name"] for each in drive["inputs"]]
     assert names == ["bev", "ego_status", "vehicle_size", "route"]
     windows = [*Scenes(windows_on_the_way(bend(0), every_s=0.4))]
@@ -73,7 +71,7 @@ def test_every_frame_holds_what_the_card_asks_for(
 
 
 def test_street_and_others_lie_around_the_ego(tmp_path: Path) -> None:
-    _, drive = frames(tmp_path)
+    drive = drawn(tmp_path)
     log = windows_on_the_way(bend(0))
     first, last = Scenes(log)[0].state.pose, Scenes(log)[log.windows - 1].state.pose
 
@@ -118,10 +116,8 @@ def test_a_way_is_asked_about_from_first_to_last() -> None:
     ],
 )
 def test_what_is_wrong_is_one_line(tmp_path: Path, options: tuple[str, ...], told: str) -> None:
-    status, drive = frames(tmp_path, *options)
-
-    assert told in str(status)
-    assert drive is None
+    assert told in failure(*command(tmp_path, *options))
+    assert not (tmp_path / "drive.json").exists()
 
 
 def test_a_card_that_asks_for_another_sensor_is_refused(tmp_path: Path) -> None:
@@ -130,7 +126,5 @@ def test_a_card_that_asks_for_another_sensor_is_refused(tmp_path: Path) -> None:
     manifest["request"]["inputs"] = manifest["request"]["inputs"][::-1]
     (bundle / "manifest.json").write_text(json.dumps(manifest))
 
-    status, drive = frames(tmp_path, bundle=bundle)
-
-    assert "ego_status: expected a sensor of [4], got [8]" in str(status)
-    assert drive is None
+    said = failure(*command(tmp_path, bundle=bundle))
+    assert "ego_status: expected a sensor of [4], got [8]" in said

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import failure, succeed
 
-from anchorflow_cli.main import main
 from anchorflow_driving.log import read_log
 
 POINTS = {
@@ -34,70 +34,59 @@ SCENARIO = (
 )
 
 
-def test_a_scenario_is_imported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file, out = tmp_path / "a.xml", tmp_path / "a.npz"
-    file.write_text(SCENARIO)
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    (tmp_path / "a.xml").write_text(SCENARIO)
+    return tmp_path / "a.xml"
 
-    with pytest.raises(SystemExit) as ended:
-        main(["data", "import-log", str(file), "--out", str(out)])
 
-    assert not ended.value.code
+def refused(*arguments: object) -> str:
+    return failure("data", "import-log", *arguments, "--out", "never.npz")
+
+
+def test_a_scenario_is_imported(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    succeed("data", "import-log", file, "--out", file.with_suffix(".npz"))
+
     assert "1 tracks, 100 frames, 4 windows" in capsys.readouterr().out
-    assert read_log(out).window_frame.tolist() == [20, 30, 40, 50]
+    assert read_log(file.with_suffix(".npz")).window_frame.tolist() == [20, 30, 40, 50]
 
 
-def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
-    file = tmp_path / "a.xml"
+def test_a_scenario_that_lacks_something_is_one_line(file: Path) -> None:
     file.write_text(SCENARIO.replace("<width>2</width>", ""))
-
-    with pytest.raises(SystemExit) as ended:
-        main(["data", "import-log", str(file), "--out", str(tmp_path / "a.npz")])
-
-    told = str(ended.value.code)
-    assert (
-        "a.xml: commonRoad.dynamicObstacle[2].shape.rectangle.width: expected the element" in told
-    )
+    place = "commonRoad.dynamicObstacle[2].shape.rectangle.width"
+    assert f"a.xml: {place}: expected the element" in refused(file)
 
 
-def ends(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """What `import-log` says as it ends with an error."""
-    with pytest.raises(SystemExit) as ended:
-        main(["data", "import-log", *arguments, "--out", "never.npz"])
-    assert ended.value.code
-    told = capsys.readouterr().err + str(ended.value.code)
-    return " ".join(told.replace("│", " ").split())
-
-
-def test_a_pickle_is_opened_on_request_only(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pickle_is_opened_on_request_only(tmp_path: Path) -> None:
     file = tmp_path / "a.pkl"
     file.write_bytes(b"never read")
 
-    assert "is a pickle: --unpickle opens it" in ends(capsys, str(file))
-    assert "expected a pickle of plain data" in ends(capsys, str(file), "--unpickle")
+    assert "is a pickle: --unpickle opens it" in refused(file)
+    assert "expected a pickle of plain data" in refused(file, "--unpickle")
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--scene", "a"), "--scene: a recording of commonroad"),
+        (("--unpickle",), "for navsim, found commonroad"),
+        (("--map", "map.gpkg"), "for navsim, found commonroad"),
+        (("--format", "nuscenes"), "one v1.0-* with scene.json"),
+    ],
+)
 def test_options_of_another_layout_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    options: tuple[str, ...], said: str, file: Path
 ) -> None:
-    file = tmp_path / "a.xml"
-    file.write_text(SCENARIO)
-
-    assert "--scene: a recording of commonroad" in ends(capsys, str(file), "--scene", "a")
-    assert "for navsim, found commonroad" in ends(capsys, str(file), "--unpickle")
-    assert "for navsim, found commonroad" in ends(capsys, str(file), "--map", "map.gpkg")
-    assert "one v1.0-* with scene.json" in ends(capsys, str(file), "--format", "nuscenes")
+    assert said in refused(file, *options)
 
 
 def test_argoverse_without_pyarrow_says_what_to_install(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     monkeypatch.delitem(sys.modules, "anchorflow_driving.importers.argoverse", raising=False)
     file = tmp_path / "scenario_a.parquet"
     file.touch()
 
-    told = ends(capsys, str(file))
-
-    assert "needs pyarrow, which is not installed: pip install 'anchorflow[driving]'" in told
+    wanted = "needs pyarrow, which is not installed: pip install 'anchorflow[driving]'"
+    assert wanted in refused(file)

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-import yaml
+from command_line import failure, succeed
 from PIL import Image
+from ros_maps import write_map
 from torch import nn
 
 from anchorflow_cli.generate import EMPTY_MAP_CELLS, empty_map
-from anchorflow_cli.main import main
 from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -61,23 +62,11 @@ def room(tmp_path: Path) -> Path:
     pixels = np.full((80, 80), 254, np.uint8)
     pixels[30:50, 38:42] = 0
     pixels[:10] = 205
-    Image.fromarray(pixels).save(tmp_path / "room.png")
-    fields = {"image": "room.png", "resolution": 0.1, "origin": [-4, -4, 0], "negate": 0}
-    path = tmp_path / "room.yaml"
-    path.write_text(yaml.safe_dump(fields | {"occupied_thresh": 0.65, "free_thresh": 0.15}))
-    return path
+    return write_map(tmp_path, pixels, (-4.0, -4.0))
 
 
 def run(checkpoint: Path, *arguments: object, quick: tuple[str, ...] = QUICK) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["generate", "--checkpoint", str(checkpoint), *ENDS, *quick, *map(str, arguments)])
-    assert caught.value.code == 0
-
-
-def failure(*arguments: object) -> str:
-    with pytest.raises(SystemExit) as caught:
-        main(["generate", *map(str, arguments)])
-    return str(caught.value.code)
+    succeed("generate", "--checkpoint", checkpoint, *ENDS, *quick, *arguments)
 
 
 def drawn(
@@ -145,25 +134,28 @@ def test_a_horizon_is_every_anchor_s_and_limits_are_kept(checkpoint: Path, tmp_p
     assert speed.max() < 0.71
 
 
-def test_the_limits_are_those_of_the_run_s_data(checkpoint: Path, tmp_path: Path) -> None:
-    asked = drawn(checkpoint, tmp_path, "--v-max", 0.7, "--a-max", 0.5, "--horizon", 9)
-    limits = {"v_max": 0.7, "a_max": 0.5, "horizon_s": 9.0}
-    saved = replace(load_checkpoint(checkpoint), data={"limits": limits})
-    save_checkpoint(tmp_path / "of_data.pt", saved)
-    own = drawn(tmp_path / "of_data.pt", tmp_path)
-    np.testing.assert_array_equal(own["trajectories"], asked["trajectories"])
-    np.testing.assert_array_equal(own["dt"], asked["dt"])
-
-
-def test_the_robot_is_that_of_the_run_s_data(checkpoint: Path, room: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("data", "options"),
+    [
+        (
+            {"limits": {"v_max": 0.7, "a_max": 0.5, "horizon_s": 9.0}},
+            ("--v-max", 0.7, "--a-max", 0.5, "--horizon", 9),
+        ),
+        ({"robot_radius": 0.9}, ("--robot-radius", 0.9)),
+    ],
+)
+def test_limits_and_robot_are_those_of_the_run_s_data(
+    data: dict[str, Any], options: tuple[object, ...], checkpoint: Path, room: Path, tmp_path: Path
+) -> None:
     seen = ("--map", room, "--size", 8, "--no-project")
-    asked = drawn(checkpoint, tmp_path, *seen, "--robot-radius", 0.9)
-    saved = replace(load_checkpoint(checkpoint), data={"robot_radius": 0.9})
-    save_checkpoint(tmp_path / "of_data.pt", saved)
-    own = drawn(tmp_path / "of_data.pt", tmp_path, *seen)
-    np.testing.assert_array_equal(own["clearance"], asked["clearance"])
-    usual = drawn(tmp_path / "of_data.pt", tmp_path, *seen, "--robot-radius", 0.25)
-    assert usual["clearance"].min() > own["clearance"].min()
+    asked = drawn(checkpoint, tmp_path, *seen, *options)
+    of_data = tmp_path / "of_data.pt"
+    save_checkpoint(of_data, replace(load_checkpoint(checkpoint), data=data))
+    own = drawn(of_data, tmp_path, *seen)
+    for name in ("trajectories", "dt", "clearance"):
+        np.testing.assert_array_equal(own[name], asked[name])
+    small = drawn(of_data, tmp_path, *seen, "--robot-radius", 0.2)
+    assert small["clearance"].min() > own["clearance"].min()  # an option stands above the data
 
 
 def test_a_student_is_asked_as_it_was_taught(checkpoint: Path, tmp_path: Path) -> None:
@@ -191,7 +183,9 @@ def test_a_map_and_its_unknown_cells(checkpoint: Path, room: Path, tmp_path: Pat
     assert walled["clearance"].max() < free["clearance"].min()
     run(checkpoint, "--map", room, "--size", 8, "--goal", "3,3.5", "--unknown-is-free")
     ends = ("--checkpoint", checkpoint, "--start", "-1,0.5", "--goal", "3,3.5")
-    assert "x_goal: expected a cell of occupancy below 0.5" in failure(*ends, "--map", room)
+    assert "x_goal: expected a cell of occupancy below 0.5" in failure(
+        "generate", *ends, "--map", room
+    )
 
 
 def test_the_command_draws_what_the_generator_draws(checkpoint: Path, tmp_path: Path) -> None:
@@ -213,28 +207,31 @@ def test_the_command_draws_what_the_generator_draws(checkpoint: Path, tmp_path: 
 def test_a_model_with_heading(make_checkpoint: Callable[[int], Path], tmp_path: Path) -> None:
     out, picture = tmp_path / "anchors.npz", tmp_path / "anchors.svg"
     ends = ["--start", "-1,0,0.5", "--goal", "2,0,-0.5", "--out", str(out), "--plot", str(picture)]
-    with pytest.raises(SystemExit) as caught:
-        main(["generate", "--checkpoint", str(make_checkpoint(3)), *ends, *QUICK])
-    assert caught.value.code == 0
+    succeed("generate", "--checkpoint", make_checkpoint(3), *ends, *QUICK)
     with np.load(out) as arrays:
         np.testing.assert_allclose(arrays["trajectories"][:, 0], [[-1, 0, 0.5]] * 3, atol=1e-5)
     assert picture.exists()
 
 
-def test_what_cannot_be_is_one_line(checkpoint: Path, tmp_path: Path) -> None:
-    asked = ("--checkpoint", checkpoint, *ENDS, *QUICK)
-    assert failure(*asked, "--method", "rk5").startswith("anchorflow generate: method: expected")
-    assert "x_curr: expected [6]" in failure(
-        "--checkpoint", checkpoint, "--start", "0,0,1", "--goal", "1,0,0"
-    )
-    assert "x_curr: expected a position on the map" in failure(*asked, "--size", "1")
-    assert "v_max: expected" in failure(*asked, "--v-max", "-1")
-    assert "horizon_s: expected" in failure(*asked, "--horizon", "0")
-    (tmp_path / "anchors.npz").symlink_to("/dev/full")
-    assert "--out: [Errno 28]" in failure(*asked, "--out", tmp_path / "anchors.npz")
-    assert "absent.pt: expected a checkpoint, found no file" in failure(
-        "--checkpoint", tmp_path / "absent.pt", *ENDS
-    )
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--method", "rk5"), "anchorflow generate: method: expected"),
+        (("--start", "0,0,1", "--goal", "1,0,0"), "x_curr: expected [6]"),
+        (("--size", "1"), "x_curr: expected a position on the map"),
+        (("--v-max", "-1"), "v_max: expected"),
+        (("--horizon", "0"), "horizon_s: expected"),
+        (("--out", "FULL"), "--out: [Errno 28]"),
+        (("--checkpoint", "absent.pt"), "absent.pt: expected a checkpoint, found no file"),
+    ],
+)
+def test_what_cannot_be_is_one_line(
+    options: tuple[str, ...], said: str, checkpoint: Path, tmp_path: Path
+) -> None:
+    full = tmp_path / "anchors.npz"
+    full.symlink_to("/dev/full")
+    words = (str(full) if word == "FULL" else word for word in options)
+    assert said in failure("generate", "--checkpoint", checkpoint, *ENDS, *QUICK, *words)
 
 
 def test_smoothing_may_be_left_out(checkpoint: Path, tmp_path: Path) -> None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
+from command_line import failure, succeed
 from PIL import Image
+from ros_maps import write_map
 
-from anchorflow_cli import plan
-from anchorflow_cli.main import main
 from anchorflow_cli.plots import durations_text
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelId
+from anchorflow_service.local import LocalClient
 
 
 @pytest.fixture
@@ -22,11 +25,7 @@ def map_file(tmp_path: Path) -> Path:
     """A free map of 20 × 20 m in a wall, its corner at (-10, -10)."""
     pixels = np.full((200, 200), 254, dtype=np.uint8)
     pixels[[0, -1]] = pixels[:, [0, -1]] = 0
-    Image.fromarray(pixels).save(tmp_path / "room.png")
-    path = tmp_path / "room.yaml"
-    fields = {"image": "room.png", "resolution": 0.1, "origin": [-10, -10, 0], "negate": 0}
-    path.write_text(yaml.safe_dump(fields | {"occupied_thresh": 0.65, "free_thresh": 0.25}))
-    return path
+    return write_map(tmp_path, pixels, (-10.0, -10.0))
 
 
 @pytest.fixture
@@ -34,12 +33,19 @@ def requests(monkeypatch: pytest.MonkeyPatch) -> list[AnchorRequest]:
     """Collect the requests to an engine that answers with straight lines, the last unsafe."""
     received: list[AnchorRequest] = []
 
-    def answer(_: Path, request: AnchorRequest) -> AnchorBatch:
+    def answer(request: AnchorRequest) -> AnchorBatch:
         received.append(request)
         return straight_lines(request)
 
-    monkeypatch.setattr(plan, "ask_engine", answer)
+    engine_answers(monkeypatch, answer)
     return received
+
+
+def engine_answers(
+    patch: pytest.MonkeyPatch, answer: Callable[[AnchorRequest], AnchorBatch]
+) -> None:
+    client = nullcontext(SimpleNamespace(plan_request=answer))
+    patch.setattr(LocalClient, "of", lambda _: client)
 
 
 def straight_lines(request: AnchorRequest) -> AnchorBatch:
@@ -65,19 +71,13 @@ def straight_lines(request: AnchorRequest) -> AnchorBatch:
     )
 
 
-def run(*arguments: object) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["plan", *map(str, arguments)])
-    assert caught.value.code == 0
-
-
 def test_the_options_become_the_request(map_file: Path, requests: list[AnchorRequest]) -> None:
     ends = ("--start", "-2,1.5", "--start-velocity", "0.5,0", "--goal", "3,-1")
     choices = ("--style", "2,1,1", "--num-samples", 5, "--seed", 7, "--window", 10)
     limits = ("--v-max", 0.5, "--a-max", 2.5, "--robot-radius", 0.3, "--horizon", 12)
-    run("--map", map_file, *ends, *choices, *limits)
+    succeed("plan", "--map", map_file, *ends, *choices, *limits)
     turned = ("--start", "-2,1,0.5", "--goal", "3,-1,0.2", "--goal-velocity", "1,0,0.1")
-    run("--map", map_file, *turned, "--style", "efficient")
+    succeed("plan", "--map", map_file, *turned, "--style", "efficient")
 
     whole, heading = requests
     np.testing.assert_array_equal(whole.x_curr, [[-2, 1.5, 0.5, 0, 0, 0]])
@@ -95,25 +95,30 @@ def test_the_options_become_the_request(map_file: Path, requests: list[AnchorReq
 
 
 @pytest.mark.parametrize("style", ["hasty", "1,2", "1,2,nan"])
-def test_an_unknown_style_names_the_four(
-    style: str, map_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    ends = ["--start", "0,0", "--goal", "3,0"]
-    with pytest.raises(SystemExit) as caught:
-        main(["plan", "--map", str(map_file), *ends, "--style", style])
-
-    told = " ".join(capsys.readouterr().err.split()) + str(caught.value.code)
-    assert caught.value.code != 0
+def test_an_unknown_style_names_the_four(style: str, map_file: Path) -> None:
+    said = failure("plan", "--map", map_file, "--start=0,0", "--goal=3,0", "--style", style)
     for name in ("conservative", "balanced", "efficient", "comfortable", style):
-        assert name in told
+        assert name in said
 
 
 @pytest.mark.usefixtures("requests")
 def test_the_table_and_the_picture(
     map_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    picture = tmp_path / "plot.png"
-    run("--map", map_file, "--start", "0,0", "--goal", "3,0", "--num-samples", 9, "--out", picture)
+    picture = tmp_path / "new" / "folder" / "plot.png"
+    succeed(
+        "plan",
+        "--map",
+        map_file,
+        "--start",
+        "0,0",
+        "--goal",
+        "3,0",
+        "--num-samples",
+        9,
+        "--out",
+        picture,
+    )
 
     printed = capsys.readouterr().out
     assert "8 of 9 anchors are safe" in printed
@@ -156,61 +161,39 @@ def test_a_picture_tells_how_long_anchors_last(dt: float | np.ndarray, told: str
 def test_another_format_than_the_help_names_is_refused_before_planning(
     map_file: Path, requests: list[AnchorRequest], capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["plan", "--map", str(map_file), "--start=0,0", "--goal=3,0", "--out", name])
+    said = failure("plan", "--map", map_file, "--start=0,0", "--goal=3,0", "--out", name)
 
-    assert caught.value.code == 2
-    assert f"expected a file .png or .svg, got '{name}'" in capsys.readouterr().err
+    assert f"expected a file .png or .svg, got '{name}'" in said
     assert not requests
-    with pytest.raises(SystemExit):
-        main(["plan", "--help"])
+    succeed("plan", "--help")
     assert "Picture to draw, .png or .svg." in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.usefixtures("requests")
 def test_a_picture_that_cannot_be_written_is_one_line(map_file: Path, tmp_path: Path) -> None:
-    ends, picture = ["--start", "0,0", "--goal", "3,0"], tmp_path / "new" / "plot.png"
-    picture.parent.mkdir()
+    picture = tmp_path / "plot.png"
     picture.symlink_to("/dev/full")
-    with pytest.raises(SystemExit) as caught:
-        main(["plan", "--map", str(map_file), *ends, "--out", str(picture)])
-
-    assert str(caught.value.code).startswith(f"anchorflow plan: {picture}: ")
-
-
-@pytest.mark.usefixtures("requests")
-def test_the_folder_of_a_picture_is_made(map_file: Path, tmp_path: Path) -> None:
-    picture = tmp_path / "new" / "folder" / "plot.png"
-    run("--map", map_file, "--start", "0,0", "--goal", "3,0", "--out", picture)
-    assert picture.exists()
+    said = failure("plan", "--map", map_file, "--start=0,0", "--goal=3,0", "--out", picture)
+    assert said.startswith(f"anchorflow plan: {picture}: ")
 
 
 def test_brackets_in_a_model_s_name_are_no_markup(
     map_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def answer(_: Path, request: AnchorRequest) -> AnchorBatch:
-        return replace(straight_lines(request), model=ModelId("x[red]y[/z]", "1", "0" * 64))
-
-    monkeypatch.setattr(plan, "ask_engine", answer)
-    run("--map", map_file, "--start", "0,0", "--goal", "3,0", "--num-samples", 2)
+    named = ModelId("x[red]y[/z]", "1", "0" * 64)
+    engine_answers(monkeypatch, lambda request: replace(straight_lines(request), model=named))
+    succeed("plan", "--map", map_file, "--start", "0,0", "--goal", "3,0", "--num-samples", 2)
     assert "x[red]y[/z] 1, seed 7" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--start", "1;2"), "expected 2 or 3 numbers X,Y[,HEADING], got '1;2'"),
-        (("--start", "-9.95,0", "--goal", "-5,0"), "anchorflow plan: x_curr: expected a cell"),
-        (("--url", "http://127.0.0.1:1"), "127.0.0.1:1"),
+        (("--start=-9.95,0", "--goal=-5,0"), "anchorflow plan: x_curr: expected a cell"),
+        (("--url=http://127.0.0.1:1",), "127.0.0.1:1"),
     ],
 )
 def test_a_plan_that_cannot_be_made_is_one_line(
-    options: tuple[str, ...], said: str, map_file: Path, capsys: pytest.CaptureFixture[str]
+    options: tuple[str, ...], said: str, map_file: Path
 ) -> None:
-    given = {"--start": "0,0", "--goal": "3,0"} | dict(
-        zip(options[::2], options[1::2], strict=True)
-    )
-    with pytest.raises(SystemExit) as caught:
-        main(["plan", "--map", str(map_file), *(f"{name}={text}" for name, text in given.items())])
-
-    assert said in capsys.readouterr().err + str(caught.value.code)
+    assert said in failure("plan", "--map", map_file, "--start=0,0", "--goal=3,0", *options)

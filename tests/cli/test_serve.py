@@ -10,13 +10,15 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import onnxruntime as ort
 import pytest
 import trustme
+from command_line import Served, failure
 
 from anchorflow_cli import listening
 from anchorflow_cli.listening import (
@@ -27,7 +29,6 @@ from anchorflow_cli.listening import (
     url_of,
     within_open_files,
 )
-from anchorflow_cli.main import main
 from anchorflow_client.http import AnchorClient
 from anchorflow_service.bundle.providers import PROVIDERS
 from anchorflow_service.http.connections import RESERVE, ConnectionLimits
@@ -43,7 +44,7 @@ from anchorflow_cli import main, serving
 card = SimpleNamespace(name="named", version="1.2.3", sha256="ab" * 32)
 serving.load_bundle = lambda path: path
 serving.Engine = lambda bundle, **_: SimpleNamespace(card=card)
-main.main(["serve", "--port", "0", "--bundle", "some/bundle", *sys.argv[1:]])
+main.main([*sys.argv[1:], "--bundle", "some/bundle"])
 """
 INTERRUPTED = f"""
 import os, signal, typer
@@ -55,40 +56,10 @@ def echo_and_interrupt(line):
 typer.echo = echo_and_interrupt
 {PROGRAM}"""
 
-Start = Callable[..., tuple["subprocess.Popen[str]", str]]
-
 
 @pytest.fixture
-def start() -> Iterator[Start]:
-    """Starts the command with options; gives the process and its first line."""
-    started: list[subprocess.Popen[str]] = []
-
-    def run(*options: str, program: str = PROGRAM) -> tuple[subprocess.Popen[str], str]:
-        process = subprocess.Popen(
-            [sys.executable, "-u", "-c", program, *options],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        started.append(process)
-        assert process.stdout is not None
-        return process, process.stdout.readline().rstrip("\n")
-
-    yield run
-    for process in started:
-        process.kill()
-        process.communicate(timeout=20)
-
-
-def url_in(line: str) -> str:
-    return line.partition(" at ")[2].partition(" ")[0]
-
-
-def ended(process: subprocess.Popen[str]) -> tuple[int, list[str]]:
-    """Stop the process with SIGTERM; return its status and its lines on stderr."""
-    process.send_signal(signal.SIGTERM)
-    _, errors = process.communicate(timeout=60)
-    return process.returncode, errors.splitlines()
+def start(serve: Callable[..., Served]) -> Callable[..., Served]:
+    return partial(serve, program=PROGRAM)
 
 
 def status(url: str, *, token: str | None = None, context: ssl.SSLContext | None = None) -> int:
@@ -102,18 +73,18 @@ def status(url: str, *, token: str | None = None, context: ssl.SSLContext | None
             return error.code
 
 
-def test_tokens_and_a_log_for_machines(start: Start, tmp_path: Path) -> None:
+def test_tokens_and_a_log_for_machines(start: Callable[..., Served], tmp_path: Path) -> None:
     file = tmp_path / "tokens"
     file.write_text(token_line("robot-7", ("infer",), "secret"))
     options = ("--tokens", str(file), "--log-format", "json", "--log-level", "info")
-    process, line = start(*options, "--drain-s", "1")
-    url = url_in(line)
+    served = start(*options, "--drain-s", "1")
+    url = served.url
 
     assert status(f"{url}/v2/health/ready") == 200
     assert status(f"{url}/v2") == 401
     assert status(f"{url}/v2", token="secret") == 200
 
-    code, lines = ended(process)
+    code, lines = served.ended(signal.SIGTERM)
     assert code == -signal.SIGTERM
     records = [json.loads(line) for line in lines]
     exchanges = [each for each in records if each["logger"] == "anchorflow_service.access"]
@@ -126,7 +97,7 @@ def test_tokens_and_a_log_for_machines(start: Start, tmp_path: Path) -> None:
     assert all("secret" not in line for line in lines)
 
 
-def test_tls(start: Start, tmp_path: Path) -> None:
+def test_tls(start: Callable[..., Served], tmp_path: Path) -> None:
     authority = trustme.CA()
     signed = authority.issue_cert("127.0.0.1")
     paths = {name: tmp_path / f"{name}.pem" for name in ("ca", "cert", "key")}
@@ -134,38 +105,35 @@ def test_tls(start: Start, tmp_path: Path) -> None:
     signed.cert_chain_pems[0].write_to_path(paths["cert"])
     signed.private_key_pem.write_to_path(paths["key"])
 
-    _, line = start("--tls-cert", str(paths["cert"]), "--tls-key", str(paths["key"]))
-    url = url_in(line)
+    url = start("--tls-cert", str(paths["cert"]), "--tls-key", str(paths["key"])).url
 
     assert url.startswith("https://127.0.0.1:")
     context = ssl.create_default_context(cafile=str(paths["ca"]))
     assert status(f"{url}/v2/health/live", context=context) == 200
 
 
-def test_an_address_for_all_without_tokens_is_warned_of(start: Start) -> None:
-    process, _ = start("--host", "0.0.0.0")
-
-    _, lines = ended(process)
-    assert len(lines) == 1
-    assert "everybody who reaches this address may ask: there is no --tokens" in lines[0]
+def test_an_address_for_all_without_tokens_is_warned_of(start: Callable[..., Served]) -> None:
+    _, (line,) = start("--host", "0.0.0.0").ended(signal.SIGTERM)
+    assert "everybody who reaches this address may ask: there is no --tokens" in line
 
 
-def test_it_prints_where_it_answers_and_stops_quietly(start: Start) -> None:
-    server, line = start()
+def test_it_prints_where_it_answers_and_stops_quietly(start: Callable[..., Served]) -> None:
+    served = start()
 
+    line = served.line
     assert (line.partition(" at ")[0], line[-20:]) == ("named 1.2.3", "(bundle some/bundle)")
-    with AnchorClient(url_in(line)) as client:
+    with AnchorClient(served.url) as client:
         assert client.ready()
-    server.send_signal(signal.SIGINT)
-    output, errors = server.communicate(timeout=20)
-    assert (server.returncode, output, errors) == (0, "", "")
+    assert served.ended(signal.SIGINT) == (0, [])
 
 
-def test_a_ctrl_c_right_after_the_first_line_stops_it_quietly(start: Start) -> None:
-    server, line = start(program=INTERRUPTED)
+def test_a_ctrl_c_right_after_the_first_line_stops_it_quietly(
+    serve: Callable[..., Served],
+) -> None:
+    served = serve(program=INTERRUPTED)
 
-    assert line.startswith("named 1.2.3 at http://")
-    assert (server.communicate(timeout=60)[1], server.returncode) == ("", 0)
+    assert served.line.startswith("named 1.2.3 at http://")
+    assert served.ended() == (0, [])
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no full device to print to")
@@ -173,7 +141,10 @@ def test_it_serves_without_a_standard_output() -> None:
     with (
         Path("/dev/full").open("w") as full,
         subprocess.Popen(
-            [sys.executable, "-c", PROGRAM], stdout=full, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-c", PROGRAM, "serve", "--port", "0"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
         ) as process,
     ):
         assert process.stderr is not None
@@ -185,14 +156,9 @@ def test_it_serves_without_a_standard_output() -> None:
         assert (process.communicate(timeout=20)[1], process.returncode) == ("", 0)
 
 
-def failure(*options: str) -> str:
+def refused(*options: object) -> str:
     """Return the line with which the command fails to start."""
-    with pytest.raises(SystemExit) as caught:
-        main(["serve", "--port", "0", *options])
-    message = str(caught.value.code)
-    assert message.startswith("anchorflow serve: ")
-    assert "\n" not in message
-    return message.removeprefix("anchorflow serve: ")
+    return failure("serve", "--port", "0", *options).removeprefix("anchorflow serve: ")
 
 
 def test_an_error_at_the_start_is_one_line(tmp_path: Path) -> None:
@@ -201,19 +167,19 @@ def test_an_error_at_the_start_is_one_line(tmp_path: Path) -> None:
     absent, wrong = str(tmp_path / "absent"), str(nonsense)
     together = "TLS needs --tls-cert and --tls-key, both of them"
 
-    assert failure("--tokens", absent) == f"{absent}: cannot be read: No such file or directory"
-    assert failure("--tokens", wrong).startswith(f"{wrong}: line 1: expected NAME SCOPES")
-    assert failure("--tls-cert", wrong) == together
-    assert failure("--tls-client-ca", wrong) == together
-    assert failure("--tls-cert", wrong, "--tls-key", wrong).startswith(f"{wrong} with {wrong}: ")
-    assert failure("--bundle", absent).startswith(f"{absent}/manifest.json: cannot be read")
-    assert failure("--repository", str(tmp_path)) == (
+    assert refused("--tokens", absent) == f"{absent}: cannot be read: No such file or directory"
+    assert refused("--tokens", wrong).startswith(f"{wrong}: line 1: expected NAME SCOPES")
+    assert refused("--tls-cert", wrong) == together
+    assert refused("--tls-client-ca", wrong) == together
+    assert refused("--tls-cert", wrong, "--tls-key", wrong).startswith(f"{wrong} with {wrong}: ")
+    assert refused("--bundle", absent).startswith(f"{absent}/manifest.json: cannot be read")
+    assert refused("--repository", str(tmp_path)) == (
         "the repository holds no bundle that can be served"
     )
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         expected = f"cannot listen on 127.0.0.1:{port}: Address already in use"
-        assert failure("--port", str(port)) == expected
+        assert refused("--port", str(port)) == expected
 
 
 def test_a_provider_that_this_build_lacks_is_one_line() -> None:
@@ -222,14 +188,7 @@ def test_a_provider_that_this_build_lacks_is_one_line() -> None:
     if not missing:
         pytest.skip("this build of onnxruntime has every provider")
 
-    assert failure("--provider", missing[0]).startswith(f"provider: {missing[0]} is not in this")
-
-
-@pytest.mark.parametrize("option", ["--notice-s", "--drain-s", "--batch-wait-ms"])
-def test_a_time_without_an_end_is_refused(option: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["serve", "--port", "0", "--bundle", "absent", option, "inf"])
-    assert f"'{option}': expected a finite number, got inf" in capsys.readouterr().err
+    assert refused("--provider", missing[0]).startswith(f"provider: {missing[0]} is not in this")
 
 
 def test_an_address_of_another_machine_is_refused() -> None:

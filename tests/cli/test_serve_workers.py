@@ -7,18 +7,18 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from command_line import Served, failure
 
-from anchorflow_cli.main import main
 from anchorflow_cli.serving import ServeChoice
 from anchorflow_client import (
     AnchorClient,
@@ -37,7 +37,6 @@ pytestmark = pytest.mark.skipif(
     not Path("/proc/self/task").exists(), reason="finds the workers in /proc"
 )
 
-COMMAND = ("serve", "--port", "0", "--workers", "2", "--threads", "1", "--drain-s", "5")
 REQUEST = AnchorRequest.build(
     cost_map={"data": np.zeros((1, 64, 64)), "resolution": 0.16},
     x_curr=[-3, 0, 0, 0, 0, 0],
@@ -48,32 +47,11 @@ REQUEST = AnchorRequest.build(
 PATIENCE_S = 100.0
 
 
-class Served:
-    """The command, which serves; ended at the end of the test."""
-
-    def __init__(self, *options: str, first: str = "") -> None:
-        """first: what the process does before it serves"""
-        program = f"{first}\nfrom anchorflow_cli.main import main; main()"
-        self.process = subprocess.Popen(
-            [sys.executable, "-u", "-c", program, *COMMAND, *options],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        self.line = self.process.stdout.readline().rstrip("\n")
-        self.url = self.line.partition(" at ")[2].partition(" ")[0]
-
-    def workers(self) -> set[int]:
-        """Their processes; the standard library has one of its own beside them."""
-        pid = self.process.pid
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        return {int(child) for child in children if "spawn_main" in commandline(int(child))}
-
-    def ended(self) -> tuple[int, list[str]]:
-        """Waits for the end: its status, and the lines on stderr."""
-        _, errors = self.process.communicate(timeout=60)
-        return self.process.returncode, errors.splitlines()
+def workers_of(served: Served) -> set[int]:
+    """Return their processes; the standard library has one of its own beside them."""
+    pid = served.process.pid
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return {int(child) for child in children if "spawn_main" in commandline(int(child))}
 
 
 def commandline(pid: int) -> str:
@@ -88,17 +66,9 @@ def is_gone(pid: int) -> bool:
 
 
 @pytest.fixture
-def serve() -> Iterator[Callable[..., Served]]:
-    started: list[Served] = []
-
-    def start(*options: str, first: str = "") -> Served:
-        started.append(Served(*options, first=first))
-        return started[-1]
-
-    yield start
-    for each in started:
-        each.process.kill()
-        each.process.communicate(timeout=20)
+def start(serve: Callable[..., Served]) -> Callable[..., Served]:
+    """Start a service of two workers."""
+    return partial(serve, "--workers", "2", "--threads", "1", "--drain-s", "5")
 
 
 @pytest.fixture
@@ -106,8 +76,8 @@ def replacement(until: Any) -> Callable[[Served, set[int]], int]:
     """Waits for a worker that was not there before."""
 
     def find(served: Served, before: set[int]) -> int:
-        until(lambda: served.workers() - before)
-        (new,) = served.workers() - before
+        until(lambda: workers_of(served) - before)
+        (new,) = workers_of(served) - before
         return new
 
     return find
@@ -145,10 +115,10 @@ class Crowd:
 
 
 def test_workers_that_are_killed_are_replaced_and_no_request_fails(
-    serve: Callable[..., Served], replacement: Callable[[Served, set[int]], int], until: Any
+    start: Callable[..., Served], replacement: Callable[[Served, set[int]], int], until: Any
 ) -> None:
-    served = serve()
-    first, second = sorted(served.workers())
+    served = start()
+    first, second = sorted(workers_of(served))
     crowd = Crowd(served.url)
     until(crowd.has_more(10))
 
@@ -160,31 +130,27 @@ def test_workers_that_are_killed_are_replaced_and_no_request_fails(
     crowd.stop()
 
     assert crowd.failures == []
-    assert served.workers() == {third, fourth}
-    served.process.send_signal(signal.SIGTERM)
-    assert served.ended() == (0, [])
+    assert workers_of(served) == {third, fourth}
+    assert served.ended(signal.SIGTERM) == (0, [])
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_all_of_them(serve: Callable[..., Served], number: signal.Signals) -> None:
-    served = serve()
-    workers = served.workers()
+def test_a_signal_ends_all_of_them(start: Callable[..., Served], number: signal.Signals) -> None:
+    served = start()
+    workers = workers_of(served)
     assert served.line.startswith("flowmp-small ")
     assert served.line.endswith("), 2 workers")
     assert len(workers) == 2
 
-    served.process.send_signal(number)
-    code, lines = served.ended()
-
-    assert (code, lines) == (0, [])
+    assert served.ended(number) == (0, [])
     assert all(map(is_gone, workers))
     assert not AnchorClient(served.url).live()
 
 
-def test_a_signal_to_every_process_is_one_signal(serve: Callable[..., Served], until: Any) -> None:
+def test_a_signal_to_every_process_is_one_signal(start: Callable[..., Served], until: Any) -> None:
     """As systemd sends it: the supervisor's own signal to its workers does not end the notice."""
-    served = serve("--notice-s", "2")
-    workers = served.workers()
+    served = start("--notice-s", "2")
+    workers = workers_of(served)
     with AnchorClient(served.url) as client:
         for pid in (*workers, served.process.pid):
             os.kill(pid, signal.SIGTERM)
@@ -193,14 +159,14 @@ def test_a_signal_to_every_process_is_one_signal(serve: Callable[..., Served], u
         # A worker whose notice had ended would be gone by then.
         with pytest.raises(subprocess.TimeoutExpired):
             served.process.wait(1.0)
-        assert served.workers() == workers
+        assert workers_of(served) == workers
         assert client.plan_request(REQUEST).model.name == "flowmp-small"
     assert served.ended() == (0, [])
 
 
-def test_workers_do_not_outlive_their_supervisor(serve: Callable[..., Served], until: Any) -> None:
-    served = serve()
-    workers = served.workers()
+def test_workers_do_not_outlive_their_supervisor(start: Callable[..., Served], until: Any) -> None:
+    served = start()
+    workers = workers_of(served)
 
     served.process.kill()
 
@@ -208,11 +174,11 @@ def test_workers_do_not_outlive_their_supervisor(serve: Callable[..., Served], u
 
 
 def test_a_worker_that_cannot_be_replaced_is_tried_again_while_another_serves(
-    serve: Callable[..., Served], tmp_path: Path
+    start: Callable[..., Served], tmp_path: Path
 ) -> None:
     bundle = Path(shutil.copytree(DEFAULT_BUNDLE, tmp_path / "bundle"))
-    served = serve("--bundle", str(bundle))
-    before = served.workers()
+    served = start("--bundle", str(bundle))
+    before = workers_of(served)
     manifest = bundle / "manifest.json"
     whole = manifest.read_bytes()
     manifest.unlink()
@@ -225,14 +191,13 @@ def test_a_worker_that_cannot_be_replaced_is_tried_again_while_another_serves(
         assert client.plan_request(REQUEST).model.name == "flowmp-small"
 
     manifest.write_bytes(whole)
-    served.process.send_signal(signal.SIGTERM)
-    assert served.ended()[0] == 0
+    assert served.ended(signal.SIGTERM)[0] == 0
 
 
 def test_workers_that_cannot_start_end_the_command(
-    serve: Callable[..., Served], tmp_path: Path
+    start: Callable[..., Served], tmp_path: Path
 ) -> None:
-    served = serve("--bundle", str(tmp_path))
+    served = start("--bundle", str(tmp_path))
 
     code, lines = served.ended()
     assert (code, served.line) == (1, "")
@@ -249,10 +214,10 @@ def counted(url: str) -> float:
 
 
 def test_workers_keep_their_models_and_count_together(
-    serve: Callable[..., Served], replacement: Callable[[Served, set[int]], int]
+    start: Callable[..., Served], replacement: Callable[[Served, set[int]], int]
 ) -> None:
-    served = serve("--drain-s", "3e6")
-    before = served.workers()
+    served = start("--drain-s", "3e6")
+    before = workers_of(served)
     for action in ("load", "unload"):
         url = f"{served.url}/v2/repository/models/flowmp-small/{action}"
         with pytest.raises(urllib.error.HTTPError) as caught:
@@ -273,14 +238,14 @@ def test_workers_keep_their_models_and_count_together(
 
 
 def test_a_folder_of_counts_that_is_cleared_away_is_made_anew(
-    serve: Callable[..., Served],
+    start: Callable[..., Served],
     replacement: Callable[[Served, set[int]], int],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    served = serve()
-    before = served.workers()
+    served = start()
+    before = workers_of(served)
     shutil.rmtree(next(tmp_path.glob("anchorflow-metrics-*")))
 
     for pid in sorted(before):
@@ -317,7 +282,5 @@ def test_threads_are_shared_out_unless_they_are_named(monkeypatch: pytest.Monkey
 
 
 def test_several_workers_and_zenoh_do_not_go_together() -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["serve", "--port", "0", "--workers", "2", "--zenoh", "peer"])
-
-    assert str(caught.value.code).startswith("anchorflow serve: --workers: expected 1 with --zenoh")
+    said = failure("serve", "--port", "0", "--workers", "2", "--zenoh", "peer")
+    assert said.startswith("anchorflow serve: --workers: expected 1 with --zenoh")

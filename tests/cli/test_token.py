@@ -6,29 +6,17 @@ import stat
 from pathlib import Path
 
 import pytest
+from command_line import failure, succeed
 
-from anchorflow_cli.main import main
-from anchorflow_service.http.tokens import TokenFile
-
-
-def run(*arguments: str) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(["token", *arguments])
-    assert caught.value.code == 0
-
-
-def failure(*arguments: str) -> str:
-    with pytest.raises(SystemExit) as caught:
-        main(["token", *arguments])
-    return str(caught.value.code)
+from anchorflow_service.http.tokens import TokenFile, token_line
 
 
 def test_what_is_printed_opens_what_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "tokens"
-    run(str(file), "robot-7")
-    run(str(file), "chief", "--scopes", "infer,admin")
+    succeed("token", file, "robot-7")
+    succeed("token", file, "chief", "--scopes", "infer,admin")
     robot, chief = capsys.readouterr().out.split()
 
     tokens = TokenFile(file)
@@ -42,45 +30,40 @@ def test_what_is_printed_opens_what_is_written(
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
 
 
-@pytest.mark.parametrize("text", ["", "# NAME SCOPES sha256:DIGEST\n"])
-def test_a_file_without_a_token_gets_its_first(
+@pytest.mark.parametrize(
+    "text",
+    ["", "# NAME SCOPES sha256:DIGEST\n", token_line("robot-7", ("infer",), "first")],
+    ids=["empty", "comment", "a last line without an end"],
+)
+def test_a_token_gets_a_line_of_its_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str
 ) -> None:
     file = tmp_path / "tokens"
     file.write_text(text)
-    run(str(file), "robot-7")
+    succeed("token", file, "robot-8")
 
     found = TokenFile(file).find(capsys.readouterr().out.strip())
     assert found is not None
-    assert found.name == "robot-7"
+    assert found.name == "robot-8"
     assert file.read_text().startswith(text)
-
-
-def test_a_last_line_without_an_end_is_not_continued(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "tokens"
-    run(str(file), "robot-7")
-    file.write_text(file.read_text().rstrip())
-    run(str(file), "robot-8")
-
-    tokens = TokenFile(file)
-    found = [tokens.find(token) for token in capsys.readouterr().out.split()]
-    assert [token and token.name for token in found] == ["robot-7", "robot-8"]
-    assert len(file.read_text().splitlines()) == 2
+    assert len(file.read_text().splitlines()) == len(text.splitlines()) + 1
 
 
 def test_what_cannot_be_is_one_line_and_changes_nothing(tmp_path: Path) -> None:
     file = tmp_path / "tokens"
-    run(str(file), "robot-7")
+    succeed("token", file, "robot-7")
     before = file.read_text()
 
-    assert failure(str(file), "robot-7").endswith("tokens: has a token named robot-7 already")
-    assert "expected scopes among infer,admin" in failure(str(file), "a", "--scopes", "root")
-    assert "expected a name" in failure(str(file), "a/b")
-    assert "NAME SCOPES sha256:DIGEST" in failure(str(file), "a b")
+    assert failure("token", str(file), "robot-7").endswith(
+        "tokens: has a token named robot-7 already"
+    )
+    assert "expected scopes among infer,admin" in failure(
+        "token", str(file), "a", "--scopes", "root"
+    )
+    assert "expected a name" in failure("token", str(file), "a/b")
+    assert "NAME SCOPES sha256:DIGEST" in failure("token", str(file), "a b")
     assert file.read_text() == before
-    assert "cannot be written" in failure(str(tmp_path / "no" / "folder"), "a")
+    assert "cannot be written" in failure("token", str(tmp_path / "no" / "folder"), "a")
 
     file.write_text("nonsense\n")
-    assert "line 1: expected NAME SCOPES" in failure(str(file), "a")
+    assert "line 1: expected NAME SCOPES" in failure("token", str(file), "a")

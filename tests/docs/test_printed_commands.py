@@ -9,7 +9,6 @@ import os
 import re
 import shlex
 import sys
-from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -61,7 +60,7 @@ OPTIONS = [name for name in LEFT if name.startswith("anchorflow ") and "--help" 
 @pytest.mark.parametrize("name", OPTIONS)
 def test_what_takes_too_long_has_options_that_there_are(name: str) -> None:
     _, first, *rest = shlex.split(name)
-    command = typer.main.get_command(import_module(COMMANDS[first].module).app)
+    command = typer.main.get_command(COMMANDS[first].app())
     while isinstance(command, TyperGroup):
         command = command.get_command(typer.Context(command), rest.pop(0))
         assert command is not None

@@ -74,3 +74,11 @@ def map_files(
     (folder / name).write_bytes(picture)
     (folder / "map.yaml").write_text(YAML.format(image=name, mode=mode, negate=negate))
     return [folder / "map.yaml", folder / name]
+
+
+def write_map(folder: Path, pixels: np.ndarray, origin: tuple[float, float] = (0.0, 0.0)) -> Path:
+    """Write a map of grey levels [H, W], 0.1 m/cell, with its corner at [2] m; return its YAML."""
+    path, _ = map_files(folder, "room.pgm", pgm(pixels))
+    x, y = origin
+    path.write_text(path.read_text().replace("[-2.0, 1.5, 0.0]", f"[{x}, {y}, 0.0]"))
+    return path

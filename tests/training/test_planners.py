@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from anchorflow_cli.main import main
 from anchorflow_cli.options import command_app
-from anchorflow_cli.training_options import with_settings
+from anchorflow_cli.training import with_settings
 from anchorflow_export import planners as adapters
 from anchorflow_models import L2Config, registry
 from anchorflow_service.bundle import load_bundle

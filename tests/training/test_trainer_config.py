@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from anchorflow_cli.main import main
-from anchorflow_cli.train import SHORT
-from anchorflow_cli.train import app as train_app
+from anchorflow_cli.training import TRAIN_SHORT, train_app
 from anchorflow_training.config import TrainerConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.planners import TRAININGS, Training
@@ -176,7 +175,7 @@ def test_every_setting_is_an_option_and_stands_in_the_docs() -> None:
         assert row, f"docs/training.md has no row `{leaf.path}`"
         default = "none" if leaf.default is None else str(leaf.default).lower()
         assert row[1].strip() == f"`{default}`", leaf.path
-    assert set(SHORT) <= {leaf.path for leaf in leaves}
+    assert set(TRAIN_SHORT) <= {leaf.path for leaf in leaves}
     section = text.partition("\n## Every setting\n")[2].partition("\n## ")[0]
     assert {*re.findall(r"^\| `([^`]+)`", section, re.MULTILINE)} == {leaf.path for leaf in leaves}
 

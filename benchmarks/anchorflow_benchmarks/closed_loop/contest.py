@@ -66,8 +66,7 @@ class Contender:
 def contenders_of(motions: Sequence[int], *, anchors: int) -> list[Contender]:
     """Return MPPI alone and with each source of anchors, for each number of motions.
 
-    Raises:
-        BenchmarkError: there are fewer motions than anchors and two more.
+    Raises `BenchmarkError` if there are fewer motions than anchors and two more.
     """
     if few := [count for count in motions if count < anchors + 2]:
         raise BenchmarkError(
@@ -131,9 +130,7 @@ def run_contest(
     of an engine is its processor time, so that other load on the machine does not slow the robot;
     that of a service is wall time.
 
-    Raises:
-        BundleError: the bundle cannot be opened.
-        BrokenProcessPool: a worker was killed.
+    Raises `BundleError` if the bundle cannot be opened; `BrokenProcessPool` if a worker was killed.
     """
     heats = [
         Heat(contender, world, seed)

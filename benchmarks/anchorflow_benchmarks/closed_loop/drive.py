@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
+from anchorflow_benchmarks.closed_loop.cost_to_go import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.lidar_mapping import Lidar, LocalMap
 from anchorflow_benchmarks.closed_loop.mppi import MppiController
 from anchorflow_benchmarks.closed_loop.path_following import timed_paths

@@ -16,8 +16,8 @@ from pytorch_mppi import MPPI
 from pytorch_mppi.mppi import SpecificActionSampler
 from torch import Tensor
 
-from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.cost_to_go import (
+    ClearanceGrid,
     CostToGo,
     NavigationCost,
     clear_paths,

@@ -125,9 +125,8 @@ class RunLog:
     def known(self) -> dict[RunKey, Result]:
         """Return the runs of the file, or start it; an incomplete last line is removed.
 
-        Raises:
-            BenchmarkError: the file holds runs of other settings or something else, or cannot be
-                read or written.
+        Raises `BenchmarkError` if the file holds runs of other settings or something else, or
+        cannot be read or written.
         """
         settings = json.dumps(dict(self.settings)) + "\n"
         try:

@@ -92,8 +92,7 @@ def read_worlds(path: Path) -> list[World]:
     Its keys: cylinders [M, 2] m, of which world k owns rows offsets[k] to offsets[k + 1]; radius m
     of a cylinder; start x, y, yaw; goal x, y; path_length [K] m; world [K], their numbers.
 
-    Raises:
-        BenchmarkError: the file cannot be read or lacks a key.
+    Raises `BenchmarkError` if the file cannot be read or lacks a key.
     """
     keys = ("cylinders", "offsets", "radius", "start", "goal", "path_length", "world")
     read = read_arrays(path, keys, what="worlds")
@@ -210,8 +209,7 @@ def world_of_scene(scene: FamilyScene, name: str) -> World:
 
     The robot starts at rest and faces the goal. Posts enclosed by others are left out.
 
-    Raises:
-        BenchmarkError: the scene has no way for the robot, or no room at an end.
+    Raises `BenchmarkError` if the scene has no way for the robot, or no room at an end.
     """
     length = way_between_posts(scene)
     if not np.isfinite(length):

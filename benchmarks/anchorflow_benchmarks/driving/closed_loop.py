@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from anchorflow_benchmarks import BenchmarkError, options
-from anchorflow_benchmarks.driving.bundles import open_drivers
+from anchorflow_benchmarks.driving.open_loop import open_drivers
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_cli.options import folder_option
 from anchorflow_driving.drivers import DRIVERS, Driver

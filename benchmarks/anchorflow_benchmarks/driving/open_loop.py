@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,10 +19,10 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from anchorflow_benchmarks import BenchmarkError, options
-from anchorflow_benchmarks.driving.bundles import open_drivers
-from anchorflow_benchmarks.planners import CARD
+from anchorflow_benchmarks.planners import CARD, bundle_names, parse_sampler
 from anchorflow_benchmarks.report import ResultTable, Row, progress, record, report, say
 from anchorflow_cli.options import folder_option
+from anchorflow_client.contract import OdeSpec
 from anchorflow_driving.bundle_driver import BundleDriver, WindowProposals
 from anchorflow_driving.drivers import (
     DENSE_TIMES,
@@ -35,6 +36,9 @@ from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog, read_logs
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
 from anchorflow_driving.window import Scenes, Window
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.engine import Engine
+from anchorflow_service.local import LocalClient
 
 Array = NDArray[np.float64]
 
@@ -88,12 +92,33 @@ class Judged:
     proposals: WindowProposals | None = None  # of a bundle
 
 
-def named_drivers(names: Sequence[str]) -> dict[str, Entry]:
-    """Return rule-based drivers by name.
+def open_drivers(
+    folders: Sequence[Path], *, num: int, samplers: Sequence[str] = (CARD,), threads: int | None
+) -> list[BundleDriver]:
+    """Return a driver for each bundle and sampler, with names that a file name may hold.
 
-    Raises:
-        BenchmarkError: a name is unknown.
+    Raises `BundleError` if a bundle is broken; `SensorError` if a planner cannot drive logs;
+    `BenchmarkError` if a bundle has no such sampler.
     """
+    bundles = [load_bundle(folder) for folder in folders]
+    drivers = []
+    for bundle, name in zip(bundles, bundle_names(bundles), strict=True):
+        safe_name = re.sub(r"[^\w.-]+", "_", name).strip("_")
+        client = LocalClient(Engine(bundle, threads=threads))
+        for text in samplers:
+            sampler = None
+            if isinstance(bundle.card.sampler, OdeSpec):
+                spec = parse_sampler(text, bundle.card)
+                sampler = {"method": spec.method, "schedule": list(spec.schedule)}
+            elif text != CARD:
+                raise BenchmarkError(f"{bundle.card.name}: expected sampler {CARD}, got {text!r}")
+            label = safe_name if text == CARD else f"{safe_name}_{text.replace(':', '_')}"
+            drivers.append(BundleDriver(client, bundle.card, num=num, name=label, sampler=sampler))
+    return drivers
+
+
+def named_drivers(names: Sequence[str]) -> dict[str, Entry]:
+    """Return rule-based drivers by name. Raises `BenchmarkError` if a name is unknown."""
     for name in names:
         if name not in ENTRIES:
             raise BenchmarkError(f"expected drivers among {', '.join(ENTRIES)}, got {name!r}")
@@ -138,8 +163,7 @@ def write_plans(judged: Mapping[str, Sequence[Judged]], folder: Path) -> list[Pa
     Keys: log [W] file name without suffix, window [W], trajectories [W, 8, 3] or [W, 45, 2]; of
     bundles also proposals [W, N, 8, 3] and, if the bundle has scores, scores [W, N].
 
-    Raises:
-        BenchmarkError: a file cannot be written.
+    Raises `BenchmarkError` if a file cannot be written.
     """
     written = []
     for name, verdicts in judged.items():

@@ -43,8 +43,7 @@ class TerminalError(AssertionError):
 class Loopback:
     """A network namespace with a loopback interface alone, until `close`.
 
-    Raises:
-        OSError: this system does not support or allow it.
+    Raises `OSError` if this system does not support or allow it.
     """
 
     def __init__(self) -> None:
@@ -171,8 +170,7 @@ class Terminal:
     def type(self, text: str) -> str:
         """Run a command, or start it if it is a server; return its output.
 
-        Raises:
-            TerminalError: it failed, or its output is an error of the contract.
+        Raises `TerminalError` if it failed, or its output is an error of the contract.
         """
         # Background processes inherit an ignored SIGINT, so it is reset.
         shell = ["env", "--default-signal=INT", "bash", "-euo", "pipefail", "-c", text]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from anchorflow_benchmarks.closed_loop.clearance_grid import ClearanceGrid
 from anchorflow_benchmarks.closed_loop.cost_to_go import (
     BLOCKED_COST,
     OFF_PATH_COST,
+    ClearanceGrid,
     CostToGo,
     NavigationCost,
     clear_paths,

@@ -152,3 +152,38 @@ def test_without_any_service_the_robot_never_moves(world: Callable[..., World]) 
     assert run.end is End.TIMEOUT
     assert run.length == 0.0
     assert run.ticks_braked == 20
+
+
+def test_what_is_due_happens_in_its_order() -> None:
+    clock, seen = SimulatedTime(), []
+    for moment in (0.3, 0.1, 0.2, 0.1):
+        clock.at(moment, lambda moment=moment: seen.append((moment, clock.now)))
+    clock.advance(0.05)
+    assert seen == []
+    clock.advance(0.2)
+    assert [moment for moment, _ in seen] == [0.1, 0.1, 0.2]
+    clock.advance(1.0)
+    assert [moment for moment, _ in seen] == [0.1, 0.1, 0.2, 0.3]
+
+
+def lost(*_: int) -> int:
+    raise ConnectionFailed("nobody listens")
+
+
+@pytest.mark.parametrize("fixed_s", [0.4, None])
+@pytest.mark.parametrize("work", [int.__add__, lost])
+def test_an_answer_takes_its_fixed_or_measured_latency(
+    work: Callable[[int, int], int], fixed_s: float | None
+) -> None:
+    clock, watch = SimulatedTime(), iter([7.0, 7.4])
+    executor = LatencyExecutor(clock, stopwatch=lambda: next(watch), fixed_s=fixed_s)
+    future = executor.submit(work, 1, 2)
+    assert executor.latencies_s == pytest.approx([0.4])
+    clock.advance(0.39)
+    assert not future.done()
+    clock.advance(0.02)
+    if work is lost:
+        with pytest.raises(ConnectionFailed, match="nobody listens"):
+            future.result(timeout=0)
+    else:
+        assert future.result(timeout=0) == 3

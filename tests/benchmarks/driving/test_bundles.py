@@ -11,11 +11,11 @@ from driven_bend import bend
 from image_planner import write_image_bundle
 
 from anchorflow_benchmarks import BenchmarkError
-from anchorflow_benchmarks.driving.bundles import open_drivers
 from anchorflow_benchmarks.driving.open_loop import (
     Entry,
     drive_tables,
     judge_drivers,
+    open_drivers,
     proposal_figures,
     write_plans,
 )

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from anchorflow_cli.distill import SHORT
-from anchorflow_cli.distill import app as distill_app
 from anchorflow_cli.main import main
+from anchorflow_cli.training import DISTILL_SHORT, distill_app
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
@@ -147,7 +146,7 @@ def test_every_setting_of_its_own_is_an_option_and_stands_in_the_docs() -> None:
         row = re.search(rf"^\| `{re.escape(leaf.path)}` \| ([^|]*) \|", text, re.MULTILINE)
         assert row, f"docs/distillation.md has no row `{leaf.path}`"
         assert row[1].strip() == f"`{_shown(leaf.default)}`", leaf.path
-    assert set(SHORT) <= {leaf.path for leaf in settings(DistillConfig)}
+    assert set(DISTILL_SHORT) <= {leaf.path for leaf in settings(DistillConfig)}
 
 
 def _shown(default: object) -> str:

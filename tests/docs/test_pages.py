@@ -1,7 +1,9 @@
-"""Every program of a page runs unchanged, and prints the page's output."""
+"""What pages say is what the code does: programs, the tree of errors, the bytes of a request."""
 
 from __future__ import annotations
 
+import json
+import re
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -10,10 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from anchorflow_client import (
+    AnchorFlowError,
+    AnchorRequest,
+    OipCodec,
+    RequestError,
+    TransportError,
+)
 from anchorflow_docs.page_blocks import programs_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 ADDRESS = "http://127.0.0.1:8000"  # in the pages
+BRANCH = re.compile(r"^[│├└─ ]*[├└]─ (\w+)", re.MULTILINE)
 ROBOT_RADIUS = 0.25  # m, the default bundle's
 
 
@@ -75,3 +85,37 @@ def test_a_program_is_what_stands_under_its_mark(tmp_path: Path) -> None:
 
     assert (first.place, first.text, first.prints) == ("page.md, line 7", "print(1)\n", "1\n")
     assert (second.text, second.prints) == ("x = 2\n", None)
+
+
+def test_every_error_hangs_on_the_tree_in_its_place() -> None:
+    kinds = (RequestError, TransportError)
+    expected = [name for kind in kinds for name in (kind, *kind.__subclasses__())]
+
+    drawn = BRANCH.findall((DOCS / "clients.md").read_text(encoding="utf-8"))
+
+    assert drawn == [kind.__name__ for kind in expected]
+    assert all(issubclass(kind, AnchorFlowError) for kind in expected)
+
+
+def test_the_shown_header_is_the_codecs() -> None:
+    payload = OipCodec().encode_request(
+        AnchorRequest.build(
+            cost_map={"data": np.zeros((1, 64, 64)), "resolution": 0.16},
+            x_curr=[-3, 0, 0, 0, 0, 0],
+            x_goal=[3, 0, 0, 0],
+            num_samples=4,
+            seed=1,
+            sampler={"method": "midpoint", "schedule": [0.0, 0.5, 1.0]},
+            budget_ms=80.0,
+            request_id="r1",
+        )
+    )
+    page = (DOCS / "wire.md").read_text(encoding="utf-8")
+    shown = re.search(r"Content-Length: (\d+)\n\n(\{.*?\})␠.*?\n(<.*>)\n```", page, re.DOTALL)
+    assert shown is not None
+    length, header, tensors = shown.groups()
+
+    assert payload.header_length == int(length)
+    assert json.loads(bytes(payload.body[: int(length)])) == json.loads(header)
+    sizes = map(int, re.findall(r"<(\d+) bytes>", tensors))
+    assert len(payload.body) == int(length) + sum(sizes)

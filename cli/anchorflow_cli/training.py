@@ -1,4 +1,4 @@
-"""Shared options of the training commands, and the run itself with its reports."""
+"""`anchorflow train`, `distill` and `average`: checkpoints from datasets and checkpoints."""
 
 from __future__ import annotations
 
@@ -6,15 +6,25 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from anchorflow_cli.options import folder_option
+from anchorflow_cli.options import command_app, file_option, folder_option
+from anchorflow_training.checkpoint import mean_checkpoint, save_checkpoint
+from anchorflow_training.dataset import open_dataset
+from anchorflow_training.distillation.distiller import Distiller
+from anchorflow_training.distillation.pairs import DistillConfig
+from anchorflow_training.distillation.teacher import load_teacher
+from anchorflow_training.planners import TRAININGS, training_of
 from anchorflow_training.run import Report, TrainingRun
-from anchorflow_training.settings import ConfigError, Setting, config_text, settings
+from anchorflow_training.settings import ConfigError, Setting, config_text, layers, settings
+from anchorflow_training.v2x.dataset import refuse_pairs
+
+train_app, distill_app, average_app = command_app(), command_app(), command_app()
 
 OutOption = Annotated[Path | None, folder_option("Folder of the run; an existing one is resumed.")]
 ConfigOption = Annotated[
@@ -32,6 +42,8 @@ SHORT = {
     "evaluation.held_out": "--held-out",
     "evaluation.patience": "--patience",
 }
+TRAIN_SHORT = {"model.variant": "--variant", **SHORT}
+DISTILL_SHORT = {"model.layers": "--layers", "teacher.noise_scale": "--noise-scale", **SHORT}
 METAVARS = {int: "INTEGER", float: "NUMBER"}
 SHOWN = (
     "loss",
@@ -101,6 +113,85 @@ def _parameter(name: str, leaf: Setting, short: Mapping[str, str]) -> inspect.Pa
     return inspect.Parameter(
         name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation
     )
+
+
+@train_app.command()
+@with_settings([training.config for training in TRAININGS.values()], TRAIN_SHORT)
+def train(
+    dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data` wrote.")],
+    *,
+    planner: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(TRAININGS), help="Which.", show_default="the file's; flowmp"),
+    ] = None,
+    out: OutOption = None,
+    config: ConfigOption = None,
+    print_config: PrintConfigOption = False,
+    bfloat16: Bfloat16Option = False,
+    **given: Any,
+) -> None:
+    """Train a planner; stop it any time and start it again with the same words."""
+    training = training_of(planner, config)
+    if training.open_data is open_dataset:
+        refuse_pairs(dataset)
+    data = training.open_data(dataset)
+    base = {"model": training.run.model_settings(data)}
+    settings = layers(training.config, base, config, given_settings(given, bfloat16=bfloat16))
+    if print_config:
+        typer.echo(config_text(settings), nl=False)
+        return
+    fit(training.run(settings, data, run_folder(out)))
+
+
+@distill_app.command()
+@with_settings([DistillConfig], DISTILL_SHORT)
+def distill(
+    checkpoint: Annotated[Path, typer.Argument(help="The teacher: checkpoint.pt of a run.")],
+    dataset: Annotated[Path, typer.Argument(help="Folder that `anchorflow data` wrote.")],
+    *,
+    out: OutOption = None,
+    pairs: Annotated[
+        Path | None, folder_option("Folder of the teacher's pairs.", show_default="OUT/pairs")
+    ] = None,
+    config: ConfigOption = None,
+    print_config: PrintConfigOption = False,
+    bfloat16: Bfloat16Option = False,
+    **given: Any,
+) -> None:
+    """Teach a student its teacher's anchors; stop it any time and start it again."""
+    teacher, data = load_teacher(checkpoint), open_dataset(dataset)
+    base = {"model": asdict(teacher.model.config)}
+    settings = layers(DistillConfig, base, config, given_settings(given, bfloat16=bfloat16))
+    if print_config:
+        typer.echo(config_text(settings), nl=False)
+        return
+    folder = run_folder(out)
+    teacher = teacher.widened(settings.teacher.noise_scale)
+    student = Distiller(settings, data, folder, teacher=teacher, pairs=pairs or folder / "pairs")
+    student.prepare(_pairs_line if student.leads else lambda *_: None)
+    fit(student)
+
+
+def _pairs_line(done: int, blocks: int) -> None:
+    typer.echo(f"pairs {done}/{blocks}")
+
+
+@average_app.command()
+def average(
+    checkpoints: Annotated[
+        list[Path], typer.Argument(help="checkpoint.pt or best.pt of runs of one network.")
+    ],
+    *,
+    out: Annotated[Path, file_option("File of the mean, a checkpoint itself.")],
+) -> None:
+    """Average the weights of checkpoints; all else in the mean is the last one's.
+
+    The mean of runs that began with the same weights is often better than each.
+    """
+    if len(checkpoints) < 2:
+        raise typer.BadParameter("expected two or more, got one", param_hint="CHECKPOINTS")
+    save_checkpoint(out, mean_checkpoint(checkpoints))
+    typer.echo(out)
 
 
 def given_settings(given: dict[str, Any], *, bfloat16: bool) -> dict[str, Any]:
