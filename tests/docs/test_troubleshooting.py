@@ -9,7 +9,8 @@ import socket
 import threading
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,6 @@ from anchorflow_client import (
     AnchorRequest,
     RequestError,
     TooLarge,
-    TransportError,
 )
 from anchorflow_client.contract import resolve_for_card
 from anchorflow_client.http.transport import HttpAnswer, SocketTransport
@@ -78,12 +78,17 @@ REFUSED: dict[str, dict[str, Any]] = {
 """Changes to a good request, by message."""
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_a_refused_request(name: str, default_engine: Engine) -> None:
-    with pytest.raises(RequestError) as caught:
-        LocalClient(default_engine).plan_request(AnchorRequest.from_fields(GOOD | REFUSED[name]))
+@dataclass(frozen=True)
+class Around:
+    """The default bundle's engine, the URL of a service of it, and an empty folder."""
 
-    check(name, caught.value)
+    engine: Engine
+    url: str
+    folder: Path
+
+
+def refused(name: str, around: Around) -> None:
+    LocalClient(around.engine).plan_request(AnchorRequest.from_fields(GOOD | REFUSED[name]))
 
 
 RANGES: dict[str, dict[str, tuple[float, float]]] = {
@@ -93,102 +98,65 @@ RANGES: dict[str, dict[str, tuple[float, float]]] = {
 """Ranges of a card that refuses 9 m/s, by message."""
 
 
-@pytest.mark.parametrize("name", RANGES)
-def test_a_limit_that_the_card_does_not_grant(name: str, default_engine: Engine) -> None:
-    card = default_engine.card
+def out_of_range(name: str, around: Around) -> None:
+    card = around.engine.card
     card = replace(card, conditioning=replace(card.cost_map, ranges=RANGES[name]))
-
-    with pytest.raises(RequestError) as caught:
-        resolve_for_card(AnchorRequest.from_fields(GOOD | {"v_max": 9.0}), card)
-
-    check(name, caught.value)
+    resolve_for_card(AnchorRequest.from_fields(GOOD | {"v_max": 9.0}), card)
 
 
-def test_a_map_for_a_planner_without_one(tmp_path: Path) -> None:
-    with (
-        LocalClient.of(write_image_bundle(tmp_path), threads=1) as client,
-        pytest.raises(RequestError) as caught,
-    ):
+def map_for_another_planner(around: Around) -> None:
+    with LocalClient.of(write_image_bundle(around.folder), threads=1) as client:
         client.plan(**GOOD)
 
-    check("map-for-another-planner", caught.value)
 
-
-def unknown_model(url: str) -> None:
-    with AnchorClient(url) as client:
+def unknown_model(around: Around) -> None:
+    with AnchorClient(around.url) as client:
         client.plan(**GOOD, model="mine")
 
 
-def budget_spent(url: str) -> None:
-    with AnchorClient(url) as client:
+def budget_spent(around: Around) -> None:
+    with AnchorClient(around.url) as client:
         client.plan(**GOOD, budget_ms=0.01)
 
 
-def body_too_large(url: str) -> None:
-    transport = SocketTransport(url, connect_timeout_s=5.0)
+def body_too_large(around: Around) -> None:
+    transport = SocketTransport(around.url, connect_timeout_s=5.0)
     status, _, answer = transport.send("POST", "/anchors", {}, b" " * 17 * 2**20, 30.0)
     transport.close()
     assert status == TooLarge.http_status
     raise RequestError.from_dict(json.loads(answer))
 
 
-OVER_HTTP: dict[str, Callable[[str], None]] = {
-    "unknown-model": unknown_model,
-    "budget-spent": budget_spent,
-    "body-too-large": body_too_large,
-}
-"""Requests to a service, by message."""
+def queue() -> PlanningQueue:
+    """Return a queue with room for one waiting job."""
+    return PlanningQueue(ServiceLimits(threads=1, max_waiting=1))
 
 
-@pytest.mark.parametrize("name", OVER_HTTP)
-def test_a_refusal_over_http(name: str, service_url: str) -> None:
-    with pytest.raises(RequestError) as caught:
-        OVER_HTTP[name](service_url)
-
-    check(name, caught.value)
-
-
-def too_many_wait(queue: PlanningQueue) -> None:
-    with queue, ExitStack() as places:
+def too_many_wait(_: Around) -> None:
+    with queue() as full, ExitStack() as places:
         while True:
-            places.enter_context(queue.place())
+            places.enter_context(full.place())
 
 
-def not_ready(queue: PlanningQueue) -> None:
-    with queue.place():
+def not_ready(_: Around) -> None:
+    with queue().place():
         raise AssertionError("a closed queue has no place")
 
 
-def superseded(_: PlanningQueue) -> None:
+def superseded(_: Around) -> None:
     older, newer = (Job(lambda _: None, Arrival()) for _ in range(2))
     latest = LatestPerRobot()
     with latest.registered("rover-7", newer), latest.registered("rover-7", older):
         raise AssertionError("the older one is refused")
 
 
-IN_THE_QUEUE: dict[str, Callable[[PlanningQueue], None]] = {
-    "too-many-wait": too_many_wait,
-    "not-ready": not_ready,
-    "superseded": superseded,
-}
-"""Calls of a queue with room for one waiting job, by message."""
-
-
-@pytest.mark.parametrize("name", IN_THE_QUEUE)
-def test_a_refusal_by_the_queue(name: str) -> None:
-    with pytest.raises(RequestError) as caught:
-        IN_THE_QUEUE[name](PlanningQueue(ServiceLimits(threads=1, max_waiting=1)))
-
-    check(name, caught.value)
-
-
-def nobody_listens() -> None:
+def nobody_listens(_: Around) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     AnchorClient(f"http://127.0.0.1:{port}").plan(**GOOD)
 
 
-def no_word() -> None:
+def no_word(_: Around) -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as listener,
         AnchorClient(f"http://127.0.0.1:{listener.getsockname()[1]}", timeout_s=0.05) as client,
@@ -196,7 +164,7 @@ def no_word() -> None:
         client.plan(**GOOD)
 
 
-def another_program() -> None:
+def another_program(_: Around) -> None:
     with HTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as other:
         threading.Thread(target=other.handle_request).start()
         with AnchorClient(f"http://127.0.0.1:{other.server_port}") as client:
@@ -213,29 +181,12 @@ class BadGateway:
         pass
 
 
-def proxy() -> None:
+def proxy(_: Around) -> None:
     AnchorClient("http://127.0.0.1:8000", transport=BadGateway()).plan(**GOOD)
 
 
-NO_ANSWER: dict[str, Callable[[], None]] = {
-    "nobody-listens": nobody_listens,
-    "no-word": no_word,
-    "another-program": another_program,
-    "proxy": proxy,
-}
-
-
-@pytest.mark.parametrize("name", NO_ANSWER)
-def test_no_answer(name: str, capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(TransportError) as caught:
-        NO_ANSWER[name]()
-
-    capfd.readouterr()  # the other program's log
-    check(name, caught.value)
-
-
-def no_token(folder: Path) -> None:
-    file = folder / "tokens"
+def no_token(around: Around) -> None:
+    file = around.folder / "tokens"
     file.write_text(token_line("robot", ("infer",), "secret"))
     guard = TokenGuard(lambda *_: pytest.fail("it was let through"), tokens=TokenFile(file))
 
@@ -247,35 +198,48 @@ def no_token(folder: Path) -> None:
     raise RequestError.from_dict(asyncio.run(ask()).json())
 
 
-def bundle_missing(folder: Path) -> None:
-    load_bundle(folder / "bundles" / "mine")
+def bundle_missing(around: Around) -> None:
+    load_bundle(around.folder / "bundles" / "mine")
 
 
-def bundle_changed(folder: Path) -> None:
-    mine = shutil.copytree(DEFAULT_BUNDLE, folder / "bundles" / "mine")
+def bundle_changed(around: Around) -> None:
+    mine = shutil.copytree(DEFAULT_BUNDLE, around.folder / "bundles" / "mine")
     with (mine / "field.onnx").open("ab") as graph:
         graph.write(b"?")
     load_bundle(mine)
 
 
-def bundle_of_another_format(folder: Path) -> None:
-    mine = shutil.copytree(DEFAULT_BUNDLE, folder / "bundles" / "mine")
+def bundle_of_another_format(around: Around) -> None:
+    mine = shutil.copytree(DEFAULT_BUNDLE, around.folder / "bundles" / "mine")
     manifest = json.loads((mine / "manifest.json").read_text())
     (mine / "manifest.json").write_text(json.dumps(manifest | {"format": 1}))
     load_bundle(mine)
 
 
-def port_taken(_: Path) -> None:
+def port_taken(_: Around) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         main(["serve", "--port", str(listener.getsockname()[1])])
 
 
-def extra_missing(_: Path) -> None:
+def extra_missing(_: Around) -> None:
     with needs_extra("service", who="anchorflow serve"):
         raise ModuleNotFoundError(name="onnxruntime")
 
 
-AT_THE_START: dict[str, Callable[[Path], None]] = {
+CASES: dict[str, Callable[[Around], None]] = {
+    **{name: partial(refused, name) for name in REFUSED},
+    **{name: partial(out_of_range, name) for name in RANGES},
+    "map-for-another-planner": map_for_another_planner,
+    "unknown-model": unknown_model,
+    "budget-spent": budget_spent,
+    "body-too-large": body_too_large,
+    "too-many-wait": too_many_wait,
+    "not-ready": not_ready,
+    "superseded": superseded,
+    "nobody-listens": nobody_listens,
+    "no-word": no_word,
+    "another-program": another_program,
+    "proxy": proxy,
     "no-token": no_token,
     "bundle-missing": bundle_missing,
     "bundle-changed": bundle_changed,
@@ -283,26 +247,25 @@ AT_THE_START: dict[str, Callable[[Path], None]] = {
     "port-taken": port_taken,
     "extra-missing": extra_missing,
 }
+"""Programs that end with a message of the page."""
 
 
-@pytest.mark.parametrize("name", AT_THE_START)
-def test_a_start_that_fails(name: str, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("capfd")  # another program's log
+@pytest.mark.parametrize("name", CASES)
+def test_the_code_says_what_the_page_says(
+    name: str, default_engine: Engine, service_url: str, tmp_path: Path
+) -> None:
     with pytest.raises((AnchorFlowError, SystemExit)) as caught:
-        AT_THE_START[name](tmp_path)
+        CASES[name](Around(default_engine, service_url, tmp_path))
 
-    check(name, str(caught.value).replace(f"{tmp_path}/", ""))
+    said = str(caught.value).replace(f"{tmp_path}/", "")
+    assert wording(said) == wording(MESSAGES[name])
 
 
 def test_every_message_of_the_page_is_checked() -> None:
-    checked = [*REFUSED, *RANGES, *OVER_HTTP, *IN_THE_QUEUE, *NO_ANSWER, *AT_THE_START]
-
-    assert sorted([*checked, "map-for-another-planner"]) == sorted(MESSAGES)
+    assert sorted(CASES) == sorted(MESSAGES)
 
 
 def test_the_wording_is_what_is_compared() -> None:
     assert wording("expected 2.5 m, got 3 m") == wording("expected 10 m, got 0.25 m")
     assert wording("expected 2 m, got 3 m") != wording("expected 2 s, got 3 m")
-
-
-def check(name: str, message: object) -> None:
-    assert wording(str(message)) == wording(MESSAGES[name])
