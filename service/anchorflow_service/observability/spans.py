@@ -1,6 +1,6 @@
 """OpenTelemetry traces, sent over OTLP (HTTP): a span per HTTP exchange and per planning call.
 
-Only `anchorflow serve --traces` imports this module.
+Only `--traces` of `anchorflow serve` imports this module.
 """
 
 from __future__ import annotations
