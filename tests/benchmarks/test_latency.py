@@ -248,4 +248,4 @@ def test_an_operation_that_hides_its_products_is_refused(graph: Callable[[str], 
         }"""
     )
     with pytest.raises(BenchmarkError, match="Einsum"):
-        count_flops(path, {"a": np.ones((2, 3)), "b": np.ones((3, 5))})
+        count_flops(path, {"a": np.ones((2, 3), np.float32), "b": np.ones((3, 5), np.float32)})
