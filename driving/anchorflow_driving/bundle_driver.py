@@ -14,7 +14,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.contract import (
@@ -25,10 +24,9 @@ from anchorflow_client.contract import (
 )
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.sensors.inputs import check_inputs, draw_inputs
 from anchorflow_driving.window import Window
-
-Array = NDArray[np.float64]
 
 ROUTE = "route"
 """Name of the input that takes the route."""

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.road import cells_inside
-
-Array = NDArray[np.float64]
 
 CELL = 0.2
 """m"""

@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import TensorSpec
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
-from anchorflow_driving.geometry import into_frame
-from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, HISTORY_FRAMES, DrivingLog, line_fields
+from anchorflow_driving.geometry import Array, into_frame
+from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, HISTORY_FRAMES, DrivingLog, window_fields
 from anchorflow_driving.route import Route
 from anchorflow_driving.sensors.inputs import check_inputs, draw_inputs
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_driving.window_choice import command
-
-Array = NDArray[np.float64]
 
 FORMAT = "anchorflow-drive"
 VERSION = 1
@@ -66,14 +64,8 @@ def windows_on_the_way(
     commands = [
         _command(log, ego, frame, route) for frame, route in zip(frames, routes, strict=True)
     ]
-    return replace(
-        log,
-        window_ego=np.full(len(frames), ego, np.int32),
-        window_frame=frames.astype(np.int32),
-        window_command=np.array(commands, np.uint8),
-        window_speed_limit=log.window_speed_limit[nearest],
-        **line_fields("route", routes),
-    )
+    limits = log.window_speed_limit[nearest]
+    return replace(log, **window_fields([ego] * len(frames), frames, commands, limits, routes))
 
 
 def drive_file(

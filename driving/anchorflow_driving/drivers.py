@@ -9,16 +9,13 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import out_of_frame, wrap_angle
+from anchorflow_driving.geometry import Array, out_of_frame, wrap_angle
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.pdm.collisions import boxes_touch
 from anchorflow_driving.pdm.pdm_closed import pdm_closed
 from anchorflow_driving.pdm.traffic import recorded_traffic, seen_traffic
 from anchorflow_driving.window import Window
-
-Array = NDArray[np.float64]
 
 PLAN_TIMES: Array = np.arange(1, 9, dtype=np.float64) * 0.5
 """s, of the 8 poses that the PDM score takes."""

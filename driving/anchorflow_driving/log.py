@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_driving.errors import UNREADABLE, LogError
 from anchorflow_driving.route import SAME_POINT, without_repeats
@@ -325,13 +325,24 @@ def line_fields(
     return {f"{name}_points": points.astype(np.float32), f"{name}_offsets": offsets}
 
 
-NO_WINDOWS: dict[str, Any] = {
-    "window_ego": np.zeros(0, np.int32),
-    "window_frame": np.zeros(0, np.int32),
-    "window_command": np.zeros(0, np.uint8),
-    "window_speed_limit": np.zeros(0, np.float32),
-    **line_fields("route", []),
-}
+def window_fields(
+    egos: ArrayLike,
+    frames: ArrayLike,
+    commands: ArrayLike,
+    limits: ArrayLike,
+    routes: Sequence[NDArray[np.float64]],
+) -> dict[str, Any]:
+    """Return a log's fields of W windows."""
+    return {
+        "window_ego": np.array(egos, np.int32),
+        "window_frame": np.array(frames, np.int32),
+        "window_command": np.array(commands, np.uint8),
+        "window_speed_limit": np.array(limits, np.float32),
+        **line_fields("route", routes),
+    }
+
+
+NO_WINDOWS = window_fields([], [], [], [], [])
 
 
 def map_fields(
@@ -354,7 +365,7 @@ def map_fields(
 
 
 def track_fields(
-    kinds: Sequence[int], sizes: Sequence[tuple[float, float]], states: NDArray[np.float64]
+    kinds: ArrayLike, sizes: ArrayLike, states: NDArray[np.floating]
 ) -> dict[str, Any]:
     """Return a log's fields of tracks, with states [K, F, 5]."""
     return {

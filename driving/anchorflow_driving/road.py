@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import points_in_polygon
+from anchorflow_driving.geometry import Array, points_in_polygon
 from anchorflow_driving.log import DrivingLog, Polylines
-
-Array = NDArray[np.float64]
 
 CELL = 0.1
 """m, of the grid of the drivable area."""

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import KDTree
 
-from anchorflow_driving.geometry import arc_lengths, at_places, out_of_frame
-
-Array = NDArray[np.float64]
+from anchorflow_driving.geometry import Array, arc_lengths, at_places, out_of_frame
 
 ROUTE_SPACING = 0.5
 """m between the points that a route is resampled to."""

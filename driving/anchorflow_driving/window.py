@@ -13,12 +13,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import ahead_of, into_frame, states_into_frame, wrap_angle
+from anchorflow_driving.geometry import Array, ahead_of, into_frame, states_into_frame, wrap_angle
 from anchorflow_driving.log import COMMANDS, FRAME_S, HISTORY_FRAMES, DrivingLog, Polylines
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
-
-Array = NDArray[np.float64]
 
 REAR_AXLE = 0.2823
 """Behind the middle of the box, in lengths: the proportions of the car that NAVSIM scores with."""

@@ -7,11 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.geometry import arc_lengths, at_places, box_corners, boxes_overlap
+from anchorflow_driving.geometry import (
+    Array,
+    Booleans,
+    arc_lengths,
+    at_places,
+    box_corners,
+    boxes_overlap,
+)
 from anchorflow_driving.log import (
     COMMANDS,
     FRAME_S,
@@ -19,16 +25,13 @@ from anchorflow_driving.log import (
     HISTORY_FRAMES,
     VEHICLE,
     DrivingLog,
-    line_fields,
+    window_fields,
 )
 from anchorflow_driving.pdm.score import tracked
 from anchorflow_driving.pdm.sub_scores import rate
 from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.road import DrivableGrid
 from anchorflow_driving.window import Scenes, Window
-
-Array = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
 
 EGO_LENGTH = (3.4, 7.0)  # m
 MOVING = 5.0  # m in the recorded future
@@ -228,14 +231,8 @@ def _with_windows(log: DrivingLog, candidates: Sequence[_Candidate]) -> DrivingL
     frames = [candidate.frame for candidate in candidates]
     commands = [_command(candidate) for candidate in candidates]
     limits = [candidate.driven.speed_limit[candidate.frame] for candidate in candidates]
-    return replace(
-        log,
-        window_ego=np.array(tracks, np.int32),
-        window_frame=np.array(frames, np.int32),
-        window_command=np.array(commands, np.uint8),
-        window_speed_limit=np.array(limits, np.float32),
-        **line_fields("route", [_route(candidate.driven) for candidate in candidates]),
-    )
+    routes = [_route(candidate.driven) for candidate in candidates]
+    return replace(log, **window_fields(tracks, frames, commands, limits, routes))
 
 
 def _command(candidate: _Candidate) -> int:

@@ -10,8 +10,9 @@ from typing import Any, Generic, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import BoolArray
+
 Field = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
 Key = tuple[bytes, tuple[int, ...], float]
 
 

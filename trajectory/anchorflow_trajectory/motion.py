@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
-
-FloatArray = NDArray[np.floating]
 
 TURN = 4.0 / 3.0  # m in which a robot without an acceleration limit reaches its speed smoothly
 LEAST_RAMP = 0.12  # share of a duration; a spline cannot follow a steeper one

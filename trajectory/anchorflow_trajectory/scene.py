@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.cost import clearance
 from anchorflow_trajectory.cost.fields import TRAVERSABILITY, CostFields
@@ -19,8 +20,6 @@ from anchorflow_trajectory.routes.search import SLACK, Route, find_routes
 from anchorflow_trajectory.routes.shortening import CHORD_SLACK, pulled_tight
 from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
 from anchorflow_trajectory.spline.basis import DEGREE, Ends, SplineBasis, Splines, spline_basis
-
-FloatArray = NDArray[np.floating]
 
 ROUTE_STATES = "route_states"
 SCENE_INPUTS = (

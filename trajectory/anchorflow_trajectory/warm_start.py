@@ -7,10 +7,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.routes.splines import LEAST_WAY
 from anchorflow_trajectory.scene import Scene
-
-FloatArray = NDArray[np.floating]
 
 SLOWEST = 10.0  # times the least time of its path; a flow has seen no slower plans
 

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.cooperative.layout import CooperativeFrame
-from anchorflow_driving.cooperative.painter import Block, Camera, hidden, paint
-from anchorflow_driving.geometry import out_of_frame
+from anchorflow_driving.cooperative.painter import Block, frames, hidden, paint
+from anchorflow_driving.geometry import Array, out_of_frame
+from anchorflow_driving.sensors.pinhole import PinholeCamera
 from anchorflow_driving.window import Vehicle
-
-Array = NDArray[np.float64]
 
 STEP_S = 0.1
 FRAMES = 66
@@ -72,18 +71,18 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
     house_colour = HOUSE_COLOURS[rng.integers(0, len(HOUSE_COLOURS))]
     house = _house(setting, rng)
     ego = _ego_path(setting)
-    frames, occluded, shown = [], [], []
+    drive, occluded, shown = [], [], []
     pole = roadside_camera(size)
     for number in range(FRAMES):
         time = number * STEP_S
         others, colours = _others(setting, time, looks)
         houses = [Block(house, 8.0, house_colour)] if setting.house else []
-        car = Camera((ego[number] + 1.5, -LANE / 2, 1.5), 0.0, 0.0, 0.57 * size[0], *size)
+        car = _camera((ego[number] + 1.5, -LANE / 2, 1.5), 0.0, 0.0, 0.57, size)
         unseen = setting.crosses and hidden(car, others[0, :2], houses)
         occluded.append(unseen)
         shown.append(
             setting.crosses
-            and pole.frames(np.array([*others[0, :2], 1.0]))
+            and frames(pole, np.array([*others[0, :2], 1.0]))
             and not hidden(pole, others[0, :2], houses)
         )
         vehicle = infrastructure = None
@@ -96,14 +95,22 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
         pose = out_of_frame(np.array([axle, -LANE / 2, 0.0]), world)
         placed = out_of_frame(others[:, :3], world)
         boxes = np.concatenate([placed, others[:, 3:]], 1)
-        frames.append(CooperativeFrame(time, pose, vehicle, infrastructure, boxes))
+        drive.append(CooperativeFrame(time, pose, vehicle, infrastructure, boxes))
     conflict = setting.crosses and _conflicts(setting)
-    return Crossing(frames, np.array(occluded), np.array(shown), conflict)
+    return Crossing(drive, np.array(occluded), np.array(shown), conflict)
 
 
-def roadside_camera(size: tuple[int, int]) -> Camera:
+def roadside_camera(size: tuple[int, int]) -> PinholeCamera:
     """Return the roadside camera, in the junction's frame; size: width, height of its picture."""
-    return Camera(POLE, np.pi, 0.25, 0.55 * size[0], *size)
+    return _camera(POLE, np.pi, -0.25, 0.55, size)
+
+
+def _camera(
+    place: tuple[float, float, float], yaw: float, pitch: float, focal: float, size: tuple[int, int]
+) -> PinholeCamera:
+    """focal: in widths of the picture"""
+    width, height = size
+    return PinholeCamera(place, yaw, pitch, focal * width, rows=height, columns=width)
 
 
 def draw_crossings(scenes: int, *, seed: int = 0) -> Iterator[tuple[str, list[CooperativeFrame]]]:

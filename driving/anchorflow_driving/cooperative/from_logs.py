@@ -12,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.cooperative.layout import GROUP, CooperativeFrame
-from anchorflow_driving.geometry import ahead_of
+from anchorflow_driving.geometry import Array, ahead_of
 from anchorflow_driving.log import FRAME_S, STATIC, DrivingLog
 from anchorflow_driving.sensors.cameras import camera_images, simulated_roadside
 from anchorflow_driving.sensors.rendering import Renderer
 from anchorflow_driving.window import Scenes, Vehicle, Window
-
-Array = NDArray[np.float64]
 
 OTHERS_WITHIN = 80.0
 """m from the ego within which boxes are labelled."""

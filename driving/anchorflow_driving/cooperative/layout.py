@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from anchorflow_driving.cooperative.painter import block_corners
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.geometry import box_corners
+from anchorflow_driving.geometry import Array
 
-Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
 
 GROUP = ":"
@@ -90,12 +90,6 @@ def write_recording(
     return len(pairs)
 
 
-def corner_points(box: Array) -> Array:
-    """[8,3]: what a label says of a box [5] on the ground, its lower four corners first."""
-    footprint = box_corners(box[:3], box[3:])
-    return np.concatenate([np.c_[footprint, np.full(4, z)] for z in (0.0, HEIGHT)])
-
-
 def _vehicle_frame(
     folder: Path, stem: str, stamp: str, name: str, frame: CooperativeFrame
 ) -> dict[str, Any]:
@@ -116,7 +110,7 @@ def _vehicle_frame(
 
 
 def _boxes(boxes: Array) -> list[dict[str, Any]]:
-    return [{"type": "car", "world_8_points": corner_points(box).tolist()} for box in boxes]
+    return [{"type": "car", "world_8_points": block_corners(box, HEIGHT).tolist()} for box in boxes]
 
 
 def _write_picture(path: Path, pixels: Pixels) -> None:

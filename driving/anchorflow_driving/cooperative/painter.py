@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from anchorflow_driving.geometry import box_corners
+from anchorflow_driving.geometry import Array, box_corners
+from anchorflow_driving.sensors.pinhole import PinholeCamera
 
-Array = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 NEAR = 0.3
@@ -28,44 +28,6 @@ FACES = (
 
 
 @dataclass(frozen=True)
-class Camera:
-    """position: [3] m; heading: rad, of where it looks; down: rad below the horizon
-
-    focal: pixels; width, height: of the picture
-    """
-
-    position: tuple[float, float, float]
-    heading: float
-    down: float
-    focal: float
-    width: int
-    height: int
-
-    def seen(self, points: Array) -> Array:
-        """World points [n,3] in the camera's axes: right, below, ahead."""
-        cos, sin = np.cos(self.heading), np.sin(self.heading)
-        dip, rise = np.cos(self.down), np.sin(self.down)
-        ahead = np.array([cos * dip, sin * dip, -rise])
-        right = np.array([sin, -cos, 0.0])
-        below = np.cross(ahead, right)
-        return (points - np.array(self.position)) @ np.stack([right, below, ahead]).T
-
-    def project(self, seen: Array) -> list[tuple[float, float]]:
-        """Pixels of points before the camera."""
-        x, y, z = seen.T
-        across = self.width / 2 + self.focal * x / z
-        return list(zip(across, self.height / 2 + self.focal * y / z, strict=True))
-
-    def frames(self, point: Array) -> bool:
-        """Whether a world point [3] lies within the picture, hidden or not."""
-        seen = self.seen(point[None])
-        if seen[0, 2] < NEAR:
-            return False
-        ((x, y),) = self.project(seen)
-        return bool(0 <= x < self.width and 0 <= y < self.height)
-
-
-@dataclass(frozen=True)
 class Block:
     """A box [5] x, y, heading, length, width that reaches up to a height, m."""
 
@@ -73,28 +35,28 @@ class Block:
     height: float
     colour: Colour
 
-    @property
-    def corners(self) -> Array:
-        """[8,3]"""
-        footprint = box_corners(self.box[:3], self.box[3:])
-        return np.concatenate([np.c_[footprint, np.full(4, z)] for z in (0.0, self.height)])
+
+def block_corners(box: Array, height: float) -> Array:
+    """[8,3] of a box [5] on the ground, its lower four first."""
+    footprint = box_corners(box[:3], box[3:])
+    return np.concatenate([np.c_[footprint, np.full(4, z)] for z in (0.0, height)])
 
 
 def paint(
-    camera: Camera, ground: Sequence[tuple[Array, Colour]], blocks: Sequence[Block]
+    camera: PinholeCamera, ground: Sequence[tuple[Array, Colour]], blocks: Sequence[Block]
 ) -> NDArray[np.uint8]:
     """[3,H,W]: areas [n,2] of the ground in their order, and blocks from afar to near."""
-    image = Image.new("RGB", (camera.width, camera.height), SKY)
+    image = Image.new("RGB", (camera.columns, camera.rows), SKY)
     draw = ImageDraw.Draw(image)
-    horizon = camera.height / 2 - camera.focal * np.tan(camera.down)
-    draw.rectangle((0, horizon, camera.width, camera.height), fill=GRASS)
+    horizon = camera.rows / 2 + camera.focal * np.tan(camera.pitch)
+    draw.rectangle((0, horizon, camera.columns, camera.rows), fill=GRASS)
     for area, colour in ground:
         _fill(draw, camera, np.c_[area, np.zeros(len(area))], colour)
-    position = np.array(camera.position)
+    position = np.array(camera.place)
     away = [float(np.linalg.norm(block.box[:2] - position[:2])) for block in blocks]
     for number in np.argsort(away)[::-1]:
         block = blocks[number]
-        corners = block.corners
+        corners = block_corners(block.box, block.height)
         middles = [corners[list(face)].mean(0) for face, _ in FACES]
         order = np.argsort([-np.linalg.norm(middle - position) for middle in middles])
         for side in order:
@@ -104,9 +66,18 @@ def paint(
     return np.ascontiguousarray(np.asarray(image).transpose(2, 0, 1))
 
 
-def hidden(camera: Camera, point: Array, blocks: Sequence[Block]) -> bool:
+def frames(camera: PinholeCamera, point: Array) -> bool:
+    """Whether a world point [3] lies within the picture, hidden or not."""
+    seen = camera.seen(point[None])
+    if seen[0, 2] < NEAR:
+        return False
+    ((x, y),) = camera.project(seen)
+    return bool(0 <= x < camera.columns and 0 <= y < camera.rows)
+
+
+def hidden(camera: PinholeCamera, point: Array, blocks: Sequence[Block]) -> bool:
     """Whether a block stands between the camera and a point [2], seen from above."""
-    eye = np.array(camera.position[:2])
+    eye = np.array(camera.place[:2])
     share = np.linspace(0.0, 1.0, 200)[:, None]
     line = eye + share * (point - eye)
     for block in blocks:
@@ -119,7 +90,7 @@ def hidden(camera: Camera, point: Array, blocks: Sequence[Block]) -> bool:
     return False
 
 
-def _fill(draw: ImageDraw.ImageDraw, camera: Camera, points: Array, colour: Colour) -> None:
+def _fill(draw: ImageDraw.ImageDraw, camera: PinholeCamera, points: Array, colour: Colour) -> None:
     """A flat polygon [n,3], cut off where it comes too near."""
     seen = camera.seen(points)
     kept: list[Array] = []
@@ -130,4 +101,4 @@ def _fill(draw: ImageDraw.ImageDraw, camera: Camera, points: Array, colour: Colo
             share = (NEAR - here[2]) / (after[2] - here[2])
             kept.append(here + share * (after - here))
     if len(kept) >= 3:
-        draw.polygon(camera.project(np.stack(kept)), fill=colour)
+        draw.polygon([*map(tuple, camera.project(np.stack(kept)))], fill=colour)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.contours import union_rings
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.geometry import arc_lengths, at_places
+from anchorflow_driving.geometry import Array, arc_lengths, at_places
 from anchorflow_driving.importers.fields import Entry
 from anchorflow_driving.importers.recording import (
     Lane,
@@ -22,8 +22,6 @@ from anchorflow_driving.importers.recording import (
     recorded_log,
 )
 from anchorflow_driving.log import CYCLIST, FRAME_S, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
-
-Array = NDArray[np.float64]
 
 EGO = "AV"
 """Track of the recording vehicle."""

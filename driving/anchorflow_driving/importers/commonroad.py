@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_driving.contours import union_rings
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.importers.fields import Element, as_number
 from anchorflow_driving.importers.recording import Lane, RoadMap, Track, recorded_log
 from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
-
-Array = NDArray[np.float64]
 
 VERSION = "2020a"
 KINDS = {

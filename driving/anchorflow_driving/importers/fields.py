@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -120,6 +120,20 @@ class Entry(Located):
         if not isinstance(self.value, Mapping):
             raise self.refuse("a mapping", _kind(self.value))
         return self.value
+
+
+def chosen_scene(root: Entry, names: Sequence[str], name: str | None, *, within: str) -> str:
+    """Return the scene of that name, or the only one.
+
+    Raises:
+        LogError: there is no such scene, or none was named and there are several.
+    """
+    if name is None and len(names) == 1:
+        return names[0]
+    if name is None or name not in names:
+        told = ", ".join([*names[:20], *(["…"] if len(names) > 20 else [])])
+        raise root.refuse(f"one of {told}", name or "no name (--scene)", within=within)
+    return name
 
 
 def by_token(entries: Entry) -> dict[str, Entry]:

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_driving.errors import LogError
+from anchorflow_driving.geometry import Array
 
-Array = NDArray[np.float64]
 Rings = list[Array]
 """A line, or a polygon's exterior and its holes; each [V, 2]."""
 

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anchorflow_driving.geometry import arc_lengths, at_places, wrap_angle
+from anchorflow_driving.geometry import Array, arc_lengths, at_places, wrap_angle
 from anchorflow_driving.log import VEHICLE, DrivingLog
 from anchorflow_driving.route import ROUTE_SIGMA, blended, places_on, smooth_line
 from anchorflow_driving.window_choice import Driven
-
-Array = NDArray[np.float64]
 
 SAMPLE = 0.5
 """m between the points of a lane that are looked at."""

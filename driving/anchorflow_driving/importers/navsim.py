@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_driving.contours import keyholed, union_rings
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.geometry import ahead_of, out_of_frame
-from anchorflow_driving.importers.fields import Entry
+from anchorflow_driving.geometry import Array, ahead_of, out_of_frame
+from anchorflow_driving.importers.fields import Entry, chosen_scene
 from anchorflow_driving.importers.geopackage import Feature, key_value, layers, read_features
 from anchorflow_driving.importers.plain_pickle import load_plain_pickle
 from anchorflow_driving.importers.recording import (
@@ -28,8 +27,6 @@ from anchorflow_driving.importers.recording import (
     yaw,
 )
 from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
-
-Array = NDArray[np.float64]
 
 EGO_SIZE = (5.176, 2.297)
 """Length and width of nuPlan's recording Chrysler Pacifica, m."""
@@ -104,11 +101,7 @@ def _frames(root: Entry, scene: str | None) -> list[Entry]:
     scenes: dict[str, list[Entry]] = {}
     for frame in root:
         scenes.setdefault(frame["scene_token"].text, []).append(frame)
-    if scene is None and len(scenes) == 1:
-        (scene,) = scenes
-    if scene is None or scene not in scenes:
-        told = ", ".join([*list(scenes)[:20], *(["…"] if len(scenes) > 20 else [])])
-        raise root.refuse(f"one of {told}", scene or "no name (--scene)", within="scene_token")
+    scene = chosen_scene(root, [*scenes], scene, within="scene_token")
     if len(scenes[scene]) < 2:
         raise root.refuse("two frames or more", len(scenes[scene]), within="scene_token")
     return scenes[scene]

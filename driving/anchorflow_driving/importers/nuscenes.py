@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.geometry import ahead_of
-from anchorflow_driving.importers.fields import Entry, by_token
+from anchorflow_driving.geometry import Array, ahead_of
+from anchorflow_driving.importers.fields import Entry, by_token, chosen_scene
 from anchorflow_driving.importers.nuscenes_map import read_map
 from anchorflow_driving.importers.recording import (
     Track,
@@ -29,8 +27,6 @@ from anchorflow_driving.log import (
     VEHICLE,
     DrivingLog,
 )
-
-Array = NDArray[np.float64]
 
 EGO_SIZE = (4.084, 1.730)
 """Length and width of the recording Renault Zoe, m."""
@@ -61,7 +57,8 @@ def import_nuscenes(path: Path, *, scene: str | None = None) -> tuple[DrivingLog
         LogError: names the file, the field, what was expected and what was found.
     """
     tables = _Tables(_tables_folder(path))
-    chosen = chosen_scene(list(tables.rows("scene")), scene, tables.path("scene"))
+    scenes = {row["name"].text: row for row in tables.rows("scene")}
+    chosen = scenes[chosen_scene(tables.rows("scene"), [*scenes], scene, within="scene")]
     samples = {
         row["token"].text: row["timestamp"].number
         for row in tables.rows("sample")
@@ -87,21 +84,6 @@ def import_nuscenes(path: Path, *, scene: str | None = None) -> tuple[DrivingLog
         origin=ego.poses[0, :2],
     )
     return log, counts + windows
-
-
-def chosen_scene(scenes: Sequence[Entry], name: str | None, path: Path) -> Entry:
-    """The one of a name, or the only one.
-
-    Raises:
-        LogError: there is no such scene, or none was named and there are several.
-    """
-    names = [scene["name"].text for scene in scenes]
-    if name is None and len(names) == 1:
-        return scenes[0]
-    if name not in names:
-        told = f"one of {', '.join(names[:20])}" + (", …" if len(names) > 20 else "")
-        raise LogError(path, "scene", expected=told, found=name or "no name (--scene)")
-    return scenes[names.index(name)]
 
 
 class _Tables:

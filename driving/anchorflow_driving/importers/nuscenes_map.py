@@ -7,13 +7,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_driving.contours import keyholed, union_rings
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.importers.fields import Entry, by_token
 from anchorflow_driving.importers.recording import Lane, RoadMap, is_near
-
-Array = NDArray[np.float64]
 
 STEP = 1.0
 """m between the points of a centreline."""

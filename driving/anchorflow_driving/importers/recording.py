@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import at_places
+from anchorflow_driving.geometry import Array, at_places
 from anchorflow_driving.importers.lane_following import LaneFollowing
 from anchorflow_driving.log import (
     FRAME_S,
@@ -22,8 +22,6 @@ from anchorflow_driving.log import (
     track_fields,
 )
 from anchorflow_driving.window_choice import all_windows
-
-Array = NDArray[np.float64]
 
 CLOSED_GAP = 1.0
 """s between two states, up to which a track is interpolated."""

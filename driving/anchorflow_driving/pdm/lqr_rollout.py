@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import wrap_angle
+from anchorflow_driving.geometry import Array, wrap_angle
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.window import EgoState
-
-Array = NDArray[np.float64]
 
 STEPS = 40
 """Steps of FRAME_S in a rollout: 4 s."""

@@ -9,15 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import box_corners, into_frame, out_of_frame
+from anchorflow_driving.geometry import Array, box_corners, into_frame, out_of_frame
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.pdm.lqr_rollout import STEPS, Motion, track
 from anchorflow_driving.pdm.sub_scores import rate
 from anchorflow_driving.pdm.traffic import Traffic
-
-Array = NDArray[np.float64]
 
 OFFSETS = (0.0, -1.0, 1.0)  # m to the left
 SPEED_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the speed limit

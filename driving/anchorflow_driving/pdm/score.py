@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import out_of_frame
+from anchorflow_driving.geometry import Array, out_of_frame
 from anchorflow_driving.pdm.lqr_rollout import Motion, interpolate, track
 from anchorflow_driving.pdm.pdm_closed import PdmClosed, pdm_closed
 from anchorflow_driving.pdm.sub_scores import SUB_SCORES, PdmScores, metres_against, rate
 from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.window import EgoState, Vehicle, Window
-
-Array = NDArray[np.float64]
 
 __all__ = ["SUB_SCORES", "PdmScorer", "PdmScores"]
 

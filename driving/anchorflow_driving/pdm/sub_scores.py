@@ -6,15 +6,13 @@ from dataclasses import dataclass, fields
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.pdm.collisions import Placement, no_collision, time_to_collision
 from anchorflow_driving.pdm.lqr_rollout import STEPS, Motion
 from anchorflow_driving.pdm.traffic import Traffic
-
-Array = NDArray[np.float64]
 
 FREE_PROGRESS = 5.0
 """m; progress counts only if some motion exceeds it."""

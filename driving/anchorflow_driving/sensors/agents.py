@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import wrap_angle
+from anchorflow_driving.geometry import Array, wrap_angle
 from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE
 from anchorflow_driving.window import PlannerView
 
@@ -18,7 +18,6 @@ RANGE_M = 32.0
 FAR_OTHERS = 48
 FAR_AHEAD_M, FAR_ASIDE_M = (26.0, 78.0), 26.0
 """Between which x, and up to which y, the middles of those lie that are far ahead."""
-Array = NDArray[np.float64]
 
 HEIGHT = {VEHICLE: 1.55, PEDESTRIAN: 1.72, CYCLIST: 1.65, STATIC: 0.9}
 """m"""

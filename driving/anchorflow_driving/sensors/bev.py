@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from anchorflow_driving.geometry import box_corners, into_frame, out_of_frame
+from anchorflow_driving.geometry import Array, box_corners, into_frame, out_of_frame
 from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, Polylines
 from anchorflow_driving.window import PlannerView
 
-Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
 FULL = 255

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from anchorflow_client.sensors import stitch_cameras
 from anchorflow_driving.geometry import out_of_frame
-from anchorflow_driving.sensors.rendering import PinholeCamera, Renderer
+from anchorflow_driving.sensors.pinhole import PinholeCamera
+from anchorflow_driving.sensors.rendering import Renderer
 from anchorflow_driving.window import PlannerView
 
 Bytes = NDArray[np.uint8]

@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.errors import SensorError
-from anchorflow_driving.geometry import arc_lengths, points_in_polygon
+from anchorflow_driving.geometry import Array, arc_lengths, points_in_polygon
 from anchorflow_driving.window import PlannerView
-
-Array = NDArray[np.float64]
 
 CELL = 0.125
 """m a pixel."""

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.sensors import LIDAR_BEFORE_S, lidar_histogram
-from anchorflow_driving.geometry import ahead_of, into_frame, states_into_frame
+from anchorflow_driving.geometry import Array, ahead_of, into_frame, states_into_frame
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.sensors.agents import solids
 from anchorflow_driving.window import PlannerView
-
-Array = NDArray[np.float64]
 
 BEAMS = 32
 LOWEST, HIGHEST = -25.0, 10.0  # degrees, of the beams' elevations, which lie evenly

@@ -6,7 +6,6 @@ houses, trees or weather, so simulated pictures are no photographs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -15,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.errors import AnchorFlowError
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.log import VEHICLE
 from anchorflow_driving.road import Road
 from anchorflow_driving.sensors.agents import Solids, solids
 from anchorflow_driving.sensors.ground import GroundPicture, paint_ground
+from anchorflow_driving.sensors.pinhole import PinholeCamera
 from anchorflow_driving.window import PlannerView
-
-Array = NDArray[np.float64]
 
 REACH = 150.0
 """m from the ego, up to which the others are drawn."""
@@ -107,42 +106,6 @@ class RenderingUnavailable(AnchorFlowError):
     """No OpenGL context could be made here."""
 
 
-@dataclass(frozen=True)
-class PinholeCamera:
-    """A camera's position and direction in the ego's frame, and its picture.
-
-    place: x, y, z above the ground, m
-    yaw, pitch: rad; to the left, and up
-    focal: in pixels
-    """
-
-    place: tuple[float, float, float]
-    yaw: float
-    pitch: float
-    focal: float
-    rows: int
-    columns: int
-
-    def matrix(self) -> Array:
-        """[4, 4] from the ego's frame to clip space."""
-        cy, sy, cp, sp = np.cos(self.yaw), np.sin(self.yaw), np.cos(self.pitch), np.sin(self.pitch)
-        forward = np.array([cp * cy, cp * sy, sp])
-        right = np.array([sy, -cy, 0.0])
-        look = np.eye(4)
-        look[:3, :3] = np.stack([right, np.cross(right, forward), -forward])
-        look[:3, 3] = -look[:3, :3] @ np.array(self.place)
-        depth = (FAR + NEAR) / (NEAR - FAR), 2 * FAR * NEAR / (NEAR - FAR)
-        lens = np.array(
-            [
-                [2 * self.focal / self.columns, 0, 0, 0],
-                [0, 2 * self.focal / self.rows, 0, 0],
-                [0, 0, *depth],
-                [0, 0, -1, 0],
-            ]
-        )
-        return lens @ look
-
-
 class Renderer:
     """Draws windows; keeps the ground of each road that it has drawn, as long as the road is there.
 
@@ -178,7 +141,7 @@ class Renderer:
             target = self._target(camera.rows, camera.columns)
             target.use()
             target.clear(*SKY, 1.0, depth=1.0)
-            matrix = _floats(camera.matrix().T)
+            matrix = _floats(camera.matrix(NEAR, FAR).T)
             self._draw_ground(view, matrix)
             self._draw_boxes(solids(view, reach=REACH, with_ego=with_ego), matrix)
             pixels = np.frombuffer(target.read(components=3, alignment=1), np.uint8)

@@ -10,10 +10,10 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
 from anchorflow_driving.errors import SimulationError
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.log import (
     FRAME_S,
     FUTURE_FRAMES,
@@ -21,6 +21,7 @@ from anchorflow_driving.log import (
     SIMULATED,
     VEHICLE,
     DrivingLog,
+    track_fields,
 )
 from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
 from anchorflow_driving.pdm.lqr_rollout import Motion
@@ -52,8 +53,6 @@ from anchorflow_driving.window import (
     planner_view,
 )
 from anchorflow_driving.window_choice import command, fits_ego
-
-Array = NDArray[np.float64]
 
 ATTEMPTS = 10
 """Draws until a vehicle is found that can drive so far."""
@@ -101,13 +100,8 @@ class LiveWindow(Window):
 
     def __init__(self, view: PlannerView, scenes: Scenes) -> None:
         self.view, self.state, self.vehicle = view, view.state, view.vehicle
-        self.log, self.road, self.index, self.ego, self.frame = (
-            scenes.log,
-            scenes.road,
-            0,
-            view.ego,
-            0,
-        )
+        self.log, self.road, self.ego = scenes.log, scenes.road, view.ego
+        self.index = self.frame = 0
         self.command, self.speed_limit = view.command, view.speed_limit
 
     def recorded(self, times: Array) -> Array:
@@ -320,9 +314,7 @@ def _bare_log(fields: dict) -> DrivingLog:
         licence="none",
         city="",
         dt=FRAME_S,
-        track_type=np.zeros(1, np.uint8),
-        track_size=np.ones((1, 2), np.float32),
-        track_state=np.full((1, 1, 5), np.nan, np.float32),
+        **track_fields([VEHICLE], [(1.0, 1.0)], np.full((1, 1, 5), np.nan)),
         **fields,
         **NO_WINDOWS,
     )

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.log import (
     DRIVEN,
     FRAME_S,
     FUTURE_FRAMES,
     HISTORY_FRAMES,
     DrivingLog,
-    line_fields,
+    track_fields,
+    window_fields,
 )
 from anchorflow_driving.pdm.lqr_rollout import STEPS, Motion
 from anchorflow_driving.pdm.sub_scores import comfort
@@ -22,8 +24,6 @@ from anchorflow_driving.window import EgoState
 
 if TYPE_CHECKING:
     from anchorflow_driving.simulation.sumo_traffic import LiveTraffic
-
-Array = NDArray[np.float64]
 
 STRIDE, STANDING_STRIDE = 10, 40
 """Frames between two windows at least, and where the ego stands."""
@@ -69,14 +69,8 @@ class DrivenLog:
             licence="none",
             city="right-hand traffic",
             dt=FRAME_S,
-            window_ego=np.full(len(kept), ego, np.int32),
-            window_frame=np.array(frame, np.int32),
-            window_command=np.array(command, np.uint8),
-            window_speed_limit=np.array(limit, np.float32),
-            **line_fields("route", list(route)),
-            track_type=seen.kind,
-            track_size=seen.size.astype(np.float32),
-            track_state=states,
+            **window_fields([ego] * len(kept), frame, command, limit, route),
+            **track_fields(seen.kind, seen.size, states),
             **self._map_fields,
         )
 

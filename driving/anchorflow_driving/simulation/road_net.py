@@ -9,12 +9,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_driving.contours import union_rings
-from anchorflow_driving.geometry import arc_lengths, at_places
-
-Array = NDArray[np.float64]
+from anchorflow_driving.geometry import Array, arc_lengths, at_places
 
 DEFAULT_WIDTH = 3.2
 """m, of lanes of which SUMO says nothing."""

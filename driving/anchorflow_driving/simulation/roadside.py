@@ -8,14 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import arc_lengths, at_places, box_corners
+from anchorflow_driving.geometry import Array, arc_lengths, at_places, box_corners
 from anchorflow_driving.log import PEDESTRIAN, STATIC, VEHICLE
 from anchorflow_driving.road import DrivableGrid
 from anchorflow_driving.simulation.road_net import NetLane, RoadNet
-
-Array = NDArray[np.float64]
 
 SPARSE, DENSE = 90.0, 18.0  # m of kerb for one thing beyond it, at the least and at the most
 END = 10.0  # m of a street before and after its junctions that stay free

@@ -6,13 +6,11 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.route import ROUTE_SIGMA, blended, places_on, smooth_line
 from anchorflow_driving.simulation.road_net import NetLane, RoadNet
 from anchorflow_driving.simulation.sumo_traffic import VehicleRecord
-
-Array = NDArray[np.float64]
 
 CHANGING_SPACING = 2.0
 """m between points where a line changes lanes."""

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_driving.errors import SimulationError
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.log import (
     FRAME_S,
     FUTURE_FRAMES,
@@ -33,8 +33,6 @@ from anchorflow_driving.simulation.street_plan import ARTERIAL, QUARTER, make_ne
 from anchorflow_driving.simulation.sumo_traffic import Recording, VehicleRecord, as_array, record
 from anchorflow_driving.simulation.vehicle_motion import deviating, person_states, vehicle_states
 from anchorflow_driving.window_choice import Driven, choose_windows
-
-Array = NDArray[np.float64]
 
 ATTEMPTS = 5
 """Draws of a log before it is taken as it is."""

@@ -15,12 +15,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import sumo
-from numpy.typing import NDArray
 
 from anchorflow_driving.errors import SimulationError
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.simulation.road_net import offset
-
-Array = NDArray[np.float64]
 
 POINT_SPACING = 4.0
 """m between the points of a bent street."""

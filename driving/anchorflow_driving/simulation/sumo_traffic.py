@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.errors import SimulationError
-from anchorflow_driving.geometry import ahead_of
+from anchorflow_driving.geometry import Array, ahead_of
 from anchorflow_driving.log import FRAME_S, HISTORY_FRAMES, PEDESTRIAN
 from anchorflow_driving.simulation.demand import Demand
 from anchorflow_driving.simulation.roadside import Standing
@@ -21,7 +21,6 @@ PERSON_SIZE = (0.6, 0.6)
 """m"""
 LATERAL_RESOLUTION = 0.3
 """m; without it SUMO's vehicles jump from lane to lane."""
-Array = NDArray[np.float64]
 
 FREE_PLACEMENT = 2
 """moveToXY's keepRoute: exactly there, on the route or off it."""

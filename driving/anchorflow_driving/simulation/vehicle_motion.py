@@ -7,15 +7,12 @@ The box's middle follows the smoothed line of the front bumper; the rear axle is
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from anchorflow_driving.geometry import arc_lengths, at_places
+from anchorflow_driving.geometry import Array, Booleans, arc_lengths, at_places
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.route import SPACING, smooth_line
 from anchorflow_driving.window import REAR_AXLE
-
-Array = NDArray[np.float64]
 
 TIME_SIGMA = 0.25
 """s, of the Gaussian over the distance driven."""
@@ -23,7 +20,6 @@ BEHIND = 5.0
 """m that a line is known behind the middle of the box at first."""
 STANDING = 0.1
 """m/s, below which a speed is noise."""
-Booleans = NDArray[np.bool_]
 
 EVERY = 70
 """Frames between two deviations: what is asked about in one is over before the next begins."""

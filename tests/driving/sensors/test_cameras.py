@@ -25,7 +25,7 @@ def renderer() -> Any:
 def test_a_point_is_drawn_where_a_pinhole_sees_it(
     renderer: Any, on_street: Callable, other: type
 ) -> None:
-    from anchorflow_driving.sensors.rendering import PinholeCamera
+    from anchorflow_driving.sensors.pinhole import PinholeCamera
 
     camera = PinholeCamera((0.0, 0.0, 1.0), 0.0, 0.0, focal=200.0, rows=200, columns=400)
     far, near = on_street(), on_street(other(28.0, 4.0, size=(4.0, 2.0)))

@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.caching import MapCache, cached_property
 from anchorflow_trajectory.compiled import compiled
-
-FloatArray = NDArray[np.floating]
-BoolArray = NDArray[np.bool_]
 
 OCCUPIED = 0.5  # occupancy from which a cell is an obstacle
 # Successive requests often share a map, with other starts and other robots.

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.clearance import GridField
-
-FloatArray = NDArray[np.floating]
 
 TRAVERSABILITY, RISK = 1, 2  # channels of a cost map; 0 is occupancy
 

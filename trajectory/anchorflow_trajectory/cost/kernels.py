@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.fields import Grid, look_up
 from anchorflow_trajectory.spline.kernels import (
@@ -21,8 +21,6 @@ from anchorflow_trajectory.spline.kernels import (
     sample_lanes,
     take_lanes,
 )
-
-FloatArray = NDArray[np.floating]
 
 DEEP = 0.25  # m of intrusion, about a robot's size, beyond which the hinge grows linearly
 TINY = 1e-9  # of what is divided by

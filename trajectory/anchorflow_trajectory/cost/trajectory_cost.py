@@ -24,14 +24,13 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.cost.fields import CostFields, Grid
 from anchorflow_trajectory.cost.kernels import Gains, Problem, cost_of_splines
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
-
-FloatArray = NDArray[np.floating]
 
 
 @dataclass(frozen=True)

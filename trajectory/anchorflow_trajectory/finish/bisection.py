@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.finish.certificate import Judge, is_safe
@@ -17,9 +18,6 @@ from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines
 from anchorflow_trajectory.spline.kernels import EndPoints, end_point
 from anchorflow_trajectory.threads import Spread, in_one
-
-FloatArray = NDArray[np.floating]
-BoolArray = NDArray[np.bool_]
 
 ROUNDS = 5
 STRIDE = 4  # samples between the points at which trajectories are compared

@@ -11,15 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import Grid, look_up
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines
 from anchorflow_trajectory.spline.kernels import Band, sample_one
-
-FloatArray = NDArray[np.floating]
-BoolArray = NDArray[np.bool_]
 
 CHECK_STEP = 0.04  # m between the points at which clearance is looked up
 BULGE = 0.01  # m from the chord of two samples, up to which the chord stands for the motion

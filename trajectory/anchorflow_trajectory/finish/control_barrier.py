@@ -20,12 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.spline.basis import PLANE, SplineBasis, Splines, whitening
-
-FloatArray = NDArray[np.floating]
 
 SHARPNESS = 40.0  # κ, 1/m: with five equal samples h is 0.04 m below their clearance
 RATE = 1.0  # α: share of a shortfall that one correction closes, to first order

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.kernels import Problem, cost_of_lanes
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
@@ -24,8 +25,6 @@ from anchorflow_trajectory.spline.kernels import (
     set_lanes_ends,
     take_lanes,
 )
-
-FloatArray = NDArray[np.floating]
 
 BETAS = (0.8, 0.95)  # short memories: there are tens of steps, not thousands
 LEAST_SIZE = 1e-6  # Adam's epsilon

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.kernels import Problem, cost_of_lanes
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
@@ -28,9 +29,6 @@ from anchorflow_trajectory.spline.kernels import (
     take_lanes,
 )
 from anchorflow_trajectory.threads import Spread, in_one
-
-FloatArray = NDArray[np.floating]
-BoolArray = NDArray[np.bool_]
 
 MOST_STRETCH = 3.0
 

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.finish.bisection import bisect_to_safe
@@ -24,9 +25,6 @@ from anchorflow_trajectory.finish.reinitialise import Reinitialisation, Starts, 
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
 from anchorflow_trajectory.threads import Spread, in_one
-
-FloatArray = NDArray[np.floating]
-BoolArray = NDArray[np.bool_]
 
 DESCENT_RATE = 0.3  # m, a first step on the control points
 # Anchors that are not safe get a further pass each: all of them once, then those of routes that

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.finish.certificate import are_safe
 from anchorflow_trajectory.routes.search import Route
 from anchorflow_trajectory.routes.splines import splines_along
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import PLANE, SplineBasis, Splines
 
-FloatArray = NDArray[np.floating]
 Starts = tuple[Splines, NDArray[np.intp]]
 """M splines, and [M] the index of the route that each follows."""
 

@@ -19,12 +19,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.spline.basis import Ends
-
-FloatArray = NDArray[np.floating]
 
 REACH = 0.125  # standard deviations of the prior
 

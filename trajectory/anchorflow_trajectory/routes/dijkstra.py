@@ -16,10 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.compiled import compiled
 
-FloatArray = NDArray[np.floating]
-BoolArray = NDArray[np.bool_]
 Steps = NDArray[np.uint8]
 Cells = NDArray[np.int64]
 Links = NDArray[np.int32]

@@ -14,10 +14,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.routes.dijkstra import STEPS
 
-FloatArray = NDArray[np.floating]
 Signature = tuple[int, ...]
 
 KEYS_SEED = 0

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.routes.dijkstra import (
     LENGTHS,
@@ -35,9 +36,6 @@ from anchorflow_trajectory.routes.dijkstra import (
     ways_from,
 )
 from anchorflow_trajectory.routes.homotopy import ObstacleRays, Signature
-
-FloatArray = NDArray[np.floating]
-BoolArray = NDArray[np.bool_]
 
 MOST_ROUTES = 12
 STRETCH = 1.3

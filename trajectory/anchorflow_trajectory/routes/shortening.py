@@ -7,12 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.routes.homotopy import ObstacleRays, crossings, in_cells
 from anchorflow_trajectory.routes.search import Route, polyline_length
 
-FloatArray = NDArray[np.floating]
-BoolArray = NDArray[np.bool_]
 Points = NDArray[np.float64]
 Cells = NDArray[np.int64]
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.motion import MotionLimits, nominal_duration, ramp_share, time_along
 from anchorflow_trajectory.routes.search import Route
 from anchorflow_trajectory.spline.basis import PLANE, Ends, SplineBasis, Splines, whitening
-
-FloatArray = NDArray[np.floating]
 
 # Standard deviation of disturbances at their widest: a share of the straight line, within bounds in
 # m; and that of log duration.

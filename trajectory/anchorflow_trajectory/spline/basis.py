@@ -18,6 +18,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.spline.kernels import (
     Band,
@@ -26,8 +27,6 @@ from anchorflow_trajectory.spline.kernels import (
     sample_splines,
     set_end_points,
 )
-
-FloatArray = NDArray[np.floating]
 
 START_POINTS = 3  # control points that the start's p, v, a determine
 GOAL_POINTS = 2  # control points that the goal's p, v determine

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
-
-FloatArray = NDArray[np.floating]
 
 LANES = 64  # trajectories at a time, so that what is worked on stays in the nearest cache
 
