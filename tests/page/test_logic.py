@@ -46,7 +46,7 @@ def references(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "openapi": openapi(),
         "styles": dict(STYLES),
         "distances": distances(),
-        "maps": [ros_map(folder, text) for text in WRITTEN],
+        "maps": [ros_map(folder, text, plain=k % 2 == 1) for k, text in enumerate(WRITTEN)],
         "refusals": [refusal(folder, old, new) for old, new in REFUSED],
     }
     file.write_text(json.dumps(values))
@@ -84,9 +84,9 @@ def distances() -> dict[str, Any]:
     return {"resolution": 0.2, "occupied": occupied.tolist(), "radius": 0.55, "inflated": inflated}
 
 
-def ros_map(folder: Path, text: str) -> dict[str, Any]:
-    """The files of a map, and how the command line reads them."""
-    yaml, picture = map_files(folder, "a.pgm", pgm(drawing()))
+def ros_map(folder: Path, text: str, *, plain: bool) -> dict[str, Any]:
+    """The files of a map, and how the command line reads them; the picture is text or bytes."""
+    yaml, picture = map_files(folder, "a.pgm", pgm(drawing(), text=plain))
     yaml.write_bytes(text.encode())
     read = load_ros_map(yaml)
     return {

@@ -22,19 +22,28 @@ function schemaWith(name, property) {
   return openapi;
 }
 
-test("the form has the scalar fields of the schema", () => {
-  const paths = [
-    "a_max", "horizon_s", "num_samples", "refine.barrier", "refine.certified_margin", "refine.guidance",
-    "refine.project", "refine.safety_margin", "refine.smooth", "robot_radius", "sampler.method",
-    "sampler.schedule.uniform", "seed", "v_max",
-  ];
-  const found = fields.all.map(({ path }) => path);
-  assert.deepEqual(paths.filter((path) => !found.includes(path)), []);
-  assert.ok(!found.some((path) => /^(cost_map|warm_start|budget_ms|model)/.test(path)));
-  const { kind, high, unit, block } = named("v_max");
-  assert.deepEqual([kind, high, unit, block], ["number", 100, "m/s", "robot"]);
-  assert.equal(named("refine.smooth").kind, "boolean");
+for (const [path, ...expected] of [
+  ["num_samples", "integer", 1, 512, "", "sampling"],
+  ["sampler.schedule.uniform", "integer", 1, 100, "", "sampling"],
+  ["robot_radius", "number", 0, 5, "m", "robot"],
+  ["v_max", "number", 0, 100, "m/s", "robot"],
+  ["a_max", "number", 0, 1000, "m/s²", "robot"],
+  ["horizon_s", "number", 0, 600, "s", "robot"],
+  ["refine.safety_margin", "number", 0, 5, "m", "finish"],
+  ["refine.guidance", "number", 0, 100, "", "finish"],
+  ["refine.certified_margin", "number", 0, 5, "m", "finish"],
+  ["seed", "integer", 0, Number.MAX_SAFE_INTEGER, "", "seed"],
+]) {
+  test(`${path} has the range and the unit of the schema`, () => {
+    const { kind, low, high, unit, block } = named(path);
+    assert.deepEqual([kind, low, high, unit, block], expected);
+  });
+}
+
+test("the form has switches and choices of the schema, and no fields for programs", () => {
+  for (const name of ["smooth", "project", "barrier"]) assert.equal(named(`refine.${name}`).kind, "boolean");
   assert.ok(named("sampler.method").options.includes("midpoint"));
+  assert.ok(!fields.all.some(({ path }) => /^(cost_map|warm_start|budget_ms|model)/.test(path)));
 });
 
 test("a scalar field that is added to the schema appears, is sent and is read", () => {

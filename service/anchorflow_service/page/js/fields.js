@@ -32,31 +32,13 @@ const BLOCKS_OF_GROUPS = { sampler: "sampling", refine: "finish" };
 const SLIDER_STEP = 0.01;
 
 export class RequestFields {
-  #schemas;
-
   /** `openapi`: the document of GET /openapi.json. */
   constructor(openapi) {
-    this.#schemas = openapi.components.schemas;
     const { schema } = openapi.paths["/anchors"].post.requestBody.content["application/json"];
-    const { properties } = this.#resolve(schema);
+    const { properties } = openapi.components.schemas[schema.$ref.split("/").at(-1)];
     const names = Object.keys(properties).filter((name) => !NOT_IN_FORM.has(name));
     /** {path, kind, low, high, options, unit, text, initial, block, label, …} each. */
-    this.all = names.flatMap((name) => this.#read(name, properties[name]));
-  }
-
-  #resolve(schema) {
-    return schema.$ref ? { ...this.#schemas[schema.$ref.split("/").at(-1)], ...schema } : schema;
-  }
-
-  /** The field at a path if it is a scalar, or those inside if it is a group. */
-  #read(path, schema) {
-    const whole = this.#resolve(schema);
-    const forms = (whole.anyOf ?? whole.oneOf ?? whole.allOf ?? [whole]).map((form) => this.#resolve(form));
-    const scalar = forms.find(({ type, enum: options }) => options || ["number", "integer", "boolean"].includes(type));
-    if (scalar) return [describe(path, whole, scalar)];
-    // An array may also be bytes in base64; that is another form of its value, not a group of fields.
-    const groups = forms.filter(({ properties }) => properties && !properties.base64);
-    return groups.flatMap(({ properties }) => Object.entries(properties).flatMap(([name, part]) => this.#read(`${path}.${name}`, part)));
+    this.all = names.flatMap((name) => read(name, properties[name]));
   }
 
   /** The fields that a request to this bundle can carry. */
@@ -116,6 +98,16 @@ export class RequestFields {
 export function described(value) {
   if (Array.isArray(value)) return `${value.length} values`;
   return value === undefined ? "nothing" : JSON.stringify(value).slice(0, 40);
+}
+
+/** The field at a path if it is a scalar, or those inside if it is a group. */
+function read(path, schema) {
+  const forms = schema.anyOf ?? [schema];
+  const scalar = forms.find(({ type, enum: options }) => options || ["number", "integer", "boolean"].includes(type));
+  if (scalar) return [describe(path, schema, scalar)];
+  // An array may also be bytes in base64; that is another form of its value, not a group of fields.
+  const groups = forms.filter(({ properties }) => properties && !properties.base64);
+  return groups.flatMap(({ properties }) => Object.entries(properties).flatMap(([name, part]) => read(`${path}.${name}`, part)));
 }
 
 function describe(path, { description = "", default: initial = null, "x-unit": unit = "" }, { type, enum: options, ...ends }) {

@@ -57,18 +57,11 @@ class Pen {
 function forest(pen) {
   const count = 24;
   const share = pen.between(0.17, 0.23);
-  let alive = Array.from({ length: count * count }, () => pen.random() < share);
-  const crowd = (index) => {
-    let sum = 0;
-    for (let k = 0; k < 9; k++) {
-      const [r, c] = [Math.floor(index / count) - 1 + Math.floor(k / 3), (index % count) - 1 + (k % 3)];
-      if (k !== 4 && r >= 0 && c >= 0 && r < count && c < count && alive[r * count + c]) sum++;
-    }
-    return sum;
-  };
-  alive = alive.map((on, index) => (on ? crowd(index) >= 2 : crowd(index) >= 5));
-  alive.forEach((on, index) => {
-    if (!on) return;
+  const seeds = new Grid(count, count, 1);
+  seeds.cells.forEach((_, index) => { seeds.cells[index] = pen.random() < share; });
+  seeds.cells.forEach((on, index) => {
+    const crowd = [...seeds.neighbours(index)].filter(([next]) => seeds.cells[next]).length;
+    if (crowd < (on ? 2 : 5)) return;
     const [row, column] = [Math.floor(index / count), index % count].map((k) => 4 * k + 2 + pen.whole(-1, 1));
     // Around the middle or the corner of a cell: three discs of 9, 12 and 21 cells.
     const [radius, shift] = POSTS[pen.whole(0, POSTS.length - 1)];
@@ -80,43 +73,33 @@ function forest(pen) {
 function rooms(pen) {
   pen.box(0, 0, CELLS, CELLS);
   pen.box(2, 2, CELLS - 4, CELLS - 4, FREE);
-  divide(pen, { row: 2, column: 2, rows: CELLS - 4, columns: CELLS - 4 });
+  divide(pen, 2, 2, CELLS - 4, CELLS - 4);
 }
 
 const SMALLEST_ROOM = 26;
 const DOOR = 12;
 
-function divide(pen, { row, column, rows, columns }) {
+function divide(pen, row, column, rows, columns) {
   const across = rows >= columns;
   const [extent, span] = across ? [rows, columns] : [columns, rows];
   if (extent < 2 * SMALLEST_ROOM) {
     if (pen.random() < 0.6) pen.box(row + pen.whole(9, rows - 16), column + pen.whole(9, columns - 16), pen.whole(4, 7), pen.whole(4, 7));
     return;
   }
+  /** [row, column, rows, columns] of a box: from `at` along the extent, from `from` along the wall. */
+  const part = (at, depth, from = 0, width = span) => (across ? [row + at, column + from, depth, width] : [row + from, column + at, width, depth]);
   // A wall must not end in a door.
-  const solid = (cut, beside) => {
-    for (let k = cut - 5; k < cut + 7; k++) {
-      if (!(across ? pen.grid.at(row + k, column + beside) : pen.grid.at(row + beside, column + k))) return false;
-    }
-    return true;
-  };
+  const solid = (cut, beside) => Array.from({ length: 12 }, (_, k) => pen.grid.at(...part(cut - 5 + k, 1, beside))).every(Boolean);
   let cut;
   for (let tries = 0; tries < 30; tries++) {
     cut = pen.whole(SMALLEST_ROOM, extent - SMALLEST_ROOM);
     if (solid(cut, -1) && solid(cut, span)) break;
   }
   const door = pen.whole(5, span - DOOR - 5);
-  if (across) {
-    pen.box(row + cut, column, 2, columns);
-    pen.box(row + cut, column + door, 2, DOOR, FREE);
-    divide(pen, { row, column, rows: cut, columns });
-    divide(pen, { row: row + cut + 2, column, rows: rows - cut - 2, columns });
-  } else {
-    pen.box(row, column + cut, rows, 2);
-    pen.box(row + door, column + cut, DOOR, 2, FREE);
-    divide(pen, { row, column, rows, columns: cut });
-    divide(pen, { row, column: column + cut + 2, rows, columns: columns - cut - 2 });
-  }
+  pen.box(...part(cut, 2));
+  pen.box(...part(cut, 2, door, DOOR), FREE);
+  divide(pen, ...part(0, cut));
+  divide(pen, ...part(cut + 2, extent - cut - 2));
 }
 
 /** Buildings between streets: whole blocks, blocks with a corner cut off, yards, open squares. */
