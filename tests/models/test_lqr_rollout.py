@@ -10,7 +10,7 @@ from torch import Tensor
 from anchorflow_driving.pdm.lqr_rollout import interpolate, track
 from anchorflow_driving.window import WHEELBASE as OF_NAVSIM
 from anchorflow_driving.window import EgoState
-from anchorflow_models.goalflow.kinematics import roll_out
+from anchorflow_models.goalflow.ways import roll_out
 from anchorflow_models.lqr_rollout import WHEELBASE, Start, driven, halved
 
 T, DT, AXLES = 8, 0.5, 2.9

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
 
 Build = Callable[..., AnchorRequest]
 AS_SAMPLED = {"smooth": False, "project": False}
+FINISHED = {"smooth": True, "project": True}
 ARRAYS = ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")
 
 
@@ -28,6 +31,21 @@ def assert_same_bytes(batch: AnchorBatch, other: AnchorBatch, *, scene: int | No
         array = getattr(other, name)
         array = array if scene is None else array[scene]
         assert getattr(batch, name).tobytes() == array.tobytes(), name
+
+
+def walled() -> dict[str, Any]:
+    """Return a cost map of 16 x 16 cells with a wall from one edge to the other."""
+    occupancy = np.zeros((1, 16, 16), np.float32)
+    occupancy[0, :, 7:9] = 1.0
+    return {"data": occupancy, "resolution": 0.5}
+
+
+def assert_same_at_once(engine: Engine, requests: Sequence[AnchorRequest]) -> None:
+    """Plans of several threads at once have the bytes of plans one after the other."""
+    alone = [plan(engine, request) for request in requests]
+    with ThreadPoolExecutor(len(requests)) as pool:
+        for one, other in zip(alone, pool.map(partial(plan, engine), requests), strict=True):
+            assert_same_bytes(one, other)
 
 
 def means_of(folder: Path, request: AnchorRequest, num_samples: int = 20) -> np.ndarray:

@@ -139,14 +139,13 @@ def expected(speed: float, *, seed: int, steps: int = STEPS) -> dict[str, np.nda
     }
 
 
-def write_diffusion_bundle(folder: Path, **changed: Any) -> Path:
-    """The bundle, in a folder that is there; `changed` are keys of its sampler."""
+def write_diffusion_bundle(folder: Path) -> Path:
+    """The bundle, in a folder that is there."""
     graphs = {role: onnx.parser.parse_model(text) for role, text in ROLES.items()}
     constants = {"fan": fan()[None], "nothing": np.zeros((1, 1), np.float32)}
     for name, array in constants.items():
         graphs["encode"].graph.initializer.append(numpy_helper.from_array(array, name))
     manifest = _manifest(write_graphs(folder, graphs))
-    manifest["sampler"] |= changed
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
     return folder
 

@@ -21,7 +21,7 @@ from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.parity import Difference
 from anchorflow_export.planners import adapter_of
-from anchorflow_models import L2Config, create_l2_safety_cfm
+from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_trajectory.motion import MotionLimits
 
@@ -57,7 +57,7 @@ CHOICES = {
 }
 
 
-def untaught(config: L2Config) -> nn.Module:
+def untaught(config: L2Config) -> L2SafetyCFM:
     """A flow with the same weights every time; branches that start at zero would prove little."""
     with torch.random.fork_rng():
         torch.manual_seed(0)

@@ -156,13 +156,16 @@ def write_tiny_bundle(folder: Path) -> None:
 
 
 def set_in_manifest(folder: Path, *path: str | int, to: Any) -> None:
-    """Set the value at a path of keys in a bundle's manifest."""
+    """Set the value at a path of keys in a bundle's manifest; ... deletes it."""
     file = folder / "manifest.json"
     manifest = json.loads(file.read_text())
     place = manifest
     for key in path[:-1]:
         place = place[key]
-    place[path[-1]] = to
+    if to is ...:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = to
     file.write_text(json.dumps(manifest))
 
 

@@ -18,27 +18,38 @@ from torch import Tensor, nn
 
 from anchorflow_client.sensors import ROUTE_POINTS
 from anchorflow_models.goalflow.config import HALTINGS, TURNS, GoalFlowConfig
-from anchorflow_models.goalflow.field import BACKBONES
-from anchorflow_models.goalflow.goals import WayScorer, WayScores, in_units, pick
-from anchorflow_models.goalflow.kinematics import (
-    BRAKING,
-    PULLING,
-    SHARPEST,
-    arc_to,
-    roll_out,
-    sharpest_at,
-    within,
+from anchorflow_models.goalflow.networks import (
+    FIELDS,
+    VELOCITY,
+    SceneEncoder,
+    WayScorer,
+    WayScores,
+    at_places,
+    in_units,
+    pick,
 )
-from anchorflow_models.goalflow.outcome_scorer import OutcomeScorer, outcome_scores
-from anchorflow_models.goalflow.raster import at_places
-from anchorflow_models.goalflow.route import follows, is_told, ways_along
-from anchorflow_models.goalflow.scene_encoder import VELOCITY, SceneEncoder
 from anchorflow_models.goalflow.trajectory_score import (
     Judged,
+    OutcomeScorer,
     Surroundings,
     judge,
     met,
+    outcome_scores,
     trajectory_scores,
+)
+from anchorflow_models.goalflow.ways import (
+    BRAKING,
+    PULLING,
+    SETTING_OFF,
+    SHARPEST,
+    SLOWING,
+    arc_to,
+    follows,
+    is_told,
+    roll_out,
+    sharpest_at,
+    ways_along,
+    within,
 )
 from anchorflow_models.layers.geometry import in_float32, standing_still
 from anchorflow_models.lqr_rollout import SLOWEST_TURN, curvature_of
@@ -57,7 +68,6 @@ BEND = 10.0  # m, scales curvatures for the networks
 STRAYS = (0.4, 4.0)  # m, before training, at the first pose and at the last
 SETTLED = -1.0  # in place of whether it has a goal: the way itself is the trajectory
 LEANING = 2.5  # m/s² to the side, at most, of turns
-SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most, of turns
 CERTAIN = 20.0  # a logit, of what is known
 GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
 SURROUNDINGS = tuple(each.name for each in fields(Surroundings))
@@ -89,7 +99,7 @@ class GoalFlow(nn.Module):
         self.scorer = WayScorer(steps=steps, features=features, context=CONTEXT, width=SCORER)
         # A pose's numbers, those of the way, the features there; has a goal, controls of the way.
         token = POSE + 4 + features + 3
-        self.flow = BACKBONES[config.backbone](config, token=token, context=CONTEXT)
+        self.flow = FIELDS[config.backbone](config, token=token, context=CONTEXT)
         self.outcomes = (
             OutcomeScorer(steps=steps, features=features, context=CONTEXT, width=OUTCOMES)
             if config.outcomes

@@ -5,7 +5,7 @@ Collisions and the road are judged on the motion of a car that tracks the trajec
     score = route^a · goal^b · drivable^d · reach · DAC · NC · (e EP + t TTC + c C) / (e + t + c)
 
 Each term lies between 0 and 1, and no trajectory's depends on the others. The weights are
-`ScoreWeights`.
+`ScoreWeights`. Learnt outcomes, if a network has them, take the place of most of it.
 """
 
 from __future__ import annotations
@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from anchorflow_models.goalflow.config import GoalFlowConfig
-from anchorflow_models.goalflow.goals import WayScores
-from anchorflow_models.goalflow.raster import at_places, at_times
+from anchorflow_models.goalflow.networks import WayScores, at_places, at_times
 from anchorflow_models.lqr_rollout import WHEELBASE, Driven, Start, driven, halved
 
 FRONT, REAR = 0.7823, -0.2177
@@ -44,6 +43,14 @@ COMFORT = {
     "jerk": (4.0, 0.4),
     "yaw_rate": (0.9, 0.05),
 }
+
+
+LEARNT = ("nc", "dac", "ep", "ttc")
+"""Sub-scores that are learnt; comfort is a trajectory's own, and its rule says it."""
+POSE_FEATURES = 4 + 3  # x, y, direction; speed, acceleration, yaw rate
+NC_POWER = 3
+"""A collision forfeits all else, and a mean over what may come takes it for half a loss; set on
+simulated windows (docs/goalflow-bundle.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,6 +183,36 @@ def trajectory_scores(
     for part in parts.values():
         worth = worth * part
     return worth
+
+
+class OutcomeScorer(nn.Module):
+    """Logits [B, N, 4] of trajectories, from the features and occupancy at their poses, and the
+    rules, which know others' present velocities and no turn.
+    """
+
+    def __init__(self, *, steps: int, features: int, context: int, width: int) -> None:
+        super().__init__()
+        told = steps * (features + POSE_FEATURES + LOOKS) + len(RULES)
+        self.of_way = nn.Linear(told, width)
+        self.of_scene = nn.Linear(context, width)
+        self.rest = nn.Sequential(
+            nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU()
+        )
+        self.out = nn.Linear(width, len(LEARNT))
+
+    def forward(self, told: Tensor, context: Tensor) -> Tensor:
+        """told [B, N, F], as `GoalFlow.told` has it; context [B, E]."""
+        return self.out(self.rest(self.of_way(told) + self.of_scene(context)[:, None]))
+
+
+def outcome_scores(logits: Tensor, rules: Rules, by_rules: Tensor) -> Tensor:
+    """The PDM score [B, N] of what is expected: learnt logits [B, N, 4] and the rules agree on who
+    is hit and what is road, the rule says what is comfortable, and the rest is learnt; times the
+    root of the score by the rules [B, N], which believe in no traffic that was learnt.
+    """
+    nc, dac, ep, ttc = logits.sigmoid().unbind(-1)
+    kept = rules.clear * nc**NC_POWER * rules.on_road * dac
+    return kept * (5 * ep + 5 * ttc + 2 * rules.comfort) / 12 * by_rules.sqrt()
 
 
 def _on_road(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:

@@ -13,14 +13,13 @@ from torch import Tensor
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE
 from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import (
-    AnchorTensors,
     GeneratorConfig,
     TrajectoryGenerator,
     encode_inputs,
+    generate_trajectory_anchors,
     requested_scenes,
 )
 from anchorflow_models.generation.scenes import dealt_routes, prior_means
-from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.ode.methods import METHODS, RK4
 from anchorflow_trajectory.ode.schedule import stage_times
 
@@ -31,22 +30,15 @@ SHIFT = torch.tensor([0.0, 0.5, 0.1, 0.0, 0.0, 0.2, 0.1])
 UNITS = torch.tensor([1.0, 1.0, 6.0, 6.0, 36.0, 36.0, 1.0])
 
 
-def states(anchors: AnchorTensors) -> Tensor:
-    """[N, T, S] in own time of anchors as they were drawn."""
-    lasts = anchors.durations[:, None, None]
-    parts = (anchors.velocities * lasts, anchors.accelerations * lasts**2)
-    lasting = lasts.log().expand(-1, anchors.trajectories.shape[1], 1)
-    return torch.cat([anchors.trajectories, *parts, lasting], -1)
-
-
 @pytest.fixture
-def draw(gaussian_flow: Callable, free_room: Any, plain: dict) -> Callable[..., Tensor]:
+def draw(gaussian_flow: Callable, free_room: Any) -> Callable[..., Tensor]:
     """States [N, T, S] as a configuration draws them from seed 3."""
 
     def drawn(**settings: Any) -> Tensor:
-        config = GeneratorConfig(num_samples=5, **plain, **settings)
-        generator = TrajectoryGenerator(gaussian_flow(shift=SHIFT), config)
-        return states(generator.generate(*free_room.ends, seed=3))
+        flow = gaussian_flow(shift=SHIFT)
+        generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=5, **settings))
+        scenes = requested_scenes(*free_room.ends, config=flow.config)
+        return generator.sample_states(scenes, seed=3)[0]
 
     return drawn
 
@@ -157,38 +149,18 @@ def test_a_scene_is_the_same_alone_and_in_a_batch(make_model: Callable[..., L2Sa
             torch.testing.assert_close(one, other, atol=2e-4, rtol=2e-4)
 
 
-def test_anchors_begin_on_the_routes_in_turn(
-    gaussian_flow: Callable, room: Any, plain: dict
-) -> None:
+def test_anchors_begin_on_the_routes_in_turn(gaussian_flow: Callable, room: Any) -> None:
     """A prior that spreads nothing leaves the routes themselves, and their durations."""
     flow = gaussian_flow()
     flow.prior.set_covariance(1e-12 * np.eye(flow.prior.rank))
-    generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=5, **plain))
-    anchors = generator.generate(*room.ends, seed=0)
-    (scene,) = requested_scenes(*room.ends, config=flow.config)
-    count = len(scene.routes)
-    assert count == 2  # one on either side of the block
+    (scene,) = scenes = requested_scenes(*room.ends, config=flow.config)
+    (drawn,) = TrajectoryGenerator(flow, GeneratorConfig(num_samples=5)).sample_states(scenes)
+    assert len(scene.routes) == 2  # one on either side of the block
     assert dealt_routes(scene, 5).tolist() == [0, 1, 0, 1, 0]
     expected = torch.from_numpy(scene.route_states)[[0, 1, 0, 1, 0]]
-    torch.testing.assert_close(states(anchors), expected, atol=1e-3, rtol=1e-3)
-    middles = anchors.trajectories[:, 16, 1].sign()
+    torch.testing.assert_close(drawn, expected, atol=1e-3, rtol=1e-3)
+    middles = drawn[:, 16, 1].sign()
     assert middles.tolist() in ([1, -1, 1, -1, 1], [-1, 1, -1, 1, -1])
-
-
-def test_limits_and_a_horizon_are_heeded(gaussian_flow: Callable, room: Any) -> None:
-    """Slower robots take longer, each anchor its own time; a horizon is kept by all."""
-    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=8))
-
-    def drawn(motion: MotionLimits) -> AnchorTensors:
-        return generator.generate(*room.ends, seed=0, motion=motion)
-
-    quick, slow = (drawn(MotionLimits(v, a)) for v, a in ((2.0, 3.0), (0.8, 1.0)))
-    assert (slow.durations > 1.3 * quick.durations).all()
-    assert float(quick.durations.std()) > 0.01
-    assert slow.safe.float().mean() > 0.8
-    assert float(slow.velocities[slow.safe].norm(dim=-1).max()) <= 1.02 * 0.8
-    fixed = drawn(MotionLimits(2.0, 3.0, horizon_s=6.5))
-    assert fixed.durations.tolist() == [6.5] * 8
 
 
 def test_one_scene_is_no_batch(gaussian_flow: Callable, free_room: Any) -> None:
@@ -218,3 +190,43 @@ def test_one_scene_is_no_batch(gaussian_flow: Callable, free_room: Any) -> None:
 def test_a_setting_out_of_range_is_named(settings: dict, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         GeneratorConfig(**settings)
+
+
+MAPS = np.zeros((2, 3, 48, 48), np.float32)
+MAPS[:, 1] = 1.0
+
+
+def ends(dim: int) -> tuple[np.ndarray, np.ndarray]:
+    x_curr, x_goal = np.zeros((2, 3 * dim)), np.zeros((2, 2 * dim))
+    x_curr[:, 0], x_goal[:, 0] = (-1.5, 1.5), (1.5, -1.0)
+    x_curr[:, 1] = x_goal[:, 1] = 0.07  # inside a cell, where rounding picks no other
+    return x_curr, x_goal
+
+
+@pytest.mark.parametrize("options", [{}, {"dim": 3}, {"backbone": "unet"}])
+def test_flattened_scenes_and_samples_share_an_axis(
+    make_model: Callable[..., L2SafetyCFM], options: dict
+) -> None:
+    model = make_model(num_steps=32, num_control_points=12, **options)
+    dim, style = model.config.dim, [[0.4, 0.3, 0.3], [0.1, 0.8, 0.1]]
+    config = GeneratorConfig(num_samples=4, steps=2, refine_steps=3)
+    asked = MAPS, *ends(dim), style
+    fields = generate_trajectory_anchors(model, *asked, 4, config=config, seed=1)
+    anchors = TrajectoryGenerator(model, config).generate_batch(*asked, seed=1)
+    states = anchors.trajectories, anchors.velocities, anchors.accelerations
+    for field, expected in zip(fields, states, strict=True):
+        assert torch.equal(field, expected.reshape(8, 32, dim))
+
+
+def test_options_reach_the_generator(make_model: Callable[..., L2SafetyCFM]) -> None:
+    """The same scene 10 m further east, told by its origin."""
+    model = make_model(num_steps=32, num_control_points=12)
+
+    def planned(east: float, **options: Any) -> Tensor:
+        x_curr, x_goal = (each + np.eye(1, each.shape[1]) * east for each in ends(2))
+        config = GeneratorConfig(steps=2, project=False)
+        asked: dict[str, Any] = {"config": config, "seed": 1, "resolution": 0.2, **options}
+        return generate_trajectory_anchors(model, MAPS, x_curr, x_goal, None, 4, **asked)[0]
+
+    here, there = planned(0.0), planned(10.0, origin=[5.2, -4.8])
+    torch.testing.assert_close(there, here + torch.tensor([10.0, 0.0]), atol=1e-2, rtol=0)

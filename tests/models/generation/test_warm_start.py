@@ -68,25 +68,6 @@ def test_the_flow_starts_at_tau_from_plan_and_noise(
     torch.testing.assert_close(warm.trajectories, expected, atol=5e-5, rtol=0)
 
 
-def test_a_plan_leaves_the_other_routes_theirs_and_brings_its_own_duration(
-    gaussian_flow: Callable, room: Any, plain: dict, detour: np.ndarray
-) -> None:
-    """Round a block on one side: anchors of the other side begin as they would without it."""
-    flow = gaussian_flow()
-    flow.prior.set_covariance(1e-12 * np.eye(flow.prior.rank))
-    generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=4, **plain))
-    cold = generator.generate(*room.ends, seed=1)
-    warm = generator.generate(*room.ends, seed=1, warm_start=WarmStart(detour, 0.98, dt=0.25))
-    same_side = cold.trajectories[:, 16, 1] > 0
-    assert same_side.tolist() in ([True, False] * 2, [False, True] * 2)
-    for name in ("trajectories", "durations"):
-        one, other = (getattr(x, name)[~same_side] for x in (cold, warm))
-        torch.testing.assert_close(one, other, atol=1e-3, rtol=1e-3)
-    lasts = 0.25 * 49
-    assert (warm.durations[same_side] - lasts).abs().max() < 0.1 * lasts
-    assert (cold.durations[same_side] < 0.6 * lasts).all()
-
-
 def test_each_scene_may_have_its_own_plan(
     gaussian_flow: Callable, free_room: Any, detour: np.ndarray
 ) -> None:

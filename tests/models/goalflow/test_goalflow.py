@@ -9,7 +9,7 @@ from torch import Tensor
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.config import HALTINGS, TURNS
 from anchorflow_models.goalflow.goalflow import LEANING, POSE, SETTLED, Context
-from anchorflow_models.goalflow.kinematics import GRIP
+from anchorflow_models.goalflow.ways import GRIP
 
 
 def road(batch: int = 1) -> Tensor:

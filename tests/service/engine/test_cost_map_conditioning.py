@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from asked_engine import Build, walled
 
 from anchorflow_client.contract import AnchorRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import Bundle, load_bundle
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning, MapScene
 from anchorflow_trajectory.scene import SCENE_INPUTS
-
-Build = Callable[..., AnchorRequest]
 
 
 @pytest.fixture
@@ -86,18 +84,11 @@ def test_the_certified_margin_is_the_routes_too(tiny: Bundle, small_request: Bui
 def test_where_no_way_is_free_one_curve_stands_for_the_routes(
     tiny: Bundle, small_request: Build
 ) -> None:
-    (scene,) = scenes(small_request(cost_map={"data": walled(), "resolution": 0.5}), tiny)
+    (scene,) = scenes(small_request(cost_map=walled()), tiny)
     (routes,) = scene.inputs(["route_states"])["route_states"]
     assert not scene.scene.routes
     assert routes.shape == (1, 8, 7)
     assert np.abs(routes[0, :, 1]).max() < 0.5
-
-
-def walled() -> np.ndarray:
-    """[1,16,16]: a wall from one edge to the other."""
-    occupancy = np.zeros((1, 16, 16))
-    occupancy[0, :, 7:9] = 1.0
-    return occupancy
 
 
 def with_heading(bundle: Bundle) -> Bundle:
@@ -157,15 +148,15 @@ def test_only_what_the_manifest_lists_is_made(tiny: Bundle, small_request: Build
     assert "clearance_field" not in scene.scene.__dict__
 
 
-def test_missing_channels_are_neutral(tiny: Bundle, small_request: Build) -> None:
+def test_missing_channels_are_neutral_and_given_ones_kept(
+    tiny: Bundle, small_request: Build
+) -> None:
     (scene,) = scenes(small_request(), tiny)
     occupancy, traversability, risk = scene.scene.cost_map
     assert occupancy.sum() == 4.0
     assert (traversability == 1.0).all()
     assert (risk == 0.0).all()
 
-
-def test_given_channels_are_kept(tiny: Bundle, small_request: Build) -> None:
     data = np.random.default_rng(0).random((3, 16, 16)) * 0.4
     (scene,) = scenes(small_request(cost_map={"data": data, "resolution": 0.5}), tiny)
     np.testing.assert_array_equal(scene.scene.cost_map, data.astype(np.float32))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 import onnxruntime as ort
 import pytest
-from asked_engine import AS_SAMPLED, Build, assert_same_bytes, plan
+from asked_engine import AS_SAMPLED, Build, assert_same_at_once, assert_same_bytes, plan
 
 from anchorflow_client.contract import SamplerChoice, resolve_for_card, uniform_schedule
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
@@ -171,8 +170,6 @@ def test_plans_at_once_do_not_touch_each_other(
     bound: Engine, small_request: Build, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Though others take their turn between what a plan binds and its run."""
-    requests = [small_request(seed=seed) for seed in range(4)]
-    alone = [plan(bound, request) for request in requests]
     run = ort.InferenceSession.run_with_iobinding
 
     def run_late(session: ort.InferenceSession, binding: ort.IOBinding) -> None:
@@ -180,9 +177,7 @@ def test_plans_at_once_do_not_touch_each_other(
         run(session, binding)
 
     monkeypatch.setattr(ort.InferenceSession, "run_with_iobinding", run_late)
-    with ThreadPoolExecutor(len(requests)) as pool:
-        for one, other in zip(alone, pool.map(partial(plan, bound), requests), strict=True):
-            assert_same_bytes(one, other)
+    assert_same_at_once(bound, [small_request(seed=seed) for seed in range(4)])
 
 
 def needing(provider: str, named: str) -> Any:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from asked_engine import AS_SAMPLED, Build, drawn, means_of, plan
+from asked_engine import AS_SAMPLED, FINISHED, Build, drawn, means_of, plan, walled
 
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.engine import Engine
@@ -65,7 +65,7 @@ def test_what_a_request_asks_of_its_robot_is_kept(
     free: Engine, small_request: Build, changes: dict[str, Any]
 ) -> None:
     """Both ends are met exactly, whatever they are; what is called safe keeps the limits asked."""
-    request = small_request(refine={"smooth": True, "project": True}, **changes)
+    request = small_request(refine=FINISHED, **changes)
     batch = plan(free, request)
     assert batch.is_finite
     ends = np.concatenate([request.x_curr[0], request.x_goal[0]])
@@ -83,7 +83,7 @@ def test_a_start_faster_than_the_limit_is_answered_and_none_is_safe(
     free: Engine, small_request: Build
 ) -> None:
     """The longer an anchor lasted, the further its start would carry it away."""
-    batch = plan(free, small_request(v_max=0.26, refine={"smooth": True, "project": True}))
+    batch = plan(free, small_request(v_max=0.26, refine=FINISHED))
     assert not batch.safe.any()
     assert np.abs(batch.trajectories).max() < 8.0
 
@@ -115,17 +115,10 @@ def test_a_limit_beyond_its_range_is_refused_by_name(
     assert caught.value.field == next(iter(changes))
 
 
-def walled() -> dict[str, Any]:
-    """No way leads from one side to the other."""
-    occupancy = np.zeros((1, 16, 16))
-    occupancy[0, :, 7:9] = 1.0
-    return {"data": occupancy, "resolution": 0.5}
-
-
 def test_where_no_way_is_free_anchors_are_answered_and_none_is_safe(
     free_bundle: Path, free: Engine, small_request: Build
 ) -> None:
-    request = small_request(cost_map=walled(), refine={"smooth": True, "project": True})
+    request = small_request(cost_map=walled(), refine=FINISHED)
     batch = plan(free, request)
     assert batch.is_finite
     assert not batch.safe.any()

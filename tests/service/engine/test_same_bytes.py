@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from asked_engine import AS_SAMPLED, Build, assert_same_bytes, plan
+from asked_engine import (
+    AS_SAMPLED,
+    FINISHED,
+    Build,
+    assert_same_at_once,
+    assert_same_bytes,
+    plan,
+)
 
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_service.engine import Engine
@@ -20,13 +25,16 @@ def sampler_of(engine: Engine) -> OdeSampler:
     return engine.sampler
 
 
+@pytest.mark.parametrize("num_samples", [1, 7, 8, 9])
 def test_the_first_anchors_of_a_seed_do_not_depend_on_how_many_are_asked_for(
-    free: Engine, small_request: Build
+    free: Engine, small_request: Build, num_samples: int
 ) -> None:
     """As they are drawn: what a finish brings back may follow a neighbour that it gained."""
-    few, many = (plan(free, small_request(num_samples=n, refine=AS_SAMPLED)) for n in (7, 30))
-    np.testing.assert_allclose(few.trajectories, many.trajectories[:7], atol=1e-6)
-    np.testing.assert_allclose(few.durations, many.durations[:7], rtol=1e-6)
+    few, many = (
+        plan(free, small_request(num_samples=n, refine=AS_SAMPLED)) for n in (num_samples, 31)
+    )
+    np.testing.assert_allclose(few.trajectories, many.trajectories[:num_samples], atol=1e-6)
+    np.testing.assert_allclose(few.durations, many.durations[:num_samples], rtol=1e-6)
 
 
 def test_same_seed_same_bytes_and_another_seed_differs(
@@ -46,41 +54,31 @@ def test_a_drawn_seed_is_echoed_and_repeats_the_answer(
     assert plan(engine, small_request(seed=None)).seed != drawn.seed
 
 
-def scene_fields(index: int) -> dict[str, Any]:
-    occupancy = np.zeros((1, 16, 16), np.float32)
-    occupancy[0, 4 + index : 6 + index, 6:9] = 1.0
-    return {
-        "data": occupancy,
-        "x_curr": np.array([-3.0, 0.3 * index, 0.2, 0.1, 0.0, 0.0]),
-        "x_goal": np.array([3.0, -0.2 * index, 0.1, 0.0]),
-        "w_style": np.array([0.5, 0.1 + 0.1 * index, 0.2]),
-    }
-
-
 def test_a_scene_answers_the_same_alone_and_in_a_batch(
     engine: Engine, small_request: Build
 ) -> None:
-    scenes = [scene_fields(index) for index in range(3)]
-    stacked = {name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]}
-    refine = {"smooth": True, "project": True}
+    maps = np.zeros((3, 1, 16, 16), np.float32)
+    for index, occupancy in enumerate(maps):
+        occupancy[0, 4 + index : 6 + index, 6:9] = 1.0
+    stacked = {
+        "x_curr": [[-3.0, 0.3 * index, 0.2, 0.1, 0.0, 0.0] for index in range(3)],
+        "x_goal": [[3.0, -0.2 * index, 0.1, 0.0] for index in range(3)],
+        "w_style": [[0.5, 0.1 + 0.1 * index, 0.2] for index in range(3)],
+    }
 
-    def ask(fields: dict[str, Any]) -> AnchorBatch:
-        cost_map = {"data": fields["data"], "resolution": 0.5}
-        rest = {name: fields[name] for name in ("x_curr", "x_goal", "w_style")}
-        return plan(engine, small_request(cost_map=cost_map, refine=refine, **rest))
+    def ask(data: np.ndarray, fields: dict[str, Any]) -> AnchorBatch:
+        cost_map = {"data": data, "resolution": 0.5}
+        return plan(engine, small_request(cost_map=cost_map, refine=FINISHED, **fields))
 
-    together = ask(stacked)
+    together = ask(maps, stacked)
     assert together.trajectories.shape == (3, 20, 8, 2)
-    for index, scene in enumerate(scenes):
-        assert_same_bytes(ask(scene), together, scene=index)
+    for index, data in enumerate(maps):
+        own = {name: each[index] for name, each in stacked.items()}
+        assert_same_bytes(ask(data, own), together, scene=index)
 
 
 def test_plans_at_once_do_not_touch_each_other(engine: Engine, small_request: Build) -> None:
-    requests = [small_request(seed=seed, num_samples=40) for seed in range(6)]
-    alone = [plan(engine, request) for request in requests]
-    with ThreadPoolExecutor(6) as pool:
-        for one, other in zip(alone, pool.map(partial(plan, engine), requests), strict=True):
-            assert_same_bytes(one, other)
+    assert_same_at_once(engine, [small_request(seed=seed, num_samples=40) for seed in range(6)])
 
 
 @pytest.mark.parametrize("cuts_freely", [True, False])
@@ -90,8 +88,7 @@ def test_an_answer_does_not_depend_on_the_threads_that_it_was_given(
 ) -> None:
     """Whether or not this machine's kernels let the engine choose how it cuts."""
     sampler_of(engine).cuts_freely = cuts_freely
-    request = small_request(num_samples=num_samples, refine={"smooth": True, "project": True})
-
+    request = small_request(num_samples=num_samples, refine=FINISHED)
     assert_same_bytes(plan(engine, request, threads=1), plan(engine, request, threads=2))
 
 
@@ -99,7 +96,7 @@ def test_own_durations_are_the_same_alone_in_a_batch_and_on_any_threads(
     free: Engine, small_request: Build
 ) -> None:
     goals = [[3.0, 0.2, 0.0, 0.0], [-1.0, 2.5, 0.3, 0.0]]
-    asked = {"num_samples": 45, "refine": {"smooth": True, "project": True}}
+    asked = {"num_samples": 45, "refine": FINISHED}
     ends = {"x_curr": [[-3.0, 0.1, 0.5, 0.0, 0.0, 0.0]] * 2, "x_goal": goals}
     together = [plan(free, small_request(**asked, **ends), threads=n) for n in (1, 2)]
     for scene, goal in enumerate(goals):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,7 @@ from diffusion_planner import KEEP, expected, write_diffusion_bundle
 from anchorflow_client import AnchorBatch, AnchorRequest
 from anchorflow_client.contract import ModelCard, TruncatedDiffusionSpec, resolve_for_card
 from anchorflow_client.errors import Cancelled, InvalidRequest
-from anchorflow_service.bundle import BundleError, load_bundle
+from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 
 SPEED = 3.0
@@ -30,12 +32,10 @@ def engine(folder: Path) -> Engine:
     return Engine(load_bundle(folder), threads=2)
 
 
-def plan(engine: Engine, speeds: Any = SPEED, **asked: Any) -> AnchorBatch:
-    speeds = np.asarray(speeds, np.float32)
-    status = np.zeros((*speeds.shape, 4), np.float32)
-    status[..., 0] = speeds
+def plan(engine: Engine, check: Callable[[], object] = lambda: None, **asked: Any) -> AnchorBatch:
+    status = np.array([SPEED, 0, 0, 0], np.float32)
     request = AnchorRequest.build(inputs={"ego_status": status}, **{"seed": 7, **asked})
-    return engine.plan(resolve_for_card(request, engine.card))
+    return engine.plan(resolve_for_card(request, engine.card), check=check)
 
 
 @pytest.mark.parametrize("steps", [1, 2, 4])
@@ -66,14 +66,6 @@ def test_the_seed_alone_decides(engine: Engine, folder: Path) -> None:
     assert not np.array_equal(first.trajectories, other.trajectories)
 
 
-def test_a_batch_has_the_bytes_of_its_scenes(engine: Engine) -> None:
-    batch = plan(engine, [SPEED, 5.0], outputs=EXTRAS)
-    for b, speed in enumerate((SPEED, 5.0)):
-        alone = plan(engine, speed, outputs=EXTRAS)
-        for name in ("trajectories", "scores", *EXTRAS):
-            assert batch.arrays[name][b].tobytes() == alone.arrays[name].tobytes(), name
-
-
 @pytest.mark.parametrize("after", [1, 2, 3, 4, 5])
 def test_it_stops_between_any_two_steps(engine: Engine, after: int) -> None:
     calls = 0
@@ -84,15 +76,10 @@ def test_it_stops_between_any_two_steps(engine: Engine, after: int) -> None:
         if calls > after:
             raise Cancelled
 
-    request = AnchorRequest.build(inputs={"ego_status": np.ones(4, np.float32)}, seed=0)
     # Checks run before encode, after it, after each of two steps, after coarse.
-    if after == 5:
-        engine.plan(resolve_for_card(request, engine.card), check=check)
-        assert calls == 5
-        return
-    with pytest.raises(Cancelled):
-        engine.plan(resolve_for_card(request, engine.card), check=check)
-    assert calls == after + 1
+    with pytest.raises(Cancelled) if after < 5 else nullcontext():
+        plan(engine, check=check)
+    assert calls == min(after + 1, 5)
 
 
 @pytest.mark.parametrize(
@@ -120,48 +107,3 @@ def test_the_card_tells_the_steps_and_comes_back_from_json(engine: Engine) -> No
     spec = engine.card.sampler
     assert spec == TruncatedDiffusionSpec(size=6, candidates=24, steps=2, choices=(1, 2, 4))
     assert ModelCard.from_dict(json.loads(json.dumps(engine.card.to_dict()))).sampler == spec
-
-
-@pytest.mark.parametrize(
-    ("changed", "said"),
-    [
-        ({"keep": 25}, "keep: expected at most 24, got 25"),
-        ({"steps": 3}, "steps: expected one of 1, 2, 4, each once, got 3"),
-        ({"start": 1000}, "start: expected a level below 1000, got 1000"),
-        ({"schedules": [[0, 10]]}, "schedules: expected falling times from 999 to 0, got [0, 10]"),
-        ({"noise": {"levels": 9, "first": 0.3, "last": 0.2}}, "expected 0 < first <= last < 1"),
-        ({"anchors": 4}, "anchors is ['B', 3, 8, 2], expected ['B', 4, 8, 2]"),
-        ({"groups": 0}, "groups"),
-    ],
-)
-def test_a_wrong_manifest_says_what_is_wrong(
-    tmp_path: Path, changed: dict[str, Any], said: str
-) -> None:
-    with pytest.raises(BundleError) as raised:
-        Engine(load_bundle(write_diffusion_bundle(tmp_path, **changed)), threads=1)
-    assert said in str(raised.value)
-
-
-@pytest.mark.parametrize(
-    ("role", "kind", "name", "said"),
-    [
-        ("coarse", None, None, "needs the role coarse"),
-        ("fine", "outputs", "scores", "graphs.fine.outputs: 'scores' is not one of"),
-        ("denoise", "inputs", "speed", "graphs.denoise.inputs: 'fast' is not one of"),
-        ("coarse", "outputs", "features", "graphs.fine.inputs: 'features' is not one of"),
-    ],
-)
-def test_graphs_that_cannot_be_wired(
-    tmp_path: Path, role: str, kind: str | None, name: str | None, said: str
-) -> None:
-    path = write_diffusion_bundle(tmp_path) / "manifest.json"
-    manifest = json.loads(path.read_text())
-    if kind is None:
-        del manifest["graphs"][role]
-    else:
-        for spec in manifest["graphs"][role][kind]:
-            spec["name"] = "fast" if spec["name"] == name else spec["name"]
-    path.write_text(json.dumps(manifest))
-    with pytest.raises(BundleError) as raised:
-        Engine(load_bundle(tmp_path), threads=1)
-    assert said in str(raised.value)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from asked_engine import AS_SAMPLED, FINISHED, Build
 
 from anchorflow_client.contract import AnchorRequest, WarmStart, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
@@ -18,7 +18,6 @@ from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.warm_start import SLOWEST, warm_states
 
-Build = Callable[..., AnchorRequest]
 LASTS = 4.0
 START, GOAL = np.array([-3.0, 0.1]), np.array([3.0, 0.2])
 
@@ -124,7 +123,7 @@ def test_a_remainder_of_centimetres_is_answered(
             x_curr=[*start, 0.0, 0.0, 0.0, 0.0],
             x_goal=[*goal, 0.0, 0.0],
             warm_start={"trajectory": trajectory, "tau": 0.9, "dt": 1e-5},
-            refine={"smooth": True, "project": True},
+            refine=FINISHED,
         )
     )
     assert batch.is_finite
@@ -184,7 +183,7 @@ def test_the_flow_goes_on_from_tau(free_bundle: Path, small_request: Build, side
     tau, scene = 0.75, scene_of(free_bundle, small_request())
     ask: dict[str, Any] = {
         "warm_start": {"trajectory": detour(8, side), "tau": tau, "dt": LASTS / 7},
-        "refine": {"smooth": False, "project": False},
+        "refine": AS_SAMPLED,
     }
     batch = LocalClient.of(free_bundle, threads=1).plan_request(small_request(**ask))
 

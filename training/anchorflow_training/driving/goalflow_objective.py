@@ -14,9 +14,8 @@ from anchorflow_driving.pdm import SUB_SCORES
 from anchorflow_models.flow_matching import interpolate
 from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.goalflow import POSE
-from anchorflow_models.goalflow.outcome_scorer import LEARNT
-from anchorflow_models.goalflow.raster import at_places
-from anchorflow_models.goalflow.trajectory_score import FRONT, REAR, body_places
+from anchorflow_models.goalflow.networks import at_places
+from anchorflow_models.goalflow.trajectory_score import FRONT, LEARNT, REAR, body_places
 from anchorflow_training.settings import setting
 
 CLEAR = 0.5  # share of a cell that is drivable where its middle is

@@ -1,6 +1,7 @@
-"""The route of a car, and ways along it, by pure pursuit (Coulter, CMU-RI-TR-92-01).
+"""Ways of a car's rear axle: by its controls, along arcs, and along a route.
 
-A route is P = ROUTE_POINTS places, ROUTE_SPACING_M apart, as `anchorflow_client.sensors` makes it.
+Ways along a route are those of pure pursuit (Coulter, CMU-RI-TR-92-01). A route is P = ROUTE_POINTS
+places, ROUTE_SPACING_M apart, as `anchorflow_client.sensors` makes it.
 """
 
 from __future__ import annotations
@@ -13,15 +14,76 @@ from torch import Tensor
 from anchorflow_client.sensors import ROUTE_POINTS, ROUTE_SPACING_M
 from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES
 
+SUBSTEPS = 4
+"""Integration steps between two poses."""
+BRAKING, PULLING = 6.0, 2.3
+"""m/s², of the acceleration that is drawn."""
+SHARPEST = 0.2
+"""1/m, of the curvature."""
+GRIP = 8.0
+"""m/s² to the side, of what is drawn at any speed."""
+_LEAST = 1e-3
 SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most
-LEANING = 1.6  # m/s² to the side, at most, in a route's bends
+ROUTE_LEANING = 1.6  # m/s² to the side, at most, in a route's bends
 EASING = 1.0  # m/s², by which it slows down before a bend
-SHARPEST = 0.3  # 1/m, of ways along a route, whose corners are those of the map
+ROUTE_SHARPEST = 0.3  # 1/m, of ways along a route, whose corners are those of the map
 STEERS_S = 0.4  # s, delay of the steering
 LOOKS_S, NEAREST = 0.6, 2.5  # s and m, at least, from the car to the point that it steers for
 STRETCHES = 2  # of constant controls, between two poses
 FOLLOWS = 2.0  # m from a route, at which half as much is left of a score
-_LEAST = 1e-3
+
+
+def roll_out(speed: Tensor, acceleration: Tensor, curvature: Tensor, *, dt: float) -> Tensor:
+    """Poses [..., T, 3] (x, y, heading) of a car that starts at the origin along x.
+
+    speed: [...] m/s now; it does not fall below 0
+    acceleration, curvature: [..., T] m/s², 1/m, each constant until its pose
+    """
+    step = dt / SUBSTEPS
+    fine = acceleration.repeat_interleave(SUBSTEPS, -1)
+    # What braking would take below 0 is not paid back by who drives off again.
+    owed = speed[..., None] + step * fine.cumsum(-1)
+    so_far = torch.ones(2 * owed.shape[-1:], dtype=torch.bool, device=owed.device).tril()
+    after = owed - torch.where(so_far, owed[..., None, :], 0.0).amin(-1).clamp(max=0.0)
+    before = torch.cat([speed[..., None], after[..., :-1]], -1)
+    way = step * 0.5 * (before + after)
+    turn = way * curvature.repeat_interleave(SUBSTEPS, -1)
+    heading = turn.cumsum(-1)
+    course = heading - 0.5 * turn
+    x, y = ((way * part).cumsum(-1) for part in (course.cos(), course.sin()))
+    poses = torch.stack([x, y, heading], -1)
+    return poses[..., SUBSTEPS - 1 :: SUBSTEPS, :]
+
+
+def sharpest_at(speed: Tensor, acceleration: Tensor, *, dt: float) -> Tensor:
+    """Curvature [..., T] in 1/m that tyres let a car of speeds [...] drive, by [..., T] m/s²."""
+    after = speed[..., None] + dt * acceleration.cumsum(-1)
+    fastest = torch.maximum(after, after - dt * acceleration).clamp(min=(GRIP / SHARPEST) ** 0.5)
+    return GRIP / fastest.square()
+
+
+def within(curvature: Tensor, sharpest: Tensor) -> Tensor:
+    """Curvatures that bend to either side by no more than the sharpest, 1/m, by broadcasting."""
+    return torch.minimum(torch.maximum(curvature, -sharpest), sharpest)
+
+
+def arc_to(goal: Tensor, speed: Tensor, *, duration: float) -> tuple[Tensor, Tensor]:
+    """Return constant acceleration and curvature [...] of the arc that ends at goals [..., 2].
+
+    speed: [...] m/s now; a car that cannot reach the goal at a speed above 0 halts there
+    """
+    x, y = goal[..., 0], goal[..., 1]
+    square = (x.square() + y.square()).clamp(min=_LEAST)
+    curvature = (2 * y / square).clamp(-SHARPEST, SHARPEST)
+    chord = square.sqrt()
+    # Half the arc's angle; a chord is as long as the arc times sinc of it.
+    half = (0.5 * curvature * chord).clamp(-0.999, 0.999).asin()
+    bent = half.abs() > _LEAST
+    way = chord * torch.where(bent, half / half.sin().where(bent, 1.0), 1.0)
+    meeting = 2 * (way - speed * duration) / duration**2
+    halting = -speed.square() / (2 * way.clamp(min=_LEAST))
+    acceleration = torch.where(way < 0.5 * speed * duration, halting, meeting)
+    return acceleration.clamp(-BRAKING, PULLING), curvature
 
 
 def is_told(route: Tensor) -> Tensor:
@@ -47,7 +109,7 @@ def ways_along(
     asked = [*on_it, *halts, *chain(*beside_it)]
     pace, slowing, aside = torch.tensor(asked).to(speed).unbind(-1)
     now = speed[:, None].expand(-1, len(asked))
-    bend = curvature[:, None].expand_as(now).clamp(-SHARPEST, SHARPEST)
+    bend = curvature[:, None].expand_as(now).clamp(-ROUTE_SHARPEST, ROUTE_SHARPEST)
     x = y = turned = torch.zeros_like(now)
     step = dt / STRETCHES
     poses, controls = [], []
@@ -59,10 +121,10 @@ def ways_along(
         dx, dy = aim[..., 0] - x, aim[..., 1] - y
         left = dy * turned.cos() - dx * turned.sin()
         steered = 2 * left / (dx.square() + dy.square()).clamp(min=1.0)
-        steered = steered.clamp(-SHARPEST, SHARPEST)
+        steered = steered.clamp(-ROUTE_SHARPEST, ROUTE_SHARPEST)
         bend = bend + step / (step + STEERS_S) * (steered - bend)
         sharper = torch.maximum(bend.abs(), steered.abs()).clamp(min=_LEAST)
-        most = torch.minimum(allowed.gather(1, nearest), LEANING / sharper)
+        most = torch.minimum(allowed.gather(1, nearest), ROUTE_LEANING / sharper)
         wanted = torch.minimum(pace, most.sqrt())
         pull = torch.maximum((wanted - now) / step, -slowing).clamp(max=SETTING_OFF)
         after = (now + step * pull).clamp(min=0.0)
@@ -108,7 +170,7 @@ def _allowed(heading: Tensor) -> Tensor:
     turn = heading.diff(dim=1)
     turn = torch.atan2(turn.sin(), turn.cos()).abs()
     bend = torch.nn.functional.pad(turn, (0, 1)) / ROUTE_SPACING_M
-    here = LEANING / bend.clamp(min=_LEAST)
+    here = ROUTE_LEANING / bend.clamp(min=_LEAST)
     place = ROUTE_SPACING_M * torch.arange(ROUTE_POINTS, device=heading.device)
     later = place - place[:, None]
     slower = here[:, None] + 2 * EASING * later.clamp(min=0.0)

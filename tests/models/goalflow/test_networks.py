@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from anchorflow_models.goalflow.goals import pick
-from anchorflow_models.goalflow.raster import at_places, at_times
+from anchorflow_models.goalflow.networks import at_places, at_times, pick
 
 EXTENT = (-4.0, 12.0, -4.0, 4.0)  # 8 rows of 2 m, 4 columns
 

@@ -1,6 +1,8 @@
-"""Ways along a route, and the effect of a route on scores."""
+"""Ways of cars: closed forms, arcs that meet their goals, and ways along a route."""
 
 from __future__ import annotations
+
+import math
 
 import pytest
 import torch
@@ -10,20 +12,85 @@ from anchorflow_client.sensors import ROUTE_POINTS, ROUTE_SPACING_M
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.config import ASIDE, HALTINGS, PACES
 from anchorflow_models.goalflow.goalflow import POSE, SETTLED
-from anchorflow_models.goalflow.route import (
+from anchorflow_models.goalflow.ways import (
     FOLLOWS,
-    LEANING,
+    GRIP,
+    ROUTE_LEANING,
+    ROUTE_SHARPEST,
     SHARPEST,
+    arc_to,
     follows,
     is_told,
+    roll_out,
+    sharpest_at,
     strays_from,
     ways_along,
 )
 
-STEPS, DT = 8, 0.5
+T, DT = 8, 0.5
+TIMES = DT * torch.arange(1, T + 1)
 ALONG = GoalFlowConfig().along
 AHEAD = ROUTE_SPACING_M * torch.arange(ROUTE_POINTS)
 STRAIGHT = torch.stack([AHEAD, torch.zeros_like(AHEAD)], -1)
+
+
+def constant(value: float) -> Tensor:
+    return torch.full((T,), value)
+
+
+def test_a_straight_line_at_constant_acceleration() -> None:
+    poses = roll_out(torch.tensor(5.0), constant(1.0), constant(0.0), dt=DT)
+
+    torch.testing.assert_close(poses[:, 0], 5 * TIMES + 0.5 * TIMES**2)
+    assert not poses[:, 1:].any()
+
+
+def test_an_arc_at_constant_speed() -> None:
+    poses = roll_out(torch.tensor(6.0), constant(0.0), constant(0.1), dt=DT)
+
+    angle = 0.6 * TIMES
+    torch.testing.assert_close(poses[:, 2], angle)
+    torch.testing.assert_close(poses[:, 0], 10 * angle.sin(), atol=0.03, rtol=0)
+    torch.testing.assert_close(poses[:, 1], 10 * (1 - angle.cos()), atol=0.03, rtol=0)
+
+
+def test_who_brakes_stands_and_does_not_turn_back() -> None:
+    poses = roll_out(torch.tensor(4.0), constant(-4.0), constant(0.0), dt=DT)
+
+    assert poses[-1, 0].item() == pytest.approx(2.0, abs=0.05)
+    assert (poses.diff(dim=0)[:, 0] >= 0).all()
+
+
+@pytest.mark.parametrize("goal", [(30.0, 0.0), (25.0, 8.0), (20.0, -12.0), (10.0, 3.0), (3.0, 0.1)])
+def test_an_arc_meets_its_goal(goal: tuple[float, float]) -> None:
+    speed = torch.tensor(6.0)
+    acceleration, curvature = arc_to(torch.tensor(goal), speed, duration=T * DT)
+    poses = roll_out(speed, acceleration.expand(T), curvature.expand(T), dt=DT)
+
+    assert math.dist(poses[-1, :2].tolist(), goal) < 0.25
+
+
+def test_a_goal_behind_or_here_is_a_halt_not_a_nan() -> None:
+    goals = torch.tensor([[0.0, 0.0], [-5.0, 0.0], [0.0, 5.0]], requires_grad=True)
+    acceleration, curvature = arc_to(goals, torch.tensor([0.0, 8.0, 2.0]), duration=T * DT)
+    (acceleration.sum() + curvature.sum()).backward()
+
+    assert torch.isfinite(torch.stack([acceleration, curvature])).all()
+    assert goals.grad is not None
+    assert torch.isfinite(goals.grad).all()
+
+
+def test_a_fast_car_bends_no_more_than_its_tyres_hold() -> None:
+    speed = torch.tensor([0.0, 5.0, 20.0, 50.0])
+    steady, slowing = (
+        sharpest_at(speed, torch.full((4, T), pull), dt=DT).unbind(-1) for pull in (0.0, -2.0)
+    )
+
+    torch.testing.assert_close(
+        steady[-1], torch.tensor([SHARPEST, SHARPEST, GRIP / 20**2, GRIP / 50**2])
+    )
+    torch.testing.assert_close(slowing[0], steady[0])
+    torch.testing.assert_close(slowing[-1][2:], GRIP / torch.tensor([13.0, 43.0]).square())
 
 
 def corner(before_m: float, radius_m: float) -> Tensor:
@@ -44,7 +111,7 @@ def moved(route: Tensor, left: float, turned: float) -> Tensor:
 def along(route: Tensor, speed: float, curvature: float = 0.0) -> tuple[Tensor, Tensor]:
     """Return one car's poses [W, T, 3] and controls [W, T, 2]."""
     now = torch.tensor([speed]), torch.tensor([curvature])
-    poses, controls = ways_along(route[None], *now, steps=STEPS, dt=DT)
+    poses, controls = ways_along(route[None], *now, steps=T, dt=DT)
     return poses[0], controls[0]
 
 
@@ -72,7 +139,7 @@ def test_who_stands_askew_comes_back_to_the_route(left: float, turned: float) ->
     poses, controls = along(route, 1.0)
     middle = poses[PACES.index(7.5)]
     assert strays_of(middle, route)[-1] < 0.4
-    assert controls[..., 1].abs().amax() <= SHARPEST
+    assert controls[..., 1].abs().amax() <= ROUTE_SHARPEST
 
 
 def test_who_comes_out_of_a_corner_steers_back_no_faster_than_cars_do() -> None:
@@ -91,7 +158,7 @@ def test_a_corner_is_slowed_down_for() -> None:
     assert strays_of(fastest, route).amax() < 1.0
     speed = torch.cat([torch.zeros(1, 2), fastest[:, :2]]).diff(dim=0).norm(dim=-1) / DT
     leaning = speed.square() * controls[len(PACES) - 1, :, 1].abs()
-    assert leaning.amax() < 2 * LEANING
+    assert leaning.amax() < 2 * ROUTE_LEANING
 
 
 def test_places_beside_a_route_and_beyond_its_ends() -> None:
