@@ -8,14 +8,10 @@ fine      score = the candidate's x at its end, which coarse gives as a feature
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import onnx
-from onnx import numpy_helper
-from written_graphs import write_graphs
+from written_graphs import tensor, write_graphs, write_manifest
 
 from anchorflow_trajectory.ode.ddim import CLEAN, NoiseLevels, ddim_step, noised
 
@@ -141,30 +137,17 @@ def expected(speed: float, *, seed: int, steps: int = STEPS) -> dict[str, np.nda
 
 def write_diffusion_bundle(folder: Path) -> Path:
     """The bundle, in a folder that is there."""
-    graphs = {role: onnx.parser.parse_model(text) for role, text in ROLES.items()}
-    constants = {"fan": fan()[None], "nothing": np.zeros((1, 1), np.float32)}
-    for name, array in constants.items():
-        graphs["encode"].graph.initializer.append(numpy_helper.from_array(array, name))
-    manifest = _manifest(write_graphs(folder, graphs))
-    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
-    return folder
-
-
-def _manifest(graphs: dict[str, Any]) -> dict[str, Any]:
-    status = {"name": "ego_status", "dtype": "float32", "shape": ["B", 4], "range": [-60.0, 60.0]}
+    constants = {"encode": {"fan": fan()[None], "nothing": np.zeros((1, 1), np.float32)}}
     extras = [
-        {"name": "coarse_scores", "dtype": "float32", "shape": ["B", "N"]},
-        {"name": "sub_scores", "dtype": "float32", "shape": ["B", "N", 5]},
-        {"name": "bev_semantics", "dtype": "float32", "shape": ["B", 1, 2, 2]},
+        tensor("coarse_scores", "float32", "B", "N"),
+        tensor("sub_scores", "float32", "B", "N", 5),
+        tensor("bev_semantics", "float32", "B", 1, 2, 2),
     ]
-    return {
-        "format": 2,
-        "name": "tiny-diffusion",
-        "version": "1.0.0",
-        "planner": "by-hand",
-        "request": {"inputs": [status]},
-        "conditioning": {"kind": "tensors"},
-        "sampler": {
+    return write_manifest(
+        folder,
+        "tiny-diffusion",
+        request={"inputs": [tensor("ego_status", "float32", "B", 4, range=[-60.0, 60.0])]},
+        sampler={
             "kind": "truncated_diffusion",
             "anchors": A,
             "groups": GROUPS,
@@ -172,11 +155,9 @@ def _manifest(graphs: dict[str, Any]) -> dict[str, Any]:
             "keep": KEEP,
             "noise": {"levels": LEVELS.levels, "first": LEVELS.first, "last": LEVELS.last},
             "start": START,
-            "schedules": [list(schedule) for schedule in SCHEDULES],
+            "schedules": SCHEDULES,
             "steps": STEPS,
         },
-        "finish": {"kind": "none"},
-        "time": {"steps": T, "first_s": 0.5, "dt": 0.5},
-        "answer": {"components": ["x", "y", "heading"], "arrays": ["scores"], "extras": extras},
-        "graphs": graphs,
-    }
+        answer={"components": ["x", "y", "heading"], "arrays": ["scores"], "extras": extras},
+        graphs=write_graphs(folder, ROLES, constants),
+    )

@@ -8,14 +8,10 @@ status in, six of eight poses each out, the best first.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import onnx
-from onnx import numpy_helper
-from written_graphs import write_graphs
+from written_graphs import tensor, write_graphs, write_manifest
 
 K, T, D = 6, 8, 3
 HEIGHT, WIDTH = 16, 24
@@ -70,56 +66,24 @@ def expected(brightness: float, speed: float) -> tuple[np.ndarray, np.ndarray]:
 
 def write_image_bundle(folder: Path) -> Path:
     """The bundle, in a folder that is there."""
-    entries = write_graphs(folder, _graphs())
-    (folder / "manifest.json").write_text(json.dumps(_manifest(entries), indent=2))
-    return folder
-
-
-def _graphs() -> dict[str, onnx.ModelProto]:
-    graphs = {role: onnx.parser.parse_model(text) for role, text in ROLES.items()}
-    paths = expected(0.0, 1.0)[0]
     along, aside = np.zeros((2, 1, K, T, D), np.float32)
-    along[..., 0], aside[..., 1:] = TIMES, paths[..., 1:]
+    along[..., 0], aside[..., 1:] = TIMES, expected(0.0, 1.0)[0][..., 1:]
     constants = {"along": along, "aside": aside, "order": np.arange(K, dtype=np.float32)[None]}
-    for name, array in constants.items():
-        graphs["score"].graph.initializer.append(numpy_helper.from_array(array, name))
-    return graphs
-
-
-ROLES = {"encode": ENCODE, "score": SCORE}
-
-
-def _manifest(graphs: dict[str, Any]) -> dict[str, Any]:
-    camera = {"name": "camera", "dtype": "uint8", "shape": ["B", 3, HEIGHT, WIDTH]}
-    status = {
-        "name": "ego_status",
-        "dtype": "float32",
-        "shape": ["B", 4],
-        "unit": "m/s, m/s, m/s^2, m/s^2",
-        "range": [-60.0, 60.0],
-    }
-    return {
-        "format": 2,
-        "name": "tiny-camera",
-        "version": "1.0.0",
-        "planner": "by-hand",
-        "request": {"inputs": [camera, status]},
-        "conditioning": {"kind": "tensors"},
-        "sampler": {"kind": "vocabulary", "size": K},
-        "finish": {"kind": "none"},
-        "time": {"steps": T, "first_s": 0.5, "dt": 0.5},
-        "answer": {
-            "components": ["x", "y", "heading"],
-            "arrays": ["scores"],
-            "extras": [
-                {"name": "goals", "dtype": "float32", "shape": ["B", "N", 2], "unit": "m"},
-                {
-                    "name": "bev_semantics",
-                    "dtype": "float32",
-                    "shape": ["B", 3, HEIGHT, WIDTH],
-                    "range": [0.0, 1.0],
-                },
-            ],
+    status = {"unit": "m/s, m/s, m/s^2, m/s^2", "range": [-60.0, 60.0]}
+    extras = [
+        tensor("goals", "float32", "B", "N", 2, unit="m"),
+        tensor("bev_semantics", "float32", "B", 3, HEIGHT, WIDTH, range=[0.0, 1.0]),
+    ]
+    return write_manifest(
+        folder,
+        "tiny-camera",
+        request={
+            "inputs": [
+                tensor("camera", "uint8", "B", 3, HEIGHT, WIDTH),
+                tensor("ego_status", "float32", "B", 4, **status),
+            ]
         },
-        "graphs": graphs,
-    }
+        sampler={"kind": "vocabulary", "size": K},
+        answer={"components": ["x", "y", "heading"], "arrays": ["scores"], "extras": extras},
+        graphs=write_graphs(folder, {"encode": ENCODE, "score": SCORE}, {"score": constants}),
+    )

@@ -15,17 +15,14 @@ p''_y); PULL is one half for p' and nothing else.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
-from onnx import numpy_helper
-from written_graphs import write_graphs
+from written_graphs import tensor, write_graphs, write_manifest
 
 T, S, R = 8, 7, 3
-THRICE = "(modulation, modulation, modulation)"
+TWICE, THRICE = "(modulation, modulation)", "(modulation, modulation, modulation)"
 PULL = np.array([0.0, 0.0, 0.5, 0.5, 0.0, 0.0, 0.0], np.float32)
 
 ENCODE = """
@@ -73,55 +70,37 @@ field (float[B,N,8,7] x_t, float[B,N,8,7] prior_mean, float[B,3] modulation)
 """
 
 
-def _graphs() -> dict[str, onnx.ModelProto]:
-    graphs = _parsed(ENCODE, MODULATE, FIELD)
-    basis = np.zeros((R, T, S), np.float32)
-    basis[0, :, 0:2] = basis[1, :, 2:4] = basis[2, :, 6] = 0.1
-    constants = {"encode": ("basis", basis.reshape(R, T * S)), "field": ("pull", PULL)}
-    for role, (name, array) in constants.items():
-        graphs[role].graph.initializer.append(numpy_helper.from_array(array, name))
-    return graphs
+ROLES = {"encode": ENCODE, "modulate": MODULATE, "field": FIELD}
 
 
-def _parsed(*texts: str) -> dict[str, onnx.ModelProto]:
-    return dict(
-        zip(("encode", "modulate", "field"), map(onnx.parser.parse_model, texts), strict=True)
-    )
-
-
-def graphs_with_heading() -> dict[str, onnx.ModelProto]:
-    """The same for D = 3, S = 10: the means move (p_x, p_y, heading) and their derivatives too."""
-    wider = {"[B,6]": "[B,9]", "8,7]": "8,10]", "2,56]": "2,80]", "3,56]": "3,80]"}
-    texts = [ENCODE, MODULATE, FIELD.replace("(modulation, modulation)", THRICE)]
-    for narrow, wide in wider.items():
-        texts = [text.replace(narrow, wide) for text in texts]
-    graphs = _parsed(*texts)
-    basis = np.zeros((R, T, 10), np.float32)
-    basis[0, :, 0:3] = basis[1, :, 3:6] = basis[2, :, 9] = 0.1
-    constants = {
-        "encode": ("basis", basis.reshape(R, T * 10)),
-        "field": ("pull", np.repeat(PULL, [1, 2, 1, 2, 1, 2, 1])),
-    }
-    for role, (name, array) in constants.items():
-        graphs[role].graph.initializer.append(numpy_helper.from_array(array, name))
-    return graphs
+def write_graphs_of(folder: Path, *, heading: bool = False) -> dict[str, Any]:
+    """Write the graphs; with a heading D = 3, S = 10, and the means move it and its derivatives."""
+    texts, D, size = ROLES, 2, S
+    if heading:
+        wider = {"[B,6]": "[B,9]", "8,7]": "8,10]", "3,56]": "3,80]"}
+        texts, D, size = {**ROLES, "field": FIELD.replace(TWICE, THRICE)}, 3, 10
+        for narrow, wide in wider.items():
+            texts = {role: text.replace(narrow, wide) for role, text in texts.items()}
+    basis = np.zeros((R, T, size), np.float32)
+    basis[0, :, :D] = basis[1, :, D : 2 * D] = basis[2, :, -1] = 0.1
+    pull = np.repeat(PULL, [1, D - 1, 1, D - 1, 1, D - 1, 1])
+    constants = {"encode": {"basis": basis.reshape(R, T * size)}, "field": {"pull": pull}}
+    return write_graphs(folder, texts, constants)
 
 
 def write_tiny_bundle(folder: Path) -> None:
     """Its graphs and its manifest."""
-    entries = write_graphs(folder, _graphs())
-    manifest = {
-        "format": 2,
-        "name": "tiny",
-        "version": "1.2.3",
-        "planner": "by-hand",
-        "request": {
+    write_manifest(
+        folder,
+        "tiny",
+        version="1.2.3",
+        request={
             "inputs": [
-                {"name": "cost_map", "dtype": "float32", "shape": ["B", "C", "H", "W"]},
-                {"name": "x_curr", "dtype": "float64", "shape": ["B", 6], "unit": "m"},
+                tensor("cost_map", "float32", "B", "C", "H", "W"),
+                tensor("x_curr", "float64", "B", 6, unit="m"),
             ]
         },
-        "conditioning": {
+        conditioning={
             "kind": "cost_map",
             "channels": 3,
             "H": 16,
@@ -129,14 +108,14 @@ def write_tiny_bundle(folder: Path) -> None:
             "limits": {"horizon_s": 7.0, "v_max": 2.0, "a_max": 3.0, "robot_radius": 0.25},
             "ranges": {"robot_radius": [0.0, 5.0]},
         },
-        "graphs": entries,
-        "sampler": {
+        graphs=write_graphs_of(folder),
+        sampler={
             "kind": "ode",
             "method": "rk4",
             "schedule": [0.0, 0.5, 1.0],
             "prior": {"mean": "route_states", "basis": "prior_basis"},
         },
-        "finish": {
+        finish={
             "kind": "spline",
             "smooth": True,
             "project": False,
@@ -146,27 +125,12 @@ def write_tiny_bundle(folder: Path) -> None:
             "num_control_points": 12,
             "degree": 4,
         },
-        "time": {"steps": T, "first_s": 0.0, "dt": 7.0 / (T - 1)},
-        "answer": {
+        time={"steps": T, "first_s": 0.0, "dt": 7.0 / (T - 1)},
+        answer={
             "components": ["x", "y"],
             "arrays": ["velocities", "accelerations", "scores", "clearance", "safe"],
         },
-    }
-    (folder / "manifest.json").write_text(json.dumps(manifest, indent=2))
-
-
-def set_in_manifest(folder: Path, *path: str | int, to: Any) -> None:
-    """Set the value at a path of keys in a bundle's manifest; ... deletes it."""
-    file = folder / "manifest.json"
-    manifest = json.loads(file.read_text())
-    place = manifest
-    for key in path[:-1]:
-        place = place[key]
-    if to is ...:
-        del place[path[-1]]
-    else:
-        place[path[-1]] = to
-    file.write_text(json.dumps(manifest))
+    )
 
 
 FREE_RANGES = {

@@ -1,21 +1,29 @@
-"""Graphs on disk, and what a manifest says of them: for bundles that tests write by hand."""
+"""Bundles that tests write by hand: graphs of ONNX text, and the manifest that lists them."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import onnx
+from onnx import numpy_helper
 
 DTYPES = {1: "float32", 2: "uint8"}
 
 
-def write_graphs(folder: Path, graphs: Mapping[str, onnx.ModelProto]) -> dict[str, Any]:
-    """Write each graph as ROLE.onnx; the manifest's `graphs`."""
+def write_graphs(
+    folder: Path, texts: Mapping[str, str], constants: Mapping[str, Mapping[str, np.ndarray]]
+) -> dict[str, Any]:
+    """Write each graph as ROLE.onnx, with its constants by name; return the manifest's `graphs`."""
     entries = {}
-    for role, model in graphs.items():
+    for role, text in texts.items():
+        model = onnx.parser.parse_model(text)
+        for name, array in constants.get(role, {}).items():
+            model.graph.initializer.append(numpy_helper.from_array(array, name))
         data = model.SerializeToString()
         (folder / f"{role}.onnx").write_bytes(data)
         entries[role] = {
@@ -28,7 +36,41 @@ def write_graphs(folder: Path, graphs: Mapping[str, onnx.ModelProto]) -> dict[st
     return entries
 
 
+def write_manifest(folder: Path, name: str, **entries: Any) -> Path:
+    """Write a manifest, by default of poses 0.5 s apart from tensors; return the folder."""
+    usual = {
+        "format": 2,
+        "name": name,
+        "version": "1.0.0",
+        "planner": "by-hand",
+        "conditioning": {"kind": "tensors"},
+        "finish": {"kind": "none"},
+        "time": {"steps": 8, "first_s": 0.5, "dt": 0.5},
+    }
+    (folder / "manifest.json").write_text(json.dumps(usual | entries, indent=2))
+    return folder
+
+
+def tensor(name: str, dtype: str, *shape: str | int, **told: Any) -> dict[str, Any]:
+    """Return the entry of an input or an extra."""
+    return {"name": name, "dtype": dtype, "shape": [*shape], **told}
+
+
+def set_in_manifest(folder: Path, *path: str | int, to: Any) -> None:
+    """Set the value at a path of keys in a bundle's manifest; ... deletes it."""
+    file = folder / "manifest.json"
+    manifest = json.loads(file.read_text())
+    place = manifest
+    for key in path[:-1]:
+        place = place[key]
+    if to is ...:
+        del place[path[-1]]
+    else:
+        place[path[-1]] = to
+    file.write_text(json.dumps(manifest))
+
+
 def _spec(value: onnx.ValueInfoProto) -> dict[str, Any]:
-    tensor = value.type.tensor_type
-    shape = [axis.dim_param or axis.dim_value for axis in tensor.shape.dim]
-    return {"name": value.name, "dtype": DTYPES[tensor.elem_type], "shape": shape}
+    kind = value.type.tensor_type
+    shape = [axis.dim_param or axis.dim_value for axis in kind.shape.dim]
+    return tensor(value.name, DTYPES[kind.elem_type], *shape)

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from image_planner import write_image_bundle
 from straight_lines import CARD, FREE_CARD, StraightLines
-from tiny_bundle import FREE_RANGES, graphs_with_heading, set_in_manifest, write_tiny_bundle
-from written_graphs import write_graphs
+from tiny_bundle import FREE_RANGES, write_graphs_of, write_tiny_bundle
+from written_graphs import set_in_manifest
 
 from anchorflow_client import (
     AnchorBatch,
@@ -59,7 +59,7 @@ def free_bundle_built(_tiny_bundle_built: Path, tmp_path_factory: pytest.TempPat
 def turning_bundle(free_bundle_built: Path, tmp_path: Path) -> Path:
     """The same for poses with a heading."""
     folder = Path(shutil.copytree(free_bundle_built, tmp_path / "turning"))
-    set_in_manifest(folder, "graphs", to=write_graphs(folder, graphs_with_heading()))
+    set_in_manifest(folder, "graphs", to=write_graphs_of(folder, heading=True))
     set_in_manifest(folder, "answer", "components", to=["x", "y", "heading"])
     # A heading has no obstacle to follow: eight samples say too little of twelve points of it.
     set_in_manifest(folder, "finish", "num_control_points", to=8)

@@ -122,11 +122,22 @@ class GoalFlow(nn.Module):
         the other graphs.
         """
         context = self.look(bev, ego_status, vehicle_size, route)
-        ways = self.ways_to(self.vocabulary.expand(bev.shape[0], -1, -1), context["speed"])
-        scores = self.goal_scores(self.rate(ways[..., :POSE], context))
-        return context | self.arranged(
-            ways, scores, self.order(scores), ego_status, context["course"]
-        )
+        speed, bend = context["speed"], context["curvature"]
+        ways = self.ways_to(self.vocabulary.expand(bev.shape[0], -1, -1), speed)
+        rated = self.rate(ways[..., :POSE], context)
+        scores = rated.drivable.sigmoid() * rated.distance.sigmoid()  # delta_dac · delta_dis
+        order = self.order(scores)
+        picked = order[:, : self.config.picked, None, None]
+        # Plain gathers: the exporter takes the scenes of take_along_dim for a constant.
+        taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
+        shadow = self.shadow(ego_status, speed)
+        ways = torch.cat([taken, shadow, self.turns(speed), self.halts(shadow, speed)], 1)
+        return context | {
+            "prior_mean": self.with_route(ways, context["course"], speed, bend),
+            "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
+            "goals": self.vocabulary[order],
+            "goal_scores": scores.gather(1, order),
+        }
 
     def order(self, scores: Tensor) -> Tensor:
         """Return the order of goals [B, K] by scores [B, K]: the picked ones, then the others."""
@@ -134,27 +145,6 @@ class GoalFlow(nn.Module):
         picked = pick(self.vocabulary, scores, count=count, spacing=self.config.spacing)
         first = 2.0 - torch.arange(count, device=scores.device) / count
         return scores.scatter(1, picked, first.expand_as(picked)).argsort(-1, descending=True)
-
-    def arranged(
-        self, ways: Tensor, scores: Tensor, order: Tensor, ego_status: Tensor, route: Tensor
-    ) -> Context:
-        """Return encode's outputs of goals and the ways to them [B, K, T, S], in an order [B, K].
-
-        route: [B, P, 2]
-        """
-        picked = order[:, : self.config.picked, None, None]
-        # Plain gathers: the exporter takes the scenes of take_along_dim for a constant.
-        taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
-        speed, bend = ego_status[:, VELOCITY], curvature_of(ego_status[:, VELOCITY:])
-        shadow = self.shadow(ego_status, speed)
-        settled = self.turns(speed), self.halts(shadow, speed)
-        ways = torch.cat([taken, shadow, *settled], 1)
-        return {
-            "prior_mean": self.with_route(ways, route, speed, bend),
-            "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
-            "goals": self.vocabulary[order],
-            "goal_scores": scores.gather(1, order),
-        }
 
     def look(
         self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor, route: Tensor | None = None
@@ -258,11 +248,6 @@ class GoalFlow(nn.Module):
             poses, context["features"], context["context"], extent=self.config.bev.extent
         )
 
-    @staticmethod
-    def goal_scores(ways: WayScores) -> Tensor:
-        """Return delta = delta_dac · delta_dis, [B, P]."""
-        return ways.drivable.sigmoid() * ways.distance.sigmoid()
-
     def basis(self) -> Tensor:
         """[1, 3T, T·S]: each number of noise moves one number of a pose, sigma times its stray."""
         steps = self.config.num_steps
@@ -326,17 +311,13 @@ class GoalFlow(nn.Module):
         ways = ways._replace(route=torch.where(is_told(route)[:, None], CERTAIN, ways.route))
         scores = trajectory_scores(judged.rules, missed, ways, self.config)
         if self.outcomes is not None:
-            scores = outcome_scores(self.outcome(judged, context), judged.rules, scores)
+            logits = self.outcomes(self.told(judged, context), context["context"])
+            scores = outcome_scores(logits, judged.rules, scores)
         return scores * follows(poses[..., -1, :2], route)
 
     def judged(self, poses: Tensor, context: Context) -> Judged:
         """Judge trajectories [B, N, T, 3] by the rules."""
         return judge(poses, _surroundings(context), self.config)
-
-    def outcome(self, judged: Judged, context: Context) -> Tensor:
-        """Return the logits [B, N, 4] of trajectories' outcomes."""
-        assert self.outcomes is not None
-        return self.outcomes(self.told(judged, context), context["context"])
 
     def told(self, judged: Judged, context: Context) -> Tensor:
         """Return the features [B, N, F] that outcomes are learnt from."""

@@ -89,15 +89,6 @@ def test_tensors_are_taken_and_gradients_left_behind() -> None:
     np.testing.assert_array_equal(one.x_curr, X_CURR)
 
 
-@pytest.mark.parametrize("corner", [(3.0, 2.0), (-3.0, -2.0), (3.0, -2.0)])
-def test_the_maps_edge_is_on_the_map(corner: tuple[float, float]) -> None:
-    """As on the wire: the upper edge belongs to the last cell."""
-    (one,) = scenes(x_goal=[*corner, 0, 0])
-    assert one.is_free(one.x_goal[:2])
-    straight = float(np.hypot(*(one.x_goal[:2] - one.x_curr[:2])))
-    assert one.routes[0].length == pytest.approx(straight, rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("changes", "field", "message"),
     [

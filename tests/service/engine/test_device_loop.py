@@ -6,7 +6,7 @@ Tests that need a GPU are skipped by the provider's name.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -56,35 +56,27 @@ class Crossings:
         self.down: list[tuple[int, ...]] = []
         self.at_a_run: list[str] = []
         self.runs = 0
-        upload, numpy = Device.upload, ort.OrtValue.numpy
-        bind_input, bind_output = ort.IOBinding.bind_cpu_input, ort.IOBinding.bind_output
-        run = ort.InferenceSession.run_with_iobinding
 
-        def uploaded(device: Device, array: np.ndarray) -> ort.OrtValue:
-            self.up.append(array.shape)
-            return upload(device, array)
+        def watch(owner: type, method: str, note: Callable[..., object]) -> None:
+            original = getattr(owner, method)
 
-        def fetched(value: ort.OrtValue) -> np.ndarray:
-            self.down.append(tuple(value.shape()))
-            return numpy(value)
+            def noted(self: Any, *given: Any) -> Any:
+                note(self, *given)
+                return original(self, *given)
 
-        def bound_input(binding: ort.IOBinding, name: str, array: np.ndarray) -> None:
-            self.at_a_run.append(name)
-            bind_input(binding, name, array)
+            monkeypatch.setattr(owner, method, noted)
 
-        def bound_output(binding: ort.IOBinding, name: str, *where: Any) -> None:
-            self.at_a_run.append(name)
-            bind_output(binding, name, *where)
-
-        def counted(session: ort.InferenceSession, binding: ort.IOBinding) -> None:
+        def note_run(*_: Any) -> None:
             self.runs += 1
-            run(session, binding)
 
-        monkeypatch.setattr(Device, "upload", uploaded)
-        monkeypatch.setattr(ort.OrtValue, "numpy", fetched)
-        monkeypatch.setattr(ort.IOBinding, "bind_cpu_input", bound_input)
-        monkeypatch.setattr(ort.IOBinding, "bind_output", bound_output)
-        monkeypatch.setattr(ort.InferenceSession, "run_with_iobinding", counted)
+        def note_name(_: Any, name: str, *_where: Any) -> None:
+            self.at_a_run.append(name)
+
+        watch(Device, "upload", lambda _, array: self.up.append(array.shape))
+        watch(ort.OrtValue, "numpy", lambda value: self.down.append(tuple(value.shape())))
+        watch(ort.IOBinding, "bind_cpu_input", note_name)
+        watch(ort.IOBinding, "bind_output", note_name)
+        watch(ort.InferenceSession, "run_with_iobinding", note_run)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -88,15 +88,6 @@ def test_a_start_faster_than_the_limit_is_answered_and_none_is_safe(
     assert np.abs(batch.trajectories).max() < 8.0
 
 
-def test_a_slower_robot_takes_its_time(free: Engine, small_request: Build) -> None:
-    slow, usual, fast = (
-        plan(free, small_request(v_max=v, a_max=a)).durations.mean()
-        for v, a in ((0.26, 0.5), (2.0, 3.0), (5.0, 6.0))
-    )
-    assert slow > 4 * usual
-    assert usual > 1.2 * fast
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

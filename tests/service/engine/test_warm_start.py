@@ -1,4 +1,7 @@
-"""Warm starts: a known trajectory in place of most of the noise."""
+"""Warm starts: a known trajectory in place of most of the noise.
+
+The states that a flow starts from are tested in `tests/trajectory/test_warm_start.py`.
+"""
 
 from __future__ import annotations
 
@@ -55,43 +58,6 @@ def on(side: float, scene: Scene) -> int:
 
 
 ROUTE = np.array([0, 1, 0, 1, 0])
-
-
-@pytest.mark.parametrize("columns", [2, 4, 6])
-@pytest.mark.parametrize("steps", [4, 8, 31])
-def test_missing_derivatives_and_steps_are_filled(scene: Scene, steps: int, columns: int) -> None:
-    given = detour(steps)[:, :columns]
-    got = warm_states(scene, given, ROUTE, dt=LASTS / (steps - 1))
-    assert got.dtype == np.float32
-    warm = got[on(1.0, scene) == ROUTE]
-    expected = np.broadcast_to(in_own_time(detour(8), LASTS), (len(warm), 8, 6))
-    np.testing.assert_allclose(warm[..., :6], expected, atol=1e-4)
-    np.testing.assert_allclose(warm[..., 6], np.log(LASTS), rtol=1e-6)
-
-
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_only_the_nearest_routes_anchors_start_from_the_plan(scene: Scene, side: float) -> None:
-    got = warm_states(scene, detour(20, side), ROUTE, dt=LASTS / 19)
-    others = on(side, scene) != ROUTE
-    np.testing.assert_array_equal(got[others], scene.route_states[ROUTE[others]])
-    off = np.abs(got[~others] - scene.route_states[ROUTE[~others]]).max((1, 2))
-    assert (off > 0.05).all()
-
-
-def test_a_plan_of_no_known_duration_lasts_as_long_as_its_route(scene: Scene) -> None:
-    got = warm_states(scene, detour(20), ROUTE, dt=None)
-    nominal = scene.route_states[ROUTE][..., 6]
-    np.testing.assert_allclose(got[..., 6], nominal, rtol=1e-6)
-
-
-def test_with_a_horizon_a_plan_lasts_as_long_as_it(free_bundle: Path, small_request: Build) -> None:
-    """Its way stays the same, whatever its own time step was."""
-    fixed = scene_of(free_bundle, small_request(horizon_s=9.0))
-    for dt in (None, 0.1, 2.0):
-        got = warm_states(fixed, detour(20)[:, :2], ROUTE, dt=dt)
-        np.testing.assert_allclose(np.exp(got[..., 6]), 9.0, rtol=1e-6)
-        warm = got[on(1.0, fixed) == ROUTE][0]
-        np.testing.assert_allclose(warm[:, :6], in_own_time(detour(8), LASTS), atol=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from diffusion_planner import write_diffusion_bundle
-from tiny_bundle import set_in_manifest
+from written_graphs import set_in_manifest
 
 from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.engine import Engine
