@@ -25,14 +25,7 @@ from small_v2x import IMAGE_SIZE, PROMPTS, small_sizes
 from starlette.testclient import TestClient
 
 from anchorflow_benchmarks.driving.pairs import judged_crossings, pair_tables
-from anchorflow_client import (
-    AnchorBatch,
-    AnchorRequest,
-    EncodedImage,
-    JsonCodec,
-    OipCodec,
-    Payload,
-)
+from anchorflow_client import AnchorBatch, AnchorRequest, EncodedImage, JsonCodec, OipCodec, Payload
 from anchorflow_client.contract.fields import MAX_INPUT_TEXT_LENGTH, MAX_PIXELS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import resized

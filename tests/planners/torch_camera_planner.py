@@ -72,11 +72,7 @@ class CameraPlanner(nn.Module):
         trajectories = torch.stack([x, y, heading], -1)
         order = torch.arange(len(self.aside), dtype=torch.float32)
         scores = -((self.aim * brightness - order) ** 2)
-        return {
-            "trajectories": trajectories,
-            "scores": scores,
-            "goals": trajectories[:, :, -1, :2],
-        }
+        return {"trajectories": trajectories, "scores": scores, "goals": trajectories[:, :, -1, :2]}
 
 
 PLANNER = Planner(NAME, CameraConfig, CameraPlanner)

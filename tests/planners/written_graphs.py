@@ -56,17 +56,17 @@ def tensor(name: str, dtype: str, *shape: str | int, **told: Any) -> dict[str, A
     return {"name": name, "dtype": dtype, "shape": [*shape], **told}
 
 
-def set_in_manifest(folder: Path, *path: str | int, to: Any) -> None:
-    """Set the value at a path of keys in a bundle's manifest; ... deletes it."""
+def set_in_manifest(folder: Path, path: str, *, to: Any) -> None:
+    """Set the value at a path, such as request.inputs.1.shape, in a manifest; ... deletes it."""
     file = folder / "manifest.json"
     manifest = json.loads(file.read_text())
-    place = manifest
-    for key in path[:-1]:
+    place, keys = manifest, [int(key) if key.isdigit() else key for key in path.split(".")]
+    for key in keys[:-1]:
         place = place[key]
     if to is ...:
-        del place[path[-1]]
+        del place[keys[-1]]
     else:
-        place[path[-1]] = to
+        place[keys[-1]] = to
     file.write_text(json.dumps(manifest))
 
 

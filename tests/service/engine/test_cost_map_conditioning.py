@@ -91,11 +91,7 @@ def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(
 ) -> None:
     far = np.array([5000.0, -3000.0])
     start, goal = far + np.array([[-3.0, 0.1], [3.0, 0.2]])
-    map_there = {
-        "data": small_request().cost_map.data[0],
-        "resolution": 0.5,
-        "origin": far - 4.0,
-    }
+    map_there = {"data": small_request().cost_map.data[0], "resolution": 0.5, "origin": far - 4.0}
     there = small_request(
         cost_map=map_there,
         x_curr=[*start, 0.5, 0.0, 0.0, 0.0],

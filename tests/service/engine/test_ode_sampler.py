@@ -108,7 +108,7 @@ def test_a_mean_that_encode_gives_is_every_anchors(
     tiny_bundle: Path, edit_manifest: Callable[..., None]
 ) -> None:
     encoded = encode(opened(tiny_bundle, threads=1))
-    edit_manifest("sampler", "prior", "mean", to="own_mean")
+    edit_manifest("sampler.prior.mean", to="own_mean")
     flow = opened(tiny_bundle, threads=1)
     context = {**encoded, "own_mean": ROUTES[:1]}
     begun = flow.beginning(context, flow.draw_noise(context, num_samples=4, seed=1))
@@ -119,7 +119,7 @@ def test_a_mean_that_encode_gives_is_every_anchors(
 def test_without_a_prior_the_flow_starts_from_plain_noise(
     tiny_bundle: Path, edit_manifest: Callable[..., None]
 ) -> None:
-    edit_manifest("sampler", "prior", to=None)
+    edit_manifest("sampler.prior", to=None)
     flow = opened(tiny_bundle, threads=1)
     context = encode(flow)
     noise = flow.draw_noise(context, num_samples=4, seed=1)

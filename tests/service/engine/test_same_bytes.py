@@ -6,14 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from asked_engine import (
-    AS_SAMPLED,
-    FINISHED,
-    Build,
-    assert_same_at_once,
-    assert_same_bytes,
-    plan,
-)
+from asked_engine import AS_SAMPLED, FINISHED, Build, assert_same_at_once, assert_same_bytes, plan
 
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_service.engine import Engine
