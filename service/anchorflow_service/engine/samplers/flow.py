@@ -61,7 +61,6 @@ class Correction(Protocol):
 
     def correct(self, field: Array, x_t: Array, t: float, *, stride: float) -> None:
         """Correct in place the field at x_t and flow time t, in a solver's step of that stride."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,8 +102,33 @@ class OdeSampler:
 
     @staticmethod
     def faults(manifest: Manifest) -> Iterator[str]:
-        """Find roles that are missing, and names that no other graph gives."""
-        return ode_faults(manifest)
+        """Find roles that are missing, inputs that no other graph gives, and wrong states."""
+        assert isinstance(manifest.sampler, OdeEntry)
+        if missing := list(missing_roles(manifest, ("encode", "modulate", "field"))):
+            yield from missing
+            return
+        graphs, prior = manifest.graphs, manifest.sampler.prior
+        context = graphs["encode"].output_names
+        if prior is not None:
+            yield from unknown_names("sampler.prior", (prior.basis,), context)
+            yield from unknown_names("sampler.prior", (prior.mean,), (*context, ROUTE_STATES))
+        is_mixture = has_mixture(manifest)
+        for role, own in OWN_INPUTS.items():
+            if role in graphs:
+                known = (*own, *(OF_A_MIXTURE[role] if is_mixture else ()), *context)
+                yield from _graph_faults(manifest, role, known)
+        yield from unknown_names(
+            "answer.extras", [spec.name for spec in manifest.answer.extras], context
+        )
+        if isinstance(manifest.finish, NoFinish):
+            given = ("trajectories", *((SCORES,) if SCORE in graphs else ()))
+            yield from unknown_names("answer.arrays", manifest.answer.arrays, given)
+        steps, size = state_shape(manifest)
+        least = 3 * manifest.D + 1 if isinstance(manifest.finish, SplineEntry) else manifest.D
+        if steps != manifest.time.steps or not isinstance(size, int) or size < least:
+            own = f"{[steps, size]} for [T,S]"
+            wanted = f"{manifest.time.steps} and at least {least} numbers"
+            yield f"graphs.field.inputs: x_t has {own}, expected {wanted}"
 
     def settle(self, scene: ConditionedScene) -> None:
         """Check whether the graphs give the same bytes on one thread and on many, in one piece and
@@ -315,7 +340,7 @@ def state_shape(manifest: Manifest) -> tuple[int, int]:
     """Return T and S of a flow's states, poses of D components first, as its field takes them."""
     graph = manifest.graphs["field"]
     steps, size = next(spec.shape[-2:] for spec in graph.inputs if spec.name == "x_t")
-    return steps, size  # pyright: ignore[reportReturnType] - `ode_faults` looks for letters
+    return steps, size  # pyright: ignore[reportReturnType] - `faults` looks for letters
 
 
 def has_mixture(manifest: Manifest) -> bool:
@@ -326,36 +351,6 @@ def has_mixture(manifest: Manifest) -> bool:
         return prior is not None
     given = {spec.name: spec for spec in manifest.graphs["encode"].outputs}
     return prior.mean in given and len(given[prior.mean].shape) == 4
-
-
-def ode_faults(manifest: Manifest) -> Iterator[str]:
-    """Find roles that are missing, inputs that no other graph gives, and wrong states."""
-    assert isinstance(manifest.sampler, OdeEntry)
-    if missing := list(missing_roles(manifest, ("encode", "modulate", "field"))):
-        yield from missing
-        return
-    graphs, prior = manifest.graphs, manifest.sampler.prior
-    context = graphs["encode"].output_names
-    if prior is not None:
-        yield from unknown_names("sampler.prior", (prior.basis,), context)
-        yield from unknown_names("sampler.prior", (prior.mean,), (*context, ROUTE_STATES))
-    is_mixture = has_mixture(manifest)
-    for role, own in OWN_INPUTS.items():
-        if role in graphs:
-            known = (*own, *(OF_A_MIXTURE[role] if is_mixture else ()), *context)
-            yield from _graph_faults(manifest, role, known)
-    yield from unknown_names(
-        "answer.extras", [spec.name for spec in manifest.answer.extras], context
-    )
-    if isinstance(manifest.finish, NoFinish):
-        given = ("trajectories", *((SCORES,) if SCORE in graphs else ()))
-        yield from unknown_names("answer.arrays", manifest.answer.arrays, given)
-    steps, size = state_shape(manifest)
-    least = 3 * manifest.D + 1 if isinstance(manifest.finish, SplineEntry) else manifest.D
-    if steps != manifest.time.steps or not isinstance(size, int) or size < least:
-        own = f"{[steps, size]} for [T,S]"
-        wanted = f"{manifest.time.steps} and at least {least} numbers"
-        yield f"graphs.field.inputs: x_t has {own}, expected {wanted}"
 
 
 def _graph_faults(manifest: Manifest, role: str, known: tuple[str, ...]) -> Iterator[str]:
