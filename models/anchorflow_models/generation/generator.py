@@ -173,12 +173,12 @@ class TrajectoryGenerator:
         guidance: Guidance | None = None,
     ) -> AnchorTensors:
         """Return anchors [B, N, T, D] of scenes whose maps have one size and all channels."""
-        states = self._states(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
+        states = self.sample_states(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
         finished = [
             Refiner(scene, self.config.refine_steps).refine(
                 state, dealt_routes(scene, len(state)), self.config
             )
-            for state, scene in zip(states, scenes, strict=True)
+            for state, scene in zip(states.cpu().numpy(), scenes, strict=True)
         ]
         return _stacked(finished, _place(self.model))
 
@@ -191,19 +191,9 @@ class TrajectoryGenerator:
         guidance: Guidance | None = None,
     ) -> Tensor:
         """Return states [B, N, T, 3D + 1] at t = 1, neither smoothed nor projected."""
-        states = self._states(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
-        return torch.from_numpy(states).to(_place(self.model))
-
-    def _states(
-        self,
-        scenes: Sequence[Scene],
-        *,
-        seed: Seed,
-        warm_start: WarmStart | None,
-        guidance: Guidance | None,
-    ) -> Array:
         roles = {role: Role(self.model, role, outputs=names) for role, names in OUTPUTS.items()}
-        graphs = TorchGraphs(roles, _place(self.model))
+        place = _place(self.model)
+        graphs = TorchGraphs(roles, place)
         inputs = stacked_inputs(scenes)
         context = graphs.run("encode", inputs)
         mean = prior_means(scenes, self.config.num_samples)
@@ -216,8 +206,10 @@ class TrajectoryGenerator:
         steering = self._steering(inputs, context, guidance)
         flow = _Flow(graphs, context, mean, steering)
         if self.config.method == ADAPTIVE:
-            return flow.solved_adaptively(x, self.config, start=schedule[0])
-        return flow.solved(x, OdeSpec(self.config.method, schedule))
+            states = flow.solved_adaptively(x, self.config, start=schedule[0])
+        else:
+            states = flow.solved(x, OdeSpec(self.config.method, schedule))
+        return torch.from_numpy(states).to(place)
 
     def _noise(self, rank: int, seed: Seed) -> Array:
         """Draw [N, R], the same for all scenes."""
