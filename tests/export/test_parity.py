@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from exported_bundles import NETWORKS
 
 from anchorflow_client.contract import ModelCard
 from anchorflow_export.adapter import ExportChoices
@@ -15,11 +16,11 @@ from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
 
 
-@pytest.mark.parametrize("planner", ADAPTERS)
+@pytest.mark.parametrize("network", NETWORKS)
 def test_every_graph_and_whole_samples_are_torchs(
-    exported: Callable[[str], Any], planner: str
+    exported: Callable[[str], Any], network: str
 ) -> None:
-    made = exported(planner)
+    made = exported(network)
     bundle = load_bundle(made.path)
     compared = {difference.what.split()[0] for difference in made.differences}
     assert compared == {*bundle.manifest.graphs, "sample"}
