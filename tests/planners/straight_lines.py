@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -107,6 +108,34 @@ class StraightLines:
             "clearance": per_anchor,
             "safe": per_anchor < 1,
         }
+
+
+class SteppingEngine:
+    """Plans in three steps, which the test releases, and calls `check` after each."""
+
+    def __init__(self, engine: StraightLines) -> None:
+        self._engine, self.card = engine, engine.card
+        self.at_work, self.steps = threading.Semaphore(0), threading.Semaphore(0)
+        self.taken = 0
+        self.left = threading.Event()
+
+    def plan(
+        self, request: AnchorRequest, /, *, threads: int, check: Callable[[], object]
+    ) -> AnchorBatch:
+        """Return the engine's answer after the steps, unless `check` ends the work."""
+        self.at_work.release()
+        try:
+            for _ in range(3):
+                assert self.steps.acquire(timeout=20)
+                self.taken += 1
+                check()
+        finally:
+            self.left.set()
+        return self._engine.plan(request, threads=threads, check=check)
+
+    def flow_states(self, request: ResolvedRequest, /) -> Any:
+        """Stand for the states of a flow, which no test reaches."""
+        raise AssertionError(request)
 
 
 def _time_steps(request: AnchorRequest, anchors: tuple[int, ...], steps: int) -> Any:

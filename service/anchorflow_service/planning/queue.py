@@ -55,28 +55,6 @@ class ServiceLimits:
             raise ValueError(f"threads: expected at least 1, got {self.threads}")
 
 
-class ServiceTimeEstimate:
-    """The running mean of the time that a request occupies a lane, and the wait it implies."""
-
-    def __init__(self, lanes: int) -> None:
-        self._lanes = lanes
-        self.mean_s = 0.0
-        """0 before the first request."""
-
-    def observe(self, service_s: float) -> None:
-        """Add the service time of a request to the mean."""
-        mean = self.mean_s or service_s
-        self.mean_s = mean + SMOOTHING * (service_s - mean)
-
-    def wait_s(self, ahead: int) -> float:
-        """Estimate the time until a lane is free, behind some running or waiting requests."""
-        return self.mean_s * ahead / self._lanes
-
-    def retry_after_s(self, ahead: int) -> int:
-        """Return that in whole seconds, at least one, as Retry-After needs it."""
-        return max(1, math.ceil(self.wait_s(ahead)))
-
-
 class _Assignment(NamedTuple):
     job: AnyJob
     threads: int
@@ -108,7 +86,8 @@ class PlanningQueue:
         """Jobs that run at a time."""
         self.in_flight = 0
         """Requests that are read, wait or run."""
-        self._service_time = ServiceTimeEstimate(self.num_lanes)
+        self.mean_service_s = 0.0
+        """Running mean of a request's time on a lane; 0 before the first."""
         # Guards all attributes below; lanes wait on it for jobs.
         self._changed = threading.Condition()
         self._line: list[AnyJob] = []
@@ -119,11 +98,6 @@ class PlanningQueue:
         self._has_lanes = False
         self.is_open = False
         """Whether the queue takes jobs."""
-
-    @property
-    def mean_service_s(self) -> float:
-        """Return the running mean of a request's time on a lane; 0 before the first."""
-        return self._service_time.mean_s
 
     @contextmanager
     def place(self, *, beyond: int = 0) -> Iterator[None]:
@@ -267,7 +241,9 @@ class PlanningQueue:
         with self._changed:
             self._busy_lanes -= 1
             if was_done:
-                self._service_time.observe(self._clock() - began)
+                service_s = self._clock() - began
+                mean_s = self.mean_service_s or service_s
+                self.mean_service_s = mean_s + SMOOTHING * (service_s - mean_s)
 
     def _next(self) -> _Assignment | None:
         """Wait for the next job of a lane; return None once the queue is closed."""
@@ -322,14 +298,18 @@ class PlanningQueue:
         """
         if job.budget_ms is None or not ahead:
             return
-        likely_ms = self._service_time.wait_s(ahead + self.num_lanes) * 1e3
+        likely_ms = self._wait_s(ahead + self.num_lanes) * 1e3
         if likely_ms > job.arrival.left_ms(job.budget_ms):
             wait = f"{ahead} requests wait already, an answer would take about {likely_ms:.0f} ms"
             raise self._overloaded(f"{wait} of a budget of {job.budget_ms:g} ms", ahead)
 
     def _overloaded(self, message: str, ahead: int) -> Overloaded:
-        wait_s = self._service_time.retry_after_s(ahead)
+        wait_s = max(1, math.ceil(self._wait_s(ahead)))  # Retry-After has whole seconds
         return Overloaded(f"{message}; try again in {wait_s} s", retry_after_s=wait_s)
+
+    def _wait_s(self, ahead: int) -> float:
+        """Estimate the time until a lane is free, behind some running or waiting requests."""
+        return self.mean_service_s * ahead / self.num_lanes
 
 
 def _is_wanted(job: AnyJob) -> bool:

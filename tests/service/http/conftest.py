@@ -2,69 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
-from collections.abc import AsyncIterable, Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any, Protocol
 
-import httpx
+import numpy as np
 import pytest
 import uvicorn
-from anyio.from_thread import BlockingPortal, start_blocking_portal
 from fastapi import FastAPI
+from served import InProcess, in_process
+from straight_lines import StraightLines
 
 from anchorflow_cli.listening import listen as listen_at
 from anchorflow_cli.listening import url_of
 from anchorflow_service.http import create_app
 from anchorflow_service.http.lifecycle import uvicorn_config
 from anchorflow_service.planning import PlanningService
-
-
-class InProcess:
-    """The application without a socket, inside its lifespan; also a client's transport."""
-
-    def __init__(self, app: FastAPI, portal: BlockingPortal) -> None:
-        self._app = app
-        self._portal = portal
-
-    def request(
-        self,
-        method: str,
-        path: str,
-        *,
-        headers: Mapping[str, str] | None = None,
-        content: bytes | AsyncIterable[bytes] | None = None,
-    ) -> httpx.Response:
-        """One request of any kind, on the event loop's own thread."""
-        return self._portal.call(self._request, method, path, headers, content)
-
-    def post(self, body: Any) -> httpx.Response:
-        """JSON to /anchors; bytes go as they are."""
-        content = body if isinstance(body, bytes) else json.dumps(body).encode()
-        headers = {"Content-Type": "application/json"}
-        return self.request("POST", "/anchors", headers=headers, content=content)
-
-    def send(
-        self,
-        method: str,
-        path: str,
-        headers: Mapping[str, str],
-        body: bytes | None,
-        timeout_s: float,  # noqa: ARG002 - nothing here can hang but the test itself
-    ) -> tuple[int, Mapping[str, str], bytes]:
-        """As a transport of `AnchorClient`."""
-        answer = self.request(method, path, headers=headers, content=body)
-        return answer.status_code, answer.headers, answer.content
-
-    def close(self) -> None:
-        """Nothing to let go of."""
-
-    async def _request(self, method: str, path: str, headers: Any, content: Any) -> httpx.Response:
-        transport = httpx.ASGITransport(app=self._app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
-            return await client.request(method, path, headers=headers, content=content)
 
 
 class Run(Protocol):
@@ -77,14 +32,7 @@ class Run(Protocol):
 def run() -> Iterator[Run]:
     """Starts applications in this process."""
     with ExitStack() as stack:
-
-        def start(app: FastAPI) -> InProcess:
-            portal = stack.enter_context(start_blocking_portal())
-            lifespan = portal.wrap_async_context_manager(app.router.lifespan_context(app))
-            stack.enter_context(lifespan)
-            return InProcess(app, portal)
-
-        yield start
+        yield lambda app: stack.enter_context(in_process(app))
 
 
 class Served:
@@ -144,3 +92,28 @@ def app(planning: PlanningService) -> FastAPI:
 def service(app: FastAPI, run: Run) -> InProcess:
     """The application, running in this process."""
     return run(app)
+
+
+@pytest.fixture
+def free(free_engine: StraightLines, run: Run) -> InProcess:
+    """A service of the model whose anchors have their own durations."""
+    return run(create_app(PlanningService({"lines": free_engine}, default="lines")))
+
+
+@pytest.fixture
+def body(fields: dict[str, Any]) -> dict[str, Any]:
+    """The request of `fields` in the Open Inference Protocol, all in JSON."""
+    values = {
+        "cost_map": fields["cost_map"]["data"],
+        "map_geometry": [-5.0, -4.0, 0.5],
+        "x_curr": fields["x_curr"],
+        "x_goal": fields["x_goal"],
+    }
+    inputs = [
+        {"name": name, "datatype": "FP64", "shape": [*np.shape(value)], "data": value}
+        for name, value in values.items()
+    ]
+    return {
+        "inputs": [inputs[0] | {"datatype": "FP32"}, *inputs[1:]],
+        "parameters": {"num_samples": 4, "seed": 1},
+    }

@@ -5,33 +5,45 @@ from __future__ import annotations
 import json
 import re
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Any
 
 import pytest
 
 from anchorflow_client import AnchorClient, Overloaded
 from anchorflow_service.http import create_app
-from anchorflow_service.http.connections import (
-    MAX_PIPELINED_BYTES,
-    RESERVE,
-    ConnectionLimits,
-)
+from anchorflow_service.http.connections import MAX_PIPELINED_BYTES, RESERVE, ConnectionLimits
 from anchorflow_service.planning import PlanningService
 
 Within = Callable[[ConnectionLimits], int]
+Busy = Callable[[int], AbstractContextManager[None]]
 PATIENCE_S = 20
-HALF_A_BODY = (
-    b"POST /anchors HTTP/1.1\r\nHost: a\r\nConnection: close\r\nContent-Length: 100\r\n\r\nhalf"
-)
+POST = b"POST /anchors HTTP/1.1\r\nHost: a\r\n"
+LIVE = b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n\r\n"
+HALF_A_BODY = POST + b"Connection: close\r\nContent-Length: 100\r\n\r\nhalf"
 
 
 @pytest.fixture
 def within(planning: PlanningService, serve: Callable[..., Any]) -> Within:
     """Starts the application within limits; gives its port."""
     return lambda limits: serve(create_app(planning, connections=limits)).port
+
+
+@pytest.fixture
+def busy(gate: Any, fields: dict[str, Any], background: ThreadPoolExecutor) -> Busy:
+    """Keeps a request on the engine for the length of a block, and checks its answer then."""
+
+    @contextmanager
+    def planning(port: int) -> Iterator[None]:
+        asked = background.submit(ask, port, fields)
+        assert gate.reached.wait(PATIENCE_S)
+        yield
+        gate.opened.set()
+        assert asked.result(PATIENCE_S) == 1
+
+    return planning
 
 
 def everything(connection: socket.socket) -> bytes:
@@ -44,6 +56,13 @@ def everything(connection: socket.socket) -> bytes:
     except ConnectionResetError:
         pass
     return b"".join(parts)
+
+
+def exchange(port: int, sent: bytes) -> bytes:
+    """Send bytes over a connection of their own, and return all that comes back."""
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(sent)
+        return everything(connection)
 
 
 def error_of(answer: bytes) -> dict[str, Any]:
@@ -81,20 +100,14 @@ def is_heard(connection: socket.socket) -> bool:
 
 
 def test_where_all_have_a_request_one_more_is_overloaded_and_health_is_answered(
-    within: Within, fields: dict[str, Any], gate: Any, background: ThreadPoolExecutor
+    within: Within, busy: Busy, fields: dict[str, Any]
 ) -> None:
     port = within(ConnectionLimits(max_connections=1))
-    first = background.submit(ask, port, fields)
-    assert gate.reached.wait(PATIENCE_S)
-
-    with AnchorClient(f"http://127.0.0.1:{port}", timeout_s=PATIENCE_S) as client:
+    with busy(port), AnchorClient(f"http://127.0.0.1:{port}", timeout_s=PATIENCE_S) as client:
         assert client.ready()
         with pytest.raises(Overloaded, match="too many connections") as caught:
             client.plan(**fields)
         assert caught.value.retry_after_s == 1
-
-    gate.opened.set()
-    assert first.result(PATIENCE_S) == 1
     assert ask(port, fields) == 1
 
 
@@ -120,19 +133,13 @@ def test_a_client_whose_idle_connection_made_room_opens_another(
             assert ask(port, fields) == 1
 
 
-def test_a_request_that_has_come_keeps_its_place_in_a_crowd(
-    within: Within, fields: dict[str, Any], gate: Any, background: ThreadPoolExecutor
-) -> None:
+def test_a_request_that_has_come_keeps_its_place_in_a_crowd(within: Within, busy: Busy) -> None:
     port = within(ConnectionLimits(max_connections=2))
-    asked = background.submit(ask, port, fields)
-    assert gate.reached.wait(PATIENCE_S)
-    with ExitStack() as stack:
+    with busy(port), ExitStack() as stack:
         crowd = [silent(port, stack) for _ in range(RESERVE + 10)]
 
         assert [everything(each) for each in crowd[:-1]] == [b""] * (len(crowd) - 1)
         assert is_heard(crowd[-1])
-        gate.opened.set()
-        assert asked.result(PATIENCE_S) == 1
 
 
 def test_an_address_that_has_its_share_makes_room_among_its_own(within: Within) -> None:
@@ -146,32 +153,22 @@ def test_an_address_that_has_its_share_makes_room_among_its_own(within: Within) 
 
 
 def test_an_address_whose_share_is_at_work_leaves_the_rest_to_others(
-    within: Within, fields: dict[str, Any], gate: Any, background: ThreadPoolExecutor
+    within: Within, busy: Busy
 ) -> None:
     port = within(ConnectionLimits(max_connections=2, max_per_address=1))
-    asked = background.submit(ask, port, fields)
-    assert gate.reached.wait(PATIENCE_S)
-    with ExitStack() as stack:
+    with busy(port), ExitStack() as stack:
         assert not is_heard(silent(port, stack))  # but refused
         assert is_heard(silent(port, stack, "127.0.0.2"))
         assert is_ready(port)
-    gate.opened.set()
-    assert asked.result(PATIENCE_S) == 1
 
 
-def test_bodies_that_are_to_be_refused_do_not_keep_probes_out(
-    within: Within, fields: dict[str, Any], gate: Any, background: ThreadPoolExecutor
-) -> None:
+def test_bodies_that_are_to_be_refused_do_not_keep_probes_out(within: Within, busy: Busy) -> None:
     """They are taken and thrown away first, for the client to look for the answer."""
     port = within(ConnectionLimits(max_connections=1))
-    asked = background.submit(ask, port, fields)
-    assert gate.reached.wait(PATIENCE_S)
-    with ExitStack() as stack:
+    with busy(port), ExitStack() as stack:
         for _ in range(RESERVE + 5):
             silent(port, stack).sendall(HALF_A_BODY)
         assert is_ready(port)
-    gate.opened.set()
-    assert asked.result(PATIENCE_S) == 1
 
 
 @pytest.mark.parametrize(
@@ -183,15 +180,13 @@ def test_bodies_that_are_to_be_refused_do_not_keep_probes_out(
         b"GET /v2 HTTP/1.1\r\nHost: a\r\n" + b"a:b\r\n" * 200 + b"\r\n",
         b"nonsense\r\n\r\n",
         b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n",
-        b"POST /anchors HTTP/1.1\r\nHost: a\r\nContent-Length: -1\r\n\r\n",
-        b"POST /anchors HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: gzip\r\n\r\n",
+        POST + b"Content-Length: -1\r\n\r\n",
+        POST + b"Transfer-Encoding: gzip\r\n\r\n",
+        POST + b"Transfer-Encoding: chunked\r\n\r\nnonsense\r\n",
     ],
 )
 def test_what_is_no_request_is_refused_in_the_contracts_words(within: Within, sent: bytes) -> None:
-    port = within(ConnectionLimits(max_head_bytes=1000))
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.sendall(sent)
-        answer = everything(connection)
+    answer = exchange(within(ConnectionLimits(max_head_bytes=1000)), sent)
 
     assert answer.startswith(b"HTTP/1.1 400 ")
     error = error_of(answer)
@@ -200,34 +195,28 @@ def test_what_is_no_request_is_refused_in_the_contracts_words(within: Within, se
 
 
 @pytest.mark.parametrize(
-    "sent",
+    ("limits", "sent"),
     [
-        b"",
-        b"GET /v2 HT",
+        (ConnectionLimits(head_s=0.2, receive_s=1e6), b""),
+        (ConnectionLimits(head_s=0.2, receive_s=1e6), b"GET /v2 HT"),
+        (ConnectionLimits(head_s=1e6, receive_s=0.2), HALF_A_BODY),
     ],
+    ids=["nothing", "half a head", "half a body"],
 )
-def test_a_head_that_does_not_come_is_not_waited_for(within: Within, sent: bytes) -> None:
-    port = within(ConnectionLimits(head_s=0.2, receive_s=1e6))
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.sendall(sent)
-        everything(connection)
+def test_what_does_not_come_is_not_waited_for(
+    within: Within, limits: ConnectionLimits, sent: bytes
+) -> None:
+    exchange(within(limits), sent)
 
 
 def test_a_second_head_that_does_not_come_is_not_waited_for_either(within: Within) -> None:
     port = within(ConnectionLimits(head_s=0.2, receive_s=1e6))
     with socket.create_connection(("127.0.0.1", port)) as connection:
         connection.settimeout(PATIENCE_S)
-        connection.sendall(b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n\r\n")
+        connection.sendall(LIVE)
         while b"true}" not in connection.recv(65536):
             pass
         connection.sendall(b"GET /v2 HT")
-        everything(connection)
-
-
-def test_a_body_that_does_not_come_is_not_waited_for(within: Within) -> None:
-    port = within(ConnectionLimits(head_s=1e6, receive_s=0.2))
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.sendall(HALF_A_BODY)
         everything(connection)
 
 
@@ -279,31 +268,19 @@ def test_planning_may_take_longer_than_receiving(
 
 def counted(port: int) -> dict[tuple[str, str], float]:
     """HTTP answers by route and status, those to this question left out."""
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.sendall(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")
-        text = everything(connection).partition(b"\r\n\r\n")[2].decode()
+    sent = b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
+    text = exchange(port, sent).partition(b"\r\n\r\n")[2].decode()
     pattern = r'^anchorflow_http_responses_total{route="(.*)",status="(.*)"} (.*)$'
     found = re.findall(pattern, text, re.M)
     return {(route, status): float(n) for route, status, n in found if route != "/metrics"}
 
 
 def test_who_is_refused_for_want_of_a_connection_is_counted_and_logged(
-    within: Within,
-    fields: dict[str, Any],
-    gate: Any,
-    background: ThreadPoolExecutor,
-    caplog: pytest.LogCaptureFixture,
-    until: Any,
+    within: Within, busy: Busy, caplog: pytest.LogCaptureFixture, until: Any
 ) -> None:
     port = within(ConnectionLimits(max_connections=1))
-    asked = background.submit(ask, port, fields)
-    assert gate.reached.wait(PATIENCE_S)
-    with caplog.at_level("INFO", "anchorflow_service.access"), ExitStack() as stack:
-        connection = silent(port, stack)
-        connection.sendall(b"GET /v2 HTTP/1.1\r\nHost: a\r\nX-Request-Id: r7\r\n\r\n")
-        answer = everything(connection)
-    gate.opened.set()
-    asked.result(PATIENCE_S)
+    with busy(port), caplog.at_level("INFO", "anchorflow_service.access"):
+        answer = exchange(port, b"GET /v2 HTTP/1.1\r\nHost: a\r\nX-Request-Id: r7\r\n\r\n")
 
     assert answer.startswith(b"HTTP/1.1 429 ")
     assert b"x-request-id: r7" in answer.lower()
@@ -313,9 +290,7 @@ def test_who_is_refused_for_want_of_a_connection_is_counted_and_logged(
 
 def test_what_is_no_request_is_counted_once(within: Within, until: Any) -> None:
     port = within(ConnectionLimits())
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.sendall(b"nonsense\r\n\r\n")
-        answer = everything(connection)
+    answer = exchange(port, b"nonsense\r\n\r\n")
 
     assert re.search(rb"^x-request-id: \w{32}\r$", answer.lower(), re.M)
     until(lambda: counted(port) == {("other", "400"): 1})
@@ -329,21 +304,24 @@ def test_who_leaves_in_mid_body_is_counted_as_gone(within: Within, until: Any) -
     until(lambda: counted(port).get(("/anchors", "499")))
 
 
+def posted(fields: dict[str, Any]) -> bytes:
+    body = json.dumps(fields).encode()
+    return POST + b"Content-Length: %d\r\n\r\n%b" % (len(body), body)
+
+
 @pytest.mark.parametrize(
     "more",
     [
         b"nonsense\r\n\r\n",
-        b"POST /anchors HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\nnonsense\r\n",
+        POST + b"Transfer-Encoding: chunked\r\n\r\nnonsense\r\n",
     ],
     ids=["no request", "no chunk"],
 )
 def test_a_refusal_does_not_come_before_the_answer_to_what_came_first(
     within: Within, fields: dict[str, Any], gate: Any, more: bytes
 ) -> None:
-    body = json.dumps(fields).encode()
-    head = b"POST /anchors HTTP/1.1\r\nHost: a\r\nContent-Length: %d\r\n\r\n" % len(body)
     with socket.create_connection(("127.0.0.1", within(ConnectionLimits()))) as connection:
-        connection.sendall(head + body)
+        connection.sendall(posted(fields))
         assert gate.reached.wait(PATIENCE_S)
         connection.sendall(more)
         gate.opened.set()
@@ -353,24 +331,9 @@ def test_a_refusal_does_not_come_before_the_answer_to_what_came_first(
     assert answer.startswith(b"HTTP/1.1 200 ")
 
 
-def test_a_body_that_breaks_off_into_nonsense_is_refused(within: Within) -> None:
-    port = within(ConnectionLimits())
-    head = b"POST /anchors HTTP/1.1\r\nHost: a\r\nTransfer-Encoding: chunked\r\n\r\n"
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.sendall(head + b"nonsense\r\n")
-        answer = everything(connection)
-
-    assert answer.startswith(b"HTTP/1.1 400 ")
-    assert error_of(answer)["code"] == "invalid_request"
-
-
 def test_requests_that_come_at_once_are_answered_in_their_order(within: Within) -> None:
-    port = within(ConnectionLimits(max_head_bytes=100))
-    asked = b"GET /v2/health/live HTTP/1.1\r\nHost: a\r\n\r\n"
     last = b"GET /v2/health/ready HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n"
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        connection.sendall(asked * 5 + last)
-        answer = everything(connection)
+    answer = exchange(within(ConnectionLimits(max_head_bytes=100)), LIVE * 5 + last)
 
     assert answer.count(b"HTTP/1.1 200 ") == 6
     assert answer.count(b'{"live":true}') == 5
@@ -391,7 +354,7 @@ def test_a_client_that_offers_another_protocol_is_answered_in_this_one(
     if is_chunked:
         framing = b"Transfer-Encoding: chunked\r\n"
         framed = b"%x\r\n%b\r\n0\r\n\r\n" % (len(body), body)
-    head = b"POST /anchors HTTP/1.1\r\nHost: a\r\n" + UPGRADE + framing
+    head = POST + UPGRADE + framing
     with socket.create_connection(("127.0.0.1", within(ConnectionLimits()))) as connection:
         connection.settimeout(PATIENCE_S)
         for more in (b"", b"Connection: close\r\n"):
@@ -405,10 +368,8 @@ def test_a_client_that_offers_another_protocol_is_answered_in_this_one(
 def test_a_client_cannot_send_without_end_while_it_is_answered(
     within: Within, fields: dict[str, Any], gate: Any
 ) -> None:
-    body = json.dumps(fields).encode()
-    head = b"POST /anchors HTTP/1.1\r\nHost: a\r\nContent-Length: %d\r\n\r\n" % len(body)
     with socket.create_connection(("127.0.0.1", within(ConnectionLimits()))) as connection:
-        connection.sendall(head + body)
+        connection.sendall(posted(fields))
         assert gate.reached.wait(PATIENCE_S)
         connection.sendall(b"GET /v2 HTTP/1.1\r\nX: " + b"x" * 2 * MAX_PIPELINED_BYTES)
         assert everything(connection) == b""

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from anchorflow_client import DeadlineExceeded, NotReady
+from anchorflow_client import DeadlineExceeded, NotReady, Superseded
 from anchorflow_service.planning import Arrival, JobContext
 from anchorflow_service.planning.job import Job, JobCancelled
+from anchorflow_service.planning.service import LatestPerRobot
 
 
 def test_a_job_learns_how_long_it_waited_and_what_it_may_use() -> None:
@@ -17,10 +20,13 @@ def test_a_job_learns_how_long_it_waited_and_what_it_may_use() -> None:
     assert (context.queue_ms, context.threads) == (12.0, 3)
 
 
-def test_what_a_job_raises_is_its_result() -> None:
-    job: Job[float] = Job(lambda _: 1 / 0, Arrival())
+@pytest.mark.parametrize("where", ["work", "deliver"])
+def test_what_is_raised_at_work_or_on_delivery_is_the_result(where: str) -> None:
+    calls: dict[str, Any] = {"work": lambda _: 0.0, "deliver": lambda _: None}
+    calls[where] = lambda _: 1 / 0
+    job: Job[float] = Job(arrival=Arrival(), **calls)
 
-    assert not job.run(queue_ms=0.0, threads=1)
+    assert job.run(queue_ms=0.0, threads=1) == (where == "deliver")
     with pytest.raises(ZeroDivisionError):
         job.result.result(0)
 
@@ -88,17 +94,6 @@ def test_what_nobody_waits_for_is_not_delivered() -> None:
     assert isinstance(job.result.exception(0), NotReady)
 
 
-def test_what_fails_on_delivery_is_the_jobs_result() -> None:
-    def fail(_: float) -> None:
-        raise ZeroDivisionError
-
-    job: Job[float] = Job(lambda _: 0.0, Arrival(), deliver=fail)
-
-    job.run(queue_ms=0.0, threads=1)
-    with pytest.raises(ZeroDivisionError):
-        job.result.result(0)
-
-
 def test_a_budget_that_runs_out_at_work_ends_it_at_the_next_check() -> None:
     now = [7.0]
 
@@ -114,3 +109,49 @@ def test_a_budget_that_runs_out_at_work_ends_it_at_the_next_check() -> None:
         DeadlineExceeded, match=r"within 250 ms, 300\.0 ms had passed while planning"
     ):
         job.result.result(0)
+
+
+# The latest job of a robot wins, by the time of arrival and not by that of reading.
+
+
+def job_of(arrived: float = 7.0) -> Job[None]:
+    return Job(lambda _: None, Arrival(clock=lambda: arrived))
+
+
+def test_a_newer_request_takes_the_place_of_the_older() -> None:
+    latest, older, newer = LatestPerRobot(), job_of(7.0), job_of(8.0)
+
+    with latest.registered("r1", older), latest.registered("r1", newer):
+        error = older.result.exception(0)
+        assert isinstance(error, Superseded)
+        assert (error.http_status, error.field) == (409, "robot_id")
+        assert "robot_id 'r1'" in error.message
+        assert not newer.has_ended
+
+
+def test_an_older_request_that_took_longer_to_read_does_not() -> None:
+    latest, older, newer = LatestPerRobot(), job_of(7.0), job_of(8.0)
+
+    with latest.registered("r1", newer):
+        with pytest.raises(Superseded), latest.registered("r1", older):
+            raise AssertionError
+        assert not newer.has_ended
+
+
+def test_robots_do_not_touch_each_other() -> None:
+    latest, one, other, nobody = LatestPerRobot(), job_of(), job_of(), job_of()
+
+    with (
+        latest.registered("r1", one),
+        latest.registered("r2", other),
+        latest.registered(None, nobody),
+    ):
+        assert not any(each.has_ended for each in (one, other, nobody))
+
+
+def test_nothing_is_kept_of_those_who_are_answered() -> None:
+    latest, first, second = LatestPerRobot(), job_of(7.0), job_of(8.0)
+
+    with latest.registered("r1", first), latest.registered("r1", second):
+        pass
+    assert len(latest) == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +29,7 @@ PATIENCE_S = 20
 
 
 @pytest.fixture
-def open_planning(planning: PlanningService) -> Iterator[PlanningService]:
+def planning(planning: PlanningService) -> Iterator[PlanningService]:
     with planning:
         yield planning
 
@@ -40,8 +40,19 @@ def call(planning: PlanningService, fields: dict[str, Any], **beside: Any) -> Ca
     return Call(payload, CODEC, planning.arrival(), "drawn", **beside)
 
 
-def answer(planning: PlanningService, asked: Call) -> Any:
-    return CODEC.decode_answer(asyncio.run(planning.answer(asked)))
+Ask = Callable[..., Any]
+
+
+@pytest.fixture
+def ask(planning: PlanningService, fields: dict[str, Any]) -> Ask:
+    """Answers a call in binary with some fields changed, and what stands beside its bytes."""
+
+    def ask(changes: dict[str, Any], **beside: Any) -> Any:
+        return CODEC.decode_answer(
+            asyncio.run(planning.answer(call(planning, fields | changes, **beside)))
+        )
+
+    return ask
 
 
 def test_the_same_bytes_in_give_the_same_bytes_out(engine: Any, fields: dict[str, Any]) -> None:
@@ -55,74 +66,54 @@ def test_the_same_bytes_in_give_the_same_bytes_out(engine: Any, fields: dict[str
     assert CODEC.decode_answer(first).timing_ms["total"] == 0.0
 
 
-def test_the_address_may_name_the_model(
-    open_planning: PlanningService, fields: dict[str, Any]
-) -> None:
-    assert answer(open_planning, call(open_planning, fields)).model.name == "lines"
-    assert answer(open_planning, call(open_planning, fields, model="bows")).model.name == "bows"
-    same = call(open_planning, fields | {"model": "bows"}, model="bows")
-    assert answer(open_planning, same).model.name == "bows"
-
-
-def test_two_names_of_a_model_must_agree(
-    open_planning: PlanningService, fields: dict[str, Any]
-) -> None:
+def test_the_address_may_name_the_model(ask: Ask) -> None:
+    assert ask({}).model.name == "lines"
+    assert ask({}, model="bows").model.name == "bows"
+    assert ask({"model": "bows"}, model="bows").model.name == "bows"
     with pytest.raises(InvalidRequest, match="model: expected bows, as the address says"):
-        answer(open_planning, call(open_planning, fields | {"model": "lines"}, model="bows"))
+        ask({"model": "lines"}, model="bows")
     with pytest.raises(UnknownModel, match="'nobody'"):
-        answer(open_planning, call(open_planning, fields, model="nobody"))
+        ask({}, model="nobody")
 
 
-def test_the_requests_own_id_rules(open_planning: PlanningService, fields: dict[str, Any]) -> None:
-    drawn, own = (
-        call(open_planning, fields),
-        call(open_planning, fields | {"request_id": "own"}),
-    )
-
-    assert answer(open_planning, drawn).request_id == drawn.request_id == "drawn"
-    assert answer(open_planning, own).request_id == own.request_id == "own"
-
-
-def test_a_refused_call_has_its_own_id_too(
-    open_planning: PlanningService, fields: dict[str, Any]
+def test_the_requests_own_id_rules_also_when_it_is_refused(
+    planning: PlanningService, ask: Ask, fields: dict[str, Any]
 ) -> None:
-    refused = call(open_planning, fields | {"request_id": "own", "v_max": 9.0})
-
+    assert ask({}).request_id == "drawn"
+    assert ask({"request_id": "own"}).request_id == "own"
+    refused = call(planning, fields | {"request_id": "own", "v_max": 9.0})
     with pytest.raises(InvalidRequest, match="v_max"):
-        answer(open_planning, refused)
+        asyncio.run(planning.answer(refused))
     assert refused.request_id == "own"
 
 
-def test_a_budget_beside_the_bytes_is_the_newer_one(
-    open_planning: PlanningService, fields: dict[str, Any]
-) -> None:
+def test_a_budget_beside_the_bytes_is_the_newer_one(ask: Ask) -> None:
     with pytest.raises(DeadlineExceeded, match="within 1e-06 ms"):
-        answer(open_planning, call(open_planning, fields | {"budget_ms": 60_000}, budget_ms=1e-6))
-    assert answer(
-        open_planning, call(open_planning, fields | {"budget_ms": 1e-6}, budget_ms=60_000)
-    )
+        ask({"budget_ms": 60_000}, budget_ms=1e-6)
+    assert ask({"budget_ms": 1e-6}, budget_ms=60_000)
 
 
 def test_the_answer_has_the_form_of_the_request(
-    open_planning: PlanningService, fields: dict[str, Any]
+    planning: PlanningService, fields: dict[str, Any]
 ) -> None:
     codec = JsonCodec()
     payload = codec.encode_request(AnchorRequest.from_fields(fields))
-    asked = replace(call(open_planning, fields), payload=payload, codec=codec)
+    asked = replace(call(planning, fields), payload=payload, codec=codec)
 
-    assert codec.decode_answer(asyncio.run(open_planning.answer(asked))).seed == 1
+    assert codec.decode_answer(asyncio.run(planning.answer(asked))).seed == 1
 
 
 def test_bytes_that_cannot_be_read_are_refused(
-    open_planning: PlanningService, fields: dict[str, Any]
+    planning: PlanningService, fields: dict[str, Any]
 ) -> None:
     with pytest.raises(InvalidRequest, match="header_length"):
-        answer(open_planning, replace(call(open_planning, fields), payload=Payload(b"")))
+        asyncio.run(planning.answer(replace(call(planning, fields), payload=Payload(b""))))
 
 
-def test_closed_it_is_not_ready(planning: PlanningService, fields: dict[str, Any]) -> None:
+def test_closed_it_is_not_ready(engine: Any, fields: dict[str, Any]) -> None:
+    closed = PlanningService({"a": engine}, default="a")
     with pytest.raises(NotReady):
-        answer(planning, call(planning, fields))
+        asyncio.run(closed.answer(call(closed, fields)))
 
 
 def test_the_default_must_be_served(engine: Any) -> None:
@@ -131,7 +122,7 @@ def test_the_default_must_be_served(engine: Any) -> None:
 
 
 def test_what_takes_long_to_read_is_read_off_the_event_loop(
-    open_planning: PlanningService, fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    planning: PlanningService, fields: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Health has to be answered meanwhile; a short binary request would lose by the way there."""
     threads: list[str] = []
@@ -141,12 +132,12 @@ def test_what_takes_long_to_read_is_read_off_the_event_loop(
         return resolve_for_card(*given)
 
     monkeypatch.setattr("anchorflow_service.planning.service.resolve_for_card", resolve)
-    answer(open_planning, call(open_planning, fields))
+    asyncio.run(planning.answer(call(planning, fields)))
     loop, words = threading.current_thread().name, JsonCodec()
     payload = words.encode_request(AnchorRequest.from_fields(fields))
-    asyncio.run(open_planning.answer(Call(payload, words, open_planning.arrival(), "json")))
+    asyncio.run(planning.answer(Call(payload, words, planning.arrival(), "json")))
     monkeypatch.setattr("anchorflow_service.planning.service.QUICK_BYTES", 100)
-    answer(open_planning, call(open_planning, fields))
+    asyncio.run(planning.answer(call(planning, fields)))
 
     assert threads == [loop, "reading", "reading-large"]
 
@@ -164,24 +155,22 @@ class HeldCodec(JsonCodec):
         return super().decode_request(payload)
 
 
-def test_a_small_request_does_not_wait_behind_a_large_one(
-    open_planning: PlanningService, fields: dict[str, Any]
+@pytest.mark.anyio
+async def test_a_small_request_does_not_wait_behind_a_large_one(
+    planning: PlanningService, fields: dict[str, Any]
 ) -> None:
     codec = HeldCodec()
     small = codec.encode_request(AnchorRequest.from_fields(fields))
     large = Payload(small.body.ljust(QUICK_BYTES + 1))
 
     def asked(payload: Payload) -> Call:
-        return Call(payload, codec, open_planning.arrival(), "json")
+        return Call(payload, codec, planning.arrival(), "json")
 
-    async def both() -> None:
-        behind = asyncio.create_task(open_planning.answer(asked(large)))
-        try:
-            assert await asyncio.to_thread(codec.reached.wait, PATIENCE_S)
-            await asyncio.wait_for(open_planning.answer(asked(small)), PATIENCE_S)
-            assert not behind.done()
-        finally:
-            codec.opened.set()
-        assert await behind
-
-    asyncio.run(both())
+    behind = asyncio.create_task(planning.answer(asked(large)))
+    try:
+        assert await asyncio.to_thread(codec.reached.wait, PATIENCE_S)
+        await asyncio.wait_for(planning.answer(asked(small)), PATIENCE_S)
+        assert not behind.done()
+    finally:
+        codec.opened.set()
+    assert await behind

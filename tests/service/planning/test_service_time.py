@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -12,34 +11,15 @@ import pytest
 from anchorflow_client import Overloaded
 from anchorflow_service.planning import Arrival, PlanningQueue, ServiceLimits
 from anchorflow_service.planning.job import Job
-from anchorflow_service.planning.queue import ServiceTimeEstimate
 
+pytestmark = pytest.mark.anyio
 PATIENCE_S = 20
-
-
-def test_the_mean_forgets_slowly() -> None:
-    estimate = ServiceTimeEstimate(lanes=1)
-    assert estimate.mean_s == 0.0
-    estimate.observe(1.0)
-    assert estimate.mean_s == 1.0
-    estimate.observe(2.0)
-    assert estimate.mean_s == pytest.approx(1.2)
-
-
-def test_the_wait_is_the_time_of_those_ahead_over_the_lanes() -> None:
-    estimate = ServiceTimeEstimate(lanes=2)
-    estimate.observe(3.0)
-
-    assert estimate.wait_s(10) == pytest.approx(15.0)
-    assert estimate.retry_after_s(10) == 15
-    assert estimate.retry_after_s(0) == 1  # the least that a header can say
 
 
 class Clock:
     """Stands still until it is set."""
 
-    def __init__(self) -> None:
-        self.now = 100.0
+    now = 100.0
 
     def __call__(self) -> float:
         return self.now
@@ -50,16 +30,25 @@ def clock() -> Clock:
     return Clock()
 
 
-def taught(queue: PlanningQueue, clock: Clock, seconds: float) -> None:
+async def teach(queue: PlanningQueue, clock: Clock, seconds: float) -> None:
     """Run one request of that duration."""
 
     def work(_: object) -> None:
         clock.now += seconds
 
-    asyncio.run(queue.run(work))
+    await queue.run(work)
 
 
-def behind(queue: PlanningQueue, clock: Clock, *, waiting: int, budget_ms: float) -> Any:
+async def test_the_mean_forgets_slowly(clock: Clock) -> None:
+    with PlanningQueue(ServiceLimits(threads=1), clock=clock) as queue:
+        assert queue.mean_service_s == 0.0
+        await teach(queue, clock, 1.0)
+        assert queue.mean_service_s == 1.0
+        await teach(queue, clock, 2.0)
+        assert queue.mean_service_s == pytest.approx(1.2)
+
+
+async def behind(queue: PlanningQueue, clock: Clock, *, waiting: int, budget_ms: float) -> Any:
     """Return the outcome of a job behind one that runs and `waiting` others."""
     reached, opened = threading.Event(), threading.Event()
 
@@ -67,26 +56,23 @@ def behind(queue: PlanningQueue, clock: Clock, *, waiting: int, budget_ms: float
         reached.set()
         assert opened.wait(PATIENCE_S)
 
-    async def ask() -> Any:
-        ahead = [asyncio.ensure_future(queue.run(hold))]
-        await asyncio.to_thread(reached.wait, PATIENCE_S)
-        ahead += [asyncio.ensure_future(queue.run(lambda _: None)) for _ in range(waiting)]
-        await asyncio.sleep(0)
-        job: Job[str] = Job(lambda _: "done", Arrival(clock=clock), budget_ms=budget_ms)
-        mine = asyncio.ensure_future(queue.submit(job))
-        await asyncio.sleep(0)
-        opened.set()
-        await asyncio.gather(*ahead)
-        (outcome,) = await asyncio.gather(mine, return_exceptions=True)
-        return outcome
-
-    return asyncio.run(ask())
+    ahead = [asyncio.ensure_future(queue.run(hold))]
+    await asyncio.to_thread(reached.wait, PATIENCE_S)
+    ahead += [asyncio.ensure_future(queue.run(lambda _: None)) for _ in range(waiting)]
+    await asyncio.sleep(0)
+    job: Job[str] = Job(lambda _: "done", Arrival(clock=clock), budget_ms=budget_ms)
+    mine = asyncio.ensure_future(queue.submit(job))
+    await asyncio.sleep(0)
+    opened.set()
+    await asyncio.gather(*ahead)
+    (outcome,) = await asyncio.gather(mine, return_exceptions=True)
+    return outcome
 
 
-def test_who_cannot_be_answered_in_time_hears_it_at_once(clock: Clock) -> None:
+async def test_who_cannot_be_answered_in_time_hears_it_at_once(clock: Clock) -> None:
     with PlanningQueue(ServiceLimits(threads=1), clock=clock) as queue:
-        taught(queue, clock, 2.0)
-        refused = behind(queue, clock, waiting=3, budget_ms=7_999.0)
+        await teach(queue, clock, 2.0)
+        refused = await behind(queue, clock, waiting=3, budget_ms=7_999.0)
 
     assert isinstance(refused, Overloaded)
     assert refused.retry_after_s == 6  # those three
@@ -102,31 +88,27 @@ def test_who_cannot_be_answered_in_time_hears_it_at_once(clock: Clock) -> None:
         (0.0, 3, 500.0),  # no service time known yet
     ],
 )
-def test_who_may_be_answered_in_time_is_let_in(
+async def test_who_may_be_answered_in_time_is_let_in(
     clock: Clock, seconds: float, waiting: int, budget_ms: float
 ) -> None:
     with PlanningQueue(ServiceLimits(threads=1), clock=clock) as queue:
-        taught(queue, clock, seconds)
-        outcome = behind(queue, clock, waiting=waiting, budget_ms=budget_ms)
-
-    assert outcome == "done"
+        await teach(queue, clock, seconds)
+        assert await behind(queue, clock, waiting=waiting, budget_ms=budget_ms) == "done"
 
 
-def test_the_refusal_of_a_full_queue_counts_those_at_work_too(clock: Clock) -> None:
+@pytest.mark.parametrize(("lanes", "service_s", "retry_after_s"), [(1, 3.0, 15), (2, 3.0, 9)])
+async def test_the_refusal_of_a_full_queue_counts_those_at_work_too(
+    clock: Clock, lanes: int, service_s: float, retry_after_s: int
+) -> None:
     opened = threading.Event()
-
-    async def fill(queue: PlanningQueue) -> Overloaded:
-        wait: Callable[[object], object] = lambda _: opened.wait(PATIENCE_S)  # noqa: E731
-        held = [asyncio.ensure_future(queue.run(wait)) for _ in range(5)]
+    message = f"4 requests wait already; try again in {retry_after_s} s"
+    with PlanningQueue(ServiceLimits(threads=lanes, max_waiting=4), clock=clock) as queue:
+        await teach(queue, clock, service_s)
+        jobs = [queue.run(lambda _: opened.wait(PATIENCE_S)) for _ in range(4 + lanes)]
+        held = [asyncio.ensure_future(job) for job in jobs]
         await asyncio.sleep(0)
-        with pytest.raises(
-            Overloaded, match="4 requests wait already; try again in 15 s"
-        ) as caught:
-            await queue.run(wait)
+        with pytest.raises(Overloaded, match=message) as caught:
+            await queue.run(lambda _: None)
         opened.set()
         await asyncio.gather(*held)
-        return caught.value
-
-    with PlanningQueue(ServiceLimits(threads=1, max_waiting=4), clock=clock) as queue:
-        taught(queue, clock, 3.0)
-        assert asyncio.run(fill(queue)).retry_after_s == 15
+    assert caught.value.retry_after_s == retry_after_s

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tiny_bundle import set_in_manifest
 
 Write = Callable[..., Path]
 
@@ -18,9 +18,8 @@ def write_bundle(tiny_bundle: Path) -> Write:
 
     def write(folder: Path, *, name: str = "tiny", version: str = "1.2.3") -> Path:
         shutil.copytree(tiny_bundle, folder, dirs_exist_ok=True)
-        file = folder / "manifest.json"
-        manifest = json.loads(file.read_text()) | {"name": name, "version": version}
-        file.write_text(json.dumps(manifest))
+        set_in_manifest(folder, "name", to=name)
+        set_in_manifest(folder, "version", to=version)
         return folder
 
     return write

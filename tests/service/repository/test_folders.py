@@ -77,15 +77,19 @@ def test_two_folders_of_one_version_cannot_be_told_apart(
         BundleFolders(repository=tmp_path).find("flow")
 
 
-def test_a_broken_manifest_is_known_by_its_folder(tmp_path: Path, write_bundle: Write) -> None:
-    broken = write_bundle(tmp_path / "repository" / "flow")
-    (broken / "manifest.json").write_text("{")
+@pytest.mark.parametrize(
+    ("place", "version", "other"), [("flow", "", "tiny"), ("flow/1.0", "1.0", "1.0")]
+)
+def test_a_broken_manifest_is_known_by_its_folder_or_that_of_versions(
+    tmp_path: Path, write_bundle: Write, place: str, version: str, other: str
+) -> None:
+    (write_bundle(tmp_path / "repository" / place) / "manifest.json").write_text("{")
     folders = BundleFolders(repository=tmp_path / "repository")
 
-    (found,) = folders.found()
-    assert (found.name, found.version) == ("flow", "")
+    assert [(each.name, each.version) for each in folders.found()] == [("flow", version)]
     with pytest.raises(BundleError, match=r"manifest\.json: Invalid JSON"):
         folders.find("flow")
+    assert folders.find(other) is None
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
@@ -140,18 +144,6 @@ def test_an_older_version_that_is_broken_keeps_no_newer_one_back(
     found = BundleFolders(repository=tmp_path / "repository").find("flow")
     assert found is not None
     assert found.version == "0.10.0"
-
-
-def test_a_broken_manifest_without_other_versions_is_known_by_the_folder_of_versions(
-    tmp_path: Path, write_bundle: Write
-) -> None:
-    (write_bundle(tmp_path / "repository" / "flow" / "1.0") / "manifest.json").write_text("{")
-    folders = BundleFolders(repository=tmp_path / "repository")
-
-    assert [(each.name, each.version) for each in folders.found()] == [("flow", "1.0")]
-    with pytest.raises(BundleError, match="Invalid JSON"):
-        folders.find("flow")
-    assert folders.find("1.0") is None
 
 
 def test_a_single_folder_without_a_manifest_is_told(tmp_path: Path) -> None:

@@ -7,17 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from served import opened
 
-from anchorflow_service.bundle import BundleError, load_bundle
-from anchorflow_service.engine import Engine
+from anchorflow_service.bundle import BundleError
 from anchorflow_service.repository import BundleFolders, open_all
 from anchorflow_service.repository.folders import RepositoryError
 
 Write = Callable[..., Path]
-
-
-def opened(folder: Path) -> Engine:
-    return Engine(load_bundle(folder), threads=1)
 
 
 def versions(folders: BundleFolders) -> list[tuple[str, str]]:

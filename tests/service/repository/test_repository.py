@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import gc
 import hashlib
-import json
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import onnx
 import pytest
+from served import opened
+from tiny_bundle import set_in_manifest
 
 from anchorflow_client.errors import UnknownModel
-from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine import Engine
 from anchorflow_service.planning import EngineRegistry
 from anchorflow_service.repository import BundleFolders, LoadError, ModelState, Repository
 
 Write = Callable[..., Path]
-
-
-def opened(folder: Path) -> Engine:
-    return Engine(load_bundle(folder), threads=1)
 
 
 @pytest.fixture
@@ -126,18 +120,8 @@ def test_what_no_folder_holds_is_unknown(repository: Repository) -> None:
         repository.load("tiny", "9")
 
 
-def rewrite(folder: Path, *path: str, to: Any) -> None:
-    file = folder / "manifest.json"
-    manifest = json.loads(file.read_text())
-    place = manifest
-    for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = to
-    file.write_text(json.dumps(manifest))
-
-
 def wrong_hash(folder: Path) -> None:
-    rewrite(folder, "graphs", "field", "sha256", to="0" * 64)
+    set_in_manifest(folder, "graphs", "field", "sha256", to="0" * 64)
 
 
 def missing_graph(folder: Path) -> None:
@@ -179,7 +163,7 @@ def fails_when_it_runs(folder: Path) -> None:
 
 def write_graph(folder: Path, role: str, data: bytes) -> None:
     (folder / f"{role}.onnx").write_bytes(data)
-    rewrite(folder, "graphs", role, "sha256", to=hashlib.sha256(data).hexdigest())
+    set_in_manifest(folder, "graphs", role, "sha256", to=hashlib.sha256(data).hexdigest())
 
 
 BREAKS: dict[str, tuple[Callable[[Path], None], str]] = {
