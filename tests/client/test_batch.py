@@ -8,51 +8,28 @@ from typing import Any
 
 import numpy as np
 import pytest
+from staged_planner import made_batch
 
 from anchorflow_client import AnchorBatch, InvalidRequest, ModelId
-from anchorflow_client.contract.batch import ARRAY_DTYPES, NEAR
+from anchorflow_client.contract.batch import NEAR
 
 MODEL = ModelId("lines", "1", "ab")
 
 
-def batch(**fields: Any) -> AnchorBatch:
-    paths = np.zeros((3, 4, 2))
-    defaults: dict[str, Any] = {
-        "trajectories": paths,
-        "velocities": paths,
-        "accelerations": paths,
-        "scores": np.array([1.0, 3.0, 2.0]),
-        "clearance": np.array([0.1, -0.2, 0.3]),
-        "safe": np.array([True, False, True]),
-        "dt": 0.1,
-        "seed": 7,
-        "model": MODEL,
-        "timing_ms": {"total": 1.0},
-    }
-    told = defaults | fields
-    arrays = {name: told.pop(name) for name in list(told) if name in ARRAY_DTYPES}
-    return AnchorBatch(arrays=arrays, **told)
+def batch(trajectories: Any = None, **fields: Any) -> AnchorBatch:
+    """Return three anchors, the second of them the best and unsafe."""
+    three = {"scores": [1.0, 3.0, 2.0], "clearance": [0.1, -0.2, 0.3], "safe": [True, False, True]}
+    return made_batch(trajectories, **three | {"seed": 7} | fields)
 
 
-def test_the_best_is_the_best_of_the_safe() -> None:
+def test_the_best_is_the_best_of_the_safe_or_of_all_if_none_is() -> None:
     assert batch().best == 2
-
-
-def test_where_none_is_safe_the_best_is_the_best_of_all() -> None:
     assert batch(safe=np.zeros(3, bool)).best == 1
 
 
 def test_each_scene_has_its_best() -> None:
-    paths = np.zeros((2, 3, 4, 2))
-    scores = np.array([[1.0, 3.0, 2.0]] * 2)
-    anchors = batch(
-        trajectories=paths,
-        velocities=paths,
-        accelerations=paths,
-        scores=scores,
-        clearance=scores,
-        safe=np.array([[True, False, True], [False] * 3]),
-    )
+    scores, safe = [[1.0, 3.0, 2.0]] * 2, [[True, False, True], [False] * 3]
+    anchors = batch(np.zeros((2, 3, 4, 2)), scores=scores, clearance=scores, safe=safe)
 
     assert anchors.batched
     np.testing.assert_array_equal(anchors.best, [2, 1])
@@ -170,9 +147,7 @@ def ways() -> AnchorBatch:
     """Straight on, to the left, and twice to the right, the second worth more."""
     ahead = np.linspace(0.0, 20.0, 4)
     paths = np.stack([np.stack([ahead, slope * ahead], -1) for slope in (0.0, 0.5, -0.5, -0.45)])
-    scores, safe = np.array([0.9, 0.8, 0.3, 0.4]), np.ones(4, bool)
-    fields = dict.fromkeys(("velocities", "accelerations"), paths)
-    return batch(trajectories=paths, scores=scores, safe=safe, clearance=scores, **fields)
+    return made_batch(paths, scores=[0.9, 0.8, 0.3, 0.4])
 
 
 def test_along_a_route_the_best_is_the_best_that_ends_there() -> None:
@@ -188,9 +163,7 @@ def test_who_comes_back_to_the_route_follows_it() -> None:
     """An anchor that returns from 3 m beside the route follows it; one that waits does not."""
     ahead = np.linspace(0.0, 15.0, 4)
     paths = np.stack([np.stack([ahead, 3.0 - ahead / 5], -1), np.stack([0 * ahead, 0 * ahead], -1)])
-    given = dict.fromkeys(("trajectories", "velocities", "accelerations"), paths)
-    scores, safe = np.array([0.5, 0.4]), np.ones(2, bool)
-    beside = batch(**given, scores=scores, safe=safe, clearance=scores)
+    beside = made_batch(paths, scores=[0.5, 0.4])
     assert beside.best_along([[0.0, 0.0], [40.0, 0.0]]) == 0
 
 
@@ -201,17 +174,13 @@ def test_where_none_follows_the_route_the_best_of_all_is_taken(
     """Who stands follows no route, however near to it: it is taken where it is the best."""
     ahead = np.linspace(0.0, 15.0, 4)
     paths = np.stack([np.stack([ahead, ahead], -1), np.stack([0.05 * ahead, 0 * ahead], -1)])
-    given = dict.fromkeys(("trajectories", "velocities", "accelerations"), paths)
-    scores, safe = np.array([0.5, standing]), np.ones(2, bool)
-    lost = batch(**given, scores=scores, safe=safe, clearance=scores)
+    lost = made_batch(paths, scores=[0.5, standing])
     assert lost.best_along([[0.0, -1.0], [40.0, -1.0]]) == chosen
     assert ways().best_along([[0.0, 90.0], [40.0, 90.0]]) == ways().best
 
 
 def test_along_a_route_what_is_safe_comes_first() -> None:
-    given = ways()
-    arrays = {**given.arrays, "safe": np.array([True, True, True, False])}
-    told = AnchorBatch(arrays=arrays, dt=0.1, seed=7, model=MODEL, timing_ms={})
+    told = made_batch(**ways().arrays | {"safe": [True, True, True, False]})
     assert told.best_along([[0.0, 0.0], [40.0, -20.0]]) == 2
 
 
@@ -241,8 +210,6 @@ def test_what_ends_beyond_a_routes_end_is_beside_it() -> None:
 
 
 def test_of_several_scenes_there_is_no_one_route() -> None:
-    given = batch()
-    arrays = {name: array[None] for name, array in given.arrays.items()}
-    several = AnchorBatch(arrays=arrays, dt=0.1, seed=7, model=MODEL, timing_ms={})
+    several = made_batch(np.zeros((1, 3, 4, 2)))
     with pytest.raises(ValueError, match="best_along: expected the answer of one scene"):
         several.best_along([[0.0, 0.0], [1.0, 0.0]])

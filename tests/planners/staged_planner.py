@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from anchorflow_client import AnchorBatch, AnchorFlowError, AnchorRequest, ModelId
+from anchorflow_client.contract.batch import ARRAY_DTYPES, MOTIONS
 from anchorflow_client.planner import Planner, PlannerConfig
 from anchorflow_client.planner.plan import Plan
 
@@ -33,6 +34,18 @@ ANSWER: dict[str, Any] = {
     "timing_ms": {"total": 1.0},
     "request_id": "r1",
 }
+
+
+def made_batch(trajectories: Any = None, **fields: Any) -> AnchorBatch:
+    """Return safe anchors; arrays that are not given by name have the shape of `trajectories`."""
+    paths = np.zeros((3, 4, 2), np.float32) if trajectories is None else np.asarray(trajectories)
+    per_anchor = np.zeros(paths.shape[:-2])
+    values: dict[str, Any] = dict.fromkeys(MOTIONS, paths)
+    values |= {"scores": per_anchor, "clearance": per_anchor + 1, "safe": per_anchor == 0}
+    values |= {"dt": 0.1, "seed": 1, "model": ModelId("lines", "1", "ab")}
+    values |= {"timing_ms": {"total": 1.0}} | fields
+    arrays = {name: values.pop(name) for name in list(values) if name in ARRAY_DTYPES}
+    return AnchorBatch(arrays=arrays, **values)
 
 
 def batch_for(request: AnchorRequest) -> AnchorBatch:
