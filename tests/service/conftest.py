@@ -16,8 +16,8 @@ import pytest
 from image_planner import write_image_bundle
 from served import free_endpoint
 from straight_lines import CARD, FREE_CARD, SteppingEngine, StraightLines
-from tiny_bundle import FREE_RANGES, graphs_with_heading, set_in_manifest, write_tiny_bundle
-from written_graphs import write_graphs
+from tiny_bundle import FREE_RANGES, write_graphs_of, write_tiny_bundle
+from written_graphs import set_in_manifest
 
 from anchorflow_client import AnchorBatch, AnchorRequest
 from anchorflow_service.planning import Call, Observer, PlanningService, ServiceLimits
@@ -47,9 +47,9 @@ def free_bundle_built(_tiny_bundle_built: Path, tmp_path_factory: pytest.TempPat
     """The tiny bundle, whose anchors now have their own durations, for robots of other limits."""
     folder = tmp_path_factory.mktemp("free") / "bundle"
     shutil.copytree(_tiny_bundle_built, folder)
-    set_in_manifest(folder, "conditioning", "limits", "horizon_s", to=None)
-    set_in_manifest(folder, "conditioning", "ranges", to=FREE_RANGES)
-    set_in_manifest(folder, "time", "dt", to=None)
+    set_in_manifest(folder, "conditioning.limits.horizon_s", to=None)
+    set_in_manifest(folder, "conditioning.ranges", to=FREE_RANGES)
+    set_in_manifest(folder, "time.dt", to=None)
     return folder
 
 
@@ -57,11 +57,11 @@ def free_bundle_built(_tiny_bundle_built: Path, tmp_path_factory: pytest.TempPat
 def turning_bundle(free_bundle_built: Path, tmp_path: Path) -> Path:
     """The same for poses with a heading."""
     folder = Path(shutil.copytree(free_bundle_built, tmp_path / "turning"))
-    set_in_manifest(folder, "graphs", to=write_graphs(folder, graphs_with_heading()))
-    set_in_manifest(folder, "answer", "components", to=["x", "y", "heading"])
+    set_in_manifest(folder, "graphs", to=write_graphs_of(folder, heading=True))
+    set_in_manifest(folder, "answer.components", to=["x", "y", "heading"])
     # A heading has no obstacle to follow: eight samples say too little of twelve points of it.
-    set_in_manifest(folder, "finish", "num_control_points", to=8)
-    set_in_manifest(folder, "request", "inputs", 1, "shape", to=["B", 9])
+    set_in_manifest(folder, "finish.num_control_points", to=8)
+    set_in_manifest(folder, "request.inputs.1.shape", to=["B", 9])
     return folder
 
 

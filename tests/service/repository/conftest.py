@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tiny_bundle import set_in_manifest
+from written_graphs import set_in_manifest
 
 Write = Callable[..., Path]
 

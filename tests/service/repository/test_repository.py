@@ -11,7 +11,7 @@ from pathlib import Path
 import onnx
 import pytest
 from served import opened
-from tiny_bundle import set_in_manifest
+from written_graphs import set_in_manifest
 
 from anchorflow_client.errors import UnknownModel
 from anchorflow_service.planning import EngineRegistry
@@ -121,7 +121,7 @@ def test_what_no_folder_holds_is_unknown(repository: Repository) -> None:
 
 
 def wrong_hash(folder: Path) -> None:
-    set_in_manifest(folder, "graphs", "field", "sha256", to="0" * 64)
+    set_in_manifest(folder, "graphs.field.sha256", to="0" * 64)
 
 
 def missing_graph(folder: Path) -> None:
@@ -163,7 +163,7 @@ def fails_when_it_runs(folder: Path) -> None:
 
 def write_graph(folder: Path, role: str, data: bytes) -> None:
     (folder / f"{role}.onnx").write_bytes(data)
-    set_in_manifest(folder, "graphs", role, "sha256", to=hashlib.sha256(data).hexdigest())
+    set_in_manifest(folder, f"graphs.{role}.sha256", to=hashlib.sha256(data).hexdigest())
 
 
 BREAKS: dict[str, tuple[Callable[[Path], None], str]] = {
