@@ -27,7 +27,7 @@ from anchorflow_trajectory.finish.certificate import verify
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.ode.integrate import integrate_plainly
 from anchorflow_trajectory.ode.methods import MIDPOINT
-from anchorflow_trajectory.spline.basis import Ends, SplineBasis, spline_basis
+from anchorflow_trajectory.spline.basis import Ends, SplineBasis
 
 FloatArray = NDArray[np.float32]
 States = tuple[FloatArray, FloatArray, FloatArray]
@@ -110,12 +110,7 @@ class Evaluator:
 
     def judged(self, model: L2SafetyCFM) -> list[JudgedScene]:
         """Every scene with its sampled anchors and what they are worth."""
-        config, device = model.config, model.prior.spread.device
-        basis = spline_basis(
-            config.num_steps,
-            num_control_points=config.num_control_points,
-            degree=config.degree,
-        )
+        basis, device = model.config.basis, model.prior.spread.device
         generator = torch.Generator().manual_seed(0)
         noise = torch.randn(1, self.config.samples, model.prior.rank, generator=generator)
         result = []

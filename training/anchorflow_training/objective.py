@@ -17,7 +17,6 @@ from anchorflow_models.flowmp.frame import Frame
 from anchorflow_training.batches import reflection
 from anchorflow_training.config import FlowMatchingConfig
 from anchorflow_training.dataset import SceneDataset, own_time_states
-from anchorflow_trajectory.spline.basis import spline_basis
 
 
 def draw_flow_times(
@@ -143,12 +142,9 @@ def _residuals(dataset: SceneDataset, config: L2Config, scene: np.integer) -> np
         points = arrays["starts"][:, :-1].reshape(len(arrays["starts"]), config.dim, -1)
         longer = arrays["starts"][:, -1:]
     else:
-        basis = spline_basis(
-            config.num_steps, num_control_points=config.num_control_points, degree=config.degree
-        )
         states = own_time_states(arrays["states"], arrays["durations"])
         residual = states - arrays["route_states"][arrays["route"]]
-        points = basis.fit_free(residual[..., :-1]).swapaxes(0, 1)
+        points = config.basis.fit_free(residual[..., :-1]).swapaxes(0, 1)
         longer = residual[:, 0, -1:]
     turned = np.einsum("mdf,de->mef", points, frame.rotation[0].numpy())
     shares = turned.reshape(len(points), -1) / frame.spread.item()

@@ -44,9 +44,6 @@ def grid_graph(cost: FloatArray, cell_size: float) -> csr_array:
     return csr_array((weights, (tails, heads)), shape=(flat.size, flat.size))
 
 
-FloatArray = NDArray[np.floating]
-
-
 class SceneError(AnchorFlowError):
     """A layout left no room for a start and a goal; draw another."""
 

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.layers.geometry import in_float32
-from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
+from anchorflow_trajectory.spline.basis import SplineBasis
 
 FIELDS = 3  # position and its derivatives by the trajectory's own time
 LEAST_SPREAD = 0.05  # of log duration, which data of one horizon do not spread at all
@@ -35,10 +35,7 @@ class TrajectoryPrior(nn.Module):
     def __init__(self, config: L2Config) -> None:
         super().__init__()
         self.dim = config.dim
-        basis = spline_basis(
-            config.num_steps, num_control_points=config.num_control_points, degree=config.degree
-        )
-        self.register_buffer("free", _free_states(basis))
+        self.register_buffer("free", _free_states(config.basis))
         self.register_buffer("factor", torch.zeros(self.rank, self.rank))
         self.register_buffer("spread", torch.ones(config.state_dim))
         self.set_covariance(np.eye(self.rank))

@@ -3,32 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import nn
+from training_runs import DISTILLATION
 
-from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_training.batches import FlowBatchConfig, dealt_routes, encode_inputs, prior_means
-from anchorflow_training.config import AnchorJudgeConfig
+from anchorflow_models import create_l2_safety_cfm
+from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.distiller import Distiller
-from anchorflow_training.distillation.pairs import DistillConfig, TeacherConfig
 from anchorflow_training.distillation.teacher import Teacher
-
-MODEL = L2Config(map_size=16, map_scales=1, feature_channels=4)
-CONFIG = DistillConfig(
-    steps=4,
-    warmup=0,
-    report_every=1,
-    checkpoint_every=2,
-    tensorboard=False,
-    batch=FlowBatchConfig(scenes=2, samples=3),
-    evaluation=AnchorJudgeConfig(every=2, samples=2, scenes=2, pictures=0),
-    teacher=TeacherConfig(steps=2, pairs=3),
-    model=MODEL,
-)
 
 Distil = Callable[..., Distiller]
 
@@ -38,7 +26,7 @@ def teacher() -> Teacher:
     """Always of the same weights."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        model = create_l2_safety_cfm(MODEL)
+        model = create_l2_safety_cfm(DISTILLATION.model)
         for parameter in model.parameters():
             if not parameter.any():
                 nn.init.normal_(parameter, std=0.05)
@@ -61,16 +49,10 @@ def prior_mean(tiny_dataset: SceneDataset) -> torch.Tensor:
 
 @pytest.fixture
 def distil(teacher: Teacher, tiny_dataset: SceneDataset, tmp_path: Path) -> Distil:
-    """Makes a run of a configuration in a folder of the test's own."""
+    """Makes a run of changed settings in a folder of the test's own."""
 
-    def make(config: DistillConfig = CONFIG, name: str = "run") -> Distiller:
-        pairs = tmp_path / "pairs"
+    def make(name: str = "run", **changed: Any) -> Distiller:
+        config, pairs = replace(DISTILLATION, **changed), tmp_path / "pairs"
         return Distiller(config, tiny_dataset, tmp_path / name, teacher=teacher, pairs=pairs)
 
     return make
-
-
-@pytest.fixture(scope="session")
-def config() -> DistillConfig:
-    """A run of seconds."""
-    return CONFIG

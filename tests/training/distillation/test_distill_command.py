@@ -2,59 +2,45 @@
 
 from __future__ import annotations
 
-import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from training_runs import DISTILLATION, QUICK, assert_documented, command
 
-from anchorflow_cli.main import main
-from anchorflow_cli.training import DISTILL_SHORT, distill_app
+from anchorflow_cli.distill import SHORT
+from anchorflow_cli.distill import app as distill_app
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
-from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.config import TrainerConfig
-from anchorflow_training.dataset import SceneDataset, open_dataset
+from anchorflow_training.dataset import open_dataset
 from anchorflow_training.distillation.pairs import DistillConfig
 from anchorflow_training.settings import layers, settings
 from anchorflow_training.trainer import CFMTrainer
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "distillation.md"
-QUICK = ["--scenes", "2", "--samples", "2", "--teacher.pairs", "2", "--teacher.steps", "1"]
+FEW = ["--scenes", "2", "--samples", "2", "--teacher.pairs", "2", "--teacher.steps", "1"]
 
 
 @pytest.fixture(scope="module")
-def checkpoint(
-    tiny_dataset_path: Path, tmp_path_factory: pytest.TempPathFactory, config: DistillConfig
-) -> Path:
+def checkpoint(tiny_dataset_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A teacher of one step."""
-    settings = TrainerConfig(
-        steps=1, tensorboard=False, batch=FlowBatchConfig(scenes=2, samples=2), model=config.model
-    )
-    dataset: SceneDataset = open_dataset(tiny_dataset_path)
+    settings = replace(QUICK, steps=1, model=DISTILLATION.model)
+    dataset = open_dataset(tiny_dataset_path)
     run = CFMTrainer(settings, dataset, tmp_path_factory.mktemp("teacher"))
     run.fit()
     return run.checkpoint_path
-
-
-def command(*words: str | Path, name: str = "distill") -> str:
-    """What `anchorflow distill`, or another command, says, its error included."""
-    try:
-        main([name, *map(str, words)])
-    except SystemExit as error:
-        return str(error)
-    return ""
 
 
 def test_a_student_is_taught_exported_and_plans(
     checkpoint: Path, tiny_dataset_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, bundle = tmp_path / "run", tmp_path / "bundle"
-    words = [checkpoint, tiny_dataset_path, "--out", out, *QUICK, "--no-tensorboard"]
+    words = [checkpoint, tiny_dataset_path, "--out", out, *FEW, "--no-tensorboard"]
     own = ["--layers", "2", "--schedule", "0,0.8,1", "--cost-weight", "0.5"]
-    said = command(*words, "--steps", "2", *own)
+    said = command("distill", *words, "--steps", "2", *own)
     assert said in ("", "0")
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "pairs 1/1"
@@ -62,7 +48,7 @@ def test_a_student_is_taught_exported_and_plans(
     found = layers(DistillConfig, {}, out / "config.yaml")
     assert (found.schedule, found.cost_weight) == ((0.0, 0.8, 1.0), 0.5)
 
-    said = command(out / "checkpoint.pt", "--out", bundle, name="export")
+    said = command("export", out / "checkpoint.pt", "--out", bundle)
     assert said in ("", "0")
     card = load_bundle(bundle).card
     assert (card.ode.method, card.ode.schedule) == ("euler", (0.0, 0.8, 1.0))
@@ -91,7 +77,7 @@ def test_the_teacher_s_network_and_the_options_make_the_configuration(
     file = tmp_path / "distill.yaml"
     file.write_text("method: reflow\nteacher: {pairs: 8}\nmodel: {layers: 1}\n")
     words = ["--print-config", "--config", file, "--layers", "3", "--noise-scale", "1.5"]
-    command(checkpoint, tiny_dataset_path, *words)
+    command("distill", checkpoint, tiny_dataset_path, *words)
     file.write_text(capsys.readouterr().out)
     printed = layers(DistillConfig, {}, file)
     assert printed.method == "reflow"
@@ -117,7 +103,7 @@ def test_a_wrong_command_is_one_line_and_makes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    said = command(checkpoint, tiny_dataset_path, *words)
+    said = command("distill", checkpoint, tiny_dataset_path, *words)
     assert message in said
     assert said.startswith("anchorflow distill: ")
     assert "\n" not in said
@@ -127,12 +113,12 @@ def test_a_wrong_command_is_one_line_and_makes_nothing(
 def test_a_teacher_that_is_no_checkpoint_is_named(tiny_dataset_path: Path, tmp_path: Path) -> None:
     file = tmp_path / "teacher.pt"
     file.write_text("nothing of the kind")
-    assert "teacher.pt: not a checkpoint" in command(file, tiny_dataset_path, "--out", tmp_path)
+    assert "teacher.pt: not a checkpoint" in command(
+        "distill", file, tiny_dataset_path, "--out", tmp_path
+    )
 
 
 def test_every_setting_of_its_own_is_an_option_and_stands_in_the_docs() -> None:
-    text = DOCS.read_text()
-    help_text = CliRunner().invoke(distill_app, ["--help"], env={"COLUMNS": "300"}).output
     known = {leaf.path: leaf for leaf in settings(TrainerConfig)}
     own = [
         leaf
@@ -140,14 +126,5 @@ def test_every_setting_of_its_own_is_an_option_and_stands_in_the_docs() -> None:
         if leaf.path not in known or known[leaf.path].default != leaf.default
     ]
     assert {leaf.path for leaf in own} >= {"method", "schedule", "teacher.pairs", "learning_rate"}
-    for leaf in own:
-        option = "--" + leaf.path.replace("_", "-")
-        assert re.search(rf"{re.escape(option)}\b", help_text), option
-        row = re.search(rf"^\| `{re.escape(leaf.path)}` \| ([^|]*) \|", text, re.MULTILINE)
-        assert row, f"docs/distillation.md has no row `{leaf.path}`"
-        assert row[1].strip() == f"`{_shown(leaf.default)}`", leaf.path
-    assert set(DISTILL_SHORT) <= {leaf.path for leaf in settings(DistillConfig)}
-
-
-def _shown(default: object) -> str:
-    return ",".join(f"{part:g}" for part in default) if isinstance(default, tuple) else str(default)
+    assert_documented(own, distill_app, DOCS)
+    assert set(SHORT) <= {leaf.path for leaf in settings(DistillConfig)}
