@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from training_runs import DISTILLATION, QUICK, assert_documented, command
 
-from anchorflow_cli.distill import SHORT
-from anchorflow_cli.distill import app as distill_app
+from anchorflow_cli.training import DISTILL_SHORT, distill_app
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
@@ -127,4 +126,4 @@ def test_every_setting_of_its_own_is_an_option_and_stands_in_the_docs() -> None:
     ]
     assert {leaf.path for leaf in own} >= {"method", "schedule", "teacher.pairs", "learning_rate"}
     assert_documented(own, distill_app, DOCS)
-    assert set(SHORT) <= {leaf.path for leaf in settings(DistillConfig)}
+    assert set(DISTILL_SHORT) <= {leaf.path for leaf in settings(DistillConfig)}
