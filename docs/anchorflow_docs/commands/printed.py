@@ -32,7 +32,7 @@ PROGRAM = re.compile(
 STANDS_FOR = re.compile(
     r"…|\.\.\.|\[[^\]]* |\[--|(?<![\w=.$/'-])[A-Z_]{3,}(?![\w=])|(?<![\w=-])[A-Z]\b"
 )
-# A command's name in a sentence, such as `anchorflow plan`, `anchorflow bench kill`.
+# A command's name in a sentence, such as `anchorflow plan`, `anchorflow bench load`.
 NAME = re.compile(r"anchorflow( bench| data)?( [a-z-]+)?")
 
 
