@@ -91,7 +91,13 @@ def sample_differences(adapter: PlannerAdapter, bundle: Bundle) -> Iterator[Diff
         steps = f", {len(choice.schedule) - 1} steps" if choice and choice.schedule else ""
         scenes = zip(served.samples(resolved), network.samples(resolved), strict=True)
         for b, (got, expected) in enumerate(scenes):
-            yield from _sample_differences(f"sample of scene {b}{steps}", bundle, got, expected)
+            what, moved = f"sample of scene {b}{steps}", dict(expected.arrays)
+            for names in adapter.unordered.values():
+                if names[0] in moved:
+                    rows = _nearest(got.arrays[names[0]], moved[names[0]])
+                    moved |= {name: moved[name][rows] for name in names}
+            expected = replace(expected, arrays=moved)
+            yield from _sample_differences(what, bundle, got, expected)
 
 
 def _sample_differences(

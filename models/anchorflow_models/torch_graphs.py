@@ -64,8 +64,8 @@ class Role(nn.Module):
     def forward(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Take the inputs and return the outputs in order, as torch.onnx traces them."""
         made = self.run(dict(zip(self.inputs, inputs, strict=True)))
-        outputs = tuple(made[name] for name in self.outputs)
-        return outputs if len(outputs) > 1 else outputs[0]
+        first, *others = (made[name] for name in self.outputs)
+        return (first, *others) if others else first
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ def test_rounding_is_fine_and_anchors_do_not_depend_on_their_neighbours(bundle: 
     rounded = load_bundle(bundle)
     flow, spec = sampler_of(rounded), rounded.card.sampler
     assert isinstance(spec, OdeSpec)
-    (scene,) = random_scenes(rounded, 1, seed=5)
+    (scene,) = random_scenes(rounded, 1, seed=1)
     context = flow.encode(scene)
     for name, array in whole.encode(scene).items():
         np.testing.assert_allclose(context[name], array, atol=0.02 * np.abs(array).max())
@@ -63,7 +63,7 @@ def test_rounding_is_fine_and_anchors_do_not_depend_on_their_neighbours(bundle: 
     many = flow.integrate(context, begun, spec)
     wanted = whole.integrate(context, begun, spec)
     carried = np.abs(wanted - begun.x).max()
-    np.testing.assert_allclose(many, wanted, atol=0.2 * carried)
+    np.testing.assert_allclose(many, wanted, atol=0.05 * carried)
     few = flow.integrate(context, flow.beginning(context, noise[:8]), spec)
     np.testing.assert_array_equal(many[:8], few)
 

@@ -34,6 +34,7 @@ class BoundGraph(Protocol):
 
     def __call__(self, inputs: Mapping[str, Any], *, outputs: Mapping[str, Any]) -> None:
         """Run on the fixed inputs and these; write the outputs into the given arrays."""
+        ...
 
 
 class Graphs(Protocol):
@@ -45,18 +46,23 @@ class Graphs(Protocol):
     @property
     def device(self) -> Any:
         """The device whose memory onnxruntime computes in; None if it is the host's."""
+        ...
 
     def run(self, role: str, inputs: Mapping[str, Array], *, threads: int = 1) -> Arrays:
         """Run a graph on those of the inputs that it takes; return its outputs in new arrays."""
+        ...
 
     def bind(self, role: str, inputs: Mapping[str, Any]) -> BoundGraph:
         """Fix some inputs of a graph for a loop."""
+        ...
 
     def select(self, role: str, arrays: Mapping[str, Any]) -> dict[str, Any]:
         """Return those of the arrays that a graph takes by name."""
+        ...
 
     def settle(self, role: str, inputs: Mapping[str, Array]) -> Arrays:
         """Decide whether a graph may run on several threads; return its outputs on one."""
+        ...
 
 
 class ConditionedScene(Protocol):
@@ -65,12 +71,15 @@ class ConditionedScene(Protocol):
     @property
     def request(self) -> ResolvedRequest:
         """The request, in that frame."""
+        ...
 
     def inputs(self, names: Iterable[str]) -> Arrays:
         """Return inputs of the graphs by name, with a B axis of 1."""
+        ...
 
     def answered(self, arrays: Arrays) -> Arrays:
         """Return the arrays of an answer in the request's own frame."""
+        ...
 
 
 class Conditioning(Protocol):
@@ -78,12 +87,15 @@ class Conditioning(Protocol):
 
     def faults(self) -> Iterator[str]:
         """Find inputs of the graphs that no request provides."""
+        ...
 
     def scenes(self, request: ResolvedRequest) -> Sequence[ConditionedScene]:
         """Return the scenes of a request. Raises `InvalidRequest` for what the card cannot say."""
+        ...
 
     def probe(self) -> AnchorRequest:
         """Return a request that the planner can answer, to check that a bundle works at all."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -105,9 +117,11 @@ class Sampler(Protocol):
 
     def settle(self, scene: ConditionedScene) -> None:
         """Decide on a first scene what must be the same in every answer, whatever its threads."""
+        ...
 
     def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
         """Compute what is needed once a scene."""
+        ...
 
     def sample(
         self, scene: ConditionedScene, context: Context, *, threads: int, check: Check
@@ -116,6 +130,7 @@ class Sampler(Protocol):
 
         check: called after every step; an exception that it raises ends the work
         """
+        ...
 
 
 class Finish(Protocol):
@@ -126,6 +141,7 @@ class Finish(Protocol):
 
         They are the same to the last bit on any number of threads.
         """
+        ...
 
 
 def best(scores: Array, count: int) -> NDArray[np.intp]:

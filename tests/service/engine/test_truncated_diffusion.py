@@ -40,7 +40,7 @@ def plan(engine: Engine, check: Callable[[], object] = lambda: None, **asked: An
 
 @pytest.mark.parametrize("steps", [1, 2, 4])
 def test_the_best_by_the_fine_scores_come_first(engine: Engine, steps: int) -> None:
-    chosen = {"sampler": {"schedule": {"uniform": steps}}} if steps != 2 else {}
+    chosen: dict[str, Any] = {"sampler": {"schedule": {"uniform": steps}}} if steps != 2 else {}
     anchors = plan(engine, outputs=EXTRAS, **chosen)
     for name, array in expected(SPEED, seed=7, steps=steps).items():
         np.testing.assert_allclose(anchors.arrays[name], array, atol=1e-4, err_msg=name)

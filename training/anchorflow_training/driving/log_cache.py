@@ -44,7 +44,7 @@ def digest(*parts: Any) -> str:
     hashed = hashlib.sha256()
     for part in parts:
         is_array = isinstance(part, np.ndarray)
-        hashed.update(np.ascontiguousarray(part) if is_array else repr(part).encode())
+        hashed.update(np.ascontiguousarray(part).data if is_array else repr(part).encode())
     return hashed.hexdigest()[:12]
 
 
