@@ -222,7 +222,9 @@ def properties(kind: type) -> list[list[str]]:
 def model_section(kind: type) -> str:
     """Markdown of a model or dataclass: a heading, what it is, and its fields."""
     said, types = field_docstrings(kind), get_type_hints(kind)
-    checked = kind if issubclass(kind, BaseModel) else pydantic.dataclasses.dataclass(kind)
+    checked = (
+        kind if issubclass(kind, BaseModel) else pydantic.dataclasses.dataclass(kind, frozen=True)
+    )
     found: dict[str, FieldInfo] = checked.__pydantic_fields__  # type: ignore[attr-defined]
     rows = [
         Field(

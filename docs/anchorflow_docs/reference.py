@@ -87,9 +87,9 @@ The body of `POST /anchors` in JSON. A planner with a cost map needs `cost_map`,
 forms](../wire.md#inputs-in-json). Everything is in SI units and in the frame of the cost map. An
 interval that begins with a round bracket leaves its end out. A field that is left out, or null,
 takes its default; a field that is not in this table is refused by name. An array of numbers is
-nested lists or `{"dtype", "shape", "base64"}`: its bytes, little-endian and in row-major order.
-`{"png": …}` is a greyscale picture in base64 whose values 0 to 255 become 0 to 1; its first row is
-the first row of the map, the one with the lowest y.
+nested lists or `{{"dtype", "shape", "base64"}}`: its bytes, little-endian and in row-major order.
+`{{"png": …}}` is a greyscale picture in base64 whose values 0 to 255 become 0 to 1; its first row
+is the first row of the map, the one with the lowest y.
 
 {fields}
 

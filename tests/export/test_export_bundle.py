@@ -177,8 +177,8 @@ def test_what_is_chosen_at_export_is_what_requests_may_ask(exported: Callable[[s
     assert slow.durations.min() > own.durations.max()
     np.testing.assert_allclose(client.plan(**request, horizon_s=9.0).durations, 9.0)
     for name, value in (("v_max", 5.0), ("robot_radius", 0.4), ("horizon_s", 0.5)):
+        wrong: dict[str, Any] = {**request, name: value}
         with pytest.raises(InvalidRequest, match=name):
-            wrong: dict[str, Any] = {**request, name: value}
             client.plan(**wrong)
 
 
