@@ -103,7 +103,7 @@ pickle.load = pickle.loads = pickle.Unpickler = pickle._loads = forbidden
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.errors import AnchorFlowError, InvalidAnswer, InvalidRequest
-from anchorflow_client.json_codec import JsonCodec
+from anchorflow_client.codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.http.orjson_codec import OrjsonCodec

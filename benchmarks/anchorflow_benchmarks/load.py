@@ -24,11 +24,10 @@ from anchorflow_benchmarks.programs import served
 from anchorflow_benchmarks.report import ResultTable, Row, report, say, tally
 from anchorflow_benchmarks.turns import p50, p99, spare_the_collector
 from anchorflow_cli.options import url_option
-from anchorflow_client.codec import Codec
+from anchorflow_client.codec import Codec, JsonCodec
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelId
 from anchorflow_client.errors import AnchorFlowError, Overloaded
 from anchorflow_client.http import AnchorClient
-from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.engine import Engine

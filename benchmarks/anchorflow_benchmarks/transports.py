@@ -21,8 +21,8 @@ from anchorflow_benchmarks.report import ResultTable, Row, report
 from anchorflow_benchmarks.turns import p50, p99, spare_the_collector, take_turns
 from anchorflow_cli.extras import needs_extra
 from anchorflow_client.base_client import BaseClient
+from anchorflow_client.codec import JsonCodec
 from anchorflow_client.contract import AnchorRequest
-from anchorflow_client.json_codec import JsonCodec
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http.orjson_codec import OrjsonCodec

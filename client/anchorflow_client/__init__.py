@@ -8,7 +8,7 @@ with AnchorClient("http://127.0.0.1:8000") as client:
 
 from anchorflow_client.base_client import BaseAsyncClient, BaseClient
 from anchorflow_client.cancellation import Cancellation
-from anchorflow_client.codec import Codec, Payload
+from anchorflow_client.codec import Codec, JsonCodec, Payload
 from anchorflow_client.contract import (
     STYLES,
     AnchorBatch,
@@ -53,7 +53,6 @@ from anchorflow_client.errors import (
 )
 from anchorflow_client.http import AnchorClient, AsyncAnchorClient
 from anchorflow_client.http.transport import AsyncTransport, Transport
-from anchorflow_client.json_codec import JsonCodec
 from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
 from anchorflow_client.resampling import ResampledAnchor, resample

@@ -17,11 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.codec import Payload
+from anchorflow_client.codec import COMPACT, Payload, parse
 from anchorflow_client.contract.checks import MAX_AXES, boolean, choice, expected, fields_of, text
 from anchorflow_client.contract.inputs import texts
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.json_codec import COMPACT, parse
 
 DTYPE_OF: dict[str, np.dtype] = {
     "FP32": np.dtype("<f4"),

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from anchorflow_client.codec import COMPACT, parse
 from anchorflow_client.contract import ModelCard
 from anchorflow_client.contract.checks import (
     Interval,
@@ -24,7 +25,6 @@ from anchorflow_client.contract.checks import (
 )
 from anchorflow_client.contract.fields import BUDGET
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
-from anchorflow_client.json_codec import COMPACT, parse
 
 ROOT = "anchorflow/v1"
 ALL_REPLICAS = f"{ROOT}/replica/*"

@@ -16,7 +16,7 @@ import httpx
 import pytest
 
 from anchorflow_client import AnchorRequest
-from anchorflow_client.json_codec import JsonCodec
+from anchorflow_client.codec import JsonCodec
 
 PROGRAM = Path(__file__).with_name("ray_under_load.py")
 

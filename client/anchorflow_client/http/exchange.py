@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 from urllib.parse import urlsplit
 
-from anchorflow_client.codec import UNREADABLE, Codec, Payload, answer_to
+from anchorflow_client.codec import UNREADABLE, Codec, Payload, answer_to, parse
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
 from anchorflow_client.errors import (
     ConnectionFailed,
@@ -19,7 +19,6 @@ from anchorflow_client.errors import (
     TimedOut,
 )
 from anchorflow_client.http.answer_parser import HttpAnswer, whole_number
-from anchorflow_client.json_codec import parse
 
 Result = TypeVar("Result")
 

@@ -10,7 +10,7 @@ from anchorflow_client.codec import Codec, Payload
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.http.answer_parser import whole_number
 from anchorflow_client.oip_codec import OipCodec
-from anchorflow_service.http.body import read_body
+from anchorflow_service.http.exchanges import read_body
 from anchorflow_service.http.openapi import ANCHORS_DOCUMENTATION, HEADER_LENGTH
 from anchorflow_service.http.orjson_codec import OrjsonCodec
 from anchorflow_service.http.responses import (

@@ -26,8 +26,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from anchorflow_client.errors import InvalidRequest, Overloaded, RequestError
-from anchorflow_service.http.body import discard_body
-from anchorflow_service.http.exchanges import REQUEST_ID
+from anchorflow_service.http.exchanges import REQUEST_ID, discard_body
 from anchorflow_service.http.responses import error_response
 from anchorflow_service.http.tokens import HEALTH
 from anchorflow_service.observability.logs import UNROUTED, Exchange, Listener

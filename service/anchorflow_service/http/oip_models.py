@@ -19,7 +19,7 @@ from anchorflow_client.errors import UnknownModel
 from anchorflow_client.oip_codec import TIME_STEP
 from anchorflow_client.oip_message import datatype_of
 from anchorflow_service.http.anchors import answer_to, header_length
-from anchorflow_service.http.body import read_body
+from anchorflow_service.http.exchanges import read_body
 from anchorflow_service.http.infer_codec import InferCodec
 from anchorflow_service.http.openapi import (
     INFER_DOCUMENTATION,

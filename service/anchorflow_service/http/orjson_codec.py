@@ -17,13 +17,12 @@ from PIL import Image, ImageOps
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
-from anchorflow_client import json_codec
-from anchorflow_client.codec import Payload
+from anchorflow_client import codec as json_codec
+from anchorflow_client.codec import JsonCodec, Payload, not_json
 from anchorflow_client.contract import AnchorRequest, EncodedImage
 from anchorflow_client.contract.checks import bytes_of_base64
 from anchorflow_client.contract.fields import MAX_PIXELS, MAX_REQUEST_PIXELS
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.json_codec import JsonCodec, not_json
 
 # The standard library reads these and orjson does not: NaN, Infinity, numbers beyond float64.
 _NOT_FINITE = re.compile(r"NaN|Infinity|[-\d]")

@@ -23,7 +23,7 @@ from anchorflow_client.codec import Payload
 from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_card
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.engine.samplers.ode import FlowStates
-from anchorflow_service.http.body import read_body
+from anchorflow_service.http.exchanges import read_body
 from anchorflow_service.http.orjson_codec import OrjsonCodec
 from anchorflow_service.http.responses import (
     Disconnected,

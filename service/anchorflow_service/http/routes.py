@@ -14,7 +14,7 @@ from starlette.responses import Response
 
 from anchorflow_client.contract.checks import boolean, fields_of, text
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.http.body import read_body
+from anchorflow_service.http.exchanges import read_body
 from anchorflow_service.http.openapi import (
     INDEX_DOCUMENTATION,
     LOAD_DOCUMENTATION,

@@ -7,18 +7,17 @@ queue    admission, micro-batches and the lanes that plan
 job      work that waits in line and runs, unless it is cancelled
 """
 
-from anchorflow_service.planning.call import (
+from anchorflow_service.planning.job import (
     ANSWERED,
     CANCELLED,
     Arrival,
     Call,
+    JobContext,
     Observer,
     internal_error,
 )
-from anchorflow_service.planning.engines import EngineRegistry, PlanningEngine
-from anchorflow_service.planning.job import JobContext
 from anchorflow_service.planning.queue import PlanningQueue, ServiceLimits
-from anchorflow_service.planning.service import PlanningService
+from anchorflow_service.planning.service import EngineRegistry, PlanningEngine, PlanningService
 
 __all__ = [
     "ANSWERED",

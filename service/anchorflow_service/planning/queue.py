@@ -19,8 +19,7 @@ from functools import partial
 from typing import NamedTuple, TypeVar
 
 from anchorflow_client.errors import NotReady, Overloaded
-from anchorflow_service.planning.call import Arrival
-from anchorflow_service.planning.job import AnyJob, Job, JobCancelled, JobContext
+from anchorflow_service.planning.job import AnyJob, Arrival, Job, JobCancelled, JobContext
 from anchorflow_trajectory.threads import usable_cores
 
 Result = TypeVar("Result")

@@ -14,7 +14,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from anchorflow_client import AnchorRequest, DeadlineExceeded
-from anchorflow_client.json_codec import JsonCodec
+from anchorflow_client.codec import JsonCodec
 from anchorflow_service.observability.metrics import (
     SHARED_FOLDER,
     Metrics,

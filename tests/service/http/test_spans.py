@@ -15,8 +15,7 @@ from opentelemetry.trace import SpanContext
 from starlette.middleware import Middleware
 
 from anchorflow_client import AnchorRequest
-from anchorflow_client.codec import Payload
-from anchorflow_client.json_codec import JsonCodec
+from anchorflow_client.codec import JsonCodec, Payload
 from anchorflow_service.http import create_app
 from anchorflow_service.observability.spans import Tracing
 from anchorflow_service.planning import Arrival, Call, PlanningService
