@@ -11,8 +11,7 @@ from urllib.parse import urlsplit
 import pytest
 from fastapi import FastAPI
 
-from anchorflow_service.http import body as body_module
-from anchorflow_service.http import create_app
+from anchorflow_service.http import create_app, exchanges
 from anchorflow_service.planning import PlanningService, ServiceLimits
 
 MEBIBYTE = 2**20
@@ -55,7 +54,7 @@ def test_a_refused_body_is_read_so_that_the_client_sees_the_reason(
 def test_a_refused_body_is_read_within_bounds(
     service: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(body_module, "MAX_DISCARDED_BYTES", 2 * MEBIBYTE)
+    monkeypatch.setattr(exchanges, "MAX_DISCARDED_BYTES", 2 * MEBIBYTE)
     body = Megabytes()
 
     answer = service.request("POST", "/anchors", headers=DECLARED, content=body)
