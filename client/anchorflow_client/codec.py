@@ -15,7 +15,14 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, CostMap, ModelId, WarmStart
+from anchorflow_client.contract import (
+    AnchorBatch,
+    AnchorRequest,
+    CostMap,
+    GoalTolerance,
+    ModelId,
+    WarmStart,
+)
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.contract.checks import DTYPES
 from anchorflow_client.contract.fields import given
@@ -84,7 +91,8 @@ def request_fields(request: AnchorRequest) -> dict[str, Any]:
             fields[name] = array if batched else array[0]
     fields["sampler"] = request.sampler and given(request.sampler)
     fields["refine"] = request.refine and given(request.refine)
-    fields["warm_start"] = request.warm_start and _warm_start_fields(request.warm_start)
+    fields["warm_start"] = request.warm_start and _given(request.warm_start)
+    fields["goal_tolerance"] = request.goal_tolerance and _given(request.goal_tolerance)
     fields["inputs"] = request.inputs or None
     fields["outputs"] = list(request.outputs) or None
     return {name: value for name, value in fields.items() if value is not None}
@@ -129,11 +137,12 @@ def _map_fields(cost_map: CostMap, *, batched: bool) -> dict[str, Any]:
     # A map that is broadcast over the batch has a stride of 0 and is sent once.
     shared = not batched or cost_map.data.strides[0] == 0
     data: NDArray[np.float32] = cost_map.data[0] if shared else cost_map.data
-    return {"data": data, "resolution": cost_map.resolution, "origin": cost_map.origin}
+    fields: dict[str, Any] = {**vars(cost_map), "data": data}
+    return {name: value for name, value in fields.items() if value is not None}
 
 
-def _warm_start_fields(warm_start: WarmStart) -> dict[str, Any]:
-    return {name: value for name, value in vars(warm_start).items() if value is not None}
+def _given(choice: WarmStart | GoalTolerance) -> dict[str, Any]:
+    return {name: value for name, value in vars(choice).items() if value is not None}
 
 
 def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch:

@@ -72,6 +72,7 @@ class PlanKeywords(ABC, Generic[Answer]):
         x_goal: ArrayLike | None = None,
         resolution: float | None = None,
         origin: ArrayLike | None = None,
+        channel_weights: ArrayLike | None = None,
         **options: Unpack[RequestOptions],
     ) -> Answer:
         """Plan anchors from a state to a goal on a map, or for the inputs that the card lists.
@@ -80,14 +81,15 @@ class PlanKeywords(ABC, Generic[Answer]):
         are in the reference.
 
         Args:
-            cost_map: a CostMap, {"data", "resolution", "origin"}, or an array [H,W], [C,H,W] or
-                [B,C,H,W] in [0, 1] beside `resolution` and `origin`.
+            cost_map: a CostMap, {"data", "resolution", "origin", "channel_weights"}, or an array
+                [H,W], [C,H,W] or [B,C,H,W] in [0, 1] beside `resolution` and `origin`.
             x_curr: [3D] or [B,3D] position in m, velocity within ±100 m/s, acceleration within
                 ±100 m/s^2; D is the model's: 2 (x, y) or 3 (x, y, heading in rad, which runs on
                 beyond ±π).
             x_goal: [2D] or [B,2D] position, velocity.
             resolution: m/cell, with an array.
             origin: [2] m, outer corner of cell (0, 0), with an array; None centres the map.
+            channel_weights: [C-1] factors of the soft costs, with an array; None: 1 each.
             **options:
 
         Raises:
@@ -95,7 +97,7 @@ class PlanKeywords(ABC, Generic[Answer]):
         """
         return self._plan_built(
             lambda: AnchorRequest.build(
-                cost_map=map_fields(cost_map, resolution, origin),
+                cost_map=map_fields(cost_map, resolution, origin, channel_weights),
                 x_curr=x_curr,
                 x_goal=x_goal,
                 **options,
@@ -111,19 +113,24 @@ def map_fields(
     cost_map: CostMap | Mapping[str, Any] | ArrayLike | None,
     resolution: float | None,
     origin: ArrayLike | None,
+    channel_weights: ArrayLike | None = None,
 ) -> CostMap | Mapping[str, Any] | None:
     """Convert a map of `plan` to one of `AnchorRequest`, without a copy.
 
     Raises:
-        InvalidRequest: `resolution` or `origin` is given beside a map that has its own.
+        InvalidRequest: one of the others is given beside a map that has its own.
     """
+    beside = {"resolution": resolution, "origin": origin}
+    if channel_weights is not None:
+        beside["channel_weights"] = channel_weights
     if cost_map is None or isinstance(cost_map, CostMap | Mapping):
-        if resolution is not None or origin is not None:
-            raise InvalidRequest("expected resolution and origin inside this map only", "cost_map")
+        for name, value in beside.items():
+            if value is not None:
+                raise InvalidRequest(f"expected {name} inside this map only", "cost_map")
         return cost_map
     try:
         data = np.asarray(cost_map)
     except (TypeError, ValueError, RuntimeError):  # `CostMap.build` raises the error
-        return {"data": cost_map, "resolution": resolution, "origin": origin}
+        return {"data": cost_map, **beside}
     data = data[None] if data.ndim == 2 else data
-    return {"data": data, "resolution": resolution, "origin": origin}
+    return {"data": data, **beside}

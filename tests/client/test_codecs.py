@@ -72,6 +72,11 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
             {}, optional={"smooth": st.booleans(), "safety_margin": st.floats(0, 5)}
         ).filter(bool),
         "horizon_s": st.floats(0.1, 600),
+        "cost_penalty": st.floats(0, 100),
+        "clear_start": st.booleans(),
+        "goal_tolerance": st.fixed_dictionaries(
+            {"position": st.floats(0, 100)}, optional={"heading": st.floats(0, 3)}
+        ),
         "warm_start": st.fixed_dictionaries(
             {"trajectory": st.just([[0.1] * dim, [0.3] * dim]), "tau": st.just(0.7)},
             optional={"dt": st.floats(1e-3, 600)},
@@ -80,8 +85,14 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
         "request_id": st.text("abc-123", min_size=1, max_size=9),
     }
     positions = st.floats(-0.7, 0.7)
+    weights = st.none() | hnp.arrays(float, cells - 1, elements=st.floats(0, 100))
     return AnchorRequest.build(
-        cost_map={"data": draw(free), "resolution": 0.13, "origin": [-1.1, -1.0]},
+        cost_map={
+            "data": draw(free),
+            "resolution": 0.13,
+            "origin": [-1.1, -1.0],
+            "channel_weights": draw(weights),
+        },
         x_curr=draw(hnp.arrays(float, (*batch, 3 * dim), elements=positions)),
         x_goal=draw(hnp.arrays(float, (*batch, 2 * dim), elements=positions)),
         **draw(st.fixed_dictionaries({}, optional=options)),

@@ -37,6 +37,11 @@ def test_what_is_left_open_is_the_cards(fields: dict[str, Any], card: ModelCard)
     assert (limits_of(resolved).horizon_s, resolved.model) == (8.0, "lines")
     assert (resolved.sampler, resolved.refine) == (card.sampler, card.finish)
     assert 0 <= resolved.seed < 2**53
+    assert (resolved.cost_penalty, resolved.clear_start, resolved.goal_tolerance) == (
+        3,
+        False,
+        None,
+    )
 
 
 def test_a_partial_choice_keeps_the_rest_of_the_cards(

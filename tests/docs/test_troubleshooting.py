@@ -69,7 +69,6 @@ REFUSED: dict[str, dict[str, Any]] = {
     "map-of-percent": {"cost_map": cost_map(100 * occupancy())},
     "map-with-nan": {"cost_map": cost_map(np.nan * occupancy())},
     "map-too-small": {"cost_map": cost_map(np.zeros((1, 8, 8)))},
-    "map-with-strange-channels": {"cost_map": cost_map(np.zeros((5, 64, 64)))},
     "style-unknown": {"w_style": "fast"},
     "misspelt-field": {"num_sample": 16},
     "schedule-without-noise": {"sampler": {"schedule": [0.5, 1.0]}},

@@ -50,6 +50,8 @@ class Scene:
     motion: what anchors keep
     basis: of the splines along the routes
     certified_margin: m beyond robot_radius that routes keep, where any can
+    cost_penalty: m of detour that 1 m through soft cost 1 is worth
+    channel_weights: [C-1] factors of the soft costs of channels 1 to C - 1; None: 1 each
     """
 
     cost_map: NDArray[np.float32]
@@ -62,6 +64,8 @@ class Scene:
     motion: MotionLimits
     basis: SplineBasis = field(default_factory=lambda: spline_basis(NUM_STEPS))
     certified_margin: float = 0.0
+    cost_penalty: float = 3.0
+    channel_weights: NDArray[np.float32] | None = None
 
     @cached_property
     def occupied(self) -> NDArray[np.bool_]:

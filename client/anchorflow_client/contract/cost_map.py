@@ -20,6 +20,7 @@ from anchorflow_client.contract.checks import (
     wrong_shape,
 )
 from anchorflow_client.contract.fields import (
+    CHANNEL_WEIGHT,
     COORDINATE,
     COST_MAP,
     MAX_CHANNELS,
@@ -37,7 +38,7 @@ MAP_SHAPE = "[C,H,W] or [B,C,H,W]"
 class CostMap:
     """A grid of costs; row index grows with y, column index with x (ROS OccupancyGrid order).
 
-    Channel 0 is obstacle occupancy, 1 traversability, 2 risk, 3 and further semantics.
+    Channel 0 is obstacle occupancy, 1 traversability, 2 risk, 3 and further other soft costs.
     """
 
     data: NDArray[np.float32]
@@ -46,28 +47,34 @@ class CostMap:
     """m/cell."""
     origin: NDArray[np.float64]
     """[2] m, outer corner of cell (0, 0)."""
+    channel_weights: NDArray[np.float64] | None = None
+    """[C-1] factors of the soft costs of channels 1 to C - 1; None: 1 each."""
 
     @classmethod
-    def build(cls, data: Any, resolution: Any, origin: Any = None) -> CostMap:
+    def build(
+        cls, data: Any, resolution: Any, origin: Any = None, channel_weights: Any = None
+    ) -> CostMap:
         """Check and convert the fields of the JSON contract.
 
         Args:
             data: [C,H,W] or [B,C,H,W] in [0, 1]; a numpy array of bool is an occupancy grid.
             resolution: m/cell, from 1e-6.
             origin: [2] m; None centres the map on (0, 0).
+            channel_weights: [C-1], from 0 to 100; None: 1 each.
 
         Raises:
-            InvalidRequest: names cost_map.data, cost_map.resolution or cost_map.origin.
+            InvalidRequest: names the field, such as cost_map.data.
         """
         grid = _grid(data)
         cell = number(resolution, "cost_map.resolution", RESOLUTION)
-        return cls(read_only(grid), cell, read_only(_corner(origin, grid.shape, cell)))
+        corner = read_only(_corner(origin, grid.shape, cell))
+        return cls(read_only(grid), cell, corner, _weights(channel_weights, grid.shape[-3]))
 
     @classmethod
     def from_fields(cls, value: Any) -> CostMap:
         """Check the JSON object, or another CostMap again."""
         if isinstance(value, CostMap):
-            return cls.build(value.data, value.resolution, value.origin)
+            return cls.build(**vars(value))
         known, required = COST_MAP.fields, COST_MAP.required_fields
         return cls.build(**fields_of(value, "cost_map", known, required))
 
@@ -135,3 +142,16 @@ def _corner(origin: Any, shape: tuple[int, ...], resolution: float) -> NDArray[n
     if corner.shape != (2,):
         raise wrong_shape("cost_map.origin", "[2]", corner)
     return corner
+
+
+def _weights(weights: Any, channels: int) -> NDArray[np.float64] | None:
+    if weights is None:
+        return None
+    field, shape = (
+        "cost_map.channel_weights",
+        f"[{channels - 1}], one for each channel but the first",
+    )
+    factors = numbers(weights, field, CHANNEL_WEIGHT, shape)
+    if factors.shape != (channels - 1,):
+        raise wrong_shape(field, shape, factors)
+    return frozen(factors)

@@ -7,6 +7,7 @@ that uses it.
 """
 
 # No `from __future__ import annotations`: the rows are read out of the annotations below.
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -41,6 +42,7 @@ NUM_STYLE = 3
 """Weights of `w_style`: safety, energy, smooth."""
 DEFAULT_NUM_SAMPLES = 64
 DEFAULT_TAU = 0.8
+DEFAULT_COST_PENALTY = 3.0
 METHODS = ("rk4", "heun", "midpoint", "euler", "ab2")
 """ab2 is the method of Adams and Bashforth of order 2."""
 OCCUPIED = 0.5
@@ -57,7 +59,7 @@ STYLES: Mapping[str, tuple[float, float, float]] = MappingProxyType(
 DEFAULT_STYLE = STYLES["balanced"]
 
 MAX_SCENES = 64
-MAX_CHANNELS = 8
+MAX_CHANNELS = 16
 MIN_MAP_CELLS, MAX_MAP_CELLS = 16, 512
 """Least and most cells along a side of the map."""
 MAX_WARM_START_STEPS = 1024
@@ -81,6 +83,10 @@ STATE = (COORDINATE, VELOCITY, ACCELERATION)
 """The range of each D-vector of `x_curr` and `x_goal`; headings are in rad."""
 HORIZON = Interval(0.0, 600.0, "s", open_low=True)
 GUIDANCE = Interval(0.0, 100.0)
+CHANNEL_WEIGHT = Interval(0.0, 100.0)
+COST_PENALTY = Interval(0.0, 100.0)
+GOAL_DISTANCE = Interval(0.0, 100.0, "m")
+GOAL_TURN = Interval(0.0, math.pi, "rad")
 CERTIFIED_MARGIN = Interval(0.0, 5.0, "m")
 BUDGET = Interval(0.0, 1e7, "ms", open_low=True)
 NUM_SAMPLES = Interval(1, 512)
@@ -92,7 +98,8 @@ COST_MAP = Group(
     "What the robot knows of the space around it; rows grow with y, columns with x.",
     {
         "data": Array(
-            "Channel 0 is obstacle occupancy (0.5 and above), 1 traversability, 2 risk.",
+            "Channel 0 is obstacle occupancy (0.5 and above), 1 traversability, 2 risk, from 3 on "
+            "further soft costs.",
             "[C,H,W] or [B,C,H,W]",
             ((1, MAX_CHANNELS), (MIN_MAP_CELLS, MAX_MAP_CELLS), (MIN_MAP_CELLS, MAX_MAP_CELLS)),
             UNIT,
@@ -108,6 +115,13 @@ COST_MAP = Group(
             ((2, 2),),
             COORDINATE,
             unit="m",
+        ),
+        "channel_weights": Array(
+            "Factors of the soft costs of channels 1 to C - 1, each 1 by default.",
+            "[C-1]",
+            ((0, MAX_CHANNELS - 1),),
+            CHANNEL_WEIGHT,
+            tensor="channel_weights",
         ),
     },
 )
@@ -232,8 +246,32 @@ class WarmStart:
         return cls(**(asked | WARM_START.read(value, "warm_start", trajectory=trajectory)))
 
 
+@dataclass(frozen=True)
+class GoalTolerance:
+    """How far from `x_goal` anchors may end if the goal is occupied or cannot be reached."""
+
+    position: Annotated[
+        float, Number("Distance to the goal that is near enough.", GOAL_DISTANCE, required=True)
+    ]
+    heading: Annotated[
+        float | None,
+        Number("Angle to the goal's heading that is near enough; any by default.", GOAL_TURN),
+    ] = None
+
+    @classmethod
+    def from_fields(cls, value: Any) -> "GoalTolerance":
+        """Check the JSON object."""
+        value = vars(value) if isinstance(value, GoalTolerance) else value
+        return cls(**GOAL_TOLERANCE.read(value, "goal_tolerance"))
+
+
 SAMPLER = Group("The solver of the flow; fields left out are the card's.", rows_of(SamplerChoice))
 REFINE = Group("The refinement of samples; fields left out are the card's.", rows_of(RefineChoice))
+GOAL_TOLERANCE = Group(
+    "If the goal is occupied or cannot be reached, the nearest place that can be reached takes its "
+    "place; by default such a goal is refused.",
+    rows_of(GoalTolerance),
+)
 WARM_START = Group("A trajectory to start from in place of noise.", rows_of(WarmStart))
 
 
@@ -312,6 +350,22 @@ class PlanOptions(TypedDict, total=False):
             HORIZON,
         ),
     ]
+    cost_penalty: Annotated[
+        float | None,
+        Number(
+            "Metres of detour that one metre through soft cost 1 is worth; 0: soft costs do not "
+            "count.",
+            COST_PENALTY,
+            default=DEFAULT_COST_PENALTY,
+        ),
+    ]
+    clear_start: Annotated[
+        bool | None, Flag("Free the cells under the robot at the start.", default=False)
+    ]
+    goal_tolerance: Annotated[
+        GoalTolerance | Mapping[str, Any] | None,
+        GOAL_TOLERANCE,
+    ]
     model: Annotated[str | None, Text("Name of a model; by default the service's first.")]
     seed: Annotated[
         int | None,
@@ -360,3 +414,5 @@ LIMITS: dict[str, Interval] = {
     "horizon_s": HORIZON,
 }
 """The limits that a request may state, within the ranges of the card."""
+MAP_OPTIONS = (*LIMITS, "cost_penalty", "clear_start", "goal_tolerance")
+"""The options of a request on a map alone, beside those that `AnchorRequest.build` checks."""

@@ -89,7 +89,7 @@ class CostMapSpec:
     """The planner takes a cost map, a state, a goal and a style."""
 
     channels: int = field(metadata=ABOVE_0)
-    """The most channels that a map may have."""
+    """Channels that the model reads; a map may have fewer or more."""
     H: int = field(metadata=ABOVE_0)
     W: int = field(metadata=ABOVE_0)
     """Rows and columns of the grid that the model was trained on; other sizes work too."""

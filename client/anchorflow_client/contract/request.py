@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -33,6 +33,7 @@ from anchorflow_client.contract.fields import (
     STATE_FIELDS,
     STYLE_WEIGHT,
     STYLES,
+    GoalTolerance,
     RefineChoice,
     SamplerChoice,
     WarmStart,
@@ -75,6 +76,9 @@ class AnchorRequest:
     v_max: float | None = None
     a_max: float | None = None
     horizon_s: float | None = None
+    cost_penalty: float | None = None
+    clear_start: bool | None = None
+    goal_tolerance: GoalTolerance | None = None
     model: str | None = None
     seed: int | None = None
     sampler: SamplerChoice | None = None
@@ -130,6 +134,7 @@ class AnchorRequest:
                 batched=batched,
                 **_options(options, scenes.dim),
             )
+            _check_places(request)
         schedule = request.sampler and request.sampler.schedule
         if schedule and request.warm_start is None and schedule[0] != 0.0:
             message = f"expected a first time of 0 without a warm start, got {schedule[0]:g}"
@@ -190,8 +195,7 @@ def _scenes(cost_map: Any, x_curr: Any, x_goal: Any, w_style: Any) -> tuple[MapS
         read_only(array if name in batches else _over_scenes(array, num_scenes))
         for name, array in arrays.items()
     )
-    cost_map = CostMap(grid, cost_map.resolution, cost_map.origin)
-    _check_on_free_cells(cost_map, {"x_curr": start[:, :2], "x_goal": goal[:, :2]})
+    cost_map = replace(cost_map, data=grid)
     return MapScenes(cost_map, start, goal, style), bool(batches)
 
 
@@ -239,10 +243,13 @@ def _style(value: Any) -> NDArray[np.float64]:
     return np.where(np.abs(total - 1) < 1e-12, weights, weights / total)
 
 
-def _check_on_free_cells(cost_map: CostMap, fields: Mapping[str, NDArray[np.float64]]) -> None:
-    """Refuse points [B,2] off the map or in an occupied cell of their own scene."""
+def _check_places(request: AnchorRequest) -> None:
+    """Refuse a start or goal off the map, or in an occupied cell unless the request allows that."""
+    cost_map = request.cost_map
     occupancy = cost_map.occupancy
-    for name, points in fields.items():
+    may_be_occupied = {"x_curr": request.clear_start, "x_goal": request.goal_tolerance is not None}
+    for name, allowed in may_be_occupied.items():
+        points = getattr(request, name)[:, :2]
         for scene, (x, y) in enumerate(points.tolist()):
             position = f"({x:g}, {y:g}) m of scene {scene}"
             if not cost_map.contains(x, y):
@@ -251,7 +258,7 @@ def _check_on_free_cells(cost_map: CostMap, fields: Mapping[str, NDArray[np.floa
                 message = f"expected a position on the map ({extent}), got {position}"
                 raise InvalidRequest(message, name)
             row, column = cost_map.cell_of(x, y)
-            if (came := occupancy[scene, row, column]) >= OCCUPIED:
+            if (came := occupancy[scene, row, column]) >= OCCUPIED and not allowed:
                 message = f"expected a cell of occupancy below {OCCUPIED}, got {position}"
                 cell = f"in cell [row {row}, column {column}] of occupancy {came:.2g}"
                 raise InvalidRequest(f"{message} {cell}", name)
@@ -261,6 +268,7 @@ _READERS: dict[str, Callable[[Any], Any]] = {
     **{name: partial(row.read, path=name) for name, row in OPTIONS.items()},
     "sampler": SamplerChoice.from_fields,
     "refine": RefineChoice.from_fields,
+    "goal_tolerance": GoalTolerance.from_fields,
 }
 
 

@@ -11,9 +11,11 @@ from typing import Any
 from anchorflow_client.contract.card import ModelCard
 from anchorflow_client.contract.checks import choice, vector_shape
 from anchorflow_client.contract.fields import (
+    DEFAULT_COST_PENALTY,
     DEFAULT_NUM_SAMPLES,
     LIMITS,
     MAP_FIELDS,
+    MAP_OPTIONS,
     NUM_SAMPLES,
     STATE_FIELDS,
     RefineChoice,
@@ -43,6 +45,8 @@ class ResolvedRequest(AnchorRequest):
     """A request with a value in every field."""
 
     num_samples: int = field()
+    cost_penalty: float = field()
+    clear_start: bool = field()
     model: str = field()
     seed: int = field()
     sampler: SamplerSpec = field()  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -72,6 +76,10 @@ def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest
         choice(name, "outputs", card.outputs)
     filled: dict[str, Any] = {
         "num_samples": _num_samples(request, card.sampler),
+        "cost_penalty": DEFAULT_COST_PENALTY
+        if request.cost_penalty is None
+        else request.cost_penalty,
+        "clear_start": bool(request.clear_start),
         "model": request.model or card.name,
         "seed": secrets.randbits(DRAWN_SEED_BITS) if request.seed is None else request.seed,
         "sampler": _sampler(request, card),
@@ -111,7 +119,7 @@ def _check_map_fields(request: AnchorRequest, card: ModelCard) -> None:
 def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:
     """Refuse fields that only a planner with a cost map uses."""
     named = {"cost_map": request.map_scenes, "warm_start": request.warm_start}
-    named |= {name: getattr(request, name) for name in LIMITS}
+    named |= {name: getattr(request, name) for name in MAP_OPTIONS}
     for name, value in named.items():
         if value is not None:
             names = ", ".join(f"inputs.{spec.name}" for spec in card.inputs)

@@ -139,6 +139,7 @@ class Planner:
         x_goal: ArrayLike,
         resolution: float | None = None,
         origin: ArrayLike | None = None,
+        channel_weights: ArrayLike | None = None,
         **options: Unpack[PlanOptions],
     ) -> Plan:
         """Pass the loop's current observation and return the newest plan, without waiting.
@@ -151,7 +152,7 @@ class Planner:
             cost_map: as in `AnchorClient.plan`; it may end before the goal.
             x_curr: [3D] position, velocity, acceleration in m, m/s, m/s^2.
             x_goal: [2D] position, velocity; may lie beyond the map.
-            resolution, origin: as in `AnchorClient.plan`.
+            resolution, origin, channel_weights: as in `AnchorClient.plan`.
             **options:
 
         Errors in the observation or of a request are not raised: they are the plan's `last_error`.
@@ -167,7 +168,7 @@ class Planner:
             if self._is_due(now):
                 if (seed := options.get("seed")) is not None:
                     options["seed"] = self._seed(seed)
-                view = map_fields(cost_map, resolution, origin)
+                view = map_fields(cost_map, resolution, origin, channel_weights)
                 seen = Observation.copied(now, view, x_curr=start, x_goal=goal, options=options)
                 self._ask(seen)
         except InvalidRequest as error:

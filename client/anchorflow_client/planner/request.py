@@ -15,6 +15,7 @@ from anchorflow_client.contract import (
     AnchorRequest,
     CostMap,
     CostMapSpec,
+    GoalTolerance,
     ModelCard,
     RefineChoice,
     SamplerChoice,
@@ -259,7 +260,7 @@ def _copied(value: Any, field: str, depth: int = 1 + MAX_DIMENSIONS) -> Any:
     """Copy a field, so that its owner cannot change it; deeper nesting is refused later."""
     if not depth or isinstance(value, np.generic):
         return value
-    if isinstance(value, CostMap | WarmStart | SamplerChoice | RefineChoice):
+    if isinstance(value, CostMap | WarmStart | SamplerChoice | RefineChoice | GoalTolerance):
         return replace(value, **_copied(vars(value), field, depth))
     if isinstance(value, Mapping):
         return {name: _copied(each, f"{field}.{name}", depth - 1) for name, each in value.items()}

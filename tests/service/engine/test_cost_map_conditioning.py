@@ -10,7 +10,6 @@ import pytest
 from asked_engine import Build
 
 from anchorflow_client.contract import AnchorRequest, resolve_for_card
-from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import Bundle, load_bundle
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning, MapScene
 from anchorflow_trajectory.scene import SCENE_INPUTS
@@ -114,11 +113,28 @@ def test_only_what_the_manifest_lists_is_made(tiny: Bundle, small_request: Build
     assert "clearance_field" not in scene.scene.__dict__
 
 
-def test_more_channels_than_the_cards_are_refused(tiny: Bundle, small_request: Build) -> None:
-    request = small_request(cost_map={"data": np.zeros((4, 16, 16)), "resolution": 0.5})
-    with pytest.raises(InvalidRequest, match=r"expected C from 1 to 3, .* got 4") as caught:
-        scenes(request, tiny)
-    assert caught.value.field == "cost_map.data"
+def test_a_scene_has_every_channel_with_its_weight(tiny: Bundle, small_request: Build) -> None:
+    data = np.zeros((16, 16, 16))
+    data[15] = 0.5
+    cost_map = {"data": data, "resolution": 0.5, "channel_weights": [2.0] * 15}
+
+    (scene,) = scenes(small_request(cost_map=cost_map, cost_penalty=0.0), tiny)
+
+    assert scene.scene.cost_map.shape == data.shape
+    assert (scene.scene.cost_map[15] == 0.5).all()
+    assert scene.scene.channel_weights is not None
+    assert scene.scene.channel_weights.tolist() == [2.0] * 15
+    assert scene.scene.cost_penalty == 0.0
+
+
+def test_weights_are_filled_up_like_channels(tiny: Bundle, small_request: Build) -> None:
+    cost_map = {"data": np.zeros((2, 16, 16)), "resolution": 0.5, "channel_weights": [0.5]}
+
+    (scene,) = scenes(small_request(cost_map=cost_map), tiny)
+
+    assert scene.scene.channel_weights is not None
+    assert scene.scene.channel_weights.tolist() == [0.5, 1.0]
+    assert scene.scene.cost_penalty == 3.0
 
 
 def test_each_scene_of_a_batch_sees_its_own_map_and_state(

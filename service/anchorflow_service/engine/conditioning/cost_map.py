@@ -15,7 +15,6 @@ from anchorflow_client.contract import (
     ResolvedRequest,
 )
 from anchorflow_client.contract.batch import NEAR
-from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_trajectory.motion import MotionLimits
@@ -45,24 +44,13 @@ class CostMapConditioning:
         yield from unknown_names("graphs.encode.inputs", encode.input_names, SCENE_INPUTS)
 
     def scenes(self, request: ResolvedRequest) -> list[MapScene]:
-        """Return the scenes of a request, near the origin of their own frame.
-
-        Raises:
-            InvalidRequest: the map has more channels than the card's.
-        """
-        channels, most = request.cost_map.data.shape[1], self._entry.channels
-        if channels > most:
-            name = self._manifest.name
-            raise InvalidRequest(
-                f"expected C from 1 to {most}, the channels of {name}, got {channels}",
-                "cost_map.data",
-            )
+        """Return the scenes of a request, near the origin of their own frame."""
         reference = _reference(request.cost_map)
         near = _moved(request, reference) if reference.any() else request
         return [MapScene(near, self._scene(near, b), reference) for b in range(request.num_scenes)]
 
     def _scene(self, request: ResolvedRequest, index: int) -> Scene:
-        """Return a scene of a request, on a map of all the model's channels."""
+        """Return a scene of a request, on a map of at least the model's channels."""
         cost_map, limits = request.cost_map, _limits(request)
         return Scene(
             cost_map=with_neutral_channels(cost_map.data[index], self._entry.channels),
@@ -75,6 +63,8 @@ class CostMapConditioning:
             motion=MotionLimits(limits.v_max, limits.a_max, limits.horizon_s),
             basis=self._basis,
             certified_margin=request.certified_margin,
+            cost_penalty=request.cost_penalty,
+            channel_weights=_weights(cost_map, self._entry.channels),
         )
 
     def probe(self) -> AnchorRequest:
@@ -130,6 +120,15 @@ def _basis_of(manifest: Manifest) -> SplineBasis:
     if not isinstance(entry, SplineEntry):
         return spline_basis(steps)
     return spline_basis(steps, num_control_points=entry.num_control_points, degree=entry.degree)
+
+
+def _weights(cost_map: CostMap, channels: int) -> NDArray[np.float32] | None:
+    """Return the factors [C-1] of a map filled up to `channels`."""
+    if (given := cost_map.channel_weights) is None:
+        return None
+    weights = np.ones(max(channels - 1, len(given)), np.float32)
+    weights[: len(given)] = given
+    return weights
 
 
 def _limits(request: ResolvedRequest) -> LimitsSpec:

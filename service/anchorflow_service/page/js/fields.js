@@ -27,7 +27,11 @@ const SHOWN = {
   "refine.guidance": { block: "finish", slider: 2 },
   "refine.certified_margin": { block: "finish", slider: 0.5 },
   seed: { block: "seed", first: 0 },
+  cost_penalty: { slider: 20 },
+  "goal_tolerance.position": { label: "Goal tolerance" },
+  "goal_tolerance.heading": { label: "Heading tolerance", needs: "goal_tolerance.position" },
 };
+const ONLY_ON_MAPS = new Set(["cost_penalty", "clear_start"]);
 const BLOCKS_OF_GROUPS = { sampler: "sampling", refine: "finish" };
 const SLIDER_STEP = 0.01;
 
@@ -49,7 +53,7 @@ export class RequestFields {
       if (block === "robot") return path in (card.conditioning.limits ?? {});
       if (path.startsWith("sampler.")) return hasMap && card.sampler.kind === "ode";
       if (path.startsWith("refine.")) return hasMap && card.finish.kind === "spline";
-      return hasMap || !path.includes(".");
+      return hasMap || !(path.includes(".") || ONLY_ON_MAPS.has(path));
     };
     return this.all.filter(applies);
   }
